@@ -1,0 +1,158 @@
+"""Tetrahedral meshes, linear (4 nodes) or quadratic (10 nodes)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from physconvex.errors import InputError
+
+__all__ = ["EDGE_CORNERS", "TetMesh", "box_mesh", "refine", "to_quadratic"]
+
+# Corners joined by mid-edge nodes 4..9 of a quadratic tetrahedron.
+EDGE_CORNERS = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
+# Faces with outward normals (corners), and the mid-edge nodes opposite to none: (01, 12, 20) of each face.
+FACE_CORNERS = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+FACE_MIDDLES = np.array([[6, 5, 4], [4, 8, 7], [5, 9, 8], [7, 9, 6]])
+# The eight children of a tetrahedron in terms of its ten quadratic nodes (Bey's red refinement).
+CHILDREN = np.array(
+    [[0, 4, 6, 7], [4, 1, 5, 8], [6, 5, 2, 9], [7, 8, 9, 3], [4, 6, 7, 8], [4, 5, 6, 8], [6, 7, 8, 9], [5, 6, 8, 9]]
+)
+
+
+@dataclass(frozen=True)
+class TetMesh:
+    """A tetrahedral mesh.
+
+    Attributes:
+        vertices: node positions [m], shape [V, 3], float64.
+        tets: node indices, shape [E, 4] (linear) or [E, 10] (quadratic: corners, then the mid-edge nodes of
+            edges 01, 12, 02, 03, 13, 23). Orientation positive: det[x1-x0, x2-x0, x3-x0] > 0.
+
+    Raises:
+        InputError: wrong shapes, indices out of range, unused vertices, or an element without positive volume.
+    """
+
+    vertices: Float[np.ndarray, "V 3"]
+    tets: Int[np.ndarray, "E n"]
+
+    def __post_init__(self) -> None:
+        vertices = np.ascontiguousarray(self.vertices, dtype=np.float64)
+        tets = np.ascontiguousarray(self.tets, dtype=np.int64)
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "tets", tets)
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
+            raise InputError(f"vertices: got shape {vertices.shape}; expected finite [V, 3] in metres")
+        if tets.ndim != 2 or tets.shape[1] not in (4, 10) or len(tets) == 0:
+            raise InputError(f"tets: got shape {tets.shape}; expected [E, 4] or [E, 10] with E > 0")
+        if tets.min() < 0 or tets.max() >= len(vertices):
+            raise InputError(f"tets: indices {tets.min()}..{tets.max()}; expected 0..{len(vertices) - 1}")
+        if len(np.unique(tets)) != len(vertices):
+            raise InputError("vertices: some belong to no tetrahedron; drop them with `compact` before")
+        bad = np.flatnonzero(self.element_volumes <= 0)
+        if len(bad):
+            raise InputError(
+                f"tets: {len(bad)} of {len(tets)} have no positive volume (first: {bad[0]}); "
+                "swap two of their corners, or mesh again"
+            )
+
+    @property
+    def order(self) -> int:
+        """Polynomial degree of the elements: 1 or 2."""
+        return 1 if self.tets.shape[1] == 4 else 2
+
+    @property
+    def corner_tets(self) -> Int[np.ndarray, "E 4"]:
+        """The corner nodes of each element."""
+        return self.tets[:, :4]
+
+    @cached_property
+    def element_volumes(self) -> Float[np.ndarray, " E"]:
+        """Volume of each (straight-edged) element [m³]."""
+        x = self.vertices[self.corner_tets]
+        return np.linalg.det(x[:, 1:] - x[:, :1]) / 6.0
+
+    @property
+    def volume(self) -> float:
+        """Volume of the body [m³]."""
+        return float(self.element_volumes.sum())
+
+    @property
+    def size(self) -> float:
+        """Largest edge of the bounding box [m]."""
+        return float(np.ptp(self.vertices, axis=0).max())
+
+    @cached_property
+    def boundary_faces(self) -> Int[np.ndarray, "F n"]:
+        """Outward boundary faces: [F, 3] corners, and for quadratic meshes [F, 6] with the nodes of edges 01, 12, 20."""
+        columns = FACE_CORNERS if self.order == 1 else np.hstack([FACE_CORNERS, FACE_MIDDLES])
+        faces = self.tets[:, columns].reshape(-1, columns.shape[1])
+        key = np.sort(faces[:, :3], axis=1)
+        _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
+        return faces[np.sort(first[count == 1])]
+
+    @cached_property
+    def node_areas(self) -> Float[np.ndarray, " V"]:
+        """Share of the boundary area carried by each node [m²], zero inside.
+
+        Quadratic faces are lumped over their four linear sub-triangles, which keeps every weight positive.
+        """
+        faces = self.boundary_faces
+        x = self.vertices[faces[:, :3]]
+        area = 0.5 * np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1)
+        shares = np.full(3, 1 / 3) if self.order == 1 else np.array([1 / 12] * 3 + [1 / 4] * 3)
+        return np.bincount(faces.ravel(), (area[:, None] * shares).ravel(), minlength=len(self.vertices))
+
+
+def compact(vertices: np.ndarray, tets: np.ndarray) -> TetMesh:
+    """Mesh without the vertices that no tetrahedron uses."""
+    used, tets = np.unique(tets, return_inverse=True)
+    return TetMesh(vertices[used], tets.reshape(-1, tets.shape[-1]))
+
+
+def to_quadratic(mesh: TetMesh) -> TetMesh:
+    """The same geometry with quadratic elements: one node is added in the middle of every edge."""
+    if mesh.order == 2:
+        return mesh
+    edges = np.sort(mesh.tets[:, EDGE_CORNERS], axis=2).reshape(-1, 2)
+    unique, inverse = np.unique(edges, axis=0, return_inverse=True)
+    middles = mesh.vertices[unique].mean(axis=1)
+    tets = np.hstack([mesh.tets, len(mesh.vertices) + inverse.reshape(-1, 6)])
+    return TetMesh(np.vstack([mesh.vertices, middles]), tets)
+
+
+def refine(mesh: TetMesh) -> TetMesh:
+    """Each tetrahedron split into eight (Bey 1995); same geometry, same order."""
+    quadratic = to_quadratic(TetMesh(mesh.vertices, mesh.tets) if mesh.order == 1 else linear_part(mesh))
+    children = quadratic.tets[:, CHILDREN].reshape(-1, 4)
+    x = quadratic.vertices[children]
+    flipped = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
+    children[flipped] = children[flipped][:, [0, 2, 1, 3]]
+    fine = TetMesh(quadratic.vertices, children)
+    return fine if mesh.order == 1 else to_quadratic(fine)
+
+
+def linear_part(mesh: TetMesh) -> TetMesh:
+    """The linear mesh on the corner nodes of a quadratic one."""
+    return compact(mesh.vertices, mesh.corner_tets)
+
+
+def box_mesh(size: tuple[float, float, float], cells: tuple[int, int, int], *, order: int = 2) -> TetMesh:
+    """A box with one corner at the origin, cut into `cells` hexahedra of six tetrahedra each (Kuhn)."""
+    axes = [np.linspace(0.0, length, n + 1) for length, n in zip(size, cells, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    index = np.arange(grid[..., 0].size).reshape(grid.shape[:3])
+    corner = index[:-1, :-1, :-1].ravel()
+    step = np.array([index[1, 0, 0], index[0, 1, 0], index[0, 0, 1]])
+    paths = np.array([[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [1, 0, 2], [2, 1, 0]])
+    tets = []
+    for path in paths:
+        steps = np.concatenate([[0], np.cumsum(step[path])])
+        if np.linalg.det(np.eye(3)[path]) < 0:
+            steps = steps[[0, 2, 1, 3]]
+        tets.append(corner[:, None] + steps)
+    mesh = TetMesh(grid.reshape(-1, 3), np.concatenate(tets))
+    return to_quadratic(mesh) if order == 2 else mesh
