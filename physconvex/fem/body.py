@@ -1,0 +1,179 @@
+"""A hyperelastic body on a tetrahedral mesh: energy, forces, stiffness, mass, viscosity."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from physconvex.errors import InputError
+from physconvex.fem.elements import QUADRATURE, shape_gradients, shape_values
+from physconvex.fem.mesh import TetMesh
+from physconvex.materials import get_law, lame_parameters, project_to_positive, strain_stiffness
+
+__all__ = ["ElasticBody"]
+
+PerElement = float | Float[np.ndarray, " E"]
+
+
+class ElasticBody:
+    """Tetrahedral body with one elastic law and constants per element.
+
+    Args:
+        mesh: linear or quadratic mesh, rest state.
+        law: name of the elastic law, see `physconvex.materials`.
+        youngs_modulus: E [Pa], scalar or [E].
+        poisson_ratio: ν [-], scalar or [E], in (-1, 0.5).
+        density: ρ [kg/m³], scalar or [E].
+        device: where element arithmetic runs (the sparse solve stays on the CPU).
+
+    Raises:
+        InputError: a constant out of its range or of the wrong shape.
+    """
+
+    def __init__(
+        self,
+        mesh: TetMesh,
+        *,
+        law: str = "neo_hookean",
+        youngs_modulus: PerElement = 1e5,
+        poisson_ratio: PerElement = 0.4,
+        density: PerElement = 1000.0,
+        device: str | torch.device = "cpu",
+    ) -> None:
+        self.mesh = mesh
+        self.law = get_law(law)
+        self.device = torch.device(device)
+        self.youngs_modulus = self._per_element("youngs_modulus", youngs_modulus, 0.0, np.inf)
+        self.poisson_ratio = self._per_element("poisson_ratio", poisson_ratio, -1.0, 0.5)
+        self.density = self._per_element("density", density, 0.0, np.inf)
+        mu, lam = lame_parameters(self._tensor(self.youngs_modulus), self._tensor(self.poisson_ratio))
+        barycentric, weights = QUADRATURE[1 if mesh.order == 1 else 2]
+        self._mu, self._lam = mu[:, None], lam[:, None]
+        self._weights = self._tensor(mesh.element_volumes[:, None] * weights)  # [E, Q]
+        self._gradients = self._tensor(self._rest_gradients(barycentric))  # [E, Q, n, 3]
+        count, points, nodes, _ = self._gradients.shape
+        self._flat_gradients = self._gradients.transpose(1, 2).reshape(count, nodes, points * 3).contiguous()
+        self._tets = torch.as_tensor(mesh.tets, device=self.device)
+
+    # -- set-up
+
+    def _tensor(self, array: np.ndarray) -> Tensor:
+        return torch.as_tensor(array, dtype=torch.float64, device=self.device)
+
+    def _per_element(self, name: str, value: PerElement, low: float, high: float) -> np.ndarray:
+        array = np.asarray(value, dtype=np.float64)
+        if array.shape not in ((), (len(self.mesh.tets),)):
+            raise InputError(f"{name}: got shape {array.shape}; expected a number or [{len(self.mesh.tets)}]")
+        if not ((array > low) & (array < high)).all():
+            raise InputError(f"{name}: got values in [{array.min()}, {array.max()}]; expected inside ({low}, {high})")
+        return np.broadcast_to(array, len(self.mesh.tets)).copy()
+
+    def _rest_gradients(self, barycentric: np.ndarray) -> np.ndarray:
+        """∂N/∂X at the quadrature points, [E, Q, n, 3]; straight-edged elements have constant ∂b/∂X."""
+        x = self.mesh.vertices[self.mesh.corner_tets]
+        inner = np.linalg.inv(x[:, 1:] - x[:, :1]).transpose(0, 2, 1)  # rows: ∂b_1..3/∂X
+        barycentric_gradients = np.concatenate([-inner.sum(1, keepdims=True), inner], axis=1)  # [E, 4, 3]
+        return np.einsum("qnb,ebi->eqni", shape_gradients(barycentric, self.mesh.order), barycentric_gradients)
+
+    @cached_property
+    def mass(self) -> sp.csr_matrix:
+        """Consistent mass matrix of one coordinate [kg], shape [V, V]."""
+        barycentric, weights = QUADRATURE[2 if self.mesh.order == 1 else 4]
+        values = shape_values(barycentric, self.mesh.order)
+        local = np.einsum("q,qa,qb->ab", weights, values, values)
+        blocks = (self.density * self.mesh.element_volumes)[:, None, None] * local
+        n = self.mesh.tets.shape[1]
+        rows, columns = np.repeat(self.mesh.tets, n, axis=1).ravel(), np.tile(self.mesh.tets, n).ravel()
+        size = len(self.mesh.vertices)
+        return sp.coo_matrix((blocks.ravel(), (rows, columns)), shape=(size, size)).tocsr()
+
+    @property
+    def total_mass(self) -> float:
+        """Mass of the body [kg]."""
+        return float((self.density * self.mesh.element_volumes).sum())
+
+    @cached_property
+    def node_masses(self) -> Float[np.ndarray, " V"]:
+        """Row sums of the mass matrix [kg]: the weights of a uniform acceleration."""
+        return np.asarray(self.mass.sum(axis=1)).ravel()
+
+    # -- elasticity
+
+    def _element_positions(self, x: np.ndarray) -> Tensor:
+        return self._tensor(x)[self._tets]
+
+    def deformation_gradient(self, x: Float[np.ndarray, "V 3"]) -> Tensor:
+        """F = ∂x/∂X at the quadrature points, shape [E, Q, 3, 3]."""
+        flat = self._element_positions(x).mT @ self._flat_gradients  # [E, 3, Q·3]
+        return flat.reshape(len(self._tets), 3, -1, 3).transpose(1, 2)
+
+    def energy(self, x: Float[np.ndarray, "V 3"]) -> float:
+        """Elastic energy [J] at node positions x [m]."""
+        return float((self._weights * self.law.energy(self.deformation_gradient(x), self._mu, self._lam)).sum())
+
+    def gradient(self, x: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+        """Derivative of the elastic energy with respect to the node positions [N] (minus the elastic force)."""
+        return self._scatter(self.law.stress(self.deformation_gradient(x), self._mu, self._lam))
+
+    def energy_and_gradient(self, x: Float[np.ndarray, "V 3"]) -> tuple[float, Float[np.ndarray, "V 3"]]:
+        """Both of the above with one evaluation of F."""
+        f = self.deformation_gradient(x)
+        energy = float((self._weights * self.law.energy(f, self._mu, self._lam)).sum())
+        return energy, self._scatter(self.law.stress(f, self._mu, self._lam))
+
+    def stress(self, x: Float[np.ndarray, "V 3"]) -> Tensor:
+        """First Piola–Kirchhoff stress at the quadrature points [Pa], shape [E, Q, 3, 3]."""
+        return self.law.stress(self.deformation_gradient(x), self._mu, self._lam)
+
+    def element_hessians(self, x: Float[np.ndarray, "V 3"], *, project: bool = False) -> Float[np.ndarray, "E m m"]:
+        """Element stiffness matrices [N/m], m = 3 × nodes, degrees of freedom ordered node by node.
+
+        With `project`, negative eigenvalues of ∂P/∂F are set to zero first.
+        """
+        hessian = self.law.hessian(self.deformation_gradient(x), self._mu, self._lam)
+        return self._integrate(project_to_positive(hessian) if project else hessian)
+
+    def _scatter(self, stress: Tensor) -> np.ndarray:
+        weighted = self._weights[..., None, None] * stress
+        flat = weighted.transpose(2, 3).reshape(len(self._tets), -1, 3)  # [E, Q·3 (j), 3 (i)]
+        forces = self._flat_gradients @ flat
+        out = torch.zeros(len(self.mesh.vertices), 3, dtype=torch.float64, device=self.device)
+        return out.index_add_(0, self._tets.reshape(-1), forces.reshape(-1, 3)).cpu().numpy()
+
+    def _integrate(self, tensor: Tensor) -> np.ndarray:
+        """Σ_q w ∂N_a/∂X_j A_ijkl ∂N_b/∂X_l, shape [E, 3n, 3n]."""
+        count, points, nodes, _ = self._gradients.shape
+        a = (self._weights[..., None, None] * tensor).reshape(count, points, 3, 3, 3, 3)
+        half = self._gradients @ a.permute(0, 1, 3, 2, 4, 5).reshape(count, points, 3, 27)  # [E, Q, a, (i k l)]
+        half = half.reshape(count, points, nodes * 9, 3).transpose(1, 2).reshape(count, nodes * 9, points * 3)
+        full = (half @ self._flat_gradients.mT).reshape(count, nodes, 3, 3, nodes)  # [E, a, i, k, b]
+        return full.permute(0, 1, 2, 4, 3).reshape(count, nodes * 3, nodes * 3).cpu().numpy()
+
+    # -- Kelvin–Voigt viscosity: rate potential w/2 (2 μ_v Ė:Ė + λ_v (tr Ė)²), Ė = sym(F*ᵀ Ḟ), frozen F*
+
+    def viscous_state(self, x: Float[np.ndarray, "V 3"]) -> Tensor:
+        """F* at which the viscosity of one time step is frozen, [E, Q, 3, 3]."""
+        return self.deformation_gradient(x)
+
+    def viscous_energy_and_gradient(
+        self, state: Tensor, velocity: Float[np.ndarray, "V 3"], damping_time: float
+    ) -> tuple[float, Float[np.ndarray, "V 3"]]:
+        """Rate potential [W] and its derivative with respect to velocity [N] for viscosity damping_time × (μ, λ)."""
+        rate = self.deformation_gradient(velocity)
+        strain = state.mT @ rate
+        strain = 0.5 * (strain + strain.mT)
+        trace = strain.diagonal(dim1=-2, dim2=-1).sum(-1)
+        mu, lam = damping_time * self._mu, damping_time * self._lam
+        energy = mu * (strain * strain).sum((-1, -2)) + lam / 2 * trace**2
+        inner = 2 * mu[..., None, None] * strain
+        inner.diagonal(dim1=-2, dim2=-1).add_((lam * trace)[..., None])
+        return float((self._weights * energy).sum()), self._scatter(state @ inner)
+
+    def viscous_hessians(self, state: Tensor, damping_time: float) -> Float[np.ndarray, "E m m"]:
+        """Second derivative of the rate potential, element matrices [N·s/m]."""
+        return self._integrate(strain_stiffness(state, damping_time * self._mu, damping_time * self._lam))

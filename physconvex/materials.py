@@ -1,0 +1,272 @@
+"""Elastic laws as triples energy / stress / hessian of the deformation gradient F.
+
+Every law takes F [..., 3, 3] and the Lamé constants mu, lam [Pa] (broadcastable to [...]) and returns
+
+- energy: energy density Ψ [J/m³], shape [...];
+- stress: first Piola–Kirchhoff stress P = ∂Ψ/∂F [Pa], shape [..., 3, 3];
+- hessian: ∂P/∂F [Pa], shape [..., 9, 9], F flattened row by row.
+
+All of them linearise at F = I to linear elasticity with the same E and ν. Where that needs care (the
+λ + μ form of Smith et al. 2018) the comment at the law says so. Any device, any float dtype.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor
+
+from physconvex.errors import InputError
+
+__all__ = ["LAWS", "Law", "LawName", "get_law", "lame_parameters", "project_to_positive", "young_poisson"]
+
+LawName = Literal["neo_hookean", "neo_hookean_log", "stvk", "corotated", "linear"]
+Triple = Callable[[Tensor, Tensor, Tensor], Tensor]
+
+
+@dataclass(frozen=True)
+class Law:
+    """An elastic law: three functions of (F, mu, lam); see the module's docstring for shapes and units."""
+
+    name: LawName
+    energy: Triple
+    stress: Triple
+    hessian: Triple
+
+
+def lame_parameters(youngs_modulus: Tensor, poisson_ratio: Tensor) -> tuple[Tensor, Tensor]:
+    """Lamé constants (mu, lam) [Pa] of linear elasticity from E [Pa] and ν [-]."""
+    mu = youngs_modulus / (2 * (1 + poisson_ratio))
+    lam = youngs_modulus * poisson_ratio / ((1 + poisson_ratio) * (1 - 2 * poisson_ratio))
+    return mu, lam
+
+
+def young_poisson(mu: Tensor, lam: Tensor) -> tuple[Tensor, Tensor]:
+    """E [Pa] and ν [-] from the Lamé constants [Pa]."""
+    return mu * (3 * lam + 2 * mu) / (lam + mu), lam / (2 * (lam + mu))
+
+
+def get_law(name: str) -> Law:
+    """The law of that name.
+
+    Raises:
+        InputError: no law has the name.
+    """
+    if name not in LAWS:
+        raise InputError(f"law: got {name!r}; expected one of {', '.join(get_args(LawName))}")
+    return LAWS[name]
+
+
+def project_to_positive(hessian: Tensor) -> Tensor:
+    """Nearest positive semi-definite matrices (negative eigenvalues set to zero), shape [..., n, n]."""
+    values, vectors = torch.linalg.eigh(hessian)
+    return (vectors * values.clamp_min(0).unsqueeze(-2)) @ vectors.mT
+
+
+def _levi_civita() -> Tensor:
+    eps = torch.zeros(3, 3, 3, dtype=torch.float64)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        eps[i, j, k], eps[i, k, j] = 1, -1
+    return eps
+
+
+# cof_ij = ½ ε_ikb ε_jld F_kl F_bd, hence ∂cof_ij/∂F_kl = ε_ikb ε_jld F_bd
+_COFACTOR_DERIVATIVE = torch.einsum("ikb,jld->bdijkl", _levi_civita(), _levi_civita()).reshape(9, 81)
+_EYE9 = torch.eye(9, dtype=torch.float64)
+_EYE3 = torch.eye(3, dtype=torch.float64)
+
+
+def _like(constant: Tensor, f: Tensor) -> Tensor:
+    return constant.to(device=f.device, dtype=f.dtype)
+
+
+def _cofactor(f: Tensor) -> Tensor:
+    """cof F = J F⁻ᵀ, also where J = 0."""
+    a, b, c = f.unbind(-2)
+    return torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], dim=-2)
+
+
+def _determinant(f: Tensor, cofactor: Tensor) -> Tensor:
+    return (f[..., 0, :] * cofactor[..., 0, :]).sum(-1)
+
+
+def _cofactor_hessian(f: Tensor) -> Tensor:
+    return (f.reshape(*f.shape[:-2], 9) @ _like(_COFACTOR_DERIVATIVE, f)).reshape(*f.shape[:-2], 9, 9)
+
+
+def _outer(a: Tensor) -> Tensor:
+    """vec(a) vec(a)ᵀ, shape [..., 9, 9]."""
+    flat = a.reshape(*a.shape[:-2], 9)
+    return flat.unsqueeze(-1) * flat.unsqueeze(-2)
+
+
+def _m(x: Tensor) -> Tensor:
+    """A scalar field shaped to multiply matrices."""
+    return x[..., None, None]
+
+
+# --- Neo-Hookean, Smith, de Goes, Kim 2018 ("Stable Neo-Hookean Flesh Simulation"), eq. 13 without the log term:
+# Ψ = μ/2 (I₁ − 3) − μ (J − 1) + (λ + μ)/2 (J − 1)². With λ in place of λ + μ it would linearise to λ − μ.
+
+
+def _neo_hookean_energy(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    j = _determinant(f, _cofactor(f)) - 1
+    return mu / 2 * ((f * f).sum((-1, -2)) - 3) - mu * j + (lam + mu) / 2 * j * j
+
+
+def _neo_hookean_stress(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    cofactor = _cofactor(f)
+    j = _determinant(f, cofactor) - 1
+    return _m(mu) * f + _m((lam + mu) * j - mu) * cofactor
+
+
+def _neo_hookean_hessian(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    cofactor = _cofactor(f)
+    j = _determinant(f, cofactor) - 1
+    hessian = _m((lam + mu) * j - mu) * _cofactor_hessian(f)
+    hessian += _m(lam + mu) * _outer(cofactor)
+    return hessian + _m(mu) * _like(_EYE9, f)
+
+
+# --- Neo-Hookean with logarithms (Bonet & Wood 2008, eq. 6.27): Ψ = μ/2 (I₁ − 3) − μ ln J + λ/2 (ln J)²; infinite at J ≤ 0.
+
+
+def _log_determinant(f: Tensor, cofactor: Tensor) -> Tensor:
+    j = _determinant(f, cofactor)
+    return torch.where(j > 0, j.clamp_min(torch.finfo(f.dtype).tiny).log(), torch.nan)
+
+
+def _neo_hookean_log_energy(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    log_j = _log_determinant(f, _cofactor(f))
+    energy = mu / 2 * ((f * f).sum((-1, -2)) - 3) - mu * log_j + lam / 2 * log_j * log_j
+    return energy.nan_to_num(nan=torch.inf)
+
+
+def _neo_hookean_log_stress(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    cofactor = _cofactor(f)
+    log_j = _log_determinant(f, cofactor)
+    return _m(mu) * f + _m((lam * log_j - mu) / _determinant(f, cofactor)) * cofactor
+
+
+def _neo_hookean_log_hessian(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    cofactor = _cofactor(f)
+    log_j = _log_determinant(f, cofactor)
+    g = cofactor / _m(_determinant(f, cofactor))  # F⁻ᵀ; ∂G_ij/∂F_kl = −G_il G_kj
+    mixed = torch.einsum("...il,...kj->...ijkl", g, g).reshape(*f.shape[:-2], 9, 9)
+    return _m(mu) * _like(_EYE9, f) + _m(lam) * _outer(g) + _m(mu - lam * log_j) * mixed
+
+
+# --- St Venant–Kirchhoff: Ψ = μ E:E + λ/2 (tr E)², E = ½ (FᵀF − I).
+
+
+def _green_strain(f: Tensor) -> Tensor:
+    return 0.5 * (f.mT @ f - _like(_EYE3, f))
+
+
+def _trace(a: Tensor) -> Tensor:
+    return a.diagonal(dim1=-2, dim2=-1).sum(-1)
+
+
+def _second_stress(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    strain = _green_strain(f)
+    return 2 * _m(mu) * strain + _m(lam * _trace(strain)) * _like(_EYE3, f)
+
+
+def _stvk_energy(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    strain = _green_strain(f)
+    return mu * (strain * strain).sum((-1, -2)) + lam / 2 * _trace(strain) ** 2
+
+
+def _stvk_stress(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    return f @ _second_stress(f, mu, lam)
+
+
+def strain_stiffness(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    """F-dependent stiffness of a quadratic energy in the Green strain, without the geometric term, [..., 9, 9].
+
+    dP_ij = λ F_ij F_kl dF_kl + μ (F_il F_kj + (F Fᵀ)_ik δ_jl) dF_kl. Also the Kelvin–Voigt viscosity tensor.
+    """
+    shear = torch.einsum("...il,...kj->...ijkl", f, f)
+    shear = shear + torch.einsum("...ik,jl->...ijkl", f @ f.mT, _like(_EYE3, f))
+    return _m(mu) * shear.reshape(*f.shape[:-2], 9, 9) + _m(lam) * _outer(f)
+
+
+def _stvk_hessian(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    geometric = torch.einsum("ik,...jl->...ijkl", _like(_EYE3, f), _second_stress(f, mu, lam))
+    return geometric.reshape(*f.shape[:-2], 9, 9) + strain_stiffness(f, mu, lam)
+
+
+# --- Fixed corotated (Stomakhin et al. 2012, eq. 5): Ψ = μ ‖F − R‖² + λ/2 (J − 1)².
+
+
+def _signed_svd(f: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """F = U diag(s) Vᵀ with det U = det V = 1; the smallest singular value carries the sign."""
+    u, s, vt = torch.linalg.svd(f)
+    sign_u, sign_v = torch.linalg.det(u).sign(), torch.linalg.det(vt).sign()
+    u = torch.cat([u[..., :2], u[..., 2:] * _m(sign_u)], dim=-1)
+    vt = torch.cat([vt[..., :2, :], vt[..., 2:, :] * _m(sign_v)], dim=-2)
+    s = torch.cat([s[..., :2], s[..., 2:] * (sign_u * sign_v).unsqueeze(-1)], dim=-1)
+    return u, s, vt
+
+
+def _corotated_energy(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    u, _, vt = _signed_svd(f)
+    j = _determinant(f, _cofactor(f)) - 1
+    return mu * ((f - u @ vt) ** 2).sum((-1, -2)) + lam / 2 * j * j
+
+
+def _corotated_stress(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    u, _, vt = _signed_svd(f)
+    cofactor = _cofactor(f)
+    j = _determinant(f, cofactor) - 1
+    return 2 * _m(mu) * (f - u @ vt) + _m(lam * j) * cofactor
+
+
+def _corotated_hessian(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    u, s, vt = _signed_svd(f)
+    cofactor = _cofactor(f)
+    j = _determinant(f, cofactor) - 1
+    # ∂R/∂F = Σ_{i<j} 2/(s_i + s_j) t tᵀ with the twists t = U (e_i e_jᵀ − e_j e_iᵀ)/√2 Vᵀ (Smith et al. 2019, §3)
+    rotation = torch.zeros(*f.shape[:-2], 9, 9, dtype=f.dtype, device=f.device)
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        twist = u[..., :, a, None] * vt[..., b, None, :] - u[..., :, b, None] * vt[..., a, None, :]
+        gap = (s[..., a] + s[..., b]).clamp_min(1e-6)
+        rotation = rotation + _m(1 / gap) * _outer(twist)
+    hessian = 2 * _m(mu) * (_like(_EYE9, f) - rotation) + _m(lam) * _outer(cofactor)
+    return hessian + _m(lam * j) * _cofactor_hessian(f)
+
+
+# --- Linear elasticity: Ψ = μ ε:ε + λ/2 (tr ε)², ε = sym F − I. Not rotation invariant.
+
+
+def _small_strain(f: Tensor) -> Tensor:
+    return 0.5 * (f + f.mT) - _like(_EYE3, f)
+
+
+def _linear_energy(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    strain = _small_strain(f)
+    return mu * (strain * strain).sum((-1, -2)) + lam / 2 * _trace(strain) ** 2
+
+
+def _linear_stress(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    strain = _small_strain(f)
+    return 2 * _m(mu) * strain + _m(lam * _trace(strain)) * _like(_EYE3, f)
+
+
+def _linear_hessian(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    return strain_stiffness(_like(_EYE3, f).expand(f.shape), mu, lam)
+
+
+LAWS: dict[str, Law] = {
+    law.name: law
+    for law in (
+        Law("neo_hookean", _neo_hookean_energy, _neo_hookean_stress, _neo_hookean_hessian),
+        Law("neo_hookean_log", _neo_hookean_log_energy, _neo_hookean_log_stress, _neo_hookean_log_hessian),
+        Law("stvk", _stvk_energy, _stvk_stress, _stvk_hessian),
+        Law("corotated", _corotated_energy, _corotated_stress, _corotated_hessian),
+        Law("linear", _linear_energy, _linear_stress, _linear_hessian),
+    )
+}
