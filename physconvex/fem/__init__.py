@@ -1,5 +1,23 @@
 """Full-order finite elements: the physical truth that the rest of physconvex is measured against."""
 
+from physconvex.contact import Plane, Sphere
+from physconvex.fem.body import ElasticBody
 from physconvex.fem.mesh import TetMesh, box_mesh, refine, to_quadratic
+from physconvex.fem.scene import Pins, Scene
+from physconvex.fem.simulation import SolveStatistics, Trajectory, simulate, solve_static
 
-__all__ = ["TetMesh", "box_mesh", "refine", "to_quadratic"]
+__all__ = [
+    "ElasticBody",
+    "Pins",
+    "Plane",
+    "Scene",
+    "SolveStatistics",
+    "Sphere",
+    "TetMesh",
+    "Trajectory",
+    "box_mesh",
+    "refine",
+    "simulate",
+    "solve_static",
+    "to_quadratic",
+]

@@ -1,0 +1,205 @@
+"""Tetrahedral meshes of the inside of any triangle surface, by fTetWild (Hu et al. 2020)."""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.fem.mesh import TetMesh, compact, to_quadratic
+from physconvex.fem.quality import mean_ratios
+
+__all__ = ["Surface", "tetrahedralize"]
+
+# Elements flatter than this would ruin the conditioning of the stiffness matrix.
+MIN_MEAN_RATIO = 0.02
+# How often the resolution is made coarser to respect `max_nodes`, and by how much.
+COARSENINGS, COARSENING_FACTOR = 6, 1.35
+
+
+class Surface(Protocol):
+    """Anything with triangles, for example `trimesh.Trimesh`."""
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """Positions [m], shape [V, 3]."""
+
+    @property
+    def faces(self) -> np.ndarray:
+        """Vertex indices, shape [F, 3]."""
+
+
+def tetrahedralize(
+    surface: Surface | tuple[np.ndarray, np.ndarray],
+    *,
+    target_edge_length: float | None = None,
+    epsilon: float = 0.02,
+    max_nodes: int | None = None,
+    order: Literal[1, 2] = 1,
+    match_volume: bool = True,
+    max_iterations: int = 80,
+    threads: int = 1,
+) -> TetMesh:
+    """Fill a triangle surface with tetrahedra.
+
+    The surface may have holes, several components and self-intersections: the inside is where its generalised
+    winding number exceeds one half. The result depends on nothing but the arguments when `threads` is 1.
+
+    Args:
+        surface: an object with `vertices` and `faces`, or the pair (vertices [V, 3] in metres, faces [F, 3]).
+        target_edge_length: edge length aimed at where the geometry asks for nothing finer [m];
+            default: a tenth of the diagonal of the bounding box.
+        epsilon: largest distance of the mesh boundary from the surface (before `match_volume`), relative to the
+            diagonal of the bounding box. It governs the number of nodes more than `target_edge_length` does.
+        max_nodes: upper bound on the nodes of the result; edge length and epsilon grow until it is met.
+        order: 1 for linear, 2 for quadratic elements.
+        match_volume: for closed surfaces, move the boundary nodes along their normals so that the mesh has the
+            volume of the surface (coarse meshes cut corners and would be several per cent too small).
+        max_iterations: most passes of the mesh improvement.
+        threads: threads of fTetWild; more than one may make the result depend on the machine.
+
+    Returns:
+        Mesh with positively oriented elements.
+
+    Raises:
+        InputError: the arguments are wrong, or the surface encloses no volume.
+        ConvergenceError: no mesh with sound elements, or none within `max_nodes`, was found.
+    """
+    vertices, faces = _checked_surface(surface)
+    diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    length = 0.1 * diagonal if target_edge_length is None else float(target_edge_length)
+    if not 0 < length < np.inf:
+        raise InputError(f"target_edge_length: got {target_edge_length}; expected a positive length in metres")
+    if not 0 < epsilon < 0.5:
+        raise InputError(f"epsilon: got {epsilon}; expected a fraction of the diagonal in (0, 0.5)")
+    if order not in (1, 2):
+        raise InputError(f"order: got {order!r}; expected 1 or 2")
+    volume = enclosed_volume(vertices, faces) if match_volume else None
+    mesh = None
+    for attempt in range(COARSENINGS):
+        factor = COARSENING_FACTOR**attempt
+        mesh = _mesh_once(vertices, faces, length * factor, epsilon * factor, max_iterations, threads)
+        mesh = to_quadratic(mesh) if order == 2 else mesh
+        if max_nodes is None or len(mesh.vertices) <= max_nodes:
+            return mesh if volume is None else with_volume(mesh, volume)
+    raise ConvergenceError(
+        f"tetrahedralize: still {len(mesh.vertices)} nodes at epsilon {epsilon * factor:.3f} after "
+        f"{COARSENINGS} attempts, max_nodes is {max_nodes}; allow more nodes or simplify the surface"
+    )
+
+
+def enclosed_volume(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> float | None:
+    """Volume inside a closed, outward oriented surface [m³]; None where it is open or inside out.
+
+    Vertices at the same place count as one, so that a surface cut along its texture seams is closed.
+    """
+    _, index = np.unique(vertices, axis=0, return_inverse=True)
+    faces = index.reshape(-1)[faces]
+    directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    forward, counts = np.unique(directed, axis=0, return_counts=True)
+    backward = np.unique(directed[:, ::-1], axis=0)
+    if (counts > 1).any() or len(forward) != len(backward) or (forward != backward).any():
+        return None
+    _, first = np.unique(index.reshape(-1), return_index=True)
+    x = (vertices[first] - vertices.mean(axis=0))[faces]
+    volume = float(np.linalg.det(x).sum() / 6.0)
+    return volume if volume > 0 else None
+
+
+def with_volume(mesh: TetMesh, volume: float, *, iterations: int = 5) -> TetMesh:
+    """`mesh` with its boundary moved along the normals until it encloses `volume` [m³].
+
+    Steps that would make an element flatter than half its previous mean ratio are shortened, so the volume
+    is met as far as the elements allow.
+    """
+    corners = mesh.corner_tets
+    nodes, tets = np.unique(corners, return_inverse=True)
+    linear = TetMesh(mesh.vertices[nodes], tets.reshape(-1, 4))
+    faces = linear.boundary_faces[:, :3]
+    x = linear.vertices.copy()
+    floor = np.minimum(0.5 * mean_ratios(x, linear.tets), 0.2)
+    for _ in range(iterations):
+        current = np.linalg.det(x[linear.tets[:, 1:]] - x[linear.tets[:, :1]]).sum() / 6.0
+        if abs(current / volume - 1) < 1e-6:
+            break
+        normals = _area_normals(x, faces)
+        area = np.linalg.norm(normals, axis=1)
+        direction = normals / np.maximum(area, np.finfo(float).tiny)[:, None]
+        step = (volume - current) / max(area.sum(), np.finfo(float).tiny)
+        while np.any(mean_ratios(x + step * direction, linear.tets) < floor) and abs(step) > 1e-9 * linear.size:
+            step *= 0.5
+        x = x + step * direction
+    moved = TetMesh(x, linear.tets)
+    return to_quadratic(moved) if mesh.order == 2 else moved
+
+
+def _area_normals(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Outward area vector of each node, a third of those of its faces: the gradient of the volume."""
+    cross = np.cross(x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]]) / 6.0
+    normals = np.zeros_like(x)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], cross)
+    return normals
+
+
+def _checked_surface(surface: Surface | tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (float64) and faces (int32) of the argument, or an InputError."""
+    pair = surface if isinstance(surface, tuple) else (surface.vertices, surface.faces)
+    vertices, faces = np.asarray(pair[0], dtype=np.float64), np.asarray(pair[1])
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or not np.isfinite(vertices).all():
+        raise InputError(f"surface: vertices of shape {vertices.shape}; expected finite [V, 3] in metres")
+    if faces.ndim != 2 or faces.shape[1] != 3 or len(faces) < 4 or not np.issubdtype(faces.dtype, np.integer):
+        raise InputError(
+            f"surface: faces of shape {faces.shape}, {faces.dtype}; expected at least four triangles [F, 3] "
+            "of integers; triangulate polygons before"
+        )
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InputError(f"surface: face indices {faces.min()}..{faces.max()}; expected 0..{len(vertices) - 1}")
+    used = vertices[faces].reshape(-1, 3)
+    if np.ptp(used, axis=0).min() <= 1e-9 * np.ptp(used, axis=0).max():
+        raise InputError(f"surface: extent {np.ptp(used, axis=0)} m is flat; expected a body with a volume")
+    return np.ascontiguousarray(vertices), np.ascontiguousarray(faces, dtype=np.int32)
+
+
+def _mesh_once(
+    vertices: np.ndarray, faces: np.ndarray, length: float, epsilon: float, iterations: int, threads: int
+) -> TetMesh:
+    """One run of fTetWild, checked."""
+    import pytetwild  # here: it loads VTK, which takes a while
+
+    centre, scale = vertices.mean(axis=0), float(np.ptp(vertices, axis=0).max())
+    try:
+        nodes, tets = pytetwild.tetrahedralize(
+            (vertices - centre) / scale,
+            faces,
+            edge_length_abs=length / scale,
+            epsilon=epsilon,
+            coarsen=True,
+            num_opt_iter=iterations,
+            num_threads=threads,
+        )
+    except RuntimeError as error:
+        raise ConvergenceError(f"tetrahedralize: fTetWild failed: {error}; repair or simplify the surface") from error
+    if len(tets) == 0:
+        raise InputError(
+            "surface: it encloses no volume that a mesh of this resolution could fill; "
+            "close its holes, orient its faces outwards, or lower epsilon"
+        )
+    nodes = np.asarray(nodes, dtype=np.float64)
+    tets = _positive(nodes, np.asarray(tets, dtype=np.int64))
+    ratios = mean_ratios(nodes, tets)
+    if ratios.min() < MIN_MEAN_RATIO:
+        raise ConvergenceError(
+            f"tetrahedralize: {np.sum(ratios < MIN_MEAN_RATIO)} of {len(tets)} elements are flat (mean ratio "
+            f"{ratios.min():.1e}); try another target_edge_length or epsilon, or raise max_iterations"
+        )
+    return compact(nodes * scale + centre, tets)
+
+
+def _positive(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """The tetrahedra with two corners swapped wherever the orientation is negative."""
+    x = vertices[tets]
+    negative = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
+    return np.where(negative[:, None], tets[:, [0, 2, 1, 3]], tets)

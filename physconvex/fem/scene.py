@@ -1,0 +1,122 @@
+"""What happens to a body: obstacles, forces, damping, pins, initial motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from physconvex.contact import Contact, Obstacle
+from physconvex.errors import InputError
+from physconvex.fem.body import ElasticBody
+
+__all__ = ["Loads", "Pins", "Scene"]
+
+Loads = Float[np.ndarray, "V 3"] | Callable[[float], Float[np.ndarray, "V 3"]]
+CONTACT_STIFFNESS_RATIO = 50.0  # kc·L / E: measured bias of E below 0.01 decades
+
+
+@dataclass(frozen=True)
+class Pins:
+    """Nodes whose positions are prescribed.
+
+    Attributes:
+        nodes: node indices, shape [C].
+        motion: positions [m] as a function of time [s], shape [C, 3]; None holds them where they start.
+    """
+
+    nodes: Int[np.ndarray, " C"]
+    motion: Callable[[float], Float[np.ndarray, "C 3"]] | None = None
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A body and everything that acts on it, in SI units.
+
+    Attributes:
+        body: the elastic body.
+        obstacles: planes and spheres with friction.
+        gravity: acceleration [m/s²].
+        damping_time: Kelvin–Voigt time β [s]: viscosities are β μ and β λ (stiffness-proportional Rayleigh).
+        air_drag: mass-proportional damping α [1/s] (force −α m v).
+        pins: nodes with prescribed motion.
+        loads: forces on the nodes [N], shape [V, 3], constant or a function of time.
+        initial_positions: state at t = 0 [m], shape [V, 3]; the rest state unless given.
+        initial_velocity: of the centre of mass [m/s].
+        initial_angular_velocity: about the centre of mass [rad/s].
+        contact_stiffness: kc [Pa/m]; 50 × (largest E) / (size of the body) unless given.
+        contact_smoothing: depth over which contact sets in [m]; 5e-4 of the body's size unless given.
+        slip_velocity: speed below which friction ramps to zero [m/s]; 2e-3 √(9.81 × size) unless given.
+    """
+
+    body: ElasticBody
+    obstacles: tuple[Obstacle, ...] = ()
+    gravity: Sequence[float] = (0.0, 0.0, -9.81)
+    damping_time: float = 0.0
+    air_drag: float = 0.0
+    pins: Pins | None = None
+    loads: Loads | None = None
+    initial_positions: Float[np.ndarray, "V 3"] | None = None
+    initial_velocity: Sequence[float] = (0.0, 0.0, 0.0)
+    initial_angular_velocity: Sequence[float] = (0.0, 0.0, 0.0)
+    contact_stiffness: float | None = None
+    contact_smoothing: float | None = None
+    slip_velocity: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("gravity", "initial_velocity", "initial_angular_velocity"):
+            value = np.asarray(getattr(self, name), dtype=np.float64)
+            if value.shape != (3,) or not np.isfinite(value).all():
+                raise InputError(f"{name}: got {getattr(self, name)!r}; expected three finite numbers")
+        for name in ("damping_time", "air_drag"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
+                raise InputError(f"{name}: got {getattr(self, name)}; expected a finite number ≥ 0")
+        shape = self.body.mesh.vertices.shape
+        for name in ("initial_positions", "loads"):
+            value = getattr(self, name)
+            if value is not None and not callable(value) and np.shape(value) != shape:
+                raise InputError(f"{name}: got shape {np.shape(value)}; expected {shape}")
+
+    @property
+    def start(self) -> Float[np.ndarray, "V 3"]:
+        """Positions at t = 0 [m]."""
+        return self.body.mesh.vertices if self.initial_positions is None else np.asarray(self.initial_positions)
+
+    def start_velocities(self) -> Float[np.ndarray, "V 3"]:
+        """Velocities at t = 0 [m/s]: rigid motion about the centre of mass, zero at pinned nodes."""
+        masses = self.body.node_masses
+        center = masses @ self.start / masses.sum()
+        spin = np.cross(np.asarray(self.initial_angular_velocity, dtype=np.float64), self.start - center)
+        velocities = np.asarray(self.initial_velocity, dtype=np.float64) + spin
+        if self.pins is not None:
+            velocities[self.pins.nodes] = 0.0
+        return velocities
+
+    def contact(self) -> Contact:
+        """The contact law with its defaults resolved."""
+        mesh = self.body.mesh
+        size = mesh.size
+        stiffness = CONTACT_STIFFNESS_RATIO * float(self.body.youngs_modulus.max()) / size
+        return Contact(
+            obstacles=tuple(self.obstacles),
+            areas=mesh.node_areas,
+            stiffness=stiffness if self.contact_stiffness is None else self.contact_stiffness,
+            smoothing=5e-4 * size if self.contact_smoothing is None else self.contact_smoothing,
+            slip_velocity=2e-3 * np.sqrt(9.81 * size) if self.slip_velocity is None else self.slip_velocity,
+        )
+
+    def external_forces(self, time: float) -> Float[np.ndarray, "V 3"]:
+        """Gravity and loads on the nodes [N]."""
+        forces = self.body.node_masses[:, None] * np.asarray(self.gravity, dtype=np.float64)
+        if self.loads is not None:
+            forces = forces + (self.loads(time) if callable(self.loads) else self.loads)
+        return forces
+
+    def free_nodes(self) -> np.ndarray:
+        """Which nodes move freely, shape [V]."""
+        free = np.ones(len(self.body.mesh.vertices), dtype=bool)
+        if self.pins is not None:
+            free[self.pins.nodes] = False
+        return free

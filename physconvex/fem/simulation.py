@@ -1,0 +1,246 @@
+"""Roll-out of a scene in time, and its static equilibrium."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+from torch import Tensor
+
+from physconvex.contact import Friction
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.fem.assembly import Assembler
+from physconvex.fem.scene import Scene
+from physconvex.integrators import IntegratorName, State, StepCoefficients, bdf2, implicit_euler, minimise
+from physconvex.linear_solvers import SymmetricSolver
+
+__all__ = ["SolveStatistics", "Trajectory", "simulate", "solve_static"]
+
+_MAX_HALVINGS = 8
+
+
+@dataclass(frozen=True)
+class SolveStatistics:
+    """What a roll-out cost: time steps, Newton iterations, factorisations, and steps that had to be halved."""
+
+    steps: int = 0
+    newton_iterations: int = 0
+    factorisations: int = 0
+    halved_steps: int = 0
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """States at the frames: times [T] s, positions [T, V, 3] m, velocities [T, V, 3] m/s, and the cost."""
+
+    times: Float[np.ndarray, " T"]
+    positions: Float[np.ndarray, "T V 3"]
+    velocities: Float[np.ndarray, "T V 3"]
+    statistics: SolveStatistics
+
+
+class _Equations:
+    """Incremental potential of one time step (or, without inertia, the static potential) as an `Objective`."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene, self.body = scene, scene.body
+        self.contact = scene.contact()
+        self.assembler = Assembler(self.body.mesh.tets, scene.free_nodes())
+        self.solver = SymmetricSolver(self.assembler.pattern)
+        self.fixed = ~scene.free_nodes()
+        self._mass_data = self._assemble_mass()
+        self.factorised = False
+        self._factorised_step = np.nan
+        self.coefficients: StepCoefficients | None = None
+        self.forces = scene.external_forces(0.0)
+        self.time = 0.0
+        self.viscous: Tensor | None = None
+        self.friction: tuple[Friction, ...] = ()
+
+    def _assemble_mass(self) -> np.ndarray:
+        pattern = self.assembler.pattern.tocoo()
+        free = np.flatnonzero(self.assembler.free)
+        same = pattern.row % 3 == pattern.col % 3
+        values = np.zeros(len(pattern.row))
+        mass = self.body.mass[free[pattern.row[same] // 3], free[pattern.col[same] // 3]]
+        values[same] = np.asarray(mass).ravel()
+        return values
+
+    def set_step(self, coefficients: StepCoefficients, time: float, frozen: np.ndarray) -> None:
+        """Fix everything that is constant during one time step; `frozen` are positions to freeze viscosity at."""
+        self.coefficients, self.time = coefficients, time
+        self.forces = self.scene.external_forces(time)
+        if self.factorised and not np.isclose(coefficients.step, self._factorised_step):
+            self.factorised = False
+        self.viscous = self.body.viscous_state(frozen) if self.scene.damping_time > 0 else None
+        self.friction = self.contact.freeze_friction(frozen, time)
+
+    def evaluate(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        energy, gradient = self.body.energy_and_gradient(x)
+        touch, push = self.contact.energy_and_gradient(x, self.time)
+        energy += touch - float((self.forces * (x - self.scene.start)).sum())
+        gradient = gradient + push - self.forces
+        if self.coefficients is not None:
+            inertia, pull = self._inertia(x, self.coefficients)
+            loss, drag = self._dissipation(self.coefficients.velocity(x))
+            energy += inertia + self.coefficients.step * loss
+            gradient = gradient + pull + drag
+        gradient[self.fixed] = 0.0
+        return energy, gradient
+
+    def _inertia(self, x: np.ndarray, c: StepCoefficients) -> tuple[float, np.ndarray]:
+        offset = x - c.target
+        pull = self.body.mass @ offset / c.step**2
+        return 0.5 * float((offset * pull).sum()), pull
+
+    def _dissipation(self, velocity: np.ndarray) -> tuple[float, np.ndarray]:
+        loss, force = self.contact.friction_energy_and_gradient(self.friction, velocity)
+        if self.viscous is not None:
+            power, push = self.body.viscous_energy_and_gradient(self.viscous, velocity, self.scene.damping_time)
+            loss, force = loss + power, force + push
+        if self.scene.air_drag > 0:
+            momentum = self.scene.air_drag * (self.body.mass @ velocity)
+            loss, force = loss + 0.5 * float((velocity * momentum).sum()), force + momentum
+        return loss, force
+
+    def factorise(self, x: np.ndarray, *, project: bool) -> None:
+        self.factorised = False
+        local = self.body.element_hessians(x, project=project)
+        blocks = self.contact.hessian_blocks(x, self.time)
+        inertia = 0.0
+        if self.coefficients is not None:
+            step = self.coefficients.step
+            inertia = 1 / step**2 + self.scene.air_drag / step
+            if self.viscous is not None:
+                local = local + self.body.viscous_hessians(self.viscous, self.scene.damping_time) / step
+            if self.friction:
+                velocity = self.coefficients.velocity(x)
+                blocks += self.contact.friction_blocks(self.friction, velocity) / step
+            self._factorised_step = step
+        data = self.assembler.elements(local) + self.assembler.blocks(blocks) + inertia * self._mass_data
+        self.solver.factorise(data)
+        self.factorised = True
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        out = np.zeros_like(rhs)
+        out[self.assembler.free] = self.solver.solve(rhs[self.assembler.free].reshape(-1)).reshape(-1, 3)
+        return out
+
+
+class _Stepper:
+    """Advances a state; a step that does not converge is cut in two."""
+
+    def __init__(self, scene: Scene, integrator: IntegratorName, tolerance: float) -> None:
+        self.scene, self.integrator = scene, integrator
+        self.tolerance = tolerance * scene.body.mesh.size
+        self.equations = _Equations(scene)
+        self.previous: State | None = None
+        self.previous_step = np.nan
+        self.steps = self.iterations = self.halved = 0
+
+    def advance(self, state: State, step: float, depth: int = 0) -> State:
+        try:
+            new = self._try(state, step)
+        except ConvergenceError as error:
+            if depth == _MAX_HALVINGS:
+                raise ConvergenceError(
+                    f"time step at t = {state.time:.6g} s failed even at h = {step:.3e} s: {error}"
+                ) from error
+            self.halved += 1
+            self.previous, self.equations.factorised = None, False
+            middle = self.advance(state, step / 2, depth + 1)
+            return self.advance(middle, step / 2, depth + 1)
+        self.previous, self.previous_step = state, step
+        return new
+
+    def _try(self, state: State, step: float) -> State:
+        history = self.previous if np.isclose(self.previous_step, step) else None
+        two_step = self.integrator == "bdf2" and history is not None
+        coefficients = bdf2(state, history, step) if two_step and history else implicit_euler(state, step)
+        time = state.time + step
+        guess = state.positions + step * state.velocities
+        if history is not None:
+            guess = guess + 0.5 * step * (state.velocities - history.velocities)
+        self._place_pins(guess, time)
+        self.equations.set_step(coefficients, time, guess)
+        found = minimise(self.equations, guess, tolerance=self.tolerance)
+        self.steps += 1
+        self.iterations += found.iterations
+        return State(time, found.x, coefficients.velocity(found.x))
+
+    def _place_pins(self, x: np.ndarray, time: float) -> None:
+        pins = self.scene.pins
+        if pins is not None:
+            x[pins.nodes] = self.scene.start[pins.nodes] if pins.motion is None else pins.motion(time)
+
+    def statistics(self) -> SolveStatistics:
+        return SolveStatistics(self.steps, self.iterations, self.equations.solver.factorisations, self.halved)
+
+
+def simulate(
+    scene: Scene,
+    *,
+    frames: int = 24,
+    fps: float = 24.0,
+    steps_per_frame: int = 16,
+    integrator: IntegratorName = "bdf2",
+    tolerance: float = 1e-7,
+) -> Trajectory:
+    """Roll a scene out in time.
+
+    Args:
+        scene: body, forces, initial state.
+        frames: number of states to return, the first at t = 0.
+        fps: frames per second [1/s].
+        steps_per_frame: time steps between frames.
+        integrator: "bdf2" (second order, first step implicit Euler) or "implicit_euler".
+        tolerance: Newton's last step, relative to the body's size.
+
+    Raises:
+        InputError: an argument out of range.
+        ConvergenceError: a step failed even after eight halvings.
+    """
+    if frames < 1 or steps_per_frame < 1 or not (np.isfinite(fps) and fps > 0):
+        raise InputError(f"frames, steps_per_frame, fps: got {frames}, {steps_per_frame}, {fps}; expected > 0")
+    if integrator not in ("bdf2", "implicit_euler"):
+        raise InputError(f"integrator: got {integrator!r}; expected 'bdf2' or 'implicit_euler'")
+    stepper = _Stepper(scene, integrator, tolerance)
+    states = [State(0.0, scene.start.copy(), scene.start_velocities())]
+    state = states[0]
+    for frame in range(1, frames):
+        for _ in range(steps_per_frame):
+            state = stepper.advance(state, 1.0 / (fps * steps_per_frame))
+        state = replace(state, time=frame / fps)
+        states.append(state)
+    return Trajectory(
+        times=np.array([s.time for s in states]),
+        positions=np.stack([s.positions for s in states]),
+        velocities=np.stack([s.velocities for s in states]),
+        statistics=stepper.statistics(),
+    )
+
+
+def solve_static(scene: Scene, *, tolerance: float = 1e-9, load_steps: int = 1) -> Float[np.ndarray, "V 3"]:
+    """Static equilibrium positions [m], shape [V, 3], of a pinned body under its forces.
+
+    Args:
+        scene: needs pins or contacts that hold the body; velocities and damping play no role.
+        tolerance: Newton's last step, relative to the body's size.
+        load_steps: forces are applied in so many equal parts.
+
+    Raises:
+        ConvergenceError: Newton's method failed; more load steps may help.
+    """
+    if load_steps < 1:
+        raise InputError(f"load_steps: got {load_steps}; expected at least 1")
+    equations = _Equations(scene)
+    x = scene.start.copy()
+    if scene.pins is not None and scene.pins.motion is not None:
+        x[scene.pins.nodes] = scene.pins.motion(0.0)
+    total = equations.forces
+    for part in range(1, load_steps + 1):
+        equations.forces = total * (part / load_steps)
+        limit = tolerance * scene.body.mesh.size
+        x = minimise(equations, x, tolerance=limit, max_iterations=300, reuse=False).x
+    return x

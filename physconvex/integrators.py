@@ -1,0 +1,165 @@
+"""Time steps as minimisations, and the Newton method that carries them out.
+
+Implicit Euler and BDF2 both advance M ẍ = f by minimising an incremental potential
+
+    Φ(x) = 1/(2 h̃²) (x − target)ᵀ M (x − target) + V(x) + h̃ D((x − base)/h̃),
+
+where V is the potential of the forces, D the dissipation as a function of velocity, and v = (x − base)/h̃ the new velocity.
+Shared by the full-order and the reduced model: both supply an `Objective`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from physconvex.errors import ConvergenceError
+from physconvex.linear_solvers import NotPositiveDefiniteError
+
+__all__ = ["IntegratorName", "Minimum", "Objective", "State", "StepCoefficients", "bdf2", "implicit_euler", "minimise"]
+
+IntegratorName = Literal["bdf2", "implicit_euler"]
+
+_ARMIJO = 1e-4  # sufficient decrease
+_STALE_RATE = 0.25  # contraction above which a reused factorisation is renewed
+_ROUNDING = 1e-13  # relative error allowed for in energies
+
+
+@dataclass(frozen=True)
+class State:
+    """Positions [m] and velocities [m/s] of all degrees of freedom at one time [s]."""
+
+    time: float
+    positions: np.ndarray
+    velocities: np.ndarray
+
+
+@dataclass(frozen=True)
+class StepCoefficients:
+    """h̃ [s], `target` [m] and `base` [m] of the incremental potential."""
+
+    step: float
+    target: np.ndarray
+    base: np.ndarray
+
+    def velocity(self, x: np.ndarray) -> np.ndarray:
+        """New velocity [m/s] that belongs to the new positions x [m]."""
+        return (x - self.base) / self.step
+
+
+def implicit_euler(state: State, step: float) -> StepCoefficients:
+    """First order: v = (x − x_n)/h, M (v − v_n)/h = f."""
+    return StepCoefficients(step, state.positions + step * state.velocities, state.positions)
+
+
+def bdf2(state: State, previous: State, step: float) -> StepCoefficients:
+    """Second order: ẏ ≈ (3 y_{n+1} − 4 y_n + y_{n−1}) / (2h) for positions and velocities; equal steps."""
+    short = 2.0 / 3.0 * step
+    base = (4.0 * state.positions - previous.positions) / 3.0
+    drift = (4.0 * state.velocities - previous.velocities) / 3.0
+    return StepCoefficients(short, base + short * drift, base)
+
+
+class Objective(Protocol):
+    """A function to minimise, with a linear solver for its (possibly stale) Hessian."""
+
+    factorised: bool
+
+    def evaluate(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """Value (may be infinite) and gradient at x."""
+
+    def factorise(self, x: np.ndarray, *, project: bool) -> None:
+        """Factorise the Hessian at x; `project` asks for a positive definite approximation.
+
+        Raises:
+            NotPositiveDefiniteError: the Hessian is not positive definite.
+        """
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """Apply the inverse of the last factorised Hessian."""
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Result of `minimise`: the point, the number of steps taken, the size of the last step (max norm)."""
+
+    x: np.ndarray
+    iterations: int
+    last_step: float
+
+
+def _renew(objective: Objective, x: np.ndarray, *, project: bool) -> bool:
+    """Factorise at x, projected if asked or needed; tells whether it was projected."""
+    if not project:
+        try:
+            objective.factorise(x, project=False)
+            return False
+        except NotPositiveDefiniteError:
+            pass  # the exact Hessian is indefinite here: its projection is not
+    objective.factorise(x, project=True)
+    return True
+
+
+@dataclass(frozen=True)
+class _Trial:
+    x: np.ndarray
+    value: float
+    gradient: np.ndarray
+
+
+def _line_search(objective: Objective, at: _Trial, direction: np.ndarray, slope: float, halvings: int) -> _Trial | None:
+    """Backtracking until the Armijo condition holds; None when it never does."""
+    length = 1.0
+    allowance = _ROUNDING * (1.0 + abs(at.value))
+    for _ in range(halvings):
+        x = at.x + length * direction
+        value, gradient = objective.evaluate(x)
+        if np.isfinite(value) and value <= at.value + _ARMIJO * length * slope + allowance:
+            return _Trial(x, value, gradient)
+        length *= 0.5
+    return None
+
+
+def minimise(
+    objective: Objective, x: np.ndarray, *, tolerance: float, max_iterations: int = 100, reuse: bool = True
+) -> Minimum:
+    """Newton's method with line search; the factorisation is kept while it contracts well.
+
+    Args:
+        objective: what to minimise.
+        x: starting point.
+        tolerance: largest component of the last step, in the units of x.
+        max_iterations: bound on the number of steps.
+        reuse: start with the objective's last factorisation, and keep it while steps shrink fourfold.
+
+    Raises:
+        ConvergenceError: no descent is possible, or the bound on steps was reached.
+    """
+    at = _Trial(x, *objective.evaluate(x))
+    fresh, projected = False, False
+    if not (objective.factorised and reuse):
+        projected, fresh = _renew(objective, at.x, project=False), True
+    previous = np.inf
+    for iteration in range(1, max_iterations + 1):
+        direction = -objective.solve(at.gradient)
+        size = float(np.abs(direction).max(initial=0.0))
+        if not fresh and size > _STALE_RATE * previous and size > tolerance:
+            projected, fresh = _renew(objective, at.x, project=False), True
+            direction = -objective.solve(at.gradient)
+            size = float(np.abs(direction).max(initial=0.0))
+        slope = float((at.gradient * direction).sum())
+        if size <= tolerance:
+            return Minimum(at.x + direction, iteration, size)
+        found = _line_search(objective, at, direction, slope, 12 if fresh else 2) if slope < 0 else None
+        if found is not None:
+            at, previous, fresh = found, size, not reuse
+            if not reuse:
+                projected = _renew(objective, at.x, project=False)
+        elif not fresh or not projected:
+            projected, fresh = _renew(objective, at.x, project=fresh), True
+            previous = np.inf
+        else:
+            raise ConvergenceError(f"no descent from a step of size {size:.3e} (iteration {iteration})")
+    raise ConvergenceError(f"{max_iterations} iterations left a step of {size:.3e}; asked for {tolerance:.3e}")
