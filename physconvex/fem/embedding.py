@@ -12,12 +12,13 @@ from scipy.spatial import cKDTree
 
 from physconvex.errors import InputError
 from physconvex.fem.elements import shape_values
-from physconvex.fem.mesh import TetMesh
+from physconvex.fem.mesh import FACE_CORNERS, TetMesh
 
 __all__ = ["Embedding", "sample_interior"]
 
-# Elements tried per point, nearest centre first, and points handled at once.
-CANDIDATES, CHUNK = 24, 4096
+# Elements tried per point (nearest centres first), most point-element pairs handled at once, and how far outside
+# (in barycentric coordinates) still counts as inside.
+CANDIDATES, BLOCK, TOLERANCE = 16, 2_000_000, -1e-9
 
 
 @dataclass(frozen=True)
@@ -119,34 +120,84 @@ def sample_interior(
 def _locate(mesh: TetMesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Element [P], barycentric coordinates [P, 4] and distance outside [P] of every point."""
     corners = mesh.vertices[mesh.corner_tets]
-    tree = cKDTree(corners.mean(axis=1))
     inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
-    parts = [
-        _locate_chunk(tree, corners, inverse, points[start : start + CHUNK]) for start in range(0, len(points), CHUNK)
-    ]
-    if not parts:
-        return np.zeros(0, dtype=np.int64), np.zeros((0, 4)), np.zeros(0)
-    elements, barycentric, distance = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return elements, barycentric, distance
-
-
-def _locate_chunk(
-    tree: cKDTree, corners: np.ndarray, inverse: np.ndarray, points: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """As `_locate`: the deepest of the candidate elements; all elements are tried for points found in none."""
-    candidates = tree.query(points, k=min(CANDIDATES, len(corners)))[1].reshape(len(points), -1)
-    b = _barycentric(corners, inverse, candidates, points[:, None])
-    best = b.min(axis=2).argmax(axis=1)
-    rows = np.arange(len(points))
-    elements, barycentric = candidates[rows, best], b[rows, best]
+    elements = np.zeros(len(points), dtype=np.int64)
+    depth = np.full(len(points), -np.inf)
+    near = cKDTree(corners.mean(axis=1)).query(points, k=[*range(1, min(CANDIDATES, len(corners)) + 1)])[1]
+    _improve(elements, depth, np.arange(len(points)), near, corners, inverse, points)
+    every = np.arange(len(corners))
+    missed = np.flatnonzero(depth < TOLERANCE)
+    for block in np.array_split(missed, 1 + len(missed) * len(corners) // BLOCK):
+        _improve(elements, depth, block, np.broadcast_to(every, (len(block), len(every))), corners, inverse, points)
+    outside = np.flatnonzero(depth < TOLERANCE)
     distance = np.zeros(len(points))
-    for p in np.flatnonzero(barycentric.min(axis=1) < -1e-9):
-        every = _barycentric(corners, inverse, np.arange(len(corners)), points[p])
-        inside = every.min(axis=1)
-        if inside.max() >= -1e-9:
-            elements[p] = inside.argmax()
-        else:
-            gaps = _distances(corners, points[p])
-            elements[p], distance[p] = gaps.argmin(), gaps.min()
-        barycentric[p] = every[elements[p]]
-    return elements, barycentric, distance
+    for block in np.array_split(outside, 1 + len(outside) * 3 * CANDIDATES // BLOCK):
+        if len(block):
+            elements[block], distance[block] = _nearest_element(mesh, corners, inverse, points[block])
+    return elements, _barycentric(corners, inverse, elements, points), distance
+
+
+def _improve(
+    elements: np.ndarray,
+    depth: np.ndarray,
+    rows: np.ndarray,
+    candidates: np.ndarray,
+    corners: np.ndarray,
+    inverse: np.ndarray,
+    points: np.ndarray,
+) -> None:
+    """Write into `elements` and `depth` at `rows` the candidate in which the point lies deepest."""
+    smallest = _barycentric(corners, inverse, candidates, points[rows, None]).min(axis=2)
+    best = smallest.argmax(axis=1)
+    pick = np.arange(len(rows))
+    elements[rows], depth[rows] = candidates[pick, best], smallest[pick, best]
+
+
+def _barycentric(corners: np.ndarray, inverse: np.ndarray, elements: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Barycentric coordinates [..., 4] of `points` [..., 3] in `elements` [...]."""
+    inner = np.einsum("...ij,...j->...i", inverse[elements], points - corners[elements, 0])
+    return np.concatenate([1.0 - inner.sum(axis=-1, keepdims=True), inner], axis=-1)
+
+
+def _nearest_element(
+    mesh: TetMesh, corners: np.ndarray, inverse: np.ndarray, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Element and distance of points outside the mesh.
+
+    The nearest of the boundary faces whose centres are close; where several are equally near (the point sees an
+    edge or a corner), the one whose element has to be continued least.
+    """
+    owner, faces = _boundary_faces_with_owner(mesh)
+    triangles = mesh.vertices[faces]
+    count = min(2 * CANDIDATES, len(faces))
+    near = cKDTree(triangles.mean(axis=1)).query(points, k=[*range(1, count + 1)])[1]
+    gaps = _triangle_distances(triangles[near], points[:, None])
+    least = gaps.min(axis=1)
+    depth = _barycentric(corners, inverse, owner[near], points[:, None]).min(axis=2)
+    tied = gaps <= least[:, None] * 1.001 + 1e-12 * mesh.size
+    best = np.where(tied, depth, -np.inf).argmax(axis=1)
+    return owner[near[np.arange(len(points)), best]], least
+
+
+def _boundary_faces_with_owner(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Element [F] and corners [F, 3] of every boundary face."""
+    faces = mesh.corner_tets[:, FACE_CORNERS].reshape(-1, 3)
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    single = first[count == 1]
+    return single // 4, faces[single]
+
+
+def _triangle_distances(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Distances of `points` [..., 3] from `triangles` [..., 3, 3]."""
+    normal = np.cross(triangles[..., 1, :] - triangles[..., 0, :], triangles[..., 2, :] - triangles[..., 0, :])
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    height = np.einsum("...a,...a->...", normal, points - triangles[..., 0, :])
+    inside = np.ones(height.shape, dtype=bool)
+    edges = np.full(height.shape, np.inf)
+    for i in range(3):
+        start, along = triangles[..., i, :], triangles[..., (i + 1) % 3, :] - triangles[..., i, :]
+        offset = points - start
+        inside &= np.einsum("...a,...a->...", np.cross(along, offset), normal) >= 0
+        t = np.einsum("...a,...a->...", offset, along) / np.einsum("...a,...a->...", along, along)
+        edges = np.minimum(edges, np.linalg.norm(offset - np.clip(t, 0, 1)[..., None] * along, axis=-1))
+    return np.where(inside, np.abs(height), edges)
