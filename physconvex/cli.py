@@ -54,7 +54,7 @@ def _short_help(point: EntryPoint) -> str:
         return ""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     functions = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == point.attr]
-    docstrings = [ast.get_docstring(node) for node in [*functions, tree]]
+    docstrings = [*map(ast.get_docstring, functions), ast.get_docstring(tree)]
     return next((text.splitlines()[0] for text in docstrings if text), "")
 
 

@@ -1,0 +1,46 @@
+# Everything a developer runs. Each target makes the environment if needed (scripts/setup-env).
+export PHYSCONVEX_VENV ?= $(CURDIR)/.venv
+BIN := $(PHYSCONVEX_VENV)/bin
+PACKAGES := physconvex models data_gen train inference
+
+.PHONY: check quick static format test typecheck lock bench demo clean env
+
+## check: format, lint, import contract, types, then every test and doctest
+check: static
+	./run-tests
+
+## quick: the same with the quick tests only
+quick: static
+	./run-tests quick
+
+static: env
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/lint-imports
+	$(BIN)/mypy
+
+format: env
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+env:
+	@scripts/setup-env
+
+## typecheck: the quick tests with shapes and annotations checked at run time
+typecheck:
+	./run-tests quick --typecheck
+
+## lock: pin the dependencies of pyproject.toml anew, with hashes, for every supported Python and platform
+lock:
+	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \
+	    --no-emit-index-url --no-emit-find-links --no-header --quiet $(LOCK_OPTIONS) -o requirements.lock
+
+bench: env
+	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
+
+demo:
+	./run-demo
+
+clean:
+	rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache demo_output
+	find $(PACKAGES) tests -name __pycache__ -type d -prune -exec rm -rf {} +

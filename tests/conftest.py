@@ -1,0 +1,75 @@
+"""What every test gets: fixed seeds, a guard on global state, and, with `--typecheck`, checked shapes."""
+
+import random
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+PACKAGES = ("physconvex", "models", "data_gen", "train", "inference")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--typecheck",
+        action="store_true",
+        help="check annotations and jaxtyping shapes at run time (beartype)",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--typecheck"):
+        from jaxtyping import install_import_hook
+
+        loaded = [name for name in PACKAGES if name in sys.modules]
+        assert not loaded, f"--typecheck comes too late for {loaded}"
+        install_import_hook(PACKAGES, "beartype.beartype")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    marked = [item for item in items if item.get_closest_marker("gpu")]
+    if marked:
+        import torch
+
+        if not torch.cuda.is_available():
+            for item in marked:
+                item.add_marker(pytest.mark.skip(reason="needs a CUDA device"))
+
+
+@pytest.fixture(autouse=True)
+def _fixed_seeds() -> None:
+    """Start each test from the same global random state: network weights are drawn from torch's."""
+    random.seed(0)
+    np.random.seed(0)  # noqa: NPY002 (libraries below us draw from it)
+    if "torch" in sys.modules:
+        sys.modules["torch"].manual_seed(0)
+
+
+def _torch_settings() -> dict[str, object]:
+    torch = sys.modules["torch"]
+    return {
+        "default dtype": torch.get_default_dtype(),
+        "default device": torch.get_default_device(),
+        "gradient mode": torch.is_grad_enabled(),
+        "number of threads": torch.get_num_threads(),
+        "deterministic algorithms": torch.are_deterministic_algorithms_enabled(),
+    }
+
+
+@pytest.fixture(autouse=True)
+def _torch_settings_stay() -> Iterator[None]:
+    """Fail a test that leaves torch's global settings other than it found them, and put them back."""
+    if "torch" not in sys.modules:
+        yield
+        return
+    torch = sys.modules["torch"]
+    before = _torch_settings()
+    yield
+    after = _torch_settings()
+    torch.set_default_dtype(before["default dtype"])
+    torch.set_grad_enabled(before["gradient mode"])
+    torch.set_num_threads(before["number of threads"])
+    torch.use_deterministic_algorithms(before["deterministic algorithms"])
+    changed = {name: (before[name], after[name]) for name in before if before[name] != after[name]}
+    assert not changed, f"the test changed torch's global settings (before, after): {changed}"
