@@ -6,8 +6,11 @@ Pardiso 1.8 s the first time, 0.13 s after; SuperLU 10.5 s.
 
 from __future__ import annotations
 
+import os
+import sys
 import warnings
 from functools import cache
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -28,6 +31,10 @@ class NotPositiveDefiniteError(PhysconvexError, ArithmeticError):
 
 @cache
 def _pardiso_class() -> type | None:
+    # pypardiso searches the whole environment for MKL at every construction unless told where it is
+    libraries = sorted(Path(sys.prefix, "lib").glob("libmkl_rt.so*"))
+    if libraries:
+        os.environ.setdefault("PYPARDISO_MKL_RT", str(libraries[0]))
     try:
         from pypardiso import PyPardisoSolver
     except ImportError:
@@ -107,6 +114,8 @@ class SymmetricSolver:
             raise NotPositiveDefiniteError("a pivot is not positive")
         self._lu = lu
 
-    def __del__(self) -> None:
-        if getattr(self, "_pardiso", None) is not None:
-            self._pardiso.free_memory(everything=True)  # type: ignore[union-attr]
+    def close(self) -> None:
+        """Give the factorisation's memory back (Pardiso keeps it outside Python)."""
+        if self._pardiso is not None:
+            self._pardiso.free_memory(everything=True)
+            self._analysed = False

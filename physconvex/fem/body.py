@@ -130,13 +130,28 @@ class ElasticBody:
         """First Piola–Kirchhoff stress at the quadrature points [Pa], shape [E, Q, 3, 3]."""
         return self.law.stress(self.deformation_gradient(x), self._mu, self._lam)
 
-    def element_hessians(self, x: Float[np.ndarray, "V 3"], *, project: bool = False) -> Float[np.ndarray, "E m m"]:
+    def element_hessians(
+        self,
+        x: Float[np.ndarray, "V 3"],
+        *,
+        project: bool = False,
+        viscous_state: Tensor | None = None,
+        damping_ratio: float = 0.0,
+    ) -> Float[np.ndarray, "E m m"]:
         """Element stiffness matrices [N/m], m = 3 × nodes, degrees of freedom ordered node by node.
 
-        With `project`, negative eigenvalues of ∂P/∂F are set to zero first.
+        Args:
+            x: node positions [m].
+            project: set negative eigenvalues of ∂P/∂F to zero first.
+            viscous_state: F* of a time step with Kelvin–Voigt viscosity, whose stiffness is then added.
+            damping_ratio: damping time over the time step [-].
         """
         hessian = self.law.hessian(self.deformation_gradient(x), self._mu, self._lam)
-        return self._integrate(project_to_positive(hessian) if project else hessian)
+        if project:
+            hessian = project_to_positive(hessian)
+        if viscous_state is not None:
+            hessian = hessian + strain_stiffness(viscous_state, damping_ratio * self._mu, damping_ratio * self._lam)
+        return self._integrate(hessian)
 
     def _scatter(self, stress: Tensor) -> np.ndarray:
         weighted = self._weights[..., None, None] * stress
@@ -173,7 +188,3 @@ class ElasticBody:
         inner = 2 * mu[..., None, None] * strain
         inner.diagonal(dim1=-2, dim2=-1).add_((lam * trace)[..., None])
         return float((self._weights * energy).sum()), self._scatter(state @ inner)
-
-    def viscous_hessians(self, state: Tensor, damping_time: float) -> Float[np.ndarray, "E m m"]:
-        """Second derivative of the rate potential, element matrices [N·s/m]."""
-        return self._integrate(strain_stiffness(state, damping_time * self._mu, damping_time * self._lam))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,6 +49,7 @@ class _Equations:
         self.contact = scene.contact()
         self.assembler = Assembler(self.body.mesh.tets, scene.free_nodes())
         self.solver = SymmetricSolver(self.assembler.pattern)
+        weakref.finalize(self, self.solver.close)
         self.fixed = ~scene.free_nodes()
         self._mass_data = self._assemble_mass()
         self.factorised = False
@@ -106,14 +108,13 @@ class _Equations:
 
     def factorise(self, x: np.ndarray, *, project: bool) -> None:
         self.factorised = False
-        local = self.body.element_hessians(x, project=project)
+        step = np.inf if self.coefficients is None else self.coefficients.step
+        ratio = self.scene.damping_time / step
+        local = self.body.element_hessians(x, project=project, viscous_state=self.viscous, damping_ratio=ratio)
         blocks = self.contact.hessian_blocks(x, self.time)
         inertia = 0.0
         if self.coefficients is not None:
-            step = self.coefficients.step
             inertia = 1 / step**2 + self.scene.air_drag / step
-            if self.viscous is not None:
-                local = local + self.body.viscous_hessians(self.viscous, self.scene.damping_time) / step
             if self.friction:
                 velocity = self.coefficients.velocity(x)
                 blocks += self.contact.friction_blocks(self.friction, velocity) / step
