@@ -3,6 +3,7 @@
 from physconvex.contact import Plane, Sphere
 from physconvex.fem.body import ElasticBody
 from physconvex.fem.mesh import TetMesh, box_mesh, refine, to_quadratic
+from physconvex.fem.modes import skinning_eigenmodes, vibration_modes
 from physconvex.fem.scene import Pins, Scene
 from physconvex.fem.simulation import SolveStatistics, Trajectory, simulate, solve_static
 
@@ -18,6 +19,8 @@ __all__ = [
     "box_mesh",
     "refine",
     "simulate",
+    "skinning_eigenmodes",
     "solve_static",
     "to_quadratic",
+    "vibration_modes",
 ]

@@ -1,0 +1,69 @@
+"""Eigenmodes: vibration of a body, and the scalar modes that serve as skinning weights."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Bool, Float
+from scipy.sparse.linalg import eigsh
+
+from physconvex.errors import InputError
+from physconvex.fem.assembly import Assembler
+from physconvex.fem.body import ElasticBody
+
+__all__ = ["skinning_eigenmodes", "vibration_modes"]
+
+
+def _smallest(stiffness: sp.csr_matrix, mass: sp.csr_matrix, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The `count` smallest eigenpairs, by shift-invert below zero; a fixed start makes them repeatable."""
+    if not 0 < count < stiffness.shape[0] - 1:
+        raise InputError(f"count: got {count}; expected between 1 and {stiffness.shape[0] - 2} for this mesh")
+    scale = stiffness.diagonal().sum() / mass.diagonal().sum()
+    start = np.random.default_rng(0).normal(size=stiffness.shape[0])
+    values, vectors = eigsh(stiffness.tocsc(), k=count, M=mass.tocsc(), sigma=-1e-6 * scale, v0=start)
+    order = np.argsort(values)
+    return values[order], vectors[:, order]
+
+
+def vibration_modes(
+    body: ElasticBody, count: int, *, clamped: Bool[np.ndarray, " V"] | None = None
+) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, "K V 3"]]:
+    """Frequencies [Hz] and mass-normalised shapes of the smallest vibrations about the rest state.
+
+    A free body has six rigid modes of frequency zero, which are among them.
+    """
+    free = np.ones(len(body.mesh.vertices), dtype=bool) if clamped is None else ~np.asarray(clamped, dtype=bool)
+    assembler = Assembler(body.mesh.tets, free)
+    upper = assembler.pattern.copy()
+    upper.data = assembler.elements(body.element_hessians(body.mesh.vertices))
+    stiffness = upper + sp.triu(upper, 1).T
+    mass = sp.kron(body.mass[free][:, free], sp.eye(3)).tocsr()
+    values, vectors = _smallest(stiffness, mass, count)
+    shapes = np.zeros((count, len(free), 3))
+    shapes[:, free] = vectors.T.reshape(count, -1, 3)
+    return np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi), shapes
+
+
+def skinning_eigenmodes(
+    body: ElasticBody, count: int
+) -> tuple[Float[np.ndarray, "V K"], Float[np.ndarray, " K"]]:
+    """Scalar modes of the stiffness-weighted Laplacian, the constant mode left out.
+
+    Minimises ∫ E |∇w|² for given ∫ ρ w², free boundary: the skinning weights of Benchekroun et al. 2023 ("Fast
+    Complementary Dynamics via Skinning Eigenmodes"), with the elastic Hessian replaced by its isotropic part. A stiff
+    inclusion therefore moves as one.
+
+    Returns:
+        weights [V, K] at the nodes, normalised to ∫ ρ w² = total mass, and the eigenvalues [1/s²].
+    """
+    gradients = body._gradients.cpu().numpy()
+    weights = body._weights.cpu().numpy() * body.youngs_modulus[:, None]
+    local = np.einsum("eq,eqai,eqbi->eab", weights, gradients, gradients)
+    tets, size = body.mesh.tets, len(body.mesh.vertices)
+    n = tets.shape[1]
+    rows, columns = np.repeat(tets, n, axis=1).ravel(), np.tile(tets, n).ravel()
+    stiffness = sp.coo_matrix((local.ravel(), (rows, columns)), shape=(size, size)).tocsr()
+    values, vectors = _smallest(stiffness, body.mass, count + 1)
+    vectors = vectors[:, 1:] * np.sqrt(body.total_mass)
+    signs = np.sign(vectors[np.abs(vectors).argmax(0), np.arange(count)])
+    return vectors * signs, values[1:]
