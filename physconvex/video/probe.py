@@ -22,7 +22,14 @@ _HDR_TRANSFERS = (16, 18)  # SMPTE ST 2084 (PQ), ARIB STD-B67 (HLG)
 _ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}  # the native decoders drop the alpha layer
 
 # First bytes of containers that libav cannot open when their index or end is missing.
-_CONTAINER_MARKS = ((4, b"ftyp"), (4, b"moov"), (4, b"mdat"), (0, b"\x1a\x45\xdf\xa3"), (0, b"RIFF"), (0, b"OggS"))
+_CONTAINER_MARKS = (
+    (4, b"ftyp"),
+    (4, b"moov"),
+    (4, b"mdat"),
+    (0, b"\x1a\x45\xdf\xa3"),
+    (0, b"RIFF"),
+    (0, b"OggS"),
+)
 
 
 @dataclass(frozen=True)
@@ -80,7 +87,9 @@ def open_error(path: Path, error: Exception) -> VideoError:
     with path.open("rb") as file:
         head = file.read(16)
     if any(head[start : start + len(mark)] == mark for start, mark in _CONTAINER_MARKS):
-        detail = "a video container without its index (cut short, or recording was not finished); copy it again"
+        detail = (
+            "a video container without its index (cut short, or recording was not finished); copy it again"
+        )
         return VideoError(path, "truncated", detail)
     return VideoError(path, "not_a_video", "its content is not a video in any known format")
 
@@ -102,8 +111,12 @@ def probe_video(path: Path) -> Probe:
         cut_short, equidistant = _index_facts(stream, path.stat().st_size)
         if frame is None:
             if cut_short:
-                raise VideoError(path, "truncated", "the file ends before its first whole frame; copy it again")
-            cause = "too_few_frames" if stream.frames == 0 and reason.startswith("the stream") else "undecodable"
+                raise VideoError(
+                    path, "truncated", "the file ends before its first whole frame; copy it again"
+                )
+            cause = (
+                "too_few_frames" if stream.frames == 0 and reason.startswith("the stream") else "undecodable"
+            )
             raise VideoError(path, cause, f"not one frame could be decoded ({reason}); convert it to H.264")
         return _facts(container, stream, frame, cut_short, equidistant)
 

@@ -58,7 +58,9 @@ def read_video(
     check_file(path)
     probe = probe_video(path)
     if probe.width * probe.height > MAX_STORED_PIXELS:
-        raise VideoError(path, "too_large", f"frames of {probe.width}x{probe.height} pixels; at most 8192x8192")
+        raise VideoError(
+            path, "too_large", f"frames of {probe.width}x{probe.height} pixels; at most 8192x8192"
+        )
     decoded = _decode(path, probe, limits, backend)
     return _video(path, probe, decoded, limits)
 
@@ -114,7 +116,11 @@ def _times(probe: Probe, decoded: Decoded) -> tuple[Float64[np.ndarray, " T"], f
         return timestamps, probe.rate or 24.0, []
     mean, steps = frame_rate(timestamps), np.diff(timestamps)
     if np.ptp(steps) > 0.25 * np.median(steps):
-        return timestamps, mean, [f"variable frame rate ({1 / steps.max():.3g} to {1 / steps.min():.3g} per second)"]
+        return (
+            timestamps,
+            mean,
+            [f"variable frame rate ({1 / steps.max():.3g} to {1 / steps.min():.3g} per second)"],
+        )
     if probe.rate is not None and abs(probe.rate / mean - 1) < 0.01:  # header: exact; times: rounded
         return np.arange(count) / probe.rate, probe.rate, []
     return timestamps, mean, []

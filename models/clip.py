@@ -1,0 +1,195 @@
+"""Frames of any size and rate -> the network's input: one code for training and inference."""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, UInt8
+
+from models.foreground import Foreground, ForegroundSource, locate_foreground
+from models.silhouette import MOMENT_NAMES, silhouette_moments
+from models.timing import motion_start, resample
+from physconvex.errors import InputError
+
+__all__ = ["MOMENT_NAMES", "ClipConfig", "PreparedClip", "freeze_time", "prepare_clip", "shuffle_time"]
+
+_GREY = 127  # what stands for "not the object"
+
+
+@dataclass(frozen=True)
+class ClipConfig:
+    """What the network's input looks like."""
+
+    image_size: int = 112  # [px]
+    frames: int = 24
+    target_fps: float = 24.0  # [1/s]
+    margin: float = 0.1  # around the object's path, as a share of its larger edge
+
+    def __post_init__(self) -> None:
+        if self.image_size < 8 or self.frames < 2 or not self.target_fps > 0 or self.margin < 0:
+            raise InputError(
+                f"ClipConfig: got {self}, expected image_size >= 8, frames >= 2, target_fps > 0, margin >= 0"
+            )
+
+
+@dataclass(frozen=True)
+class PreparedClip:
+    """A fixed square window that follows nothing: what moves in it is the object."""
+
+    frames: UInt8[np.ndarray, "T S S 3"]  # mid-grey outside the object, unless the whole frame is shown
+    mask: UInt8[np.ndarray, "T S S"]  # coverage 0..255
+    moments: Float32[np.ndarray, "T M"]  # columns: MOMENT_NAMES
+    valid: Bool[np.ndarray, " T"]  # False = repeats the last frame of a clip that is too short
+    fps: float  # [1/s] rate of these frames
+    foreground: ForegroundSource
+    confidence: float  # 0..1, of the foreground
+    crop: tuple[int, int, int]  # x0, y0, side [px of the source]
+    source_frames: int
+    start_time: float  # [s] of the first frame shown, since the first frame of the source
+    warnings: tuple[str, ...] = ()
+
+
+def prepare_clip(
+    frames: UInt8[np.ndarray, "T H W 3"],
+    *,
+    fps: float = 24.0,
+    timestamps: Float64[np.ndarray, " T"] | None = None,
+    mask: UInt8[np.ndarray, "T H W"] | None = None,
+    alpha: UInt8[np.ndarray, "T H W"] | None = None,
+    config: ClipConfig | None = None,
+) -> PreparedClip:
+    """Resample in time, find the object, cut out a fixed square around its path, grey out the rest.
+
+    Args:
+        frames: 8-bit RGB.
+        fps: rate [1/s], used unless `timestamps` are given.
+        timestamps: times [s], increasing; the rate may vary.
+        mask: the object, any value above 127; overrides everything else.
+        alpha: opacity; used unless `mask` is given.
+        config: size, length and rate of the result.
+
+    A video longer than the window is shown from just before things move (`start_time`); a shorter one
+    repeats its last frame with `valid` False. The output rate is the source's divided by a whole number
+    (`models.timing.resample`): no frame is made up or shown twice.
+
+    Raises:
+        InputError: wrong shape or dtype, fewer than two frames, times that do not increase.
+    """
+    config = config or ClipConfig()
+    times = _checked_times(frames, fps, timestamps)
+    selection = resample(times, target_fps=config.target_fps)
+    chosen, warnings = selection.indices, []
+    if len(chosen) > config.frames:
+        start = motion_start(frames, chosen, length=config.frames)
+        warnings.append(
+            f"shows {config.frames} of {len(chosen)} frames, from {times[chosen[start]]:.3g} s on"
+        )
+        chosen = chosen[start : start + config.frames]
+    shown = frames[chosen]
+    foreground = locate_foreground(
+        shown, alpha=None if alpha is None else alpha[chosen], mask=None if mask is None else mask[chosen]
+    )
+    crop = _crop_square(foreground, config.margin)
+    images, masks = _cut_out(shown, foreground, crop, config.image_size)
+    silhouettes = silhouette_moments(masks, touches_border=_touches_border(foreground.mask))
+    if silhouettes.empty.any():
+        warnings.append(f"the object is not seen in {int(silhouettes.empty.sum())} of {len(chosen)} frames")
+    padding = config.frames - len(chosen)
+    return PreparedClip(
+        frames=_pad(images, padding),
+        mask=_pad(masks, padding),
+        moments=_pad(silhouettes.moments, padding),
+        valid=np.arange(config.frames) < len(chosen),
+        fps=selection.fps,
+        foreground=foreground.source,
+        confidence=foreground.confidence,
+        crop=crop,
+        source_frames=len(frames),
+        start_time=float(times[chosen[0]] - times[0]),
+        warnings=tuple(warnings),
+    )
+
+
+def shuffle_time(clip: PreparedClip, *, generator: np.random.Generator) -> PreparedClip:
+    """The clip as if filmed in random order: frames, masks and moments permuted together.
+
+    Moments refer to the first frame, which is another one then, so they are measured again.
+    """
+    return _reorder(clip, generator.permutation(len(clip.frames)))
+
+
+def freeze_time(clip: PreparedClip, *, frame: int = 0) -> PreparedClip:
+    """The clip as if nothing moved: one frame, repeated."""
+    return _reorder(clip, np.full(len(clip.frames), frame))
+
+
+def _reorder(clip: PreparedClip, order: np.ndarray) -> PreparedClip:
+    masks = clip.mask[order]
+    touches = clip.moments[order, MOMENT_NAMES.index("touches_border")] > 0.5
+    moments = silhouette_moments(masks, touches_border=touches).moments
+    return replace(clip, frames=clip.frames[order], mask=masks, moments=moments, valid=clip.valid[order])
+
+
+def _checked_times(
+    frames: np.ndarray, fps: float, timestamps: Float64[np.ndarray, " T"] | None
+) -> Float64[np.ndarray, " T"]:
+    if frames.ndim != 4 or frames.shape[3] != 3 or frames.dtype != np.uint8:
+        raise InputError(f"frames: got {frames.dtype} {frames.shape}, expected uint8 [T, H, W, 3] (RGB)")
+    if len(frames) < 2:
+        raise InputError(f"frames: got {len(frames)}, expected at least two; one picture holds no motion")
+    if timestamps is None:
+        if not (np.isfinite(fps) and fps > 0):
+            raise InputError(f"fps: got {fps!r}, expected a positive number of frames per second")
+        return np.arange(len(frames)) / fps
+    times = np.asarray(timestamps, dtype=np.float64)
+    if times.shape != (len(frames),) or not np.all(np.diff(times) > 0):
+        raise InputError(f"timestamps: got shape {times.shape}, expected {len(frames)} increasing times [s]")
+    return times
+
+
+def _crop_square(foreground: Foreground, margin: float) -> tuple[int, int, int]:
+    """x0, y0, side [px] of the square around everything the object passes; may reach beyond the image."""
+    height, width = foreground.mask.shape[1:]
+    columns, rows = foreground.mask.any(axis=(0, 1)), foreground.mask.any(axis=(0, 2))
+    if foreground.source == "whole_frame" or not columns.any():
+        side = max(width, height)
+        return (width - side) // 2, (height - side) // 2, side
+    x0, x1 = int(columns.argmax()), width - int(columns[::-1].argmax())
+    y0, y1 = int(rows.argmax()), height - int(rows[::-1].argmax())
+    side = max(4, round(max(x1 - x0, y1 - y0) * (1 + 2 * margin)))
+    return round((x0 + x1 - side) / 2), round((y0 + y1 - side) / 2), side
+
+
+def _cut_out(
+    frames: UInt8[np.ndarray, "T H W 3"], foreground: Foreground, crop: tuple[int, int, int], size: int
+) -> tuple[UInt8[np.ndarray, "T S S 3"], UInt8[np.ndarray, "T S S"]]:
+    """Crop, grey out, scale; area averages make the scaled mask a coverage."""
+    x0, y0, side = crop
+    height, width = frames.shape[1:3]
+    inside = np.s_[max(0, y0) : min(height, y0 + side), max(0, x0) : min(width, x0 + side)]
+    target = np.s_[inside[0].start - y0 : inside[0].stop - y0, inside[1].start - x0 : inside[1].stop - x0]
+    method = cv2.INTER_AREA if side >= size else cv2.INTER_LINEAR
+    canvas_image = np.empty((side, side, 3), np.uint8)
+    canvas_mask = np.zeros((side, side), np.uint8)
+    images, masks = (
+        np.empty((len(frames), size, size, 3), np.uint8),
+        np.empty((len(frames), size, size), np.uint8),
+    )
+    for k, (frame, mask) in enumerate(zip(frames, foreground.mask, strict=True)):
+        canvas_image[...] = _GREY
+        canvas_mask[target] = mask[inside]
+        cv2.copyTo(
+            np.ascontiguousarray(frame[inside]), np.ascontiguousarray(mask[inside]), canvas_image[target]
+        )
+        images[k] = cv2.resize(canvas_image, (size, size), interpolation=method)
+        masks[k] = cv2.resize(canvas_mask, (size, size), interpolation=method)
+    return images, masks
+
+
+def _touches_border(mask: UInt8[np.ndarray, "T H W"]) -> Bool[np.ndarray, " T"]:
+    sides = (mask[:, 0], mask[:, -1], mask[:, :, 0], mask[:, :, -1])
+    return np.any([side.any(axis=1) for side in sides], axis=0)
+
+
+def _pad(array: np.ndarray, count: int) -> np.ndarray:
+    return np.concatenate([array, np.repeat(array[-1:], count, axis=0)]) if count else array
