@@ -111,7 +111,7 @@ def _two_frame_background(
 
 
 def _direction(lab: Float32[np.ndarray, "T H W 3"], far: int, threshold: float) -> tuple[float, float]:
-    """Unit vector (x, y down) along which the centre of activity moves until frame `far`; down if it rests."""
+    """Unit vector (x, y down) of the motion of what is active until frame `far`; down if it rests."""
     centres = []
     for k in range(far):
         active = _distance(lab[k + 1], lab[k]) > threshold

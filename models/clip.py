@@ -150,7 +150,8 @@ def _checked_times(
 def _crop_square(foreground: Foreground, margin: float) -> tuple[int, int, int]:
     """x0, y0, side [px] of the square around everything the object passes; may reach beyond the image."""
     height, width = foreground.mask.shape[1:]
-    columns, rows = foreground.mask.any(axis=(0, 1)), foreground.mask.any(axis=(0, 2))
+    union = foreground.mask.max(axis=0)
+    columns, rows = union.max(axis=0) > 0, union.max(axis=1) > 0
     if foreground.source == "whole_frame" or not columns.any():
         side = max(width, height)
         return (width - side) // 2, (height - side) // 2, side

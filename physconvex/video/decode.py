@@ -3,13 +3,14 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import av
 import numpy as np
 from jaxtyping import Float64, UInt8
 
 from physconvex.video.errors import VideoError
-from physconvex.video.probe import OPEN_OPTIONS, Probe
+from physconvex.video.probe import OPEN_OPTIONS, Probe, video_stream
 
 __all__ = ["Decoded", "Limits", "decode_decord", "decode_pyav", "output_size", "suits_decord"]
 
@@ -106,14 +107,14 @@ def output_size(probe: Probe, max_side: int | None) -> tuple[int, int]:
 
 
 def _frames(container: av.container.InputContainer, probe: Probe) -> Iterator[av.VideoFrame]:
-    stream = next(
-        s for s in container.streams.video if not s.disposition & av.stream.Disposition.attached_pic
-    )
+    stream = video_stream(container)
+    assert stream is not None  # the probe found it
     if probe.alpha_decoder is None:
-        stream.thread_type = "AUTO"
+        # Frame threads pay for large pictures only.
+        stream.thread_type = "AUTO" if probe.width * probe.height > 2**20 else "NONE"
         yield from container.decode(stream)
         return
-    decoder = av.CodecContext.create(probe.alpha_decoder, "r")
+    decoder = cast(av.VideoCodecContext, av.CodecContext.create(probe.alpha_decoder, "r"))
     for packet in container.demux(stream):
         yield from decoder.decode(packet)
 
@@ -130,9 +131,10 @@ def _enough(
 
 def _image(frame: av.VideoFrame, width: int, height: int, channels: int) -> UInt8[np.ndarray, "H W C"]:
     name = "rgba" if channels == 4 else "rgb24"
+    # One conversion thread: more of them made small pictures two times slower on a busy machine.
     if (frame.width, frame.height) != (width, height):
-        frame = frame.reformat(width=width, height=height, format=name, interpolation="AREA")
-    return frame.to_ndarray(format=name)
+        frame = frame.reformat(width=width, height=height, format=name, interpolation="AREA", threads=1)
+    return frame.to_ndarray(format=name, threads=1)
 
 
 def _orient(frames: UInt8[np.ndarray, "T H W C"], probe: Probe) -> UInt8[np.ndarray, "T H W C"]:

@@ -5,6 +5,7 @@ import os
 import stat
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import av
 import numpy as np
@@ -13,7 +14,7 @@ from av.video.stream import VideoStream
 
 from physconvex.video.errors import VideoError
 
-__all__ = ["OPEN_OPTIONS", "Probe", "check_file", "open_error", "probe_video"]
+__all__ = ["OPEN_OPTIONS", "Probe", "check_file", "probe_video", "video_stream"]
 
 # A file may be a play list that points elsewhere: never follow it off this machine's files.
 OPEN_OPTIONS = {"protocol_whitelist": "file"}
@@ -80,7 +81,7 @@ def check_file(path: Path) -> None:
         raise VideoError(path, "empty_file", "the file is empty (0 bytes); copy or record it again")
 
 
-def open_error(path: Path, error: Exception) -> VideoError:
+def _open_error(path: Path, error: Exception) -> VideoError:
     """What a failed `av.open` means, judged by the first bytes of the file."""
     if isinstance(error, PermissionError):
         return VideoError(path, "permission", "no permission to read it; change its mode or owner")
@@ -99,34 +100,39 @@ def probe_video(path: Path) -> Probe:
     try:
         container = av.open(str(path.absolute()), options=OPEN_OPTIONS)
     except (av.FFmpegError, OSError, ValueError) as error:
-        raise open_error(path, error) from None
+        raise _open_error(path, error) from None
     with container:
-        stream = _video_stream(container, path)
-        try:
-            frame = next(container.decode(stream), None)
-        except av.FFmpegError as error:
-            frame, reason = None, error.strerror
-        else:
-            reason = "the stream holds no frame"
+        stream = video_stream(container)
+        if stream is None:
+            kinds = ", ".join(sorted({str(s.type) for s in container.streams if s.type != "video"}))
+            raise VideoError(path, "no_video_stream", f"holds {kinds or 'nothing'} but no video stream")
         cut_short, equidistant = _index_facts(stream, path.stat().st_size)
-        if frame is None:
-            if cut_short:
-                raise VideoError(
-                    path, "truncated", "the file ends before its first whole frame; copy it again"
-                )
-            cause = (
-                "too_few_frames" if stream.frames == 0 and reason.startswith("the stream") else "undecodable"
-            )
-            raise VideoError(path, cause, f"not one frame could be decoded ({reason}); convert it to H.264")
+        frame = _first_frame(container, stream, path, cut_short)
         return _facts(container, stream, frame, cut_short, equidistant)
 
 
-def _video_stream(container: av.container.InputContainer, path: Path) -> VideoStream:
-    streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
-    if not streams:
-        kinds = sorted({s.type for s in container.streams}) or ["nothing"]
-        raise VideoError(path, "no_video_stream", f"holds {', '.join(kinds)} but no video stream")
-    return streams[0]
+def video_stream(container: av.container.InputContainer) -> VideoStream | None:
+    """The first video stream that is not the cover picture of an audio file."""
+    streams = (s for s in container.streams.video if not s.disposition & Disposition.attached_pic)
+    return next(streams, None)
+
+
+def _first_frame(
+    container: av.container.InputContainer, stream: VideoStream, path: Path, cut_short: bool
+) -> av.VideoFrame:
+    reason = ""
+    try:
+        frame = next(container.decode(stream), None)
+    except av.FFmpegError as error:
+        frame, reason = None, error.strerror or type(error).__name__
+    if frame is not None:
+        return frame
+    if cut_short:
+        raise VideoError(path, "truncated", "the file ends before its first whole frame; copy it again")
+    if not reason and stream.frames == 0:
+        raise VideoError(path, "too_few_frames", "its video stream holds no frame")
+    detail = f"not one frame could be decoded ({reason or 'no reason given'}); convert it to H.264"
+    raise VideoError(path, "undecodable", detail)
 
 
 def _index_facts(stream: VideoStream, file_size: int) -> tuple[bool, bool]:
@@ -176,10 +182,10 @@ def _facts(
 
 def _orientation(frame: av.VideoFrame) -> tuple[tuple[int, int], tuple[int, int]]:
     """The display matrix rounded to the nearest of the eight right-angled ones."""
-    data = [item for item in frame.side_data if item.type.name == "DISPLAYMATRIX"]
-    if not data:
+    data = frame.side_data.get("DISPLAYMATRIX")
+    if data is None:
         return (1, 0), (0, 1)
-    matrix = np.frombuffer(data[0], dtype=np.int32).reshape(3, 3)[:2, :2].astype(np.int64)
+    matrix = np.frombuffer(cast(bytes, data), dtype=np.int32).reshape(3, 3)[:2, :2].astype(np.int64)
     if abs(matrix[0, 0]) >= abs(matrix[0, 1]):
         return (-1 if matrix[0, 0] < 0 else 1, 0), (0, -1 if matrix[1, 1] < 0 else 1)
     return (0, -1 if matrix[0, 1] < 0 else 1), (-1 if matrix[1, 0] < 0 else 1, 0)

@@ -133,5 +133,6 @@ def _cut_short(probe: Probe, decoded: Decoded, timestamps: Float64[np.ndarray, "
         return True
     if probe.header_duration is None or len(timestamps) < 2:
         return False
-    missing = probe.header_duration - (timestamps[-1] + np.median(np.diff(timestamps)))
-    return bool(missing > max(0.5, 0.2 * probe.header_duration))
+    step = float(np.median(np.diff(timestamps)))
+    missing = probe.header_duration - (timestamps[-1] + step)
+    return bool(missing > max(2.5 * step, 0.1 * probe.header_duration))
