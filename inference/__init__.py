@@ -1,0 +1,42 @@
+"""Predict elastic constants and skinning weights: one clip, or folders of clips with result files.
+
+Names are resolved on first use (PEP 562), so that a process that only reads clips stays light.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from inference.batch import BatchSummary, ClipResult, iter_predictions, predict_batch
+    from inference.prediction import Prediction
+    from inference.predictor import predict
+    from inference.sources import find_sources
+
+__all__ = [
+    "BatchSummary",
+    "ClipResult",
+    "Prediction",
+    "find_sources",
+    "iter_predictions",
+    "predict",
+    "predict_batch",
+]
+
+_MODULES = {
+    "BatchSummary": "inference.batch",
+    "ClipResult": "inference.batch",
+    "Prediction": "inference.prediction",
+    "find_sources": "inference.sources",
+    "iter_predictions": "inference.batch",
+    "predict": "inference.predictor",
+    "predict_batch": "inference.batch",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import the module of a public name."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_MODULES[name]), name)
+    globals()[name] = value
+    return value

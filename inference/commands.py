@@ -1,0 +1,155 @@
+"""The command `physconvex predict`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from inference.batch import BatchSummary
+    from inference.table import ResultRow
+
+__all__ = ["predict"]
+
+_ROWS_SHOWN = 40
+
+
+def predict(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Video files, capture folders (capture.json), folders of numbered images, or folders of "
+            "these, walked recursively. NAME_mask.mp4 beside NAME.mp4 is its mask.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("predictions"),
+    fps: Annotated[
+        float | None, typer.Option(help="Frames per second of the motion [1/s]. Default: the file's.")
+    ] = None,
+    density: Annotated[
+        float | None, typer.Option(help="Density [kg/m³]. Default: the capture's, else 1000.")
+    ] = None,
+    object_size: Annotated[
+        float | None,
+        typer.Option(help="Largest edge of the object at rest [m]. Default: the capture's mesh, else 1."),
+    ] = None,
+    checkpoint: Annotated[str, typer.Option(help="Name or folder of a checkpoint.")] = "default",
+    device: Annotated[str, typer.Option(help="Torch device, such as cpu or cuda.")] = "cpu",
+    batch_size: Annotated[int, typer.Option(help="Most clips in one pass of the network.")] = 8,
+    workers: Annotated[
+        int | None, typer.Option(help="Clips read at once. Default: 2, or 1 on a single core.")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object per clip to standard output, nothing else.")
+    ] = False,
+    redo: Annotated[bool, typer.Option("--redo", help="Predict finished clips again.")] = False,
+    no_progress: Annotated[bool, typer.Option("--no-progress", help="No progress bar.")] = False,
+) -> None:
+    """Predict Young's modulus, Poisson's ratio and skinning weights of the object in each clip.
+
+    Writes predictions.csv, predictions.parquet, gallery.html and, per clip, JSON and skinning weights.
+    Stop it at any time: the same command goes on where it stopped.
+
+    Exit code: 0 all clips predicted, 1 some could not be (each is named), 2 wrong usage.
+    """
+    from inference.batch import predict_batch
+
+    with _Reporter(out, as_json=as_json, progress=not no_progress and sys.stderr.isatty()) as reporter:
+        summary = predict_batch(
+            paths,
+            out=out,
+            fps=fps,
+            density=density,
+            object_size=object_size,
+            checkpoint=checkpoint,
+            device=device,
+            batch_size=batch_size,
+            workers=workers,
+            redo=redo,
+            on_start=reporter.start,
+            on_row=reporter.report,
+        )
+    if not summary.rows:
+        names = ", ".join(str(path) for path in paths)
+        print(f"physconvex predict: {names}: no video, capture or image folder in it", file=sys.stderr)
+        raise typer.Exit(1)
+    if not as_json:
+        _print_summary(summary)
+    raise typer.Exit(summary.exit_code)
+
+
+class _Reporter:
+    """Prints what comes while the batch runs: errors to stderr, JSON lines to stdout, a bar on a terminal."""
+
+    def __init__(self, out: Path, *, as_json: bool, progress: bool) -> None:
+        from tqdm import tqdm
+
+        self._out, self._as_json = out, as_json
+        self._bar = tqdm(unit="clip", disable=not progress, file=sys.stderr, dynamic_ncols=True)
+
+    def __enter__(self) -> _Reporter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.close()
+
+    def start(self, total: int) -> None:
+        """Set the number of clips."""
+        self._bar.total = total
+        self._bar.refresh()
+
+    def report(self, row: ResultRow) -> None:
+        """Report one clip."""
+        if row.error:
+            self._bar.write(f"physconvex predict: {row.error}", file=sys.stderr)
+        if self._as_json:
+            print(json.dumps(self._record(row), ensure_ascii=False), flush=True)
+        self._bar.update()
+
+    def _record(self, row: ResultRow) -> object:
+        if row.error:
+            return {"path": row.path, "error": row.error}
+        text = (self._out / "clips" / f"{row.name}.json").read_text(encoding="utf-8")
+        return {"error": "", **json.loads(text)}
+
+
+def _print_summary(summary: BatchSummary) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console()
+    table = Table(caption=None)
+    table.add_column("clip", overflow="fold")
+    table.add_column("Young's modulus (90 %)", justify="right", no_wrap=True)
+    table.add_column("Poisson's ratio (90 %)", justify="right", no_wrap=True)
+    table.add_column("note", overflow="fold")
+    for row in summary.rows[:_ROWS_SHOWN]:
+        table.add_row(*_cells(row))
+    console.print(table)
+    if len(summary.rows) > _ROWS_SHOWN:
+        console.print(f"… and {len(summary.rows) - _ROWS_SHOWN} more in predictions.csv", highlight=False)
+    counts = f"{summary.predicted} predicted, {summary.resumed} finished earlier, {summary.failed} failed"
+    console.print(counts, highlight=False)
+    console.print("look at:", str(summary.out / "gallery.html"), highlight=False, soft_wrap=True)
+    console.print("tables: ", str(summary.out / "predictions.csv"), highlight=False, soft_wrap=True)
+
+
+def _cells(row: ResultRow) -> tuple[str, str, str, str]:
+    from rich.markup import escape
+
+    from inference.units import format_pascals, format_pascals_range
+
+    if row.error:
+        return escape(row.path), "–", "–", f"[red]{escape(row.error.removeprefix(row.path + ': '))}[/red]"
+    assert row.youngs_modulus is not None
+    assert row.youngs_modulus_low is not None and row.youngs_modulus_high is not None
+    stiffness = format_pascals_range(row.youngs_modulus_low, row.youngs_modulus_high)
+    ratio = f"{row.poisson_ratio:.2f} ({row.poisson_ratio_low:.2f}–{row.poisson_ratio_high:.2f})"
+    assumed = f"assumed {row.assumed.replace('; ', ', ')}" if row.assumed else ""
+    notes = "; ".join(part for part in (assumed, row.warnings) if part)
+    return escape(row.path), f"{format_pascals(row.youngs_modulus)} ({stiffness})", ratio, escape(notes)

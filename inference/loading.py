@@ -1,0 +1,248 @@
+"""Read one clip, whatever it is, into frames with the conditions of its motion."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float64, UInt8
+
+from inference.sources import ClipSource
+from physconvex.errors import InputError
+from physconvex.video import read_image_sequence, read_video
+
+__all__ = [
+    "DEFAULT_DENSITY",
+    "DEFAULT_FPS",
+    "DEFAULT_OBJECT_SIZE",
+    "ClipSettings",
+    "Conditions",
+    "LoadedClip",
+    "load_array",
+    "load_clip",
+    "resolve_conditions",
+]
+
+DEFAULT_FPS = 24.0
+"""Frames per second assumed for arrays and image folders without a stated rate [1/s]."""
+DEFAULT_DENSITY = 1000.0
+"""Density assumed where none is given [kg/m³]."""
+DEFAULT_OBJECT_SIZE = 1.0
+"""Largest edge of the object's rest bounding box assumed where none is given [m]."""
+MAX_SIDE = 1280
+"""Larger frames are scaled down to this longer side while they are decoded [px]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipSettings:
+    """What the user states about clips; None leaves it to the clip's own data, then to the default."""
+
+    fps: float | None = None
+    """Frames per second of the motion [1/s]; overrides the file's."""
+    density: float | None = None
+    """Density [kg/m³]; overrides the capture's."""
+    object_size: float | None = None
+    """Largest edge of the rest bounding box [m]; overrides that of the capture's mesh."""
+
+    def __post_init__(self) -> None:
+        """Check that every number is positive and finite.
+
+        Raises:
+            InputError: one of them is not.
+        """
+        for name, unit in (("fps", "1/s"), ("density", "kg/m³"), ("object_size", "m")):
+            value = getattr(self, name)
+            if value is not None:
+                _require_positive(name, value, unit)
+
+
+def _require_positive(name: str, value: object, unit: str) -> None:
+    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not is_number or not math.isfinite(value) or value <= 0:  # type: ignore[arg-type,operator]
+        raise InputError(
+            f"{name} is {value!r}; expected a positive, finite number [{unit}]. "
+            f"Give the measured value, or leave {name} out to use the default."
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadedClip:
+    """Frames of one clip and what its files say about the motion."""
+
+    frames: UInt8[np.ndarray, "T H W 3"]
+    fps: float | None
+    """Frames per second [1/s]; None where the source has no clock."""
+    timestamps: Float64[np.ndarray, " T"] | None = None
+    """Times of the frames [s], for variable frame rates."""
+    mask: Bool[np.ndarray, "T H W"] | None = None
+    alpha: UInt8[np.ndarray, "T H W"] | None = None
+    density: float | None = None
+    object_size: float | None = None
+    warnings: tuple[str, ...] = ()
+
+    def with_mask(self, mask: object) -> LoadedClip:
+        """Return the clip with this foreground, shape [T, H, W], in place of its own.
+
+        Raises:
+            InputError: the mask has another shape than the frames.
+        """
+        return replace(self, mask=_as_mask(mask, self.frames.shape[:3]), alpha=None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Conditions:
+    """The numbers that turn dimensionless stiffness into pascals, and which of them were assumed."""
+
+    fps: float
+    density: float
+    object_size: float
+    assumed: tuple[str, ...]
+
+
+def resolve_conditions(loaded: LoadedClip, settings: ClipSettings) -> Conditions:
+    """Return the user's value, else the clip's own, else the default (which is then named in `assumed`)."""
+    assumed = []
+
+    def choose(name: str, given: float | None, own: float | None, default: float, unit: str) -> float:
+        value = given if given is not None else own
+        if value is None:
+            assumed.append(f"{name}={default:g} {unit}")
+            return default
+        return float(value)
+
+    fps = choose("fps", settings.fps, loaded.fps, DEFAULT_FPS, "1/s")
+    density = choose("density", settings.density, loaded.density, DEFAULT_DENSITY, "kg/m^3")
+    object_size = choose("object_size", settings.object_size, loaded.object_size, DEFAULT_OBJECT_SIZE, "m")
+    return Conditions(fps=fps, density=density, object_size=object_size, assumed=tuple(assumed))
+
+
+def retimed(loaded: LoadedClip, fps: float) -> LoadedClip:
+    """Return the clip played at `fps`: its timestamps are stretched, their unevenness kept."""
+    if loaded.timestamps is None or loaded.fps is None or loaded.fps == fps:
+        return replace(loaded, fps=fps)
+    return replace(loaded, fps=fps, timestamps=loaded.timestamps * (loaded.fps / fps))
+
+
+def load_clip(source: ClipSource) -> LoadedClip:
+    """Read a video file, a capture folder or an image folder.
+
+    Raises:
+        InputError: the clip cannot be read; the message names the file and the cause.
+    """
+    if source.kind == "capture":
+        return _load_capture(source.path)
+    if source.kind == "images":
+        return _load_images(source.path)
+    return _load_video(source.path)
+
+
+def _load_video(path: Path) -> LoadedClip:
+    video = read_video(path, max_side=MAX_SIDE)
+    mask_path = path.with_stem(path.stem + "_mask")
+    mask = _read_mask_video(mask_path, video.frames.shape[:3]) if mask_path.is_file() else None
+    return LoadedClip(
+        frames=video.frames,
+        fps=float(video.fps),
+        timestamps=video.timestamps,
+        mask=mask,
+        alpha=video.alpha,
+        warnings=tuple(video.warnings),
+    )
+
+
+def _read_mask_video(path: Path, shape: tuple[int, ...]) -> Bool[np.ndarray, "T H W"]:
+    mask = np.asarray(read_video(path, max_side=MAX_SIDE).frames[..., 0] > 127)
+    if mask.shape != shape:
+        raise InputError(
+            f"{path}: the mask has frames, height, width {mask.shape}, its video has {shape}; "
+            "expected the same. Write the mask from the same frames, or remove it."
+        )
+    return mask
+
+
+def _load_capture(folder: Path) -> LoadedClip:
+    raise InputError(f"{folder}: capture folders cannot be read yet. Give the video of one of its cameras.")
+
+
+def _load_images(folder: Path) -> LoadedClip:
+    images = read_image_sequence(folder, fps=DEFAULT_FPS)
+    return LoadedClip(frames=images.frames, fps=None, alpha=images.alpha, warnings=tuple(images.warnings))
+
+
+def load_array(
+    array: object, *, mask: object = None, fps: float | None = None, timestamps: object = None
+) -> LoadedClip:
+    """Turn an array of frames into a clip.
+
+    Args:
+        array: numpy array or torch tensor of shape [T, H, W, 3 or 4], uint8 or floating point in [0, 1];
+            a fourth channel is alpha (0 = background).
+        mask: boolean foreground, shape [T, H, W].
+        fps: frames per second [1/s]; None if unknown.
+        timestamps: times of the frames [s], shape [T].
+
+    Raises:
+        InputError: shape, type or range is another.
+    """
+    values = _as_numpy(array)
+    if values.ndim != 4 or values.shape[-1] not in (3, 4) or 0 in values.shape:
+        raise InputError(
+            f"frames has shape {values.shape}; expected [T, H, W, 3] or [T, H, W, 4]. "
+            "Move the colour channels last and repeat a grey channel three times."
+        )
+    pixels = _as_uint8(values)
+    alpha = pixels[..., 3] if pixels.shape[-1] == 4 else None
+    return LoadedClip(
+        frames=np.ascontiguousarray(pixels[..., :3]),
+        fps=fps,
+        timestamps=None if timestamps is None else _as_times(timestamps, len(pixels)),
+        mask=None if mask is None else _as_mask(mask, pixels.shape[:3]),
+        alpha=alpha,
+    )
+
+
+def _as_numpy(array: object) -> np.ndarray:
+    if "torch" in sys.modules:  # not imported for its own sake: processes that only read clips stay light
+        from torch import Tensor
+
+        if isinstance(array, Tensor):
+            return array.detach().cpu().numpy()
+    return np.asarray(array)
+
+
+def _as_uint8(values: np.ndarray) -> UInt8[np.ndarray, "T H W C"]:
+    if values.dtype == np.uint8:
+        return values
+    if not np.issubdtype(values.dtype, np.floating):
+        raise InputError(
+            f"frames has type {values.dtype}; expected uint8, or floating point in [0, 1]. Convert it first."
+        )
+    low, high = float(values.min()), float(values.max())
+    if not (low >= 0.0 and high <= 1.0):  # also catches NaN
+        raise InputError(
+            f"frames has values from {low:g} to {high:g}; expected floating point in [0, 1]. "
+            "Divide by the largest value, or pass uint8."
+        )
+    return np.round(values * 255.0).astype(np.uint8)
+
+
+def _as_mask(mask: object, shape: tuple[int, ...]) -> Bool[np.ndarray, "T H W"]:
+    values = _as_numpy(mask)
+    if values.shape != shape:
+        raise InputError(
+            f"mask has shape {values.shape}; expected {shape} like the frames. Pass one mask per frame."
+        )
+    return values.astype(bool)
+
+
+def _as_times(timestamps: object, count: int) -> Float64[np.ndarray, " T"]:
+    times = _as_numpy(timestamps).astype(np.float64)
+    if times.shape != (count,) or not np.isfinite(times).all() or (np.diff(times) <= 0).any():
+        raise InputError(
+            f"timestamps has shape {times.shape}; expected {count} increasing, finite times [s]. "
+            "Pass one time per frame."
+        )
+    return times

@@ -1,0 +1,107 @@
+"""What a prediction holds: `Prediction`, its units and its JSON form."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from models.skinning import SkinningField
+
+__all__ = ["PREDICTION_SCHEMA", "PREDICTION_UNITS", "Estimated", "Prediction"]
+
+PREDICTION_SCHEMA = "physconvex/prediction/1"
+
+PREDICTION_UNITS: dict[str, str] = {
+    "youngs_modulus": "Pa",
+    "poisson_ratio": "1",
+    "log10_youngs_modulus_std": "decades",
+    "poisson_ratio_std": "1",
+    "youngs_modulus_interval": "Pa",
+    "poisson_ratio_interval": "1",
+    "fps": "1/s",
+    "density": "kg/m^3",
+    "object_size": "m",
+}
+
+
+class Estimated(Protocol):
+    """What the estimator says of one clip (`models.estimator.Estimate`)."""
+
+    youngs_modulus: float
+    poisson_ratio: float
+    log10_youngs_modulus_std: float
+    poisson_ratio_std: float
+    youngs_modulus_interval: tuple[float, float]
+    poisson_ratio_interval: tuple[float, float]
+    skinning_field: SkinningField
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prediction:
+    """Elastic constants and skinning weights of one clip, with what they rest on.
+
+    Motion under gravity tells E / (ρ g L) and ν; E in pascals follows with `density`, `object_size` and
+    `fps`. Those that nobody gave are defaults and are named in `assumed`.
+    """
+
+    path: str | None
+    """The file or folder read; None for an array."""
+    youngs_modulus: float
+    """Young's modulus [Pa], the median of the predictive distribution."""
+    poisson_ratio: float
+    """Poisson's ratio [1]."""
+    log10_youngs_modulus_std: float
+    """Standard deviation of log10(E / Pa) [decades]."""
+    poisson_ratio_std: float
+    """Standard deviation of ν [1]."""
+    youngs_modulus_interval: tuple[float, float]
+    """Calibrated 90 % interval of E [Pa]."""
+    poisson_ratio_interval: tuple[float, float]
+    """Calibrated 90 % interval of ν [1]."""
+    skinning_field: SkinningField
+    """Skinning weights W(X): points → weights of the handles."""
+    fps: float
+    """Frames per second the motion was read with [1/s]."""
+    density: float
+    """Density used [kg/m³]."""
+    object_size: float
+    """Largest edge of the object's rest bounding box used [m]."""
+    assumed: tuple[str, ...] = ()
+    """Every default that was assumed, as `name=value unit`."""
+    foreground: str
+    """How the object was told from its background: `alpha`, `mask`, `background_model` or `whole_frame`."""
+    foreground_confidence: float
+    """How sure that is, 0 to 1."""
+    frames_used: int
+    """Frames of the clip that the prediction rests on."""
+    warnings: tuple[str, ...] = ()
+    """What may make the prediction worse than its intervals say, one line each."""
+
+    def to_record(self) -> dict[str, object]:
+        """Return everything but the skinning field as JSON-ready values (for files and lines)."""
+        return {
+            "schema": PREDICTION_SCHEMA,
+            "path": self.path,
+            "youngs_modulus": self.youngs_modulus,
+            "poisson_ratio": self.poisson_ratio,
+            "log10_youngs_modulus_std": self.log10_youngs_modulus_std,
+            "poisson_ratio_std": self.poisson_ratio_std,
+            "youngs_modulus_interval": list(self.youngs_modulus_interval),
+            "poisson_ratio_interval": list(self.poisson_ratio_interval),
+            "fps": self.fps,
+            "density": self.density,
+            "object_size": self.object_size,
+            "assumed": list(self.assumed),
+            "foreground": self.foreground,
+            "foreground_confidence": self.foreground_confidence,
+            "frames_used": self.frames_used,
+            "warnings": list(self.warnings),
+            "units": PREDICTION_UNITS,
+        }
+
+    def to_json(self, *, indent: int | None = None) -> str:
+        """Return the prediction as JSON text with its units (the skinning field is saved apart)."""
+        return json.dumps(self.to_record(), indent=indent, ensure_ascii=False, allow_nan=False)

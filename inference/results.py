@@ -1,0 +1,198 @@
+"""The results folder: a journal that survives any kill, one set of files per clip, CSV and Parquet tables.
+
+```
+clips/NAME.json                   the prediction with its units
+clips/NAME.skinning.safetensors   the skinning field
+clips/NAME.jpg                    frames that were used, with the outline of the object
+journal.jsonl                     one line per finished or failed clip, written after its files
+predictions.csv, .parquet         the table
+run.json                          configuration, versions and command of every run
+```
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TextIO
+
+from inference.prediction import Prediction
+from inference.sources import ClipSource, SourceProblem, displayed_path
+from inference.table import ResultRow, row_of_error, row_of_prediction, write_csv, write_parquet
+from physconvex.errors import InputError
+
+__all__ = ["JournalEntry", "ResultsFolder"]
+
+
+@dataclass(frozen=True)
+class JournalEntry:
+    """What the journal says of one clip."""
+
+    key: str
+    """Absolute path of the clip."""
+    fingerprint: str
+    """Digest of the clip's file sizes and times; empty if it could not be looked at."""
+    settings: str
+    """Digest of everything that decides the prediction beside the clip."""
+    row: ResultRow
+    details: str = ""
+    """Trace of an unexpected error."""
+
+
+class ResultsFolder:
+    """Writes results as they come; each clip is complete on disk before its journal line is.
+
+    One process at a time: a lock on the journal, released by the system even after a kill.
+    """
+
+    def __init__(self, out: str | os.PathLike[str], *, settings: str) -> None:
+        self.path = Path(out)
+        self._settings = settings
+        try:
+            (self.path / "clips").mkdir(parents=True, exist_ok=True)
+            self._journal = open(self.path / "journal.jsonl", "a+", encoding="utf-8")
+        except OSError as error:
+            raise InputError(
+                f"out is {str(out)!r}; expected a folder that can be written ({error.strerror}). "
+                "Name another one."
+            ) from error
+        self._lock()
+        self._entries = self._read_journal()
+        self._csv: TextIO | None = None
+        self._write_tables(())
+
+    def __enter__(self) -> ResultsFolder:
+        """Return the folder itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Release the journal."""
+        if self._csv is not None:
+            self._csv.close()
+        self._journal.close()
+
+    @property
+    def names(self) -> dict[str, str]:
+        """Result names given so far, by key."""
+        return {key: entry.row.name for key, entry in self._entries.items() if entry.row.name}
+
+    def finished(self, key: str, fingerprint: str) -> ResultRow | None:
+        """Return the row of a clip that was predicted with the same content and settings, else None."""
+        entry = self._entries.get(key)
+        if (
+            entry is None
+            or entry.row.error
+            or (entry.fingerprint, entry.settings) != (fingerprint, self._settings)
+        ):
+            return None
+        files = (self.record_path(entry.row.name), self.skinning_path(entry.row.name))
+        return entry.row if all(path.is_file() for path in files) else None
+
+    def record_path(self, name: str) -> Path:
+        """Return the JSON file of a clip."""
+        return self.path / "clips" / f"{name}.json"
+
+    def skinning_path(self, name: str) -> Path:
+        """Return the skinning file of a clip."""
+        return self.path / "clips" / f"{name}.skinning.safetensors"
+
+    def picture_path(self, name: str) -> Path:
+        """Return the picture of a clip's frames."""
+        return self.path / "clips" / f"{name}.jpg"
+
+    def add_prediction(
+        self, source: ClipSource, name: str, fingerprint: str, prediction: Prediction, picture: bytes
+    ) -> ResultRow:
+        """Write a prediction's files, then its journal line, then its line in the CSV."""
+        row = row_of_prediction(name, prediction)
+        record = prediction.to_record() | {"name": name, "skinning_weights": self.skinning_path(name).name}
+        self._write(self.skinning_path(name), prediction.skinning_field.save)
+        if picture:
+            self._write(self.picture_path(name), lambda path: path.write_bytes(picture))
+        text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
+        self._write(self.record_path(name), lambda path: path.write_text(text + "\n", encoding="utf-8"))
+        self._append(JournalEntry(source.key, fingerprint, self._settings, row))
+        return row
+
+    def add_error(
+        self, source: ClipSource | SourceProblem, name: str, error: str, *, details: str = ""
+    ) -> ResultRow:
+        """Record that a clip has no prediction, and why."""
+        row = row_of_error(name, displayed_path(source.path), error)
+        self._append(JournalEntry(source.key, "", self._settings, row, details))
+        return row
+
+    def finish(self, order: Sequence[str]) -> tuple[ResultRow, ...]:
+        """Rewrite both tables: clips of this run in the order of their keys, then those of earlier runs."""
+        return self._write_tables(order, parquet=True)
+
+    def _lock(self) -> None:
+        try:
+            fcntl.flock(self._journal, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._journal.close()
+            raise InputError(
+                f"out is {str(self.path)!r}, where another run is writing. Wait for it, or name another one."
+            ) from None
+
+    def _read_journal(self) -> dict[str, JournalEntry]:
+        """Return the last entry of each clip; a line cut by a kill is dropped and its clip done again."""
+        self._journal.seek(0)
+        entries = {}
+        torn = False
+        for line in self._journal:
+            torn = not line.endswith("\n")
+            try:
+                values = json.loads(line)
+                entry = JournalEntry(**(values | {"row": ResultRow.from_values(values["row"])}))
+            except (ValueError, TypeError, KeyError):
+                continue
+            entries[entry.key] = entry
+        if torn:
+            self._journal.write("\n")
+        return entries
+
+    def _append(self, entry: JournalEntry) -> None:
+        self._entries[entry.key] = entry
+        self._journal.write(json.dumps(asdict(entry), ensure_ascii=True) + "\n")
+        self._journal.flush()
+        os.fsync(self._journal.fileno())
+        assert self._csv is not None
+        write_csv(self._csv, [entry.row], header=False)
+        self._csv.flush()
+
+    def _write(self, path: Path, write: Callable[[Path], object]) -> None:
+        """Write under a temporary name that keeps the suffix, sync, then rename."""
+        temporary = path.with_name(f".partial-{path.name}")
+        write(temporary)
+        with open(temporary, "rb") as file:
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+
+    def _write_tables(self, order: Sequence[str], *, parquet: bool = False) -> tuple[ResultRow, ...]:
+        rows = tuple(self._ordered_rows(order))
+        path = self.path / "predictions.csv"
+        if parquet:
+            self._write(self.path / "predictions.parquet", lambda target: write_parquet(target, rows))
+        if self._csv is not None:
+            self._csv.close()
+        with open(path.with_name(".partial-predictions.csv"), "w", encoding="utf-8", newline="") as file:
+            write_csv(file, rows, header=True)
+        os.replace(file.name, path)
+        self._csv = open(path, "a", encoding="utf-8", newline="")
+        return rows
+
+    def _ordered_rows(self, order: Sequence[str]) -> Iterable[ResultRow]:
+        yield from (self._entries[key].row for key in order if key in self._entries)
+        chosen = set(order)
+        for key, entry in self._entries.items():
+            gone = bool(order) and bool(entry.row.error) and not os.path.lexists(key)
+            if key not in chosen and not gone:
+                yield entry.row

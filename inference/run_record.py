@@ -1,0 +1,81 @@
+"""Beside the results: which command, version and configuration made them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import torch
+
+import physconvex
+
+__all__ = ["checkpoint_digest", "finish_run", "start_run"]
+
+
+def start_run(out: Path, *, command: Sequence[str] | None, configuration: Mapping[str, Any]) -> int:
+    """Add a run to `run.json` and return its number (a resumed batch has several runs)."""
+    runs = _read_runs(out)
+    runs.append(
+        {
+            "command": shlex.join(sys.argv if command is None else command),
+            "started": _now(),
+            "finished": None,
+            "physconvex": physconvex.__version__,
+            "python": platform.python_version(),
+            "torch": torch.__version__,
+            "platform": platform.platform(),
+            "configuration": dict(configuration),
+        }
+    )
+    _write_runs(out, runs)
+    return len(runs) - 1
+
+
+def finish_run(out: Path, number: int, **counts: int) -> None:
+    """Note the end of a run and its counts; a run that was killed keeps `finished: null`."""
+    runs = _read_runs(out)
+    runs[number] |= {"finished": _now(), **counts}
+    _write_runs(out, runs)
+
+
+def checkpoint_digest(predictor: object) -> str:
+    """Return a digest of a predictor's weights and calibration: another checkpoint is never resumed."""
+    own = getattr(predictor, "digest", None)
+    if isinstance(own, str):
+        return own
+    digest = hashlib.sha256(type(predictor).__qualname__.encode())
+    for name, value in sorted(vars(predictor).items()):
+        if isinstance(value, torch.nn.Module):
+            for key, tensor in sorted(value.state_dict().items()):
+                digest.update(key.encode())
+                digest.update(tensor.detach().cpu().contiguous().view(torch.uint8).numpy().tobytes())
+        elif not isinstance(value, torch.device):
+            digest.update(f"{name}={value!r}".encode())
+    return digest.hexdigest()[:16]
+
+
+def _read_runs(out: Path) -> list[dict[str, Any]]:
+    try:
+        runs = json.loads((out / "run.json").read_text(encoding="utf-8"))["runs"]
+    except (FileNotFoundError, ValueError, KeyError):
+        return []
+    return list(runs)
+
+
+def _write_runs(out: Path, runs: list[dict[str, Any]]) -> None:
+    temporary = out / ".partial-run.json"
+    text = json.dumps({"schema": "physconvex/runs/1", "runs": runs}, indent=1, ensure_ascii=False)
+    temporary.write_text(text + "\n", encoding="utf-8")
+    os.replace(temporary, out / "run.json")
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

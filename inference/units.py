@@ -1,0 +1,31 @@
+"""Moduli in the units that people read."""
+
+import math
+
+__all__ = ["format_pascals", "format_pascals_range"]
+
+_PREFIXES = ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"))
+
+
+def format_pascals(value: float) -> str:
+    """Return a modulus [Pa] with three significant digits, such as `1.23 MPa`."""
+    scale, unit = _scale(value)
+    return f"{_digits(value / scale)} {unit}"
+
+
+def format_pascals_range(low: float, high: float) -> str:
+    """Return an interval [Pa], such as `0.81–1.9 MPa`, in the unit of its geometric mean."""
+    scale, unit = _scale(math.sqrt(low * high))
+    return f"{_digits(low / scale, 2)}–{_digits(high / scale, 2)} {unit}"
+
+
+def _scale(value: float) -> tuple[float, str]:
+    return next((pair for pair in _PREFIXES if value >= pair[0]), (1.0, "Pa"))
+
+
+def _digits(value: float, count: int = 3) -> str:
+    """Return `count` significant digits without exponent."""
+    if value <= 0 or not math.isfinite(value):
+        return f"{value:g}"
+    places = max(0, count - 1 - math.floor(math.log10(value)))
+    return f"{value:.{places}f}"

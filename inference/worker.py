@@ -1,0 +1,117 @@
+"""Reading clips in a process of its own: a codec that crashes takes one clip with it, not the batch.
+
+A worker is started fresh (no fork of a process with threads, no second run of the user's script), gets one
+source at a time over a pipe and returns the network's input. It ends when the pipe closes, so also when the
+parent is killed.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from functools import partial
+from multiprocessing.connection import Connection, Pipe
+from typing import TYPE_CHECKING
+
+from inference.decoding import Failure, failure_from
+from inference.loading import ClipSettings
+from inference.preparing import ReadyClip, ready_source
+from inference.sources import ClipSource
+from physconvex.errors import PhysconvexError
+
+if TYPE_CHECKING:
+    from models.clip import ClipConfig
+
+__all__ = ["ReaderCrashError", "WorkerReader", "serve"]
+
+_START = "import sys; sys.path[:] = {path!r}; from inference.worker import serve; serve({descriptor})"
+
+
+class ReaderCrashError(PhysconvexError, RuntimeError):
+    """The process that read a clip died."""
+
+
+class WorkerReader:
+    """Reads clips in a worker process, which is started again after a crash."""
+
+    def __init__(self, settings: ClipSettings, config: ClipConfig, *, picture: bool) -> None:
+        self._task = (settings, config, picture)
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def __call__(self, source: ClipSource) -> ReadyClip | Failure:
+        """Return the clip as the network reads it, or why it cannot be read.
+
+        Raises:
+            ReaderCrashError: the worker died of this clip.
+        """
+        if self._process is None:
+            self._start()
+        try:
+            self._pipe.send(source)
+            outcome: ReadyClip | Failure = self._pipe.recv()
+        except (EOFError, BrokenPipeError, ConnectionResetError):
+            raise ReaderCrashError(self._describe_death()) from None
+        return outcome
+
+    def close(self) -> None:
+        """End the worker."""
+        if self._process is not None:
+            self._pipe.close()
+            self._process.wait()
+            self._log.close()
+            self._process = None
+
+    def _start(self) -> None:
+        self._pipe, theirs = Pipe()
+        self._log = tempfile.TemporaryFile()  # lives as long as the worker
+        code = _START.format(path=sys.path, descriptor=theirs.fileno())
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", code],
+            stdin=subprocess.DEVNULL,
+            stdout=self._log,
+            stderr=self._log,
+            pass_fds=[theirs.fileno()],
+            env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        )
+        theirs.close()
+        try:
+            self._pipe.send(self._task)
+        except (BrokenPipeError, ConnectionResetError):
+            raise ReaderCrashError(self._describe_death()) from None
+
+    def _describe_death(self) -> str:
+        assert self._process is not None
+        self._pipe.close()
+        code = self._process.wait()
+        self._log.seek(0)
+        said = self._log.read().decode("utf-8", "replace").strip().splitlines()
+        self._log.close()
+        self._process = None
+        how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+        return f"the process that read it died ({how})" + (f": {said[-1]}" if said else "")
+
+
+def serve(descriptor: int) -> None:
+    """Run a worker on an inherited pipe: read sources until the pipe closes."""
+    import cv2
+
+    from models.clip import prepare_clip
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business; it closes the pipe
+    cv2.setNumThreads(1)
+    with Connection(descriptor) as pipe:
+        settings, config, picture = pipe.recv()
+        prepare = partial(prepare_clip, config=config)
+        while True:
+            try:
+                source: ClipSource = pipe.recv()
+            except (EOFError, ConnectionResetError):
+                return
+            try:
+                outcome: ReadyClip | Failure = ready_source(source, settings, prepare, picture=picture)
+            except Exception as error:  # reported to the parent with its trace
+                outcome = failure_from(source, error)
+            pipe.send(outcome)
