@@ -50,22 +50,22 @@ class PreparedClip:
 
 
 def prepare_clip(
-    frames: UInt8[np.ndarray, "T H W 3"],
+    frames: np.ndarray,
     *,
     fps: float = 24.0,
-    timestamps: Float64[np.ndarray, " T"] | None = None,
-    mask: UInt8[np.ndarray, "T H W"] | None = None,
-    alpha: UInt8[np.ndarray, "T H W"] | None = None,
+    timestamps: np.ndarray | None = None,
+    mask: np.ndarray | None = None,
+    alpha: np.ndarray | None = None,
     config: ClipConfig | None = None,
 ) -> PreparedClip:
     """Resample in time, find the object, cut out a fixed square around its path, grey out the rest.
 
     Args:
-        frames: 8-bit RGB.
+        frames: 8-bit RGB, shape [T, H, W, 3].
         fps: rate [1/s], used unless `timestamps` are given.
-        timestamps: times [s], increasing; the rate may vary.
-        mask: the object, any value above 127; overrides everything else.
-        alpha: opacity; used unless `mask` is given.
+        timestamps: times [s], shape [T], increasing; the rate may vary.
+        mask: the object (bool, or 8 bits and above 127), shape [T, H, W]; overrides everything else.
+        alpha: opacity, 8 bits, shape [T, H, W]; used unless `mask` is given.
         config: size, length and rate of the result.
 
     A video longer than the window is shown from just before things move (`start_time`); a shorter one
@@ -131,7 +131,7 @@ def _reorder(clip: PreparedClip, order: np.ndarray) -> PreparedClip:
 
 
 def _checked_times(
-    frames: np.ndarray, fps: float, timestamps: Float64[np.ndarray, " T"] | None
+    frames: np.ndarray, fps: float, timestamps: np.ndarray | None
 ) -> Float64[np.ndarray, " T"]:
     if frames.ndim != 4 or frames.shape[3] != 3 or frames.dtype != np.uint8:
         raise InputError(f"frames: got {frames.dtype} {frames.shape}, expected uint8 [T, H, W, 3] (RGB)")

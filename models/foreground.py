@@ -30,12 +30,12 @@ class Foreground:
 def locate_foreground(
     frames: UInt8[np.ndarray, "T H W 3"],
     *,
-    alpha: UInt8[np.ndarray, "T H W"] | None = None,
-    mask: UInt8[np.ndarray, "T H W"] | None = None,
+    alpha: np.ndarray | None = None,
+    mask: np.ndarray | None = None,
 ) -> Foreground:
     """Silhouette of the one object in a clip of a fixed camera.
 
-    A given `mask` is taken, else `alpha`, else what moves before a static background (`models.background`),
+    A given `mask` [T, H, W] (bool, or 8 bits and above 127) is taken, else `alpha`, else what moves before a static background (`models.background`),
     else what differs from a plain one, else the whole frame with confidence 0.
 
     Raises:

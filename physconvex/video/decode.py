@@ -137,7 +137,7 @@ def _image(frame: av.VideoFrame, width: int, height: int, channels: int) -> UInt
     return frame.to_ndarray(format=name, threads=1)
 
 
-def _orient(frames: UInt8[np.ndarray, "T H W C"], probe: Probe) -> UInt8[np.ndarray, "T H W C"]:
+def _orient(frames: UInt8[np.ndarray, "T H W C"], probe: Probe) -> UInt8[np.ndarray, "T _ _ C"]:
     """Apply the display matrix: (x, y) of the stored picture goes to (x, y) @ matrix."""
     (a, b), (c, d) = probe.orientation
     if a:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import av
 import numpy as np
-from jaxtyping import UInt8
 
 from physconvex.errors import InputError
 
@@ -17,13 +16,13 @@ __all__ = ["write_video"]
 
 def write_video(
     path: Path | str,
-    frames: UInt8[np.ndarray, "T H W 3"] | Iterable[UInt8[np.ndarray, "H W 3"]],
+    frames: np.ndarray | Iterable[np.ndarray],
     *,
     fps: float,
     crf: int = 18,
     preset: str = "medium",
 ) -> None:
-    """Write frames as H.264 (yuv420p, mp4), atomically and bit-deterministically.
+    """Write frames (uint8 RGB, shape [T, H, W, 3]) as H.264 (yuv420p, mp4), atomically and bit-deterministically.
 
     One encoder thread and no dates: the same frames give the same bytes. The file appears under its name
     only when it is complete. `crf` is the constant rate factor, 0 (lossless) to 51.

@@ -15,7 +15,7 @@ from PIL import Image
 from physconvex.errors import InputError
 from physconvex.video import Video, VideoError, read_image_sequence, read_video, write_video
 
-RATE = 24
+RATE = 24.0
 QUALITY = {"libx264": {"crf": "4"}, "libx265": {"crf": "4", "x265-params": "log-level=none"}}
 
 
@@ -42,7 +42,9 @@ def _encode(
 ) -> Path:
     """Write images with any codec; `times` are milliseconds."""
     with av.open(str(path), "w", options=muxer_options or {}) as container:
-        stream = container.add_stream(codec, rate=RATE, options={**QUALITY.get(codec, {}), **(options or {})})
+        stream = container.add_stream(
+            codec, rate=int(RATE), options={**QUALITY.get(codec, {}), **(options or {})}
+        )
         stream.height, stream.width = images.shape[1:3]
         stream.pix_fmt = pixel_format
         if rotation is not None:
@@ -181,7 +183,7 @@ def test_fractional_rate(tmp_path: Path) -> None:
 def test_non_square_pixels_become_square(tmp_path: Path) -> None:
     images = _moving_square()
     with av.open(str(tmp_path / "clip.mp4"), "w") as container:
-        stream = container.add_stream("libx264", rate=RATE)
+        stream = container.add_stream("libx264", rate=int(RATE))
         stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv420p"
         stream.codec_context.sample_aspect_ratio = Fraction(4, 3)
         for image in images:

@@ -1,0 +1,37 @@
+"""Clean binary masks and follow one of their parts through time."""
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+__all__ = ["clean_mask", "link_masks"]
+
+
+def clean_mask(mask: UInt8[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W"]:
+    """Open, close and fill holes; the result is 0 or 255."""
+    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, cross)
+    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    return cv2.drawContours(np.zeros_like(mask), outlines, -1, 255, cv2.FILLED)
+
+
+def link_masks(masks: UInt8[np.ndarray, "T H W"]) -> UInt8[np.ndarray, "T H W"]:
+    """Keep in each frame the component that continues its neighbour's, outward from the largest."""
+    parts = [cv2.connectedComponentsWithStats(mask, connectivity=8) for mask in masks]
+    largest = [int(stats[1:, cv2.CC_STAT_AREA].max()) if n > 1 else 0 for n, _, stats, _ in parts]
+    start = int(np.argmax(largest))
+    out = np.zeros_like(masks)
+    for order in (range(start, len(masks)), range(start - 1, -1, -1)):
+        previous = out[start] if order.step < 0 else None
+        for k in order:
+            count, labels, stats, _ = parts[k]
+            if count < 2:
+                continue
+            weight = stats[1:, cv2.CC_STAT_AREA].astype(np.float64)
+            if previous is not None:
+                near = cv2.dilate(previous, np.ones((9, 9), np.uint8)) > 0
+                weight = np.bincount(labels[near], minlength=count)[1:] + 0.2 * weight
+            out[k] = (labels == 1 + int(weight.argmax())) * np.uint8(255)
+            previous = out[k]
+    return out

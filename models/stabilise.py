@@ -1,0 +1,75 @@
+"""Take slight camera shake and exposure changes out of a clip."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, Float64, UInt8
+
+__all__ = ["Stabilised", "stabilise"]
+
+_LEAST_SHIFT = 0.08  # [px]; smaller ones are noise of the estimate
+_LARGEST_SHIFT = 4.0  # [px]
+
+
+@dataclass(frozen=True)
+class Stabilised:
+    """Frames moved by `-shifts` [px; x, y] so that their background lies as in the first frame."""
+
+    frames: UInt8[np.ndarray, "T H W 3"]
+    shifts: Float64[np.ndarray, "T 2"]
+
+    def undo(self, masks: UInt8[np.ndarray, "T H W"]) -> UInt8[np.ndarray, "T H W"]:
+        """Move masks of the stabilised frames back to where the original frames show them."""
+        if not self.shifts.any():
+            return masks
+        moved = [_translate(mask, shift) for mask, shift in zip(masks, self.shifts, strict=True)]
+        return np.stack([cv2.threshold(mask, 127, 255, cv2.THRESH_BINARY)[1] for mask in moved])
+
+
+def stabilise(frames: UInt8[np.ndarray, "T H W 3"]) -> Stabilised:
+    """Undo gain and sub-pixel translation of each frame against the first.
+
+    Translation by one robust Gauss-Newton step per pass (Lucas and Kanade 1981) on the brightness; pixels that
+    differ much, such as the object's, are left out.
+    """
+    thin = frames[:, ::4, ::4].astype(np.float32) + 1.0
+    gains = np.median((thin[0] / thin).reshape(len(frames), -1), axis=1)
+    level = [
+        frame if abs(gain - 1) < 0.004 else cv2.convertScaleAbs(frame, alpha=float(gain))
+        for frame, gain in zip(frames, gains, strict=True)
+    ]
+    grey = [
+        cv2.GaussianBlur(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY), (5, 5), 1.2).astype(np.float32)
+        for frame in level
+    ]
+    shifts = np.stack([_shift(grey[0], image) for image in grey])
+    if np.abs(shifts).max() < _LEAST_SHIFT or np.abs(shifts).max() > _LARGEST_SHIFT:
+        return Stabilised(frames=np.stack(level), shifts=np.zeros_like(shifts))
+    still = [_translate(frame, -shift) for frame, shift in zip(level, shifts, strict=True)]
+    return Stabilised(frames=np.stack(still), shifts=shifts)
+
+
+def _shift(
+    reference: Float32[np.ndarray, "H W"], image: Float32[np.ndarray, "H W"], *, passes: int = 2
+) -> Float64[np.ndarray, " 2"]:
+    """Translation (x, y) [px] of `image` against `reference`; zero where the picture does not tell."""
+    gx = cv2.Sobel(reference, cv2.CV_32F, 1, 0, scale=0.125)
+    gy = cv2.Sobel(reference, cv2.CV_32F, 0, 1, scale=0.125)
+    total = np.zeros(2)
+    for _ in range(passes):
+        error = reference - (_translate(image, -total) if total.any() else image)
+        weight = np.abs(error) < max(3.0, 3.0 * float(np.median(np.abs(error[::2, ::2]))))
+        wx, wy = gx * weight, gy * weight
+        normal = np.array(
+            [[np.vdot(wx, gx), np.vdot(wx, gy)], [np.vdot(wx, gy), np.vdot(wy, gy)]], dtype=np.float64
+        )
+        normal += 2e-2 * error.size * np.eye(2)  # an even picture stays where it is
+        total += np.linalg.solve(normal, [np.vdot(wx, error), np.vdot(wy, error)])
+    return total
+
+
+def _translate(image: np.ndarray, shift: Float64[np.ndarray, " 2"]) -> np.ndarray:
+    matrix = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], dtype=np.float64)
+    size = (image.shape[1], image.shape[0])
+    return cv2.warpAffine(image, matrix, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
