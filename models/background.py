@@ -36,26 +36,49 @@ class Silhouette:
     confidence: float
 
 
+@dataclass(frozen=True)
+class _Surroundings:
+    """What the still pixels around each pixel look like."""
+
+    mean: Picture
+    spread: Float32[np.ndarray, "H W"]  # standard deviation
+
+
+@dataclass(frozen=True)
+class _Model:
+    """The background where it has been seen, its surroundings where not."""
+
+    background: Picture
+    known: Bool[np.ndarray, "H W"]
+    around: _Surroundings
+    threshold: Float32[np.ndarray, "H W"]
+
+
 def background_silhouettes(frames: UInt8[np.ndarray, "T H W 3"], *, rounds: int = 2) -> Silhouette | None:
     """The moving object in RGB frames of a fixed camera; None if nothing moves or everything does."""
     steady = stabilise(frames)
     planes = _planes(steady.frames)
-    threshold = max(_LEAST_CONTRAST, 4.5 * _noise(planes))
+    threshold = _threshold(planes)
     change = np.stack([_difference(planes[:, k], planes[:, 0], both=True) for k in range(len(frames))])
-    moved = (change > threshold).reshape(len(frames), -1).mean(axis=1)
+    change /= threshold
+    moved = (change > 1.0).reshape(len(frames), -1).mean(axis=1)
     far = int(moved.argmax())
     if moved[far] < 0.002 or moved[far] > 0.6:
         return None
-    background = _two_frame_background(planes, change, far, threshold)
+    activity = np.minimum(change.max(axis=0), 3.0)
+    around = _surroundings(planes[:, 0], activity < 0.8)
+    background = _two_frame_background(planes, change, far, around, threshold)
     known = np.ones(background.shape[1:], bool)
     ratio: np.ndarray | None = None
     codes = _codes(planes)
     for _ in range(rounds):
-        masks = _segment(planes, codes, background, known, ratio, threshold)
+        model = _Model(background, known, around, threshold)
+        masks = _segment(planes, codes, model, ratio, activity)
         background, known = _masked_median(planes, masks)
         ratio = _colour_ratio(codes, masks)
-        known &= ~((ratio[_codes(background)] > 0.7) & _hull(masks))
-    masks = _segment(planes, codes, background, known, ratio, threshold)
+        odd = _difference(background, around.mean) > threshold + 3.0 * around.spread
+        known &= ~(((ratio[_codes(background)] > 0.7) | odd) & _hull(masks))
+    masks = _segment(planes, codes, _Model(background, known, around, threshold), ratio, activity)
     return _judged(steady.undo(masks))
 
 
@@ -79,7 +102,7 @@ def plain_background_silhouettes(frames: UInt8[np.ndarray, "T H W 3"]) -> Silhou
         clean_mask((_difference(planes[:, k], fitted) > threshold).astype(np.uint8))
         for k in range(len(frames))
     ]
-    found = _judged(link_masks(np.stack(masks)))
+    found = _judged(link_masks(np.stack(masks), np.ones(masks[0].shape, np.float32)))
     return None if found is None else Silhouette(mask=found.mask, confidence=0.6 * found.confidence)
 
 
@@ -91,12 +114,6 @@ def _planes(frames: UInt8[np.ndarray, "T H W 3"]) -> Planes:
         image = cv2.GaussianBlur(frame, (3, 3), 0.7).astype(np.float32)
         out[:, k] = np.moveaxis(cv2.transform(image, matrix), -1, 0)
     return out
-
-
-def _noise(planes: Planes) -> float:
-    """Standard deviation of what a still pixel does from frame to frame."""
-    steps = np.abs(np.diff(planes[:, :, ::3, ::3], axis=1)).max(axis=0)
-    return float(np.median(steps))
 
 
 def _difference(image: Picture, background: Picture, *, both: bool = False) -> Float32[np.ndarray, "H W"]:
@@ -116,23 +133,58 @@ def _difference(image: Picture, background: Picture, *, both: bool = False) -> F
     return np.where(shadow & smooth, np.minimum(full, 1.5 * tint), full)
 
 
+def _threshold(planes: Planes) -> Float32[np.ndarray, "H W"]:
+    """Difference that noise alone does not reach: at least 4.5 times what the pixel does between frames."""
+    steps = [np.abs(planes[:, k + 1] - planes[:, k]).max(axis=0) for k in range(planes.shape[1] - 1)]
+    local = cv2.blur(_sorted(steps)[len(steps) // 2], (3, 3))
+    return np.clip(np.maximum(4.5 * float(np.median(local)), 3.5 * local), _LEAST_CONTRAST, 40.0)
+
+
+def _surroundings(image: Picture, still: Bool[np.ndarray, "H W"]) -> _Surroundings:
+    """Mean and spread of the still pixels around each pixel, first of all those to its left and right."""
+    weight = cv2.erode(still.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.float32)
+    layers = np.stack([weight, *(image * weight), *(image**2 * weight)])
+    height, width = weight.shape
+    total = np.zeros_like(layers)
+    for size, share in (((width // 4, 3), 1.0), ((width // 2, 7), 1e-2), ((width // 2, height // 2), 1e-4)):
+        total += share * np.stack([cv2.blur(layer, (size[0] | 1, size[1] | 1)) for layer in layers])
+    count = np.maximum(total[0], 1e-9)
+    mean = total[1:4] / count
+    variance = np.maximum(total[4:] / count - mean**2, 0.0).max(axis=0)
+    return _Surroundings(mean=mean, spread=np.sqrt(variance))
+
+
 def _two_frame_background(
-    planes: Planes, change: Float32[np.ndarray, "T H W"], far: int, threshold: float
+    planes: Planes,
+    change: Float32[np.ndarray, "T H W"],
+    far: int,
+    around: _Surroundings,
+    threshold: Float32[np.ndarray, "H W"],
 ) -> Picture:
-    """Background from the first frame and the one that differs most from it."""
-    changed = clean_mask((change[far] > threshold).astype(np.uint8)) > 0
+    """Background from the first frame and the one that differs most from it.
+
+    The line between them lies where what it leaves as background fits the surroundings best and the parts
+    before and behind it have equal areas.
+    """
+    changed = clean_mask((change[far] > 1.0).astype(np.uint8)) > 0
     if not changed.any():
-        changed = change[far] > threshold
+        changed = change[far] > 1.0
+    first, last = planes[:, 0], planes[:, far]
+    scale = threshold + 2.0 * around.spread
+    evidence = np.clip((_difference(first, around.mean) - _difference(last, around.mean)) / scale, -1.0, 1.0)
     y, x = np.nonzero(changed)
     across, down = _direction(planes, far, threshold)
-    columns, rows = (
-        np.arange(planes.shape[3])[None] - x.mean(),
-        np.arange(planes.shape[2])[:, None] - y.mean(),
-    )
-    return np.where(across * columns + down * rows > 0, planes[:, 0], planes[:, far])
+    along = across * x + down * y
+    order = np.argsort(along)
+    behind = np.cumsum(evidence[y, x][order])
+    score = 2.0 * behind - behind[-1] - 0.5 * np.abs(2.0 * np.arange(1, len(order) + 1) - len(order))
+    middle = along[order[int(score.argmax())]]
+    columns, rows = np.arange(planes.shape[3])[None], np.arange(planes.shape[2])[:, None]
+    ahead = np.where(across * columns + down * rows > middle, 0.5, -0.5)
+    return np.where(ahead - cv2.blur(evidence, (5, 5)) > 0, first, last)
 
 
-def _direction(planes: Planes, far: int, threshold: float) -> tuple[float, float]:
+def _direction(planes: Planes, far: int, threshold: Float32[np.ndarray, "H W"]) -> tuple[float, float]:
     """Unit vector (x, y down) of the motion of what is active until frame `far`; down if it rests."""
     centres = []
     for k in range(far):
@@ -151,22 +203,24 @@ def _direction(planes: Planes, far: int, threshold: float) -> tuple[float, float
 def _segment(
     planes: Planes,
     codes: Int32[np.ndarray, "T H W"],
-    background: Picture,
-    known: Bool[np.ndarray, "H W"],
+    model: _Model,
     ratio: Float32[np.ndarray, " B"] | None,
-    threshold: float,
+    activity: Float32[np.ndarray, "H W"],
 ) -> UInt8[np.ndarray, "T H W"]:
-    edges = np.abs(cv2.Sobel(background[0], cv2.CV_32F, 1, 0)) + np.abs(
-        cv2.Sobel(background[0], cv2.CV_32F, 0, 1)
-    )
-    scale = known / (threshold + 0.04 * edges)
+    edges = np.abs(cv2.Sobel(model.background[0], cv2.CV_32F, 1, 0))
+    edges += np.abs(cv2.Sobel(model.background[0], cv2.CV_32F, 0, 1))
+    surely = model.threshold + 0.04 * edges
+    roughly = model.threshold + 2.5 * model.around.spread
+    expected = np.where(model.known, model.background, model.around.mean)
+    scale = 1.0 / np.where(model.known, surely, roughly)
+    lowest = np.where(model.known, -1.5, -0.7)
     masks = np.empty(planes.shape[1:], np.uint8)
     for k in range(planes.shape[1]):
-        score = np.clip(_difference(planes[:, k], background) * scale - 1.0, -1.5, 2.0) * known
+        score = np.clip(_difference(planes[:, k], expected) * scale - 1.0, lowest, 2.0)
         if ratio is not None:
             score += 0.4 * ratio[codes[k]]
         masks[k] = clean_mask((cv2.blur(score.astype(np.float32), (3, 3)) > 0).astype(np.uint8))
-    return link_masks(masks)
+    return link_masks(masks, activity)
 
 
 def _codes(planes: Float32[np.ndarray, "3 *S"]) -> Int32[np.ndarray, "*S"]:

@@ -2,7 +2,7 @@
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float32, UInt8
 
 __all__ = ["clean_mask", "link_masks"]
 
@@ -16,22 +16,27 @@ def clean_mask(mask: UInt8[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W"]:
     return cv2.drawContours(np.zeros_like(mask), outlines, -1, 255, cv2.FILLED)
 
 
-def link_masks(masks: UInt8[np.ndarray, "T H W"]) -> UInt8[np.ndarray, "T H W"]:
-    """Keep in each frame the component that continues its neighbour's, outward from the largest."""
-    parts = [cv2.connectedComponentsWithStats(mask, connectivity=8) for mask in masks]
-    largest = [int(stats[1:, cv2.CC_STAT_AREA].max()) if n > 1 else 0 for n, _, stats, _ in parts]
-    start = int(np.argmax(largest))
+def link_masks(
+    masks: UInt8[np.ndarray, "T H W"], weight: Float32[np.ndarray, "H W"]
+) -> UInt8[np.ndarray, "T H W"]:
+    """Keep in each frame the component that continues its neighbour's, outward from the heaviest.
+
+    A component weighs what `weight` sums to inside it.
+    """
+    parts = [cv2.connectedComponents(mask, connectivity=8) for mask in masks]
+    weights = [np.bincount(labels.ravel(), weight.ravel(), minlength=2)[1:] for _, labels in parts]
+    start = int(np.argmax([heavy.max() for heavy in weights]))
     out = np.zeros_like(masks)
     for order in (range(start, len(masks)), range(start - 1, -1, -1)):
         previous = out[start] if order.step < 0 else None
         for k in order:
-            count, labels, stats, _ = parts[k]
+            count, labels = parts[k]
             if count < 2:
                 continue
-            weight = stats[1:, cv2.CC_STAT_AREA].astype(np.float64)
+            merit = weights[k]
             if previous is not None:
                 near = cv2.dilate(previous, np.ones((9, 9), np.uint8)) > 0
-                weight = np.bincount(labels[near], minlength=count)[1:] + 0.2 * weight
-            out[k] = (labels == 1 + int(weight.argmax())) * np.uint8(255)
+                merit = np.bincount(labels[near], weight[near], minlength=count)[1:] + 0.2 * merit
+            out[k] = (labels == 1 + int(merit.argmax())) * np.uint8(255)
             previous = out[k]
     return out
