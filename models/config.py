@@ -1,0 +1,131 @@
+"""What the network looks like: frozen, validated, stored as JSON in each checkpoint."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+__all__ = [
+    "BinConfig",
+    "EncoderConfig",
+    "EncoderSize",
+    "KinematicsConfig",
+    "NetworkConfig",
+    "SkinningConfig",
+]
+
+EncoderSize = Literal["tiny", "small", "base"]
+
+# hidden size, layers, heads; "base" is that of the public VideoMAE weights, "small" that of ViT-S.
+_SIZES: dict[str, tuple[int, int, int]] = {"tiny": (192, 5, 3), "small": (384, 12, 6), "base": (768, 12, 12)}
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class EncoderConfig(_Frozen):
+    """VideoMAE encoder (Tong et al. 2022) over tubelets of `tubelet` frames × `patch_size`² pixels."""
+
+    image_size: int = Field(112, ge=16)
+    frames: int = Field(24, ge=2)
+    tubelet: int = Field(2, ge=1)
+    patch_size: int = Field(16, ge=4)
+    hidden_size: int = Field(192, ge=16)
+    layers: int = Field(5, ge=1)
+    heads: int = Field(3, ge=1)
+    mask_channel: bool = True
+    dropout: float = Field(0.0, ge=0, lt=1)
+    train_keep: float = Field(0.35, gt=0, le=1)
+    """Share of the tokens kept in training; those that show the object go first, at random."""
+    eval_keep: float = Field(0.5, gt=0, le=1)
+    """Share of the tokens kept otherwise; the emptiest are left out."""
+    position_grid: tuple[int, int, int] | None = None
+    """Grid (time, rows, columns) of the pretrained position table; None: a separable table of our own."""
+
+    @classmethod
+    def of_size(cls, size: EncoderSize, **options: object) -> EncoderConfig:
+        """One of the named sizes; `options` override single fields."""
+        hidden, layers, heads = _SIZES[size]
+        return cls.model_validate({"hidden_size": hidden, "layers": layers, "heads": heads, **options})
+
+    @model_validator(mode="after")
+    def check(self) -> EncoderConfig:
+        if self.image_size % self.patch_size or self.frames % self.tubelet or self.hidden_size % self.heads:
+            raise ValueError(
+                f"image_size {self.image_size}, frames {self.frames}, hidden_size {self.hidden_size} must be "
+                f"multiples of patch_size {self.patch_size}, tubelet {self.tubelet}, heads {self.heads}"
+            )
+        return self
+
+    @property
+    def grid(self) -> tuple[int, int, int]:
+        """Tokens in time, rows, columns."""
+        side = self.image_size // self.patch_size
+        return self.frames // self.tubelet, side, side
+
+    @property
+    def tokens(self) -> int:
+        """Tokens of a whole clip."""
+        time, rows, columns = self.grid
+        return time * rows * columns
+
+    @property
+    def channels(self) -> int:
+        """RGB, and the mask."""
+        return 4 if self.mask_channel else 3
+
+
+class KinematicsConfig(_Frozen):
+    """One-dimensional residual network over the silhouette moments."""
+
+    channels: int = Field(128, ge=8)
+    blocks: int = Field(6, ge=1)
+    dropout: float = Field(0.1, ge=0, lt=1)
+    drop_path: float = Field(0.1, ge=0, lt=1)
+
+
+class BinConfig(_Frozen):
+    """Equal bins of a density on (low, high); nothing outside can be predicted."""
+
+    low: float
+    high: float
+    bins: int = Field(ge=2)
+
+    @model_validator(mode="after")
+    def check(self) -> BinConfig:
+        if not self.low < self.high:
+            raise ValueError(f"low {self.low} must be below high {self.high}")
+        return self
+
+
+class SkinningConfig(_Frozen):
+    """MLP over Fourier features of the rest position whose layers are modulated by the clip."""
+
+    handles: int = Field(10, ge=1)
+    hidden_size: int = Field(64, ge=8)
+    layers: int = Field(3, ge=1)
+    harmonics: int = Field(3, ge=1)
+
+
+class NetworkConfig(_Frozen):
+    """The whole network."""
+
+    encoder: EncoderConfig = EncoderConfig()
+    kinematics: KinematicsConfig = KinematicsConfig()
+    stiffness: BinConfig = BinConfig(low=-1.0, high=4.5, bins=110)
+    """Of log10(E / (ρ g L))."""
+    poisson: BinConfig = BinConfig(low=0.0, high=0.5, bins=50)
+    skinning: SkinningConfig = SkinningConfig()
+    latent_size: int = Field(192, ge=8)
+    dropout: float = Field(0.1, ge=0, lt=1)
+    video_dropout: float = Field(0.2, ge=0, lt=1)
+    """How often training hides the whole video embedding, so that neither branch leans on the other."""
+    kinematics_dropout: float = Field(0.1, ge=0, lt=1)
+
+    @model_validator(mode="after")
+    def check(self) -> NetworkConfig:
+        if self.poisson.low < 0 or self.poisson.high > 0.5:
+            raise ValueError(f"poisson: ({self.poisson.low}, {self.poisson.high}) must lie within (0, 0.5)")
+        return self
