@@ -6,8 +6,8 @@ A node that carries the boundary area A and lies p = −gap deep in an obstacle 
          = kc (p²/2 − p ε/2 + ε²/6)         p ≥ ε
 
 so that pressure kc·p [Pa] is reached smoothly; kc [Pa/m] is a stiffness per area and does not change with the mesh.
-Friction follows Li et al. 2020 (IPC), eq. 14: the dissipation μ N f₀(|v_t|) with f₀' = 1 above the velocity `v_s` and a
-smooth ramp below, where N is the normal force and the tangent plane is frozen during a solve.
+Friction follows the smoothed Coulomb law of Li et al. 2020 (IPC), eq. 14: force μ N f₁(|v_t|) with f₁ = 1 above the velocity
+`v_s` and a smooth ramp below. During one solve it is frozen to a linear drag, see `Contact.freeze_friction`.
 """
 
 from __future__ import annotations
@@ -112,12 +112,24 @@ Obstacle = Plane | Sphere
 
 @dataclass(frozen=True)
 class Friction:
-    """Friction frozen for one solve: force limits and normals of the nodes in contact with one obstacle."""
+    """Friction on the nodes that touch one obstacle, frozen to a linear drag for one solve.
 
-    nodes: np.ndarray  # [C]
-    limits: np.ndarray  # μ N [N], [C]
-    normals: np.ndarray  # [C, 3]
-    velocity: np.ndarray  # of the obstacle, [3]
+    Attributes:
+        nodes: node indices, shape [C].
+        weights: force over slip velocity [N·s/m], shape [C].
+        normals: shape [C, 3].
+        velocity: velocity of the obstacle [m/s], shape [3].
+    """
+
+    nodes: np.ndarray
+    weights: np.ndarray
+    normals: np.ndarray
+    velocity: np.ndarray
+
+    def slip(self, velocity: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "C 3"]:
+        """Tangential velocity relative to the obstacle [m/s]."""
+        relative = velocity[self.nodes] - self.velocity
+        return relative - (relative * self.normals).sum(1, keepdims=True) * self.normals
 
 
 @dataclass(frozen=True)
@@ -183,50 +195,44 @@ class Contact:
                 blocks[nodes] += stiffness[:, None, None] * normals[:, :, None] * normals[:, None, :]
         return blocks
 
-    def freeze_friction(self, x: Float[np.ndarray, "V 3"], time: float) -> tuple[Friction, ...]:
-        """Friction limits μN and normals at the state x, one entry per rough obstacle that is touched."""
+    def freeze_friction(
+        self, x: Float[np.ndarray, "V 3"], velocity: Float[np.ndarray, "V 3"], time: float
+    ) -> tuple[Friction, ...]:
+        """Friction linearised at positions x [m] and velocities [m/s], one entry per rough obstacle that is touched.
+
+        The weight μ N f₁(|v_t|)/|v_t| makes the drag exact at the state where it is frozen, and its energy bounds the
+        dissipation from above (f₀ is concave in |v_t|²), so re-freezing and solving again converges to Coulomb's law.
+        """
         frozen = []
         for obstacle in self.obstacles:
-            nodes, depth = self._touching(obstacle, x, time) if obstacle.friction else (np.empty(0, int), None)
+            if not obstacle.friction:
+                continue
+            nodes, depth = self._touching(obstacle, x, time)
             if len(nodes):
+                speed = np.asarray(obstacle.velocity)
+                part = Friction(nodes, np.zeros(len(nodes)), obstacle.normals(x[nodes], time), speed)
+                relative = np.linalg.norm(part.slip(velocity), axis=1) / self.slip_velocity
+                # f₁(y)/y with f₁ = 2y − y² below one, 1 above
+                ratio = np.where(relative < 1, 2 - relative, 1 / np.maximum(relative, 1.0))
                 limits = obstacle.friction * self.areas[nodes] * self._hinge(depth)[1]
-                frozen.append(
-                    Friction(nodes, limits, obstacle.normals(x[nodes], time), np.asarray(obstacle.velocity))
-                )
+                frozen.append(Friction(nodes, limits * ratio / self.slip_velocity, part.normals, speed))
         return tuple(frozen)
 
     def friction_energy_and_gradient(
         self, frozen: tuple[Friction, ...], velocity: Float[np.ndarray, "V 3"]
     ) -> tuple[float, Float[np.ndarray, "V 3"]]:
-        """Dissipation [W] and its derivative with respect to the node velocities [N]."""
+        """Rate potential ½ Σ w |v_t|² [W] and its derivative with respect to the node velocities [N]."""
         total, gradient = 0.0, np.zeros_like(velocity)
         for part in frozen:
-            tangent, speed, relative = self._slip(part, velocity)
-            y = np.minimum(relative, 1.0)
-            shape = np.where(relative < 1, y * y - y**3 / 3, relative - 1 / 3) * self.slip_velocity
-            total += float(part.limits @ shape)
-            gradient[part.nodes] += (part.limits * (2 * y - y * y) / speed)[:, None] * tangent
+            force = part.weights[:, None] * part.slip(velocity)
+            total += 0.5 * float((force * part.slip(velocity)).sum())
+            gradient[part.nodes] += force
         return total, gradient
 
-    def friction_blocks(
-        self, frozen: tuple[Friction, ...], velocity: Float[np.ndarray, "V 3"]
-    ) -> Float[np.ndarray, "V 3 3"]:
-        """Second derivative of the dissipation with respect to the node velocities, diagonal blocks [N·s/m]."""
-        blocks = np.zeros((len(velocity), 3, 3))
+    def friction_blocks(self, frozen: tuple[Friction, ...]) -> Float[np.ndarray, "V 3 3"]:
+        """Second derivative of the rate potential, diagonal blocks [N·s/m]."""
+        blocks = np.zeros((len(self.areas), 3, 3))
         for part in frozen:
-            tangent, speed, relative = self._slip(part, velocity)
-            y = np.minimum(relative, 1.0)
-            along = part.limits * np.where(relative < 1, 2 - 2 * y, 0.0) / self.slip_velocity
-            across = part.limits * (2 * y - y * y) / speed
-            direction = tangent / speed[:, None]
             plane = np.eye(3) - part.normals[:, :, None] * part.normals[:, None, :]
-            outer = direction[:, :, None] * direction[:, None, :]
-            blocks[part.nodes] += across[:, None, None] * plane + (along - across)[:, None, None] * outer
+            blocks[part.nodes] += part.weights[:, None, None] * plane
         return blocks
-
-    def _slip(self, part: Friction, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Tangential velocity, its size (never zero), and the size over v_s."""
-        relative = velocity[part.nodes] - part.velocity
-        tangent = relative - (relative * part.normals).sum(1, keepdims=True) * part.normals
-        speed = np.maximum(np.linalg.norm(tangent, axis=1), 1e-9 * self.slip_velocity)
-        return tangent, speed, speed / self.slip_velocity

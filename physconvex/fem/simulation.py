@@ -69,14 +69,20 @@ class _Equations:
         values[same] = np.asarray(mass).ravel()
         return values
 
-    def set_step(self, coefficients: StepCoefficients, time: float, frozen: np.ndarray) -> None:
-        """Fix everything that is constant during one time step; `frozen` are positions to freeze viscosity at."""
+    def set_step(self, coefficients: StepCoefficients, time: float, guess: np.ndarray) -> None:
+        """Fix everything that is constant during one time step; viscosity and friction are frozen at the guess."""
         self.coefficients, self.time = coefficients, time
         self.forces = self.scene.external_forces(time)
         if self.factorised and not np.isclose(coefficients.step, self._factorised_step):
             self.factorised = False
-        self.viscous = self.body.viscous_state(frozen) if self.scene.damping_time > 0 else None
-        self.friction = self.contact.freeze_friction(frozen, time)
+        self.viscous = self.body.viscous_state(guess) if self.scene.damping_time > 0 else None
+        self.freeze_friction(guess)
+
+    def freeze_friction(self, x: np.ndarray) -> bool:
+        """Linearise friction at positions x; tells whether there is any."""
+        assert self.coefficients is not None
+        self.friction = self.contact.freeze_friction(x, self.coefficients.velocity(x), self.time)
+        return bool(self.friction)
 
     def evaluate(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         energy, gradient = self.body.energy_and_gradient(x)
@@ -116,8 +122,7 @@ class _Equations:
         if self.coefficients is not None:
             inertia = 1 / step**2 + self.scene.air_drag / step
             if self.friction:
-                velocity = self.coefficients.velocity(x)
-                blocks += self.contact.friction_blocks(self.friction, velocity) / step
+                blocks += self.contact.friction_blocks(self.friction) / step
             self._factorised_step = step
         data = self.assembler.elements(local) + self.assembler.blocks(blocks) + inertia * self._mass_data
         self.solver.factorise(data)
@@ -132,8 +137,8 @@ class _Equations:
 class _Stepper:
     """Advances a state; a step that does not converge is cut in two."""
 
-    def __init__(self, scene: Scene, integrator: IntegratorName, tolerance: float) -> None:
-        self.scene, self.integrator = scene, integrator
+    def __init__(self, scene: Scene, integrator: IntegratorName, tolerance: float, friction_passes: int) -> None:
+        self.scene, self.integrator, self.friction_passes = scene, integrator, friction_passes
         self.tolerance = tolerance * scene.body.mesh.size
         self.equations = _Equations(scene)
         self.previous: State | None = None
@@ -166,8 +171,13 @@ class _Stepper:
         self._place_pins(guess, time)
         self.equations.set_step(coefficients, time, guess)
         found = minimise(self.equations, guess, tolerance=self.tolerance)
-        self.steps += 1
         self.iterations += found.iterations
+        for _ in range(self.friction_passes - 1):
+            if not self.equations.freeze_friction(found.x):
+                break
+            found = minimise(self.equations, found.x, tolerance=self.tolerance)
+            self.iterations += found.iterations
+        self.steps += 1
         return State(time, found.x, coefficients.velocity(found.x))
 
     def _place_pins(self, x: np.ndarray, time: float) -> None:
@@ -187,6 +197,7 @@ def simulate(
     steps_per_frame: int = 16,
     integrator: IntegratorName = "bdf2",
     tolerance: float = 1e-7,
+    friction_passes: int = 2,
 ) -> Trajectory:
     """Roll a scene out in time.
 
@@ -197,6 +208,8 @@ def simulate(
         steps_per_frame: time steps between frames.
         integrator: "bdf2" (second order, first step implicit Euler) or "implicit_euler".
         tolerance: Newton's last step, relative to the body's size.
+        friction_passes: how often friction is linearised and solved in each step; more passes approach implicit
+            Coulomb friction, one is explicit in the friction weights.
 
     Raises:
         InputError: an argument out of range.
@@ -204,9 +217,11 @@ def simulate(
     """
     if frames < 1 or steps_per_frame < 1 or not (np.isfinite(fps) and fps > 0):
         raise InputError(f"frames, steps_per_frame, fps: got {frames}, {steps_per_frame}, {fps}; expected > 0")
+    if friction_passes < 1:
+        raise InputError(f"friction_passes: got {friction_passes}; expected at least 1")
     if integrator not in ("bdf2", "implicit_euler"):
         raise InputError(f"integrator: got {integrator!r}; expected 'bdf2' or 'implicit_euler'")
-    stepper = _Stepper(scene, integrator, tolerance)
+    stepper = _Stepper(scene, integrator, tolerance, friction_passes)
     states = [State(0.0, scene.start.copy(), scene.start_velocities())]
     state = states[0]
     for frame in range(1, frames):
