@@ -9,23 +9,28 @@ factor (Horprasert et al. 1999, "A statistical approach for real-time robust bac
 detection") and count as background.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Int32, UInt8
 
+from models.appearance import (
+    Picture,
+    Planes,
+    colour_codes,
+    colour_planes,
+    colour_ratio,
+    difference,
+    noise_threshold,
+    sort_pictures,
+)
 from models.shapes import clean_mask, link_masks
-from models.stabilise import Stabilised, stabilise
+from models.stabilise import stabilise
 
 __all__ = ["Silhouette", "background_silhouettes", "plain_background_silhouettes"]
 
-Planes = Float32[np.ndarray, "3 T H W"]  # brightness and two colour differences, 0..255
-Picture = Float32[np.ndarray, "3 H W"]
-
-_LEAST_CONTRAST = 7.0  # of 255
-_SHADOW = (0.35, 0.96)  # a shadow's factor on the brightness
-_BINS = (12, 16, 16)  # of brightness and colour differences
+_PLAIN_CONTRAST = 14.0  # of 255
 
 
 @dataclass(frozen=True)
@@ -45,21 +50,30 @@ class _Surroundings:
 
 
 @dataclass(frozen=True)
+class _Clip:
+    """The part of a clip in which something moves."""
+
+    planes: Planes
+    activity: Float32[np.ndarray, "H W"]  # largest change, in thresholds
+    around: _Surroundings
+    threshold: Float32[np.ndarray, "H W"]  # a difference that noise does not reach
+
+
+@dataclass(frozen=True)
 class _Model:
-    """The background where it has been seen, its surroundings where not."""
+    """The background, where it has been seen, and how much likelier each colour is on the object (log)."""
 
     background: Picture
     known: Bool[np.ndarray, "H W"]
-    around: _Surroundings
-    threshold: Float32[np.ndarray, "H W"]
+    ratio: Float32[np.ndarray, " B"] | None
 
 
-def background_silhouettes(frames: UInt8[np.ndarray, "T H W 3"], *, rounds: int = 2) -> Silhouette | None:
+def background_silhouettes(frames: UInt8[np.ndarray, "T H W 3"]) -> Silhouette | None:
     """The moving object in RGB frames of a fixed camera; None if nothing moves or everything does."""
     steady = stabilise(frames)
-    planes = _planes(steady.frames)
-    threshold = _threshold(planes)
-    change = np.stack([_difference(planes[:, k], planes[:, 0], both=True) for k in range(len(frames))])
+    planes = colour_planes(steady.frames)
+    threshold = noise_threshold(planes)
+    change = np.stack([difference(planes[:, k], planes[:, 0], both=True) for k in range(len(frames))])
     change /= threshold
     moved = (change > 1.0).reshape(len(frames), -1).mean(axis=1)
     far = int(moved.argmax())
@@ -67,24 +81,21 @@ def background_silhouettes(frames: UInt8[np.ndarray, "T H W 3"], *, rounds: int 
         return None
     activity = np.minimum(change.max(axis=0), 3.0)
     around = _surroundings(planes[:, 0], activity < 0.8)
-    background = _two_frame_background(planes, change, far, around, threshold)
-    known = np.ones(background.shape[1:], bool)
-    ratio: np.ndarray | None = None
-    codes = _codes(planes)
-    for _ in range(rounds):
-        model = _Model(background, known, around, threshold)
-        masks = _segment(planes, codes, model, ratio, activity)
-        background, known = _masked_median(planes, masks)
-        ratio = _colour_ratio(codes, masks)
-        odd = _difference(background, around.mean) > threshold + 3.0 * around.spread
-        known &= ~(((ratio[_codes(background)] > 0.7) | odd) & _hull(masks))
-    masks = _segment(planes, codes, _Model(background, known, around, threshold), ratio, activity)
+    window = _active_window(activity)
+    clip = _Clip(
+        planes=np.ascontiguousarray(planes[:, :, *window]),
+        activity=np.ascontiguousarray(activity[window]),
+        around=_Surroundings(mean=around.mean[:, *window], spread=around.spread[window]),
+        threshold=np.ascontiguousarray(threshold[window]),
+    )
+    masks = np.zeros(frames.shape[:3], np.uint8)
+    masks[:, *window] = _silhouettes(clip, np.ascontiguousarray(change[far][window]), far)
     return _judged(steady.undo(masks))
 
 
 def plain_background_silhouettes(frames: UInt8[np.ndarray, "T H W 3"]) -> Silhouette | None:
     """What differs from a background that is a smooth colour field, fitted to the picture's border."""
-    planes = _planes(frames)
+    planes = colour_planes(frames)
     height, width = planes.shape[2:]
     y, x = np.meshgrid(np.linspace(-1, 1, height), np.linspace(-1, 1, width), indexing="ij")
     basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
@@ -94,50 +105,16 @@ def plain_background_silhouettes(frames: UInt8[np.ndarray, "T H W 3"]) -> Silhou
     image = np.median(planes[:, :: max(1, len(frames) // 5)], axis=1)
     coefficients, *_ = np.linalg.lstsq(basis[border], image[:, border].T, rcond=None)
     fitted = np.moveaxis(basis @ coefficients, -1, 0).astype(np.float32)
-    residual = _difference(image, fitted)
-    threshold = max(2 * _LEAST_CONTRAST, 3.0 * float(np.quantile(residual[border], 0.8)))
+    residual = difference(image, fitted)
+    threshold = max(_PLAIN_CONTRAST, 3.0 * float(np.quantile(residual[border], 0.8)))
     if threshold > 60:
         return None
     masks = [
-        clean_mask((_difference(planes[:, k], fitted) > threshold).astype(np.uint8))
+        clean_mask((difference(planes[:, k], fitted) > threshold).astype(np.uint8))
         for k in range(len(frames))
     ]
     found = _judged(link_masks(np.stack(masks), np.ones(masks[0].shape, np.float32)))
     return None if found is None else Silhouette(mask=found.mask, confidence=0.6 * found.confidence)
-
-
-def _planes(frames: UInt8[np.ndarray, "T H W 3"]) -> Planes:
-    """Brightness and colour differences (linear in RGB, so that a shadow scales all), blurred against noise."""
-    matrix = np.array([[1 / 3, 1 / 3, 1 / 3], [1, -1, 0], [0.5, 0.5, -1]], dtype=np.float32)
-    out = np.empty((3, *frames.shape[:3]), np.float32)
-    for k, frame in enumerate(frames):
-        image = cv2.GaussianBlur(frame, (3, 3), 0.7).astype(np.float32)
-        out[:, k] = np.moveaxis(cv2.transform(image, matrix), -1, 0)
-    return out
-
-
-def _difference(image: Picture, background: Picture, *, both: bool = False) -> Float32[np.ndarray, "H W"]:
-    """How far a picture is from the background; a shadow on the background counts little.
-
-    With `both`, the background may be the one in shadow.
-    """
-    light = cv2.absdiff(image[0], background[0])
-    colour = np.maximum(cv2.absdiff(image[1], background[1]), cv2.absdiff(image[2], background[2]))
-    full = np.maximum(light, colour)
-    factor = (image[0] + 2.0) / (background[0] + 2.0)
-    tint = np.maximum(np.abs(image[1] - factor * background[1]), np.abs(image[2] - factor * background[2]))
-    shadow = (factor > _SHADOW[0]) & (factor < _SHADOW[1])
-    smooth = np.abs(factor - cv2.blur(factor, (5, 5))) < 0.08
-    if both:
-        shadow |= (factor > 1 / _SHADOW[1]) & (factor < 1 / _SHADOW[0])
-    return np.where(shadow & smooth, np.minimum(full, 1.5 * tint), full)
-
-
-def _threshold(planes: Planes) -> Float32[np.ndarray, "H W"]:
-    """Difference that noise alone does not reach: at least 4.5 times what the pixel does between frames."""
-    steps = [np.abs(planes[:, k + 1] - planes[:, k]).max(axis=0) for k in range(planes.shape[1] - 1)]
-    local = cv2.blur(_sorted(steps)[len(steps) // 2], (3, 3))
-    return np.clip(np.maximum(4.5 * float(np.median(local)), 3.5 * local), _LEAST_CONTRAST, 40.0)
 
 
 def _surroundings(image: Picture, still: Bool[np.ndarray, "H W"]) -> _Surroundings:
@@ -154,41 +131,62 @@ def _surroundings(image: Picture, still: Bool[np.ndarray, "H W"]) -> _Surroundin
     return _Surroundings(mean=mean, spread=np.sqrt(variance))
 
 
-def _two_frame_background(
-    planes: Planes,
-    change: Float32[np.ndarray, "T H W"],
-    far: int,
-    around: _Surroundings,
-    threshold: Float32[np.ndarray, "H W"],
-) -> Picture:
+def _active_window(activity: Float32[np.ndarray, "H W"]) -> tuple[slice, slice]:
+    """Rows and columns around everything that changes, with a margin."""
+    mask = clean_mask((activity > 1.0).astype(np.uint8))
+    x, y, width, height = cv2.boundingRect(mask if mask.any() else (activity > 1.0).astype(np.uint8))
+    margin = 8
+    rows = slice(max(0, y - margin), min(activity.shape[0], y + height + margin))
+    return rows, slice(max(0, x - margin), min(activity.shape[1], x + width + margin))
+
+
+def _silhouettes(
+    clip: _Clip, change: Float32[np.ndarray, "H W"], far: int, *, rounds: int = 2
+) -> UInt8[np.ndarray, "T H W"]:
+    """Masks from a first background and `rounds` of learning from masks; `change` is that of frame `far`."""
+    codes = colour_codes(clip.planes)
+    model = _Model(_two_frame_background(clip, change, far), np.ones(change.shape, bool), None)
+    some = slice(None, None, max(1, len(codes) // 12))  # about twelve frames are enough to learn from
+    part = replace(clip, planes=clip.planes[:, some])
+    for _ in range(rounds):
+        masks = _segment(part, codes[some], model)
+        background, known = _masked_median(part.planes, masks)
+        ratio = colour_ratio(codes[some], masks)
+        odd = difference(background, clip.around.mean) > clip.threshold + 3.0 * clip.around.spread
+        covered = ((ratio[colour_codes(background)] > 0.7) | odd) & _hull(masks)
+        model = _Model(background, known & ~covered, ratio)
+    return _segment(clip, codes, model)
+
+
+def _two_frame_background(clip: _Clip, change: Float32[np.ndarray, "H W"], far: int) -> Picture:
     """Background from the first frame and the one that differs most from it.
 
     The line between them lies where what it leaves as background fits the surroundings best and the parts
     before and behind it have equal areas.
     """
-    changed = clean_mask((change[far] > 1.0).astype(np.uint8)) > 0
+    changed = clean_mask((change > 1.0).astype(np.uint8)) > 0
     if not changed.any():
-        changed = change[far] > 1.0
-    first, last = planes[:, 0], planes[:, far]
-    scale = threshold + 2.0 * around.spread
-    evidence = np.clip((_difference(first, around.mean) - _difference(last, around.mean)) / scale, -1.0, 1.0)
+        changed = change > 1.0
+    first, last, around = clip.planes[:, 0], clip.planes[:, far], clip.around
+    scale = clip.threshold + 3.0 * around.spread
+    evidence = np.clip((difference(first, around.mean) - difference(last, around.mean)) / scale, -1.0, 1.0)
     y, x = np.nonzero(changed)
-    across, down = _direction(planes, far, threshold)
+    across, down = _direction(clip, far)
     along = across * x + down * y
     order = np.argsort(along)
     behind = np.cumsum(evidence[y, x][order])
     score = 2.0 * behind - behind[-1] - 0.5 * np.abs(2.0 * np.arange(1, len(order) + 1) - len(order))
     middle = along[order[int(score.argmax())]]
-    columns, rows = np.arange(planes.shape[3])[None], np.arange(planes.shape[2])[:, None]
+    columns, rows = np.arange(change.shape[1])[None], np.arange(change.shape[0])[:, None]
     ahead = np.where(across * columns + down * rows > middle, 0.5, -0.5)
     return np.where(ahead - cv2.blur(evidence, (5, 5)) > 0, first, last)
 
 
-def _direction(planes: Planes, far: int, threshold: Float32[np.ndarray, "H W"]) -> tuple[float, float]:
+def _direction(clip: _Clip, far: int) -> tuple[float, float]:
     """Unit vector (x, y down) of the motion of what is active until frame `far`; down if it rests."""
     centres = []
     for k in range(far):
-        active = _difference(planes[:, k + 1], planes[:, k], both=True) > threshold
+        active = difference(clip.planes[:, k + 1], clip.planes[:, k], both=True) > clip.threshold
         if active.sum() > 8:
             y, x = np.nonzero(active)
             centres.append((x.mean(), y.mean()))
@@ -200,53 +198,21 @@ def _direction(planes: Planes, far: int, threshold: Float32[np.ndarray, "H W"]) 
     return (0.0, 1.0) if length < 1.0 else (float(step[0] / length), float(step[1] / length))
 
 
-def _segment(
-    planes: Planes,
-    codes: Int32[np.ndarray, "T H W"],
-    model: _Model,
-    ratio: Float32[np.ndarray, " B"] | None,
-    activity: Float32[np.ndarray, "H W"],
-) -> UInt8[np.ndarray, "T H W"]:
+def _segment(clip: _Clip, codes: Int32[np.ndarray, "T H W"], model: _Model) -> UInt8[np.ndarray, "T H W"]:
     edges = np.abs(cv2.Sobel(model.background[0], cv2.CV_32F, 1, 0))
     edges += np.abs(cv2.Sobel(model.background[0], cv2.CV_32F, 0, 1))
-    surely = model.threshold + 0.04 * edges
-    roughly = model.threshold + 2.5 * model.around.spread
-    expected = np.where(model.known, model.background, model.around.mean)
+    surely = clip.threshold + 0.04 * edges
+    roughly = clip.threshold + 2.5 * clip.around.spread
+    expected = np.where(model.known, model.background, clip.around.mean)
     scale = 1.0 / np.where(model.known, surely, roughly)
-    lowest = np.where(model.known, -1.5, -0.7)
-    masks = np.empty(planes.shape[1:], np.uint8)
-    for k in range(planes.shape[1]):
-        score = np.clip(_difference(planes[:, k], expected) * scale - 1.0, lowest, 2.0)
-        if ratio is not None:
-            score += 0.4 * ratio[codes[k]]
-        masks[k] = clean_mask((cv2.blur(score.astype(np.float32), (3, 3)) > 0).astype(np.uint8))
-    return link_masks(masks, activity)
-
-
-def _codes(planes: Float32[np.ndarray, "3 *S"]) -> Int32[np.ndarray, "*S"]:
-    """Number of the colour bin of each pixel; colour differences beyond +-128 share the last bin."""
-    first = np.clip(planes[0] * (_BINS[0] / 256), 0, _BINS[0] - 1).astype(np.int32)
-    second = np.clip((planes[1] + 128) * (_BINS[1] / 256), 0, _BINS[1] - 1).astype(np.int32)
-    third = np.clip((planes[2] + 128) * (_BINS[2] / 256), 0, _BINS[2] - 1).astype(np.int32)
-    return (first * _BINS[1] + second) * _BINS[2] + third
-
-
-def _colour_ratio(
-    codes: Int32[np.ndarray, "T H W"], masks: UInt8[np.ndarray, "T H W"]
-) -> Float32[np.ndarray, " B"]:
-    """log of how much likelier each colour is on the object than around it, clipped to +-2.5."""
-    near = cv2.dilate(masks.max(axis=0), np.ones((25, 25), np.uint8)) > 0
-    inside = masks > 0
-    counts = [np.bincount(codes[part], minlength=int(np.prod(_BINS))) for part in (inside, ~inside & near)]
-    shares = [_smooth(count.astype(np.float32)) / max(float(count.sum()), 1.0) + 2e-4 for count in counts]
-    return np.clip(np.log(shares[0] / shares[1]), -2.5, 2.5).astype(np.float32)
-
-
-def _smooth(counts: Float32[np.ndarray, " B"]) -> Float32[np.ndarray, " B"]:
-    cube = np.pad(counts.reshape(_BINS), 1)
-    for axis in range(3):
-        cube = 0.25 * np.roll(cube, 1, axis) + 0.5 * cube + 0.25 * np.roll(cube, -1, axis)
-    return cube[1:-1, 1:-1, 1:-1].ravel()
+    lowest = np.where(model.known, np.float32(-1.5), np.float32(-0.7))
+    masks = np.empty(codes.shape, np.uint8)
+    for k, code in enumerate(codes):
+        score = np.clip(difference(clip.planes[:, k], expected) * scale - 1.0, lowest, 2.0)
+        if model.ratio is not None:
+            score += 0.4 * model.ratio[code]
+        masks[k] = clean_mask((cv2.blur(score, (3, 3)) > 0).astype(np.uint8))
+    return link_masks(masks, clip.activity)
 
 
 def _masked_median(
@@ -257,26 +223,10 @@ def _masked_median(
     free = np.stack([cv2.dilate(mask, kernel) for mask in masks]) == 0
     count = free.sum(axis=0)
     far_away = np.float32(1e4)
-    ordered = _sorted([np.where(f, planes[:, k], far_away) for k, f in enumerate(free)])
+    ordered = sort_pictures([np.where(f, planes[:, k], far_away) for k, f in enumerate(free)])
     middle = np.maximum(count - 1, 0) // 2
     median = np.take_along_axis(ordered, middle[None, None], axis=0)[0]
     return np.where(median < far_away, median, planes[:, 0]), count >= 2
-
-
-def _sorted(pictures: list[np.ndarray]) -> Float32[np.ndarray, "T 3 H W"]:
-    """Sort each pixel over the pictures: Batcher's merge exchange sort (Knuth, TAOCP 3, 5.2.2 M), pixels in parallel."""
-    count, p = len(pictures), 1
-    while p < count:
-        k = p
-        while k >= 1:
-            for j in range(k % p, count - k, 2 * k):
-                for i in range(j, min(j + k, count - k)):
-                    if i // (2 * p) == (i + k) // (2 * p):
-                        low, high = pictures[i], pictures[i + k]
-                        pictures[i], pictures[i + k] = np.minimum(low, high), np.maximum(low, high)
-            k //= 2
-        p *= 2
-    return np.stack(pictures)
 
 
 def _hull(masks: UInt8[np.ndarray, "T H W"]) -> Bool[np.ndarray, "H W"]:

@@ -35,8 +35,9 @@ def locate_foreground(
 ) -> Foreground:
     """Silhouette of the one object in a clip of a fixed camera.
 
-    A given `mask` [T, H, W] (bool, or 8 bits and above 127) is taken, else `alpha`, else what moves before a static background (`models.background`),
-    else what differs from a plain one, else the whole frame with confidence 0.
+    A given `mask` [T, H, W] (bool, or 8 bits and above 127) is taken, else `alpha`, else what moves before a
+    static background (`models.background`), else what differs from a plain one, else the whole frame with
+    confidence 0.
 
     Raises:
         InputError: `mask` or `alpha` of another size than the frames.

@@ -30,8 +30,8 @@ class Stabilised:
 def stabilise(frames: UInt8[np.ndarray, "T H W 3"]) -> Stabilised:
     """Undo gain and sub-pixel translation of each frame against the first.
 
-    Translation by one robust Gauss-Newton step per pass (Lucas and Kanade 1981) on the brightness; pixels that
-    differ much, such as the object's, are left out.
+    Translation by one robust Gauss-Newton step per pass (Lucas and Kanade 1981) on the brightness; pixels
+    that differ much, such as the object's, are left out.
     """
     thin = frames[:, ::4, ::4].astype(np.float32) + 1.0
     gains = np.median((thin[0] / thin).reshape(len(frames), -1), axis=1)
@@ -39,11 +39,13 @@ def stabilise(frames: UInt8[np.ndarray, "T H W 3"]) -> Stabilised:
         frame if abs(gain - 1) < 0.004 else cv2.convertScaleAbs(frame, alpha=float(gain))
         for frame, gain in zip(frames, gains, strict=True)
     ]
+    size = (max(8, frames.shape[2] // 2), max(8, frames.shape[1] // 2))
     grey = [
-        cv2.GaussianBlur(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY), (5, 5), 1.2).astype(np.float32)
+        cv2.resize(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY), size, interpolation=cv2.INTER_AREA)
         for frame in level
     ]
-    shifts = np.stack([_shift(grey[0], image) for image in grey])
+    small = [cv2.GaussianBlur(image, (3, 3), 0.8).astype(np.float32) for image in grey]
+    shifts = np.stack([_shift(small[0], image) for image in small]) * (frames.shape[2] / size[0])
     if np.abs(shifts).max() < _LEAST_SHIFT or np.abs(shifts).max() > _LARGEST_SHIFT:
         return Stabilised(frames=np.stack(level), shifts=np.zeros_like(shifts))
     still = [_translate(frame, -shift) for frame, shift in zip(level, shifts, strict=True)]
@@ -59,7 +61,7 @@ def _shift(
     total = np.zeros(2)
     for _ in range(passes):
         error = reference - (_translate(image, -total) if total.any() else image)
-        weight = np.abs(error) < max(3.0, 3.0 * float(np.median(np.abs(error[::2, ::2]))))
+        weight = np.abs(error) < max(3.0, 3.0 * float(np.median(np.abs(error[::4, ::4]))))
         wx, wy = gx * weight, gy * weight
         normal = np.array(
             [[np.vdot(wx, gx), np.vdot(wx, gy)], [np.vdot(wx, gy), np.vdot(wy, gy)]], dtype=np.float64

@@ -1,0 +1,102 @@
+"""Colours of a clip as the background model sees them: planes, differences, histograms."""
+
+from typing import TypeAlias
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, Int32, UInt8
+
+__all__ = [
+    "Picture",
+    "Planes",
+    "colour_codes",
+    "colour_planes",
+    "colour_ratio",
+    "difference",
+    "noise_threshold",
+    "sort_pictures",
+]
+
+Planes: TypeAlias = Float32[np.ndarray, "3 T H W"]  # brightness and two colour differences, of 255
+Picture: TypeAlias = Float32[np.ndarray, "3 H W"]
+
+_LEAST_CONTRAST = 7.0  # of 255
+_SHADOW = (0.35, 0.96)  # a shadow's factor on the brightness
+_BINS = (12, 16, 16)  # of brightness and colour differences
+
+
+def colour_planes(frames: UInt8[np.ndarray, "T H W 3"]) -> Planes:
+    """Brightness and colour differences (linear in RGB: a shadow scales all), blurred against noise."""
+    matrix = np.array([[1 / 3, 1 / 3, 1 / 3], [1, -1, 0], [0.5, 0.5, -1]], dtype=np.float32)
+    out = np.empty((3, *frames.shape[:3]), np.float32)
+    for k, frame in enumerate(frames):
+        image = cv2.GaussianBlur(frame, (3, 3), 0.7).astype(np.float32)
+        out[:, k] = np.moveaxis(cv2.transform(image, matrix), -1, 0)
+    return out
+
+
+def difference(image: Picture, background: Picture, *, both: bool = False) -> Float32[np.ndarray, "H W"]:
+    """How far a picture is from the background; a shadow on the background counts little.
+
+    With `both`, the background may be the one in shadow.
+    """
+    light = cv2.absdiff(image[0], background[0])
+    colour = np.maximum(cv2.absdiff(image[1], background[1]), cv2.absdiff(image[2], background[2]))
+    full = np.maximum(light, colour)
+    factor = (image[0] + 2.0) / (background[0] + 2.0)
+    tint = np.maximum(np.abs(image[1] - factor * background[1]), np.abs(image[2] - factor * background[2]))
+    shadow = (factor > _SHADOW[0]) & (factor < _SHADOW[1])
+    smooth = np.abs(factor - cv2.blur(factor, (5, 5))) < 0.08
+    if both:
+        shadow |= (factor > 1 / _SHADOW[1]) & (factor < 1 / _SHADOW[0])
+    return np.where(shadow & smooth, np.minimum(full, 1.5 * tint), full)
+
+
+def noise_threshold(planes: Planes) -> Float32[np.ndarray, "H W"]:
+    """Difference that noise alone does not reach: at least 4.5 times what the pixel does between frames."""
+    last = planes.shape[1] - 1
+    steps = [np.abs(planes[:, k + 1] - planes[:, k]).max(axis=0) for k in range(0, last, max(1, last // 8))]
+    local = cv2.blur(sort_pictures(steps)[len(steps) // 2], (3, 3))
+    return np.clip(np.maximum(4.5 * float(np.median(local)), 3.5 * local), _LEAST_CONTRAST, 40.0)
+
+
+def colour_codes(planes: Float32[np.ndarray, "3 *S"]) -> Int32[np.ndarray, "*S"]:
+    """Number of the colour bin of each pixel; colour differences beyond +-128 share the last bin."""
+    first = np.clip(planes[0] * (_BINS[0] / 256), 0, _BINS[0] - 1).astype(np.int32)
+    second = np.clip((planes[1] + 128) * (_BINS[1] / 256), 0, _BINS[1] - 1).astype(np.int32)
+    third = np.clip((planes[2] + 128) * (_BINS[2] / 256), 0, _BINS[2] - 1).astype(np.int32)
+    return (first * _BINS[1] + second) * _BINS[2] + third
+
+
+def colour_ratio(
+    codes: Int32[np.ndarray, "T H W"], masks: UInt8[np.ndarray, "T H W"]
+) -> Float32[np.ndarray, " B"]:
+    """log of how much likelier each colour is on the object than around it, clipped to +-2.5."""
+    near = cv2.dilate(masks.max(axis=0), np.ones((25, 25), np.uint8)) > 0
+    inside = masks > 0
+    counts = [np.bincount(codes[part], minlength=int(np.prod(_BINS))) for part in (inside, ~inside & near)]
+    shares = [_smooth(count.astype(np.float32)) / max(float(count.sum()), 1.0) + 2e-4 for count in counts]
+    return np.clip(np.log(shares[0] / shares[1]), -2.5, 2.5).astype(np.float32)
+
+
+def _smooth(counts: Float32[np.ndarray, " B"]) -> Float32[np.ndarray, " B"]:
+    cube = np.pad(counts.reshape(_BINS), 1)
+    for axis in range(3):
+        cube = 0.25 * np.roll(cube, 1, axis) + 0.5 * cube + 0.25 * np.roll(cube, -1, axis)
+    return cube[1:-1, 1:-1, 1:-1].ravel()
+
+
+def sort_pictures(pictures: list[np.ndarray]) -> Float32[np.ndarray, "T 3 H W"]:
+    """Sort over the pictures, all pixels at once (Batcher's merge exchange; Knuth, TAOCP 3, 5.2.2)."""
+    count, p = len(pictures), 1
+    while p < count:
+        k = p
+        while k >= 1:
+            for j in range(k % p, count - k, 2 * k):
+                for i in range(j, min(j + k, count - k)):
+                    if i // (2 * p) == (i + k) // (2 * p):
+                        low, high = pictures[i], pictures[i + k]
+                        pictures[i], pictures[i + k] = np.minimum(low, high), np.maximum(low, high)
+            k //= 2
+        p *= 2
+    return np.stack(pictures)
