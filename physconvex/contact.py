@@ -6,8 +6,8 @@ A node that carries the boundary area A and lies p = −gap deep in an obstacle 
          = kc (p²/2 − p ε/2 + ε²/6)         p ≥ ε
 
 so that pressure kc·p [Pa] is reached smoothly; kc [Pa/m] is a stiffness per area and does not change with the mesh.
-Friction follows the smoothed Coulomb law of Li et al. 2020 (IPC), eq. 14: force μ N f₁(|v_t|) with f₁ = 1 above the velocity
-`v_s` and a smooth ramp below. During one solve it is frozen to a linear drag, see `Contact.freeze_friction`.
+Friction follows the smoothed Coulomb law of Li et al. 2020 (IPC), eq. 14: force μ N f₁(|v_t|) with f₁ = 1 above the
+velocity `v_s` and a smooth ramp below. During one solve it is frozen to a linear drag, see `Contact.freeze_friction`.
 """
 
 from __future__ import annotations
@@ -171,9 +171,7 @@ class Contact:
         inside = depth > 0
         return self.nodes[inside], depth[inside]
 
-    def energy_and_gradient(
-        self, x: Float[np.ndarray, "V 3"], time: float
-    ) -> tuple[float, Float[np.ndarray, "V 3"]]:
+    def energy_and_gradient(self, x: Float[np.ndarray, "V 3"], time: float) -> tuple[float, Float[np.ndarray, "V 3"]]:
         """Contact energy [J] and its derivative [N]."""
         total, gradient = 0.0, np.zeros_like(x)
         for obstacle in self.obstacles:

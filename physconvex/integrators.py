@@ -4,8 +4,8 @@ Implicit Euler and BDF2 both advance M ẍ = f by minimising an incremental pote
 
     Φ(x) = 1/(2 h̃²) (x − target)ᵀ M (x − target) + V(x) + h̃ D((x − base)/h̃),
 
-where V is the potential of the forces, D the dissipation as a function of velocity, and v = (x − base)/h̃ the new velocity.
-Shared by the full-order and the reduced model: both supply an `Objective`.
+where V is the potential of the forces, D the dissipation as a function of velocity, and v = (x − base)/h̃ the new
+velocity. Shared by the full-order and the reduced model: both supply an `Objective`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,16 @@ import numpy as np
 from physconvex.errors import ConvergenceError
 from physconvex.linear_solvers import NotPositiveDefiniteError
 
-__all__ = ["IntegratorName", "Minimum", "Objective", "State", "StepCoefficients", "bdf2", "implicit_euler", "minimise"]
+__all__ = [
+    "IntegratorName",
+    "Minimum",
+    "Objective",
+    "State",
+    "StepCoefficients",
+    "bdf2",
+    "implicit_euler",
+    "minimise",
+]
 
 IntegratorName = Literal["bdf2", "implicit_euler"]
 
@@ -135,9 +144,11 @@ def minimise(
         reuse: start with the objective's last factorisation, and keep it while steps shrink fourfold.
 
     Raises:
-        ConvergenceError: no descent is possible, or the bound on steps was reached.
+        ConvergenceError: no finite value at the start, no descent possible, or the bound on steps reached.
     """
     at = _Trial(x, *objective.evaluate(x))
+    if not np.isfinite(at.value):
+        raise ConvergenceError(f"the start has no finite energy ({at.value})")
     fresh, projected = False, False
     if not (objective.factorised and reuse):
         projected, fresh = _renew(objective, at.x, project=False), True

@@ -72,7 +72,7 @@ class SymmetricSolver:
         """Factorise the matrix whose upper-triangle values are `data`.
 
         Raises:
-            NotPositiveDefiniteError: a pivot is not positive (detected by Pardiso; by SuperLU through the diagonal of U).
+            NotPositiveDefiniteError: a pivot is not positive (SuperLU: the diagonal of U has a value ≤ 0).
         """
         self.factorisations += 1
         self._upper.data = np.ascontiguousarray(data, dtype=np.float64)

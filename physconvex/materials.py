@@ -131,7 +131,8 @@ def _neo_hookean_hessian(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
     return hessian + _m(mu) * _like(_EYE9, f)
 
 
-# --- Neo-Hookean with logarithms (Bonet & Wood 2008, eq. 6.27): Ψ = μ/2 (I₁ − 3) − μ ln J + λ/2 (ln J)²; infinite at J ≤ 0.
+# --- Neo-Hookean with logarithms (Bonet & Wood 2008, eq. 6.27): Ψ = μ/2 (I₁ − 3) − μ ln J + λ/2 (ln J)²,
+# infinite at J ≤ 0.
 
 
 def _log_determinant(f: Tensor, cofactor: Tensor) -> Tensor:

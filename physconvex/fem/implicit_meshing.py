@@ -1,50 +1,77 @@
-"""Coarse tetrahedral meshes of a signed distance function within a budget of nodes."""
+"""Coarse, regular tetrahedral meshes within a budget of nodes: stuffed lattices drawn to the surface."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.ndimage import map_coordinates
 
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem.embedding import Embedding
+from physconvex.fem.fitting import fit_to_surface
 from physconvex.fem.mesh import TetMesh, compact, to_quadratic
-from physconvex.fem.mesh_volume import with_volume
+from physconvex.fem.mesh_volume import enclosed_volume, with_volume
+from physconvex.fem.quality import mean_ratios
 from physconvex.fem.stuffing import SignedDistance, stuff
 
 __all__ = ["tetrahedralize_implicit"]
 
-# The reference that coarse meshes are judged by has this many lattice cells along the longest edge.
-REFERENCE_CELLS = 24
-# Lattice positions tried [cells], and how far the body is inflated so that thin parts catch a lattice vertex [cells].
-OFFSETS = ((0.0, 0.0, 0.0), (0.25, 0.25, 0.0), (0.5, 0.0, 0.0), (0.0, 0.25, 0.25), (0.0, 0.5, 0.0), (0.25, 0.0, 0.25))
-INFLATIONS = (0.0, 0.15)
-# Trials of the cell size per lattice position, and the share of the node budget that is good enough.
-TRIALS, FULL = 6, 0.85
-# Nodes per lattice cell of a quadratic mesh: 2 vertices and 14 edges; more at the surface.
-NODES_PER_CELL = {1: 4.0, 2: 26.0}
+# Cells along the longest edge of the grid that replaces the distance function, and of the lattice that replaces a
+# missing surface.
+GRID_CELLS, REFERENCE_CELLS = 40, 20
+# How far the body is inflated so that thin parts catch a lattice vertex, and where the lattice lies [cells].
+LATTICES = (
+    (0.15, (0.0, 0.0, 0.0)),
+    (0.30, (0.5, 0.0, 0.0)),
+    (0.15, (0.25, 0.25, 0.25)),
+    (0.30, (0.0, 0.0, 0.0)),
+    (0.30, (0.25, 0.25, 0.25)),
+    (0.0, (0.0, 0.0, 0.0)),
+)
+# Trials of the cell size per lattice, and the share of the node budget that is good enough.
+TRIALS, FULL = 5, 0.85
+# First guess of the nodes per lattice cell of the body's volume, surface included.
+NODES_PER_CELL = {1: 5.0, 2: 30.0}
+SURFACE_SAMPLES = 700
+# Meshes with flatter elements than this count as deviating more.
+GOOD_MEAN_RATIO = 0.25
+
+
+@dataclass(frozen=True)
+class _Target:
+    """What a mesh is drawn to: surface samples with normals, volume, Euler characteristic of the surface."""
+
+    points: np.ndarray
+    normals: np.ndarray
+    volume: float
+    euler: int
 
 
 def tetrahedralize_implicit(
     signed_distance: SignedDistance,
     bounds: Float[np.ndarray, "2 3"],
     *,
+    surface: tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]] | None = None,
     max_nodes: int = 700,
     order: Literal[1, 2] = 2,
-    max_deviation: float = 0.08,
+    max_deviation: float = 0.1,
 ) -> TetMesh:
-    """Regular coarse mesh of the inside of a signed distance function (isosurface stuffing), with its volume.
+    """Regular coarse mesh of the inside of a signed distance function, of the same volume and topology.
 
-    Several positions and sizes of the lattice are tried; the mesh that leaves the least of the surface uncovered
-    wins. The result depends on nothing but the arguments.
+    Isosurface stuffing gives the connectivity; the nodes are then moved so that the boundary follows the surface
+    (`fit_to_surface`) and encloses its volume. Several lattices are tried until one is good enough. The result
+    depends on nothing but the arguments.
 
     Args:
-        signed_distance: continuous, negative inside [m].
+        signed_distance: continuous, negative inside, roughly a distance near the surface [m].
         bounds: lowest and highest corner of a box around the body [m].
+        surface: the closed surface, vertices [m] and outward faces, if it is at hand (saves time).
         max_nodes: upper bound on the nodes of the result.
         order: 1 for linear, 2 for quadratic elements.
-        max_deviation: largest accepted distance of the surface from the mesh, as a share of the largest edge of
+        max_deviation: largest accepted distance between the surface and the mesh, as a share of the largest edge of
             `bounds`; a lost limb shows in it.
 
     Raises:
@@ -57,67 +84,137 @@ def tetrahedralize_implicit(
     if max_nodes < 30:
         raise InputError(f"max_nodes: got {max_nodes}; expected at least 30")
     size = float((bounds[1] - bounds[0]).max())
-    reference = stuff(signed_distance, bounds, size / REFERENCE_CELLS)
-    surface = reference.vertices[np.unique(reference.boundary_faces)]
-    best, least = None, np.inf
-    for inflation in INFLATIONS:
-        for offset in OFFSETS:
-            mesh = _fitted(signed_distance, bounds, reference.volume, max_nodes, order, inflation, offset)
-            if mesh is None:
-                continue
-            mesh = with_volume(mesh, reference.volume)
-            deviation = Embedding.of_points(mesh, surface).max_distance / size
-            if deviation < least:
-                best, least = mesh, deviation
-        if least < 0.5 * max_deviation:
-            break
+    field = _gridded(signed_distance, bounds, size / GRID_CELLS)
+    target = _target(field, bounds, size, surface)
+    best, least = _best_mesh(field, bounds, target, max_nodes, order, 0.5 * max_deviation * size, same_topology=True)
+    if least > max_deviation * size:  # small holes may close, as long as the surface stays near
+        best, least = _best_mesh(field, bounds, target, max_nodes, order, max_deviation * size, same_topology=False)
+    least /= size
     if best is None or least > max_deviation:
         raise ConvergenceError(
             f"tetrahedralize_implicit: the best mesh of at most {max_nodes} nodes leaves the surface by {least:.3f} of "
             f"the size (max_deviation {max_deviation}); allow more nodes, or thicken the thin parts"
         )
-    return best
+    return to_quadratic(best) if order == 2 else best
 
 
-def _fitted(
-    signed_distance: SignedDistance,
+def _best_mesh(
+    field: SignedDistance,
     bounds: np.ndarray,
-    volume: float,
+    target: _Target,
+    max_nodes: int,
+    order: Literal[1, 2],
+    good_enough: float,
+    *,
+    same_topology: bool,
+) -> tuple[TetMesh | None, float]:
+    """The first fitted mesh whose deviation [m] is good enough, else the best, and its deviation."""
+    best, least = None, np.inf
+    for inflation, offset in LATTICES:
+        mesh = _stuffed(field, bounds, target, max_nodes, order, inflation, offset, same_topology=same_topology)
+        if mesh is None:
+            continue
+        mesh = with_volume(fit_to_surface(mesh, target.points, target.normals), target.volume)
+        quality = float(mean_ratios(mesh.vertices, mesh.tets).min())
+        deviation = _deviation(mesh, field, target) * max(1.0, GOOD_MEAN_RATIO / quality)
+        if deviation < least:
+            best, least = mesh, deviation
+        if least <= good_enough:
+            break
+    return best, least
+
+
+def _gridded(signed_distance: SignedDistance, bounds: np.ndarray, spacing: float) -> SignedDistance:
+    """`signed_distance` by linear interpolation on a grid: much cheaper where it is asked often."""
+    counts = np.ceil((bounds[1] - bounds[0]) / spacing).astype(int) + 9
+    origin = bounds.mean(axis=0) - 0.5 * (counts - 1) * spacing
+    axes = [origin[a] + spacing * np.arange(counts[a]) for a in range(3)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    values = np.asarray(signed_distance(points), dtype=np.float64).reshape(counts)
+    if not (values < 0).any():
+        raise InputError("signed_distance: nowhere negative on the grid; expected a body inside `bounds`")
+    return lambda p: map_coordinates(values, ((p - origin) / spacing).T, order=1, mode="nearest")
+
+
+def _target(
+    field: SignedDistance, bounds: np.ndarray, size: float, surface: tuple[np.ndarray, np.ndarray] | None
+) -> _Target:
+    """Samples of the given surface, or of a fine stuffed lattice."""
+    if surface is None:
+        fine = largest_piece(stuff(field, bounds, size / REFERENCE_CELLS), share=0.0)
+        assert fine is not None
+        surface = (fine.vertices, fine.boundary_faces)
+    vertices, faces = surface
+    volume = enclosed_volume(vertices, faces)
+    if volume is None:
+        raise InputError("surface: not closed and outward oriented; close it, or use fTetWild")
+    _, index = np.unique(vertices, axis=0, return_inverse=True)
+    points, normals = _sampled(vertices, faces)
+    return _Target(points=points, normals=normals, volume=volume, euler=euler_characteristic(index.reshape(-1)[faces]))
+
+
+def _sampled(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points spread evenly over the area of a surface, and the normals of their triangles."""
+    x = vertices[faces]
+    cross = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    area = np.linalg.norm(cross, axis=1)
+    cumulative = np.cumsum(area)
+    levels = (np.arange(SURFACE_SAMPLES) + 0.5) / SURFACE_SAMPLES * cumulative[-1]
+    triangle = np.searchsorted(cumulative, levels)
+    return x[triangle].mean(axis=1), cross[triangle] / area[triangle, None]
+
+
+def euler_characteristic(faces: Int[np.ndarray, "F 3"]) -> int:
+    """Vertices minus edges plus faces of a closed triangle surface: 2 for a ball, 0 for a ring."""
+    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    return len(np.unique(faces)) - len(edges) + len(faces)
+
+
+def _stuffed(
+    field: SignedDistance,
+    bounds: np.ndarray,
+    target: _Target,
     max_nodes: int,
     order: Literal[1, 2],
     inflation: float,
     offset: tuple[float, float, float],
+    *,
+    same_topology: bool,
 ) -> TetMesh | None:
-    """The mesh in one piece with the most nodes within the budget, for one lattice position; None if there is none."""
-    cell, best = float(np.cbrt(NODES_PER_CELL[order] * volume / max_nodes)), None
+    """Linear mesh in one piece, of the right topology if asked, with the most nodes within the budget; None if there is none."""
+    cell, best, most = float(np.cbrt(NODES_PER_CELL[order] * target.volume / max_nodes)), None, 0
     for _ in range(TRIALS):
-        mesh = _in_order(signed_distance, bounds, cell, inflation, offset, order)
-        count = 0 if mesh is None else len(mesh.vertices)
-        if mesh is not None and count <= max_nodes and (best is None or count > len(best.vertices)):
-            best = mesh
+        mesh = _piece(field, bounds, cell, inflation, offset)
+        count = 0 if mesh is None else node_count(mesh, order)
+        sound = count > 0 and (not same_topology or euler_characteristic(mesh.boundary_faces) == target.euler)
+        if sound and most < count <= max_nodes:
+            best, most = mesh, count
             if count >= FULL * max_nodes:
                 break
         cell *= float(np.clip((max(count, 1) / (0.93 * max_nodes)) ** (1 / 2.4), 0.8, 1.3))
     return best
 
 
-def _in_order(
-    signed_distance: SignedDistance,
-    bounds: np.ndarray,
-    cell: float,
-    inflation: float,
-    offset: tuple[float, float, float],
-    order: Literal[1, 2],
+def _piece(
+    field: SignedDistance, bounds: np.ndarray, cell: float, inflation: float, offset: tuple[float, float, float]
 ) -> TetMesh | None:
     """Largest piece of the stuffed lattice; None where nothing is inside or a sizeable second piece exists."""
     try:
-        mesh = stuff(signed_distance, bounds, cell, level=inflation * cell, offset=offset)
+        return largest_piece(stuff(field, bounds, cell, level=inflation * cell, offset=offset))
     except InputError:  # the lattice is too coarse for this body: the caller takes a smaller cell
         return None
-    mesh = largest_piece(mesh)
-    if mesh is None:
-        return None
-    return to_quadratic(mesh) if order == 2 else mesh
+
+
+def node_count(mesh: TetMesh, order: Literal[1, 2]) -> int:
+    """Nodes that the linear `mesh` has once it is of the given order."""
+    return len(mesh.vertices) if order == 1 else len(to_quadratic(mesh).vertices)
+
+
+def _deviation(mesh: TetMesh, field: SignedDistance, target: _Target) -> float:
+    """Largest distance of the surface from the mesh, or of the mesh boundary out of the surface [m]."""
+    faces = mesh.boundary_faces
+    boundary = np.concatenate([mesh.vertices[np.unique(faces)], mesh.vertices[faces].mean(axis=1)])
+    return max(Embedding.of_points(mesh, target.points).max_distance, float(field(boundary).max()))
 
 
 def largest_piece(mesh: TetMesh, *, share: float = 0.98) -> TetMesh | None:
@@ -128,9 +225,8 @@ def largest_piece(mesh: TetMesh, *, share: float = 0.98) -> TetMesh | None:
     faces = np.sort(mesh.corner_tets[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]], axis=2).reshape(-1, 3)
     _, face = np.unique(faces, axis=0, return_inverse=True)
     count, elements = len(mesh.tets), np.repeat(np.arange(len(mesh.tets)), 4)
-    links = coo_matrix((np.ones(len(elements)), (elements, count + face.reshape(-1))))
-    total = max(links.shape)
-    links.resize(total, total)
+    total = count + int(face.max()) + 1
+    links = coo_matrix((np.ones(len(elements)), (elements, count + face.reshape(-1))), shape=(total, total))
     pieces = connected_components(links, directed=False)[1][:count]
     volumes = np.bincount(pieces, mesh.element_volumes)
     if volumes.max() < share * volumes.sum():

@@ -19,7 +19,16 @@ FACE_CORNERS = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 FACE_MIDDLES = np.array([[6, 5, 4], [4, 8, 7], [5, 9, 8], [7, 9, 6]])
 # The eight children of a tetrahedron in terms of its ten quadratic nodes (Bey's red refinement).
 CHILDREN = np.array(
-    [[0, 4, 6, 7], [4, 1, 5, 8], [6, 5, 2, 9], [7, 8, 9, 3], [4, 6, 7, 8], [4, 5, 6, 8], [6, 7, 8, 9], [5, 6, 8, 9]]
+    [
+        [0, 4, 6, 7],
+        [4, 1, 5, 8],
+        [6, 5, 2, 9],
+        [7, 8, 9, 3],
+        [4, 6, 7, 8],
+        [4, 5, 6, 8],
+        [6, 7, 8, 9],
+        [5, 6, 8, 9],
+    ]
 )
 
 
@@ -87,7 +96,7 @@ class TetMesh:
 
     @cached_property
     def boundary_faces(self) -> Int[np.ndarray, "F n"]:
-        """Outward boundary faces: [F, 3] corners, and for quadratic meshes [F, 6] with the nodes of edges 01, 12, 20."""
+        """Outward boundary faces: [F, 3] corners; quadratic meshes [F, 6] with the nodes of edges 01, 12, 20."""
         columns = FACE_CORNERS if self.order == 1 else np.hstack([FACE_CORNERS, FACE_MIDDLES])
         faces = self.tets[:, columns].reshape(-1, columns.shape[1])
         key = np.sort(faces[:, :3], axis=1)

@@ -1,4 +1,8 @@
-"""Tetrahedral meshes of the inside of any triangle surface, by fTetWild (Hu et al. 2020)."""
+"""Tetrahedral meshes of the inside of any triangle surface.
+
+Two ways: fTetWild (Hu et al. 2020) takes everything, but its results differ from run to run; the lattice mesher
+(`implicit_meshing`) wants a closed surface without very thin parts and repeats itself to the bit.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +12,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from physconvex.errors import ConvergenceError, InputError
+from physconvex.fem.implicit_meshing import tetrahedralize_implicit
 from physconvex.fem.mesh import TetMesh, compact, to_quadratic
 from physconvex.fem.mesh_volume import enclosed_volume, with_volume
 from physconvex.fem.quality import mean_ratios
+from physconvex.fem.stuffing import SignedDistance
 
-__all__ = ["Surface", "tetrahedralize"]
+__all__ = ["Surface", "tetrahedralize", "tetrahedralize_implicit"]
 
 # Elements flatter than this would ruin the conditioning of the stiffness matrix.
 MIN_MEAN_RATIO = 0.02
@@ -39,27 +45,34 @@ def tetrahedralize(
     epsilon: float = 0.02,
     max_nodes: int | None = None,
     order: Literal[1, 2] = 1,
+    method: Literal["ftetwild", "lattice"] = "ftetwild",
+    signed_distance: SignedDistance | None = None,
     match_volume: bool = True,
     max_iterations: int = 80,
     threads: int = 1,
 ) -> TetMesh:
     """Fill a triangle surface with tetrahedra.
 
-    The surface may have holes, several components and self-intersections: the inside is where its generalised
-    winding number exceeds one half. The result depends on nothing but the arguments when `threads` is 1.
+    With `method="ftetwild"` the surface may have holes, several components and self-intersections: the inside is where
+    its generalised winding number exceeds one half. The mesh differs a little from run to run (a trait of fTetWild,
+    also with one thread). With `method="lattice"` equal arguments give equal meshes; the surface must be closed.
 
     Args:
         surface: an object with `vertices` and `faces`, or the pair (vertices [V, 3] in metres, faces [F, 3]).
         target_edge_length: edge length aimed at where the geometry asks for nothing finer [m];
-            default: a tenth of the diagonal of the bounding box.
+            default: a tenth of the diagonal of the bounding box. fTetWild only.
         epsilon: largest distance of the mesh boundary from the surface (before `match_volume`), relative to the
             diagonal of the bounding box. It governs the number of nodes more than `target_edge_length` does.
-        max_nodes: upper bound on the nodes of the result; edge length and epsilon grow until it is met.
+            fTetWild only.
+        max_nodes: upper bound on the nodes of the result; edge length and epsilon grow until it is met. The lattice
+            mesher always has such a bound, 700 by default, and comes close to it.
         order: 1 for linear, 2 for quadratic elements.
+        method: the mesher.
+        signed_distance: negative inside [m], if it is at hand; the lattice mesher computes it otherwise.
         match_volume: for closed surfaces, move the boundary nodes along their normals so that the mesh has the
-            volume of the surface (coarse meshes cut corners and would be several per cent too small).
-        max_iterations: most passes of the mesh improvement.
-        threads: threads of fTetWild; more than one may make the result depend on the machine.
+            volume of the surface (coarse meshes cut corners and would be several per cent too small). Always so with the lattice mesher.
+        max_iterations: most passes of the mesh improvement of fTetWild.
+        threads: threads of fTetWild.
 
     Returns:
         Mesh with positively oriented elements.
@@ -77,8 +90,11 @@ def tetrahedralize(
         raise InputError(f"epsilon: got {epsilon}; expected a fraction of the diagonal in (0, 0.5)")
     if order not in (1, 2):
         raise InputError(f"order: got {order!r}; expected 1 or 2")
+    if method not in ("ftetwild", "lattice"):
+        raise InputError(f"method: got {method!r}; expected 'ftetwild' or 'lattice'")
+    if method == "lattice":
+        return _lattice_mesh(vertices, faces, signed_distance, 700 if max_nodes is None else max_nodes, order)
     volume = enclosed_volume(vertices, faces) if match_volume else None
-    mesh = None
     for attempt in range(COARSENINGS):
         factor = COARSENING_FACTOR**attempt
         mesh = _mesh_once(vertices, faces, length * factor, epsilon * factor, max_iterations, threads)
@@ -89,6 +105,47 @@ def tetrahedralize(
         f"tetrahedralize: still {len(mesh.vertices)} nodes at epsilon {epsilon * factor:.3f} after "
         f"{COARSENINGS} attempts, max_nodes is {max_nodes}; allow more nodes or simplify the surface"
     )
+
+
+def _lattice_mesh(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    signed_distance: SignedDistance | None,
+    max_nodes: int,
+    order: Literal[1, 2],
+) -> TetMesh:
+    """Mesh of a closed surface by the lattice mesher."""
+    used, index = np.unique(faces, return_inverse=True)
+    vertices, faces = vertices[used], index.reshape(-1, 3)
+    if enclosed_volume(vertices, faces) is None:
+        raise InputError('surface: open or inside out; close it and orient it outwards, or use method="ftetwild"')
+    field = surface_distance(vertices, faces) if signed_distance is None else signed_distance
+    bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+    return tetrahedralize_implicit(field, bounds, surface=(vertices, faces), max_nodes=max_nodes, order=order)
+
+
+def surface_distance(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> SignedDistance:
+    """Signed distance from a closed, outward oriented surface, negative inside."""
+    import vtk
+    from vtk.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
+
+    vertices, index = np.unique(vertices, axis=0, return_inverse=True)
+    faces = index.reshape(-1)[faces]
+    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    points, cells, data = vtk.vtkPoints(), vtk.vtkCellArray(), vtk.vtkPolyData()
+    points.SetData(numpy_to_vtk(vertices, deep=True))
+    cells.SetData(3, numpy_to_vtkIdTypeArray(faces.astype(np.int64).ravel(), deep=True))
+    data.SetPoints(points)
+    data.SetPolys(cells)
+    distance = vtk.vtkImplicitPolyDataDistance()
+    distance.SetInput(data)
+
+    def field(p: np.ndarray) -> np.ndarray:
+        result = vtk.vtkDoubleArray()
+        distance.FunctionValue(numpy_to_vtk(np.ascontiguousarray(p, dtype=np.float64), deep=True), result)
+        return vtk_to_numpy(result).copy()
+
+    return field
 
 
 def _checked_surface(surface: Surface | tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

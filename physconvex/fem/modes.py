@@ -44,9 +44,7 @@ def vibration_modes(
     return np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi), shapes
 
 
-def skinning_eigenmodes(
-    body: ElasticBody, count: int
-) -> tuple[Float[np.ndarray, "V K"], Float[np.ndarray, " K"]]:
+def skinning_eigenmodes(body: ElasticBody, count: int) -> tuple[Float[np.ndarray, "V K"], Float[np.ndarray, " K"]]:
     """Scalar modes of the stiffness-weighted Laplacian, the constant mode left out.
 
     Minimises ∫ E |∇w|² for given ∫ ρ w², free boundary: the skinning weights of Benchekroun et al. 2023 ("Fast
