@@ -26,11 +26,15 @@ def palette(rng: np.random.Generator, count: int) -> Float[np.ndarray, "C 3"]:
 
     hue = (rng.random() + 0.618 * np.arange(count) * rng.choice([0.1, 0.5, 1.0])) % 1.0
     saturation = rng.uniform(0.15, 0.95) * rng.uniform(0.6, 1.0, count)
-    value = np.where(np.arange(count) % 2 == rng.integers(2), rng.uniform(0.7, 1.0, count), rng.uniform(0.25, 0.65, count))
+    value = np.where(
+        np.arange(count) % 2 == rng.integers(2), rng.uniform(0.7, 1.0, count), rng.uniform(0.25, 0.65, count)
+    )
     return hsv_to_rgb(np.stack([hue, saturation, value], axis=1))
 
 
-def noise(points: Float[np.ndarray, "N d"], rng: np.random.Generator, *, octaves: int = 4) -> Float[np.ndarray, " N"]:
+def noise(
+    points: Float[np.ndarray, "N d"], rng: np.random.Generator, *, octaves: int = 4
+) -> Float[np.ndarray, " N"]:
     """Fractal value noise in 0..1 (about), features of about one unit and finer; shape [N]."""
     total, weight = np.zeros(len(points)), 0.0
     for octave in range(octaves):
@@ -104,7 +108,9 @@ def wood(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def patches(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Large irregular patches like those of a cow."""
     levels = rng.integers(2, 5)
-    return np.floor(np.clip(noise(rng.uniform(3, 6) * points, rng, octaves=2), 0, 0.999) * levels) / (levels - 1)
+    return np.floor(np.clip(noise(rng.uniform(3, 6) * points, rng, octaves=2), 0, 0.999) * levels) / (
+        levels - 1
+    )
 
 
 PATTERNS: dict[str, Pattern] = {
@@ -162,7 +168,10 @@ def _checked_size(size: int) -> int:
 
 def floor_texture(rng: np.random.Generator, size: int) -> UInt8[np.ndarray, "H W 3"]:
     """Square picture (sRGB) of a floor: tiles, boards, carpet, concrete or terrazzo, muted colours."""
-    points, kind = _plane_points(_checked_size(size)), rng.choice(["tiles", "boards", "noise", "cells", "plain"])
+    points, kind = (
+        _plane_points(_checked_size(size)),
+        rng.choice(["tiles", "boards", "noise", "cells", "plain"]),
+    )
     colors = palette(rng, 3)
     colors = 0.45 * colors + 0.55 * rng.uniform(0.25, 0.85)
     q = points[:, :2] * rng.uniform(6, 20)

@@ -126,7 +126,10 @@ def _normalised(raw: Field) -> Field | None:
     inside = np.argwhere(values < 0)
     if len(inside) == 0 or inside.min() < 2 or (inside.max(axis=0) > np.array(values.shape) - 3).any():
         return None
-    low, high = (origin + RAW_EXTENT / 16 * (inside.min(axis=0) - 1), origin + RAW_EXTENT / 16 * (inside.max(axis=0) + 1))
+    low, high = (
+        origin + RAW_EXTENT / 16 * (inside.min(axis=0) - 1),
+        origin + RAW_EXTENT / 16 * (inside.max(axis=0) + 1),
+    )
     vertices, _ = surface(raw, np.stack([low, high]), (high - low).max() / 32)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     centre, scale = 0.5 * (low + high), float((high - low).max())

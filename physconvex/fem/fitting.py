@@ -12,7 +12,9 @@ from physconvex.fem.mesh import TetMesh
 __all__ = ["fit_to_surface"]
 
 # Edges of a regular tetrahedron as columns, inverted: maps the edges of an element to a deformation gradient.
-REGULAR_INVERSE = np.linalg.inv(np.array([[1.0, 0.5, 0.5], [0.0, np.sqrt(3) / 2, np.sqrt(3) / 6], [0.0, 0.0, np.sqrt(2 / 3)]]))
+REGULAR_INVERSE = np.linalg.inv(
+    np.array([[1.0, 0.5, 0.5], [0.0, np.sqrt(3) / 2, np.sqrt(3) / 6], [0.0, 0.0, np.sqrt(2 / 3)]])
+)
 # Weight of the squared distances (relative to the element size) against the mean element distortion.
 DISTANCE_WEIGHT = 40.0
 # Triangles tried for each surface point, nearest centres first.
@@ -51,7 +53,9 @@ def fit_to_surface(
             weights=np.concatenate([np.tile([1.0, 0.0, 0.0], (len(nodes), 1)), weight]),
             targets=np.concatenate([points[nearest], points]),
             normals=np.concatenate([normals[nearest], normals]),
-            factors=np.concatenate([np.full(len(nodes), 0.5 / len(nodes)), np.full(len(points), 0.5 / len(points))]),
+            factors=np.concatenate(
+                [np.full(len(nodes), 0.5 / len(nodes)), np.full(len(points), 0.5 / len(points))]
+            ),
         )
         result = minimize(
             _objective,
@@ -75,7 +79,12 @@ class _PlaneTerms:
     """Squared distances of weighted triples of nodes from planes."""
 
     def __init__(
-        self, nodes: np.ndarray, weights: np.ndarray, targets: np.ndarray, normals: np.ndarray, factors: np.ndarray
+        self,
+        nodes: np.ndarray,
+        weights: np.ndarray,
+        targets: np.ndarray,
+        normals: np.ndarray,
+        factors: np.ndarray,
     ) -> None:
         self.nodes, self.weights, self.normals, self.factors = nodes, weights, normals, factors
         self.offsets = np.einsum("na,na->n", normals, targets)
@@ -91,7 +100,9 @@ class _PlaneTerms:
         return float(DISTANCE_WEIGHT * (self.factors * distance**2).sum())
 
 
-def _objective(flat: np.ndarray, tets: np.ndarray, terms: _PlaneTerms, scale: float) -> tuple[float, np.ndarray]:
+def _objective(
+    flat: np.ndarray, tets: np.ndarray, terms: _PlaneTerms, scale: float
+) -> tuple[float, np.ndarray]:
     x = flat.reshape(-1, 3)
     gradient = np.zeros_like(x)
     value = _distortion(x, tets, gradient)
@@ -105,7 +116,12 @@ def _distortion(x: np.ndarray, tets: np.ndarray, gradient: np.ndarray) -> float:
     edges = np.swapaxes(x[tets[:, 1:]] - x[tets[:, :1]], 1, 2)  # columns
     f = edges @ REGULAR_INVERSE
     cofactor = np.stack(
-        [np.cross(f[:, :, 1], f[:, :, 2]), np.cross(f[:, :, 2], f[:, :, 0]), np.cross(f[:, :, 0], f[:, :, 1])], axis=2
+        [
+            np.cross(f[:, :, 1], f[:, :, 2]),
+            np.cross(f[:, :, 2], f[:, :, 0]),
+            np.cross(f[:, :, 0], f[:, :, 1]),
+        ],
+        axis=2,
     )
     determinant = np.einsum("ea,ea->e", f[:, :, 0], cofactor[:, :, 0])
     if determinant.min() <= 0:

@@ -80,15 +80,21 @@ def tetrahedralize_implicit(
     """
     bounds = np.asarray(bounds, dtype=np.float64)
     if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or (bounds[1] <= bounds[0]).any():
-        raise InputError(f"bounds: got {bounds.tolist()}; expected the lowest and highest corner [2, 3] in metres")
+        raise InputError(
+            f"bounds: got {bounds.tolist()}; expected the lowest and highest corner [2, 3] in metres"
+        )
     if max_nodes < 30:
         raise InputError(f"max_nodes: got {max_nodes}; expected at least 30")
     size = float((bounds[1] - bounds[0]).max())
     field = _gridded(signed_distance, bounds, size / GRID_CELLS)
     target = _target(field, bounds, size, surface)
-    best, least = _best_mesh(field, bounds, target, max_nodes, order, 0.5 * max_deviation * size, same_topology=True)
+    best, least = _best_mesh(
+        field, bounds, target, max_nodes, order, 0.6 * max_deviation * size, same_topology=True
+    )
     if least > max_deviation * size:  # small holes may close, as long as the surface stays near
-        best, least = _best_mesh(field, bounds, target, max_nodes, order, max_deviation * size, same_topology=False)
+        best, least = _best_mesh(
+            field, bounds, target, max_nodes, order, max_deviation * size, same_topology=False
+        )
     least /= size
     if best is None or least > max_deviation:
         raise ConvergenceError(
@@ -111,7 +117,9 @@ def _best_mesh(
     """The first fitted mesh whose deviation [m] is good enough, else the best, and its deviation."""
     best, least = None, np.inf
     for inflation, offset in LATTICES:
-        mesh = _stuffed(field, bounds, target, max_nodes, order, inflation, offset, same_topology=same_topology)
+        mesh = _stuffed(
+            field, bounds, target, max_nodes, order, inflation, offset, same_topology=same_topology
+        )
         if mesh is None:
             continue
         mesh = with_volume(fit_to_surface(mesh, target.points, target.normals), target.volume)
@@ -150,7 +158,9 @@ def _target(
         raise InputError("surface: not closed and outward oriented; close it, or use fTetWild")
     _, index = np.unique(vertices, axis=0, return_inverse=True)
     points, normals = _sampled(vertices, faces)
-    return _Target(points=points, normals=normals, volume=volume, euler=euler_characteristic(index.reshape(-1)[faces]))
+    return _Target(
+        points=points, normals=normals, volume=volume, euler=euler_characteristic(index.reshape(-1)[faces])
+    )
 
 
 def _sampled(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -196,7 +206,11 @@ def _stuffed(
 
 
 def _piece(
-    field: SignedDistance, bounds: np.ndarray, cell: float, inflation: float, offset: tuple[float, float, float]
+    field: SignedDistance,
+    bounds: np.ndarray,
+    cell: float,
+    inflation: float,
+    offset: tuple[float, float, float],
 ) -> TetMesh | None:
     """Largest piece of the stuffed lattice; None where nothing is inside or a sizeable second piece exists."""
     try:

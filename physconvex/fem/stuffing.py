@@ -142,7 +142,9 @@ def _trim(
     count = len(vertices)
     keys = edges[:, 0] * count + edges[:, 1]
     # Cuts on long edges come first in the numbering that decides diagonals, then those on short edges.
-    rank = np.concatenate([np.arange(count) + len(cuts) * 2, np.where(long, 0, len(cuts)) + np.arange(len(cuts))])
+    rank = np.concatenate(
+        [np.arange(count) + len(cuts) * 2, np.where(long, 0, len(cuts)) + np.arange(len(cuts))]
+    )
     state = np.sign(values[tets])
     order = np.argsort(state, axis=1, kind="stable")
     tets, state = np.take_along_axis(tets, order, axis=1), np.take_along_axis(state, order, axis=1)
@@ -178,7 +180,10 @@ def _pyramid(
     q = np.stack(base, axis=1)
     first = rank[q].argmin(axis=1) if len(q) else np.zeros(0, dtype=np.int64)
     q = np.take_along_axis(q, (first[:, None] + np.arange(4)) % 4, axis=1)
-    return [np.column_stack([apex, q[:, 0], q[:, 1], q[:, 2]]), np.column_stack([apex, q[:, 0], q[:, 2], q[:, 3]])]
+    return [
+        np.column_stack([apex, q[:, 0], q[:, 1], q[:, 2]]),
+        np.column_stack([apex, q[:, 0], q[:, 2], q[:, 3]]),
+    ]
 
 
 def _prism(
