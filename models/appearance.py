@@ -86,7 +86,7 @@ def _smooth(counts: Float32[np.ndarray, " B"]) -> Float32[np.ndarray, " B"]:
     return cube[1:-1, 1:-1, 1:-1].ravel()
 
 
-def sort_pictures(pictures: list[np.ndarray]) -> Float32[np.ndarray, "T 3 H W"]:
+def sort_pictures(pictures: list[np.ndarray]) -> Float32[np.ndarray, "T *S"]:
     """Sort over the pictures, all pixels at once (Batcher's merge exchange; Knuth, TAOCP 3, 5.2.2)."""
     count, p = len(pictures), 1
     while p < count:

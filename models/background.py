@@ -154,6 +154,7 @@ def _silhouettes(
         ratio = colour_ratio(codes[some], masks)
         odd = difference(background, clip.around.mean) > clip.threshold + 3.0 * clip.around.spread
         covered = ((ratio[colour_codes(background)] > 0.7) | odd) & _hull(masks)
+        covered &= ~_seen_apart(part, background, masks)
         model = _Model(background, known & ~covered, ratio)
     return _segment(clip, codes, model)
 
@@ -208,11 +209,40 @@ def _segment(clip: _Clip, codes: Int32[np.ndarray, "T H W"], model: _Model) -> U
     lowest = np.where(model.known, np.float32(-1.5), np.float32(-0.7))
     masks = np.empty(codes.shape, np.uint8)
     for k, code in enumerate(codes):
-        score = np.clip(difference(clip.planes[:, k], expected) * scale - 1.0, lowest, 2.0)
+        distance = difference(clip.planes[:, k], expected)
+        score = np.clip(distance * scale - 1.0, lowest, 2.0)
         if model.ratio is not None:
             score += 0.4 * model.ratio[code]
-        masks[k] = clean_mask((cv2.blur(score, (3, 3)) > 0).astype(np.uint8))
+        masks[k] = _half_covered(clean_mask((cv2.blur(score, (3, 3)) > 0).astype(np.uint8)), distance)
     return link_masks(masks, clip.activity)
+
+
+def _half_covered(
+    mask: UInt8[np.ndarray, "H W"], distance: Float32[np.ndarray, "H W"]
+) -> UInt8[np.ndarray, "H W"]:
+    """Take from the mask's rim the pixels that stand out less than half as much as those further in."""
+    square = np.ones((3, 3), np.uint8)
+    inside = cv2.erode(mask, square)
+    strength = cv2.dilate(np.where(mask > 0, distance, np.float32(0)), square)
+    faint = (inside == 0) & (distance < 0.5 * strength)
+    return np.where(faint, np.uint8(0), mask)
+
+
+def _seen_apart(
+    clip: _Clip, background: Picture, masks: UInt8[np.ndarray, "T H W"]
+) -> Bool[np.ndarray, "H W"]:
+    """Where the background is seen twice with something else in between, or well away from the object."""
+    seen, other, again = (np.zeros(background.shape[1:], bool) for _ in range(3))
+    away = np.zeros(background.shape[1:], np.uint8)
+    reach = 1 + 2 * round(0.4 * float(np.sqrt(np.median((masks > 0).sum(axis=(1, 2))))))
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))
+    for image, mask in zip(np.moveaxis(clip.planes, 1, 0), masks, strict=True):
+        distance = difference(image, background) / clip.threshold
+        again |= other & (distance < 0.7)
+        other |= seen & (distance > 1.5)
+        seen |= distance < 0.7
+        away += (distance < 0.7) & (cv2.dilate(mask, kernel) == 0)
+    return again | (away >= 2)
 
 
 def _masked_median(

@@ -40,11 +40,9 @@ def stabilise(frames: UInt8[np.ndarray, "T H W 3"]) -> Stabilised:
         for frame, gain in zip(frames, gains, strict=True)
     ]
     size = (max(8, frames.shape[2] // 2), max(8, frames.shape[1] // 2))
-    grey = [
-        cv2.resize(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY), size, interpolation=cv2.INTER_AREA)
-        for frame in level
-    ]
-    small = [cv2.GaussianBlur(image, (3, 3), 0.8).astype(np.float32) for image in grey]
+    grey = [cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in level]
+    half = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in grey]
+    small = [cv2.GaussianBlur(image, (3, 3), 0.8).astype(np.float32) for image in half]
     shifts = np.stack([_shift(small[0], image) for image in small]) * (frames.shape[2] / size[0])
     if np.abs(shifts).max() < _LEAST_SHIFT or np.abs(shifts).max() > _LARGEST_SHIFT:
         return Stabilised(frames=np.stack(level), shifts=np.zeros_like(shifts))
