@@ -68,9 +68,7 @@ def colour_codes(planes: Float32[np.ndarray, "3 *S"]) -> Int32[np.ndarray, "*S"]
     return (first * _BINS[1] + second) * _BINS[2] + third
 
 
-def colour_ratio(
-    codes: Int32[np.ndarray, "T H W"], masks: UInt8[np.ndarray, "T H W"]
-) -> Float32[np.ndarray, " B"]:
+def colour_ratio(codes: Int32[np.ndarray, "T H W"], masks: UInt8[np.ndarray, "T H W"]) -> Float32[np.ndarray, " B"]:
     """log of how much likelier each colour is on the object than around it, clipped to +-2.5."""
     near = cv2.dilate(masks.max(axis=0), np.ones((25, 25), np.uint8)) > 0
     inside = masks > 0

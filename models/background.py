@@ -109,10 +109,7 @@ def plain_background_silhouettes(frames: UInt8[np.ndarray, "T H W 3"]) -> Silhou
     threshold = max(_PLAIN_CONTRAST, 3.0 * float(np.quantile(residual[border], 0.8)))
     if threshold > 60:
         return None
-    masks = [
-        clean_mask((difference(planes[:, k], fitted) > threshold).astype(np.uint8))
-        for k in range(len(frames))
-    ]
+    masks = [clean_mask((difference(planes[:, k], fitted) > threshold).astype(np.uint8)) for k in range(len(frames))]
     found = _judged(link_masks(np.stack(masks), np.ones(masks[0].shape, np.float32)))
     return None if found is None else Silhouette(mask=found.mask, confidence=0.6 * found.confidence)
 
@@ -217,9 +214,7 @@ def _segment(clip: _Clip, codes: Int32[np.ndarray, "T H W"], model: _Model) -> U
     return link_masks(masks, clip.activity)
 
 
-def _half_covered(
-    mask: UInt8[np.ndarray, "H W"], distance: Float32[np.ndarray, "H W"]
-) -> UInt8[np.ndarray, "H W"]:
+def _half_covered(mask: UInt8[np.ndarray, "H W"], distance: Float32[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W"]:
     """Take from the mask's rim the pixels that stand out less than half as much as those further in."""
     square = np.ones((3, 3), np.uint8)
     inside = cv2.erode(mask, square)
@@ -228,9 +223,7 @@ def _half_covered(
     return np.where(faint, np.uint8(0), mask)
 
 
-def _seen_apart(
-    clip: _Clip, background: Picture, masks: UInt8[np.ndarray, "T H W"]
-) -> Bool[np.ndarray, "H W"]:
+def _seen_apart(clip: _Clip, background: Picture, masks: UInt8[np.ndarray, "T H W"]) -> Bool[np.ndarray, "H W"]:
     """Where the background is seen twice with something else in between, or well away from the object."""
     seen, other, again = (np.zeros(background.shape[1:], bool) for _ in range(3))
     away = np.zeros(background.shape[1:], np.uint8)
@@ -245,9 +238,7 @@ def _seen_apart(
     return again | (away >= 2)
 
 
-def _masked_median(
-    planes: Planes, masks: UInt8[np.ndarray, "T H W"]
-) -> tuple[Picture, Bool[np.ndarray, "H W"]]:
+def _masked_median(planes: Planes, masks: UInt8[np.ndarray, "T H W"]) -> tuple[Picture, Bool[np.ndarray, "H W"]]:
     """Median over the frames in which a pixel is not covered, and where there are at least two."""
     kernel = np.ones((5, 5), np.uint8)
     free = np.stack([cv2.dilate(mask, kernel) for mask in masks]) == 0

@@ -81,9 +81,7 @@ def prepare_clip(
     chosen, warnings = selection.indices, []
     if len(chosen) > config.frames:
         start = motion_start(frames, chosen, length=config.frames)
-        warnings.append(
-            f"shows {config.frames} of {len(chosen)} frames, from {times[chosen[start]]:.3g} s on"
-        )
+        warnings.append(f"shows {config.frames} of {len(chosen)} frames, from {times[chosen[start]]:.3g} s on")
         chosen = chosen[start : start + config.frames]
     shown = frames[chosen]
     foreground = locate_foreground(
@@ -130,9 +128,7 @@ def _reorder(clip: PreparedClip, order: np.ndarray) -> PreparedClip:
     return replace(clip, frames=clip.frames[order], mask=masks, moments=moments, valid=clip.valid[order])
 
 
-def _checked_times(
-    frames: np.ndarray, fps: float, timestamps: np.ndarray | None
-) -> Float64[np.ndarray, " T"]:
+def _checked_times(frames: np.ndarray, fps: float, timestamps: np.ndarray | None) -> Float64[np.ndarray, " T"]:
     if frames.ndim != 4 or frames.shape[3] != 3 or frames.dtype != np.uint8:
         raise InputError(f"frames: got {frames.dtype} {frames.shape}, expected uint8 [T, H, W, 3] (RGB)")
     if len(frames) < 2:
@@ -179,9 +175,7 @@ def _cut_out(
     for k, (frame, mask) in enumerate(zip(frames, foreground.mask, strict=True)):
         canvas_image[...] = _GREY
         canvas_mask[target] = mask[inside]
-        cv2.copyTo(
-            np.ascontiguousarray(frame[inside]), np.ascontiguousarray(mask[inside]), canvas_image[target]
-        )
+        cv2.copyTo(np.ascontiguousarray(frame[inside]), np.ascontiguousarray(mask[inside]), canvas_image[target])
         images[k] = cv2.resize(canvas_image, (size, size), interpolation=method)
         masks[k] = cv2.resize(canvas_mask, (size, size), interpolation=method)
     return images, masks

@@ -16,9 +16,7 @@ def clean_mask(mask: UInt8[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W"]:
     return cv2.drawContours(np.zeros_like(mask), outlines, -1, 255, cv2.FILLED)
 
 
-def link_masks(
-    masks: UInt8[np.ndarray, "T H W"], weight: Float32[np.ndarray, "H W"]
-) -> UInt8[np.ndarray, "T H W"]:
+def link_masks(masks: UInt8[np.ndarray, "T H W"], weight: Float32[np.ndarray, "H W"]) -> UInt8[np.ndarray, "T H W"]:
     """Keep in each frame the component that continues its neighbour's, outward from the heaviest.
 
     A component weighs what `weight` sums to inside it.

@@ -55,9 +55,7 @@ def silhouette_moments(
     return Silhouettes(moments=result.astype(np.float32), empty=empty)
 
 
-def _dimensionless(
-    raw: Float64[np.ndarray, "T 10"], first: Float64[np.ndarray, "K 10"]
-) -> Float64[np.ndarray, "T 10"]:
+def _dimensionless(raw: Float64[np.ndarray, "T 10"], first: Float64[np.ndarray, "K 10"]) -> Float64[np.ndarray, "T 10"]:
     unit = float(np.median(np.maximum(first[:, 3] - first[:, 2], first[:, 4] - first[:, 5])))
     unit = max(unit, 1.0)
     origin = first[0, :2]

@@ -61,9 +61,7 @@ def _shift(
         error = reference - (_translate(image, -total) if total.any() else image)
         weight = np.abs(error) < max(3.0, 3.0 * float(np.median(np.abs(error[::4, ::4]))))
         wx, wy = gx * weight, gy * weight
-        normal = np.array(
-            [[np.vdot(wx, gx), np.vdot(wx, gy)], [np.vdot(wx, gy), np.vdot(wy, gy)]], dtype=np.float64
-        )
+        normal = np.array([[np.vdot(wx, gx), np.vdot(wx, gy)], [np.vdot(wx, gy), np.vdot(wy, gy)]], dtype=np.float64)
         normal += 2e-2 * error.size * np.eye(2)  # an even picture stays where it is
         total += np.linalg.solve(normal, [np.vdot(wx, error), np.vdot(wy, error)])
     return total

@@ -38,9 +38,7 @@ def resample(timestamps: Float64[np.ndarray, " T"], *, target_fps: float) -> Sel
     return Selection(indices=np.searchsorted(middles, times).astype(np.int64), fps=fps)
 
 
-def motion_start(
-    frames: UInt8[np.ndarray, "T H W 3"], indices: Int64[np.ndarray, " N"], *, length: int
-) -> int:
+def motion_start(frames: UInt8[np.ndarray, "T H W 3"], indices: Int64[np.ndarray, " N"], *, length: int) -> int:
     """Position in `indices` where a window of `length` frames should begin: just before things move.
 
     Motion is what stands out of the noise in a thumbnail's frame differences. Without any, 0; the window

@@ -91,9 +91,7 @@ def decode_pyav(path: Path, probe: Probe, limits: Limits) -> Decoded:
         except av.FFmpegError as error:
             broken = error.strerror or type(error).__name__
     if not images:
-        raise VideoError(
-            path, "undecodable", f"not one frame could be decoded ({broken}); convert it to H.264"
-        )
+        raise VideoError(path, "undecodable", f"not one frame could be decoded ({broken}); convert it to H.264")
     known = [time for time in times if time is not None]
     stamps = np.array(known, dtype=np.float64) if len(known) == len(times) else None
     return Decoded(frames=_orient(np.stack(images), probe), timestamps=stamps, more=more, broken=broken)
@@ -119,9 +117,7 @@ def _frames(container: av.container.InputContainer, probe: Probe) -> Iterator[av
         yield from decoder.decode(packet)
 
 
-def _enough(
-    images: list[np.ndarray], times: list[float | None], frame: av.VideoFrame, limits: Limits
-) -> bool:
+def _enough(images: list[np.ndarray], times: list[float | None], frame: av.VideoFrame, limits: Limits) -> bool:
     if limits.max_frames is not None and len(images) >= limits.max_frames:
         return True
     if limits.max_seconds is None or not times or times[0] is None or frame.time is None:

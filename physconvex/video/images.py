@@ -29,13 +29,9 @@ def read_image_sequence(folder: Path | str, *, fps: float) -> Video:
     except PermissionError:
         raise VideoError(folder, "permission", "no permission to list the folder") from None
     except OSError as error:
-        raise VideoError(
-            folder, "missing", f"cannot be listed: {error.strerror}; expected a folder"
-        ) from None
+        raise VideoError(folder, "missing", f"cannot be listed: {error.strerror}; expected a folder") from None
     if len(paths) < 2:
-        raise VideoError(
-            folder, "too_few_frames", f"holds {len(paths)} PNG or JPEG images; at least 2 needed"
-        )
+        raise VideoError(folder, "too_few_frames", f"holds {len(paths)} PNG or JPEG images; at least 2 needed")
     images = [_read_image(path) for path in paths]
     for path, image in zip(paths, images, strict=True):
         if image.shape != images[0].shape:

@@ -88,9 +88,7 @@ def _open_error(path: Path, error: Exception) -> VideoError:
     with path.open("rb") as file:
         head = file.read(16)
     if any(head[start : start + len(mark)] == mark for start, mark in _CONTAINER_MARKS):
-        detail = (
-            "a video container without its index (cut short, or recording was not finished); copy it again"
-        )
+        detail = "a video container without its index (cut short, or recording was not finished); copy it again"
         return VideoError(path, "truncated", detail)
     return VideoError(path, "not_a_video", "its content is not a video in any known format")
 

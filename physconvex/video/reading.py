@@ -58,9 +58,7 @@ def read_video(
     check_file(path)
     probe = probe_video(path)
     if probe.width * probe.height > MAX_STORED_PIXELS:
-        raise VideoError(
-            path, "too_large", f"frames of {probe.width}x{probe.height} pixels; at most 8192x8192"
-        )
+        raise VideoError(path, "too_large", f"frames of {probe.width}x{probe.height} pixels; at most 8192x8192")
     decoded = _decode(path, probe, limits, backend)
     return _video(path, probe, decoded, limits)
 

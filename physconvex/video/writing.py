@@ -55,9 +55,7 @@ def _encode(path: Path, frames: Iterable[np.ndarray], rate: Fraction, crf: int, 
         stream.codec_context.thread_count = 1
         for frame in itertools.chain([first], iterator):
             _check_frame(frame, (height, width))
-            container.mux(
-                stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24"))
-            )
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")))
         container.mux(stream.encode(None))
 
 
@@ -68,7 +66,5 @@ def _check_frame(frame: np.ndarray, expected: tuple[int, int] | None) -> tuple[i
     if expected is not None and (height, width) != expected:
         raise InputError(f"frames: got {width}x{height} after {expected[1]}x{expected[0]}, expected one size")
     if height % 2 or width % 2:
-        raise InputError(
-            f"frames: got {width}x{height}, expected even width and height; crop or pad one pixel"
-        )
+        raise InputError(f"frames: got {width}x{height}, expected even width and height; crop or pad one pixel")
     return height, width

@@ -73,9 +73,7 @@ def _draw(drawing: Drawing, *, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
         image = backdrop * (1 - (1 - drawing.shadow) * shadow) * (1 - cover) + texture * cover
         shift = np.float32([[1, 0, 0], [0, 1, 0]])
         shift[:, 2] = 2 * drawing.shake * generator.standard_normal(2)
-        moved = [
-            cv2.warpAffine(a, shift, (size, size), borderMode=cv2.BORDER_REPLICATE) for a in (image, mask)
-        ]
+        moved = [cv2.warpAffine(a, shift, (size, size), borderMode=cv2.BORDER_REPLICATE) for a in (image, mask)]
         small = [cv2.resize(a, (drawing.size, drawing.size), interpolation=cv2.INTER_AREA) for a in moved]
         frames.append((small[0] + drawing.noise * generator.standard_normal(small[0].shape)).clip(0, 255))
         masks.append(small[1])

@@ -42,9 +42,7 @@ def _encode(
 ) -> Path:
     """Write images with any codec; `times` are milliseconds."""
     with av.open(str(path), "w", options=muxer_options or {}) as container:
-        stream = container.add_stream(
-            codec, rate=int(RATE), options={**QUALITY.get(codec, {}), **(options or {})}
-        )
+        stream = container.add_stream(codec, rate=int(RATE), options={**QUALITY.get(codec, {}), **(options or {})})
         stream.height, stream.width = images.shape[1:3]
         stream.pix_fmt = pixel_format
         if rotation is not None:
@@ -159,9 +157,7 @@ def test_alpha_is_kept(tmp_path: Path, suffix: str, codec: str, pixel_format: st
 
 def test_opaque_alpha_is_no_alpha(tmp_path: Path) -> None:
     images = np.concatenate([_moving_square(), np.full((12, 64, 96, 1), 255, np.uint8)], axis=-1)
-    assert (
-        read_video(_encode(tmp_path / "clip.mov", images, codec="qtrle", pixel_format="argb")).alpha is None
-    )
+    assert read_video(_encode(tmp_path / "clip.mov", images, codec="qtrle", pixel_format="argb")).alpha is None
 
 
 def test_variable_rate_keeps_its_times(tmp_path: Path) -> None:
@@ -360,9 +356,7 @@ def test_bound_holds_where_the_header_does_not_tell_the_length(tmp_path: Path) -
     assert _error(path, max_bytes=10 * 64 * 96 * 3).cause == "too_large"
 
 
-@pytest.mark.parametrize(
-    "options", [{"max_side": 0}, {"max_frames": 1}, {"max_seconds": -1.0}, {"max_bytes": 0}]
-)
+@pytest.mark.parametrize("options", [{"max_side": 0}, {"max_frames": 1}, {"max_seconds": -1.0}, {"max_bytes": 0}])
 def test_bad_limits(tmp_path: Path, options: dict[str, float]) -> None:
     with pytest.raises(InputError, match=next(iter(options))):
         read_video(tmp_path / "clip.mp4", **options)  # type: ignore[arg-type]
