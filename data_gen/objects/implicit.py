@@ -114,8 +114,13 @@ def smooth_difference(field: Field, hole: Field, blend: float) -> Field:
 
 def smooth_intersection(fields: list[Field], blend: float) -> Field:
     """Common part, the new edges rounded over the width `blend`."""
-    negative = smooth_union([lambda p, f=f: -f(p) for f in fields], blend)
-    return lambda p: -negative(p)
+    negative = smooth_union([negated(field) for field in fields], blend)
+    return negated(negative)
+
+
+def negated(field: Field) -> Field:
+    """Inside and outside exchanged."""
+    return lambda p: -field(p)
 
 
 def _smooth_minimum(a: np.ndarray, b: np.ndarray, blend: float) -> np.ndarray:
@@ -131,12 +136,16 @@ def surface(
     Raises:
         ValueError: the field has no zero inside `bounds`.
     """
-    from skimage.measure import marching_cubes
+    import pyvista
 
     values, origin = sampled(field, bounds, spacing)
-    vertices, faces, _, _ = marching_cubes(values, 0.0)
-    vertices = project(field, vertices.astype(np.float64) * spacing + origin, spacing)
-    return vertices, faces.astype(np.int64)
+    grid = pyvista.ImageData(dimensions=values.shape, spacing=(spacing,) * 3, origin=origin)
+    grid.point_data["values"] = values.ravel(order="F")
+    level = grid.contour([0.0], scalars="values", method="flying_edges")
+    if level.n_points == 0:
+        raise ValueError("field: no zero inside bounds; expected a body inside")
+    vertices = project(field, np.asarray(level.points, dtype=np.float64), spacing)
+    return vertices, np.asarray(level.regular_faces[:, ::-1], dtype=np.int64)
 
 
 def sampled(field: Field, bounds: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:

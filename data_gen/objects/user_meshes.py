@@ -50,7 +50,7 @@ def load_user_mesh(
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"path: {path} ends in {path.suffix!r}; expected one of {', '.join(SUFFIXES)}")
     try:
-        mesh = trimesh.load(path, force="mesh", process=False)
+        mesh = trimesh.load_mesh(path, process=False)
     except Exception as error:  # trimesh raises many types, depending on the format
         raise InputError(f"path: {path} cannot be read as a mesh ({error}); export it again") from error
     vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)

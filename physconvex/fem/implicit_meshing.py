@@ -195,13 +195,13 @@ def _stuffed(
     cell, best, most = float(np.cbrt(NODES_PER_CELL[order] * target.volume / max_nodes)), None, 0
     for _ in range(TRIALS):
         mesh = _piece(field, bounds, cell, inflation, offset)
-        count = 0 if mesh is None else node_count(mesh, order)
-        sound = count > 0 and (not same_topology or euler_characteristic(mesh.boundary_faces) == target.euler)
-        if sound and most < count <= max_nodes:
-            best, most = mesh, count
-            if count >= FULL * max_nodes:
-                break
-        cell *= float(np.clip((max(count, 1) / (0.93 * max_nodes)) ** (1 / 2.4), 0.8, 1.3))
+        count = 1 if mesh is None else node_count(mesh, order)
+        if mesh is not None and most < count <= max_nodes:
+            if not same_topology or euler_characteristic(mesh.boundary_faces) == target.euler:
+                best, most = mesh, count
+                if count >= FULL * max_nodes:
+                    break
+        cell *= float(np.clip((count / (0.93 * max_nodes)) ** (1 / 2.4), 0.8, 1.3))
     return best
 
 
