@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from inference.decoding import BackgroundReader, Failure, Reader, failure_from
 from inference.gallery import write_gallery
 from inference.loading import ClipSettings
 from inference.naming import assign_names
+from inference.pictures import ClipPictures
 from inference.prediction import Prediction
 from inference.predictor import load_predictor
 from inference.preparing import Predictor, ReadyClip, ready_source, to_prediction
@@ -21,6 +22,7 @@ from inference.results import ResultsFolder
 from inference.run_record import checkpoint_digest, finish_run, start_run
 from inference.sources import ClipSource, Found, SourceProblem, displayed_path, find_sources, fingerprint
 from inference.table import ResultRow
+from inference.weight_maps import weight_maps
 from inference.worker import WorkerReader
 from physconvex.errors import InputError
 
@@ -69,8 +71,8 @@ class ClipResult:
     """One line that names the file and the cause; empty if there is a prediction."""
     details: str = ""
     """Trace of an unexpected error."""
-    picture: bytes = b""
-    """JPEG of the frames used; empty unless asked for."""
+    pictures: ClipPictures = field(default_factory=ClipPictures)
+    """What to look at; empty unless asked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,9 +192,7 @@ def predict_batch(
         rows = folder.finish([item.key for item in found])[: len(found)]
         summary = batch.summary(rows)
         write_gallery(folder.path, rows)
-        finish_run(
-            folder.path, record, predicted=summary.predicted, resumed=summary.resumed, failed=summary.failed
-        )
+        finish_run(folder.path, record, predicted=summary.predicted, resumed=summary.resumed, failed=summary.failed)
     return summary
 
 
@@ -229,7 +229,7 @@ class _Batch:
         if result.prediction is not None and isinstance(source, ClipSource):
             try:
                 row = self._folder.add_prediction(
-                    source, name, self._fingerprints[source.key], result.prediction, result.picture
+                    source, name, self._fingerprints[source.key], result.prediction, result.pictures
                 )
             except (ValueError, TypeError) as problem:  # such as a number that is not finite
                 failure = failure_from(source, problem)
@@ -274,9 +274,7 @@ def _results(
             return WorkerReader(settings, predictor.clip_config, picture=picture)
         return partial(ready_source, settings=settings, prepare=predictor.prepare, picture=picture)
 
-    reader = BackgroundReader(
-        clips, make_reader, workers=options.readers, ahead=options.batch_size + options.readers
-    )
+    reader = BackgroundReader(clips, make_reader, workers=options.readers, ahead=options.batch_size + options.readers)
     try:
         for batch in reader.batches(options.batch_size):
             for failure in (item for item in batch if isinstance(item, Failure)):
@@ -310,7 +308,14 @@ def _estimate(ready: Sequence[ReadyClip], predictor: Predictor) -> Iterator[Clip
         return
     for clip, prediction in zip(ready, predictions, strict=True):
         assert clip.source is not None
-        yield ClipResult(clip.source, prediction, picture=clip.picture)
+        yield ClipResult(clip.source, prediction, pictures=_pictures(clip, prediction))
+
+
+def _pictures(clip: ReadyClip, prediction: Prediction) -> ClipPictures:
+    if not clip.picture:
+        return ClipPictures()
+    maps = weight_maps(prediction.skinning_field, clip.prepared.mask[0], prediction.object_size)
+    return ClipPictures(frames=clip.picture, weights=maps)
 
 
 def _as_list(paths: Paths) -> list[str | os.PathLike[str]]:

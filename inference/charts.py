@@ -67,7 +67,7 @@ def poisson_bar(row: ResultRow, axis: Axis) -> str:
     return _bar(axis, row.poisson_ratio, row.poisson_ratio_std or 0.0, interval, title)
 
 
-_WIDTH, _CURVE, _HEIGHT, _SIDE = 300, 26, 56, 16  # [px]
+_WIDTH, _CURVE, _HEIGHT, _SIDE = 300, 26, 56, 20  # [px]
 
 
 def _bar(axis: Axis, centre: float, std: float, interval: tuple[float, float], title: str) -> str:
@@ -109,7 +109,7 @@ def overview_chart(rows: Sequence[ResultRow], *, stiffness: Axis, poisson: Axis)
     width, height, left, bottom = 860, 300, 44, 34
 
     def x(value: float) -> float:
-        return round(left + stiffness.share(value) * (width - left - 16), 1)
+        return round(left + stiffness.share(value) * (width - left - 24), 1)
 
     def y(value: float) -> float:
         return round(10 + (1 - poisson.share(value)) * (height - bottom - 10), 1)
@@ -119,7 +119,7 @@ def overview_chart(rows: Sequence[ResultRow], *, stiffness: Axis, poisson: Axis)
         f'<text x="{x(v)}" y="{height - bottom + 16}">{escape(label)}</text>'
         for v, label in stiffness.ticks
     ) + "".join(
-        f'<line class="grid" x1="{left}" x2="{width - 16}" y1="{y(v)}" y2="{y(v)}"/>'
+        f'<line class="grid" x1="{left}" x2="{width - 24}" y1="{y(v)}" y2="{y(v)}"/>'
         f'<text class="left" x="{left - 8}" y="{y(v) + 4}">{label}</text>'
         for v, label in poisson.ticks
     )

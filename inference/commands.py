@@ -31,9 +31,7 @@ def predict(
     fps: Annotated[
         float | None, typer.Option(help="Frames per second of the motion [1/s]. Default: the file's.")
     ] = None,
-    density: Annotated[
-        float | None, typer.Option(help="Density [kg/m³]. Default: the capture's, else 1000.")
-    ] = None,
+    density: Annotated[float | None, typer.Option(help="Density [kg/m³]. Default: the capture's, else 1000.")] = None,
     object_size: Annotated[
         float | None,
         typer.Option(help="Largest edge of the object at rest [m]. Default: the capture's mesh, else 1."),
@@ -41,9 +39,7 @@ def predict(
     checkpoint: Annotated[str, typer.Option(help="Name or folder of a checkpoint.")] = "default",
     device: Annotated[str, typer.Option(help="Torch device, such as cpu or cuda.")] = "cpu",
     batch_size: Annotated[int, typer.Option(help="Most clips in one pass of the network.")] = 8,
-    workers: Annotated[
-        int | None, typer.Option(help="Clips read at once. Default: 2, or 1 on a single core.")
-    ] = None,
+    workers: Annotated[int | None, typer.Option(help="Clips read at once. Default: 2, or 1 on a single core.")] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object per clip to standard output, nothing else.")
     ] = False,

@@ -103,9 +103,7 @@ class BackgroundReader:
             while (source := self._next()) is not None:
                 try:
                     outcome: ReadyClip | Failure = read(source)
-                except (
-                    Exception
-                ) as error:  # one bad clip must not end the batch; it is reported with its trace
+                except Exception as error:  # one bad clip must not end the batch; it is reported with its trace
                     outcome = failure_from(source, error)
                 self._done.put(outcome)
         finally:

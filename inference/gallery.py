@@ -59,6 +59,7 @@ def _card(out: Path, number: int, row: ResultRow, stiffness: Axis, poisson: Axis
     assert row.youngs_modulus and row.youngs_modulus_low and row.youngs_modulus_high
     strip = _image(out / "clips" / f"{row.name}.jpg", "strip", f"frames of {row.name}")
     weights = _image(out / "clips" / f"{row.name}.skinning.png", "weights", "skinning weights")
+    weights = f'<div><p class="caption">skinning weights, middle section</p>{weights}</div>' if weights else ""
     interval = format_pascals_range(row.youngs_modulus_low, row.youngs_modulus_high)
     ratio = f"{row.poisson_ratio_low:.2f}–{row.poisson_ratio_high:.2f}"
     return (
@@ -75,9 +76,7 @@ def _chips(row: ResultRow) -> str:
     chips = [f"object found by {row.foreground.replace('_', ' ')}{sure}", f"{row.frames_used} frames"]
     chips += [f"ρ = {row.density:g} kg/m³", f"L = {row.object_size:g} m", f"{row.fps:g} frames/s"]
     text = "".join(f"<li>{escape(chip)}</li>" for chip in chips)
-    text += "".join(
-        f'<li class="assumed">assumed {escape(part)}</li>' for part in row.assumed.split("; ") if part
-    )
+    text += "".join(f'<li class="assumed">assumed {escape(part)}</li>' for part in row.assumed.split("; ") if part)
     text += "".join(f'<li class="warning">{escape(part)}</li>' for part in row.warnings.split("; ") if part)
     return f'<ul class="chips">{text}</ul>'
 
@@ -106,11 +105,12 @@ a { color: var(--blue); }
 figure, article, .failed { background: var(--card); border: 1px solid var(--line); border-radius: 10px;
   padding: 16px; margin: 18px 0; }
 article:target { outline: 2px solid var(--blue); }
-.strip { width: 100%; max-width: 1045px; display: block; border-radius: 4px; }
-.facts { display: flex; flex-wrap: wrap; gap: 8px 36px; align-items: center; margin-top: 12px; }
+.strip { max-width: 100%; display: block; border-radius: 4px; }
+.facts { display: flex; flex-wrap: wrap; gap: 8px 22px; align-items: center; margin-top: 12px; }
 .value { margin: 0; font-size: 19px; font-variant-numeric: tabular-nums; }
 .value small { color: var(--soft); font-size: 13px; margin-left: 6px; }
-.bar { width: 320px; max-width: 100%; display: block; } .weights { height: 150px; border-radius: 4px; }
+.bar { width: 300px; max-width: 100%; display: block; } .weights { display: block; width: 350px; max-width: 100%; }
+.caption { margin: 0 0 6px; font-size: 12.5px; color: var(--soft); }
 svg text { font-size: 10px; fill: var(--soft); text-anchor: middle; } svg text.left { text-anchor: end; }
 svg .name { font-size: 11px; fill: var(--ink); }
 .density { fill: var(--pale); } .axis, .tick { stroke: var(--soft); stroke-width: 1; }

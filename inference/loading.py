@@ -232,9 +232,7 @@ def _as_uint8(values: np.ndarray) -> UInt8[np.ndarray, "T H W C"]:
 def _as_mask(mask: object, shape: tuple[int, ...]) -> Bool[np.ndarray, "T H W"]:
     values = _as_numpy(mask)
     if values.shape != shape:
-        raise InputError(
-            f"mask has shape {values.shape}; expected {shape} like the frames. Pass one mask per frame."
-        )
+        raise InputError(f"mask has shape {values.shape}; expected {shape} like the frames. Pass one mask per frame.")
     return values.astype(bool)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import cv2
@@ -12,7 +13,18 @@ if TYPE_CHECKING:
     from inference.loading import LoadedClip
     from models.clip import PreparedClip
 
-__all__ = ["frame_strip", "shown_source_frames"]
+__all__ = ["ClipPictures", "frame_strip", "shown_source_frames"]
+
+
+@dataclass(frozen=True)
+class ClipPictures:
+    """Encoded pictures of one clip; empty where there is none."""
+
+    frames: bytes = b""
+    """JPEG of the frames used, with the outline of the object."""
+    weights: bytes = b""
+    """PNG of the skinning weights."""
+
 
 _OUTLINE = (0, 200, 255)  # RGB
 _GAP = 3  # [px] between two pictures

@@ -56,9 +56,7 @@ def predict(
         predictor = load_predictor(os.fspath(checkpoint), device)
     ready = replace(ready_clip(loaded, settings, predictor.prepare), source=source)
     conditions = ready.conditions
-    estimates = predictor.estimate(
-        [ready.prepared], density=[conditions.density], object_size=[conditions.object_size]
-    )
+    estimates = predictor.estimate([ready.prepared], density=[conditions.density], object_size=[conditions.object_size])
     return to_prediction(ready, estimates[0])
 
 
@@ -78,9 +76,7 @@ def _load(path_or_array: Any, *, mask: Any, timestamps: Any) -> tuple[ClipSource
     if not isinstance(path_or_array, str | os.PathLike):
         return None, load_array(path_or_array, mask=mask, timestamps=timestamps)
     if timestamps is not None:
-        raise InputError(
-            "timestamps is given for a file; expected None, since files have their own. Leave it out."
-        )
+        raise InputError("timestamps is given for a file; expected None, since files have their own. Leave it out.")
     source = source_at(path_or_array)
     if isinstance(source, SourceProblem):
         raise InputError(f"{displayed_path(source.path)}: {source.cause}")

@@ -12,6 +12,8 @@ from inference.prediction import Estimated, Prediction
 from inference.sources import ClipSource, displayed_path
 
 if TYPE_CHECKING:
+    from torch.nn import Module
+
     from models.clip import ClipConfig, PreparedClip
 
 __all__ = ["Predictor", "Prepare", "ReadyClip", "ready_clip", "ready_source", "to_prediction"]
@@ -22,6 +24,16 @@ Prepare = Callable[..., "PreparedClip"]
 
 class Predictor(Protocol):
     """What inference needs of a predictor (`models.estimator.PhysicsPredictor`)."""
+
+    @property
+    def network(self) -> Module:
+        """The weights."""
+        ...
+
+    @property
+    def config(self) -> Any:
+        """Everything beside the weights that decides an estimate; its `repr` tells two apart."""
+        ...
 
     @property
     def clip_config(self) -> ClipConfig:
@@ -51,23 +63,17 @@ class ReadyClip:
     """JPEG of the frames used, with the outline of the object; empty unless asked for."""
 
 
-def ready_clip(
-    loaded: LoadedClip, settings: ClipSettings, prepare: Prepare, *, picture: bool = False
-) -> ReadyClip:
+def ready_clip(loaded: LoadedClip, settings: ClipSettings, prepare: Prepare, *, picture: bool = False) -> ReadyClip:
     """Prepare a loaded clip for the network."""
     conditions = resolve_conditions(loaded, settings)
     timed = retimed(loaded, conditions.fps)
     mask = None if timed.mask is None else timed.mask.astype("uint8") * 255
-    prepared = prepare(
-        timed.frames, fps=conditions.fps, timestamps=timed.timestamps, mask=mask, alpha=timed.alpha
-    )
+    prepared = prepare(timed.frames, fps=conditions.fps, timestamps=timed.timestamps, mask=mask, alpha=timed.alpha)
     strip = frame_strip(timed, prepared) if picture else b""
     return ReadyClip(None, prepared, conditions, loaded.warnings, strip)
 
 
-def ready_source(
-    source: ClipSource, settings: ClipSettings, prepare: Prepare, *, picture: bool = False
-) -> ReadyClip:
+def ready_source(source: ClipSource, settings: ClipSettings, prepare: Prepare, *, picture: bool = False) -> ReadyClip:
     """Read a source and prepare it for the network.
 
     Raises:

@@ -4,6 +4,7 @@
 clips/NAME.json                   the prediction with its units
 clips/NAME.skinning.safetensors   the skinning field
 clips/NAME.jpg                    frames that were used, with the outline of the object
+clips/NAME.skinning.png           section through the skinning weights
 journal.jsonl                     one line per finished or failed clip, written after its files
 predictions.csv, .parquet         the table
 run.json                          configuration, versions and command of every run
@@ -21,6 +22,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TextIO
 
+from inference.pictures import ClipPictures
 from inference.prediction import Prediction
 from inference.sources import ClipSource, SourceProblem, displayed_path
 from inference.table import ResultRow, row_of_error, row_of_prediction, write_csv, write_parquet
@@ -58,8 +60,7 @@ class ResultsFolder:
             self._journal = open(self.path / "journal.jsonl", "a+", encoding="utf-8")
         except OSError as error:
             raise InputError(
-                f"out is {str(out)!r}; expected a folder that can be written ({error.strerror}). "
-                "Name another one."
+                f"out is {str(out)!r}; expected a folder that can be written ({error.strerror}). Name another one."
             ) from error
         self._lock()
         self._entries = self._read_journal()
@@ -86,11 +87,7 @@ class ResultsFolder:
     def finished(self, key: str, fingerprint: str) -> ResultRow | None:
         """Return the row of a clip that was predicted with the same content and settings, else None."""
         entry = self._entries.get(key)
-        if (
-            entry is None
-            or entry.row.error
-            or (entry.fingerprint, entry.settings) != (fingerprint, self._settings)
-        ):
+        if entry is None or entry.row.error or (entry.fingerprint, entry.settings) != (fingerprint, self._settings):
             return None
         files = (self.record_path(entry.row.name), self.skinning_path(entry.row.name))
         return entry.row if all(path.is_file() for path in files) else None
@@ -103,27 +100,22 @@ class ResultsFolder:
         """Return the skinning file of a clip."""
         return self.path / "clips" / f"{name}.skinning.safetensors"
 
-    def picture_path(self, name: str) -> Path:
-        """Return the picture of a clip's frames."""
-        return self.path / "clips" / f"{name}.jpg"
-
     def add_prediction(
-        self, source: ClipSource, name: str, fingerprint: str, prediction: Prediction, picture: bytes
+        self, source: ClipSource, name: str, fingerprint: str, prediction: Prediction, pictures: ClipPictures
     ) -> ResultRow:
         """Write a prediction's files, then its journal line, then its line in the CSV."""
         row = row_of_prediction(name, prediction)
         record = prediction.to_record() | {"name": name, "skinning_weights": self.skinning_path(name).name}
         self._write(self.skinning_path(name), prediction.skinning_field.save)
-        if picture:
-            self._write(self.picture_path(name), lambda path: path.write_bytes(picture))
-        text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
-        self._write(self.record_path(name), lambda path: path.write_text(text + "\n", encoding="utf-8"))
+        for suffix, data in ((".jpg", pictures.frames), (".skinning.png", pictures.weights)):
+            if data:
+                self._write_bytes(self.path / "clips" / f"{name}{suffix}", data)
+        text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        self._write_bytes(self.record_path(name), text.encode())
         self._append(JournalEntry(source.key, fingerprint, self._settings, row))
         return row
 
-    def add_error(
-        self, source: ClipSource | SourceProblem, name: str, error: str, *, details: str = ""
-    ) -> ResultRow:
+    def add_error(self, source: ClipSource | SourceProblem, name: str, error: str, *, details: str = "") -> ResultRow:
         """Record that a clip has no prediction, and why."""
         row = row_of_error(name, displayed_path(source.path), error)
         self._append(JournalEntry(source.key, "", self._settings, row, details))
@@ -167,6 +159,9 @@ class ResultsFolder:
         assert self._csv is not None
         write_csv(self._csv, [entry.row], header=False)
         self._csv.flush()
+
+    def _write_bytes(self, path: Path, data: bytes) -> None:
+        self._write(path, lambda target: target.write_bytes(data))
 
     def _write(self, path: Path, write: Callable[[Path], object]) -> None:
         """Write under a temporary name that keeps the suffix, sync, then rename."""

@@ -16,6 +16,7 @@ from typing import Any
 import torch
 
 import physconvex
+from inference.preparing import Predictor
 
 __all__ = ["checkpoint_digest", "finish_run", "start_run"]
 
@@ -46,19 +47,12 @@ def finish_run(out: Path, number: int, **counts: int) -> None:
     _write_runs(out, runs)
 
 
-def checkpoint_digest(predictor: object) -> str:
-    """Return a digest of a predictor's weights and calibration: another checkpoint is never resumed."""
-    own = getattr(predictor, "digest", None)
-    if isinstance(own, str):
-        return own
-    digest = hashlib.sha256(type(predictor).__qualname__.encode())
-    for name, value in sorted(vars(predictor).items()):
-        if isinstance(value, torch.nn.Module):
-            for key, tensor in sorted(value.state_dict().items()):
-                digest.update(key.encode())
-                digest.update(tensor.detach().cpu().contiguous().view(torch.uint8).numpy().tobytes())
-        elif not isinstance(value, torch.device):
-            digest.update(f"{name}={value!r}".encode())
+def checkpoint_digest(predictor: Predictor) -> str:
+    """Return a digest of a predictor's weights and configuration: another checkpoint is never resumed."""
+    digest = hashlib.sha256(repr(predictor.config).encode())
+    for key, tensor in sorted(predictor.network.state_dict().items()):
+        digest.update(key.encode())
+        digest.update(tensor.detach().cpu().contiguous().flatten().view(torch.uint8).numpy().tobytes())
     return digest.hexdigest()[:16]
 
 

@@ -89,19 +89,14 @@ def write_csv(file: io.TextIOBase | Any, rows: Iterable[ResultRow], *, header: b
 def write_parquet(path: Path, rows: Iterable[ResultRow]) -> None:
     """Write rows with typed columns; units are in the columns' metadata."""
     rows = list(rows)
-    columns = [
-        pyarrow.array([getattr(row, field.name) for row in rows], type=field.type) for field in _schema()
-    ]
+    columns = [pyarrow.array([getattr(row, field.name) for row in rows], type=field.type) for field in _schema()]
     pyarrow.parquet.write_table(pyarrow.Table.from_arrays(columns, schema=_schema()), path)
 
 
 def _schema() -> pyarrow.Schema:
     kinds = {"float | None": pyarrow.float64(), "int | None": pyarrow.int64(), "str": pyarrow.string()}
     return pyarrow.schema(
-        [
-            pyarrow.field(field.name, kinds[str(field.type)], metadata=_unit(field.name))
-            for field in fields(ResultRow)
-        ]
+        [pyarrow.field(field.name, kinds[str(field.type)], metadata=_unit(field.name)) for field in fields(ResultRow)]
     )
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from safetensors.numpy import save_file
 
 from models.clip import ClipConfig, PreparedClip, prepare_clip
@@ -46,7 +47,8 @@ class PredictorDouble:
 
     pause: float = 0.0  # [s] per batch
     fail_on: str = ""  # "nan" or "raise": what happens to clips that are red
-    digest: str = "double"
+    config: str = "double"
+    network: torch.nn.Module = field(default_factory=torch.nn.Identity)
     batches: list[int] = field(default_factory=list)
     clip_config: ClipConfig = field(default_factory=lambda: ClipConfig(image_size=32, frames=12))
     threads: set[str] = field(default_factory=set)

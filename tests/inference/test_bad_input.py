@@ -69,9 +69,7 @@ def bad_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_each_bad_file_gets_one_line_and_the_good_one_its_prediction(
-    bad_folder: Path, tmp_path: Path
-) -> None:
+def test_each_bad_file_gets_one_line_and_the_good_one_its_prediction(bad_folder: Path, tmp_path: Path) -> None:
     summary = predict_batch(bad_folder, out=tmp_path, predictor=PredictorDouble(), processes=False)
     with open(tmp_path / "predictions.csv", newline="", encoding="utf-8") as file:
         errors = {Path(row["path"]).name: row["error"] for row in csv.DictReader(file)}
@@ -94,9 +92,7 @@ def test_each_bad_file_gets_one_line_and_the_good_one_its_prediction(
     assert (summary.predicted, summary.failed, summary.exit_code) == (1, 8, 1)
 
 
-@pytest.mark.parametrize(
-    "name", ["empty.mp4", "truncated.mp4", "text.mp4", "audio.mp4", "one.mp4", "loop.mp4"]
-)
+@pytest.mark.parametrize("name", ["empty.mp4", "truncated.mp4", "text.mp4", "audio.mp4", "one.mp4", "loop.mp4"])
 def test_predict_raises_the_same(bad_folder: Path, name: str) -> None:
     with pytest.raises(InputError) as caught:
         predict(bad_folder / name, predictor=PredictorDouble())

@@ -86,9 +86,7 @@ def test_leaving_the_iteration_early_stops_the_readers(folder: Path) -> None:
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("clip-reader")]
 
 
-def test_a_second_run_does_only_what_is_new_or_changed(
-    tmp_path: Path, folder: Path, make_clip: MakeClip
-) -> None:
+def test_a_second_run_does_only_what_is_new_or_changed(tmp_path: Path, folder: Path, make_clip: MakeClip) -> None:
     out = folder / "out"  # below the inputs: it must not be read
     first = predict_batch(folder, out=out, predictor=PredictorDouble(), processes=False)
     before = table(out)
@@ -106,12 +104,8 @@ def test_a_second_run_does_only_what_is_new_or_changed(
     assert runs[0]["configuration"]["batch_size"] == 8 and runs[0]["command"]
 
 
-@pytest.mark.parametrize(
-    "change", [{"density": 500.0}, {"predictor": PredictorDouble(digest="other")}, {"redo": True}]
-)
-def test_other_settings_checkpoint_or_redo_predict_again(
-    tmp_path: Path, make_clip: MakeClip, change: dict
-) -> None:
+@pytest.mark.parametrize("change", [{"density": 500.0}, {"predictor": PredictorDouble(config="other")}, {"redo": True}])
+def test_other_settings_checkpoint_or_redo_predict_again(tmp_path: Path, make_clip: MakeClip, change: dict) -> None:
     clip = make_clip(tmp_path / "a.mp4")
     predict_batch(clip, out=tmp_path / "out", predictor=PredictorDouble())
     summary = predict_batch(clip, out=tmp_path / "out", **({"predictor": PredictorDouble()} | change))
@@ -137,9 +131,7 @@ def test_results_of_other_folders_stay_in_the_table(tmp_path: Path, make_clip: M
 
 
 @pytest.mark.parametrize("fail_on", ["raise", "nan"])
-def test_one_clip_that_breaks_the_network_fails_alone(
-    tmp_path: Path, make_clip: MakeClip, fail_on: str
-) -> None:
+def test_one_clip_that_breaks_the_network_fails_alone(tmp_path: Path, make_clip: MakeClip, fail_on: str) -> None:
     for name in ("a", "b", "c"):
         make_clip(tmp_path / "clips" / f"{name}.mp4")
     red = make_clip(tmp_path / "clips" / "red.mp4", colour=(230, 20, 20))
@@ -222,9 +214,7 @@ def test_nothing_finished_is_lost_on_a_kill(tmp_path: Path, folder: Path) -> Non
         time.sleep(0.02)
     process.send_signal(signal.SIGKILL)
     process.wait()
-    finished = [
-        json.loads(line)["row"] for line in journal.read_text().splitlines(keepends=True) if line[-1] == "\n"
-    ]
+    finished = [json.loads(line)["row"] for line in journal.read_text().splitlines(keepends=True) if line[-1] == "\n"]
     assert 2 <= len(finished) < 5
     kept = {row["path"]: float(row["youngs_modulus"]) for row in table(out) if row["poisson_ratio_std"]}
     assert all(kept[row["path"]] == row["youngs_modulus"] for row in finished[:-1])

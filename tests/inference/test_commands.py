@@ -36,9 +36,7 @@ def test_table_and_where_the_results_are(app: typer.Typer, tmp_path: Path, make_
     assert (tmp_path / "out" / "gallery.html").read_text().startswith("<!doctype html>")
 
 
-def test_json_lines_alone_on_stdout_and_errors_on_stderr(
-    app: typer.Typer, tmp_path: Path, make_clip: MakeClip
-) -> None:
+def test_json_lines_alone_on_stdout_and_errors_on_stderr(app: typer.Typer, tmp_path: Path, make_clip: MakeClip) -> None:
     make_clip(tmp_path / "clips" / "a.mp4")
     (tmp_path / "clips" / "empty.mp4").touch()
     for _ in range(2):  # the second run reports what the first finished
@@ -53,9 +51,7 @@ def test_json_lines_alone_on_stdout_and_errors_on_stderr(
         assert line.startswith("physconvex predict: ") and "empty.mp4" in line
 
 
-def test_missing_paths_fail_and_the_others_go_on(
-    app: typer.Typer, tmp_path: Path, make_clip: MakeClip
-) -> None:
+def test_missing_paths_fail_and_the_others_go_on(app: typer.Typer, tmp_path: Path, make_clip: MakeClip) -> None:
     clip = make_clip(tmp_path / "a.mp4")
     result = run(app, tmp_path / "none.mp4", clip, "--out", tmp_path / "out")
     assert result.exit_code == 1
@@ -78,7 +74,6 @@ def test_wrong_usage(app: typer.Typer, tmp_path: Path, make_clip: MakeClip) -> N
 def test_help_names_every_option(app: typer.Typer) -> None:
     text = CliRunner().invoke(app, ["--help"], env={"COLUMNS": "200"}).stdout
     for option in (
-        "--out --fps --density --object-size --checkpoint --device --batch-size --workers --json --redo "
-        "--no-progress"
+        "--out --fps --density --object-size --checkpoint --device --batch-size --workers --json --redo --no-progress"
     ).split():
         assert option in text

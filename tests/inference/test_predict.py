@@ -72,9 +72,7 @@ def test_mask_video_beside_the_video(tmp_path: Path, make_clip: MakeClip, ball: 
 
     path = make_clip(tmp_path / "a.mp4")
     inside = np.abs(ball.astype(int) - np.array([40, 90, 200])).max(axis=-1) < 8
-    write_video(
-        tmp_path / "a_mask.mp4", np.repeat(inside[..., None], 3, axis=3).astype(np.uint8) * 255, fps=24
-    )
+    write_video(tmp_path / "a_mask.mp4", np.repeat(inside[..., None], 3, axis=3).astype(np.uint8) * 255, fps=24)
     assert predict(path, predictor=PredictorDouble()).foreground == "mask"
 
 
