@@ -2,6 +2,7 @@
 
 from physconvex.contact import Plane, Sphere
 from physconvex.fem.body import ElasticBody
+from physconvex.fem.loads import surface_load
 from physconvex.fem.mesh import TetMesh, box_mesh, refine, to_quadratic
 from physconvex.fem.modes import skinning_eigenmodes, vibration_modes
 from physconvex.fem.scene import Pins, Scene
@@ -21,6 +22,7 @@ __all__ = [
     "simulate",
     "skinning_eigenmodes",
     "solve_static",
+    "surface_load",
     "to_quadratic",
     "vibration_modes",
 ]
