@@ -1,0 +1,265 @@
+"""Configuration of the generator: every range it draws from, readable from YAML.
+
+Units are SI; names that end in `_deg` are degrees. A range is written as a number (fixed), `[low, high]`
+(uniform), or `{low: …, high: …, scale: log}` (log-uniform).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from physconvex.errors import InputError
+
+__all__ = [
+    "AppearanceConfig",
+    "CameraConfig",
+    "DegradationConfig",
+    "GeneratorConfig",
+    "MaterialConfig",
+    "MotionConfig",
+    "ObjectConfig",
+    "Range",
+    "SampleConfig",
+    "SolverConfig",
+    "VideoConfig",
+    "load_config",
+]
+
+
+class Frozen(BaseModel):
+    """Immutable, and strict about unknown names."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Interval(Frozen):
+    """Closed interval with a uniform or log-uniform distribution."""
+
+    low: float
+    high: float
+    scale: Literal["linear", "log"] = "linear"
+
+    @model_validator(mode="after")
+    def check(self) -> Interval:
+        if not (np.isfinite([self.low, self.high]).all() and self.low <= self.high):
+            raise ValueError(f"low {self.low} and high {self.high} must be finite with low ≤ high")
+        if self.scale == "log" and self.low <= 0:
+            raise ValueError(f"low {self.low} must be positive on a log scale")
+        return self
+
+    def sample(self, rng: np.random.Generator) -> float:
+        """One draw."""
+        if self.scale == "log":
+            return float(np.exp(rng.uniform(np.log(self.low), np.log(self.high))))
+        return float(rng.uniform(self.low, self.high))
+
+
+def read_range(value: Any) -> Any:
+    """Accept a number or a pair where an interval is wanted."""
+    if isinstance(value, (int, float)):
+        return {"low": value, "high": value}
+    if isinstance(value, (list, tuple)) and len(value) == 2:
+        return {"low": value[0], "high": value[1]}
+    return value
+
+
+Range = Annotated[Interval, BeforeValidator(read_range)]
+Share = Annotated[float, Field(ge=0, le=1)]
+
+
+def uniform(low: float, high: float) -> Interval:
+    return Interval(low=low, high=high)
+
+
+def log_uniform(low: float, high: float) -> Interval:
+    return Interval(low=low, high=high, scale="log")
+
+
+class ObjectConfig(Frozen):
+    """What is dropped.
+
+    `folder` replaces the procedural bodies by the meshes below it. `shares` of train, validation and test
+    objects are drawn by a hash of the object, so that no object is in two of them.
+    """
+
+    folder: str | None = None
+    simulations_per_object: int = Field(2, ge=1)
+    train_share: Share = 0.80
+    validation_share: Share = 0.08
+
+
+class MotionConfig(Frozen):
+    """How it is dropped: size [m], height of the lowest point over the floor in sizes, speed [m/s], spin [rad/s]."""
+
+    size: Range = log_uniform(0.5, 1.5)
+    orientation: Literal["random", "upright", "given"] = "random"
+    drop_height: Range = uniform(0.3, 1.5)
+    initial_speed: Range = uniform(0.0, 0.5)
+    initial_spin: Range = uniform(0.0, 2.0)
+    friction: Range = uniform(0.2, 1.0)
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+
+
+class MaterialConfig(Frozen):
+    """What it is made of: E [Pa], ν, density [kg/m³], time constant of Kelvin–Voigt damping [s]."""
+
+    law: str = "neo_hookean"
+    youngs_modulus: Range = log_uniform(1e4, 1e7)
+    poisson_ratio: Range = uniform(0.2, 0.49)
+    density: Range = uniform(1000.0, 1000.0)
+    damping_time: Range = log_uniform(5e-4, 2e-3)
+
+    @model_validator(mode="after")
+    def check(self) -> MaterialConfig:
+        if self.poisson_ratio.low <= -1 or self.poisson_ratio.high >= 0.5:
+            raise ValueError("poisson_ratio must lie inside (-1, 0.5)")
+        if self.youngs_modulus.low <= 0 or self.density.low <= 0:
+            raise ValueError("youngs_modulus and density must be positive")
+        return self
+
+
+class SolverConfig(Frozen):
+    """Discretisation: most nodes of the quadratic mesh, time steps per video frame, friction passes per step, Newton's
+    last step relative to the body's size, tries before giving up."""
+
+    target_nodes: int = Field(500, ge=20)
+    steps_per_frame: int = Field(16, ge=1)
+    friction_passes: int = Field(2, ge=1)
+    tolerance: float = Field(5e-5, gt=0)
+    max_attempts: int = Field(6, ge=1)
+
+
+class VideoConfig(Frozen):
+    """Frames, rate [1/s], image size [pixels], super-sampling factor per axis, x264 quality."""
+
+    frames: int = Field(24, ge=2)
+    fps: float = Field(24.0, gt=0)
+    width: int = Field(128, ge=16)
+    height: int = Field(128, ge=16)
+    supersampling: int = Field(2, ge=1, le=4)
+    crf: int = Field(18, ge=0, le=51)
+
+
+class CameraConfig(Frozen):
+    """Where the camera stands. Azimuth 0 looks along +y; `margin` is free space around the expected path."""
+
+    views: int = Field(3, ge=1)
+    azimuth_deg: Range = uniform(-180.0, 180.0)
+    elevation_deg: Range = uniform(2.0, 25.0)
+    field_of_view_deg: Range = uniform(22.0, 55.0)
+    margin: Range = uniform(1.05, 1.35)
+    aim_jitter: float = Field(0.05, ge=0)
+
+
+class AppearanceConfig(Frozen):
+    """Light, floor and background. Intensities are factors on the texture colour."""
+
+    key_azimuth_deg: Range = uniform(-75.0, 75.0)
+    key_elevation_deg: Range = uniform(35.0, 80.0)
+    key_intensity: Range = uniform(0.65, 1.0)
+    fill_intensity: Range = uniform(0.15, 0.4)
+    ambient: Range = uniform(0.25, 0.45)
+    specular: Range = uniform(0.0, 0.35)
+    warmth: Range = uniform(-0.12, 0.12)
+    shadow_softness: Range = log_uniform(0.004, 0.03)
+    floor_tile: Range = log_uniform(0.5, 4.0)
+    background_kinds: tuple[Literal["plain", "gradient", "texture"], ...] = ("plain", "gradient", "texture")
+
+
+class DegradationConfig(Frozen):
+    """What real clips suffer; each is applied to the given share of the views."""
+
+    noise_share: Share = 0.5
+    noise: Range = log_uniform(0.003, 0.03)
+    compression_share: Share = 0.5
+    compression_crf: Range = uniform(20.0, 33.0)
+    blur_share: Share = 0.3
+    shutter: Range = uniform(0.2, 0.7)
+    blur_subframes: int = Field(4, ge=2)
+    exposure_share: Share = 0.5
+    exposure_stops: Range = uniform(-0.5, 0.4)
+    white_balance: Range = uniform(-0.08, 0.08)
+    gamma: Range = uniform(0.85, 1.2)
+    shake_share: Share = 0.25
+    shake: Range = log_uniform(0.001, 0.006)
+
+
+class SampleConfig(Frozen):
+    """Interior points and skinning eigenmodes stored with each simulation."""
+
+    points: int = Field(384, ge=4)
+    modes: int = Field(16, ge=1)
+
+
+class GeneratorConfig(Frozen):
+    """The whole configuration of a generated data set."""
+
+    objects: ObjectConfig = ObjectConfig()
+    motion: MotionConfig = MotionConfig()
+    material: MaterialConfig = MaterialConfig()
+    solver: SolverConfig = SolverConfig()
+    video: VideoConfig = VideoConfig()
+    camera: CameraConfig = CameraConfig()
+    appearance: AppearanceConfig = AppearanceConfig()
+    degradation: DegradationConfig = DegradationConfig()
+    samples: SampleConfig = SampleConfig()
+
+
+def load_config(source: str | Path | None = None, *, overrides: Sequence[str] = ()) -> GeneratorConfig:
+    """Configuration from a preset name, a YAML file, or the defaults, with `section.name=value` overrides.
+
+    Raises:
+        InputError: no such file or preset, bad YAML, an unknown name or a value out of range.
+    """
+    tree: dict[str, Any] = {} if source is None else read_yaml(source)
+    for override in overrides:
+        apply_override(tree, override)
+    try:
+        return GeneratorConfig.model_validate(tree)
+    except ValidationError as error:
+        lines = (f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']} (got {e['input']!r})" for e in error.errors())
+        raise InputError("configuration: " + "; ".join(lines)) from error
+
+
+def read_yaml(source: str | Path) -> dict[str, Any]:
+    """The tree in a YAML file, or in the preset of that name."""
+    preset = resources.files("data_gen") / "presets" / f"{source}.yaml"
+    if Path(source).is_file():
+        text = Path(source).read_text(encoding="utf-8")
+    elif "/" not in str(source) and preset.is_file():
+        text = preset.read_text(encoding="utf-8")
+    else:
+        folder = resources.files("data_gen") / "presets"
+        names = sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+        raise InputError(f"config: got {str(source)!r}; expected a YAML file or one of the presets {', '.join(names)}")
+    try:
+        tree = yaml.safe_load(text) or {}
+    except yaml.YAMLError as error:
+        raise InputError(f"config: {source} is no valid YAML: {error}") from error
+    if not isinstance(tree, dict):
+        raise InputError(f"config: {source} holds {type(tree).__name__}; expected sections such as `motion:`")
+    return tree
+
+
+def apply_override(tree: dict[str, Any], override: str) -> None:
+    """Set `section.name=value` in a configuration tree; the value is YAML."""
+    path, equals, text = override.partition("=")
+    *sections, name = path.strip().split(".")
+    if not equals or not name:
+        raise InputError(f"--set: got {override!r}; expected section.name=value, as material.poisson_ratio=[0.3,0.4]")
+    for section in sections:
+        branch = tree.setdefault(section, {})
+        if not isinstance(branch, dict):
+            raise InputError(f"--set: {section!r} in {override!r} is a value, not a section")
+        tree = branch
+    try:
+        tree[name] = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise InputError(f"--set: {override!r}: the value is no valid YAML: {error}") from error

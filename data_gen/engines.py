@@ -1,0 +1,94 @@
+"""Where simulations run: in this process, in local worker processes, or on a ray or dask cluster."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from typing import Any, Literal, TypeVar
+
+from physconvex.errors import InputError
+
+__all__ = ["EngineName", "run_tasks"]
+
+EngineName = Literal["local", "ray", "dask"]
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+def run_tasks(
+    function: Callable[[Task], Result], tasks: Sequence[Task], *, workers: int, engine: EngineName
+) -> Iterator[Result]:
+    """Apply `function` to all tasks and yield the results as they finish, in any order.
+
+    Raises:
+        InputError: unknown engine, an engine that is not installed, or fewer than one worker.
+    """
+    if workers < 1:
+        raise InputError(f"workers: got {workers}; expected at least 1")
+    engines: dict[str, Callable[..., Iterator[Any]]] = {"local": _local, "ray": _ray, "dask": _dask}
+    if engine not in engines:
+        raise InputError(f"engine: got {engine!r}; expected one of {', '.join(engines)}")
+    yield from engines[engine](function, tasks, workers)
+
+
+@contextmanager
+def _single_threaded() -> Iterator[None]:
+    """Child processes started inside use one thread each."""
+    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _local(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int) -> Iterator[Any]:
+    # Fresh processes: a forked one would inherit OpenGL contexts and thread pools that do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    with _single_threaded(), ProcessPoolExecutor(workers, mp_context=context) as pool:
+        futures = [pool.submit(function, task) for task in tasks]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _ray(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int) -> Iterator[Any]:
+    try:
+        import ray
+    except ImportError as error:
+        raise InputError('engine: "ray" is not installed; expected it (pip install "physconvex[ray]")') from error
+    if not ray.is_initialized():
+        ray.init(num_cpus=workers, include_dashboard=False, log_to_driver=False)
+    environment = {"env_vars": dict.fromkeys(_THREAD_VARIABLES, "1")}
+    remote = ray.remote(num_cpus=1, runtime_env=environment)(function)
+    waiting = [remote.remote(task) for task in tasks]
+    while waiting:
+        done, waiting = ray.wait(waiting)
+        yield from ray.get(done)
+
+
+def _dask(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int) -> Iterator[Any]:
+    try:
+        from distributed import Client, LocalCluster, as_completed
+    except ImportError as error:
+        raise InputError('engine: "dask" is not installed; expected it (pip install "physconvex[dask]")') from error
+    address = os.environ.get("DASK_SCHEDULER_ADDRESS")
+    with _single_threaded():
+        cluster = None if address else LocalCluster(workers, threads_per_worker=1, dashboard_address=None)
+        with Client(address or cluster) as client:
+            futures = client.map(function, tasks, pure=False)
+            for future in as_completed(futures):
+                yield future.result()
+        if cluster is not None:
+            cluster.close()

@@ -1,0 +1,178 @@
+"""Images of a deforming textured surface over a floor, rendered by VTK without a display.
+
+Each frame is a static plate (floor and background), darkened by the object's shadow, under the lit object. The
+shadow is the surface projected on the floor along the key light, rendered from the same camera and softened. All
+passes are super-sampled and averaged; the object's coverage of each pixel is the mask.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from data_gen.surface import Surface, corner_normals
+from data_gen.vtk_passes import (
+    RenderError,
+    light_object,
+    object_pass,
+    open_window,
+    place_camera,
+    plate_pass,
+    shadow_pass,
+)
+from physconvex.camera import Camera
+from physconvex.errors import InputError
+
+__all__ = ["Backdrop", "Lighting", "RenderError", "Renderer"]
+
+@dataclass(frozen=True)
+class Lighting:
+    """One key light far away, a fill light from the other side, and ambient light.
+
+    Attributes:
+        direction: unit vector from the scene to the key light, shape [3], z > 0.
+        key, fill, ambient: intensities, factors on the texture colour.
+        color: RGB factor of the key light.
+        specular: strength of the highlight.
+        shadow_softness: standard deviation of the shadow's edge, in image heights.
+    """
+
+    direction: tuple[float, float, float]
+    key: float = 0.8
+    fill: float = 0.25
+    ambient: float = 0.35
+    color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    specular: float = 0.1
+    shadow_softness: float = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Backdrop:
+    """Floor (plane z = 0) and background.
+
+    Attributes:
+        floor: texture, shape [h, w, 3] uint8, one tile of edge `floor_tile` [m].
+        background: picture of the far surroundings, shape [h, w, 3] uint8 (row 0 is up).
+    """
+
+    floor: UInt8[np.ndarray, "h w 3"]
+    background: UInt8[np.ndarray, "h2 w2 3"]
+    floor_tile: float = 1.0
+
+
+class Renderer:
+    """Off-screen renderer of a fixed image size; reuse one per process.
+
+    Call `set_surface`, then `set_view`, then `frame` for each set of vertex positions.
+
+    Raises:
+        RenderError: no OpenGL context can be made.
+    """
+
+    def __init__(self, width: int, height: int, *, supersampling: int = 2) -> None:
+        self.width, self.height, self.factor = width, height, supersampling
+        self.window = open_window(width * supersampling, height * supersampling)
+        self.passes: dict[str, Any] = {}
+        self.surface: Surface | None = None
+        self.plate: np.ndarray | None = None
+
+    def set_surface(self, surface: Surface) -> None:
+        """Choose the object that is drawn from now on."""
+        import pyvista as pv
+
+        self.release_passes("object", "shadow")
+        self.surface = surface
+        self.normals = corner_normals(surface.vertices, surface.faces)
+        self.corners = surface.faces.ravel()
+        count = len(self.corners)
+        cells = np.hstack([np.full((count // 3, 1), 3), np.arange(count).reshape(-1, 3)]).ravel()
+        self.mesh = pv.PolyData(surface.vertices[self.corners].astype(np.float32), cells)
+        self.mesh.point_data["Normals"] = np.zeros((count, 3), np.float32)
+        self.mesh.GetPointData().SetActiveNormals("Normals")
+        self.flat = pv.PolyData(surface.vertices.astype(np.float32), triangles(surface.faces))
+        self.passes["object"] = object_pass(self.mesh, surface)
+        self.passes["shadow"] = shadow_pass(self.flat)
+        self.attach("object", "shadow")
+
+    def set_view(self, camera: Camera, lighting: Lighting, backdrop: Backdrop) -> None:
+        """Choose camera, light and surroundings; renders the static plate once."""
+        if self.surface is None:
+            raise InputError("set_view: no surface yet; call set_surface before")
+        if (camera.w, camera.h) != (self.width, self.height):
+            raise InputError(f"camera: {camera.w}×{camera.h} pixels; this renderer makes {self.width}×{self.height}")
+        if camera.k1 or camera.k2:
+            raise InputError("camera: k1 and k2 must be zero, since the renderer makes undistorted images")
+        self.camera, self.lighting = camera, lighting
+        self.release_passes("plate")
+        self.passes["plate"] = plate_pass(backdrop)
+        self.attach("plate")
+        for renderer in self.passes.values():
+            place_camera(renderer, camera)
+        light_object(self.passes["object"], lighting, camera)
+        floor_light = lighting.ambient + lighting.fill * 0.5 + lighting.key * lighting.direction[2]
+        self.shadow_strength = lighting.key * lighting.direction[2] / floor_light
+        self.plate = self.draw("plate")[..., :3]
+
+    def frame(
+        self, positions: Float[np.ndarray, "P 3"]
+    ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
+        """Image (0 to 1) and coverage by the object (0 to 1) with the surface's vertices at `positions` [m]."""
+        if self.plate is None or self.surface is None:
+            raise InputError("frame: no view yet; call set_surface and set_view before")
+        corners = positions[self.corners]
+        self.mesh.points[:] = corners
+        self.mesh.point_data["Normals"][:] = self.normals.at(corners.reshape(-1, 3, 3))
+        self.mesh.Modified()
+        towards = np.array(self.lighting.direction)
+        self.flat.points[:] = positions - np.maximum(positions[:, 2:], 0) / towards[2] * towards
+        self.flat.Modified()
+        rgba = self.draw("object")
+        shadow = self.soften(self.draw("shadow")[..., 3])
+        image = self.plate * (1 - self.shadow_strength * shadow[..., None])
+        image = image * (1 - rgba[..., 3:]) + rgba[..., :3]
+        return image, rgba[..., 3]
+
+    def soften(self, shadow: np.ndarray) -> np.ndarray:
+        sigma = self.lighting.shadow_softness * self.height
+        return cv2.GaussianBlur(shadow, (0, 0), sigma) if sigma > 0.2 else shadow
+
+    def draw(self, name: str) -> Float[np.ndarray, "h w 4"]:
+        """Render one pass alone; pre-multiplied RGBA averaged over the super-samples."""
+        from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
+
+        for key, renderer in self.passes.items():
+            renderer.SetDraw(key == name)
+        self.window.Render()
+        wide, tall = self.width * self.factor, self.height * self.factor
+        pixels = vtkUnsignedCharArray()
+        self.window.GetRGBACharPixelData(0, 0, wide - 1, tall - 1, 0, pixels)
+        return self.average(np.asarray(memoryview(pixels)).reshape(tall, wide, 4)[::-1])
+
+    def average(self, image: np.ndarray) -> np.ndarray:
+        blocks = image.reshape(self.height, self.factor, self.width, self.factor, 4)
+        return blocks.mean(axis=(1, 3), dtype=np.float32) / np.float32(255)
+
+    def attach(self, *names: str) -> None:
+        for name in names:
+            self.window.AddRenderer(self.passes[name])
+
+    def release_passes(self, *names: str) -> None:
+        """Drop passes and what they hold on the graphics side."""
+        for name in names:
+            renderer = self.passes.pop(name, None)
+            if renderer is not None:
+                renderer.ReleaseGraphicsResources(self.window)
+                self.window.RemoveRenderer(renderer)
+
+    def close(self) -> None:
+        """Give the graphics context back."""
+        self.release_passes(*list(self.passes))
+        self.window.Finalize()
+
+
+def triangles(faces: Int[np.ndarray, "F 3"]) -> np.ndarray:
+    return np.hstack([np.full((len(faces), 1), 3), faces]).ravel()

@@ -1,0 +1,121 @@
+"""A drop simulated by the full-order FEM: surface and interior trajectories, skinning eigenmodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from data_gen.config import GeneratorConfig
+from data_gen.scene import Drop
+from physconvex.fem import (
+    ElasticBody,
+    Plane,
+    Scene,
+    SolveStatistics,
+    TetMesh,
+    Trajectory,
+    simulate,
+    skinning_eigenmodes,
+)
+from physconvex.fem.embedding import Embedding, sample_interior
+from physconvex.fem.implicit_meshing import tetrahedralize_implicit
+from physconvex.fem.meshing import tetrahedralize
+
+__all__ = ["Samples", "SimulatedDrop", "make_mesh", "simulate_drop"]
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Interior points of a simulation.
+
+    Attributes:
+        points: rest positions where the drop starts [m], shape [S, 3].
+        volume_weights: volume each point stands for [m³], shape [S].
+        displacements: [m], shape [T, S, 3].
+        modes: skinning eigenmodes without the constant one, shape [S, K].
+        eigenvalues: of the modes [1/s²], shape [K].
+    """
+
+    points: Float[np.ndarray, "S 3"]
+    volume_weights: Float[np.ndarray, " S"]
+    displacements: Float[np.ndarray, "T S 3"]
+    modes: Float[np.ndarray, "S K"]
+    eigenvalues: Float[np.ndarray, " K"]
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedDrop:
+    """Result of one simulation: the tetrahedra, surface positions [T, P, 3] m, interior samples, cost."""
+
+    mesh: TetMesh
+    trajectory: Trajectory
+    surface: Float[np.ndarray, "T P 3"]
+    samples: Samples
+
+    @property
+    def statistics(self) -> SolveStatistics:
+        """What the solve cost."""
+        return self.trajectory.statistics
+
+
+def make_mesh(drop: Drop, target_nodes: int) -> TetMesh:
+    """Quadratic tetrahedra of the drop's body where it starts, with at most `target_nodes` nodes.
+
+    Raises:
+        ConvergenceError: no sound mesh was found.
+    """
+    body = drop.body
+    if body.signed_distance is not None:
+        mesh = tetrahedralize_implicit(
+            body.signed_distance, body.bounds, surface=(body.vertices, body.faces), max_nodes=target_nodes, order=2
+        )
+    else:
+        mesh = tetrahedralize((body.vertices, body.faces), max_nodes=target_nodes, order=2)
+    x = drop.placed(mesh.vertices)
+    x[:, 2] += max(0.0, 1e-3 * drop.size - x[:, 2].min())
+    return TetMesh(x, mesh.tets)
+
+
+def simulate_drop(drop: Drop, config: GeneratorConfig, rng: np.random.Generator) -> SimulatedDrop:
+    """Mesh, simulate and sample a drop.
+
+    Raises:
+        ConvergenceError: meshing or the solve failed.
+    """
+    solver, video = config.solver, config.video
+    mesh = make_mesh(drop, solver.target_nodes)
+    body = ElasticBody(
+        mesh,
+        law=config.material.law,
+        youngs_modulus=drop.youngs_modulus,
+        poisson_ratio=drop.poisson_ratio,
+        density=drop.density,
+    )
+    scene = Scene(
+        body=body,
+        obstacles=(Plane(friction=drop.friction),),
+        gravity=config.motion.gravity,
+        damping_time=drop.damping_time,
+        initial_velocity=drop.initial_velocity,
+        initial_angular_velocity=drop.initial_angular_velocity,
+    )
+    trajectory = simulate(
+        scene,
+        frames=video.frames,
+        fps=video.fps,
+        steps_per_frame=solver.steps_per_frame,
+        friction_passes=solver.friction_passes,
+        tolerance=solver.tolerance,
+    )
+    surface = Embedding.of_points(mesh, drop.placed(drop.body.vertices)).apply(trajectory.positions)
+    return SimulatedDrop(mesh, trajectory, surface, _samples(body, trajectory, config, rng))
+
+
+def _samples(body: ElasticBody, trajectory: Trajectory, config: GeneratorConfig, rng: np.random.Generator) -> Samples:
+    points, volume_weights = sample_interior(body.mesh, config.samples.points, rng)
+    embedding = Embedding.of_points(body.mesh, points)
+    weights, eigenvalues = skinning_eigenmodes(body, config.samples.modes)
+    moved = embedding.apply(trajectory.positions)
+    return Samples(points, volume_weights, moved - points, embedding.apply(weights), eigenvalues)

@@ -1,0 +1,235 @@
+"""What VTK needs to draw each pass: window, actors, lights, and a camera with exact intrinsics."""
+
+from __future__ import annotations
+
+import ctypes.util
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from data_gen.surface import Surface
+from physconvex.camera import Camera
+from physconvex.errors import PhysconvexError
+
+if TYPE_CHECKING:
+    from data_gen.render import Backdrop, Lighting
+
+__all__ = ["RenderError", "light_object", "object_pass", "open_window", "place_camera", "plate_pass", "shadow_pass"]
+
+FLOOR_EXTENT = 40.0  # half edge of the floor [m]
+DOME_RADIUS = 90.0  # of the background [m]
+CLIP_RANGE = (0.02, 250.0)  # [m]
+REMEDY = (
+    "on Debian or Ubuntu: apt-get install libegl1 libgl1-mesa-dri (software rendering, no display needed); "
+    "with an NVIDIA driver libegl1 is enough"
+)
+
+
+class RenderError(PhysconvexError, RuntimeError):
+    """No image could be made on this machine; the message says what to install."""
+
+
+@contextmanager
+def without_display() -> Iterator[None]:
+    """Ask VTK for EGL and keep its notes on a missing X server off the terminal."""
+    from vtkmodules.vtkCommonCore import vtkLogger
+
+    chosen = os.environ.get("VTK_DEFAULT_OPENGL_WINDOW")
+    verbosity = vtkLogger.GetCurrentVerbosityCutoff()
+    os.environ["VTK_DEFAULT_OPENGL_WINDOW"] = chosen or "vtkEGLRenderWindow"
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
+    try:
+        yield
+    finally:
+        vtkLogger.SetStderrVerbosity(verbosity)
+        if chosen is None:
+            del os.environ["VTK_DEFAULT_OPENGL_WINDOW"]
+
+
+def open_window(width: int, height: int) -> Any:
+    """An off-screen window with an alpha channel.
+
+    Raises:
+        RenderError: no OpenGL context can be made here.
+    """
+    with without_display():
+        import vtkmodules.vtkRenderingOpenGL2  # noqa: F401  (registers VTK's OpenGL classes)
+        from vtkmodules.vtkRenderingCore import vtkRenderWindow
+
+        window = vtkRenderWindow()
+        # VTK falls back to OSMesa, and crashes at the first image where that is not installed either.
+        if window.GetClassName() == "vtkOSOpenGLRenderWindow" and ctypes.util.find_library("OSMesa") is None:
+            raise RenderError(f"no OpenGL: neither EGL nor OSMesa could be loaded; {REMEDY}")
+        window.SetOffScreenRendering(True)
+        window.SetMultiSamples(0)
+        window.SetAlphaBitPlanes(1)
+        window.SetSize(width, height)
+        window.Initialize()
+        if not window.SupportsOpenGL():
+            raise RenderError(f"no usable OpenGL: {window.GetClassName()}; {REMEDY}")
+    return window
+
+
+def new_renderer(*actors: Any) -> Any:
+    """A renderer on a transparent background, without automatic lights or cameras."""
+    from vtkmodules.vtkRenderingCore import vtkRenderer
+
+    renderer = vtkRenderer()
+    renderer.SetBackground(0.0, 0.0, 0.0)
+    renderer.SetBackgroundAlpha(0.0)
+    renderer.AutomaticLightCreationOff()
+    renderer.GetActiveCamera()
+    for actor in actors:
+        renderer.AddActor(actor)
+    return renderer
+
+
+def new_actor(mesh: Any) -> Any:
+    from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper
+
+    mapper = vtkPolyDataMapper()
+    mapper.SetInputDataObject(mesh)
+    mapper.ScalarVisibilityOff()
+    actor = vtkActor()
+    actor.SetMapper(mapper)
+    return actor
+
+
+def unlit(actor: Any, brightness: float = 1.0) -> Any:
+    properties = actor.GetProperty()
+    properties.LightingOff()
+    properties.SetColor(brightness, brightness, brightness)
+    return actor
+
+
+def image_texture(image: np.ndarray, *, repeat: bool) -> Any:
+    """Smoothly filtered texture of an image whose row 0 is up."""
+    import pyvista as pv
+
+    texture = pv.Texture(np.ascontiguousarray(image))
+    texture.SetRepeat(repeat)
+    texture.InterpolateOn()
+    texture.MipmapOn()
+    texture.SetMaximumAnisotropicFiltering(8)
+    return texture
+
+
+def object_pass(mesh: Any, surface: Surface) -> Any:
+    """The lit object alone; `mesh` has three own points per face of `surface`."""
+    from vtkmodules.vtkRenderingCore import vtkLight
+
+    actor = new_actor(mesh)
+    corners = surface.faces.ravel()
+    if surface.texture is not None and surface.uv is not None:
+        mesh.active_texture_coordinates = surface.uv[corners].astype(np.float32)
+        actor.SetTexture(image_texture(surface.texture, repeat=True))
+    else:
+        assert surface.colors is not None
+        mesh.point_data["rgb"] = surface.colors[corners]
+        mesh.GetPointData().SetActiveScalars("rgb")
+        actor.GetMapper().ScalarVisibilityOn()
+        actor.GetMapper().SetColorModeToDirectScalars()
+    actor.GetProperty().SetInterpolationToPhong()
+    renderer = new_renderer(actor)
+    for _ in range(3):
+        light = vtkLight()
+        light.SetLightTypeToSceneLight()
+        light.PositionalOff()
+        renderer.AddLight(light)
+    return renderer
+
+
+def shadow_pass(mesh: Any) -> Any:
+    """The flattened object in white."""
+    return new_renderer(unlit(new_actor(mesh)))
+
+
+def plate_pass(backdrop: Backdrop) -> Any:
+    """Floor and background, as they look without the object."""
+    import pyvista as pv
+
+    edge = FLOOR_EXTENT
+    floor = pv.PolyData(
+        np.array([[-edge, -edge, 0], [edge, -edge, 0], [edge, edge, 0], [-edge, edge, 0]], np.float32),
+        np.array([4, 0, 1, 2, 3]),
+    )
+    tiles = edge / backdrop.floor_tile
+    corners = np.array([[-tiles, -tiles], [tiles, -tiles], [tiles, tiles], [-tiles, tiles]], np.float32)
+    floor.active_texture_coordinates = corners
+    floor_actor = unlit(new_actor(floor))
+    floor_actor.SetTexture(image_texture(backdrop.floor, repeat=True))
+    dome_actor = unlit(new_actor(dome()))
+    dome_actor.SetTexture(image_texture(backdrop.background, repeat=True))
+    return new_renderer(floor_actor, dome_actor)
+
+
+def dome(steps: int = 64) -> Any:
+    """Open cylinder with a lid around the scene; the picture runs twice around it."""
+    import pyvista as pv
+
+    angle = np.linspace(0, 2 * np.pi, steps + 1)
+    circle = DOME_RADIUS * np.column_stack([np.cos(angle), np.sin(angle)])
+    rows = [(-1.0, 0.0), (0.0, 0.0), (0.8 * DOME_RADIUS, 1.0)]
+    points = np.vstack([np.column_stack([circle, np.full(len(circle), z)]) for z, _ in rows])
+    coordinates = np.vstack([np.column_stack([2 * angle / np.pi, np.full(len(angle), v)]) for _, v in rows])
+    first = np.arange(steps)
+    n = steps + 1
+    quads = [np.column_stack([first, first + 1, first + 1 + n, first + n]) + k * n for k in range(len(rows) - 1)]
+    cells = np.hstack([np.full((len(quads) * steps, 1), 4), np.vstack(quads)]).ravel()
+    mesh = pv.PolyData(points.astype(np.float32), cells)
+    mesh.active_texture_coordinates = coordinates.astype(np.float32)
+    return mesh
+
+
+def light_object(renderer: Any, lighting: Lighting, camera: Camera) -> None:
+    """Set the key, fill and upward bounce lights and the material of the object pass."""
+    lights = [renderer.GetLights().GetItemAsObject(k) for k in range(3)]
+    key = np.array(lighting.direction)
+    viewer = camera.position / np.linalg.norm(camera.position)
+    fill = viewer - 0.8 * key + [0, 0, 0.3]
+    directions = (key, fill / np.linalg.norm(fill), np.array([0.0, 0.0, -1.0]))
+    intensities = (lighting.key, lighting.fill, 0.5 * lighting.ambient)
+    for light, direction, intensity in zip(lights, directions, intensities, strict=True):
+        light.SetPosition(*(100 * direction))
+        light.SetFocalPoint(0, 0, 0)
+        light.SetIntensity(intensity)
+    lights[0].SetColor(*lighting.color)
+    actor = renderer.GetActors().GetItemAsObject(0)
+    properties = actor.GetProperty()
+    properties.SetAmbient(lighting.ambient)
+    properties.SetDiffuse(1.0)
+    properties.SetSpecular(lighting.specular)
+    properties.SetSpecularPower(25.0)
+
+
+def place_camera(renderer: Any, camera: Camera) -> None:
+    """Give a renderer the pose and the exact intrinsics of a camera."""
+    from vtkmodules.vtkCommonMath import vtkMatrix4x4
+
+    vtk_camera = renderer.GetActiveCamera()
+    vtk_camera.SetPosition(*camera.position)
+    vtk_camera.SetFocalPoint(*(camera.position - camera.rotation[:, 2]))
+    vtk_camera.SetViewUp(*camera.rotation[:, 1])
+    vtk_camera.SetClippingRange(*CLIP_RANGE)
+    matrix = vtkMatrix4x4()
+    matrix.DeepCopy(projection_matrix(camera).ravel())
+    vtk_camera.SetExplicitProjectionTransformMatrix(matrix)
+    vtk_camera.UseExplicitProjectionTransformMatrixOn()
+
+
+def projection_matrix(camera: Camera) -> Float[np.ndarray, "4 4"]:
+    """OpenGL projection (clip coordinates −1 to 1) of a camera's intrinsics."""
+    near, far = CLIP_RANGE
+    matrix = np.zeros((4, 4))
+    matrix[0, 0] = 2 * camera.fl_x / camera.w
+    matrix[0, 2] = 1 - 2 * camera.cx / camera.w
+    matrix[1, 1] = 2 * camera.fl_y / camera.h
+    matrix[1, 2] = 2 * camera.cy / camera.h - 1
+    matrix[2, 2] = -(far + near) / (far - near)
+    matrix[2, 3] = -2 * far * near / (far - near)
+    matrix[3, 2] = -1.0
+    return matrix
