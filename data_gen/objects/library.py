@@ -27,7 +27,7 @@ FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Field], ...]] = {
     "toy": (quadruped, humanoid, starfish, octopus, caterpillar),
 }
 # Half extent of the box in which the raw shapes lie, and the grid spacing of the checks (share of the size).
-RAW_EXTENT, CHECK_SPACING = 4.6, 1 / 48
+RAW_EXTENT, CHECK_SPACING = 4.6, 1 / 40
 # Accepted bodies lose at most this share of volume where they are thinner than MIN_THICKNESS (share of the size).
 MIN_THICKNESS, THIN_SHARE = 0.12, 0.08
 ATTEMPTS = 60

@@ -29,7 +29,7 @@ def polygon_distance(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.where(winding != 0, -distance, distance)
 
 
-def tabulated(polygon: np.ndarray, *, samples: int = 160) -> PlaneField:
+def tabulated(polygon: np.ndarray, *, samples: int = 100) -> PlaneField:
     """Signed distance from a polygon as a cubic spline on a grid: quick for many points."""
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     margin = 0.35 * (high - low).max()

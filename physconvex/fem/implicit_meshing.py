@@ -194,29 +194,22 @@ def _stuffed(
     """Linear mesh in one piece, of the right topology if asked, with the most nodes within the budget; None if there is none."""
     cell, best, most = float(np.cbrt(NODES_PER_CELL[order] * target.volume / max_nodes)), None, 0
     for _ in range(TRIALS):
-        mesh = _piece(field, bounds, cell, inflation, offset)
-        count = 1 if mesh is None else node_count(mesh, order)
+        try:
+            pieces = stuff(field, bounds, cell, level=inflation * cell, offset=offset)
+        except InputError:  # thinner than the lattice everywhere
+            cell *= 0.8
+            continue
+        count, mesh = node_count(pieces, order), largest_piece(pieces)
         if mesh is not None and most < count <= max_nodes:
             if not same_topology or euler_characteristic(mesh.boundary_faces) == target.euler:
                 best, most = mesh, count
                 if count >= FULL * max_nodes:
                     break
-        cell *= float(np.clip((count / (0.93 * max_nodes)) ** (1 / 2.4), 0.8, 1.3))
+        # To 93 % of the budget if the body is resolved with fewer nodes, else just somewhere else.
+        cell *= float(np.clip((count / (0.93 * max_nodes)) ** (1 / 2.4), 0.8, 1.3)) * (
+            0.97 if mesh is None else 1.0
+        )
     return best
-
-
-def _piece(
-    field: SignedDistance,
-    bounds: np.ndarray,
-    cell: float,
-    inflation: float,
-    offset: tuple[float, float, float],
-) -> TetMesh | None:
-    """Largest piece of the stuffed lattice; None where nothing is inside or a sizeable second piece exists."""
-    try:
-        return largest_piece(stuff(field, bounds, cell, level=inflation * cell, offset=offset))
-    except InputError:  # the lattice is too coarse for this body: the caller takes a smaller cell
-        return None
 
 
 def node_count(mesh: TetMesh, order: Literal[1, 2]) -> int:
