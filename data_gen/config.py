@@ -154,7 +154,7 @@ class CameraConfig(Frozen):
     azimuth_deg: Range = uniform(-180.0, 180.0)
     elevation_deg: Range = uniform(2.0, 25.0)
     field_of_view_deg: Range = uniform(22.0, 55.0)
-    margin: Range = uniform(1.05, 1.35)
+    margin: Range = uniform(1.03, 1.2)
     aim_jitter: float = Field(0.05, ge=0)
 
 

@@ -117,7 +117,7 @@ def _rows(folder: Path) -> Iterator[dict[str, Any]]:
         view = json.loads(path.read_text())
         scalars = _flat(simulation) | {f"view_{k}": v for k, v in _flat(view).items()}
         number = int(path.stem.removeprefix("view"))
-        yield {"clip_id": f"{folder.name}_{number}", "simulation": folder.name, "view": number} | scalars
+        yield scalars | {"clip_id": f"{folder.name}_{number}", "folder": folder.name, "view": number}
 
 
 def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -211,7 +211,7 @@ class Dataset:
             )
         rows = pq.read_table(root / "index.parquet").to_pylist()
         clips = (
-            ClipRecord(root / "simulations" / row["simulation"], row["view"], row)
+            ClipRecord(root / "simulations" / row["folder"], row["view"], row)
             for row in rows
             if split is None or row["split"] == split
         )
