@@ -107,7 +107,12 @@ def _renew(objective: Objective, x: np.ndarray, *, project: bool) -> bool:
             return False
         except NotPositiveDefiniteError:
             pass  # the exact Hessian is indefinite here: its projection is not
-    objective.factorise(x, project=True)
+    try:
+        objective.factorise(x, project=True)
+    except NotPositiveDefiniteError as error:
+        raise ConvergenceError(
+            f"the projected Hessian is singular ({error}): a static body must be held by pins or contacts"
+        ) from error
     return True
 
 
