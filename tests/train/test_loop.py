@@ -1,0 +1,140 @@
+"""The loop learns, and goes on after a kill as if nothing had happened."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.estimator import PhysicsPredictor
+from physconvex.errors import InputError
+from train.config import TrainConfig
+from train.loop import train_predictor
+from train.records import read_clips
+
+ROOT = Path(__file__).parents[2]
+
+
+def losses(run: Path) -> list[float]:
+    lines = [json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()]
+    steps = [line["step"] for line in lines if line["kind"] == "train"]
+    assert steps == list(range(1, len(steps) + 1))
+    return [line["total"] for line in lines if line["kind"] == "train"]
+
+
+def validations(run: Path) -> list[dict]:
+    lines = [json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()]
+    return [line for line in lines if line["kind"] == "validation"]
+
+
+@pytest.mark.slow
+def test_it_learns_stiffness_from_motion(
+    tiny_data: Path, tiny_cache: Path, tiny_config: TrainConfig, tmp_path: Path
+) -> None:
+    config = tiny_config.model_copy(update={"kinematics_epochs": 60, "epochs": 6})
+    result = train_predictor(config, [tiny_data], tmp_path, cpu=True, cache=tiny_cache)
+    history = losses(tmp_path)
+    assert np.mean(history[-6:]) < 0.8 * np.mean(history[:6])
+    predictor = PhysicsPredictor.from_pretrained(result.checkpoint)
+    records = read_clips([tiny_data], "test")
+    clips = [predictor.prepare(clip.record.frames(), fps=clip.fps) for clip in records]
+    estimates = predictor.estimate(clips, density=[1000.0] * len(clips), object_size=[1.0] * len(clips))
+    truth = np.log10([record.youngs_modulus for record in records])
+    error = np.abs(np.log10([e.youngs_modulus for e in estimates]) - truth).mean()
+    assert error < 0.5 * np.abs(truth - np.median(truth)).mean()
+    card = (result.checkpoint / "model_card.md").read_text()
+    assert "48 clips" in card and "(12 clips" in card
+
+
+@pytest.mark.slow
+def test_killed_and_resumed_is_the_same_run(
+    tiny_data: Path, tiny_cache: Path, tiny_config: TrainConfig, tmp_path: Path
+) -> None:
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    config = tiny_config.model_copy(update={"checkpoint_seconds": 0.0})
+    train_predictor(config, [tiny_data], whole, cpu=True, cache=tiny_cache)
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text(config.model_dump_json())  # JSON is YAML
+    command = [sys.executable, "-m", "physconvex", "train", "--data", tiny_data, "--out", killed, "--config", recipe]
+    kills = 0
+    for _ in range(4):
+        process = subprocess.Popen(
+            [*map(str, command), "--device", "cpu", "--cache", str(tiny_cache)],
+            cwd=ROOT,
+            env=os.environ | {"PYTHONPATH": str(ROOT)},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+        )
+        kills += kill_after_a_few_steps(process, killed / "log.jsonl", finish=kills == 3)
+    assert kills == 3
+    assert process.returncode == 0, process.stderr.read().decode()
+    assert losses(killed) == losses(whole)
+    assert [v["score"] for v in validations(killed)] == [v["score"] for v in validations(whole)]
+    tensors = [(run / "best" / "model.safetensors").read_bytes() for run in (whole, killed)]
+    assert tensors[0] == tensors[1]
+
+
+def kill_after_a_few_steps(process: subprocess.Popen, log: Path, *, finish: bool) -> int:
+    """Kill −9 when the log has grown by a few lines; 1 if that came before the end."""
+
+    def lines() -> int:
+        return len(log.read_text().splitlines()) if log.exists() else 0
+
+    before = lines()
+    while process.poll() is None:
+        if not finish and lines() >= before + 4:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            return 1
+        time.sleep(0.005)
+    return 0
+
+
+def test_other_configuration_in_the_same_folder_is_refused(
+    tiny_data: Path, tiny_cache: Path, tiny_config: TrainConfig, tmp_path: Path
+) -> None:
+    config = tiny_config.model_copy(update={"kinematics_epochs": 0, "epochs": 1})
+    train_predictor(config, [tiny_data], tmp_path, cpu=True, cache=tiny_cache)
+    other = config.model_copy(update={"learning_rate": 1e-5})
+    with pytest.raises(InputError, match="another configuration"):
+        train_predictor(other, [tiny_data], tmp_path, cpu=True, cache=tiny_cache)
+    again = train_predictor(config, [tiny_data], tmp_path, cpu=True, cache=tiny_cache)  # complete: nothing to do
+    assert again.steps == 6
+
+
+def test_budget_ends_the_run_with_a_checkpoint(
+    tiny_data: Path, tiny_cache: Path, tiny_config: TrainConfig, tmp_path: Path
+) -> None:
+    config = tiny_config.model_copy(update={"kinematics_epochs": 0, "epochs": 10_000})
+    result = train_predictor(config, [tiny_data], tmp_path, cpu=True, cache=tiny_cache, minutes=0.03)
+    assert 0 < result.steps < 60_000
+    lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    rates = [line["learning_rate"] for line in lines if line["kind"] == "train"]
+    assert rates[-1] < 0.2 * max(rates)
+    assert PhysicsPredictor.from_pretrained(result.checkpoint).config.calibration.clips == 12
+
+
+@pytest.mark.slow
+def test_two_processes(tiny_data: Path, tiny_cache: Path, tiny_config: TrainConfig, tmp_path: Path) -> None:
+    recipe = tmp_path / "recipe.yaml"
+    recipe.write_text(tiny_config.model_dump_json())
+    command = [sys.executable, "-m", "torch.distributed.run", "--nproc_per_node=2", "--master_port=0", "-m"]
+    command += ["physconvex", "train", "--data", tiny_data, "--out", tmp_path / "run", "--config", recipe]
+    done = subprocess.run(
+        [*map(str, command), "--device", "cpu", "--cache", str(tiny_cache), "--threads", "1"],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(losses(tmp_path / "run")) == 24
+    train_predictor(tiny_config, [tiny_data], tmp_path / "alone", cpu=True, cache=tiny_cache)
+    alone = losses(tmp_path / "alone")
+    together = losses(tmp_path / "run")  # of the main process's half of each batch
+    assert abs(np.mean(together) - np.mean(alone)) < 0.1 * np.mean(alone)

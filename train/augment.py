@@ -1,0 +1,141 @@
+"""Changes of a prepared clip that leave its dimensionless stiffness and ν what they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32, Int64, UInt8
+from torchvision.transforms.v2 import functional as transforms
+
+from models.silhouette import MOMENT_NAMES
+from train.config import AugmentConfig
+
+__all__ = ["Sample", "augment", "flipped", "reindexed"]
+
+_COLUMN = {name: k for k, name in enumerate(MOMENT_NAMES)}
+_GREY = 127.0
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One clip as arrays, with the rest points whose x axis turns with it."""
+
+    frames: UInt8[np.ndarray, "T S S 3"] | None
+    mask: UInt8[np.ndarray, "T S S"] | None
+    moments: Float32[np.ndarray, "T M"]
+    valid: Bool[np.ndarray, " T"]
+    interval: float
+    points: Float32[np.ndarray, "Q 3"]
+
+
+def augment(sample: Sample, config: AugmentConfig, generator: np.random.Generator) -> Sample:
+    """All changes, drawn from the generator alone."""
+    sample = reindexed(sample, *_time_window(sample.valid, config, generator))
+    if generator.random() < config.flip_share:
+        sample = flipped(sample)
+    noise = generator.normal(0, config.moment_noise, sample.moments.shape).astype(np.float32)
+    noise[:, _COLUMN["sxx"] : _COLUMN["syy"] + 1] *= 0.2
+    noise[:, _COLUMN["touches_border"]] = 0
+    sample = replace(sample, moments=sample.moments + noise * np.float32(generator.random()))
+    if sample.frames is None or sample.mask is None:
+        return sample
+    frames, mask = _geometry(sample.frames, sample.mask, config, generator)
+    return replace(sample, frames=_colours(frames, mask, config, generator), mask=mask)
+
+
+def flipped(sample: Sample) -> Sample:
+    """The mirror image."""
+    moments, points = sample.moments.copy(), sample.points * np.array([-1, 1, 1], np.float32)
+    moments[:, _COLUMN["left"]] = -sample.moments[:, _COLUMN["right"]]
+    moments[:, _COLUMN["right"]] = -sample.moments[:, _COLUMN["left"]]
+    for name in ("centroid_x", "sxy"):
+        moments[:, _COLUMN[name]] *= -1
+    frames = None if sample.frames is None else np.ascontiguousarray(sample.frames[:, :, ::-1])
+    mask = None if sample.mask is None else np.ascontiguousarray(sample.mask[:, :, ::-1])
+    return replace(sample, frames=frames, mask=mask, moments=moments, points=points)
+
+
+def _time_window(
+    valid: Bool[np.ndarray, " T"], config: AugmentConfig, generator: np.random.Generator
+) -> tuple[int, int, int]:
+    """First frame, one beyond the last, and stride."""
+    stop = int(valid.sum())
+    start = int(generator.integers(min(config.latest_start, max(stop - 8, 0)) + 1))
+    if generator.random() < config.shorten_share:
+        stop -= int(generator.integers(1 + (stop - start) // 3))
+    stride = 2 if generator.random() < config.stride_share and stop - start >= 16 else 1
+    return start, stop, stride
+
+
+def reindexed(sample: Sample, start: int, stop: int, stride: int) -> Sample:
+    """As if filmed from frame `start` to before `stop`, every `stride`-th frame; the last is repeated.
+
+    The moments refer to the first frames (`models.silhouette`), so they are moved and scaled.
+    """
+    chosen = np.arange(start, stop, stride)
+    total = len(sample.valid)
+    index: Int64[np.ndarray, " T"] = np.pad(chosen, (0, total - len(chosen)), mode="edge")
+    return replace(
+        sample,
+        frames=None if sample.frames is None else sample.frames[index],
+        mask=None if sample.mask is None else sample.mask[index],
+        moments=_referred_to_first(sample.moments[index]),
+        valid=np.arange(total) < len(chosen),
+        interval=sample.interval * stride,
+    )
+
+
+def _referred_to_first(moments: Float32[np.ndarray, "T M"]) -> Float32[np.ndarray, "T M"]:
+    result = moments.copy()
+    for axis, names in (("centroid_x", ("left", "right")), ("centroid_y", ("bottom", "top"))):
+        for name in (axis, *names):
+            result[:, _COLUMN[name]] -= moments[0, _COLUMN[axis]]
+    width = moments[:3, _COLUMN["right"]] - moments[:3, _COLUMN["left"]]
+    height = moments[:3, _COLUMN["top"]] - moments[:3, _COLUMN["bottom"]]
+    unit = max(float(np.median(np.maximum(width, height))), 0.05)
+    result[:, : _COLUMN["sxx"]] /= unit
+    result[:, _COLUMN["sxx"] : _COLUMN["syy"] + 1] /= unit**2
+    return result
+
+
+def _geometry(
+    frames: UInt8[np.ndarray, "T S S 3"],
+    mask: UInt8[np.ndarray, "T S S"],
+    config: AugmentConfig,
+    generator: np.random.Generator,
+) -> tuple[UInt8[np.ndarray, "T S S 3"], UInt8[np.ndarray, "T S S"]]:
+    """One zoom and shift for the whole clip; the mask a pixel larger or smaller now and then."""
+    size = frames.shape[1]
+    zoom = float(np.exp(generator.uniform(-config.zoom, config.zoom)))
+    move = generator.uniform(-config.shift, config.shift, 2) * size + (1 - zoom) * size / 2
+    matrix = np.array([[zoom, 0, move[0]], [0, zoom, move[1]]], dtype=np.float32)
+    erosion = generator.integers(2) if generator.random() < config.mask_share else None
+    moved, masks = np.empty_like(frames), np.empty_like(mask)
+    for k in range(len(frames)):
+        moved[k] = cv2.warpAffine(frames[k], matrix, (size, size), borderValue=(_GREY, _GREY, _GREY))
+        masks[k] = cv2.warpAffine(mask[k], matrix, (size, size))
+        if erosion is not None:
+            masks[k] = (cv2.erode, cv2.dilate)[erosion](masks[k], np.ones((3, 3), np.uint8))
+    return moved, masks
+
+
+def _colours(
+    frames: UInt8[np.ndarray, "T S S 3"],
+    mask: UInt8[np.ndarray, "T S S"],
+    config: AugmentConfig,
+    generator: np.random.Generator,
+) -> UInt8[np.ndarray, "T S S 3"]:
+    """One change of colour for the whole clip; what is not the object stays mid-grey."""
+    clip = torch.from_numpy(frames).movedim(-1, 1)
+    factors = 1 + generator.uniform(-config.colour, config.colour, 3)
+    clip = transforms.adjust_brightness(clip, float(factors[0]))
+    clip = transforms.adjust_contrast(clip, float(factors[1]))
+    if generator.random() < config.grey_share:
+        clip = transforms.rgb_to_grayscale(clip, num_output_channels=3)
+    else:
+        clip = transforms.adjust_saturation(clip, float(factors[2]))
+    changed = clip.movedim(1, -1).numpy()
+    return np.where(mask[..., None] > 0, changed, np.uint8(_GREY))

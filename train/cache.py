@@ -1,0 +1,170 @@
+"""Clips prepared once, as at inference, in memory-mapped arrays."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+
+from models.checkpoint import ClipSettings
+from models.clip import PreparedClip, prepare_clip
+from models.silhouette import MOMENT_NAMES
+from train.records import LabelledClip, dataset_checksum
+
+__all__ = ["PreparedClips", "prepare_clips"]
+
+_CHUNK = 8
+_ARRAYS = ("frames", "mask", "moments", "valid", "fps", "confidence")
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedClips:
+    """N prepared clips; `[:, 0]` of the moments as at inference, `[:, 1]` from the true mask.
+
+    Sent to another process, it is opened there again from its folder.
+    """
+
+    folder: Path
+    frames: UInt8[np.ndarray, "N T S S 3"]
+    mask: UInt8[np.ndarray, "N T S S"]
+    moments: Float32[np.ndarray, "N 2 T M"]
+    valid: Bool[np.ndarray, "N T"]
+    fps: Float32[np.ndarray, " N"]
+    confidence: Float32[np.ndarray, " N"]
+
+    @classmethod
+    def open(cls, folder: Path) -> PreparedClips:
+        """Those that `prepare_clips` left in a folder."""
+        arrays = {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in _ARRAYS}
+        return cls(folder=folder, **arrays)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return PreparedClips.open, (self.folder,)
+
+    def clip(self, index: int) -> PreparedClip:
+        """One clip as `prepare_clip` gave it (its crop and warnings are not kept)."""
+        return PreparedClip(
+            frames=np.asarray(self.frames[index]),
+            mask=np.asarray(self.mask[index]),
+            moments=self.moments[index, 0],
+            valid=self.valid[index],
+            fps=float(self.fps[index]),
+            foreground="background_model",
+            confidence=float(self.confidence[index]),
+            crop=(0, 0, 0),
+            source_frames=int(self.valid[index].sum()),
+            start_time=0.0,
+        )
+
+
+def prepare_clips(
+    clips: Sequence[LabelledClip],
+    settings: ClipSettings,
+    folder: Path,
+    *,
+    true_mask_share: float = 0.0,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> PreparedClips:
+    """Prepare every clip, or open what an earlier run prepared; a run that was cut off goes on where it was.
+
+    Args:
+        clips: in the order wanted.
+        settings: size, length and rate.
+        folder: where caches live; the one used is named by a hash of data, settings, and share.
+        true_mask_share: clips shown with their true mask, chosen by a hash of their name; the others show
+            what `prepare_clip` finds, as at inference.
+        workers: processes.
+        progress: called with the number done and the total.
+    """
+    target = folder / _key(clips, settings, true_mask_share)
+    target.mkdir(parents=True, exist_ok=True)
+    arrays = _open_arrays(target, len(clips), settings)
+    done = arrays.pop("done")
+    todo = np.flatnonzero(~done)
+    prepare = partial(_prepare_chunk, settings=settings, true_mask_share=true_mask_share)
+    chunks = [todo[k : k + _CHUNK].tolist() for k in range(0, len(todo), _CHUNK)]
+    if not chunks:
+        return PreparedClips.open(target)
+    with ProcessPoolExecutor(max(workers, 1), mp_context=get_context("spawn")) as pool:
+        results = pool.map(prepare, [[clips[k] for k in chunk] for chunk in chunks])
+        for chunk, prepared in zip(chunks, results, strict=True):
+            for index, values in zip(chunk, prepared, strict=True):
+                for name, value in values.items():
+                    arrays[name][index] = value
+            done[chunk] = True
+            if progress is not None:
+                progress(int(done.sum()), len(done))
+    for array in (*arrays.values(), done):
+        array.flush()
+    return PreparedClips.open(target)
+
+
+def _open_arrays(folder: Path, count: int, settings: ClipSettings) -> dict[str, np.memmap]:
+    size, frames = settings.image_size, settings.frames
+    shapes: dict[str, tuple[tuple[int, ...], type]] = {
+        "frames": ((count, frames, size, size, 3), np.uint8),
+        "mask": ((count, frames, size, size), np.uint8),
+        "moments": ((count, 2, frames, len(MOMENT_NAMES)), np.float32),
+        "valid": ((count, frames), np.bool_),
+        "fps": ((count,), np.float32),
+        "confidence": ((count,), np.float32),
+        "done": ((count,), np.bool_),
+    }
+    arrays: dict[str, np.memmap] = {}
+    for name, (shape, dtype) in shapes.items():
+        path = folder / f"{name}.npy"
+        if not path.is_file():
+            part = folder / f"{name}.part"
+            np.lib.format.open_memmap(part, mode="w+", dtype=dtype, shape=shape).flush()
+            os.replace(part, path)
+        arrays[name] = np.load(path, mmap_mode="r+")
+    return arrays
+
+
+def _key(clips: Sequence[LabelledClip], settings: ClipSettings, true_mask_share: float) -> str:
+    content = {
+        "format": 1,
+        "data": [dataset_checksum(folder) for folder in dict.fromkeys(clip.dataset for clip in clips)],
+        "clips": [clip.name for clip in clips],
+        "settings": settings.model_dump(),
+        "true_mask_share": true_mask_share,
+        "moments": MOMENT_NAMES,
+    }
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()[:16]
+
+
+def _prepare_chunk(
+    clips: list[LabelledClip], *, settings: ClipSettings, true_mask_share: float
+) -> list[dict[str, object]]:
+    import cv2
+
+    cv2.setNumThreads(1)
+    return [_prepare(clip, settings, true_mask_share) for clip in clips]
+
+
+def _prepare(clip: LabelledClip, settings: ClipSettings, true_mask_share: float) -> dict[str, object]:
+    frames, fps, truth = clip.record.frames(), clip.fps, clip.record.mask()
+    config = settings.clip_config()
+    known = prepare_clip(frames, fps=fps, mask=truth.astype(np.uint8) * np.uint8(255), config=config)
+    found = prepare_clip(frames, fps=fps, config=config)
+    draw = int.from_bytes(hashlib.sha256(clip.name.encode()).digest()[:4], "big") / 2**32
+    shown = known if draw < true_mask_share else found
+    return {
+        "frames": shown.frames,
+        "mask": shown.mask,
+        "moments": np.stack([found.moments, known.moments]),
+        "valid": shown.valid,
+        "fps": shown.fps,
+        "confidence": shown.confidence,
+    }

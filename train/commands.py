@@ -1,0 +1,71 @@
+"""The command `physconvex train`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from tqdm import tqdm
+
+__all__ = ["train"]
+
+
+def train(
+    data: Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")],
+    out: Annotated[Path, typer.Option(help="Run folder; its `best/` is the checkpoint.")],
+    config: Annotated[str | None, typer.Option(help="YAML file or preset (`default`).")] = None,
+    epochs: Annotated[int | None, typer.Option(help="Epochs of the whole network.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
+    device: Annotated[str, typer.Option(help="`auto` (an accelerator if there is one) or `cpu`.")] = "auto",
+    resume: Annotated[bool, typer.Option(help="Go on with the run in --out.")] = True,
+    minutes: Annotated[
+        float | None, typer.Option(help="Stop after this time, the learning rate falling with it.")
+    ] = None,
+    cache: Annotated[Path | None, typer.Option(help="Where prepared clips live; OUT/cache unless given.")] = None,
+    threads: Annotated[int | None, typer.Option(help="CPU threads of the network.")] = None,
+) -> None:
+    """Train the predictor on data sets made by `physconvex generate`.
+
+    Several processes: `torchrun --nproc_per_node=N -m physconvex train …`.
+    """
+    import torch
+
+    from physconvex.errors import InputError
+    from train.config import load_train_config
+    from train.loop import train_predictor
+
+    if device not in ("auto", "cpu"):
+        raise InputError(f"device: got {device!r}; expected auto or cpu (choose a GPU with CUDA_VISIBLE_DEVICES)")
+    if threads is not None:
+        torch.set_num_threads(threads)
+    settings = load_train_config(config, epochs=epochs, seed=seed)
+    with _Bar() as bar:
+        result = train_predictor(
+            settings, data, out, cpu=device == "cpu", resume=resume, minutes=minutes, cache=cache, report=bar.report
+        )
+    score = "none" if result.best_score is None else f"{result.best_score:.3f}"
+    typer.echo(f"{result.steps} steps, best validation score {score}, checkpoint in {result.checkpoint}")
+
+
+class _Bar:
+    """One progress bar per kind of work."""
+
+    def __init__(self) -> None:
+        self._bar: tqdm | None = None
+        self._total = 0
+
+    def __enter__(self) -> _Bar:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+
+    def report(self, name: str, done: int, total: int) -> None:
+        if self._bar is None or self._total != total:
+            if self._bar is not None:
+                self._bar.close()
+            self._bar, self._total = tqdm(total=total, dynamic_ncols=True), total
+        self._bar.set_description(name, refresh=False)
+        self._bar.update(done - self._bar.n)

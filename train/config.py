@@ -1,0 +1,134 @@
+"""Everything a training run depends on, besides its data: frozen, readable from YAML, stored with the run."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from typing import Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from models.checkpoint import ClipSettings
+from models.config import NetworkConfig
+from physconvex.errors import InputError
+
+__all__ = ["AugmentConfig", "LossConfig", "TrainConfig", "load_train_config"]
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class AugmentConfig(_Frozen):
+    """Changes that leave E/(ρ g L) and ν what they are. Shares are probabilities per clip."""
+
+    flip_share: float = Field(default=0.5, ge=0, le=1)
+    latest_start: int = Field(default=3, ge=0)
+    """Up to this many first frames are dropped."""
+    stride_share: float = Field(default=0.15, ge=0, le=1)
+    """Every other frame is shown, at twice the interval."""
+    shorten_share: float = Field(default=0.2, ge=0, le=1)
+    """The last frames are dropped, down to two thirds."""
+    zoom: float = Field(default=0.1, ge=0, lt=0.5)
+    shift: float = Field(default=0.06, ge=0, lt=0.5)
+    """Of the window, as a share of its edge."""
+    colour: float = Field(default=0.3, ge=0, lt=1)
+    """Brightness, contrast and saturation change by up to this factor."""
+    grey_share: float = Field(default=0.1, ge=0, le=1)
+    mask_share: float = Field(default=0.2, ge=0, le=1)
+    """Masks grown or shrunk by a pixel."""
+    moment_noise: float = Field(default=0.002, ge=0)
+    """Standard deviation of the noise on the moments, in body sizes."""
+    true_moments_share: float = Field(default=0.3, ge=0, le=1)
+    """Moments of the true mask in place of those of the mask found."""
+
+
+class LossConfig(_Frozen):
+    """Weights of the terms."""
+
+    nll: float = Field(default=1.0, ge=0)
+    crps: float = Field(default=1.0, ge=0)
+    """Of the CRPS in units of the constant predictor's."""
+    poisson: float = Field(default=1.0, ge=0)
+    """Of all terms of ν against those of the stiffness."""
+    span: float = Field(default=0.3, ge=0)
+    captured: float = Field(default=0.3, ge=0)
+    smoothing: float = Field(default=1.0, ge=0)
+    """Standard deviation of the target, in bins."""
+    modes: int = Field(default=10, ge=1)
+    """Eigenmodes of the span term."""
+
+
+class TrainConfig(_Frozen):
+    """One run. Epochs of the first phase train the kinematics branch and the heads alone, without video."""
+
+    network: NetworkConfig = NetworkConfig()
+    pretrained: str | None = None
+    """Public VideoMAE weights, by folder or name; None trains from scratch."""
+    margin: float = Field(default=0.1, ge=0)
+    """Of the window around the object's path (`models.clip.ClipConfig`)."""
+    seed: int = Field(default=0, ge=0)
+    epochs: int = Field(default=30, ge=1)
+    batch_size: int = Field(default=16, ge=1)
+    """Over all processes."""
+    kinematics_epochs: int = Field(default=40, ge=0)
+    kinematics_batch_size: int = Field(default=32, ge=1)
+    optimizer: str = "adamw"
+    learning_rate: float = Field(default=1e-3, gt=0)
+    weight_decay: float = Field(default=0.05, ge=0)
+    warmup_share: float = Field(default=0.05, ge=0, lt=1)
+    final_share: float = Field(default=0.01, ge=0, le=1)
+    """Of the learning rate, at the end of each phase."""
+    gradient_clip: float = Field(default=1.0, gt=0)
+    ema_decay: float = Field(default=0.998, ge=0, lt=1)
+    mixed_precision: Literal["no", "bf16"] = "no"
+    true_mask_share: float = Field(default=0.2, ge=0, le=1)
+    """Training clips shown with the true mask in place of the one found."""
+    checkpoint_seconds: float = Field(default=120.0, ge=0)
+    validate_every: int = Field(default=1, ge=1)
+    """Epochs between validations; five times as many in the first phase."""
+    workers: int = Field(default=1, ge=0)
+    """Processes that augment; 0 does so in the training process."""
+    augment: AugmentConfig = AugmentConfig()
+    loss: LossConfig = LossConfig()
+
+    @property
+    def clip(self) -> ClipSettings:
+        """How clips are prepared."""
+        encoder = self.network.encoder
+        return ClipSettings(image_size=encoder.image_size, frames=encoder.frames, margin=self.margin)
+
+
+def load_train_config(source: str | Path | None = None, **overrides: object) -> TrainConfig:
+    """Configuration from a preset name (`default`), a YAML file, or the defaults; `overrides` that are None do not.
+
+    Raises:
+        InputError: no such file or preset, bad YAML, an unknown name or a value out of range.
+    """
+    tree = {} if source is None else _read_yaml(source)
+    tree |= {name: value for name, value in overrides.items() if value is not None}
+    try:
+        return TrainConfig.model_validate(tree)
+    except ValidationError as error:
+        lines = (f"{'.'.join(map(str, e['loc']))}: {e['msg']} (got {e['input']!r})" for e in error.errors())
+        raise InputError("config: " + "; ".join(lines)) from error
+
+
+def _read_yaml(source: str | Path) -> dict[str, object]:
+    folder = resources.files("train") / "presets"
+    preset = folder / f"{source}.yaml"
+    if Path(source).is_file():
+        text = Path(source).read_text(encoding="utf-8")
+    elif "/" not in str(source) and preset.is_file():
+        text = preset.read_text(encoding="utf-8")
+    else:
+        names = sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name[-5:] == ".yaml")
+        raise InputError(f"config: got {str(source)!r}; expected a YAML file or a preset ({', '.join(names)})")
+    try:
+        tree = yaml.safe_load(text) or {}
+    except yaml.YAMLError as error:
+        raise InputError(f"config: {source} is no valid YAML: {error}") from error
+    if not isinstance(tree, dict):
+        raise InputError(f"config: {source} holds {type(tree).__name__}; expected names and values")
+    return tree

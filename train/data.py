@@ -1,0 +1,160 @@
+"""Batches of augmented clips with their targets; every draw is a function of seed, epoch and clip alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from torch.utils.data import DataLoader, Dataset
+
+from models.network import ClipBatch
+from models.scaling import dimensionless_interval, log10_dimensionless_stiffness
+from train.augment import Sample, augment
+from train.cache import PreparedClips
+from train.config import AugmentConfig
+from train.losses import Targets
+from train.plan import Plan
+from train.records import ClipSamples, LabelledClip
+
+__all__ = ["Item", "TrainingBatch", "TrainingClips", "batches", "collate"]
+
+_POINTS, _FRAMES = 256, 8  # of the samples of a simulation, drawn anew each time
+
+
+@dataclass(frozen=True)
+class Item:
+    """One clip of one batch."""
+
+    epoch: int
+    clip: int
+    video: bool
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingBatch:
+    """Clips and what should be said of them."""
+
+    clips: ClipBatch
+    targets: Targets
+
+
+@dataclass(frozen=True, eq=False)
+class _Example:
+    sample: Sample
+    confidence: float
+    log10_stiffness: float
+    poisson_ratio: float
+    samples: ClipSamples
+    displacements: Float32[np.ndarray, "Q N"]
+
+
+class TrainingClips(Dataset[_Example]):
+    """Augmented clips (or, with `augmentation` None, clips as they are)."""
+
+    def __init__(
+        self,
+        clips: Sequence[LabelledClip],
+        prepared: PreparedClips,
+        *,
+        augmentation: AugmentConfig | None,
+        modes: int,
+        seed: int,
+    ) -> None:
+        self._prepared, self._augmentation, self._modes, self._seed = prepared, augmentation, modes, seed
+        self._samples = [clip.samples for clip in clips]
+        size = np.array([clip.object_size for clip in clips])
+        modulus = np.array([clip.youngs_modulus for clip in clips])
+        density = np.array([clip.density for clip in clips])
+        self.log10_stiffness = log10_dimensionless_stiffness(modulus, density=density, object_size=size)
+        self.poisson_ratio = np.array([clip.poisson_ratio for clip in clips])
+        self.interval = dimensionless_interval(prepared.fps.astype(np.float64), object_size=size)
+
+    def __len__(self) -> int:
+        return len(self._samples)
+
+    def __getitem__(self, item: Item) -> _Example:
+        generator = np.random.default_rng([self._seed, item.epoch, item.clip])
+        k, config = item.clip, self._augmentation
+        samples = self._subsampled(self._samples[k], generator)
+        true_moments = config is not None and generator.random() < config.true_moments_share
+        sample = Sample(
+            frames=np.asarray(self._prepared.frames[k]) if item.video else None,
+            mask=np.asarray(self._prepared.mask[k]) if item.video else None,
+            moments=np.asarray(self._prepared.moments[k, int(true_moments)]),
+            valid=np.asarray(self._prepared.valid[k]),
+            interval=float(self.interval[k]),
+            points=samples.points,
+        )
+        if config is not None:
+            sample = augment(sample, config, generator)
+        shown = np.sort(generator.permutation(len(samples.displacements))[:_FRAMES])
+        motion = np.moveaxis(samples.displacements[shown], 0, 1).reshape(len(samples.points), -1)
+        return _Example(
+            sample=sample,
+            confidence=float(self._prepared.confidence[k]),
+            log10_stiffness=float(self.log10_stiffness[k]),
+            poisson_ratio=float(self.poisson_ratio[k]),
+            samples=samples,
+            displacements=motion,
+        )
+
+    def _subsampled(self, samples: ClipSamples, generator: np.random.Generator) -> ClipSamples:
+        chosen = np.sort(generator.permutation(len(samples.points))[:_POINTS])
+        return ClipSamples(
+            points=samples.points[chosen],
+            volume_weights=samples.volume_weights[chosen],
+            displacements=samples.displacements[:, chosen],
+            modes=samples.modes[chosen, : self._modes],
+            importance=samples.importance[: self._modes],
+        )
+
+
+def collate(examples: Sequence[_Example]) -> TrainingBatch:
+    """Stack; clips without video get one-pixel frames, which the network does not read."""
+    samples = [example.sample for example in examples]
+    return TrainingBatch(
+        clips=ClipBatch(
+            frames=torch.from_numpy(np.stack([_or_empty(s.frames, (1, 1, 1, 3)) for s in samples])),
+            mask=torch.from_numpy(np.stack([_or_empty(s.mask, (1, 1, 1)) for s in samples])),
+            moments=torch.from_numpy(np.stack([s.moments for s in samples])),
+            valid=torch.from_numpy(np.stack([s.valid for s in samples])),
+            interval=torch.tensor([s.interval for s in samples], dtype=torch.float32),
+            confidence=torch.tensor([e.confidence for e in examples], dtype=torch.float32),
+        ),
+        targets=Targets(
+            log10_stiffness=torch.tensor([e.log10_stiffness for e in examples], dtype=torch.float32),
+            poisson_ratio=torch.tensor([e.poisson_ratio for e in examples], dtype=torch.float32),
+            points=torch.from_numpy(np.stack([s.points for s in samples])),
+            modes=torch.from_numpy(np.stack([e.samples.modes for e in examples])),
+            importance=torch.from_numpy(np.stack([e.samples.importance for e in examples])),
+            volume_weights=torch.from_numpy(np.stack([e.samples.volume_weights for e in examples])),
+            displacements=torch.from_numpy(np.stack([e.displacements for e in examples])),
+        ),
+    )
+
+
+def _or_empty(array: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+    return np.zeros(shape, np.uint8) if array is None else array
+
+
+def batches(
+    clips: TrainingClips, plan: Plan, *, first_step: int, rank: int = 0, world: int = 1, workers: int = 0
+) -> Iterator[TrainingBatch]:
+    """The batches of the plan from `first_step` on; each process gets its share of each batch."""
+    schedule = [
+        [Item(step.epoch, clip, step.video) for clip in step.clips[rank::world]]
+        for step in map(plan.step, range(first_step, plan.steps))
+    ]
+    context = "spawn" if workers else None
+    loader = DataLoader(
+        clips,
+        batch_sampler=schedule,
+        collate_fn=collate,
+        num_workers=workers,
+        multiprocessing_context=context,
+        prefetch_factor=4 if workers else None,
+    )
+    return iter(loader)

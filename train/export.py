@@ -1,0 +1,98 @@
+"""The best network as a checkpoint for `predict`, with its model card."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from models.calibration import Calibration
+from models.checkpoint import ClipSettings, PredictorConfig, TrainingRange
+from models.estimator import PhysicsPredictor
+from models.network import PhysicsNetwork
+from train.data import TrainingClips
+from train.metrics import DensityMetrics
+from train.records import dataset_checksum
+from train.validation import Validation
+
+__all__ = ["export_best", "model_card"]
+
+
+def export_best(
+    folder: Path,
+    network: PhysicsNetwork,
+    *,
+    clips: TrainingClips,
+    settings: ClipSettings,
+    calibration: Calibration,
+    validation: Validation,
+    data: Sequence[Path | str],
+) -> None:
+    """Write network, calibration, ranges and metrics where `PhysicsPredictor.from_pretrained` finds them."""
+    stiffness, poisson = validation.metrics(calibration)
+    ranges = TrainingRange(
+        log10_stiffness=_range(clips.log10_stiffness),
+        poisson_ratio=_range(clips.poisson_ratio),
+        interval=_range(clips.interval),
+    )
+    config = PredictorConfig(
+        network=network.config,
+        clip=settings,
+        calibration=calibration,
+        training_range=ranges,
+        metrics={
+            "log10_youngs_modulus_mae": stiffness.mae,
+            "poisson_ratio_mae": poisson.mae,
+            "skinning_span_missed": validation.span,
+            "skinning_energy_missed": validation.captured,
+        },
+    )
+    card = model_card(stiffness, poisson, ranges, validation, len(clips), data)
+    PhysicsPredictor(network, config).save_pretrained(folder, model_card=card)
+
+
+def _range(values: np.ndarray) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
+
+
+def model_card(
+    stiffness: DensityMetrics,
+    poisson: DensityMetrics,
+    ranges: TrainingRange,
+    validation: Validation,
+    clips: int,
+    data: Sequence[Path | str],
+) -> str:
+    """Markdown: what it was trained on, how good it is, where it ends."""
+    sources = "\n".join(f"- `{Path(folder).name}`, manifest SHA-256 `{dataset_checksum(folder)}`" for folder in data)
+    low, high = ranges.log10_stiffness
+    return f"""# physconvex predictor
+
+Reads a clip of one soft object that falls on a floor; says Young's modulus, Poisson's ratio and skinning weights.
+
+## Training data
+
+{clips} clips, simulated by the finite-element code of this project and rendered, from
+
+{sources}
+
+log10(E / (ρ g L)) from {low:.2f} to {high:.2f}; ν from {ranges.poisson_ratio[0]:.2f} to {ranges.poisson_ratio[1]:.2f};
+frame interval {ranges.interval[0]:.3f} to {ranges.interval[1]:.3f} √(L/g).
+
+## Validation ({stiffness.clips} clips of objects that are not in the training data; also used to choose and calibrate)
+
+| | mean absolute error | constant predictor | 90 % interval covers | its mean width |
+|---|---|---|---|---|
+| log10 E | {stiffness.mae:.3f} | {stiffness.constant_mae:.3f} | {stiffness.coverage:.1%} | {stiffness.width:.2f} |
+| ν | {poisson.mae:.4f} | {poisson.constant_mae:.4f} | {poisson.coverage:.1%} | {poisson.width:.3f} |
+
+Skinning weights miss {validation.captured:.1%} of the motion beyond the affine and {validation.span:.1%} of the
+eigenmodes.
+
+## Limits
+
+One homogeneous object, dropped on a rigid floor under g = 9.81 m/s², seen by a camera that stands still. E in pascals
+rests on the density, object size and frame rate that are given. Other scenes (several objects, being pushed, pulled,
+hung up) are not in the training data, and the intervals do not cover what such scenes change.
+"""

@@ -1,0 +1,293 @@
+"""The training loop.
+
+Two phases: the kinematics branch and the heads alone (cheap), then the whole network. Whatever is random is a
+function of seed and step, so a run that was killed goes on from its last state with the same losses.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import torch
+from accelerate import Accelerator
+from accelerate.utils import DistributedDataParallelKwargs, broadcast
+from timm.optim import create_optimizer_v2
+from timm.scheduler import CosineLRScheduler
+from timm.utils import ModelEmaV3
+
+from models.encoder import load_pretrained_encoder
+from models.network import PhysicsNetwork
+from physconvex.errors import InputError
+from train.cache import prepare_clips
+from train.config import TrainConfig
+from train.data import TrainingBatch, TrainingClips, batches
+from train.export import export_best
+from train.losses import compute_losses
+from train.plan import Plan, Step
+from train.records import read_clips
+from train.run_log import RunLog, fingerprint, write_config
+from train.state import Progress, load_state, save_state
+from train.validation import validate
+
+__all__ = ["TrainingResult", "train_predictor"]
+
+Report = Callable[[str, int, int], None]
+_EXAMPLE_SCALE = 1_000_003  # between the seeds of two runs
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """How a run ended."""
+
+    steps: int
+    best_score: float | None
+    """Of the exported checkpoint; None before the first validation with video."""
+    checkpoint: Path
+    """For `PhysicsPredictor.from_pretrained`."""
+
+
+def train_predictor(
+    config: TrainConfig,
+    data: Sequence[Path | str],
+    out: Path | str,
+    *,
+    cpu: bool = False,
+    resume: bool = True,
+    minutes: float | None = None,
+    cache: Path | str | None = None,
+    report: Report | None = None,
+) -> TrainingResult:
+    """Train on the `train` split, choose and calibrate on `validation`.
+
+    Args:
+        config: the recipe.
+        data: data-set folders (docs/architecture.md).
+        out: run folder: `config.json`, `log.jsonl`, `tensorboard/`, `state.safetensors`, `best/`.
+        cpu: use no accelerator. Devices and processes are otherwise those of `accelerate launch` or `torchrun`.
+        resume: go on from `state.safetensors` where there is one.
+        minutes: stop after this time, the learning rate falling accordingly. How far such a run comes depends
+            on the machine, so it repeats only nearly.
+        cache: where prepared clips live; `out/cache` unless given.
+        report: called with a name of the work, the number done and the total.
+
+    Raises:
+        InputError: bad data or configuration, or `out` holds a run with another configuration or other data.
+    """
+    return _Run(config, data, Path(out), cpu, minutes, cache, report).train(resume=resume)
+
+
+class _Run:
+    def __init__(
+        self,
+        config: TrainConfig,
+        data: Sequence[Path | str],
+        out: Path,
+        cpu: bool,
+        minutes: float | None,
+        cache: Path | str | None,
+        report: Report | None,
+    ) -> None:
+        self.config, self.data, self.out, self.minutes = config, data, out, minutes
+        self.report: Report = report or (lambda name, done, total: None)
+        # one branch rests in the first phase, and hidden tokens or branches may leave parameters unused
+        unused = DistributedDataParallelKwargs(find_unused_parameters=True)
+        self.accelerator = Accelerator(cpu=cpu, mixed_precision=config.mixed_precision, kwargs_handlers=[unused])
+        self.main = self.accelerator.is_main_process
+        self._read_data(Path(cache) if cache else out / "cache")
+        self._build()
+
+    def _read_data(self, cache: Path) -> None:
+        with self.accelerator.main_process_first():
+            self.train_clips = self._clips("train", cache)
+            self.validation_clips = self._clips("validation", cache)
+        self.plan = Plan.of(self.config, len(self.train_clips), world=self.accelerator.num_processes)
+
+    def _clips(self, split: str, cache: Path) -> TrainingClips:
+        training = split == "train"
+        clips = read_clips(self.data, "train" if training else "validation")
+        prepared = prepare_clips(
+            clips,
+            self.config.clip,
+            cache,
+            true_mask_share=self.config.true_mask_share if training else 0.0,
+            workers=max(self.config.workers, 1),
+            progress=lambda done, total: self.report(f"preparing {split} clips", done, total),
+        )
+        return TrainingClips(
+            clips,
+            prepared,
+            augmentation=self.config.augment if training else None,
+            modes=self.config.loss.modes,
+            seed=self.config.seed,
+        )
+
+    def _build(self) -> None:
+        config = self.config
+        torch.manual_seed(config.seed)
+        encoder = config.network.encoder
+        loaded = None if config.pretrained is None else load_pretrained_encoder(config.pretrained, encoder)
+        network = PhysicsNetwork(config.network, encoder=loaded)
+        self.average = ModelEmaV3(network, decay=config.ema_decay, use_warmup=True)
+        self.average.to(self.accelerator.device)
+        optimizer = create_optimizer_v2(
+            network, opt=config.optimizer, lr=config.learning_rate, weight_decay=config.weight_decay
+        )
+        first = self.plan.kinematics_steps
+        self.schedules = [self._schedule(optimizer, steps) for steps in (first, self.plan.steps - first)]
+        self.model, self.optimizer = self.accelerator.prepare(network, optimizer)
+
+    def _schedule(self, optimizer: torch.optim.Optimizer, steps: int) -> CosineLRScheduler:
+        return CosineLRScheduler(
+            optimizer,
+            t_initial=max(steps, 1),
+            lr_min=self.config.learning_rate * self.config.final_share,
+            warmup_t=round(self.config.warmup_share * steps),
+            warmup_lr_init=self.config.learning_rate * 0.01,
+            t_in_epochs=False,
+        )
+
+    @property
+    def network(self) -> PhysicsNetwork:
+        network = self.accelerator.unwrap_model(self.model)
+        assert isinstance(network, PhysicsNetwork)
+        return network
+
+    def train(self, *, resume: bool) -> TrainingResult:
+        """Run the plan to its end or the budget's."""
+        progress = self._start(resume)
+        log = RunLog(self.out, first_step=progress.step) if self.main else None
+        try:
+            progress = self._steps(progress, log)
+        finally:
+            if log is not None:
+                log.close()
+        return TrainingResult(progress.step, progress.best_score, self.out / "best")
+
+    def _steps(self, progress: Progress, log: RunLog | None) -> Progress:
+        started, saved = time.monotonic() - progress.seconds, time.monotonic()
+        loader = batches(
+            self.train_clips,
+            self.plan,
+            first_step=progress.step,
+            rank=self.accelerator.process_index,
+            world=self.accelerator.num_processes,
+            workers=self.config.workers,
+        )
+        while progress.step < self.plan.steps:
+            step, seconds = self.plan.step(progress.step), self._agreed(time.monotonic() - started)
+            spent = 0.0 if self.minutes is None else seconds / (60 * self.minutes)
+            if spent >= 1:
+                break
+            values = self._update(next(loader), step, progress.step, spent)
+            progress = replace(progress, step=progress.step + 1, seconds=seconds)
+            if log is not None:
+                log.write("train", progress.step, epoch=step.epoch, video=step.video, **values)
+                self.report(f"epoch {step.epoch + 1}", progress.step, self.plan.steps)
+            if step.ends_epoch and self._validation_due(step, progress.step):
+                progress = self._validate(progress, step, log)
+            if step.ends_epoch or time.monotonic() - saved > self.config.checkpoint_seconds:
+                self._save(progress)
+                saved = time.monotonic()
+        if progress.step < self.plan.steps:  # the budget is spent; the averaged network may have become better
+            progress = self._validate(progress, self.plan.step(max(progress.step - 1, 0)), log)
+            self._save(progress)
+        return progress
+
+    def _start(self, resume: bool) -> Progress:
+        """Where to begin; the state is put back."""
+        mark = fingerprint(self.config, self.data)
+        path = self.out / "state.safetensors"
+        progress = Progress(fingerprint=mark)
+        if resume and path.is_file():
+            found = load_state(path, network=self.network, average=self.average.module, optimizer=self._plain_optimizer)
+            found_mark = found.fingerprint
+            if found_mark != mark:
+                raise InputError(
+                    f"out: {self.out} holds a run with another configuration or other data; give another folder, or "
+                    "--no-resume to start anew there"
+                )
+            progress = found
+        if self.main:
+            write_config(self.out, self.config, self.data)
+        self.accelerator.wait_for_everyone()
+        return progress
+
+    @property
+    def _plain_optimizer(self) -> torch.optim.Optimizer:
+        optimizer: torch.optim.Optimizer = self.optimizer.optimizer
+        return optimizer
+
+    def _agreed(self, seconds: float) -> float:
+        """The main process's clock, so that all stop together."""
+        if self.minutes is None or self.accelerator.num_processes == 1:
+            return seconds
+        return float(broadcast(torch.tensor(seconds, device=self.accelerator.device)))
+
+    def _update(self, batch: TrainingBatch, step: Step, number: int, spent: float) -> dict[str, float]:
+        """One step of the optimiser; what the log says of it."""
+        config, device = self.config, self.accelerator.device
+        rank = self.accelerator.process_index
+        torch.manual_seed((config.seed * _EXAMPLE_SCALE + number) * 64 + rank)  # dropout
+        generator = torch.Generator().manual_seed((config.seed * _EXAMPLE_SCALE + number) * 64 + rank)
+        position = max(step.position, int(spent * step.phase_steps)) if step.video else step.position
+        self.schedules[int(step.video)].step_update(position)
+        self.model.train()
+        targets = batch.targets.to(device)
+        output = self.model(batch.clips.to(device), targets.points, video=step.video, generator=generator)
+        losses = compute_losses(output, targets, config.loss, config.network)
+        self.optimizer.zero_grad()
+        self.accelerator.backward(losses.total)
+        norm = self.accelerator.clip_grad_norm_(self.model.parameters(), config.gradient_clip)
+        self.optimizer.step()
+        self.average.update(self.network, step=number)
+        values = {name: value.item() for name, value in vars(losses).items()}
+        return values | {"gradient_norm": float(norm), "learning_rate": self.optimizer.param_groups[0]["lr"]}
+
+    def _validation_due(self, step: Step, done: int) -> bool:
+        every = self.config.validate_every * (1 if step.video else 5)
+        return (step.epoch + 1) % every == 0 or done in (self.plan.steps, self.plan.kinematics_steps)
+
+    def _validate(self, progress: Progress, step: Step, log: RunLog | None) -> Progress:
+        """Score the averaged network; export it if it is the best yet."""
+        best = progress.best_score
+        if log is not None:
+            found = validate(self.average.module, self.validation_clips, video=step.video)
+            calibration = found.calibration()
+            stiffness, poisson = found.metrics(calibration)
+            score = found.score()
+            log.write(
+                "validation",
+                progress.step,
+                epoch=step.epoch,
+                video=step.video,
+                score=score,
+                span=found.span,
+                captured=found.captured,
+                stiffness=asdict(stiffness),
+                poisson=asdict(poisson),
+            )
+            if step.video and (best is None or score < best):
+                best = score
+                export_best(
+                    self.out / "best",
+                    self.average.module,
+                    clips=self.train_clips,
+                    settings=self.config.clip,
+                    calibration=calibration,
+                    validation=found,
+                    data=self.data,
+                )
+        return replace(progress, best_score=best)
+
+    def _save(self, progress: Progress) -> None:
+        if self.main:
+            save_state(
+                self.out / "state.safetensors",
+                network=self.network,
+                average=self.average.module,
+                optimizer=self._plain_optimizer,
+                progress=progress,
+            )

@@ -1,0 +1,91 @@
+"""Proper scores of the two densities, and what the skinning weights miss."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from models.config import BinConfig, NetworkConfig
+from models.heads import BinnedDensity
+from models.network import NetworkOutput
+from models.skinning_energy import captured_energy_loss, span_loss
+from train.config import LossConfig
+
+__all__ = ["Losses", "Targets", "compute_losses", "smoothed_target"]
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """What a batch should have said."""
+
+    log10_stiffness: Float[Tensor, " B"]
+    poisson_ratio: Float[Tensor, " B"]
+    points: Float[Tensor, "B Q 3"]
+    """Object frame, in units of the object size."""
+    modes: Float[Tensor, "B Q K"]
+    importance: Float[Tensor, "B K"]
+    volume_weights: Float[Tensor, "B Q"]
+    displacements: Float[Tensor, "B Q N"]
+    """Some frames, their components side by side, in units of the object size."""
+
+    def to(self, device: torch.device | str) -> Targets:
+        """The same on another device."""
+        return Targets(**{name: value.to(device) for name, value in vars(self).items()})
+
+
+@dataclass(frozen=True, eq=False)
+class Losses:
+    """Means over the batch; `total` is weighted."""
+
+    stiffness_nll: Float[Tensor, ""]
+    stiffness_crps: Float[Tensor, ""]
+    poisson_nll: Float[Tensor, ""]
+    poisson_crps: Float[Tensor, ""]
+    span: Float[Tensor, ""]
+    captured: Float[Tensor, ""]
+    total: Float[Tensor, ""]
+
+
+def compute_losses(output: NetworkOutput, targets: Targets, config: LossConfig, network: NetworkConfig) -> Losses:
+    """Cross-entropy with smoothed targets and CRPS for both densities; span and captured energy for W."""
+    stiffness = _scores(output.stiffness_logits, targets.log10_stiffness, network.stiffness, config.smoothing)
+    poisson = _scores(output.poisson_logits, targets.poisson_ratio, network.poisson, config.smoothing)
+    assert output.weights is not None
+    weights = output.weights.float()
+    span = span_loss(weights, targets.modes, targets.volume_weights, targets.importance).mean()
+    captured = captured_energy_loss(weights, targets.displacements, targets.points, targets.volume_weights).mean()
+    densities = [
+        config.nll * nll + config.crps * crps / _scale(bins)
+        for (nll, crps), bins in ((stiffness, network.stiffness), (poisson, network.poisson))
+    ]
+    total = densities[0] + config.poisson * densities[1] + config.span * span + config.captured * captured
+    return Losses(*stiffness, *poisson, span=span, captured=captured, total=total)
+
+
+def _scores(
+    logits: Float[Tensor, "B K"], values: Float[Tensor, " B"], bins: BinConfig, smoothing: float
+) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+    target = smoothed_target(values, bins, smoothing)
+    nll = -(target * logits.float().log_softmax(dim=-1)).sum(dim=-1)
+    return nll.mean(), BinnedDensity.from_logits(logits, bins).crps(values).mean()
+
+
+def _scale(bins: BinConfig) -> float:
+    """About the CRPS of not knowing: an eighth of the range."""
+    return (bins.high - bins.low) / 8
+
+
+def smoothed_target(values: Float[Tensor, " B"], bins: BinConfig, smoothing: float) -> Float[Tensor, "B K"]:
+    """Normal density about each value, cut at the ends, as bin probabilities (Imani & White 2018, HL-Gauss)."""
+    edges = torch.linspace(bins.low, bins.high, bins.bins + 1, device=values.device)
+    width = (bins.high - bins.low) / bins.bins
+    inside = values.clamp(bins.low, bins.high)
+    if smoothing == 0:
+        place = ((inside - bins.low) / width).long().clamp(max=bins.bins - 1)
+        return torch.nn.functional.one_hot(place, bins.bins).float()
+    below = torch.special.ndtr((edges - inside[:, None]) / (smoothing * width))
+    mass = below.diff(dim=-1)
+    return mass / mass.sum(dim=-1, keepdim=True)

@@ -1,0 +1,89 @@
+"""Everything a run needs to go on, in one safetensors file that appears whole or not at all.
+
+All random draws are functions of seed and step (`train.plan`, `train.data`, `train.loop`), so the step number
+is the state of every generator and of the sampler.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import torch
+from safetensors import safe_open
+from safetensors.torch import save
+from torch import Tensor, nn
+
+from physconvex.errors import InputError
+
+__all__ = ["Progress", "load_state", "read_progress", "save_state"]
+
+_FORMAT = "physconvex/training_state/1"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a run stands."""
+
+    step: int = 0
+    """Updates done."""
+    seconds: float = 0.0
+    """Spent training, over all its starts [s]."""
+    best_score: float | None = None
+    """Of the best validation so far; lower is better."""
+    fingerprint: str = ""
+    """Of configuration and data."""
+
+
+def save_state(
+    path: Path, *, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer, progress: Progress
+) -> None:
+    """Write network, moving average and optimiser; a kill at any moment leaves the old file or the new one."""
+    tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
+    tensors |= {f"average.{name}": value for name, value in average.state_dict().items()}
+    for index, entry in optimizer.state_dict()["state"].items():
+        for name, value in entry.items():
+            tensors[f"optimizer.{index}.{name}"] = torch.as_tensor(value)
+    content = save(
+        {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()},
+        metadata={"format": _FORMAT, "progress": json.dumps(asdict(progress))},
+    )
+    part = path.with_suffix(".part")
+    with part.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(part, path)
+
+
+def read_progress(path: Path) -> Progress:
+    """Where the run stands that left this file.
+
+    Raises:
+        InputError: it is no training state.
+    """
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata() or {}
+    if metadata.get("format") != _FORMAT:
+        raise InputError(f"out: {path} has format {metadata.get('format')!r}; this version reads {_FORMAT!r}")
+    return Progress(**json.loads(metadata["progress"]))
+
+
+def load_state(path: Path, *, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer) -> Progress:
+    """Put back what `save_state` wrote."""
+    progress = read_progress(path)
+    groups: dict[str, dict[str, Tensor]] = {"network": {}, "average": {}, "optimizer": {}}
+    with safe_open(path, framework="pt") as file:
+        for key in file.keys():
+            group, name = key.split(".", 1)
+            groups[group][name] = file.get_tensor(key)
+    network.load_state_dict(groups["network"])
+    average.load_state_dict(groups["average"])
+    state: dict[int, dict[str, Tensor]] = {}
+    for key, value in groups["optimizer"].items():
+        index, name = key.split(".", 1)
+        state.setdefault(int(index), {})[name] = value
+    optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
+    return progress
