@@ -191,7 +191,7 @@ def _stuffed(
     *,
     same_topology: bool,
 ) -> TetMesh | None:
-    """Linear mesh in one piece, of the right topology if asked, with the most nodes within the budget; None if there is none."""
+    """Linear mesh in one piece, of the right topology if asked, with the most nodes within the budget, if any."""
     cell, best, most = float(np.cbrt(NODES_PER_CELL[order] * target.volume / max_nodes)), None, 0
     for _ in range(TRIALS):
         try:

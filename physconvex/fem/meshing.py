@@ -45,7 +45,7 @@ def tetrahedralize(
     epsilon: float = 0.02,
     max_nodes: int | None = None,
     order: Literal[1, 2] = 1,
-    method: Literal["ftetwild", "lattice"] = "ftetwild",
+    method: Literal["auto", "ftetwild", "lattice"] = "ftetwild",
     signed_distance: SignedDistance | None = None,
     match_volume: bool = True,
     max_iterations: int = 80,
@@ -56,6 +56,7 @@ def tetrahedralize(
     With `method="ftetwild"` the surface may have holes, several components and self-intersections: the inside is where
     its generalised winding number exceeds one half. The mesh differs a little from run to run (a trait of fTetWild,
     also with one thread). With `method="lattice"` equal arguments give equal meshes; the surface must be closed.
+    `method="auto"` takes the lattice where that succeeds and fTetWild elsewhere.
 
     Args:
         surface: an object with `vertices` and `faces`, or the pair (vertices [V, 3] in metres, faces [F, 3]).
@@ -69,8 +70,9 @@ def tetrahedralize(
         order: 1 for linear, 2 for quadratic elements.
         method: the mesher.
         signed_distance: negative inside [m], if it is at hand; the lattice mesher computes it otherwise.
-        match_volume: for closed surfaces, move the boundary nodes along their normals so that the mesh has the
-            volume of the surface (coarse meshes cut corners and would be several per cent too small). Always so with the lattice mesher.
+        match_volume: for closed surfaces, move the boundary nodes along their normals so that the mesh has the volume
+            of the surface (coarse meshes cut corners and would be several per cent too small). The lattice mesher
+            always does so.
         max_iterations: most passes of the mesh improvement of fTetWild.
         threads: threads of fTetWild.
 
@@ -92,10 +94,16 @@ def tetrahedralize(
         raise InputError(f"epsilon: got {epsilon}; expected a fraction of the diagonal in (0, 0.5)")
     if order not in (1, 2):
         raise InputError(f"order: got {order!r}; expected 1 or 2")
-    if method not in ("ftetwild", "lattice"):
-        raise InputError(f"method: got {method!r}; expected 'ftetwild' or 'lattice'")
-    if method == "lattice":
-        return _lattice_mesh(vertices, faces, signed_distance, 700 if max_nodes is None else max_nodes, order)
+    if method not in ("auto", "ftetwild", "lattice"):
+        raise InputError(f"method: got {method!r}; expected 'auto', 'ftetwild' or 'lattice'")
+    if method != "ftetwild":
+        try:
+            return _lattice_mesh(
+                vertices, faces, signed_distance, 700 if max_nodes is None else max_nodes, order
+            )
+        except (InputError, ConvergenceError):
+            if method == "lattice":
+                raise
     volume = enclosed_volume(vertices, faces) if match_volume else None
     for attempt in range(COARSENINGS):
         factor = COARSENING_FACTOR**attempt

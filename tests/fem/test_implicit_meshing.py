@@ -124,15 +124,15 @@ def test_meshes_keep_volume_topology_limbs_and_budget(body, euler):
 
 
 def test_equal_arguments_give_equal_meshes_and_linear_ones_have_the_budget_too():
-    first, second = (tetrahedralize_implicit(stool, UNIT, max_nodes=150, order=1) for _ in range(2))
+    first, second = (tetrahedralize_implicit(torus, UNIT, max_nodes=120, order=1) for _ in range(2))
     np.testing.assert_array_equal(first.vertices, second.vertices)
     np.testing.assert_array_equal(first.tets, second.tets)
     assert first.order == 1
-    assert len(first.vertices) <= 150
+    assert len(first.vertices) <= 120
 
 
 def test_what_cannot_be_meshed_is_refused():
-    with pytest.raises(ConvergenceError, match="max_nodes|nodes"):
+    with pytest.raises(ConvergenceError, match="allow more nodes"):
         tetrahedralize_implicit(lambda p: segment(p, [-0.45, 0, 0], [0.45, 0, 0], 0.045), UNIT, max_nodes=40)
     with pytest.raises(InputError, match="nowhere negative"):
         tetrahedralize_implicit(lambda p: ball(p) + 2, UNIT)

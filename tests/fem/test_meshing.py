@@ -13,7 +13,7 @@ from physconvex.fem.quality import dihedral_angles, mean_ratios, mesh_quality
 
 @pytest.fixture(scope="module")
 def ball():
-    return trimesh.creation.icosphere(subdivisions=3, radius=0.05)
+    return trimesh.creation.icosphere(subdivisions=2, radius=0.05)
 
 
 @pytest.fixture(scope="module")
@@ -45,16 +45,23 @@ def test_the_lattice_mesher_refuses_an_open_surface(ball):
         tetrahedralize((ball.vertices, ball.faces[1:]), method="lattice")
 
 
+def test_auto_takes_the_lattice_where_it_can_and_fails_over_to_ftetwild(ball):
+    lattice = tetrahedralize(ball, method="lattice", max_nodes=200)
+    np.testing.assert_array_equal(tetrahedralize(ball, method="auto", max_nodes=200).tets, lattice.tets)
+    opened = tetrahedralize((ball.vertices, ball.faces[1:]), method="auto")
+    assert opened.volume == pytest.approx(ball.volume, rel=0.1)
+
+
 def test_surface_distance_is_signed_and_exact(ball):
     distance = surface_distance(np.asarray(ball.vertices), np.asarray(ball.faces))
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1], [0.04, 0.0, 0.0]])
-    # the facets of the subdivided icosahedron lie up to 0.5 % of the radius inside the sphere
-    np.testing.assert_allclose(distance(points), [-0.05, 0.05, -0.01], atol=0.0004)
+    # the facets of the subdivided icosahedron lie up to 2 % of the radius inside the sphere
+    np.testing.assert_allclose(distance(points), [-0.05, 0.05, -0.01], atol=0.001)
 
 
 def test_a_surface_with_a_hole_and_two_overlapping_components_is_filled(ball):
-    shifted = ball.vertices + [0.06, 0.0, 0.0]
-    faces = np.vstack([ball.faces[8:], len(ball.vertices) + ball.faces])
+    shifted = ball.vertices + np.array([0.06, 0.0, 0.0])
+    faces = np.vstack([ball.faces[2:], len(ball.vertices) + ball.faces])
     mesh = tetrahedralize((np.vstack([ball.vertices, shifted]), faces))
     a = 0.05 - 0.03  # height of each cap of the lens in which the balls overlap
     union = 2 * ball.volume - 2 * np.pi * a**2 * (3 * 0.05 - a) / 3
@@ -62,10 +69,10 @@ def test_a_surface_with_a_hole_and_two_overlapping_components_is_filled(ball):
 
 
 def test_max_nodes_is_respected_at_the_order_asked_for(ball):
-    mesh = tetrahedralize(ball, epsilon=0.01, order=2, max_nodes=1500)
+    mesh = tetrahedralize(ball, epsilon=0.01, order=2, max_nodes=900)
     assert mesh.order == 2
-    assert len(mesh.vertices) <= 1500
-    assert len(tetrahedralize(ball, epsilon=0.01, order=2).vertices) > 1500
+    assert len(mesh.vertices) <= 900
+    assert len(tetrahedralize(ball, epsilon=0.01, order=2).vertices) > 900
     with pytest.raises(ConvergenceError, match="max_nodes"):
         tetrahedralize(ball, max_nodes=3)
 
