@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,7 @@ from inference.pictures import ClipPictures
 from inference.prediction import Prediction
 from inference.predictor import load_predictor
 from inference.preparing import Predictor, ReadyClip, ready_source, to_prediction
+from inference.read_ahead import read_ahead
 from inference.results import ResultsFolder
 from inference.run_record import checkpoint_digest, finish_run, start_run
 from inference.sources import ClipSource, Found, SourceProblem, displayed_path, find_sources, fingerprint
@@ -264,10 +265,24 @@ def _results(
     *,
     picture: bool = False,
 ) -> Iterator[ClipResult]:
+    """Yield every result; reading and the network work ahead while the consumer writes."""
     for item in found:
         if isinstance(item, SourceProblem):
             yield ClipResult(item, None, f"{displayed_path(item.path)}: {item.cause}")
     clips = [item for item in found if isinstance(item, ClipSource)]
+    yield from read_ahead(
+        _predicted(clips, settings, predictor, options, picture=picture), depth=2 * options.batch_size
+    )
+
+
+def _predicted(
+    clips: Sequence[ClipSource],
+    settings: ClipSettings,
+    predictor: Predictor,
+    options: BatchOptions,
+    *,
+    picture: bool,
+) -> Generator[ClipResult, None, None]:
 
     def make_reader() -> Reader:
         if options.processes and len(clips) >= _LEAST_CLIPS_FOR_PROCESSES:

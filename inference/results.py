@@ -17,7 +17,7 @@ import fcntl
 import json
 import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import TextIO
@@ -44,6 +44,8 @@ class JournalEntry:
     row: ResultRow
     details: str = ""
     """Trace of an unexpected error."""
+    sizes: list[int] = field(default_factory=list)
+    """Of the JSON and the skinning file [bytes]: only the journal is synced, so a power cut may empty them."""
 
 
 class ResultsFolder:
@@ -89,8 +91,9 @@ class ResultsFolder:
         entry = self._entries.get(key)
         if entry is None or entry.row.error or (entry.fingerprint, entry.settings) != (fingerprint, self._settings):
             return None
-        files = (self.record_path(entry.row.name), self.skinning_path(entry.row.name))
-        return entry.row if all(path.is_file() for path in files) else None
+        paths = (self.record_path(entry.row.name), self.skinning_path(entry.row.name))
+        sizes = [path.stat().st_size for path in paths if path.is_file()]
+        return entry.row if sizes == entry.sizes else None
 
     def record_path(self, name: str) -> Path:
         """Return the JSON file of a clip."""
@@ -106,13 +109,13 @@ class ResultsFolder:
         """Write a prediction's files, then its journal line, then its line in the CSV."""
         row = row_of_prediction(name, prediction)
         record = prediction.to_record() | {"name": name, "skinning_weights": self.skinning_path(name).name}
-        self._write(self.skinning_path(name), prediction.skinning_field.save)
+        skinning_size = self._write(self.skinning_path(name), prediction.skinning_field.save)
         for suffix, data in ((".jpg", pictures.frames), (".skinning.png", pictures.weights)):
             if data:
                 self._write_bytes(self.path / "clips" / f"{name}{suffix}", data)
         text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        self._write_bytes(self.record_path(name), text.encode())
-        self._append(JournalEntry(source.key, fingerprint, self._settings, row))
+        sizes = [self._write_bytes(self.record_path(name), text.encode()), skinning_size]
+        self._append(JournalEntry(source.key, fingerprint, self._settings, row, sizes=sizes))
         return row
 
     def add_error(self, source: ClipSource | SourceProblem, name: str, error: str, *, details: str = "") -> ResultRow:
@@ -160,16 +163,16 @@ class ResultsFolder:
         write_csv(self._csv, [entry.row], header=False)
         self._csv.flush()
 
-    def _write_bytes(self, path: Path, data: bytes) -> None:
-        self._write(path, lambda target: target.write_bytes(data))
+    def _write_bytes(self, path: Path, data: bytes) -> int:
+        return self._write(path, lambda target: target.write_bytes(data))
 
-    def _write(self, path: Path, write: Callable[[Path], object]) -> None:
-        """Write under a temporary name that keeps the suffix, sync, then rename."""
+    def _write(self, path: Path, write: Callable[[Path], object]) -> int:
+        """Write under a temporary name that keeps the suffix, then rename; return the size [bytes]."""
         temporary = path.with_name(f".partial-{path.name}")
         write(temporary)
-        with open(temporary, "rb") as file:
-            os.fsync(file.fileno())
+        size = temporary.stat().st_size
         os.replace(temporary, path)
+        return size
 
     def _write_tables(self, order: Sequence[str], *, parquet: bool = False) -> tuple[ResultRow, ...]:
         rows = tuple(self._ordered_rows(order))

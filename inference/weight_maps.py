@@ -64,10 +64,10 @@ def _fitted(silhouette: UInt8[np.ndarray, "S S"]) -> Bool[np.ndarray, "G G"]:
 
 def _principal_colours(weights: Float[np.ndarray, "Q M"]) -> UInt8[np.ndarray, "Q 3"]:
     centred = weights - weights.mean(axis=0)
-    _, _, directions = np.linalg.svd(centred, full_matrices=False)
+    _, directions = np.linalg.eigh(centred.T @ centred)  # ascending; [M, M] is cheap, an SVD of [Q, M] is not
+    principal = directions[:, ::-1][:, :3]
     scores = np.zeros((len(weights), 3))
-    count = min(3, len(directions))
-    scores[:, :count] = centred @ directions[:count].T
+    scores[:, : principal.shape[1]] = centred @ principal
     spread = scores.std(axis=0)
     scores /= np.where(spread > 1e-9, spread, 1.0)
     return (255 * (0.55 + 0.2 * scores).clip(0, 1)).round().astype(np.uint8)

@@ -83,7 +83,7 @@ def test_leaving_the_iteration_early_stops_the_readers(folder: Path) -> None:
     results = iter_predictions(folder, predictor=PredictorDouble(), batch_size=1)
     next(results)
     results.close()
-    assert not [thread for thread in threading.enumerate() if thread.name.startswith("clip-reader")]
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("clip-")]
 
 
 def test_a_second_run_does_only_what_is_new_or_changed(tmp_path: Path, folder: Path, make_clip: MakeClip) -> None:
@@ -113,10 +113,12 @@ def test_other_settings_checkpoint_or_redo_predict_again(tmp_path: Path, make_cl
     assert len(table(tmp_path / "out")) == 1
 
 
-def test_a_clip_whose_files_were_deleted_is_done_again(tmp_path: Path, make_clip: MakeClip) -> None:
+def test_a_clip_whose_files_were_deleted_or_emptied_is_done_again(tmp_path: Path, make_clip: MakeClip) -> None:
     clip = make_clip(tmp_path / "a.mp4")
     predict_batch(clip, out=tmp_path / "out", predictor=PredictorDouble())
     (tmp_path / "out" / "clips" / "a.skinning.safetensors").unlink()
+    assert predict_batch(clip, out=tmp_path / "out", predictor=PredictorDouble()).predicted == 1
+    (tmp_path / "out" / "clips" / "a.json").write_bytes(b"")
     assert predict_batch(clip, out=tmp_path / "out", predictor=PredictorDouble()).predicted == 1
 
 

@@ -1,0 +1,294 @@
+"""Throughput of batch prediction against the bare network's forward pass on the same tensors.
+
+`predict_batch` reads mp4 files, finds the object, runs the network, writes all result files and the gallery; the bare
+network gets the same clips as tensors that are already there. The host's part is named step by step, each measured
+alone on one thread. With C cores and a network that keeps all of them busy, the host's processor time is taken from the
+network's: the share that can be reached is network / (network + host), both in processor seconds per clip.
+
+    python benchmarks/predict_throughput.py --clips 96 --side 448
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import resource
+import shlex
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+
+from inference import predict_batch
+from inference.loading import ClipSettings, load_clip
+from inference.pictures import ClipPictures, frame_strip
+from inference.preparing import ready_source, to_prediction
+from inference.results import ResultsFolder
+from inference.sources import ClipSource
+from inference.weight_maps import weight_maps
+from models import PhysicsPredictor
+from models.config import EncoderConfig, NetworkConfig
+from models.estimator import collate_clips
+from models.scaling import dimensionless_interval
+from physconvex.video import write_video
+
+RESULT = Path(__file__).parent / "results" / "predict_throughput.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Throughput:
+    """What was measured; times in seconds per clip unless said otherwise."""
+
+    command: str
+    machine: str
+    device: str
+    cores: int
+    torch_threads: int
+    load_before: float
+    """Mean number of processes that wanted to run in the last minute: above ~0, others took time."""
+    network: str
+    parameters: int
+    clips: int
+    frames: int
+    side: int
+    """Of the square frames [px]."""
+    batch_size: int
+    bare_network: float
+    """Forward pass on tensors that are there, wall time."""
+    bare_network_processor: float
+    """The same in processor time of all threads."""
+    decode: float
+    """Reading the mp4, one thread."""
+    find_and_crop: float
+    """Foreground, cropping, resampling, moments, one thread."""
+    picture: float
+    """Strip with outlines, one thread."""
+    estimate_extra: float
+    """Densities, intervals and skinning fields beyond the bare network."""
+    write: float
+    """Result files, skinning section and synced journal."""
+    batch_total: float
+    """Whole `predict_batch`, start of worker processes and gallery included."""
+    batch_steady: float
+    """From the first written clip to the last."""
+    batch_processor: float
+    """Processor time of this and the worker processes during the whole batch."""
+    share_of_bare_total: float
+    share_of_bare_steady: float
+    share_reachable: float
+
+
+def main() -> None:
+    """Measure, print, store."""
+    options = _options()
+    if options.threads:
+        torch.set_num_threads(options.threads)
+    predictor = _predictor(options)
+    with tempfile.TemporaryDirectory() as folder:
+        sources = _write_clips(Path(folder) / "clips", options)
+        result = _measure(predictor, sources, Path(folder), options)
+    options.result.parent.mkdir(exist_ok=True)
+    options.result.write_text(json.dumps(asdict(result), indent=1) + "\n", encoding="utf-8")
+    print(json.dumps(asdict(result), indent=1))
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--clips", type=int, default=96)
+    parser.add_argument("--frames", type=int, default=24)
+    parser.add_argument("--side", type=int, default=448, help="edge of the square frames [px]")
+    parser.add_argument("--batch-size", type=int, default=8)
+    parser.add_argument("--workers", type=int, default=None)
+    parser.add_argument("--repeats", type=int, default=3, help="the best of so many is kept")
+    parser.add_argument("--checkpoint", default="", help="folder or name; empty: untrained weights of --size")
+    parser.add_argument("--size", choices=("tiny", "small", "base"), default="tiny")
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--threads", type=int, default=0, help="of torch; 0: its own choice")
+    parser.add_argument("--result", type=Path, default=RESULT)
+    return parser.parse_args()
+
+
+def _predictor(options: argparse.Namespace) -> PhysicsPredictor:
+    if options.checkpoint:
+        return PhysicsPredictor.from_pretrained(options.checkpoint, device=options.device)
+    config = NetworkConfig(encoder=EncoderConfig.of_size(options.size))
+    return PhysicsPredictor.from_config(config, device=options.device)
+
+
+def _write_clips(folder: Path, options: argparse.Namespace) -> list[ClipSource]:
+    """Textured discs of different size and speed that bounce before a textured background."""
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    sources = []
+    for k in range(options.clips):
+        path = folder / f"{k:04d}.mp4"
+        write_video(path, _bouncing_disc(rng, options.frames, options.side), fps=24.0, preset="veryfast")
+        sources.append(ClipSource(path, "video", path.stem))
+    return sources
+
+
+def _bouncing_disc(rng: np.random.Generator, frames: int, side: int) -> np.ndarray:
+    def texture() -> np.ndarray:
+        return cv2.resize(rng.integers(40, 220, (12, 12, 3), dtype=np.uint8), (side, side))
+
+    background, skin = texture(), texture()
+    y, x = np.mgrid[:side, :side]
+    radius, speed, images = side * rng.uniform(0.08, 0.15), rng.uniform(0.5, 1.0), []
+    for k in range(frames):
+        phase = (k / 24.0 * speed * 2) % 2 - 1
+        centre = side * (0.85 - 0.55 * (1 - phase**2)) - radius
+        inside = (x - side / 2) ** 2 + (y - centre) ** 2 < radius**2
+        images.append(np.where(inside[..., None], np.roll(skin, int(centre), axis=0), background))
+    noisy = np.stack(images) + rng.normal(0, 2, (frames, side, side, 1))
+    return noisy.clip(0, 255).astype(np.uint8)
+
+
+def _measure(
+    predictor: PhysicsPredictor, sources: Sequence[ClipSource], folder: Path, options: argparse.Namespace
+) -> Throughput:
+    load = os.getloadavg()[0]
+    steps = _host_steps(predictor, sources, folder)
+    bare, bare_processor, extra = _network_steps(predictor, sources, options)
+    total, steady, processor = _batch(predictor, sources, folder, options)
+    host = max(0.0, processor - bare_processor)
+    return Throughput(
+        command=shlex.join(["python", *sys.argv]),
+        machine=platform.processor() or platform.machine(),
+        device=_device_name(options.device),
+        cores=len(os.sched_getaffinity(0)),
+        torch_threads=torch.get_num_threads(),
+        load_before=load,
+        network=options.checkpoint or f"untrained {options.size}",
+        parameters=sum(p.numel() for p in predictor.network.parameters()),
+        clips=len(sources),
+        frames=options.frames,
+        side=options.side,
+        batch_size=options.batch_size,
+        bare_network=bare,
+        bare_network_processor=bare_processor,
+        **steps,
+        estimate_extra=extra,
+        batch_total=total,
+        batch_steady=steady,
+        batch_processor=processor,
+        share_of_bare_total=bare / total,
+        share_of_bare_steady=bare / steady,
+        share_reachable=min(1.0, bare_processor / (bare_processor + host)),
+    )
+
+
+def _device_name(device: str) -> str:
+    return torch.cuda.get_device_name(device) if device.startswith("cuda") else device
+
+
+def _seconds(work: Callable[[], object], repeats: int, device: str = "cpu") -> float:
+    """Best wall time of `repeats` runs."""
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        if device.startswith("cuda"):
+            torch.cuda.synchronize()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def _host_steps(predictor: PhysicsPredictor, sources: Sequence[ClipSource], folder: Path) -> dict[str, float]:
+    """Each step of the host alone, on one thread, mean over a sample of clips."""
+    sample, settings = sources[: min(16, len(sources))], ClipSettings()
+    cv2.setNumThreads(1)
+    loaded = [load_clip(source) for source in sample]
+    decode = _seconds(lambda: [load_clip(source) for source in sample], 2)
+    prepared = [predictor.prepare(clip.frames, fps=clip.fps or 24.0) for clip in loaded]
+    find = _seconds(lambda: [predictor.prepare(clip.frames, fps=clip.fps or 24.0) for clip in loaded], 2)
+    pairs = list(zip(loaded, prepared, strict=True))
+    picture = _seconds(lambda: [frame_strip(*pair) for pair in pairs], 2)
+    ready = [ready_source(source, settings, predictor.prepare, picture=True) for source in sample]
+    ones = [1.0] * len(sample)
+    estimates = predictor.estimate(prepared, density=[1000.0 * one for one in ones], object_size=ones)
+    predictions = [to_prediction(*pair) for pair in zip(ready, estimates, strict=True)]
+
+    def write() -> None:
+        with ResultsFolder(folder / "written", settings="") as results:
+            for clip, prediction in zip(ready, predictions, strict=True):
+                assert clip.source is not None
+                maps = weight_maps(prediction.skinning_field, clip.prepared.mask[0], 1.0)
+                pictures = ClipPictures(frames=clip.picture, weights=maps)
+                results.add_prediction(clip.source, clip.source.title, "", prediction, pictures)
+
+    seconds = {"decode": decode, "find_and_crop": find, "picture": picture, "write": _seconds(write, 2)}
+    cv2.setNumThreads(-1)
+    return {name: value / len(sample) for name, value in seconds.items()}
+
+
+def _network_steps(
+    predictor: PhysicsPredictor, sources: Sequence[ClipSource], options: argparse.Namespace
+) -> tuple[float, float, float]:
+    """Bare network: wall and processor time; what `estimate` takes beyond it."""
+    clips = [predictor.prepare(load_clip(source).frames) for source in sources]
+    groups = [clips[k : k + options.batch_size] for k in range(0, len(clips), options.batch_size)]
+    batches = [
+        collate_clips(
+            group,
+            dimensionless_interval(np.array([clip.fps for clip in group]), object_size=np.ones(len(group))),
+            predictor.clip_config,
+        ).to(predictor.device)
+        for group in groups
+    ]
+
+    @torch.inference_mode()
+    def bare() -> None:
+        for batch in batches:
+            predictor.network(batch)
+
+    def estimate() -> None:
+        for group in groups:
+            ones = [1.0] * len(group)
+            predictor.estimate(group, density=ones, object_size=ones)
+
+    bare()
+    before = time.process_time()
+    bare_wall = _seconds(bare, options.repeats, options.device)
+    processor = (time.process_time() - before) / options.repeats
+    whole = _seconds(estimate, options.repeats, options.device)
+    return bare_wall / len(clips), processor / len(clips), (whole - bare_wall) / len(clips)
+
+
+def _batch(
+    predictor: PhysicsPredictor, sources: Sequence[ClipSource], folder: Path, options: argparse.Namespace
+) -> tuple[float, float, float]:
+    """Whole and steady wall time and processor time per clip; the fastest run counts."""
+    runs = []
+    for repeat in range(options.repeats):
+        ticks: list[float] = []
+        before, start = _processor_time(), time.perf_counter()
+        summary = predict_batch(
+            folder / "clips",
+            out=folder / f"out{repeat}",
+            predictor=predictor,
+            batch_size=options.batch_size,
+            workers=options.workers,
+            on_row=lambda row, ticks=ticks: ticks.append(time.perf_counter()),
+        )
+        total, processor = time.perf_counter() - start, _processor_time() - before
+        assert summary.predicted == len(sources), summary
+        steady = (ticks[-1] - ticks[0]) / (len(ticks) - 1)
+        runs.append((total / len(sources), steady, processor / len(sources)))
+    return min(runs)
+
+
+def _processor_time() -> float:
+    own, children = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return own.ru_utime + own.ru_stime + children.ru_utime + children.ru_stime
+
+
+if __name__ == "__main__":
+    main()
