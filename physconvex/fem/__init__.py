@@ -2,14 +2,19 @@
 
 from physconvex.contact import Plane, Sphere
 from physconvex.fem.body import ElasticBody
+from physconvex.fem.embedding import Embedding, sample_interior
+from physconvex.fem.implicit_meshing import tetrahedralize_implicit
 from physconvex.fem.loads import surface_load
 from physconvex.fem.mesh import TetMesh, box_mesh, refine, to_quadratic
+from physconvex.fem.meshing import tetrahedralize
 from physconvex.fem.modes import skinning_eigenmodes, vibration_modes
+from physconvex.fem.quality import mesh_quality
 from physconvex.fem.scene import Pins, Scene
 from physconvex.fem.simulation import SolveStatistics, Trajectory, simulate, solve_static
 
 __all__ = [
     "ElasticBody",
+    "Embedding",
     "Pins",
     "Plane",
     "Scene",
@@ -18,11 +23,15 @@ __all__ = [
     "TetMesh",
     "Trajectory",
     "box_mesh",
+    "mesh_quality",
     "refine",
+    "sample_interior",
     "simulate",
     "skinning_eigenmodes",
     "solve_static",
     "surface_load",
+    "tetrahedralize",
+    "tetrahedralize_implicit",
     "to_quadratic",
     "vibration_modes",
 ]
