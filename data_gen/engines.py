@@ -17,7 +17,8 @@ EngineName = Literal["local", "ray", "dask"]
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+# One thread per worker; and MKL's conditional reproducibility, without which sums depend on where arrays lie in memory.
+_ENVIRONMENT = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_CBWR": "AUTO"}
 
 
 def run_tasks(
@@ -37,10 +38,10 @@ def run_tasks(
 
 
 @contextmanager
-def _single_threaded() -> Iterator[None]:
-    """Child processes started inside use one thread each."""
-    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
-    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
+def _repeatable() -> Iterator[None]:
+    """Child processes started inside use one thread each and give the same bits every time."""
+    before = {name: os.environ.get(name) for name in _ENVIRONMENT}
+    os.environ.update(_ENVIRONMENT)
     try:
         yield
     finally:
@@ -54,7 +55,7 @@ def _single_threaded() -> Iterator[None]:
 def _local(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int) -> Iterator[Any]:
     # Fresh processes: a forked one would inherit OpenGL contexts and thread pools that do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with _single_threaded(), ProcessPoolExecutor(workers, mp_context=context) as pool:
+    with _repeatable(), ProcessPoolExecutor(workers, mp_context=context) as pool:
         futures = [pool.submit(function, task) for task in tasks]
         try:
             for future in as_completed(futures):
@@ -70,8 +71,7 @@ def _ray(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int) -> 
         raise InputError('engine: "ray" is not installed; expected it (pip install "physconvex[ray]")') from error
     if not ray.is_initialized():
         ray.init(num_cpus=workers, include_dashboard=False, log_to_driver=False)
-    environment = {"env_vars": dict.fromkeys(_THREAD_VARIABLES, "1")}
-    remote = ray.remote(num_cpus=1, runtime_env=environment)(function)
+    remote = ray.remote(num_cpus=1, runtime_env={"env_vars": _ENVIRONMENT})(function)
     waiting = [remote.remote(task) for task in tasks]
     while waiting:
         done, waiting = ray.wait(waiting)
@@ -84,7 +84,7 @@ def _dask(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int) ->
     except ImportError as error:
         raise InputError('engine: "dask" is not installed; expected it (pip install "physconvex[dask]")') from error
     address = os.environ.get("DASK_SCHEDULER_ADDRESS")
-    with _single_threaded():
+    with _repeatable():
         cluster = None if address else LocalCluster(workers, threads_per_worker=1, dashboard_address=None)
         with Client(address or cluster) as client:
             futures = client.map(function, tasks, pure=False)

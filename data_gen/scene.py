@@ -20,8 +20,6 @@ __all__ = ["Drop", "Look", "draw_drop", "draw_look", "split_of"]
 
 # Kinds of random streams; the first number of each stream's key.
 _OBJECT, _MOTION, LOOK = 0, 1, 2
-# From this attempt on a failed simulation gets another object too.
-_NEW_OBJECT_ATTEMPT = 3
 
 
 def stream(seed: int, *key: int) -> np.random.Generator:
@@ -105,8 +103,8 @@ def _object(config: GeneratorConfig, seed: int, simulation: int, attempt: int) -
     if config.objects.folder is not None:
         paths = objects_from_folder(config.objects.folder)
         return load_user_mesh(paths[number % len(paths)])
-    key = (_OBJECT, number) if attempt < _NEW_OBJECT_ATTEMPT else (_OBJECT, number, attempt)
-    return random_object(stream(seed, *key))
+    # A failed simulation is replaced by one of another object: most failures are meshes, which would fail again.
+    return random_object(stream(seed, _OBJECT, number, *([attempt] if attempt else [])))
 
 
 def _unit(rng: np.random.Generator) -> np.ndarray:

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 __all__ = ["RenderError", "light_object", "object_pass", "open_window", "place_camera", "plate_pass", "shadow_pass"]
 
 FLOOR_EXTENT = 40.0  # half edge of the floor [m]
-DOME_RADIUS = 90.0  # of the background [m]
+DOME_RADIUS = 60.0  # of the background [m], so that it starts where the floor ends
+DOME_FOOT = -5.0  # lower end of the background [m], below the floor so that no gap is seen
 CLIP_RANGE = (0.02, 250.0)  # [m]
 REMEDY = (
     "on Debian or Ubuntu: apt-get install libegl1 libgl1-mesa-dri (software rendering, no display needed); "
@@ -106,12 +107,13 @@ def unlit(actor: Any, brightness: float = 1.0) -> Any:
     return actor
 
 
-def image_texture(image: np.ndarray, *, repeat: bool) -> Any:
-    """Smoothly filtered texture of an image whose row 0 is up."""
+def image_texture(image: np.ndarray, *, mirrored: bool) -> Any:
+    """Smoothly filtered texture of an image whose row 0 is up; repeated, every other time `mirrored` (no seams)."""
     import pyvista as pv
+    from vtkmodules.vtkRenderingCore import vtkTexture
 
     texture = pv.Texture(np.ascontiguousarray(image))
-    texture.SetRepeat(repeat)
+    texture.SetWrap(vtkTexture.MirroredRepeat if mirrored else vtkTexture.Repeat)
     texture.InterpolateOn()
     texture.MipmapOn()
     texture.SetMaximumAnisotropicFiltering(8)
@@ -126,7 +128,7 @@ def object_pass(mesh: Any, surface: Surface) -> Any:
     corners = surface.faces.ravel()
     if surface.texture is not None and surface.uv is not None:
         mesh.active_texture_coordinates = surface.uv[corners].astype(np.float32)
-        actor.SetTexture(image_texture(surface.texture, repeat=True))
+        actor.SetTexture(image_texture(surface.texture, mirrored=False))
     else:
         assert surface.colors is not None
         mesh.point_data["rgb"] = surface.colors[corners]
@@ -161,19 +163,19 @@ def plate_pass(backdrop: Backdrop) -> Any:
     corners = np.array([[-tiles, -tiles], [tiles, -tiles], [tiles, tiles], [-tiles, tiles]], np.float32)
     floor.active_texture_coordinates = corners
     floor_actor = unlit(new_actor(floor))
-    floor_actor.SetTexture(image_texture(backdrop.floor, repeat=True))
+    floor_actor.SetTexture(image_texture(backdrop.floor, mirrored=True))
     dome_actor = unlit(new_actor(dome()))
-    dome_actor.SetTexture(image_texture(backdrop.background, repeat=True))
+    dome_actor.SetTexture(image_texture(backdrop.background, mirrored=True))
     return new_renderer(floor_actor, dome_actor)
 
 
 def dome(steps: int = 64) -> Any:
-    """Open cylinder with a lid around the scene; the picture runs twice around it."""
+    """Open cylinder around the scene; the picture runs four times around it, every other time mirrored."""
     import pyvista as pv
 
     angle = np.linspace(0, 2 * np.pi, steps + 1)
     circle = DOME_RADIUS * np.column_stack([np.cos(angle), np.sin(angle)])
-    rows = [(-1.0, 0.0), (0.0, 0.0), (0.8 * DOME_RADIUS, 1.0)]
+    rows = [(DOME_FOOT, 0.0), (0.0, 0.0), (0.8 * DOME_RADIUS, 1.0)]
     points = np.vstack([np.column_stack([circle, np.full(len(circle), z)]) for z, _ in rows])
     coordinates = np.vstack([np.column_stack([2 * angle / np.pi, np.full(len(angle), v)]) for _, v in rows])
     first = np.arange(steps)
