@@ -11,6 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
 from inference.sources import ClipSource
+from physconvex.capture import Capture, load_capture
+from physconvex.capture.fields import read_json_object
+from physconvex.capture.folder import CAPTURE_FILE
 from physconvex.errors import InputError
 from physconvex.video import read_image_sequence, read_video
 
@@ -32,6 +35,7 @@ DEFAULT_DENSITY = 1000.0
 """Density assumed where none is given [kg/m³]."""
 DEFAULT_OBJECT_SIZE = 1.0
 """Largest edge of the object's rest bounding box assumed where none is given [m]."""
+_GRAVITY = 9.81  # [m/s²]
 MAX_SIDE = 1280
 """Larger frames are scaled down to this longer side while they are decoded [px]."""
 
@@ -164,7 +168,32 @@ def _read_mask_video(path: Path, shape: tuple[int, ...]) -> Bool[np.ndarray, "T 
 
 
 def _load_capture(folder: Path) -> LoadedClip:
-    raise InputError(f"{folder}: capture folders cannot be read yet. Give the video of one of its cameras.")
+    """Read the observed frames of a capture's first camera; the later ones are there to be predicted."""
+    capture = load_capture(folder)
+    stated = read_json_object(folder / CAPTURE_FILE).values
+    if not capture.cameras:
+        raise InputError(f"{folder}: the capture has no camera; prediction needs a video. Add one to {CAPTURE_FILE}.")
+    name, count = capture.cameras[0].name, capture.observed_frames
+    video, mask = capture.video(name), capture.mask(name)
+    return LoadedClip(
+        frames=video.frames[:count],
+        fps=capture.fps,
+        timestamps=capture.times[:count],
+        mask=None if mask is None else mask[:count] > 127,
+        density=capture.density if "density" in stated else None,
+        object_size=capture.object_size,
+        warnings=(*video.warnings, *_capture_warnings(capture)),
+    )
+
+
+def _capture_warnings(capture: Capture) -> list[str]:
+    warnings = []
+    if len(capture.cameras) > 1:
+        warnings.append(f"camera {capture.cameras[0].name!r} was used, the first of {len(capture.cameras)}")
+    gravity = float(np.linalg.norm(capture.gravity))
+    if abs(gravity / _GRAVITY - 1) > 0.01:
+        warnings.append(f"gravity is {gravity:.3g} m/s^2, the predictor was trained with {_GRAVITY} m/s^2")
+    return warnings
 
 
 def _load_images(folder: Path) -> LoadedClip:

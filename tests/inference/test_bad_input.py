@@ -82,7 +82,7 @@ def test_each_bad_file_gets_one_line_and_the_good_one_its_prediction(bad_folder:
         "one.mp4": "1 frame",
         "loop.mp4": "loop",
         "up": "loop",
-        "capture": "capture",
+        "capture": "not valid JSON",
     }
     assert set(errors) == set(says)
     for name, part in says.items():
