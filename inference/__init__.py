@@ -7,10 +7,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from inference.batch import BatchSummary, ClipResult, iter_predictions, predict_batch
+    from inference.batch import BatchSummary, predict_batch
     from inference.prediction import Prediction
     from inference.predictor import predict
     from inference.sources import find_sources
+    from inference.streaming import ClipResult, iter_predictions
 
 __all__ = [
     "BatchSummary",
@@ -24,10 +25,10 @@ __all__ = [
 
 _MODULES = {
     "BatchSummary": "inference.batch",
-    "ClipResult": "inference.batch",
+    "ClipResult": "inference.streaming",
     "Prediction": "inference.prediction",
     "find_sources": "inference.sources",
-    "iter_predictions": "inference.batch",
+    "iter_predictions": "inference.streaming",
     "predict": "inference.predictor",
     "predict_batch": "inference.batch",
 }
