@@ -72,9 +72,13 @@ def bdf2(state: State, previous: State, step: float) -> StepCoefficients:
 
 
 class Objective(Protocol):
-    """A function to minimise, with a linear solver for its (possibly stale) Hessian."""
+    """A function to minimise, with a linear solver for its (possibly stale) Hessian.
+
+    `rounding` is the size of the rounding errors in its value [J]: large terms may cancel in a small value.
+    """
 
     factorised: bool
+    rounding: float
 
     def evaluate(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """Value (may be infinite) and gradient at x."""
@@ -126,7 +130,7 @@ class _Trial:
 def _line_search(objective: Objective, at: _Trial, direction: np.ndarray, slope: float, halvings: int) -> _Trial | None:
     """Backtracking until the Armijo condition holds; None when it never does."""
     length = 1.0
-    allowance = _ROUNDING * (1.0 + abs(at.value))
+    allowance = _ROUNDING * (1.0 + abs(at.value)) + objective.rounding
     for _ in range(halvings):
         x = at.x + length * direction
         value, gradient = objective.evaluate(x)

@@ -102,6 +102,11 @@ class ElasticBody:
         """Row sums of the mass matrix [kg]: the weights of a uniform acceleration."""
         return np.asarray(self.mass.sum(axis=1)).ravel()
 
+    @property
+    def shear_scale(self) -> float:
+        """∫ μ dV [J]: size of the terms that cancel each other in the elastic energy."""
+        return float((self._weights * self._mu).sum())
+
     # -- elasticity
 
     def _element_positions(self, x: np.ndarray) -> Tensor:

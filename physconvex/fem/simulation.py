@@ -53,6 +53,7 @@ class _Equations:
         self.fixed = ~scene.free_nodes()
         self._mass_data = self._assemble_mass()
         self.factorised = False
+        self.rounding = 1e-15 * self.body.shear_scale
         self._factorised_step = np.nan
         self.coefficients: StepCoefficients | None = None
         self.forces = scene.external_forces(0.0)

@@ -18,6 +18,7 @@ class Function:
     gradient: object
     hessian: object
     factorised: bool = False
+    rounding: float = 0.0
     calls: list = field(default_factory=list)
     matrix: np.ndarray | None = None
 
@@ -62,9 +63,7 @@ def test_quadratic_needs_one_step_and_its_check():
 
 
 @pytest.mark.parametrize("reuse", [True, False])
-@pytest.mark.parametrize(
-    "start", [(-1.2, 1.0), (0.0, 3.0), (2.0, -5.0)]
-)  # the second one has an indefinite Hessian
+@pytest.mark.parametrize("start", [(-1.2, 1.0), (0.0, 3.0), (2.0, -5.0)])  # the second one has an indefinite Hessian
 def test_banana_valley(reuse, start):
     found = minimise(rosenbrock(), np.array(start), tolerance=1e-10, reuse=reuse)
     np.testing.assert_allclose(found.x, 1.0, atol=1e-9)
@@ -125,6 +124,27 @@ def test_line_search_stays_where_the_value_is_finite():
     np.testing.assert_allclose(found.x, 1.0, atol=1e-10)
 
 
+def drifting(rounding: float) -> Function:
+    """A convex function whose value, not its gradient, errs by 1e-6 more at every evaluation."""
+    evaluations = iter(range(1000))
+    return Function(
+        lambda x: float(0.5 * x @ x + 0.02 * (x**4).sum() + 1e-6 * next(evaluations)),
+        lambda x: x + 0.08 * x**3,
+        lambda x: np.diag(1 + 0.24 * x**2),
+        rounding=rounding,
+    )
+
+
+def test_rounding_of_the_value_does_not_stop_newton():
+    found = minimise(drifting(rounding=1e-5), np.array([0.5, -0.8]), tolerance=1e-12)
+    np.testing.assert_allclose(found.x, 0.0, atol=1e-12)  # far below √1e-6, where the value is lost in its errors
+
+
+def test_rising_value_stops_newton():
+    with pytest.raises(ConvergenceError, match="no descent"):
+        minimise(drifting(rounding=0.0), np.array([0.5, -0.8]), tolerance=1e-12)
+
+
 def test_start_without_finite_value_is_a_convergence_failure():
     with pytest.raises(ConvergenceError, match="start"):
         minimise(barrier(), np.array([-1.0]), tolerance=1e-10)
@@ -136,9 +156,7 @@ def test_bound_on_the_number_of_steps():
 
 
 def test_no_descent_is_an_error():
-    lying = Function(
-        lambda x: float(x[0]), lambda x: np.array([-1.0]), lambda x: np.eye(1)
-    )  # wrong sign of gradient
+    lying = Function(lambda x: float(x[0]), lambda x: np.array([-1.0]), lambda x: np.eye(1))  # wrong sign of gradient
     with pytest.raises(ConvergenceError, match="no descent"):
         minimise(lying, np.zeros(1), tolerance=1e-6)
 
@@ -186,9 +204,7 @@ def test_bdf2_damps_by_its_principal_root():
         state = oscillate(omega, h * steps, steps, two_step=True)
         energies.append(state.velocities[0] ** 2 + (omega * state.positions[0]) ** 2)
     assert energies[1] / energies[0] == pytest.approx(root**2000, rel=1e-10)
-    assert 1 - root**2 == pytest.approx(
-        (omega * h) ** 4 / 2, rel=0.01
-    )  # a fourth-order loss of energy per step
+    assert 1 - root**2 == pytest.approx((omega * h) ** 4 / 2, rel=0.01)  # a fourth-order loss of energy per step
 
 
 def test_stiff_spring_goes_to_rest():
