@@ -1,0 +1,237 @@
+"""Roll-outs as a program: arguments, frames, halved steps, pins, errors, modes."""
+
+import numpy as np
+import pytest
+
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.fem import (
+    ElasticBody,
+    Pins,
+    Plane,
+    Scene,
+    box_mesh,
+    simulate,
+    skinning_eigenmodes,
+    vibration_modes,
+)
+from physconvex.fem import simulation as module
+
+
+def small_body(**constants) -> ElasticBody:
+    return ElasticBody(box_mesh((0.2, 0.1, 0.1), (2, 1, 1)), **constants)
+
+
+# --- frames
+
+
+def test_frames_lie_at_their_times():
+    run = simulate(Scene(small_body()), frames=5, fps=30, steps_per_frame=2)
+    np.testing.assert_allclose(run.times, np.arange(5) / 30, rtol=1e-14)
+    assert run.positions.shape == run.velocities.shape == (5, *small_body().mesh.vertices.shape)
+    np.testing.assert_array_equal(run.positions[0], small_body().mesh.vertices)
+    assert run.statistics.steps == 8
+    assert run.statistics.newton_iterations >= 8
+    assert run.statistics.halved_steps == 0
+
+
+def test_one_frame_is_the_start():
+    scene = Scene(small_body(), initial_velocity=(1.0, 0, 0))
+    run = simulate(scene, frames=1)
+    np.testing.assert_array_equal(run.velocities[0], scene.start_velocities())
+    assert run.statistics.steps == 0
+
+
+def test_same_scene_same_bits():
+    scene = Scene(small_body(), obstacles=(Plane(point=(0, 0, -0.01), friction=0.3),), damping_time=1e-3)
+    runs = [simulate(scene, frames=6) for _ in range(2)]
+    np.testing.assert_array_equal(runs[0].positions, runs[1].positions)
+
+
+# --- failure of a step
+
+
+def test_step_that_fails_is_halved_and_counted(monkeypatch):
+    """Newton 'fails' for every step longer than a limit: the roll-out goes on with quarters of a step."""
+    real, limit = module.minimise, 0.3 / 240
+
+    def fails_when_long(equations, guess, **options):
+        h = equations.coefficients.step  # 2/3 h for BDF2
+        if h > limit:
+            raise ConvergenceError("too long")
+        return real(equations, guess, **options)
+
+    monkeypatch.setattr(module, "minimise", fails_when_long)
+    run = simulate(Scene(small_body()), frames=2, fps=60, steps_per_frame=4)
+    assert run.statistics.halved_steps > 0
+    fallen = (run.positions[1] - run.positions[0])[:, 2]
+    assert run.times[1] == pytest.approx(1 / 60)
+    # a fall by implicit Euler in quarters of h: g t²/2 (1 + h'/t), between the parabola and that bound
+    t = 1 / 60
+    assert (-fallen >= 0.5 * 9.81 * t**2 * 0.999).all() and (-fallen <= 0.5 * 9.81 * t**2 * (1 + 1 / 4)).all()
+
+
+def test_step_that_always_fails_is_an_error(monkeypatch):
+    def never(*_, **__):
+        raise ConvergenceError("no descent")
+
+    monkeypatch.setattr(module, "minimise", never)
+    with pytest.raises(ConvergenceError, match=r"time step at t = 0 s failed even at h = .*: no descent"):
+        simulate(Scene(small_body()), frames=2)
+
+
+def test_guess_that_turns_an_element_over_is_caught():
+    """The log law is infinite there: the step is halved, and the run ends where a run with short steps ends."""
+    body = small_body(law="neo_hookean_log", youngs_modulus=2e4, poisson_ratio=0.3)
+    nodes = np.flatnonzero(body.mesh.vertices[:, 0] == 0)
+    rest = body.mesh.vertices[nodes]
+
+    def shove(t):  # 16 cm in one step of 0.1 s, past the next row of nodes
+        return rest + np.array([0.16 * min(t / 0.1, 1.0), 0.0, 0.0])
+
+    scene = Scene(body, gravity=(0, 0, 0), pins=Pins(nodes, shove), damping_time=0.02)
+    run = simulate(scene, frames=2, fps=1, steps_per_frame=10)
+    assert run.statistics.halved_steps > 0
+    np.testing.assert_allclose(run.positions[1], body.mesh.vertices + np.array([0.16, 0, 0]), atol=2e-3)
+
+
+def test_impossible_prescribed_motion_is_an_error():
+    body = small_body(law="neo_hookean_log")
+    nodes = np.arange(len(body.mesh.vertices))
+    turned = Pins(nodes, lambda t: body.mesh.vertices * ((1.0, 1.0, 1.0) if t == 0 else (1.0, 1.0, -1.0)))
+    with pytest.raises(ConvergenceError, match="no finite energy"):
+        simulate(Scene(body, pins=turned), frames=2)
+
+
+# --- bad input
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"frames": 0}, "frames, steps_per_frame, fps: got 0"),
+        ({"fps": 0.0}, "expected > 0"),
+        ({"fps": np.nan}, "expected > 0"),
+        ({"steps_per_frame": 0}, "expected > 0"),
+        ({"integrator": "rk4"}, "integrator: got 'rk4'; expected 'bdf2' or 'implicit_euler'"),
+        ({"friction_passes": 0}, "friction_passes: got 0"),
+    ],
+)
+def test_bad_options_are_named(options, message):
+    with pytest.raises(InputError, match=message):
+        simulate(Scene(small_body()), **options)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"gravity": (0, 0)}, "gravity: got"),
+        ({"initial_velocity": (0, np.nan, 0)}, "initial_velocity: got"),
+        ({"damping_time": -1.0}, "damping_time: got -1.0"),
+        ({"air_drag": np.inf}, "air_drag: got inf"),
+        ({"loads": np.zeros((3, 3))}, r"loads: got shape \(3, 3\)"),
+        ({"initial_positions": np.zeros((2, 3))}, r"initial_positions: got shape \(2, 3\)"),
+    ],
+)
+def test_bad_scenes_are_named(fields, message):
+    with pytest.raises(InputError, match=message):
+        Scene(small_body(), **fields)
+
+
+@pytest.mark.parametrize(
+    ("constants", "message"),
+    [
+        ({"youngs_modulus": 0.0}, "youngs_modulus: got values in"),
+        ({"poisson_ratio": 0.5}, "poisson_ratio: got values in"),
+        ({"poisson_ratio": -1.0}, "poisson_ratio: got values in"),
+        ({"density": -1.0}, "density: got values in"),
+        ({"youngs_modulus": np.nan}, "youngs_modulus: got values in"),
+        ({"youngs_modulus": np.ones(3)}, r"youngs_modulus: got shape \(3,\); expected a number or \[12\]"),
+        ({"law": "rubber"}, "law: got 'rubber'"),
+    ],
+)
+def test_bad_constants_are_named(constants, message):
+    with pytest.raises(InputError, match=message):
+        small_body(**constants)
+
+
+# --- contact constants
+
+
+def test_contact_stiffness_follows_the_largest_modulus_and_the_size():
+    body = small_body(youngs_modulus=np.linspace(1e4, 5e4, 12))
+    contact = Scene(body).contact()
+    assert contact.stiffness == pytest.approx(50 * 5e4 / 0.2)
+    assert Scene(body, contact_stiffness=7.0).contact().stiffness == 7.0
+
+
+# --- modes
+
+
+def test_free_body_has_six_rigid_modes_and_a_clamped_one_none():
+    body = small_body()
+    frequencies, shapes = vibration_modes(body, 8)
+    assert (frequencies[:6] < 1e-3 * frequencies[6]).all() and frequencies[6] > 1.0
+    assert shapes.shape == (8, len(body.mesh.vertices), 3)
+    clamped = body.mesh.vertices[:, 0] == 0
+    frequencies, shapes = vibration_modes(body, 3, clamped=clamped)
+    assert frequencies[0] > 1.0
+    assert (shapes[:, clamped] == 0).all()
+
+
+def test_vibration_modes_are_orthonormal_in_mass_and_stationary():
+    body = small_body(youngs_modulus=np.linspace(1e4, 5e4, 12), density=np.linspace(500, 900, 12))
+    frequencies, shapes = vibration_modes(body, 9)
+    gram = np.einsum("avi,vw,bwi->ab", shapes, body.mass.toarray(), shapes)
+    np.testing.assert_allclose(gram, np.eye(9), atol=1e-9)
+    # K φ = ω² M φ, K by differences of the force about the rest state
+    rest, shape, step = body.mesh.vertices, shapes[7], 1e-6
+    force = (body.gradient(rest + step * shape) - body.gradient(rest - step * shape)) / (2 * step)
+    expected = (2 * np.pi * frequencies[7]) ** 2 * (body.mass @ shape)
+    np.testing.assert_allclose(force, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_frequencies_scale_as_they_must():
+    one, other = small_body(youngs_modulus=1e5), small_body(youngs_modulus=4e5, density=4000.0)
+    larger = ElasticBody(box_mesh((0.4, 0.2, 0.2), (2, 1, 1)), youngs_modulus=4e5)
+    reference = vibration_modes(one, 8)[0][6:]
+    np.testing.assert_allclose(vibration_modes(other, 8)[0][6:], reference, rtol=1e-8)
+    np.testing.assert_allclose(vibration_modes(larger, 8)[0][6:], reference, rtol=1e-8)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_skinning_modes_are_orthonormal_and_without_the_constant(order):
+    mesh = box_mesh((0.3, 0.1, 0.1), (6, 2, 2), order=order)
+    body = ElasticBody(mesh, density=np.linspace(500, 1500, len(mesh.tets)))
+    weights, values = skinning_eigenmodes(body, 6)
+    gram = weights.T @ body.mass @ weights
+    np.testing.assert_allclose(gram, body.total_mass * np.eye(6), atol=1e-8 * body.total_mass)
+    np.testing.assert_allclose(body.node_masses @ weights, 0.0, atol=1e-8 * body.total_mass)
+    assert (values > 0).all() and (np.diff(values) >= 0).all()
+    again, _ = skinning_eigenmodes(body, 6)
+    np.testing.assert_array_equal(weights, again)
+
+
+def test_first_skinning_mode_of_a_bar_is_a_cosine():
+    length, e, rho = 1.0, 2e5, 800.0
+    mesh = box_mesh((length, 0.1, 0.1), (10, 1, 1))
+    body = ElasticBody(mesh, youngs_modulus=e, density=rho)
+    weights, values = skinning_eigenmodes(body, 1)
+    assert values[0] == pytest.approx(e / rho * (np.pi / length) ** 2, rel=1e-4)
+    expected = np.sqrt(2) * np.cos(np.pi * mesh.vertices[:, 0] / length)
+    expected *= np.sign(expected @ weights[:, 0])
+    np.testing.assert_allclose(weights[:, 0], expected, atol=2e-3)
+
+
+def test_stiff_inclusion_moves_as_one():
+    mesh = box_mesh((0.3, 0.1, 0.1), (6, 2, 2))
+    stiff = mesh.vertices[mesh.corner_tets].mean(1)[:, 0] > 0.2
+    body = ElasticBody(mesh, youngs_modulus=np.where(stiff, 1e9, 1e4))
+    weights, _ = skinning_eigenmodes(body, 3)
+    inside = mesh.vertices[:, 0] >= 0.2
+    assert (np.ptp(weights[inside], axis=0) < 1e-3 * np.ptp(weights, axis=0)).all()
+
+
+@pytest.mark.parametrize("count", [-1, 10**6])
+def test_bad_number_of_modes_is_named(count):
+    with pytest.raises(InputError, match="count: got"):
+        skinning_eigenmodes(small_body(), count)
