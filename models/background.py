@@ -149,6 +149,7 @@ def _silhouettes(
         masks = _segment(part, codes[some], model)
         background, known = _masked_median(part.planes, masks)
         ratio = colour_ratio(codes[some], masks)
+        background = _lit(part, background, masks)
         odd = difference(background, clip.around.mean) > clip.threshold + 3.0 * clip.around.spread
         covered = ((ratio[colour_codes(background)] > 0.7) | odd) & _hull(masks)
         covered &= ~_seen_apart(part, background, masks)
@@ -177,7 +178,9 @@ def _two_frame_background(clip: _Clip, change: Float32[np.ndarray, "H W"], far: 
     middle = along[order[int(score.argmax())]]
     columns, rows = np.arange(change.shape[1])[None], np.arange(change.shape[0])[:, None]
     ahead = np.where(across * columns + down * rows > middle, 0.5, -0.5)
-    return np.where(ahead - cv2.blur(evidence, (5, 5)) > 0, first, last)
+    background = np.where(ahead - cv2.blur(evidence, (5, 5)) > 0, first, last)
+    same = difference(first, last, both=True) < clip.threshold  # but for a shadow
+    return np.where(same, np.where(first[0] > last[0], first, last), background)
 
 
 def _direction(clip: _Clip, far: int) -> tuple[float, float]:
@@ -236,6 +239,23 @@ def _seen_apart(clip: _Clip, background: Picture, masks: UInt8[np.ndarray, "T H 
         seen |= distance < 0.7
         away += (distance < 0.7) & (cv2.dilate(mask, kernel) == 0)
     return again | (away >= 2)
+
+
+def _lit(clip: _Clip, background: Picture, masks: UInt8[np.ndarray, "T H W"]) -> Picture:
+    """The background without the shadow that lay on it when it was seen most often."""
+    total, count = np.zeros_like(background), np.zeros(background.shape[1:], np.float32)
+    for image, mask in zip(np.moveaxis(clip.planes, 1, 0), masks, strict=True):
+        factor = (background[0] + 2.0) / (image[0] + 2.0)
+        tint = np.maximum(np.abs(background[1] - factor * image[1]), np.abs(background[2] - factor * image[2]))
+        brighter = (
+            (factor < 0.9)
+            & (factor > 0.2)
+            & (tint < clip.threshold)
+            & (cv2.dilate(mask, np.ones((5, 5), np.uint8)) == 0)
+        )
+        total += image * brighter
+        count += brighter
+    return np.where(count >= 2, total / np.maximum(count, 1.0), background)
 
 
 def _masked_median(planes: Planes, masks: UInt8[np.ndarray, "T H W"]) -> tuple[Picture, Bool[np.ndarray, "H W"]]:
