@@ -25,9 +25,9 @@ class _Frozen(BaseModel):
 class DensityCalibration(_Frozen):
     """How to read one head's logits."""
 
-    temperature: float = Field(1.0, gt=0)
+    temperature: float = Field(default=1.0, gt=0)
     """The logits are divided by it."""
-    central_level: float = Field(COVERAGE, gt=0, le=1)
+    central_level: float = Field(default=COVERAGE, gt=0, le=1)
     """Nominal probability of the central interval that holds 90 % of the validation values."""
 
     def density(self, logits: Float[Tensor, "B K"], config: BinConfig) -> BinnedDensity:

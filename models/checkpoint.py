@@ -143,9 +143,7 @@ def load_checkpoint(
     try:
         network.load_state_dict(tensors)
     except RuntimeError as error:
-        raise InputError(
-            f"checkpoint: the tensors in {folder} do not fit its config.json: {error}"
-        ) from error
+        raise InputError(f"checkpoint: the tensors in {folder} do not fit its config.json: {error}") from error
     return network.to(_device(device)).eval(), config
 
 

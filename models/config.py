@@ -28,18 +28,18 @@ class _Frozen(BaseModel):
 class EncoderConfig(_Frozen):
     """VideoMAE encoder (Tong et al. 2022) over tubelets of `tubelet` frames × `patch_size`² pixels."""
 
-    image_size: int = Field(112, ge=16)
-    frames: int = Field(24, ge=2)
-    tubelet: int = Field(2, ge=1)
-    patch_size: int = Field(16, ge=4)
-    hidden_size: int = Field(192, ge=16)
-    layers: int = Field(5, ge=1)
-    heads: int = Field(3, ge=1)
+    image_size: int = Field(default=112, ge=16)
+    frames: int = Field(default=24, ge=2)
+    tubelet: int = Field(default=2, ge=1)
+    patch_size: int = Field(default=16, ge=4)
+    hidden_size: int = Field(default=192, ge=16)
+    layers: int = Field(default=5, ge=1)
+    heads: int = Field(default=3, ge=1)
     mask_channel: bool = True
-    dropout: float = Field(0.0, ge=0, lt=1)
-    train_keep: float = Field(0.35, gt=0, le=1)
+    dropout: float = Field(default=0.0, ge=0, lt=1)
+    train_keep: float = Field(default=0.35, gt=0, le=1)
     """Share of the tokens kept in training; those that show the object go first, at random."""
-    eval_keep: float = Field(0.5, gt=0, le=1)
+    eval_keep: float = Field(default=0.5, gt=0, le=1)
     """Share of the tokens kept otherwise; the emptiest are left out."""
     position_grid: tuple[int, int, int] | None = None
     """Grid (time, rows, columns) of the pretrained position table; None: a separable table of our own."""
@@ -80,10 +80,10 @@ class EncoderConfig(_Frozen):
 class KinematicsConfig(_Frozen):
     """One-dimensional residual network over the silhouette moments."""
 
-    channels: int = Field(128, ge=8)
-    blocks: int = Field(6, ge=1)
-    dropout: float = Field(0.1, ge=0, lt=1)
-    drop_path: float = Field(0.1, ge=0, lt=1)
+    channels: int = Field(default=128, ge=8)
+    blocks: int = Field(default=6, ge=1)
+    dropout: float = Field(default=0.1, ge=0, lt=1)
+    drop_path: float = Field(default=0.1, ge=0, lt=1)
 
 
 class BinConfig(_Frozen):
@@ -103,10 +103,10 @@ class BinConfig(_Frozen):
 class SkinningConfig(_Frozen):
     """MLP over Fourier features of the rest position whose layers are modulated by the clip."""
 
-    handles: int = Field(10, ge=1)
-    hidden_size: int = Field(64, ge=8)
-    layers: int = Field(3, ge=1)
-    harmonics: int = Field(3, ge=1)
+    handles: int = Field(default=10, ge=1)
+    hidden_size: int = Field(default=64, ge=8)
+    layers: int = Field(default=3, ge=1)
+    harmonics: int = Field(default=3, ge=1)
 
 
 class NetworkConfig(_Frozen):
@@ -118,11 +118,11 @@ class NetworkConfig(_Frozen):
     """Of log10(E / (ρ g L))."""
     poisson: BinConfig = BinConfig(low=0.0, high=0.5, bins=50)
     skinning: SkinningConfig = SkinningConfig()
-    latent_size: int = Field(192, ge=8)
-    dropout: float = Field(0.1, ge=0, lt=1)
-    video_dropout: float = Field(0.2, ge=0, lt=1)
+    latent_size: int = Field(default=192, ge=8)
+    dropout: float = Field(default=0.1, ge=0, lt=1)
+    video_dropout: float = Field(default=0.2, ge=0, lt=1)
     """How often training hides the whole video embedding, so that neither branch leans on the other."""
-    kinematics_dropout: float = Field(0.1, ge=0, lt=1)
+    kinematics_dropout: float = Field(default=0.1, ge=0, lt=1)
 
     @model_validator(mode="after")
     def check(self) -> NetworkConfig:

@@ -26,6 +26,10 @@ _IMAGE_STD = (0.229, 0.224, 0.225)
 class VideoEncoder(nn.Module):
     """Frames and masks -> tokens with their place in the clip."""
 
+    tie_break: Tensor
+    mean: Tensor
+    std: Tensor
+
     def __init__(self, config: EncoderConfig) -> None:
         super().__init__()
         self.config = config
@@ -139,6 +143,7 @@ def load_pretrained_encoder(name_or_path: str | Path, config: EncoderConfig) -> 
             "config.json and model.safetensors, or train from scratch"
         ) from error
     theirs = source.config
+    assert isinstance(theirs.image_size, int) and isinstance(theirs.patch_size, int)
     side = theirs.image_size // theirs.patch_size
     grid = (theirs.num_frames // theirs.tubelet_size, side, side)
     config = config.model_copy(
@@ -160,14 +165,10 @@ def load_pretrained_encoder(name_or_path: str | Path, config: EncoderConfig) -> 
     return encoder
 
 
-def _fit_kernel(
-    kernel: Float[Tensor, "D c t p p"], channels: int, tubelet: int
-) -> Float[Tensor, "D C T p p"]:
+def _fit_kernel(kernel: Float[Tensor, "D c t p p"], channels: int, tubelet: int) -> Float[Tensor, "D C T p p"]:
     extra = channels - kernel.shape[1]
     if extra > 0:
         kernel = functional.pad(kernel, (0, 0, 0, 0, 0, 0, 0, extra))
     if kernel.shape[2] == tubelet:
         return kernel
-    return kernel.mean(dim=2, keepdim=True).expand(-1, -1, tubelet, -1, -1).contiguous() * (
-        kernel.shape[2] / tubelet
-    )
+    return kernel.mean(dim=2, keepdim=True).expand(-1, -1, tubelet, -1, -1).contiguous() * (kernel.shape[2] / tubelet)

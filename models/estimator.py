@@ -104,9 +104,7 @@ class PhysicsPredictor:
         alpha: UInt8[np.ndarray, "T H W"] | None = None,
     ) -> PreparedClip:
         """The network's input (`models.clip.prepare_clip` with this checkpoint's size and rate)."""
-        return prepare_clip(
-            frames, fps=fps, timestamps=timestamps, mask=mask, alpha=alpha, config=self.clip_config
-        )
+        return prepare_clip(frames, fps=fps, timestamps=timestamps, mask=mask, alpha=alpha, config=self.clip_config)
 
     @torch.inference_mode()
     def estimate(
@@ -193,9 +191,7 @@ def _estimate(
     )
 
 
-def collate_clips(
-    clips: Sequence[PreparedClip], intervals: Float64[np.ndarray, " B"], config: ClipConfig
-) -> ClipBatch:
+def collate_clips(clips: Sequence[PreparedClip], intervals: Float64[np.ndarray, " B"], config: ClipConfig) -> ClipBatch:
     """Prepared clips as one batch; `intervals` are Δt √(g/L).
 
     Raises:

@@ -22,9 +22,7 @@ class BinnedDensity:
     probabilities: Float[Tensor, "B K"]
 
     @classmethod
-    def from_logits(
-        cls, logits: Float[Tensor, "B K"], config: BinConfig, *, temperature: float = 1.0
-    ) -> BinnedDensity:
+    def from_logits(cls, logits: Float[Tensor, "B K"], config: BinConfig, *, temperature: float = 1.0) -> BinnedDensity:
         """Softmax of the logits over the temperature."""
         edges = torch.linspace(config.low, config.high, config.bins + 1, device=logits.device)
         return cls(edges=edges, probabilities=(logits.float() / temperature).softmax(dim=-1))
@@ -85,7 +83,6 @@ class DensityHead(nn.Module):
         self.config = config
         self.mlp = Mlp(latent_size, hidden_features=latent_size, out_features=config.bins, drop=dropout)
         nn.init.normal_(self.mlp.fc2.weight, std=1e-3)
-        nn.init.zeros_(self.mlp.fc2.bias)
 
     def forward(self, latent: Float[Tensor, "B D"]) -> Float[Tensor, "B K"]:
         """Logits; nearly flat before training."""

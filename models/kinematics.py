@@ -63,8 +63,9 @@ class _Block(nn.Module):
         self.first = nn.Conv1d(channels, channels, 3, padding=dilation, dilation=dilation)
         self.second = nn.Conv1d(channels, channels, 3, padding=1)
         self.activation, self.dropout, self.drop_path = nn.GELU(), nn.Dropout(dropout), DropPath(drop_path)
-        nn.init.zeros_(self.second.weight)
-        nn.init.zeros_(self.second.bias)
+        with torch.no_grad():
+            for parameter in self.second.parameters():
+                parameter.zero_()
 
     def forward(self, frames: Float[Tensor, "B T C"]) -> Float[Tensor, "B T C"]:
         inner = self.activation(self.first(self.norm(frames).transpose(1, 2)))
@@ -74,13 +75,14 @@ class _Block(nn.Module):
 class KinematicsBranch(nn.Module):
     """Moments [B, T, M] -> embedding [B, 3 C]: mean, maximum and attention over the valid frames."""
 
+    feature_scale: Tensor
+
     def __init__(self, config: KinematicsConfig) -> None:
         super().__init__()
         self.register_buffer("feature_scale", _default_scale())
         self.project = nn.Linear(2 * _FEATURES, config.channels)
         self.blocks = nn.ModuleList(
-            _Block(config.channels, 2 ** (k % 3), config.dropout, config.drop_path)
-            for k in range(config.blocks)
+            _Block(config.channels, 2 ** (k % 3), config.dropout, config.drop_path) for k in range(config.blocks)
         )
         self.norm = nn.LayerNorm(config.channels)
         self.pool = AttentionPoolLatent(config.channels, num_heads=4, mlp_ratio=1.0)

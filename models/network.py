@@ -45,6 +45,8 @@ class NetworkOutput:
     stiffness_logits: Float[Tensor, "B K"]
     poisson_logits: Float[Tensor, "B J"]
     latent: Float[Tensor, "B D"]
+    weights: Float[Tensor, "B Q M"] | None = None
+    """Skinning weights at the points asked for."""
 
 
 class PhysicsNetwork(nn.Module):
@@ -73,21 +75,23 @@ class PhysicsNetwork(nn.Module):
         self.skinning_head = SkinningHead(config.latent_size, config.skinning)
 
     def forward(
-        self, batch: ClipBatch, *, video: bool = True, generator: torch.Generator | None = None
+        self,
+        batch: ClipBatch,
+        points: Float[Tensor, "B Q 3"] | None = None,
+        *,
+        video: bool = True,
+        generator: torch.Generator | None = None,
     ) -> NetworkOutput:
-        """Densities and latent.
+        """Densities, latent, skinning weights at the points.
 
         Args:
             batch: the clips.
+            points: where to read the skinning weights: object frame, in units of the object size.
             video: False leaves the encoder out; the kinematics branch answers alone.
             generator: CPU generator that draws which tokens and branches training hides.
         """
         motion = self.motion_norm(self.kinematics(batch.moments, batch.interval, batch.valid))
-        seen = (
-            self._video_embedding(batch, generator)
-            if video
-            else motion.new_zeros(len(motion), self._video_size)
-        )
+        seen = self._video_embedding(batch, generator) if video else motion.new_zeros(len(motion), self._video_size)
         if self.training:
             hide = torch.rand(len(motion), generator=generator).to(motion.device)[:, None]
             seen = seen * (hide >= self.config.video_dropout)
@@ -98,6 +102,7 @@ class PhysicsNetwork(nn.Module):
             stiffness_logits=self.stiffness_head(latent),
             poisson_logits=self.poisson_head(latent),
             latent=latent,
+            weights=None if points is None else self.skinning_head(latent, points),
         )
 
     def _video_embedding(self, batch: ClipBatch, generator: torch.Generator | None) -> Float[Tensor, "B E"]:

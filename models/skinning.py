@@ -40,19 +40,18 @@ class SkinningHead(nn.Module):
         super().__init__()
         self.config = config
         sizes = [3 + 6 * config.harmonics, *[config.hidden_size] * config.layers, config.handles]
-        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
+        layers = [nn.Linear(inputs, outputs) for inputs, outputs in pairwise(sizes)]
+        self.layers = nn.ModuleList(layers)
         self.modulation = nn.Linear(latent_size, 2 * config.hidden_size * config.layers)
         nn.init.normal_(self.modulation.weight, std=0.02)
         nn.init.zeros_(self.modulation.bias)
 
-    def layers_of(
-        self, latent: Float[Tensor, "B D"]
-    ) -> list[tuple[Float[Tensor, "B O I"], Float[Tensor, "B 1 O"]]]:
+    def layers_of(self, latent: Float[Tensor, "B D"]) -> list[tuple[Float[Tensor, "B O I"], Float[Tensor, "B 1 O"]]]:
         """Weights and biases of each clip's own MLP."""
         scale, shift = self.modulation(latent).unflatten(1, (2, self.config.layers, -1)).unbind(dim=1)
         folded = []
         for k, layer in enumerate(self.layers):
-            weight, bias = layer.weight[None], layer.bias[None]
+            weight, bias = layer.get_parameter("weight")[None], layer.get_parameter("bias")[None]
             if k < self.config.layers:
                 weight, bias = weight * (1 + scale[:, k, :, None]), bias * (1 + scale[:, k]) + shift[:, k]
             count = len(latent)
@@ -130,7 +129,7 @@ class SkinningField:
             "handles": self.handles,
             "harmonics": self.harmonics,
             "constant_mode": "implied, not stored",
-            "field": "MLP, SiLU between layers, of x = X / object_size and sin, cos(k pi x), k = 1..harmonics",
+            "field": "MLP, SiLU between layers, of x = X / object_size and sin, cos(k pi x), k=1..harmonics",
         }
         Path(path).write_bytes(save(self.tensors, metadata={"physconvex": json.dumps(description)}))
 
@@ -142,17 +141,13 @@ class SkinningField:
             InputError: there is no such file, or it is none of ours.
         """
         if not Path(path).is_file():
-            raise InputError(
-                f"path: no skinning field at {str(path)!r}; give a *.safetensors file from `save`"
-            )
+            raise InputError(f"path: no skinning field at {str(path)!r}; give a *.safetensors file from `save`")
         with safe_open(path, framework="numpy") as file:
             description = json.loads((file.metadata() or {}).get("physconvex", "{}"))
             tensors = {name: file.get_tensor(name) for name in file.keys()}
         if description.get("format") != _FORMAT:
             raise InputError(f"path: {str(path)!r} is {description.get('format')!r}, expected {_FORMAT!r}")
-        return cls(
-            tensors=tensors, object_size=description["object_size"], harmonics=description["harmonics"]
-        )
+        return cls(tensors=tensors, object_size=description["object_size"], harmonics=description["harmonics"])
 
     def _scaled(self, points: Float[np.ndarray, "Q 3"]) -> Float32[Tensor, "Q 3"]:
         values = np.asarray(points, np.float64)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
@@ -84,7 +85,7 @@ def prepare_clips(
         folder: where caches live; the one used is named by a hash of data, settings, and share.
         true_mask_share: clips shown with their true mask, chosen by a hash of their name; the others show
             what `prepare_clip` finds, as at inference.
-        workers: processes.
+        workers: processes; 0 prepares in this one.
         progress: called with the number done and the total.
     """
     target = folder / _key(clips, settings, true_mask_share)
@@ -96,8 +97,8 @@ def prepare_clips(
     chunks = [todo[k : k + _CHUNK].tolist() for k in range(0, len(todo), _CHUNK)]
     if not chunks:
         return PreparedClips.open(target)
-    with ProcessPoolExecutor(max(workers, 1), mp_context=get_context("spawn")) as pool:
-        results = pool.map(prepare, [[clips[k] for k in chunk] for chunk in chunks])
+    with _mapping(workers) as mapping:
+        results = mapping(prepare, [[clips[k] for k in chunk] for chunk in chunks])
         for chunk, prepared in zip(chunks, results, strict=True):
             for index, values in zip(chunk, prepared, strict=True):
                 for name, value in values.items():
@@ -108,6 +109,16 @@ def prepare_clips(
     for array in (*arrays.values(), done):
         array.flush()
     return PreparedClips.open(target)
+
+
+@contextmanager
+def _mapping(workers: int) -> Iterator[Callable[..., Iterator[list[dict[str, object]]]]]:
+    """`map`, in order, over processes or none."""
+    if workers == 0:
+        yield map
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield pool.map
 
 
 def _open_arrays(folder: Path, count: int, settings: ClipSettings) -> dict[str, np.memmap]:

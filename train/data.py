@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float32
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader, Dataset, Sampler
 
 from models.network import ClipBatch
 from models.scaling import dimensionless_interval, log10_dimensionless_stiffness
@@ -140,18 +140,28 @@ def _or_empty(array: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
     return np.zeros(shape, np.uint8) if array is None else array
 
 
+class _Schedule(Sampler[list[Item]]):
+    """What one process sees of each batch of the plan."""
+
+    def __init__(self, plan: Plan, first_step: int, rank: int, world: int) -> None:
+        self._plan, self._steps, self._share = plan, range(first_step, plan.steps), slice(rank, None, world)
+
+    def __len__(self) -> int:
+        return len(self._steps)
+
+    def __iter__(self) -> Iterator[list[Item]]:
+        for step in map(self._plan.step, self._steps):
+            yield [Item(step.epoch, clip, step.video) for clip in step.clips[self._share]]
+
+
 def batches(
     clips: TrainingClips, plan: Plan, *, first_step: int, rank: int = 0, world: int = 1, workers: int = 0
 ) -> Iterator[TrainingBatch]:
     """The batches of the plan from `first_step` on; each process gets its share of each batch."""
-    schedule = [
-        [Item(step.epoch, clip, step.video) for clip in step.clips[rank::world]]
-        for step in map(plan.step, range(first_step, plan.steps))
-    ]
     context = "spawn" if workers else None
     loader = DataLoader(
         clips,
-        batch_sampler=schedule,
+        batch_sampler=_Schedule(plan, first_step, rank, world),
         collate_fn=collate,
         num_workers=workers,
         multiprocessing_context=context,

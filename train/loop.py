@@ -68,8 +68,8 @@ def train_predictor(
         out: run folder: `config.json`, `log.jsonl`, `tensorboard/`, `state.safetensors`, `best/`.
         cpu: use no accelerator. Devices and processes are otherwise those of `accelerate launch` or `torchrun`.
         resume: go on from `state.safetensors` where there is one.
-        minutes: stop after this time, the learning rate falling accordingly. How far such a run comes depends
-            on the machine, so it repeats only nearly.
+        minutes: stop after this time, the learning rate of the second phase falling accordingly. How far a run
+            comes then depends on the machine, so it repeats only nearly.
         cache: where prepared clips live; `out/cache` unless given.
         report: called with a name of the work, the number done and the total.
 
@@ -113,7 +113,7 @@ class _Run:
             self.config.clip,
             cache,
             true_mask_share=self.config.true_mask_share if training else 0.0,
-            workers=max(self.config.workers, 1),
+            workers=self.config.workers,
             progress=lambda done, total: self.report(f"preparing {split} clips", done, total),
         )
         return TrainingClips(
@@ -192,7 +192,8 @@ class _Run:
                 self._save(progress)
                 saved = time.monotonic()
         if progress.step < self.plan.steps:  # the budget is spent; the averaged network may have become better
-            progress = self._validate(progress, self.plan.step(max(progress.step - 1, 0)), log)
+            last = self.plan.step(max(progress.step - 1, 0))
+            progress = self._validate(progress, replace(last, video=True), log)
             self._save(progress)
         return progress
 

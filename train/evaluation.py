@@ -1,0 +1,78 @@
+"""Evaluate a checkpoint on held-out objects."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+from tqdm import tqdm
+
+__all__ = ["app"]
+
+app = typer.Typer(no_args_is_help=True, help=__doc__)
+
+Data = Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")]
+Out = Annotated[Path, typer.Option(help="Folder of the results (JSON and figure).")]
+Checkpoint = Annotated[str, typer.Option(help="Name or folder of a checkpoint.")]
+Split = Annotated[Literal["train", "validation", "test"], typer.Option(help="Which objects.")]
+Cache = Annotated[Path | None, typer.Option(help="Where prepared clips live; OUT/cache unless given.")]
+Limit = Annotated[int | None, typer.Option(help="At most this many clips.")]
+Device = Annotated[str, typer.Option(help="Device of the network.")]
+Seed = Annotated[int, typer.Option(help="Of shuffled times and random bases.")]
+
+
+@app.command()
+def predictor(
+    data: Data,
+    out: Out,
+    checkpoint: Checkpoint = "default",
+    split: Split = "test",
+    cache: Cache = None,
+    limit: Limit = None,
+    device: Device = "cpu",
+    seed: Seed = 0,
+) -> None:
+    """Errors of log10 E and ν and coverage of their intervals, by decade of stiffness.
+
+    Beside the constant predictor, and the same network given frames in random order, and a single frame.
+    """
+    from train.predictor_evaluation import evaluate_predictor, write_predictor_report
+
+    with tqdm(dynamic_ncols=True) as bar:
+        result = evaluate_predictor(
+            data, checkpoint=checkpoint, split=split, cache=cache or out / "cache", limit=limit, device=device,
+            seed=seed, report=lambda name, done, total: _show(bar, name, done, total),
+        )  # fmt: skip
+    write_predictor_report(out, result)
+    typer.echo(result.table())
+
+
+@app.command()
+def skinning(
+    data: Data,
+    out: Out,
+    checkpoint: Checkpoint = "default",
+    split: Split = "test",
+    cache: Cache = None,
+    limit: Limit = None,
+    device: Device = "cpu",
+    seed: Seed = 0,
+) -> None:
+    """Share of FEM motion that the predicted handles follow, beside eigenmodes and a random basis."""
+    from train.skinning_evaluation import evaluate_skinning, write_skinning_report
+
+    with tqdm(dynamic_ncols=True) as bar:
+        result = evaluate_skinning(
+            data, checkpoint=checkpoint, split=split, cache=cache or out / "cache", limit=limit, device=device,
+            seed=seed, report=lambda name, done, total: _show(bar, name, done, total),
+        )  # fmt: skip
+    write_skinning_report(out, result)
+    typer.echo(result.table())
+
+
+def _show(bar: tqdm, name: str, done: int, total: int) -> None:
+    bar.set_description(name, refresh=False)
+    bar.total = total
+    bar.n = done
+    bar.refresh()

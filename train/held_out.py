@@ -1,0 +1,67 @@
+"""Held-out clips as inference would read them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from models.clip import PreparedClip
+from models.estimator import Estimate, PhysicsPredictor
+from train.cache import PreparedClips, prepare_clips
+from train.records import LabelledClip, Split, read_clips
+
+__all__ = ["HeldOut", "Report", "estimates_of", "held_out"]
+
+Report = Callable[[str, int, int], None]
+_BATCH = 16
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Clips with their labels, prepared with the foreground that inference finds."""
+
+    labels: list[LabelledClip]
+    prepared: PreparedClips
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+
+def held_out(
+    data: Sequence[Path | str],
+    predictor: PhysicsPredictor,
+    *,
+    split: Split,
+    cache: Path,
+    limit: int | None = None,
+    report: Report | None = None,
+) -> HeldOut:
+    """The clips of a split, at most `limit`, spread over it evenly."""
+    labels = read_clips(data, split)
+    if limit is not None and limit < len(labels):
+        labels = [labels[k] for k in np.linspace(0, len(labels) - 1, limit).round().astype(int)]
+    progress = None if report is None else lambda done, total: report("preparing clips", done, total)
+    return HeldOut(labels, prepare_clips(labels, predictor.config.clip, cache, workers=1, progress=progress))
+
+
+def estimates_of(
+    predictor: PhysicsPredictor,
+    clips: HeldOut,
+    *,
+    change: Callable[[PreparedClip], PreparedClip] = lambda clip: clip,
+    report: Callable[[int, int], None] | None = None,
+) -> Iterator[Estimate]:
+    """One estimate per clip, after `change`."""
+    for first in range(0, len(clips), _BATCH):
+        chosen = range(first, min(first + _BATCH, len(clips)))
+        labels = [clips.labels[k] for k in chosen]
+        yield from predictor.estimate(
+            [change(clips.prepared.clip(k)) for k in chosen],
+            density=[label.density for label in labels],
+            object_size=[label.object_size for label in labels],
+        )
+        if report is not None:
+            report(chosen[-1] + 1, len(clips))

@@ -1,0 +1,215 @@
+"""How well E and ν are told, and that motion is what tells them."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+
+import physconvex
+from models.clip import PreparedClip, freeze_time, shuffle_time
+from models.estimator import Estimate, PhysicsPredictor
+from train.held_out import HeldOut, Report, estimates_of, held_out
+from train.metrics import DensityMetrics, density_metrics
+from train.records import Split, dataset_checksum, read_clips
+
+__all__ = ["Decade", "PredictorEvaluation", "Reading", "evaluate_predictor", "write_predictor_report"]
+
+Values = Float64[np.ndarray, " N"]
+
+
+@dataclass(frozen=True)
+class Decade:
+    """Metrics of the clips with E in [low, high) Pa."""
+
+    low: float
+    high: float
+    log10_youngs_modulus: DensityMetrics
+    poisson_ratio: DensityMetrics
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the network says of the clips read in one way."""
+
+    name: str
+    log10_youngs_modulus: DensityMetrics
+    poisson_ratio: DensityMetrics
+    decades: tuple[Decade, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PredictorEvaluation:
+    """All readings of the same clips, with the single results of the first."""
+
+    checkpoint: str
+    split: str
+    data: dict[str, str]
+    """Manifest checksums."""
+    objects: int
+    readings: tuple[Reading, ...]
+    log10_youngs_modulus: Values
+    estimated: Float64[np.ndarray, "N 3"]
+    """log10 E: median, ends of the interval."""
+    poisson_ratio: Values
+    estimated_poisson: Float64[np.ndarray, "N 3"]
+
+    def table(self) -> str:
+        """For people: errors and coverage of each reading, then the decades of the first."""
+        lines = [f"{self.readings[0].poisson_ratio.clips} clips of {self.objects} objects ({self.split})"]
+        lines.append(f"{'':24}{'MAE log10 E':>12}{'MAE nu':>9}{'cover E':>9}{'cover nu':>9}")
+        for reading in self.readings:
+            lines.append(_row(reading.name, reading.log10_youngs_modulus, reading.poisson_ratio))
+        first = self.readings[0]
+        constant = (first.log10_youngs_modulus.constant_mae, first.poisson_ratio.constant_mae)
+        lines.append(f"{'constant':24}{constant[0]:12.3f}{constant[1]:9.4f}")
+        for d in first.decades:
+            lines.append(_row(f"  {d.low:.0e}..{d.high:.0e} Pa", d.log10_youngs_modulus, d.poisson_ratio))
+        return "\n".join(lines)
+
+
+def _row(name: str, stiffness: DensityMetrics, poisson: DensityMetrics) -> str:
+    return (
+        f"{name:24}{stiffness.mae:12.3f}{poisson.mae:9.4f}{stiffness.coverage:9.1%}{poisson.coverage:9.1%}"
+        f"  width {stiffness.width:.2f} {poisson.width:.3f}  n={stiffness.clips}"
+    )
+
+
+def evaluate_predictor(
+    data: Sequence[Path | str],
+    *,
+    checkpoint: str,
+    split: Split,
+    cache: Path,
+    limit: int | None = None,
+    device: str = "cpu",
+    seed: int = 0,
+    report: Report | None = None,
+) -> PredictorEvaluation:
+    """Read the clips of a split in order, in random order, and as a single frame.
+
+    The constant predictor says the median of the training clips.
+    """
+    predictor = PhysicsPredictor.from_pretrained(checkpoint, device=device)
+    clips = held_out(data, predictor, split=split, cache=cache, limit=limit, report=report)
+    training = read_clips(data, "train")
+    constants = (
+        float(np.median([np.log10(clip.youngs_modulus) for clip in training])),
+        float(np.median([clip.poisson_ratio for clip in training])),
+    )
+    generator = np.random.default_rng(seed)
+    ways: dict[str, Callable[[PreparedClip], PreparedClip]] = {
+        "frames in order": lambda clip: clip,
+        "frames shuffled": partial(shuffle_time, generator=generator),
+        "a single frame": freeze_time,
+    }
+    readings, tables = [], []
+    for name, change in ways.items():
+        progress = None if report is None else partial(report, name)
+        estimates = list(estimates_of(predictor, clips, change=change, report=progress))
+        tables.append(_columns(estimates))
+        readings.append(_reading(name, clips, *tables[-1], constants))
+    truth = _truth(clips)
+    return PredictorEvaluation(
+        checkpoint=checkpoint,
+        split=split,
+        data={str(folder): dataset_checksum(folder) for folder in data},
+        objects=len({clip.record.row["object_id"] for clip in clips.labels}),
+        readings=tuple(readings),
+        log10_youngs_modulus=truth[0],
+        estimated=tables[0][0],
+        poisson_ratio=truth[1],
+        estimated_poisson=tables[0][1],
+    )
+
+
+def _truth(clips: HeldOut) -> tuple[Values, Values]:
+    return (
+        np.log10([clip.youngs_modulus for clip in clips.labels]),
+        np.array([clip.poisson_ratio for clip in clips.labels]),
+    )
+
+
+def _columns(estimates: Sequence[Estimate]) -> tuple[Float64[np.ndarray, "N 3"], Float64[np.ndarray, "N 3"]]:
+    """log10 E and ν: median and ends of the interval."""
+    return (
+        np.log10([(e.youngs_modulus, *e.youngs_modulus_interval) for e in estimates]),
+        np.array([(e.poisson_ratio, *e.poisson_ratio_interval) for e in estimates]),
+    )
+
+
+def _reading(
+    name: str,
+    clips: HeldOut,
+    stiffness: Float64[np.ndarray, "N 3"],
+    poisson: Float64[np.ndarray, "N 3"],
+    constants: tuple[float, float],
+) -> Reading:
+    log_e, nu = _truth(clips)
+
+    def metrics(chosen: np.ndarray) -> tuple[DensityMetrics, DensityMetrics]:
+        return (
+            _metrics(stiffness[chosen], log_e[chosen], constants[0]),
+            _metrics(poisson[chosen], nu[chosen], constants[1]),
+        )
+
+    decades = []
+    for power in range(int(np.floor(log_e.min())), int(np.floor(log_e.max())) + 1):
+        chosen = np.floor(log_e) == power
+        if chosen.any():
+            decades.append(Decade(10.0**power, 10.0 ** (power + 1), *metrics(chosen)))
+    return Reading(name, *metrics(np.full(len(nu), True)), tuple(decades))
+
+
+def _metrics(table: Float64[np.ndarray, "N 3"], truth: Values, constant: float) -> DensityMetrics:
+    return density_metrics(table[:, 0], table[:, 1], table[:, 2], truth, constant=constant)
+
+
+def write_predictor_report(out: Path, result: PredictorEvaluation) -> None:
+    """`predictor.json` (with the command) and `predictor.png`."""
+    out.mkdir(parents=True, exist_ok=True)
+    tree = {
+        "command": "physconvex " + " ".join(sys.argv[1:]),
+        "version": physconvex.__version__,
+        "checkpoint": result.checkpoint,
+        "split": result.split,
+        "data": result.data,
+        "objects": result.objects,
+        "readings": [asdict(reading) for reading in result.readings],
+    }
+    (out / "predictor.json").write_text(json.dumps(tree, indent=1) + "\n", encoding="utf-8")
+    _draw(out / "predictor.png", result)
+
+
+def _draw(path: Path, result: PredictorEvaluation) -> None:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 4.2), layout="constrained")
+    axes = figure.subplots(1, 3)
+    pairs = (
+        (axes[0], result.log10_youngs_modulus, result.estimated, "log10(E / Pa)"),
+        (axes[1], result.poisson_ratio, result.estimated_poisson, "Poisson's ratio"),
+    )
+    for axis, truth, table, name in pairs:
+        bars = np.abs(table[:, 1:] - table[:, :1]).T
+        axis.errorbar(truth, table[:, 0], yerr=bars, fmt="o", ms=3, lw=0.5, alpha=0.5)
+        axis.axline((truth.mean(), truth.mean()), slope=1, color="black", lw=1)
+        axis.set(xlabel=f"{name}, true", ylabel="estimated, with 90 % interval", title=name)
+    first = result.readings[0]
+    places = np.arange(len(first.decades))
+    for offset, name, values in (
+        (-0.2, "|error| of log10 E", [d.log10_youngs_modulus.mae for d in first.decades]),
+        (0.2, "10 |error| of ν", [10 * d.poisson_ratio.mae for d in first.decades]),
+    ):
+        axes[2].bar(places + offset, values, width=0.4, label=name)
+    axes[2].axhline(10 * first.poisson_ratio.constant_mae, color="C1", ls=":", label="10 |error| of ν, constant")
+    axes[2].set_xticks(places, [f"{d.low:.0e}" for d in first.decades])
+    axes[2].set(xlabel="decade of E from [Pa]", title="mean error by stiffness")
+    axes[2].legend()
+    figure.savefig(path, dpi=130)

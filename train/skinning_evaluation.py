@@ -1,0 +1,122 @@
+"""How much of FEM motion the predicted handles follow."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float64
+
+import physconvex
+from models.estimator import PhysicsPredictor
+from models.skinning_energy import captured_energy, random_basis
+from train.held_out import Report, estimates_of, held_out
+from train.records import ClipSamples, Split, dataset_checksum
+
+__all__ = ["SkinningEvaluation", "evaluate_skinning", "write_skinning_report"]
+
+BASES = ("predicted", "eigenmodes", "random")
+
+
+@dataclass(frozen=True, eq=False)
+class SkinningEvaluation:
+    """Captured shares (0..1) per clip; columns: predicted, eigenmodes, random basis of as many handles."""
+
+    checkpoint: str
+    split: str
+    data: dict[str, str]
+    handles: int
+    of_all: Float64[np.ndarray, "N 3"]
+    """Of the whole displacement."""
+    beyond_affine: Float64[np.ndarray, "N 3"]
+    """Of what the best affine motion of each frame leaves."""
+
+    def table(self) -> str:
+        """For people."""
+        lines = [f"{len(self.of_all)} clips ({self.split}), {self.handles} handles and the constant mode"]
+        lines.append(f"{'':14}{'of all motion':>16}{'beyond affine':>16}{'its worst tenth':>18}")
+        for k, name in enumerate(BASES):
+            share = self.beyond_affine[:, k]
+            lines.append(
+                f"{name:14}{self.of_all[:, k].mean():16.4%}{share.mean():16.2%}{np.quantile(share, 0.1):18.2%}"
+            )
+        return "\n".join(lines)
+
+
+def evaluate_skinning(
+    data: Sequence[Path | str],
+    *,
+    checkpoint: str,
+    split: Split,
+    cache: Path,
+    limit: int | None = None,
+    device: str = "cpu",
+    seed: int = 0,
+    report: Report | None = None,
+) -> SkinningEvaluation:
+    """Fit the FEM motion of every clip's sample points with three bases of as many handles."""
+    predictor = PhysicsPredictor.from_pretrained(checkpoint, device=device)
+    clips = held_out(data, predictor, split=split, cache=cache, limit=limit, report=report)
+    handles, generator = predictor.config.network.skinning.handles, np.random.default_rng(seed)
+    of_all, beyond = [], []
+    progress = None if report is None else partial(report, "fitting motion")
+    for label, estimate in zip(clips.labels, estimates_of(predictor, clips, report=progress), strict=True):
+        samples = label.samples
+        bases = (
+            estimate.skinning_field(samples.points * label.object_size),
+            samples.modes[:, :handles],
+            random_basis(handles, generator=generator)(samples.points),
+        )
+        of_all.append([_share(samples, weights, "nothing") for weights in bases])
+        beyond.append([_share(samples, weights, "affine") for weights in bases])
+    return SkinningEvaluation(
+        checkpoint=checkpoint,
+        split=split,
+        data={str(folder): dataset_checksum(folder) for folder in data},
+        handles=handles,
+        of_all=np.array(of_all),
+        beyond_affine=np.array(beyond),
+    )
+
+
+def _share(samples: ClipSamples, weights: np.ndarray, after: Literal["nothing", "affine"]) -> float:
+    return captured_energy(
+        samples.displacements,
+        rest=samples.points,
+        volume_weights=samples.volume_weights,
+        weights=weights,
+        after=after,
+    )
+
+
+def write_skinning_report(out: Path, result: SkinningEvaluation) -> None:
+    """`skinning.json` (with the command) and `skinning.png`."""
+    from matplotlib.figure import Figure
+
+    out.mkdir(parents=True, exist_ok=True)
+    tree = {
+        "command": "physconvex " + " ".join(sys.argv[1:]),
+        "version": physconvex.__version__,
+        "checkpoint": result.checkpoint,
+        "split": result.split,
+        "data": result.data,
+        "clips": len(result.of_all),
+        "handles": result.handles,
+        "captured_share_mean": dict(zip(BASES, result.of_all.mean(axis=0).tolist(), strict=True)),
+        "captured_share_beyond_affine_mean": dict(zip(BASES, result.beyond_affine.mean(axis=0).tolist(), strict=True)),
+    }
+    (out / "skinning.json").write_text(json.dumps(tree, indent=1) + "\n", encoding="utf-8")
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axis = figure.subplots()
+    rank = (np.arange(len(result.of_all)) + 0.5) / len(result.of_all)
+    for k, name in enumerate(BASES):
+        axis.plot(rank, np.sort(1 - result.beyond_affine[:, k]), label=f"{name}, {result.handles} handles")
+    axis.set(xlabel="share of clips", ylabel="missed share of the motion beyond affine", yscale="log")
+    axis.legend()
+    figure.savefig(out / "skinning.png", dpi=130)
