@@ -70,14 +70,18 @@ class _Equations:
         values[same] = np.asarray(mass).ravel()
         return values
 
-    def set_step(self, coefficients: StepCoefficients, time: float, guess: np.ndarray) -> None:
-        """Fix everything that is constant during one time step; viscosity and friction are frozen at the guess."""
+    def set_step(self, coefficients: StepCoefficients, time: float, guess: np.ndarray, last: State) -> None:
+        """Fix everything that is constant during one time step.
+
+        Viscosity is frozen at the guess. Friction takes its normal forces from the last state: the guess flies on freely
+        and would lie far too deep in an obstacle at impact, where friction would then stop the body.
+        """
         self.coefficients, self.time = coefficients, time
         self.forces = self.scene.external_forces(time)
         if self.factorised and not np.isclose(coefficients.step, self._factorised_step):
             self.factorised = False
         self.viscous = self.body.viscous_state(guess) if self.scene.damping_time > 0 else None
-        self.freeze_friction(guess)
+        self.friction = self.contact.freeze_friction(last.positions, coefficients.velocity(guess), last.time)
 
     def freeze_friction(self, x: np.ndarray) -> bool:
         """Linearise friction at positions x; tells whether there is any."""
@@ -170,7 +174,7 @@ class _Stepper:
         if history is not None:
             guess = guess + 0.5 * step * (state.velocities - history.velocities)
         self._place_pins(guess, time)
-        self.equations.set_step(coefficients, time, guess)
+        self.equations.set_step(coefficients, time, guess, state)
         found = minimise(self.equations, guess, tolerance=self.tolerance)
         self.iterations += found.iterations
         for _ in range(self.friction_passes - 1):

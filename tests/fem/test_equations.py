@@ -48,9 +48,7 @@ def test_elastic_force_is_the_derivative_of_the_energy(law, order):
     gradient = body.gradient(x)
     for d in directions(x.shape):
         expected = derivative(body.energy, x, d)
-        np.testing.assert_allclose(
-            (gradient * d).sum(), expected, rtol=1e-6, atol=1e-6 * np.abs(gradient).sum()
-        )
+        np.testing.assert_allclose((gradient * d).sum(), expected, rtol=1e-6, atol=1e-6 * np.abs(gradient).sum())
     energy, again = body.energy_and_gradient(x)
     assert energy == pytest.approx(body.energy(x))
     np.testing.assert_array_equal(again, gradient)
@@ -73,9 +71,7 @@ def test_stiffness_is_the_derivative_of_the_force(law, order):
     x = shaken(body, 2)
     for d in directions(x.shape):
         expected = derivative(body.gradient, x, d)
-        np.testing.assert_allclose(
-            assembled_product(body, x, d), expected, atol=1e-6 * np.abs(expected).max()
-        )
+        np.testing.assert_allclose(assembled_product(body, x, d), expected, atol=1e-6 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -137,12 +133,10 @@ def full_scene(order: int, *, sphere: bool = False, pins: bool = True) -> Scene:
 def step_equations(scene: Scene, *, two_step: bool) -> tuple[_Equations, np.ndarray]:
     """Equations of one time step between random states, and a random point to look at (pins respected)."""
     equations, body, rng = _Equations(scene), scene.body, np.random.default_rng(3)
-    states = [
-        State(0.0, shaken(body, s, 0.004), 0.3 * rng.normal(size=body.mesh.vertices.shape)) for s in (1, 2)
-    ]
+    states = [State(0.0, shaken(body, s, 0.004), 0.3 * rng.normal(size=body.mesh.vertices.shape)) for s in (1, 2)]
     coefficients = bdf2(states[1], states[0], 0.01) if two_step else implicit_euler(states[1], 0.01)
     x = shaken(body, 7, 0.002)
-    equations.set_step(coefficients, 0.01, shaken(body, 8, 0.004))
+    equations.set_step(coefficients, 0.01, shaken(body, 8, 0.004), states[1])
     return equations, x
 
 
