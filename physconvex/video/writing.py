@@ -13,6 +13,10 @@ from physconvex.errors import InputError
 
 __all__ = ["write_video"]
 
+# With macroblock trees x264 reads memory that it never wrote, unless the width is a multiple of this [px]: the same
+# frames then give other bytes from one call to the next (seen with x264 165 at widths of 48 to 240 px).
+_MACROBLOCK_TREE_WIDTH = 128
+
 
 def write_video(
     path: Path | str,
@@ -49,8 +53,11 @@ def _encode(path: Path, frames: Iterable[np.ndarray], rate: Fraction, crf: int, 
         raise InputError("frames: got none, expected at least one frame")
     height, width = _check_frame(first, None)
     options = {"movflags": "+faststart", "fflags": "+bitexact"}
+    encoder = {"crf": str(crf), "preset": preset}
+    if width % _MACROBLOCK_TREE_WIDTH:
+        encoder["x264-params"] = "mbtree=0"
     with av.open(str(path), "w", format="mp4", options=options) as container:
-        stream = container.add_stream("libx264", rate=rate, options={"crf": str(crf), "preset": preset})
+        stream = container.add_stream("libx264", rate=rate, options=encoder)
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
         stream.codec_context.thread_count = 1
         for frame in itertools.chain([first], iterator):

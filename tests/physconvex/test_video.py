@@ -2,6 +2,8 @@
 
 import os
 import pickle
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from fractions import Fraction
@@ -384,6 +386,31 @@ def test_writing_is_deterministic_and_leaves_no_partial_file(tmp_path: Path) -> 
     write_video(tmp_path / "b.mp4", iter(images), fps=RATE)
     assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mp4", "b.mp4"]
+
+
+ENCODE_A_BOUNCING_DISC = """
+import sys
+import numpy as np
+from physconvex.video import write_video
+rng = np.random.default_rng(0)
+y, x = np.mgrid[:112, :112] / 112
+images = np.full((24, 112, 112, 3), 120.0) + 30 * np.sin(9 * x + 5 * y)[None, :, :, None]
+for k in range(24):
+    images[k][np.hypot(x - 0.5, y - 0.2 - 0.5 * abs(np.sin(k / 6))) < 0.15] = (200, 60, 40)
+images += rng.normal(scale=2, size=images.shape)
+write_video(sys.argv[1], images.clip(0, 255).astype(np.uint8), fps=24)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="MALLOC_PERTURB_ is glibc's")
+def test_the_bytes_do_not_depend_on_what_lay_in_memory(tmp_path: Path) -> None:
+    contents = []
+    for filling in ("1", "85"):  # glibc fills fresh memory with it
+        path = tmp_path / f"{filling}.mp4"
+        environment = os.environ | {"MALLOC_PERTURB_": filling, "PYTHONPATH": str(Path(__file__).parents[2])}
+        subprocess.run([sys.executable, "-c", ENCODE_A_BOUNCING_DISC, str(path)], env=environment, check=True)
+        contents.append(path.read_bytes())
+    assert contents[0] == contents[1]
 
 
 def test_failed_writing_keeps_the_old_file(tmp_path: Path) -> None:
