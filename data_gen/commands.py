@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from tqdm import tqdm
 
-from data_gen.config import load_config
+from data_gen.captures import RingOptions, generate_captures
+from data_gen.config import GeneratorConfig, load_config
 from data_gen.engines import EngineName
-from data_gen.generate import TaskReport, generate_dataset
+from data_gen.generate import GenerationSummary, TaskReport, generate_dataset
 
 __all__ = ["app"]
 
@@ -22,36 +25,100 @@ def _generate() -> None:
     """Make FEM-simulated, rendered training data and captures."""
 
 
+Out = Annotated[Path, typer.Option(help="Folder to make, or to finish if it was begun before.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
+Workers = Annotated[int, typer.Option(min=1, help="Worker processes.")]
+Engine = Annotated[EngineName, typer.Option(help="Where the workers run.")]
+Objects = Annotated[Path | None, typer.Option(help="Folder of meshes to use instead of procedural bodies.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="Override, as material.poisson_ratio=[0.3,0.4]; repeatable."),
+]
+Config = Annotated[str, typer.Option(help="Preset name (training, clean, captures) or YAML file.")]
+Progress = Annotated[bool, typer.Option(help="Show a progress bar.")]
+
+
 @app.command("dataset")
 def dataset(
-    out: Annotated[Path, typer.Option(help="Folder of the data set; made, or finished if it was begun before.")],
+    out: Out,
     count: Annotated[int, typer.Option(min=1, help="Number of simulations; each gives `camera.views` clips.")] = 100,
-    config: Annotated[str, typer.Option(help="Preset name or YAML file.")] = "training",
-    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 0,
-    workers: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
-    engine: Annotated[EngineName, typer.Option(help="Where the workers run.")] = "local",
-    objects: Annotated[Path | None, typer.Option(help="Folder of meshes to use instead of procedural bodies.")] = None,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="Override, as material.poisson_ratio=[0.3,0.4]; repeatable.")
-    ] = None,
-    progress: Annotated[bool, typer.Option(help="Show a progress bar.")] = True,
+    config: Config = "training",
+    seed: Seed = 0,
+    workers: Workers = 2,
+    engine: Engine = "local",
+    objects: Objects = None,
+    settings: Settings = None,
+    progress: Progress = True,
 ) -> None:
     """Simulate and render clips of dropped bodies, with labels and interior samples."""
+    resolved = _resolved(config, settings, objects)
+    with _advancing(count, "simulation", progress) as advance:
+        summary = generate_dataset(
+            out, count=count, config=resolved, seed=seed, workers=workers, engine=engine, on_report=advance
+        )
+    _report(out, "simulations", summary)
+
+
+@app.command("captures")
+def captures(
+    out: Out,
+    count: Annotated[int, typer.Option(min=1, help="Number of captures; each has `camera.views` cameras.")] = 10,
+    config: Config = "captures",
+    seed: Seed = 0,
+    markers: Annotated[int, typer.Option(min=0, help="Tracked surface points; 0 leaves out tracks.npz.")] = 0,
+    marker_noise: Annotated[float, typer.Option(help="Standard deviation of tracked coordinates [m].")] = 1e-3,
+    observed_frames: Annotated[
+        int | None, typer.Option(help="Frames that may be fitted. Default: two thirds of all.")
+    ] = None,
+    workers: Workers = 2,
+    engine: Engine = "local",
+    objects: Objects = None,
+    settings: Settings = None,
+    progress: Progress = True,
+) -> None:
+    """Simulate drops and film each with a ring of cameras: videos, masks, rest mesh, tetrahedra, tracks, truth."""
+    resolved = _resolved(config, settings, objects)
+    options = RingOptions(observed_frames=observed_frames, markers=markers, marker_noise=marker_noise)
+    with _advancing(count, "capture", progress) as advance:
+        summary = generate_captures(
+            out,
+            count=count,
+            config=resolved,
+            seed=seed,
+            options=options,
+            workers=workers,
+            engine=engine,
+            on_report=advance,
+        )
+    _report(out, "captures", summary)
+
+
+def _resolved(config: str, settings: list[str] | None, objects: Path | None) -> GeneratorConfig:
     overrides = list(settings or [])
     if objects is not None:
         overrides.append(f"objects.folder={objects}")
-    resolved = load_config(config, overrides=overrides)
-    with tqdm(total=count, unit="simulation", disable=not progress) as bar:
+    return load_config(config, overrides=overrides)
+
+
+@contextmanager
+def _advancing(count: int, unit: str, progress: bool) -> Iterator[Callable[[TaskReport], None]]:
+    """A progress bar that moves with each report."""
+    with tqdm(total=count, unit=unit, disable=not progress) as bar:
 
         def advance(report: TaskReport) -> None:
             bar.set_postfix(simulate=f"{report.simulate_seconds:.1f} s", render=f"{report.render_seconds:.1f} s")
             bar.update()
 
-        summary = generate_dataset(
-            out, count=count, config=resolved, seed=seed, workers=workers, engine=engine, on_report=advance
-        )
+        yield advance
+
+
+def _report(out: Path, what: str, summary: GenerationSummary) -> None:
     share = summary.failed_attempts / max(summary.made + summary.failed_attempts, 1)
     typer.echo(
-        f"{out}: {summary.made} simulations made, {summary.already_there} were there, "
-        f"{summary.failed_attempts} failed attempts replaced ({share:.1%})"
+        f"{out}: {summary.made} {what} made, {summary.already_there} were there, "
+        f"{summary.failed_attempts} failed attempts ({share:.1%})"
     )
+    if summary.given_up:
+        numbers = ", ".join(map(str, summary.given_up))
+        typer.echo(f"given up, since every attempt failed: {what} {numbers}", err=True)
+        raise typer.Exit(1)

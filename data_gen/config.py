@@ -90,7 +90,7 @@ class ObjectConfig(Frozen):
     """
 
     folder: str | None = None
-    simulations_per_object: int = Field(2, ge=1)
+    simulations_per_object: int = Field(default=2, ge=1)
     train_share: Share = 0.80
     validation_share: Share = 0.08
 
@@ -129,33 +129,33 @@ class SolverConfig(Frozen):
     """Discretisation: most nodes of the quadratic mesh, time steps per video frame, friction passes per step, Newton's
     last step relative to the body's size, tries before giving up."""
 
-    target_nodes: int = Field(500, ge=20)
-    steps_per_frame: int = Field(16, ge=1)
-    friction_passes: int = Field(2, ge=1)
-    tolerance: float = Field(5e-5, gt=0)
-    max_attempts: int = Field(6, ge=1)
+    target_nodes: int = Field(default=500, ge=20)
+    steps_per_frame: int = Field(default=16, ge=1)
+    friction_passes: int = Field(default=2, ge=1)
+    tolerance: float = Field(default=5e-5, gt=0)
+    max_attempts: int = Field(default=6, ge=1)
 
 
 class VideoConfig(Frozen):
     """Frames, rate [1/s], image size [pixels], super-sampling factor per axis, x264 quality."""
 
-    frames: int = Field(24, ge=2)
-    fps: float = Field(24.0, gt=0)
-    width: int = Field(128, ge=16)
-    height: int = Field(128, ge=16)
-    supersampling: int = Field(2, ge=1, le=4)
-    crf: int = Field(18, ge=0, le=51)
+    frames: int = Field(default=24, ge=2)
+    fps: float = Field(default=24.0, gt=0)
+    width: int = Field(default=128, ge=16)
+    height: int = Field(default=128, ge=16)
+    supersampling: int = Field(default=2, ge=1, le=4)
+    crf: int = Field(default=18, ge=0, le=51)
 
 
 class CameraConfig(Frozen):
     """Where the camera stands. Azimuth 0 looks along +y; `margin` is free space around the expected path."""
 
-    views: int = Field(3, ge=1)
+    views: int = Field(default=3, ge=1)
     azimuth_deg: Range = uniform(-180.0, 180.0)
     elevation_deg: Range = uniform(2.0, 25.0)
     field_of_view_deg: Range = uniform(22.0, 55.0)
     margin: Range = uniform(1.03, 1.2)
-    aim_jitter: float = Field(0.05, ge=0)
+    aim_jitter: float = Field(default=0.05, ge=0)
 
 
 class AppearanceConfig(Frozen):
@@ -182,7 +182,7 @@ class DegradationConfig(Frozen):
     compression_crf: Range = uniform(20.0, 33.0)
     blur_share: Share = 0.3
     shutter: Range = uniform(0.2, 0.7)
-    blur_subframes: int = Field(4, ge=2)
+    blur_subframes: int = Field(default=4, ge=2)
     exposure_share: Share = 0.5
     exposure_stops: Range = uniform(-0.5, 0.4)
     white_balance: Range = uniform(-0.08, 0.08)
@@ -194,8 +194,8 @@ class DegradationConfig(Frozen):
 class SampleConfig(Frozen):
     """Interior points and skinning eigenmodes stored with each simulation."""
 
-    points: int = Field(384, ge=4)
-    modes: int = Field(16, ge=1)
+    points: int = Field(default=384, ge=4)
+    modes: int = Field(default=16, ge=1)
 
 
 class GeneratorConfig(Frozen):

@@ -22,6 +22,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Bool, UInt8
 
 from data_gen.simulate import Samples
+from physconvex.camera import Camera
 from physconvex.errors import InputError
 from physconvex.video import read_video
 
@@ -31,7 +32,10 @@ __all__ = [
     "Dataset",
     "RenderedView",
     "finish_dataset",
+    "is_settled",
     "simulation_folder",
+    "write_claim",
+    "write_given_up",
     "write_simulation",
 ]
 
@@ -51,6 +55,41 @@ class RenderedView:
 def simulation_folder(root: Path, simulation: int) -> Path:
     """Where simulation number `simulation` lies."""
     return root / "simulations" / f"{simulation:06d}"
+
+
+def is_settled(root: Path, simulation: int) -> bool:
+    """Whether that simulation is there, or was given up."""
+    return simulation_folder(root, simulation).is_dir() or _given_up_file(root, simulation).is_file()
+
+
+def _given_up_file(root: Path, simulation: int) -> Path:
+    return root / "given_up" / f"{simulation:06d}.json"
+
+
+def write_claim(root: Path, claim: dict[str, Any]) -> None:
+    """Note in `generator.json` what the folder is being made from, or check that it is the same.
+
+    Raises:
+        InputError: the folder was begun with something else.
+    """
+    path = root / "generator.json"
+    if path.exists():
+        found = json.loads(path.read_text(encoding="utf-8"))
+        different = [key for key in claim if found.get(key) != claim[key]]
+        if different:
+            raise InputError(
+                f"out: {root} was begun with another {', '.join(different)}; expected the same, or a new folder"
+            )
+        return
+    root.mkdir(parents=True, exist_ok=True)
+    _write_json(path, claim)
+
+
+def write_given_up(root: Path, simulation: int, failures: list[str]) -> None:
+    """Note that all attempts at a simulation failed, so that it is not tried again."""
+    path = _given_up_file(root, simulation)
+    path.parent.mkdir(exist_ok=True)
+    _write_json(path, {"simulation": simulation, "failures": failures})
 
 
 def write_simulation(
@@ -73,7 +112,9 @@ def write_simulation(
     for number, view in enumerate(views):
         (partial / f"view{number}.mp4").write_bytes(view.video)
         np.savez(
-            partial / f"view{number}_mask.npz", mask=np.packbits(view.mask, axis=-1), shape=np.array(view.mask.shape)
+            partial / f"view{number}_mask.npz",
+            mask=np.packbits(view.mask, axis=-1),
+            shape=np.array(view.mask.shape),
         )
         _write_json(partial / f"view{number}.json", view.metadata)
     shutil.rmtree(final, ignore_errors=True)
@@ -81,22 +122,36 @@ def write_simulation(
 
 
 def _write_json(path: Path, content: Any) -> None:
+    _replace(path, json.dumps(content, indent=1, sort_keys=True))
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a text file that appears whole or not at all."""
     partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps(content, indent=1, sort_keys=True), encoding="utf-8")
+    partial.write_text(text, encoding="utf-8")
     os.replace(partial, path)
 
 
-def finish_dataset(root: Path, configuration: dict[str, Any], seed: int, version: str) -> None:
-    """Write `index.parquet` and `manifest.json` over all simulation folders that are there."""
-    folders = sorted(p for p in (root / "simulations").iterdir() if not p.name.startswith("."))
+def finish_dataset(root: Path, configuration: dict[str, Any], seed: int, version: str) -> tuple[int, ...]:
+    """Write `index.parquet`, `failures.jsonl` and `manifest.json` over everything that is there.
+
+    Returns:
+        Numbers of the simulations that were given up.
+
+    Raises:
+        InputError: no simulation succeeded.
+    """
+    folders = sorted((root / "simulations").glob("[0-9]*"))
     rows = [row for folder in folders for row in _rows(folder)]
+    failures, given_up = _failures(root, folders)
+    _replace(root / "failures.jsonl", "".join(json.dumps(failure) + "\n" for failure in failures))
     if not rows:
-        raise InputError(f"{root}: no finished simulation; nothing to index")
+        raise InputError(f"{root}: no simulation succeeded ({failures[-1]['message'] if failures else 'none tried'})")
     partial = root / "index.parquet.partial"
     pq.write_table(pa.Table.from_pylist(rows), partial)
     os.replace(partial, root / "index.parquet")
-    failures = sum(int(json.loads((f / "simulation.json").read_text())["attempt"]) for f in folders)
     files = {str(f.relative_to(root)): _sha256(f) for folder in folders for f in sorted(folder.iterdir())}
+    files |= {name: _sha256(root / name) for name in ("index.parquet", "failures.jsonl")}
     manifest = {
         "format_version": FORMAT_VERSION,
         "generator_version": version,
@@ -104,15 +159,30 @@ def finish_dataset(root: Path, configuration: dict[str, Any], seed: int, version
         "configuration": configuration,
         "simulations": len(folders),
         "clips": len(rows),
-        "failed_simulations": failures,
-        "failure_share": failures / (failures + len(folders)),
-        "files": files | {"index.parquet": _sha256(root / "index.parquet")},
+        "failed_simulations": len(failures),
+        "failure_share": len(failures) / (len(failures) + len(folders)),
+        "given_up": given_up,
+        "files": files,
     }
     _write_json(root / "manifest.json", manifest)
+    return tuple(given_up)
+
+
+def _failures(root: Path, folders: list[Path]) -> tuple[list[dict[str, Any]], list[int]]:
+    """Every failed attempt, and the simulations of which all attempts failed."""
+    given_up = [json.loads(p.read_text(encoding="utf-8")) for p in sorted((root / "given_up").glob("*.json"))]
+    made = [json.loads((folder / "simulation.json").read_text(encoding="utf-8")) for folder in folders]
+    notes = [
+        {"simulation": entry["simulation"], "attempt": attempt, "message": message}
+        for entry in [*made, *given_up]
+        for attempt, message in enumerate(entry.get("failures", []))
+    ]
+    return notes, [entry["simulation"] for entry in given_up]
 
 
 def _rows(folder: Path) -> Iterator[dict[str, Any]]:
     simulation = json.loads((folder / "simulation.json").read_text())
+    simulation.pop("failures", None)
     for path in sorted(folder.glob("view*.json")):
         view = json.loads(path.read_text())
         scalars = _flat(simulation) | {f"view_{k}": v for k, v in _flat(view).items()}
@@ -175,10 +245,15 @@ class ClipRecord:
             return Samples(**{name: data[name] for name in Samples.__dataclass_fields__})
 
     @cached_property
+    def camera(self) -> Camera:
+        """The camera of this view."""
+        view = json.loads((self.folder / f"view{self.view}.json").read_text(encoding="utf-8"))
+        return Camera.from_json(view["camera"])
+
+    @property
     def camera_to_world(self) -> np.ndarray:
         """Camera-to-world matrix, shape [4, 4]."""
-        view = json.loads((self.folder / f"view{self.view}.json").read_text())
-        return np.array(view["camera"]["transform_matrix"])
+        return self.camera.transform_matrix
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,8 +43,16 @@ def draw_degradation(config: DegradationConfig, rng: np.random.Generator, crf: i
         config.exposure_share,
         config.shake_share,
     )
-    noise, strong, shutter = config.noise.sample(rng), config.compression_crf.sample(rng), config.shutter.sample(rng)
-    stops, red, blue = config.exposure_stops.sample(rng), config.white_balance.sample(rng), config.white_balance.sample(rng)
+    noise, strong, shutter = (
+        config.noise.sample(rng),
+        config.compression_crf.sample(rng),
+        config.shutter.sample(rng),
+    )
+    stops, red, blue = (
+        config.exposure_stops.sample(rng),
+        config.white_balance.sample(rng),
+        config.white_balance.sample(rng),
+    )
     gamma, wander = config.gamma.sample(rng), config.shake.sample(rng)
     gain = 2.0**stops
     return Degradation(
@@ -57,9 +65,7 @@ def draw_degradation(config: DegradationConfig, rng: np.random.Generator, crf: i
     )
 
 
-def sub_positions(
-    positions: Float[np.ndarray, "T P 3"], shutter: float, count: int
-) -> Float[np.ndarray, "T S P 3"]:
+def sub_positions(positions: Float[np.ndarray, "T P 3"], shutter: float, count: int) -> Float[np.ndarray, "T S P 3"]:
     """Positions while the shutter is open, interpolated towards the next frame; S = 1 without blur."""
     if shutter == 0.0:
         return positions[:, None]
@@ -90,7 +96,11 @@ def shake(
     path *= degradation.shake * height / max(float(path.std()), 1e-9)
     moved = [
         cv2.warpAffine(
-            image, np.array([[1, 0, dx], [0, 1, dy]]), (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            image,
+            np.array([[1, 0, dx], [0, 1, dy]]),
+            (width, height),
+            flags=cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
         )
         for image, (dx, dy) in zip(images, path, strict=True)
     ]

@@ -18,7 +18,12 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 # One thread per worker; and MKL's conditional reproducibility, without which sums depend on where arrays lie in memory.
-_ENVIRONMENT = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_CBWR": "AUTO"}
+_ENVIRONMENT = {
+    "OMP_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_CBWR": "AUTO",
+}
 
 
 def run_tasks(

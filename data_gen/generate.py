@@ -15,7 +15,14 @@ import numpy as np
 import torch
 
 from data_gen.config import GeneratorConfig
-from data_gen.dataset import RenderedView, finish_dataset, simulation_folder, write_simulation
+from data_gen.dataset import (
+    RenderedView,
+    finish_dataset,
+    is_settled,
+    write_claim,
+    write_given_up,
+    write_simulation,
+)
 from data_gen.degrade import Degradation, draw_degradation, expose, shake, sub_positions
 from data_gen.engines import EngineName, run_tasks
 from data_gen.render import Renderer
@@ -25,7 +32,18 @@ from physconvex import __version__
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.video import write_video
 
-__all__ = ["GenerationSummary", "SimulationTask", "generate_dataset", "make_simulation", "render_view"]
+__all__ = [
+    "Attempts",
+    "GenerationSummary",
+    "SimulationTask",
+    "SuccessfulDrop",
+    "TaskReport",
+    "generate_dataset",
+    "make_simulation",
+    "prepare_surface",
+    "render_view",
+    "simulate_with_replacements",
+]
 
 # Stream numbers below LOOK's key that are not views.
 _SAMPLING, _COLORS = 10_000, 10_001
@@ -43,22 +61,42 @@ class SimulationTask:
 
 @dataclass(frozen=True)
 class TaskReport:
-    """What a task cost [s] by stage, and the failures that preceded it."""
+    """What a task cost [s] by stage, its failed attempts, and whether it was given up after the last of them."""
 
     simulation: int
     failures: tuple[str, ...]
+    given_up: bool
     simulate_seconds: float
     render_seconds: float
     write_seconds: float
 
 
+@dataclass(frozen=True, eq=False)
+class SuccessfulDrop:
+    """A drop that could be simulated, and which attempt it was."""
+
+    attempt: int
+    drop: Drop
+    simulated: SimulatedDrop
+
+
+@dataclass(frozen=True, eq=False)
+class Attempts:
+    """What came of the attempts at one simulation: the first success, None if there is none, and why others failed."""
+
+    success: SuccessfulDrop | None
+    failures: tuple[str, ...]
+
+
 @dataclass(frozen=True)
 class GenerationSummary:
-    """A finished run: simulations made now, found finished before, and failed attempts that were replaced."""
+    """A finished run: simulations made now, those settled before, failed attempts of this run, and the numbers of the
+    simulations that were given up (in this run or before), since all their attempts failed."""
 
     made: int
     already_there: int
     failed_attempts: int
+    given_up: tuple[int, ...]
 
 
 @cache
@@ -67,10 +105,20 @@ def _renderer(width: int, height: int, supersampling: int) -> Renderer:
     return Renderer(width, height, supersampling=supersampling)
 
 
+def prepare_surface(drop: Drop, config: GeneratorConfig, rng: np.random.Generator) -> None:
+    """Give the renderer of this process the drop's surface with its colours; `render_view` needs it."""
+    video = config.video
+    _renderer(video.width, video.height, video.supersampling).set_surface(surface_of(drop, rng))
+
+
 def render_view(
-    drop: SimulatedDrop, look: Look, degradation: Degradation, config: GeneratorConfig, rng: np.random.Generator
+    drop: SimulatedDrop,
+    look: Look,
+    degradation: Degradation,
+    config: GeneratorConfig,
+    rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Images (uint8 [T, H, W, 3]) and object masks (bool [T, H, W]) of one view; the surface must be set."""
+    """Images (uint8 [T, H, W, 3]) and object masks (bool [T, H, W]) of one view; call `prepare_surface` before."""
     video = config.video
     renderer = _renderer(video.width, video.height, video.supersampling)
     renderer.set_view(look.camera, look.lighting, look.backdrop)
@@ -92,41 +140,47 @@ def _encode(frames: np.ndarray, fps: float, crf: int) -> bytes:
         return path.read_bytes()
 
 
-def make_simulation(task: SimulationTask) -> TaskReport:
-    """Simulate, render and write one simulation; failed attempts are replaced by new draws.
-
-    Raises:
-        ConvergenceError: as many attempts failed as the configuration allows.
-    """
+def simulate_with_replacements(config: GeneratorConfig, seed: int, simulation: int) -> Attempts:
+    """Draw and simulate a drop; failed attempts are replaced by new draws, at most `solver.max_attempts` in all."""
     torch.set_num_threads(1)
-    config, failures = task.config, []
-    clock = time.perf_counter()
+    failures: list[str] = []
     for attempt in range(config.solver.max_attempts):
         try:
-            drop = draw_drop(config, task.seed, task.simulation, attempt)
-            rng = stream(task.seed, LOOK, task.simulation, attempt, _SAMPLING)
-            simulated = simulate_drop(drop, config, rng)
-            break
+            drop = draw_drop(config, seed, simulation, attempt)
+            simulated = simulate_drop(drop, config, stream(seed, LOOK, simulation, attempt, _SAMPLING))
         except ConvergenceError as error:
             failures.append(f"attempt {attempt}: {error}")
-    else:
-        raise ConvergenceError(f"simulation {task.simulation}: {'; '.join(failures)}")
+        else:
+            return Attempts(SuccessfulDrop(attempt, drop, simulated), tuple(failures))
+    return Attempts(None, tuple(failures))
+
+
+def make_simulation(task: SimulationTask) -> TaskReport:
+    """Simulate, render and write one simulation.
+
+    Failed attempts are noted and replaced by new draws; after `solver.max_attempts` of them the simulation is given up.
+    """
+    clock = time.perf_counter()
+    result = simulate_with_replacements(task.config, task.seed, task.simulation)
     simulate_seconds = time.perf_counter() - clock
+    if result.success is None:
+        write_given_up(task.root, task.simulation, list(result.failures))
+        return TaskReport(task.simulation, result.failures, True, simulate_seconds, 0.0, 0.0)
+    attempt, drop, simulated = result.success.attempt, result.success.drop, result.success.simulated
     clock = time.perf_counter()
     views = _views(task, attempt, drop, simulated)
     render_seconds = time.perf_counter() - clock
     clock = time.perf_counter()
-    write_simulation(task.root, task.simulation, _metadata(task, attempt, drop, simulated), simulated.samples, views)
-    return TaskReport(
-        task.simulation, tuple(failures), simulate_seconds, render_seconds, time.perf_counter() - clock
-    )
+    metadata = _metadata(task, attempt, drop, simulated) | {"failures": list(result.failures)}
+    write_simulation(task.root, task.simulation, metadata, simulated.samples, views)
+    write_seconds = time.perf_counter() - clock
+    return TaskReport(task.simulation, result.failures, False, simulate_seconds, render_seconds, write_seconds)
 
 
 def _views(task: SimulationTask, attempt: int, drop: Drop, simulated: SimulatedDrop) -> list[RenderedView]:
     config = task.config
     video = config.video
-    renderer = _renderer(video.width, video.height, video.supersampling)
-    renderer.set_surface(surface_of(drop, stream(task.seed, LOOK, task.simulation, attempt, _COLORS)))
+    prepare_surface(drop, config, stream(task.seed, LOOK, task.simulation, attempt, _COLORS))
     views = []
     for number in range(config.camera.views):
         rng = stream(task.seed, LOOK, task.simulation, attempt, number)
@@ -183,46 +237,28 @@ def generate_dataset(
     """Make (or finish) a data set of `count` simulations.
 
     The bytes written depend on `config`, `seed` and the simulation's number only, not on workers, engine or earlier
-    interruptions. Times go to `timings.jsonl` and failed attempts to `failures.jsonl`, both outside the manifest.
+    interruptions. Times alone differ; they go to `timings.jsonl`, outside the manifest.
 
     Raises:
-        InputError: the folder holds a data set of another seed or configuration.
-        ConvergenceError: one simulation failed in all its attempts.
+        InputError: the folder holds a data set of another seed or configuration, or not one simulation succeeded.
     """
     root = Path(root)
     if count < 1:
         raise InputError(f"count: got {count}; expected at least 1")
-    _claim(root, config, seed)
-    todo = [n for n in range(count) if not simulation_folder(root, n).is_dir()]
+    write_claim(root, {"seed": seed, "configuration": _plain(config), "generator_version": __version__})
+    todo = [n for n in range(count) if not is_settled(root, n)]
     tasks = [SimulationTask(root.resolve(), config, seed, n) for n in todo]
-    failed = 0
+    failed = made = 0
     for report in run_tasks(make_simulation, tasks, workers=workers, engine=engine):
-        _append(root / "timings.jsonl", {k: v for k, v in asdict(report).items() if k != "failures"})
-        for message in report.failures:
-            _append(root / "failures.jsonl", {"simulation": report.simulation, "message": message})
+        with (root / "timings.jsonl").open("a", encoding="utf-8") as file:
+            file.write(json.dumps({k: v for k, v in asdict(report).items() if k != "failures"}) + "\n")
         failed += len(report.failures)
+        made += not report.given_up
         if on_report is not None:
             on_report(report)
-    finish_dataset(root, config.model_dump(mode="json"), seed, __version__)
-    return GenerationSummary(len(todo), count - len(todo), failed)
+    given_up = finish_dataset(root, _plain(config), seed, __version__)
+    return GenerationSummary(made, count - len(todo), failed, given_up)
 
 
-def _claim(root: Path, config: GeneratorConfig, seed: int) -> None:
-    """Note whose data set the folder is, or check that it is ours."""
-    claim = {"seed": seed, "configuration": config.model_dump(mode="json"), "generator_version": __version__}
-    path = root / "generator.json"
-    if path.exists():
-        found = json.loads(path.read_text())
-        different = [key for key in claim if found.get(key) != claim[key]]
-        if different:
-            raise InputError(
-                f"out: {root} was begun with another {', '.join(different)}; expected the same, or a new folder"
-            )
-        return
-    (root / "simulations").mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(claim, indent=1, sort_keys=True), encoding="utf-8")
-
-
-def _append(path: Path, content: dict[str, Any]) -> None:
-    with path.open("a", encoding="utf-8") as file:
-        file.write(json.dumps(content) + "\n")
+def _plain(config: GeneratorConfig) -> dict[str, Any]:
+    return config.model_dump(mode="json")

@@ -29,6 +29,7 @@ from physconvex.errors import InputError
 
 __all__ = ["Backdrop", "Lighting", "RenderError", "Renderer"]
 
+
 @dataclass(frozen=True)
 class Lighting:
     """One key light far away, a fill light from the other side, and ambient light.
@@ -90,10 +91,10 @@ class Renderer:
         self.corners = surface.faces.ravel()
         count = len(self.corners)
         cells = np.hstack([np.full((count // 3, 1), 3), np.arange(count).reshape(-1, 3)]).ravel()
-        self.mesh = pv.PolyData(surface.vertices[self.corners].astype(np.float32), cells)
+        self.mesh: Any = pv.PolyData(surface.vertices[self.corners].astype(np.float32), cells)
         self.mesh.point_data["Normals"] = np.zeros((count, 3), np.float32)
         self.mesh.GetPointData().SetActiveNormals("Normals")
-        self.flat = pv.PolyData(surface.vertices.astype(np.float32), triangles(surface.faces))
+        self.flat: Any = pv.PolyData(surface.vertices.astype(np.float32), triangles(surface.faces))
         self.passes["object"] = object_pass(self.mesh, surface)
         self.passes["shadow"] = shadow_pass(self.flat)
         self.attach("object", "shadow")
@@ -117,9 +118,7 @@ class Renderer:
         self.shadow_strength = lighting.key * lighting.direction[2] / floor_light
         self.plate = self.draw("plate")[..., :3]
 
-    def frame(
-        self, positions: Float[np.ndarray, "P 3"]
-    ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
+    def frame(self, positions: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
         """Image (0 to 1) and coverage by the object (0 to 1) with the surface's vertices at `positions` [m]."""
         if self.plate is None or self.surface is None:
             raise InputError("frame: no view yet; call set_surface and set_view before")
@@ -148,7 +147,7 @@ class Renderer:
             renderer.SetDraw(key == name)
         self.window.Render()
         wide, tall = self.width * self.factor, self.height * self.factor
-        pixels = vtkUnsignedCharArray()
+        pixels: Any = vtkUnsignedCharArray()
         self.window.GetRGBACharPixelData(0, 0, wide - 1, tall - 1, 0, pixels)
         return self.average(np.asarray(memoryview(pixels)).reshape(tall, wide, 4)[::-1])
 

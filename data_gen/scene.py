@@ -38,7 +38,7 @@ class Drop:
     family: str
     body: ObjectMesh
     rotation: Float[np.ndarray, "3 3"]
-    shift: Float[np.ndarray, "3"]
+    shift: Float[np.ndarray, " 3"]
     size: float
     youngs_modulus: float
     poisson_ratio: float
@@ -63,7 +63,7 @@ class Look:
 
 
 def split_of(object_id: str, train_share: float, validation_share: float) -> str:
-    """"train", "validation" or "test": a hash of the object decides, so no object is in two of them."""
+    """ "train", "validation" or "test": a hash of the object decides, so no object is in two of them."""
     place = int.from_bytes(hashlib.sha256(object_id.encode()).digest()[:6], "big") / 2**48
     if place < train_share:
         return "train"
@@ -190,9 +190,7 @@ def _camera(
     low, high = points.min(axis=0), points.max(axis=0)
     extent = float((high - low).max())
     target = 0.5 * (low + high) + config.aim_jitter * extent * rng.uniform(-1, 1, 3)
-    forward = np.array(
-        [np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), -np.sin(elevation)]
-    )
+    forward = np.array([np.sin(azimuth) * np.cos(elevation), np.cos(azimuth) * np.cos(elevation), -np.sin(elevation)])
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     up = np.cross(right, forward)

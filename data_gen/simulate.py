@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from data_gen.config import GeneratorConfig
 from data_gen.scene import Drop
+from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import (
     ElasticBody,
     Plane,
@@ -69,10 +70,17 @@ def make_mesh(drop: Drop, target_nodes: int) -> TetMesh:
     body = drop.body
     if body.signed_distance is not None:
         mesh = tetrahedralize_implicit(
-            body.signed_distance, body.bounds, surface=(body.vertices, body.faces), max_nodes=target_nodes, order=2
+            body.signed_distance,
+            body.bounds,
+            surface=(body.vertices, body.faces),
+            max_nodes=target_nodes,
+            order=2,
         )
     else:
-        mesh = tetrahedralize((body.vertices, body.faces), max_nodes=target_nodes, order=2)
+        try:
+            mesh = tetrahedralize((body.vertices, body.faces), max_nodes=target_nodes, order=2, method="auto")
+        except InputError as error:  # one bad mesh of a folder is a failed simulation, not the end of the run
+            raise ConvergenceError(f"{body.name}: {error}") from error
     x = drop.placed(mesh.vertices)
     x[:, 2] += max(0.0, 1e-3 * drop.size - x[:, 2].min())
     return TetMesh(x, mesh.tets)

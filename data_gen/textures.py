@@ -32,9 +32,7 @@ def palette(rng: np.random.Generator, count: int) -> Float[np.ndarray, "C 3"]:
     return hsv_to_rgb(np.stack([hue, saturation, value], axis=1))
 
 
-def noise(
-    points: Float[np.ndarray, "N d"], rng: np.random.Generator, *, octaves: int = 4
-) -> Float[np.ndarray, " N"]:
+def noise(points: Float[np.ndarray, "N d"], rng: np.random.Generator, *, octaves: int = 4) -> Float[np.ndarray, " N"]:
     """Fractal value noise in 0..1 (about), features of about one unit and finer; shape [N]."""
     total, weight = np.zeros(len(points)), 0.0
     for octave in range(octaves):
@@ -108,9 +106,7 @@ def wood(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 def patches(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Large irregular patches like those of a cow."""
     levels = rng.integers(2, 5)
-    return np.floor(np.clip(noise(rng.uniform(3, 6) * points, rng, octaves=2), 0, 0.999) * levels) / (
-        levels - 1
-    )
+    return np.floor(np.clip(noise(rng.uniform(3, 6) * points, rng, octaves=2), 0, 0.999) * levels) / (levels - 1)
 
 
 PATTERNS: dict[str, Pattern] = {

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
 import ctypes.util
+import importlib.util
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +21,15 @@ from physconvex.errors import PhysconvexError
 if TYPE_CHECKING:
     from data_gen.render import Backdrop, Lighting
 
-__all__ = ["RenderError", "light_object", "object_pass", "open_window", "place_camera", "plate_pass", "shadow_pass"]
+__all__ = [
+    "RenderError",
+    "light_object",
+    "object_pass",
+    "open_window",
+    "place_camera",
+    "plate_pass",
+    "shadow_pass",
+]
 
 FLOOR_EXTENT = 40.0  # half edge of the floor [m]
 DOME_RADIUS = 60.0  # of the background [m], so that it starts where the floor ends
@@ -51,12 +62,25 @@ def without_display() -> Iterator[None]:
             del os.environ["VTK_DEFAULT_OPENGL_WINDOW"]
 
 
+def load_triton_first() -> None:
+    """Load triton's library, if it is installed, before Mesa's.
+
+    Both bring an LLVM. Where Mesa renders in software, loading triton after it ends in a segmentation fault (seen with
+    triton 3.9 and Mesa 22.3), and torch loads triton when it makes its first optimiser. The other order is fine.
+    """
+    package = importlib.util.find_spec("triton")
+    for folder in (package.submodule_search_locations or ()) if package is not None else ():
+        for library in sorted(Path(folder, "_C").glob("libtriton*.so")):
+            ctypes.CDLL(str(library))
+
+
 def open_window(width: int, height: int) -> Any:
     """An off-screen window with an alpha channel.
 
     Raises:
         RenderError: no OpenGL context can be made here.
     """
+    load_triton_first()
     with without_display():
         import vtkmodules.vtkRenderingOpenGL2  # noqa: F401  (registers VTK's OpenGL classes)
         from vtkmodules.vtkRenderingCore import vtkRenderWindow
@@ -155,7 +179,7 @@ def plate_pass(backdrop: Backdrop) -> Any:
     import pyvista as pv
 
     edge = FLOOR_EXTENT
-    floor = pv.PolyData(
+    floor: Any = pv.PolyData(
         np.array([[-edge, -edge, 0], [edge, -edge, 0], [edge, edge, 0], [-edge, edge, 0]], np.float32),
         np.array([4, 0, 1, 2, 3]),
     )
@@ -182,7 +206,7 @@ def dome(steps: int = 64) -> Any:
     n = steps + 1
     quads = [np.column_stack([first, first + 1, first + 1 + n, first + n]) + k * n for k in range(len(rows) - 1)]
     cells = np.hstack([np.full((len(quads) * steps, 1), 4), np.vstack(quads)]).ravel()
-    mesh = pv.PolyData(points.astype(np.float32), cells)
+    mesh: Any = pv.PolyData(points.astype(np.float32), cells)
     mesh.active_texture_coordinates = coordinates.astype(np.float32)
     return mesh
 
@@ -218,7 +242,7 @@ def place_camera(renderer: Any, camera: Camera) -> None:
     vtk_camera.SetViewUp(*camera.rotation[:, 1])
     vtk_camera.SetClippingRange(*CLIP_RANGE)
     matrix = vtkMatrix4x4()
-    matrix.DeepCopy(projection_matrix(camera).ravel())
+    matrix.DeepCopy(projection_matrix(camera).ravel().tolist())
     vtk_camera.SetExplicitProjectionTransformMatrix(matrix)
     vtk_camera.UseExplicitProjectionTransformMatrixOn()
 

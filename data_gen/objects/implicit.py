@@ -74,9 +74,7 @@ def capsule(start: np.ndarray, end: np.ndarray, radius_start: float, radius_end:
 
     def field(p: np.ndarray) -> np.ndarray:
         t = np.clip((p - start) @ along / square, 0.0, 1.0)
-        return np.linalg.norm(p - start - t[:, None] * along, axis=1) - (
-            radius_start + t * (radius_end - radius_start)
-        )
+        return np.linalg.norm(p - start - t[:, None] * along, axis=1) - (radius_start + t * (radius_end - radius_start))
 
     return field
 
@@ -162,9 +160,9 @@ def project(field: Field, points: np.ndarray, spacing: float) -> np.ndarray:
     """Points moved onto the zero level by two Newton steps along the gradient, each at most a tenth of `spacing`."""
     step = 1e-3 * spacing
     for _ in range(2):
-        gradient = np.stack(
-            [field(points + step * e) - field(points - step * e) for e in np.eye(3)], axis=1
-        ) / (2 * step)
+        gradient = np.stack([field(points + step * e) - field(points - step * e) for e in np.eye(3)], axis=1) / (
+            2 * step
+        )
         square = np.einsum("na,na->n", gradient, gradient)
         shift = -gradient * (field(points) / np.maximum(square, 1e-6))[:, None]
         length = np.linalg.norm(shift, axis=1, keepdims=True)

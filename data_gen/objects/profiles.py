@@ -23,9 +23,7 @@ def polygon_distance(polygon: np.ndarray, points: np.ndarray) -> np.ndarray:
     distance = np.linalg.norm(offset - t[..., None] * along, axis=2).min(axis=1)
     y, y0, y1 = points[:, 1:], start[:, 1], np.roll(start[:, 1], -1)
     left = along[:, 0] * offset[..., 1] - along[:, 1] * offset[..., 0]
-    winding = ((y0 <= y) & (y < y1) & (left > 0)).sum(axis=1) - ((y1 <= y) & (y < y0) & (left < 0)).sum(
-        axis=1
-    )
+    winding = ((y0 <= y) & (y < y1) & (left > 0)).sum(axis=1) - ((y1 <= y) & (y < y0) & (left < 0)).sum(axis=1)
     return np.where(winding != 0, -distance, distance)
 
 
@@ -38,9 +36,7 @@ def tabulated(polygon: np.ndarray, *, samples: int = 100) -> PlaneField:
     counts = np.ceil((high - low) / spacing).astype(int) + 1
     axes = [low[a] + spacing * np.arange(counts[a]) for a in range(2)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    table = spline_filter(
-        polygon_distance(polygon, grid.reshape(-1, 2)).reshape(counts), order=3, mode="nearest"
-    )
+    table = spline_filter(polygon_distance(polygon, grid.reshape(-1, 2)).reshape(counts), order=3, mode="nearest")
 
     def field(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         place = (np.stack([u, v]) - low[:, None]) / spacing
@@ -61,9 +57,7 @@ def revolved(rng: np.random.Generator) -> Field:
         depth = rng.uniform(0.2, 0.5) * heights[-1]
         angle = np.linspace(0, np.pi / 2, 20)
         inner = r[-1] - rng.uniform(0.2, 0.28)
-        outline = np.vstack(
-            [outline, np.column_stack([inner * np.cos(angle), z[-1] - depth * np.sin(angle)])]
-        )
+        outline = np.vstack([outline, np.column_stack([inner * np.cos(angle), z[-1] - depth * np.sin(angle)])])
     mirrored = np.vstack([outline, (outline * [-1, 1])[::-1]])
     profile, rounding = tabulated(mirrored), 0.04
     return lambda p: profile(np.hypot(p[:, 0], p[:, 1]), p[:, 2]) - rounding

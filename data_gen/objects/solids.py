@@ -113,9 +113,7 @@ def boolean(rng: np.random.Generator) -> Field:
         if operation == "add":
             field = smooth_union([field, moved(primitive(rng, rng.uniform(0.45, 0.8)), shift=shift)], 0.12)
         elif operation == "cut":
-            field = smooth_difference(
-                field, moved(primitive(rng, rng.uniform(0.35, 0.7)), shift=1.1 * shift), 0.12
-            )
+            field = smooth_difference(field, moved(primitive(rng, rng.uniform(0.35, 0.7)), shift=1.1 * shift), 0.12)
         else:
             field = smooth_intersection([field, moved(primitive(rng, 1.0), shift=0.4 * shift)], 0.12)
     axis = rng.normal(size=3)

@@ -25,9 +25,7 @@ TEXTURE_NAMES = (
 LICENCE_NAMES = ("LICENSE.txt", "LICENSE", "LICENSE.md", "LICENCE.txt", "LICENCE")
 
 
-def load_user_mesh(
-    path: str | Path, *, texture: str | Path | None = None, name: str | None = None
-) -> ObjectMesh:
+def load_user_mesh(path: str | Path, *, texture: str | Path | None = None, name: str | None = None) -> ObjectMesh:
     """Read an OBJ, PLY, GLB, STL or OFF file with its texture or vertex colours; z is up.
 
     glTF files, whose y axis is up, are turned. Units and place are those of the file; `ObjectMesh.scaled` changes
@@ -55,9 +53,7 @@ def load_user_mesh(
         raise InputError(f"path: {path} cannot be read as a mesh ({error}); export it again") from error
     vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
     if len(faces) == 0 or not np.isfinite(vertices).all():
-        raise InputError(
-            f"path: {path} holds {len(faces)} triangles of {len(vertices)} vertices; expected a surface"
-        )
+        raise InputError(f"path: {path} holds {len(faces)} triangles of {len(vertices)} vertices; expected a surface")
     if path.suffix.lower() in (".glb", ".gltf"):
         vertices = vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0]
     uv, image = _texture_of(mesh.visual, path, None if texture is None else Path(texture))
@@ -82,9 +78,7 @@ def objects_from_folder(folder: str | Path) -> list[Path]:
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise InputError(
-            f"folder: {folder} is not a folder; expected one with meshes ({', '.join(SUFFIXES)})"
-        )
+        raise InputError(f"folder: {folder} is not a folder; expected one with meshes ({', '.join(SUFFIXES)})")
     paths = sorted(p for p in folder.rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file())
     if not paths:
         raise InputError(f"folder: no mesh in {folder}; expected files ending in {', '.join(SUFFIXES)}")
@@ -103,9 +97,7 @@ def _texture_of(visual: Any, path: Path, given: Path | None) -> tuple[np.ndarray
     material = getattr(visual, "material", None)
     image = None if given is not None else getattr(material, "image", None)
     image = getattr(material, "baseColorTexture", None) if image is None and given is None else image
-    if image is not None and not (
-        path.suffix.lower() == ".obj" and max(image.size) <= 2
-    ):  # else a placeholder
+    if image is not None and not (path.suffix.lower() == ".obj" and max(image.size) <= 2):  # else a placeholder
         return np.asarray(uv, dtype=np.float64), np.asarray(image.convert("RGB"), dtype=np.uint8)
     beside = given or _texture_beside(path)
     return (None, None) if beside is None else (np.asarray(uv, dtype=np.float64), _read_image(beside))

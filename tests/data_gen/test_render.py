@@ -68,11 +68,11 @@ def test_shadow_lies_under_the_object_and_only_darkens(renderer):
     surface, view = ball(0.25), camera()
     renderer.set_surface(surface)
     renderer.set_view(view, OVERHEAD, GREY)
-    image, cover = renderer.frame(surface.vertices + [0, 0, 1.3])
+    image, cover = renderer.frame(surface.vertices + np.array([0, 0, 1.3]))
     dark = (renderer.plate - image).sum(axis=-1) * (cover == 0)
     assert dark.min() > -1e-6 and dark.max() > 0.3
     np.testing.assert_allclose(centroid(np.maximum(dark, 0)), view.project(np.zeros(3))[0], atol=0.7)
-    lower = renderer.frame(surface.vertices + [0, 0, 0.9])[0]
+    lower = renderer.frame(surface.vertices + np.array([0, 0, 0.9]))[0]
     assert np.abs(lower - image).max() > 0.1
 
 
@@ -80,7 +80,7 @@ def test_shadow_moves_away_from_a_slanted_light(renderer):
     surface, view = ball(0.25), camera()
     renderer.set_surface(surface)
     renderer.set_view(view, Lighting((0.6, 0.0, 0.8), shadow_softness=0.0), GREY)
-    image, cover = renderer.frame(surface.vertices + [0, 0, 0.8])
+    image, cover = renderer.frame(surface.vertices + np.array([0, 0, 0.8]))
     dark = np.maximum((renderer.plate - image).sum(axis=-1) * (cover == 0), 0)
     # The centre's shadow falls at −z·(lx, ly)/lz.
     np.testing.assert_allclose(centroid(dark), view.project(np.array([-0.6, 0, 0]))[0], atol=1.0)
@@ -90,7 +90,7 @@ def test_light_side_is_brighter_and_colours_survive(renderer):
     surface, view = ball(0.4), camera()
     renderer.set_surface(surface)
     renderer.set_view(view, Lighting((0.8, -0.36, 0.48), fill=0.1), GREY)
-    image, cover = renderer.frame(surface.vertices + [0, 0, 0.8])
+    image, cover = renderer.frame(surface.vertices + np.array([0, 0, 0.8]))
     red = np.where(cover == 1, image[..., 0], np.nan)
     middle = round(view.project(np.array([0, 0, 0.8]))[0][0])
     assert np.nanmean(red[:, middle:]) > 1.3 * np.nanmean(red[:, :middle])
@@ -120,13 +120,13 @@ def test_equal_input_gives_equal_bytes_also_after_other_scenes(renderer):
     def picture() -> bytes:
         renderer.set_surface(surface)
         renderer.set_view(view, Lighting((0.3, -0.2, 0.93)), GREY)
-        image, cover = renderer.frame(surface.vertices + [0.1, 0, 0.9])
+        image, cover = renderer.frame(surface.vertices + np.array([0.1, 0, 0.9]))
         return image.tobytes() + cover.tobytes()
 
     first = picture()
     renderer.set_surface(ball(0.1))
     renderer.set_view(camera(cx=40.0), OVERHEAD, GREY)
-    renderer.frame(ball(0.1).vertices + [0, 0, 1])
+    renderer.frame(ball(0.1).vertices + np.array([0, 0, 1]))
     assert picture() == first
 
 

@@ -68,7 +68,7 @@ def test_splits_are_by_object_and_of_the_asked_shares():
 
 def test_whole_path_is_in_view_and_lit_from_above(config):
     rng = np.random.default_rng(3)
-    start = rng.uniform(-0.5, 0.5, (40, 3)) + [0, 0, 2.0]
+    start = rng.uniform(-0.5, 0.5, (40, 3)) + np.array([0, 0, 2.0])
     path = np.stack([start - [0.2 * t, 0, 1.5 * t**2] for t in np.linspace(0, 1, 8)])
     distances = []
     for number in range(20):
@@ -101,7 +101,9 @@ def test_user_meshes_replace_the_procedural_bodies(tmp_path):
 
 def test_ranges_are_read_from_numbers_pairs_and_tables(tmp_path):
     file = tmp_path / "mine.yaml"
-    file.write_text("material: {density: 900, poisson_ratio: [0.3, 0.4]}\nmotion: {size: {low: 1, high: 2, scale: log}}")
+    file.write_text(
+        "material: {density: 900, poisson_ratio: [0.3, 0.4]}\nmotion: {size: {low: 1, high: 2, scale: log}}"
+    )
     config = load_config(file, overrides=["camera.views=1", "video.fps=30"])
     assert config.material.density == Interval(low=900, high=900)
     assert config.material.poisson_ratio == Interval(low=0.3, high=0.4)

@@ -1,0 +1,231 @@
+"""Captures for refinement: one drop filmed by a ring of cameras, with masks, rest geometry and tracks.
+
+What a laboratory would know goes to `capture.json` and the files beside it; the true material, damping and images'
+degradations go to `truth.json`, which nothing but an evaluation reads.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+from PIL import Image
+
+from data_gen.config import GeneratorConfig, uniform
+from data_gen.dataset import write_claim
+from data_gen.degrade import draw_degradation
+from data_gen.engines import EngineName, run_tasks
+from data_gen.generate import (
+    GenerationSummary,
+    SuccessfulDrop,
+    TaskReport,
+    prepare_surface,
+    render_view,
+    simulate_with_replacements,
+)
+from data_gen.scene import LOOK, Drop, Look, draw_look, stream, surface_of
+from physconvex import __version__
+from physconvex.capture import Capture, Floor, Tracks, save_capture
+from physconvex.errors import InputError
+from physconvex.fem import TetMesh
+from physconvex.fem.mesh import compact
+
+__all__ = ["CaptureTask", "RingOptions", "capture_folder", "generate_captures", "make_capture", "ring_of_looks"]
+
+# Stream numbers below LOOK's key, beside those of generate.py.
+_RING, _TRACKS = 20_000, 20_001
+
+
+@dataclass(frozen=True)
+class RingOptions:
+    """What a capture holds besides the videos.
+
+    Attributes:
+        observed_frames: frames that may be fitted; None: two thirds of all.
+        markers: number of tracked surface points; 0: no `tracks.npz`.
+        marker_noise: standard deviation of each tracked coordinate [m].
+    """
+
+    observed_frames: int | None = None
+    markers: int = 0
+    marker_noise: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if self.markers < 0:
+            raise InputError(f"markers: got {self.markers}; expected at least 0")
+        if not self.marker_noise > 0:
+            raise InputError(f"marker_noise: got {self.marker_noise}; expected a positive length in metres")
+
+
+@dataclass(frozen=True)
+class CaptureTask:
+    """Capture number `simulation` below `root`."""
+
+    root: Path
+    config: GeneratorConfig
+    seed: int
+    simulation: int
+    options: RingOptions
+
+
+def capture_folder(root: Path, simulation: int) -> Path:
+    """Where capture number `simulation` lies."""
+    return root / f"{simulation:06d}"
+
+
+def ring_of_looks(
+    config: GeneratorConfig, rng: np.random.Generator, path: Float[np.ndarray, "T P 3"]
+) -> tuple[Look, ...]:
+    """`camera.views` cameras `camera0`, `camera1`, … around the path [m], evenly spread but for `camera.azimuth_deg`.
+
+    All have one elevation and focal length, and see one light, floor and background.
+    """
+    camera = config.camera
+    level = {name: getattr(camera, name).sample(rng) for name in ("elevation_deg", "field_of_view_deg")}
+    fixed = {name: uniform(value, value) for name, value in level.items()}
+    config = config.model_copy(update={"camera": camera.model_copy(update=fixed)})
+    looks: list[Look] = []
+    for k in range(camera.views):
+        azimuth = 360.0 * k / camera.views + camera.azimuth_deg.sample(rng)
+        look = draw_look(config, rng, path, name=f"camera{k}", azimuth_deg=azimuth)
+        looks.append(Look(look.camera, looks[0].lighting, looks[0].backdrop) if looks else look)
+    return tuple(looks)
+
+
+def make_capture(task: CaptureTask) -> TaskReport:
+    """Simulate, render and write one capture, unless all attempts fail."""
+    clock = time.perf_counter()
+    result = simulate_with_replacements(task.config, task.seed, task.simulation)
+    simulate_seconds = time.perf_counter() - clock
+    success = result.success
+    if success is None:
+        return TaskReport(task.simulation, result.failures, True, simulate_seconds, 0.0, 0.0)
+    clock = time.perf_counter()
+    rng = stream(task.seed, LOOK, task.simulation, success.attempt, _RING)
+    drop, simulated = success.drop, success.simulated
+    prepare_surface(drop, task.config, rng)
+    looks = ring_of_looks(task.config, rng, simulated.surface)
+    videos, masks, degradations = {}, {}, {}
+    for look in looks:
+        name, degradation = look.camera.name, draw_degradation(task.config.degradation, rng, task.config.video.crf)
+        videos[name], masks[name] = render_view(simulated, look, degradation, task.config, rng)
+        degradations[name] = asdict(degradation)
+    render_seconds = time.perf_counter() - clock
+    clock = time.perf_counter()
+    save_capture(
+        _capture(task, drop, looks),
+        videos=videos,
+        masks=masks,
+        mesh=_rest_mesh(drop, stream(task.seed, LOOK, task.simulation, success.attempt, _RING)),
+        tets=_corners(simulated.mesh),
+        tracks=_tracks(task, success) if task.options.markers else None,
+        truth=_truth(task, success) | {"degradations": degradations},
+        crf=task.config.video.crf,
+    )
+    write_seconds = time.perf_counter() - clock
+    return TaskReport(task.simulation, result.failures, False, simulate_seconds, render_seconds, write_seconds)
+
+
+def _capture(task: CaptureTask, drop: Drop, looks: tuple[Look, ...]) -> Capture:
+    video, options = task.config.video, task.options
+    observed = max(1, 2 * video.frames // 3) if options.observed_frames is None else options.observed_frames
+    return Capture(
+        folder=capture_folder(task.root, task.simulation),
+        fps=video.fps,
+        frames=video.frames,
+        observed_frames=observed,
+        cameras=tuple(look.camera for look in looks),
+        gravity=np.array(task.config.motion.gravity),
+        density=drop.density,
+        floor=Floor(np.zeros(3), np.array([0.0, 0.0, 1.0]), friction=drop.friction),
+        initial_velocity=np.array(drop.initial_velocity),
+        initial_angular_velocity=np.array(drop.initial_angular_velocity),
+    )
+
+
+def _rest_mesh(drop: Drop, rng: np.random.Generator) -> trimesh.Trimesh:
+    """The coloured surface where it starts; `rng` in the state in which the surface was coloured."""
+    surface = surface_of(drop, rng)
+    if surface.texture is not None:
+        visual = trimesh.visual.TextureVisuals(uv=surface.uv, image=Image.fromarray(surface.texture))
+        return trimesh.Trimesh(surface.vertices, surface.faces, visual=visual, process=False)
+    return trimesh.Trimesh(surface.vertices, surface.faces, vertex_colors=surface.colors, process=False)
+
+
+def _corners(mesh: TetMesh) -> TetMesh:
+    """The linear tetrahedra on the corners of quadratic ones."""
+    return compact(mesh.vertices, mesh.corner_tets)
+
+
+def _tracks(task: CaptureTask, success: SuccessfulDrop) -> Tracks:
+    rng = stream(task.seed, LOOK, task.simulation, success.attempt, _TRACKS)
+    surface, options = success.simulated.surface, task.options
+    chosen = np.sort(rng.choice(surface.shape[1], min(options.markers, surface.shape[1]), replace=False))
+    positions = surface[:, chosen] + rng.normal(scale=options.marker_noise, size=(len(surface), len(chosen), 3))
+    rest = success.drop.placed(success.drop.body.vertices)[chosen]
+    return Tracks(rest=rest, positions=positions, sigma=np.full(positions.shape[:2], options.marker_noise))
+
+
+def _truth(task: CaptureTask, success: SuccessfulDrop) -> dict[str, Any]:
+    drop = success.drop
+    return {
+        "youngs_modulus": drop.youngs_modulus,
+        "poisson_ratio": drop.poisson_ratio,
+        "density": drop.density,
+        "law": task.config.material.law,
+        "damping_time": drop.damping_time,
+        "friction": drop.friction,
+        "object_id": drop.object_id,
+        "family": drop.family,
+        "object_size": drop.size,
+        "nodes": len(success.simulated.mesh.vertices),
+        "seed": task.seed,
+        "simulation": task.simulation,
+        "attempt": success.attempt,
+        "generator_version": __version__,
+        "solver": asdict(success.simulated.statistics),
+    }
+
+
+def generate_captures(
+    root: str | Path,
+    *,
+    count: int,
+    config: GeneratorConfig,
+    seed: int = 0,
+    options: RingOptions | None = None,
+    workers: int = 1,
+    engine: EngineName = "local",
+    on_report: Callable[[TaskReport], None] | None = None,
+) -> GenerationSummary:
+    """Make (or finish) `count` captures below `root`, one folder each; the bytes depend on the arguments alone.
+
+    Raises:
+        InputError: the folder was begun with another seed, configuration or options, or an argument is out of range.
+    """
+    root, options = Path(root), options or RingOptions()
+    frames = config.video.frames
+    if count < 1:
+        raise InputError(f"count: got {count}; expected at least 1")
+    if options.observed_frames is not None and not 1 <= options.observed_frames <= frames:
+        raise InputError(
+            f"observed_frames: got {options.observed_frames}; expected 1 to {frames}, the frames there are"
+        )
+    configuration = config.model_dump(mode="json") | {"capture": asdict(options)}
+    write_claim(root, {"seed": seed, "configuration": configuration, "generator_version": __version__})
+    todo = [n for n in range(count) if not capture_folder(root, n).is_dir()]
+    tasks = [CaptureTask(root.resolve(), config, seed, n, options) for n in todo]
+    failed, given_up = 0, []
+    for report in run_tasks(make_capture, tasks, workers=workers, engine=engine):
+        failed += len(report.failures)
+        if report.given_up:
+            given_up.append(report.simulation)
+        if on_report is not None:
+            on_report(report)
+    return GenerationSummary(len(todo) - len(given_up), count - len(todo), failed, tuple(sorted(given_up)))
