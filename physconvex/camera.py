@@ -65,7 +65,7 @@ class Camera:
         object.__setattr__(self, "transform_matrix", matrix)
 
     @property
-    def position(self) -> Float[np.ndarray, "3"]:
+    def position(self) -> Float[np.ndarray, " 3"]:
         """Where the camera stands [m]."""
         return self.transform_matrix[:3, 3]
 
@@ -76,7 +76,7 @@ class Camera:
 
     def project(
         self, points: Float[np.ndarray, "... 3"]
-    ) -> tuple[Float[np.ndarray, "... 2"], Float[np.ndarray, "..."]]:
+    ) -> tuple[Float[np.ndarray, "... 2"], Float[np.ndarray, " ..."]]:
         """Pixel coordinates and depth [m] of world points [m].
 
         Depth is the distance along the viewing direction; it is ≤ 0 behind the camera, where the pixel
@@ -95,7 +95,7 @@ class Camera:
 
     def rays(
         self, pixels: Float[np.ndarray, "... 2"] | None = None
-    ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "... 3"]]:
+    ) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "... 3"]]:
         """Origin [m] and unit directions of the rays through pixels (default: all pixel centres, [h, w, 3])."""
         if pixels is None:
             columns, rows = np.meshgrid(np.arange(self.w) + 0.5, np.arange(self.h) + 0.5)
@@ -114,7 +114,13 @@ class Camera:
         """The same camera with another number of pixels over the same field of view."""
         sx, sy = width / self.w, height / self.h
         return replace(
-            self, w=width, h=height, fl_x=self.fl_x * sx, fl_y=self.fl_y * sy, cx=self.cx * sx, cy=self.cy * sy
+            self,
+            w=width,
+            h=height,
+            fl_x=self.fl_x * sx,
+            fl_y=self.fl_y * sy,
+            cx=self.cx * sx,
+            cy=self.cy * sy,
         )
 
     def to_json(self) -> dict[str, Any]:

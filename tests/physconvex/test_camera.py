@@ -23,7 +23,7 @@ def test_look_at_centres_the_target_and_keeps_up_upward():
     assert pixels[1, 1] < 24 and pixels[1, 0] == pytest.approx(32)
     assert pixels[2, 0] > 32
     # A point half the field of view above the centre falls on the upper image edge.
-    edge = np.array([0.2, 0, 1.0]) + [0, 0, depth[0] * np.tan(np.deg2rad(20))]
+    edge = np.array([0.2, 0, 1.0 + depth[0] * np.tan(np.deg2rad(20))])
     assert camera.project(edge)[0][1] == pytest.approx(0, abs=1e-9)
 
 
