@@ -7,11 +7,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from inference.batch import BatchSummary, predict_batch
+    from inference.batch import predict_batch
     from inference.prediction import Prediction
     from inference.predictor import predict
     from inference.sources import find_sources
     from inference.streaming import ClipResult, iter_predictions
+    from inference.summary import BatchSummary
 
 __all__ = [
     "BatchSummary",
@@ -24,7 +25,7 @@ __all__ = [
 ]
 
 _MODULES = {
-    "BatchSummary": "inference.batch",
+    "BatchSummary": "inference.summary",
     "ClipResult": "inference.streaming",
     "Prediction": "inference.prediction",
     "find_sources": "inference.sources",

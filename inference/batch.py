@@ -6,8 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import asdict
 
 from inference.decoding import failure_from
 from inference.gallery import write_gallery
@@ -19,29 +18,10 @@ from inference.results import ResultsFolder
 from inference.run_record import checkpoint_digest, finish_run, start_run
 from inference.sources import ClipSource, Found, displayed_path, find_sources, fingerprint
 from inference.streaming import BatchOptions, ClipResult, Paths, as_list, stream
+from inference.summary import BatchSummary
 from inference.table import ResultRow
 
-__all__ = ["BatchSummary", "predict_batch"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class BatchSummary:
-    """What came of a batch."""
-
-    out: Path
-    rows: tuple[ResultRow, ...]
-    """The clips of this run, in the order they were found."""
-    predicted: int
-    """Clips predicted in this run."""
-    resumed: int
-    """Clips that an earlier run had finished."""
-    failed: int
-    """Clips without prediction."""
-
-    @property
-    def exit_code(self) -> int:
-        """0 if every clip has a prediction, else 1."""
-        return 1 if self.failed else 0
+__all__ = ["predict_batch"]
 
 
 def predict_batch(

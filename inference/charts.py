@@ -31,7 +31,7 @@ def stiffness_axis(rows: Sequence[ResultRow]) -> Axis:
     bounds = [math.log10(v) for row in rows for v in (row.youngs_modulus_low, row.youngs_modulus_high) if v]
     low, high = math.floor(min([4.0, *bounds])), math.ceil(max([7.0, *bounds]))
     step = max(1, math.ceil((high - low) / 8))
-    return Axis(low, high, tuple((float(k), format_tick(k)) for k in range(low, high + 1, step)))
+    return Axis(float(low), float(high), tuple((float(k), format_tick(k)) for k in range(low, high + 1, step)))
 
 
 def format_tick(exponent: int) -> str:
@@ -74,7 +74,7 @@ def _bar(axis: Axis, centre: float, std: float, interval: tuple[float, float], t
     def x(value: float) -> float:
         return round(_SIDE + axis.share(value) * (_WIDTH - 2 * _SIDE), 1)
 
-    base = _CURVE + 4
+    base = _CURVE + 4.0
     length = max(2.0, x(interval[1]) - x(interval[0]))
     ticks = "".join(
         f'<line class="tick" x1="{x(v)}" x2="{x(v)}" y1="{base + 7}" y2="{base + 11}"/>'

@@ -6,13 +6,12 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    from inference.batch import BatchSummary
-    from inference.table import ResultRow
+from inference.summary import BatchSummary
+from inference.table import ResultRow
 
 __all__ = ["predict"]
 

@@ -7,13 +7,10 @@ import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from inference.preparing import ReadyClip
 from inference.sources import ClipSource, displayed_path
 from physconvex.errors import InputError
-
-if TYPE_CHECKING:
-    from inference.preparing import ReadyClip
 
 __all__ = ["BackgroundReader", "Failure", "Reader", "failure_from"]
 
@@ -29,7 +26,7 @@ class Failure:
     """Trace of an error that nobody expected; empty for bad input."""
 
 
-Reader = Callable[[ClipSource], "ReadyClip | Failure"]
+Reader = Callable[[ClipSource], ReadyClip | Failure]
 """Reads one clip; may raise. A reader with a method `close` is closed at the end."""
 
 

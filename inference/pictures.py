@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-if TYPE_CHECKING:
-    from inference.loading import LoadedClip
-    from models.clip import PreparedClip
+from inference.loading import LoadedClip
+from models.clip import PreparedClip
 
 __all__ = ["ClipPictures", "frame_strip", "shown_source_frames"]
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from os import PathLike
+from typing import Protocol, runtime_checkable
 
-if TYPE_CHECKING:
-    from models.skinning import SkinningField
+import numpy as np
+from jaxtyping import Float, Float32
 
-__all__ = ["PREDICTION_SCHEMA", "PREDICTION_UNITS", "Estimated", "Prediction"]
+__all__ = ["PREDICTION_SCHEMA", "PREDICTION_UNITS", "Estimated", "Prediction", "Weights"]
 
 PREDICTION_SCHEMA = "physconvex/prediction/1"
 
@@ -26,6 +27,20 @@ PREDICTION_UNITS: dict[str, str] = {
 }
 
 
+@runtime_checkable
+class Weights(Protocol):
+    """Skinning weights of one object (`models.skinning.SkinningField`, which can do more)."""
+
+    def __call__(self, points: Float[np.ndarray, "Q 3"]) -> Float32[np.ndarray, "Q M"]:
+        """Return the weights of M handles at points [m] of the object frame."""
+        ...
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write one safetensors file."""
+        ...
+
+
+@runtime_checkable
 class Estimated(Protocol):
     """What the estimator says of one clip (`models.estimator.Estimate`)."""
 
@@ -35,7 +50,7 @@ class Estimated(Protocol):
     poisson_ratio_std: float
     youngs_modulus_interval: tuple[float, float]
     poisson_ratio_interval: tuple[float, float]
-    skinning_field: SkinningField
+    skinning_field: Weights
     warnings: tuple[str, ...]
 
 
@@ -61,7 +76,7 @@ class Prediction:
     """Calibrated 90 % interval of E [Pa]."""
     poisson_ratio_interval: tuple[float, float]
     """Calibrated 90 % interval of ν [1]."""
-    skinning_field: SkinningField
+    skinning_field: Weights
     """Skinning weights W(X): points → weights of the handles."""
     fps: float
     """Frames per second the motion was read with [1/s]."""

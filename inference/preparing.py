@@ -4,30 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from inference.loading import ClipSettings, Conditions, LoadedClip, load_clip, resolve_conditions, retimed
 from inference.pictures import frame_strip
 from inference.prediction import Estimated, Prediction
 from inference.sources import ClipSource, displayed_path
-
-if TYPE_CHECKING:
-    from torch.nn import Module
-
-    from models.clip import ClipConfig, PreparedClip
+from models.clip import ClipConfig, PreparedClip
 
 __all__ = ["Predictor", "Prepare", "ReadyClip", "ready_clip", "ready_source", "to_prediction"]
 
-Prepare = Callable[..., "PreparedClip"]
+Prepare = Callable[..., PreparedClip]
 """Called as `prepare(frames, fps=, timestamps=, mask=, alpha=)`."""
 
 
+@runtime_checkable
 class Predictor(Protocol):
     """What inference needs of a predictor (`models.estimator.PhysicsPredictor`)."""
 
     @property
-    def network(self) -> Module:
-        """The weights."""
+    def network(self) -> Any:
+        """The torch module with the weights."""
         ...
 
     @property

@@ -9,9 +9,6 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-import pyarrow
-import pyarrow.parquet
-
 from inference.prediction import PREDICTION_UNITS, Prediction
 
 __all__ = ["ResultRow", "row_of_error", "row_of_prediction", "write_csv", "write_parquet"]
@@ -88,12 +85,17 @@ def write_csv(file: io.TextIOBase | Any, rows: Iterable[ResultRow], *, header: b
 
 def write_parquet(path: Path, rows: Iterable[ResultRow]) -> None:
     """Write rows with typed columns; units are in the columns' metadata."""
+    from pyarrow import Table, array, parquet  # slow to load
+
     rows = list(rows)
-    columns = [pyarrow.array([getattr(row, field.name) for row in rows], type=field.type) for field in _schema()]
-    pyarrow.parquet.write_table(pyarrow.Table.from_arrays(columns, schema=_schema()), path)
+    columns = [array([getattr(row, field.name) for row in rows], type=field.type) for field in _schema()]
+    parquet.write_table(Table.from_arrays(columns, schema=_schema()), path)
 
 
-def _schema() -> pyarrow.Schema:
+def _schema() -> Any:
+    """Return the pyarrow schema."""
+    import pyarrow
+
     kinds = {"float | None": pyarrow.float64(), "int | None": pyarrow.int64(), "str": pyarrow.string()}
     return pyarrow.schema(
         [pyarrow.field(field.name, kinds[str(field.type)], metadata=_unit(field.name)) for field in fields(ResultRow)]

@@ -14,16 +14,15 @@ import sys
 import tempfile
 from functools import partial
 from multiprocessing.connection import Connection, Pipe
-from typing import TYPE_CHECKING
+
+import cv2
 
 from inference.decoding import Failure, failure_from
 from inference.loading import ClipSettings
 from inference.preparing import ReadyClip, ready_source
 from inference.sources import ClipSource
+from models.clip import ClipConfig, prepare_clip
 from physconvex.errors import PhysconvexError
-
-if TYPE_CHECKING:
-    from models.clip import ClipConfig
 
 __all__ = ["ReaderCrashError", "WorkerReader", "serve"]
 
@@ -96,10 +95,6 @@ class WorkerReader:
 
 def serve(descriptor: int) -> None:
     """Run a worker on an inherited pipe: read sources until the pipe closes."""
-    import cv2
-
-    from models.clip import prepare_clip
-
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business; it closes the pipe
     cv2.setNumThreads(1)
     with Connection(descriptor) as pipe:

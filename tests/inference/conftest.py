@@ -6,8 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physconvex.video import write_video
-
 MakeClip = Callable[..., Path]
 
 
@@ -32,9 +30,11 @@ def falling_ball(
 def make_clip() -> MakeClip:
     """Write a falling ball to a path; options as of `falling_ball`, and fps."""
 
+    from physconvex.video import write_video  # not above: `--typecheck` hooks the packages' first import
+
     def make(path: Path, *, fps: float = 24.0, **options: object) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_video(path, falling_ball(**options), fps=fps, preset="ultrafast")
+        write_video(path, falling_ball(**options), fps=float(fps), preset="ultrafast")
         return path
 
     return make

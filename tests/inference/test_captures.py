@@ -36,7 +36,7 @@ def test_what_the_capture_does_not_state_is_assumed_and_options_override(tmp_pat
     folder = write_capture(tmp_path / "c", ball, density=None)
     (folder / "mesh.ply").unlink()
     assert predict(folder, predictor=PredictorDouble()).assumed == ("density=1000 kg/m^3", "object_size=1 m")
-    given = predict(folder, density=500, object_size=0.3, fps=60, predictor=PredictorDouble())
+    given = predict(folder, density=500.0, object_size=0.3, fps=60.0, predictor=PredictorDouble())
     assert (given.fps, given.density, given.object_size, given.assumed) == (60, 500, 0.3, ())
 
 
@@ -55,7 +55,7 @@ def test_frames_that_are_to_be_predicted_are_not_looked_at(tmp_path: Path, ball:
 def test_the_mask_of_a_capture_is_used(tmp_path: Path, ball: np.ndarray) -> None:
     folder = write_capture(tmp_path / "c", ball)
     inside = np.abs(ball.astype(int) - np.array([40, 90, 200])).max(axis=-1) < 8
-    write_video(folder / "front_mask.mp4", np.repeat(inside[..., None], 3, axis=3).astype(np.uint8) * 255, fps=24)
+    write_video(folder / "front_mask.mp4", np.repeat(inside[..., None], 3, axis=3).astype(np.uint8) * 255, fps=24.0)
     assert predict(folder, predictor=PredictorDouble()).foreground == "mask"
 
 

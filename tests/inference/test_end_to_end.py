@@ -55,7 +55,7 @@ def test_batch_equals_single_predictions(tmp_path: Path, folder: Path, checkpoin
 
 def test_scale_of_time_and_size(folder: Path, checkpoint: Path) -> None:
     """Twice the size and 1/√2 of the rate is the same motion: exactly twice E, the same ν."""
-    small = predict(folder / "a.mp4", checkpoint=checkpoint, fps=24, object_size=0.1)
+    small = predict(folder / "a.mp4", checkpoint=checkpoint, fps=24.0, object_size=0.1)
     large = predict(folder / "a.mp4", checkpoint=checkpoint, fps=24 / 2**0.5, object_size=0.2)
     assert large.frames_used == small.frames_used
     assert large.youngs_modulus == pytest.approx(2 * small.youngs_modulus, rel=1e-4)
