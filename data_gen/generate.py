@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
@@ -140,14 +141,25 @@ def _encode(frames: np.ndarray, fps: float, crf: int) -> bytes:
         return path.read_bytes()
 
 
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Torch sums in one order inside, whatever the number of cores."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 def simulate_with_replacements(config: GeneratorConfig, seed: int, simulation: int) -> Attempts:
     """Draw and simulate a drop; failed attempts are replaced by new draws, at most `solver.max_attempts` in all."""
-    torch.set_num_threads(1)
     failures: list[str] = []
     for attempt in range(config.solver.max_attempts):
         try:
-            drop = draw_drop(config, seed, simulation, attempt)
-            simulated = simulate_drop(drop, config, stream(seed, LOOK, simulation, attempt, _SAMPLING))
+            with _one_thread():
+                drop = draw_drop(config, seed, simulation, attempt)
+                simulated = simulate_drop(drop, config, stream(seed, LOOK, simulation, attempt, _SAMPLING))
         except ConvergenceError as error:
             failures.append(f"attempt {attempt}: {error}")
         else:
