@@ -137,12 +137,12 @@ class SolverConfig(Frozen):
 
 
 class VideoConfig(Frozen):
-    """Frames, rate [1/s], image size [pixels], super-sampling factor per axis, x264 quality."""
+    """Frames, rate [1/s], image size [pixels] (even, as H.264 wants), super-sampling factor per axis, x264 quality."""
 
     frames: int = Field(default=24, ge=2)
     fps: float = Field(default=24.0, gt=0)
-    width: int = Field(default=128, ge=16)
-    height: int = Field(default=128, ge=16)
+    width: int = Field(default=128, ge=16, multiple_of=2)
+    height: int = Field(default=128, ge=16, multiple_of=2)
     supersampling: int = Field(default=2, ge=1, le=4)
     crf: int = Field(default=18, ge=0, le=51)
 

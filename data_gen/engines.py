@@ -75,7 +75,9 @@ def _ray(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int) -> 
     except ImportError as error:
         raise InputError('engine: "ray" is not installed; expected it (pip install "physconvex[ray]")') from error
     if not ray.is_initialized():
-        ray.init(num_cpus=workers, include_dashboard=False, log_to_driver=False)
+        # A running cluster knows how many processors it has, and refuses to be told.
+        local = {} if os.environ.get("RAY_ADDRESS") else {"num_cpus": workers, "include_dashboard": False}
+        ray.init(log_to_driver=False, **local)
     remote = ray.remote(num_cpus=1, runtime_env={"env_vars": _ENVIRONMENT})(function)
     waiting = [remote.remote(task) for task in tasks]
     while waiting:

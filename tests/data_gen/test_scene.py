@@ -123,6 +123,7 @@ def test_presets_are_valid(preset):
         ("material.poisson_ratio=0.5", "inside"),
         ("motion.size={low: 0, high: 1, scale: log}", "positive"),
         ("motion.mass=1", "mass"),
+        ("video.width=63", "multiple of 2"),
         ("views", "section.name=value"),
         ("material.law=[", "YAML"),
     ],
