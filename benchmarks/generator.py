@@ -68,10 +68,9 @@ def timed_simulation(config: GeneratorConfig, seed: int, number: int) -> dict[st
         with clock.stage("mesh"):
             mesh = make_mesh(drop, config.solver.target_nodes)
         with clock.stage("simulate"):
-            simulated = simulate_drop(drop, config, rng)
+            simulated = simulate_drop(drop, config, rng, mesh=mesh)
     except ConvergenceError:
         return None
-    clock.seconds["simulate"] -= clock.seconds["mesh"]  # simulate_drop meshes as well
     with clock.stage("render"):
         prepare_surface(drop, config, rng)
     for _ in range(config.camera.views):

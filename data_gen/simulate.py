@@ -86,14 +86,16 @@ def make_mesh(drop: Drop, target_nodes: int) -> TetMesh:
     return TetMesh(x, mesh.tets)
 
 
-def simulate_drop(drop: Drop, config: GeneratorConfig, rng: np.random.Generator) -> SimulatedDrop:
-    """Mesh, simulate and sample a drop.
+def simulate_drop(
+    drop: Drop, config: GeneratorConfig, rng: np.random.Generator, *, mesh: TetMesh | None = None
+) -> SimulatedDrop:
+    """Mesh (unless `mesh` is what `make_mesh` gave), simulate and sample a drop.
 
     Raises:
         ConvergenceError: meshing or the solve failed.
     """
     solver, video = config.solver, config.video
-    mesh = make_mesh(drop, solver.target_nodes)
+    mesh = make_mesh(drop, solver.target_nodes) if mesh is None else mesh
     body = ElasticBody(
         mesh,
         law=config.material.law,
