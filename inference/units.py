@@ -14,9 +14,15 @@ def format_pascals(value: float) -> str:
 
 
 def format_pascals_range(low: float, high: float) -> str:
-    """Return an interval [Pa], such as `0.81–1.9 MPa`, in the unit of its geometric mean."""
+    """Return an interval [Pa], such as `0.81–1.9 MPa`; a wide one has two units, such as `3.9 kPa–1.0 MPa`."""
+    if high > 100 * low:
+        return "–".join(f"{_digits(value / scale, 2)} {unit}" for value, (scale, unit) in _each(low, high))
     scale, unit = _scale(math.sqrt(low * high))
     return f"{_digits(low / scale, 2)}–{_digits(high / scale, 2)} {unit}"
+
+
+def _each(*values: float) -> list[tuple[float, tuple[float, str]]]:
+    return [(value, _scale(value)) for value in values]
 
 
 def _scale(value: float) -> tuple[float, str]:
