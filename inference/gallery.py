@@ -44,8 +44,9 @@ def _head(fine: int, failed: int, shown: int) -> str:
     text += f" (the first {shown} are shown)" if shown < fine else ""
     return (
         f'<header><h1>Predictions</h1><p>{text}. All numbers: <a href="predictions.csv">predictions.csv</a>, '
-        'how they were made: <a href="run.json">run.json</a>.</p><p class="legend">Bars and crosses are calibrated 90 % '
-        'intervals, dots medians, curves normal with the stated deviation; <span class="outline">▬</span> is the outline of the object as it was '
+        'how they were made: <a href="run.json">run.json</a>.</p><p class="legend">Bars and crosses are '
+        "calibrated 90 % intervals, dots medians, curves normal with the stated deviation; "
+        '<span class="outline">▬</span> is the outline of the object as it was '
         "found: where it is wrong, so is the prediction.</p></header>"
     )
 
