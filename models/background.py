@@ -22,6 +22,7 @@ from models.appearance import (
     colour_planes,
     colour_ratio,
     difference,
+    full_difference,
     noise_threshold,
     sort_pictures,
 )
@@ -31,6 +32,8 @@ from models.stabilise import stabilise
 __all__ = ["Silhouette", "background_silhouettes", "plain_background_silhouettes"]
 
 _PLAIN_CONTRAST = 14.0  # of 255
+_COLOUR_WEIGHT = 0.65  # of the log likelihood ratio, against differences in thresholds
+_HOLE = -0.8  # score below which even an enclosed pixel is background
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ def background_silhouettes(frames: UInt8[np.ndarray, "T H W 3"]) -> Silhouette |
     steady = stabilise(frames)
     planes = colour_planes(steady.frames)
     threshold = noise_threshold(planes)
-    change = np.stack([difference(planes[:, k], planes[:, 0], both=True) for k in range(len(frames))])
+    change = np.stack([full_difference(planes[:, k], planes[:, 0]) for k in range(len(frames))])
     change /= threshold
     moved = (change > 1.0).reshape(len(frames), -1).mean(axis=1)
     far = int(moved.argmax())
@@ -178,9 +181,8 @@ def _two_frame_background(clip: _Clip, change: Float32[np.ndarray, "H W"], far: 
     middle = along[order[int(score.argmax())]]
     columns, rows = np.arange(change.shape[1])[None], np.arange(change.shape[0])[:, None]
     ahead = np.where(across * columns + down * rows > middle, 0.5, -0.5)
-    background = np.where(ahead - cv2.blur(evidence, (5, 5)) > 0, first, last)
-    same = difference(first, last, both=True) < clip.threshold  # but for a shadow
-    return np.where(same, np.where(first[0] > last[0], first, last), background)
+    seen = full_difference(first, around.mean) - full_difference(last, around.mean)
+    return np.where(ahead - cv2.blur(np.clip(seen / scale, -1.0, 1.0), (5, 5)) > 0, first, last)
 
 
 def _direction(clip: _Clip, far: int) -> tuple[float, float]:
@@ -212,17 +214,20 @@ def _segment(clip: _Clip, codes: Int32[np.ndarray, "T H W"], model: _Model) -> U
         distance = difference(clip.planes[:, k], expected)
         score = np.clip(distance * scale - 1.0, lowest, 2.0)
         if model.ratio is not None:
-            score += 0.4 * model.ratio[code]
-        masks[k] = _half_covered(clean_mask((cv2.blur(score, (3, 3)) > 0).astype(np.uint8)), distance)
+            score += _COLOUR_WEIGHT * model.ratio[code]
+        smooth = cv2.blur(score, (3, 3))
+        mask = clean_mask((smooth > 0).astype(np.uint8))
+        hole = cv2.morphologyEx((smooth < _HOLE).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+        mask = np.where(hole > 0, np.uint8(0), mask)
+        masks[k] = _half_covered(mask, distance)
     return link_masks(masks, clip.activity)
 
 
 def _half_covered(mask: UInt8[np.ndarray, "H W"], distance: Float32[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W"]:
     """Take from the mask's rim the pixels that stand out less than half as much as those further in."""
-    square = np.ones((3, 3), np.uint8)
-    inside = cv2.erode(mask, square)
-    strength = cv2.dilate(np.where(mask > 0, distance, np.float32(0)), square)
-    faint = (inside == 0) & (distance < 0.5 * strength)
+    inside = cv2.erode(mask, np.ones((3, 3), np.uint8))
+    strength = cv2.dilate(np.where(mask > 0, distance, np.float32(0)), np.ones((5, 5), np.uint8))
+    faint = (inside == 0) & (distance < 0.45 * strength)
     return np.where(faint, np.uint8(0), mask)
 
 
