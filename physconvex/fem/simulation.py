@@ -73,8 +73,8 @@ class _Equations:
     def set_step(self, coefficients: StepCoefficients, time: float, guess: np.ndarray, last: State) -> None:
         """Fix everything that is constant during one time step.
 
-        Viscosity is frozen at the guess. Friction takes its normal forces from the last state: the guess flies on freely
-        and would lie far too deep in an obstacle at impact, where friction would then stop the body.
+        Viscosity is frozen at the guess. Friction takes its normal forces from the last state: the guess flies on
+        freely and would lie far too deep in an obstacle at impact, where friction would then stop the body.
         """
         self.coefficients, self.time = coefficients, time
         self.forces = self.scene.external_forces(time)

@@ -26,9 +26,7 @@ def test_box_has_the_right_volume_and_size(order):
     assert mesh.volume == pytest.approx(np.prod(SIZE))
     assert mesh.size == pytest.approx(0.4)
     assert (mesh.element_volumes > 0).all()
-    expected_nodes = np.prod(
-        np.array(CELLS) * order + 1
-    )  # P2 nodes of a Kuhn box are the grid at half the spacing
+    expected_nodes = np.prod(np.array(CELLS) * order + 1)  # P2 nodes of a Kuhn box are the grid at half the spacing
     assert len(mesh.vertices) == expected_nodes
 
 
@@ -147,7 +145,5 @@ def test_shape_gradients_are_derivatives(order):
     points, step = np.random.default_rng(0).dirichlet(np.ones(4), size=5), 1e-6
     got = shape_gradients(points, order)
     for axis, direction in enumerate(np.eye(4)):
-        change = shape_values(points + step * direction, order) - shape_values(
-            points - step * direction, order
-        )
+        change = shape_values(points + step * direction, order) - shape_values(points - step * direction, order)
         np.testing.assert_allclose(got[:, :, axis], change / (2 * step), atol=1e-9)

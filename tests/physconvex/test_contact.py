@@ -165,18 +165,12 @@ def test_frozen_dissipation_bounds_the_true_one_from_above():
     limit = TILTED.friction * contact._hinge(np.array([0.05]))[1][0]
     speeds = np.linspace(0.0, 0.5, 26)
     y = np.minimum(speeds / SLIP_VELOCITY, 1.0)
-    true = limit * np.where(
-        speeds < SLIP_VELOCITY, SLIP_VELOCITY * (y**2 - y**3 / 3), speeds - SLIP_VELOCITY / 3
-    )
+    true = limit * np.where(speeds < SLIP_VELOCITY, SLIP_VELOCITY * (y**2 - y**3 / 3), speeds - SLIP_VELOCITY / 3)
     for at in (0.03, 0.09, 0.25):
         frozen = contact.freeze_friction(x, still + at * along, 0.0)
-        energy = np.array(
-            [contact.friction_energy_and_gradient(frozen, still + s * along)[0] for s in speeds]
-        )
+        energy = np.array([contact.friction_energy_and_gradient(frozen, still + s * along)[0] for s in speeds])
         excess = energy - true
-        touch = contact.friction_energy_and_gradient(frozen, still + at * along)[0] - np.interp(
-            at, speeds, true
-        )
+        touch = contact.friction_energy_and_gradient(frozen, still + at * along)[0] - np.interp(at, speeds, true)
         assert (excess >= touch - limit * 1e-3).all()  # 1e-3 m/s × limit: linear interpolation of `true`
 
 

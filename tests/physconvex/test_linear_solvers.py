@@ -21,9 +21,7 @@ BACKENDS = [
 def random_matrix(size: int, seed: int) -> sp.csr_matrix:
     """Upper triangle of a sparse, diagonally dominant (hence positive definite) symmetric matrix."""
     rng = np.random.default_rng(seed)
-    off = sp.triu(
-        sp.random(size, size, density=min(1.0, 4 / size), random_state=rng, data_rvs=rng.standard_normal), 1
-    )
+    off = sp.triu(sp.random(size, size, density=min(1.0, 4 / size), random_state=rng, data_rvs=rng.standard_normal), 1)
     row_sums = np.asarray(abs(off + off.T).sum(axis=1)).ravel()
     return (off + sp.diags(row_sums + rng.uniform(0.1, 1.0, size))).tocsr()
 

@@ -49,8 +49,7 @@ def unit_directions() -> torch.Tensor:
 def differences(function, f: torch.Tensor) -> torch.Tensor:
     """Central differences of a function of F, the nine directions in the last axis but the values' own."""
     columns = [
-        (function(f + STEP * d, MU, LAM) - function(f - STEP * d, MU, LAM)) / (2 * STEP)
-        for d in unit_directions()
+        (function(f + STEP * d, MU, LAM) - function(f - STEP * d, MU, LAM)) / (2 * STEP) for d in unit_directions()
     ]
     return torch.stack(columns, dim=-1)
 
@@ -66,18 +65,14 @@ def test_stress_is_the_derivative_of_the_energy(name):
     law, f = get_law(name), states_of(name)
     got, expected = law.stress(f, MU, LAM).reshape(-1, 9), differences(law.energy, f)
     # the log law's third derivatives grow like 1/s³ = 8000 near its barrier: truncation 1e-10 × 8000
-    torch.testing.assert_close(
-        got, expected, rtol=1e-6 if name == "neo_hookean_log" else TOLERANCE, atol=TOLERANCE
-    )
+    torch.testing.assert_close(got, expected, rtol=1e-6 if name == "neo_hookean_log" else TOLERANCE, atol=TOLERANCE)
 
 
 @pytest.mark.parametrize("name", sorted(LAWS))
 def test_hessian_is_the_derivative_of_the_stress(name):
     law, f = get_law(name), states_of(name)
     got, expected = law.hessian(f, MU, LAM), differences(law.stress, f).reshape(-1, 9, 9)
-    torch.testing.assert_close(
-        got, expected, rtol=1e-6 if name == "neo_hookean_log" else TOLERANCE, atol=TOLERANCE
-    )
+    torch.testing.assert_close(got, expected, rtol=1e-6 if name == "neo_hookean_log" else TOLERANCE, atol=TOLERANCE)
 
 
 @pytest.mark.parametrize("name", sorted(LAWS))
