@@ -1,6 +1,6 @@
 """Cost and accuracy of friction that is frozen to a linear drag in each step, against many passes and small steps.
 
-    python benchmarks/friction_passes.py
+python benchmarks/friction_passes.py
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def main() -> None:
     thing = random_object(np.random.default_rng(0))
     surface = (thing.vertices, thing.faces)
     mesh = tetrahedralize_implicit(thing.signed_distance, thing.bounds, surface=surface, max_nodes=500, order=2)
-    mesh = TetMesh(mesh.vertices + [0, 0, 0.5 - mesh.vertices[:, 2].min()], mesh.tets)
+    mesh = TetMesh(mesh.vertices + np.array([0, 0, 0.5 - mesh.vertices[:, 2].min()]), mesh.tets)
     rows = []
     for youngs_modulus in (3e4, 1e6):
         body = ElasticBody(mesh, youngs_modulus=youngs_modulus, poisson_ratio=0.4)

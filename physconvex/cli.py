@@ -110,9 +110,7 @@ def _root(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = False,
-    traceback: Annotated[
-        bool, typer.Option("--traceback", help="Show the full traceback of an error.")
-    ] = False,
+    traceback: Annotated[bool, typer.Option("--traceback", help="Show the full traceback of an error.")] = False,
 ) -> None:
     """Material parameters and skinning weights of soft objects from video."""
 

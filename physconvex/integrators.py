@@ -11,7 +11,7 @@ velocity. Shared by the full-order and the reduced model: both supply an `Object
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -71,6 +71,7 @@ def bdf2(state: State, previous: State, step: float) -> StepCoefficients:
     return StepCoefficients(short, base + short * drift, base)
 
 
+@runtime_checkable
 class Objective(Protocol):
     """A function to minimise, with a linear solver for its (possibly stale) Hessian.
 

@@ -60,9 +60,7 @@ def _main(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str
 
 
 def test_import_is_light() -> None:
-    result = _python(
-        "import sys, physconvex; print([m for m in ('torch', 'numpy', 'typer') if m in sys.modules])"
-    )
+    result = _python("import sys, physconvex; print([m for m in ('torch', 'numpy', 'typer') if m in sys.modules])")
     assert result.stdout.strip() == "[]", result.stdout + result.stderr
 
 
@@ -120,16 +118,12 @@ def test_help_reads_docstrings_without_importing(capsys: pytest.CaptureFixture[s
         (["several", "second"], 0, "two\n", ""),
     ],
 )
-def test_exit_codes(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, out: str, err: str
-) -> None:
+def test_exit_codes(capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, out: str, err: str) -> None:
     assert _main(capsys, *arguments) == (code, out, err)
 
 
 @pytest.mark.usefixtures("commands")
-@pytest.mark.parametrize(
-    "arguments", [["greet"], ["greet", "anna", "--nonsense"], ["nonsense"], ["--nonsense"]]
-)
+@pytest.mark.parametrize("arguments", [["greet"], ["greet", "anna", "--nonsense"], ["nonsense"], ["--nonsense"]])
 def test_wrong_usage_is_exit_code_2(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> None:
     code, out, err = _main(capsys, *arguments)
     assert (code, out) == (2, "")

@@ -25,20 +25,14 @@ def test_links_lead_to_files(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=_name)
 def test_commands_exist(page: Path) -> None:
-    blocks = re.findall(
-        r"```(?:bash|sh|console)\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL
-    )
-    lines = [
-        line.removeprefix("$ ").split() for block in blocks for line in block.splitlines() if line.strip()
-    ]
+    blocks = re.findall(r"```(?:bash|sh|console)\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    lines = [line.removeprefix("$ ").split() for block in blocks for line in block.splitlines() if line.strip()]
     scripts = {words[0] for words in lines if words[0].startswith("./")}
     assert not [script for script in scripts if not (ROOT / script).exists()]
     named = {words[1] for words in lines if words[0] == "physconvex" and not words[1].startswith("-")}
     assert named <= set(cli._commands())
     targets = {words[1] for words in lines if words[0] == "make" and len(words) > 1}
-    assert targets <= set(
-        re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), flags=re.MULTILINE)
-    )
+    assert targets <= set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), flags=re.MULTILINE))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=_name)

@@ -128,9 +128,7 @@ def _locate(mesh: TetMesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     every = np.arange(len(corners))
     missed = np.flatnonzero(depth < TOLERANCE)
     for block in np.array_split(missed, 1 + len(missed) * len(corners) // BLOCK):
-        _improve(
-            elements, depth, block, np.broadcast_to(every, (len(block), len(every))), corners, inverse, points
-        )
+        _improve(elements, depth, block, np.broadcast_to(every, (len(block), len(every))), corners, inverse, points)
     outside = np.flatnonzero(depth < TOLERANCE)
     distance = np.zeros(len(points))
     for block in np.array_split(outside, 1 + len(outside) * 3 * CANDIDATES // BLOCK):
@@ -155,9 +153,7 @@ def _improve(
     elements[rows], depth[rows] = candidates[pick, best], smallest[pick, best]
 
 
-def _barycentric(
-    corners: np.ndarray, inverse: np.ndarray, elements: np.ndarray, points: np.ndarray
-) -> np.ndarray:
+def _barycentric(corners: np.ndarray, inverse: np.ndarray, elements: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Barycentric coordinates [..., 4] of `points` [..., 3] in `elements` [...]."""
     inner = np.einsum("...ij,...j->...i", inverse[elements], points - corners[elements, 0])
     return np.concatenate([1.0 - inner.sum(axis=-1, keepdims=True), inner], axis=-1)
@@ -193,9 +189,7 @@ def _boundary_faces_with_owner(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
 
 def _triangle_distances(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Distances of `points` [..., 3] from `triangles` [..., 3, 3]."""
-    normal = np.cross(
-        triangles[..., 1, :] - triangles[..., 0, :], triangles[..., 2, :] - triangles[..., 0, :]
-    )
+    normal = np.cross(triangles[..., 1, :] - triangles[..., 0, :], triangles[..., 2, :] - triangles[..., 0, :])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     height = np.einsum("...a,...a->...", normal, points - triangles[..., 0, :])
     inside = np.ones(height.shape, dtype=bool)

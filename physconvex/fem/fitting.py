@@ -53,9 +53,7 @@ def fit_to_surface(
             weights=np.concatenate([np.tile([1.0, 0.0, 0.0], (len(nodes), 1)), weight]),
             targets=np.concatenate([points[nearest], points]),
             normals=np.concatenate([normals[nearest], normals]),
-            factors=np.concatenate(
-                [np.full(len(nodes), 0.5 / len(nodes)), np.full(len(points), 0.5 / len(points))]
-            ),
+            factors=np.concatenate([np.full(len(nodes), 0.5 / len(nodes)), np.full(len(points), 0.5 / len(points))]),
         )
         result = minimize(
             _objective,
@@ -100,9 +98,7 @@ class _PlaneTerms:
         return float(DISTANCE_WEIGHT * (self.factors * distance**2).sum())
 
 
-def _objective(
-    flat: np.ndarray, tets: np.ndarray, terms: _PlaneTerms, scale: float
-) -> tuple[float, np.ndarray]:
+def _objective(flat: np.ndarray, tets: np.ndarray, terms: _PlaneTerms, scale: float) -> tuple[float, np.ndarray]:
     x = flat.reshape(-1, 3)
     gradient = np.zeros_like(x)
     value = _distortion(x, tets, gradient)

@@ -80,21 +80,15 @@ def tetrahedralize_implicit(
     """
     bounds = np.asarray(bounds, dtype=np.float64)
     if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or (bounds[1] <= bounds[0]).any():
-        raise InputError(
-            f"bounds: got {bounds.tolist()}; expected the lowest and highest corner [2, 3] in metres"
-        )
+        raise InputError(f"bounds: got {bounds.tolist()}; expected the lowest and highest corner [2, 3] in metres")
     if max_nodes < 30:
         raise InputError(f"max_nodes: got {max_nodes}; expected at least 30")
     size = float((bounds[1] - bounds[0]).max())
     field = _gridded(signed_distance, bounds, size / GRID_CELLS)
     target = _target(field, bounds, size, surface)
-    best, least = _best_mesh(
-        field, bounds, target, max_nodes, order, 0.6 * max_deviation * size, same_topology=True
-    )
+    best, least = _best_mesh(field, bounds, target, max_nodes, order, 0.6 * max_deviation * size, same_topology=True)
     if least > max_deviation * size:  # small holes may close, as long as the surface stays near
-        best, least = _best_mesh(
-            field, bounds, target, max_nodes, order, max_deviation * size, same_topology=False
-        )
+        best, least = _best_mesh(field, bounds, target, max_nodes, order, max_deviation * size, same_topology=False)
     least /= size
     if best is None or least > max_deviation:
         raise ConvergenceError(
@@ -117,9 +111,7 @@ def _best_mesh(
     """The first fitted mesh whose deviation [m] is good enough, else the best, and its deviation."""
     best, least = None, np.inf
     for inflation, offset in LATTICES:
-        mesh = _stuffed(
-            field, bounds, target, max_nodes, order, inflation, offset, same_topology=same_topology
-        )
+        mesh = _stuffed(field, bounds, target, max_nodes, order, inflation, offset, same_topology=same_topology)
         if mesh is None:
             continue
         mesh = with_volume(fit_to_surface(mesh, target.points, target.normals), target.volume)
@@ -158,9 +150,7 @@ def _target(
         raise InputError("surface: not closed and outward oriented; close it, or use fTetWild")
     _, index = np.unique(vertices, axis=0, return_inverse=True)
     points, normals = _sampled(vertices, faces)
-    return _Target(
-        points=points, normals=normals, volume=volume, euler=euler_characteristic(index.reshape(-1)[faces])
-    )
+    return _Target(points=points, normals=normals, volume=volume, euler=euler_characteristic(index.reshape(-1)[faces]))
 
 
 def _sampled(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -206,9 +196,7 @@ def _stuffed(
                 if count >= FULL * max_nodes:
                     break
         # To 93 % of the budget if the body is resolved with fewer nodes, else just somewhere else.
-        cell *= float(np.clip((count / (0.93 * max_nodes)) ** (1 / 2.4), 0.8, 1.3)) * (
-            0.97 if mesh is None else 1.0
-        )
+        cell *= float(np.clip((count / (0.93 * max_nodes)) ** (1 / 2.4), 0.8, 1.3)) * (0.97 if mesh is None else 1.0)
     return best
 
 

@@ -49,9 +49,7 @@ def with_volume(mesh: TetMesh, volume: float, *, iterations: int = 5) -> TetMesh
         area = np.linalg.norm(normals, axis=1)
         direction = normals / np.maximum(area, np.finfo(float).tiny)[:, None]
         step = (volume - current) / max(area.sum(), np.finfo(float).tiny)
-        while (
-            np.any(mean_ratios(x + step * direction, linear.tets) < floor) and abs(step) > 1e-9 * linear.size
-        ):
+        while np.any(mean_ratios(x + step * direction, linear.tets) < floor) and abs(step) > 1e-9 * linear.size:
             step *= 0.5
         x = x + step * direction
     moved = TetMesh(x, linear.tets)

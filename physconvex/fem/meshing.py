@@ -87,9 +87,7 @@ def tetrahedralize(
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     length = 0.1 * diagonal if target_edge_length is None else float(target_edge_length)
     if not 0 < length < np.inf:
-        raise InputError(
-            f"target_edge_length: got {target_edge_length}; expected a positive length in metres"
-        )
+        raise InputError(f"target_edge_length: got {target_edge_length}; expected a positive length in metres")
     if not 0 < epsilon < 0.5:
         raise InputError(f"epsilon: got {epsilon}; expected a fraction of the diagonal in (0, 0.5)")
     if order not in (1, 2):
@@ -98,9 +96,7 @@ def tetrahedralize(
         raise InputError(f"method: got {method!r}; expected 'auto', 'ftetwild' or 'lattice'")
     if method != "ftetwild":
         try:
-            return _lattice_mesh(
-                vertices, faces, signed_distance, 700 if max_nodes is None else max_nodes, order
-            )
+            return _lattice_mesh(vertices, faces, signed_distance, 700 if max_nodes is None else max_nodes, order)
         except (InputError, ConvergenceError):
             if method == "lattice":
                 raise
@@ -128,9 +124,7 @@ def _lattice_mesh(
     used, index = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], index.reshape(-1, 3)
     if enclosed_volume(vertices, faces) is None:
-        raise InputError(
-            'surface: open or inside out; close it and orient it outwards, or use method="ftetwild"'
-        )
+        raise InputError('surface: open or inside out; close it and orient it outwards, or use method="ftetwild"')
     field = surface_distance(vertices, faces) if signed_distance is None else signed_distance
     bounds = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
     return tetrahedralize_implicit(field, bounds, surface=(vertices, faces), max_nodes=max_nodes, order=order)
@@ -172,9 +166,7 @@ def _checked_surface(surface: Surface | tuple[np.ndarray, np.ndarray]) -> tuple[
             "of integers; triangulate polygons before"
         )
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise InputError(
-            f"surface: face indices {faces.min()}..{faces.max()}; expected 0..{len(vertices) - 1}"
-        )
+        raise InputError(f"surface: face indices {faces.min()}..{faces.max()}; expected 0..{len(vertices) - 1}")
     used = vertices[faces].reshape(-1, 3)
     if np.ptp(used, axis=0).min() <= 1e-9 * np.ptp(used, axis=0).max():
         raise InputError(f"surface: extent {np.ptp(used, axis=0)} m is flat; expected a body with a volume")
@@ -199,9 +191,7 @@ def _mesh_once(
             num_threads=threads,
         )
     except RuntimeError as error:
-        raise ConvergenceError(
-            f"tetrahedralize: fTetWild failed: {error}; repair or simplify the surface"
-        ) from error
+        raise ConvergenceError(f"tetrahedralize: fTetWild failed: {error}; repair or simplify the surface") from error
     if len(tets) == 0:
         raise InputError(
             "surface: it encloses no volume that a mesh of this resolution could fill; "

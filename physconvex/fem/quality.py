@@ -29,9 +29,7 @@ class MeshQuality:
     min_volume_ratio: float
 
 
-def dihedral_angles(
-    vertices: Float[np.ndarray, "V 3"], tets: Int[np.ndarray, "E n"]
-) -> Float[np.ndarray, "E 6"]:
+def dihedral_angles(vertices: Float[np.ndarray, "V 3"], tets: Int[np.ndarray, "E n"]) -> Float[np.ndarray, "E 6"]:
     """The six angles between the faces of each tetrahedron [rad]."""
     x = vertices[tets[:, :4]]
     edge_a = x[:, FACE_CORNERS[:, 1]] - x[:, FACE_CORNERS[:, 0]]
@@ -48,12 +46,7 @@ def mean_ratios(vertices: Float[np.ndarray, "V 3"], tets: Int[np.ndarray, "E n"]
     volume = np.linalg.det(x[:, 1:] - x[:, :1]) / 6.0
     edges = x[:, EDGE_CORNERS[:, 0]] - x[:, EDGE_CORNERS[:, 1]]
     squares = np.einsum("eka,eka->e", edges, edges)
-    return (
-        12.0
-        * np.sign(volume)
-        * np.cbrt(3.0 * np.abs(volume)) ** 2
-        / np.maximum(squares, np.finfo(float).tiny)
-    )
+    return 12.0 * np.sign(volume) * np.cbrt(3.0 * np.abs(volume)) ** 2 / np.maximum(squares, np.finfo(float).tiny)
 
 
 def mesh_quality(mesh: TetMesh) -> MeshQuality:

@@ -142,9 +142,7 @@ def _trim(
     count = len(vertices)
     keys = edges[:, 0] * count + edges[:, 1]
     # Cuts on long edges come first in the numbering that decides diagonals, then those on short edges.
-    rank = np.concatenate(
-        [np.arange(count) + len(cuts) * 2, np.where(long, 0, len(cuts)) + np.arange(len(cuts))]
-    )
+    rank = np.concatenate([np.arange(count) + len(cuts) * 2, np.where(long, 0, len(cuts)) + np.arange(len(cuts))])
     state = np.sign(values[tets])
     order = np.argsort(state, axis=1, kind="stable")
     tets, state = np.take_along_axis(tets, order, axis=1), np.take_along_axis(state, order, axis=1)
@@ -173,9 +171,7 @@ def _trim(
     return compact(everything, result)
 
 
-def _pyramid(
-    apex: np.ndarray, base: list[np.ndarray], rank: Int[np.ndarray, " N"]
-) -> list[Int[np.ndarray, "E 4"]]:
+def _pyramid(apex: np.ndarray, base: list[np.ndarray], rank: Int[np.ndarray, " N"]) -> list[Int[np.ndarray, "E 4"]]:
     """Pyramids as two tetrahedra each; the diagonal of the base leaves from its corner of lowest rank."""
     q = np.stack(base, axis=1)
     first = rank[q].argmin(axis=1) if len(q) else np.zeros(0, dtype=np.int64)

@@ -46,9 +46,7 @@ def test_graded_mesh_where_the_nearest_centres_are_not_the_containing_element():
     """One huge element beside many tiny ones: only the exhaustive search finds it."""
     tiny = box_mesh((0.02, 0.02, 0.02), (4, 4, 4), order=1)
     huge = np.array([[0.03, 0.0, 0.0], [9.0, 0.0, 0.0], [0.03, 9.0, 0.0], [0.03, 0.0, 9.0]])
-    mesh = TetMesh(
-        np.vstack([tiny.vertices, huge]), np.vstack([tiny.tets, len(tiny.vertices) + np.arange(4)])
-    )
+    mesh = TetMesh(np.vstack([tiny.vertices, huge]), np.vstack([tiny.tets, len(tiny.vertices) + np.arange(4)]))
     embedding = Embedding.of_points(mesh, np.array([[0.0301, 0.001, 0.001]]))
     assert embedding.elements[0] == len(tiny.tets)
     assert embedding.max_distance == 0.0

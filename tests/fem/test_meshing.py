@@ -146,7 +146,5 @@ def test_quality_of_the_regular_and_of_the_corner_tetrahedron():
     np.testing.assert_allclose(np.degrees(dihedral_angles(regular, tet)), np.degrees(np.arccos(1 / 3)))
     corner = np.vstack([np.zeros(3), np.eye(3)])
     expected = np.degrees(np.arccos(1 / np.sqrt(3)))
-    np.testing.assert_allclose(
-        np.sort(np.degrees(dihedral_angles(corner, tet)))[0], [expected] * 3 + [90] * 3
-    )
+    np.testing.assert_allclose(np.sort(np.degrees(dihedral_angles(corner, tet)))[0], [expected] * 3 + [90] * 3)
     assert mean_ratios(corner[[1, 0, 2, 3]], tet)[0] < 0
