@@ -12,7 +12,6 @@ from torchvision.transforms.v2 import functional as transforms
 
 from models.silhouette import MOMENT_NAMES
 from train.config import AugmentConfig
-from train.states import flipped_states, referred_states
 
 __all__ = ["Sample", "augment", "flipped", "reindexed"]
 
@@ -22,7 +21,7 @@ _GREY = 127.0
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One clip as arrays, with the rest points and the states, which turn with it."""
+    """One clip as arrays, with the rest points whose x axis turns with it."""
 
     frames: UInt8[np.ndarray, "T S S 3"] | None
     mask: UInt8[np.ndarray, "T S S"] | None
@@ -30,7 +29,6 @@ class Sample:
     valid: Bool[np.ndarray, " T"]
     interval: float
     points: Float32[np.ndarray, "Q 3"]
-    states: Float32[np.ndarray, "T S"]
 
 
 def augment(sample: Sample, config: AugmentConfig, generator: np.random.Generator) -> Sample:
@@ -57,8 +55,7 @@ def flipped(sample: Sample) -> Sample:
         moments[:, _COLUMN[name]] *= -1
     frames = None if sample.frames is None else np.ascontiguousarray(sample.frames[:, :, ::-1])
     mask = None if sample.mask is None else np.ascontiguousarray(sample.mask[:, :, ::-1])
-    states = flipped_states(sample.states)
-    return replace(sample, frames=frames, mask=mask, moments=moments, points=points, states=states)
+    return replace(sample, frames=frames, mask=mask, moments=moments, points=points)
 
 
 def _time_window(
@@ -86,7 +83,6 @@ def reindexed(sample: Sample, start: int, stop: int, stride: int) -> Sample:
         frames=None if sample.frames is None else sample.frames[index],
         mask=None if sample.mask is None else sample.mask[index],
         moments=_referred_to_first(sample.moments[index]),
-        states=referred_states(sample.states[index]),
         valid=np.arange(total) < len(chosen),
         interval=sample.interval * stride,
     )

@@ -24,7 +24,7 @@ from train.records import LabelledClip, dataset_checksum
 __all__ = ["PreparedClips", "prepare_clips"]
 
 _CHUNK = 8
-_ARRAYS = ("frames", "mask", "moments", "valid", "fps", "confidence", "start_time")
+_ARRAYS = ("frames", "mask", "moments", "valid", "fps", "confidence")
 Progress = Callable[[int, int], None]
 
 
@@ -42,8 +42,6 @@ class PreparedClips:
     valid: Bool[np.ndarray, "N T"]
     fps: Float32[np.ndarray, " N"]
     confidence: Float32[np.ndarray, " N"]
-    start_time: Float32[np.ndarray, " N"]
-    """[s]"""
 
     @classmethod
     def open(cls, folder: Path) -> PreparedClips:
@@ -66,7 +64,7 @@ class PreparedClips:
             confidence=float(self.confidence[index]),
             crop=(0, 0, 0),
             source_frames=int(self.valid[index].sum()),
-            start_time=float(self.start_time[index]),
+            start_time=0.0,
         )
 
 
@@ -132,7 +130,6 @@ def _open_arrays(folder: Path, count: int, settings: ClipSettings) -> dict[str, 
         "valid": ((count, frames), np.bool_),
         "fps": ((count,), np.float32),
         "confidence": ((count,), np.float32),
-        "start_time": ((count,), np.float32),
         "done": ((count,), np.bool_),
     }
     arrays: dict[str, np.memmap] = {}
@@ -148,7 +145,7 @@ def _open_arrays(folder: Path, count: int, settings: ClipSettings) -> dict[str, 
 
 def _key(clips: Sequence[LabelledClip], settings: ClipSettings, true_mask_share: float) -> str:
     content = {
-        "format": 2,
+        "format": 1,
         "data": [dataset_checksum(folder) for folder in dict.fromkeys(clip.dataset for clip in clips)],
         "clips": [clip.name for clip in clips],
         "settings": settings.model_dump(),
@@ -181,5 +178,4 @@ def _prepare(clip: LabelledClip, settings: ClipSettings, true_mask_share: float)
         "valid": shown.valid,
         "fps": shown.fps,
         "confidence": shown.confidence,
-        "start_time": shown.start_time,
     }
