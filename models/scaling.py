@@ -29,7 +29,7 @@ def log10_dimensionless_stiffness(
 ) -> Number:
     """log10(E / (ρ g L)) of Young's modulus E [Pa], density ρ [kg/m³], largest rest edge L [m].
 
-    >>> round(log10_dimensionless_stiffness(9810.0, density=1000.0, object_size=1.0), 12)
+    >>> float(round(log10_dimensionless_stiffness(9810.0, density=1000.0, object_size=1.0), 12))
     0.0
     """
     _require_positive(youngs_modulus=youngs_modulus, density=density, object_size=object_size)
