@@ -120,6 +120,7 @@ def test_budget_ends_the_run_with_a_checkpoint(
 
 
 @pytest.mark.slow
+@pytest.mark.xfail(run=False, reason="known fault: two CPU processes can wait for each other for ever")
 def test_two_processes(tiny_data: Path, tiny_cache: Path, tiny_config: TrainConfig, tmp_path: Path) -> None:
     recipe = tmp_path / "recipe.yaml"
     recipe.write_text(tiny_config.model_dump_json())
