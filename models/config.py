@@ -78,10 +78,15 @@ class EncoderConfig(_Frozen):
 
 
 class KinematicsConfig(_Frozen):
-    """One-dimensional residual network over the silhouette moments."""
+    """What is seen in each frame -> its state (`models.motion`) -> what the motion says of the material."""
 
     channels: int = Field(default=128, ge=8)
-    blocks: int = Field(default=6, ge=1)
+    blocks: int = Field(default=4, ge=1)
+    """From features to states."""
+    material_blocks: int = Field(default=4, ge=1)
+    """From states to the embedding."""
+    frame_widths: tuple[int, ...] = (32, 48, 64)
+    """Channels of the convolutions over single frames, multiples of 8."""
     dropout: float = Field(default=0.1, ge=0, lt=1)
     drop_path: float = Field(default=0.1, ge=0, lt=1)
 
@@ -121,8 +126,11 @@ class NetworkConfig(_Frozen):
     latent_size: int = Field(default=192, ge=8)
     dropout: float = Field(default=0.1, ge=0, lt=1)
     video_dropout: float = Field(default=0.2, ge=0, lt=1)
-    """How often training hides the whole video embedding, so that neither branch leans on the other."""
-    kinematics_dropout: float = Field(default=0.1, ge=0, lt=1)
+    """How often training hides the whole video embedding, so that the silhouettes must speak too."""
+    feature_dropout: float = Field(default=0.3, ge=0, lt=1)
+    """How often training has the material read from the states alone."""
+    given_states: float = Field(default=0.3, ge=0, lt=1)
+    """How often training reads it from the true states, with noise."""
 
     @model_validator(mode="after")
     def check(self) -> NetworkConfig:

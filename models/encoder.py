@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int64, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 from transformers import VideoMAEConfig, VideoMAEModel
@@ -47,8 +47,8 @@ class VideoEncoder(nn.Module):
         mask: UInt8[Tensor, "B T S S"],
         *,
         generator: torch.Generator | None = None,
-    ) -> tuple[Float[Tensor, "B N D"], Float[Tensor, "B N"]]:
-        """Tokens kept, and each one's coverage by the object (0..1).
+    ) -> tuple[Float[Tensor, "B N D"], Float[Tensor, "B N"], Int64[Tensor, "B N"]]:
+        """Tokens kept, each one's coverage by the object (0..1), and its number in the clip.
 
         In training, `train_keep` of the tokens, those that show the object first and at random (by
         `generator`, CPU); otherwise the `eval_keep` best covered.
@@ -62,10 +62,10 @@ class VideoEncoder(nn.Module):
         else:
             score, share = coverage + 1e-3 * self.tie_break, self.config.eval_keep
         keep = max(1, round(share * self.config.tokens))
-        hidden = torch.ones_like(coverage, dtype=torch.bool)
-        hidden.scatter_(1, score.topk(keep, dim=1).indices, False)
+        place = score.topk(keep, dim=1).indices.sort(dim=1).values
+        hidden = torch.ones_like(coverage, dtype=torch.bool).scatter_(1, place, False)
         tokens = self.model(pixels, bool_masked_pos=hidden).last_hidden_state
-        return tokens, coverage[~hidden].view(len(coverage), keep)
+        return tokens, coverage.gather(1, place), place
 
 
 def token_coverage(mask: UInt8[Tensor, "B T S S"], config: EncoderConfig) -> Float[Tensor, "B N"]:

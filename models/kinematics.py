@@ -1,61 +1,75 @@
-"""The kinematics branch: what the silhouette's path, size and stretch say, frame by frame."""
+"""What the silhouette's path, size and stretch say, frame by frame."""
 
 from __future__ import annotations
 
 import torch
 from jaxtyping import Bool, Float
-from timm.layers import AttentionPoolLatent, DropPath
+from timm.layers import DropPath
 from torch import Tensor, nn
 
-from models.config import KinematicsConfig
 from models.silhouette import MOMENT_NAMES
 
-__all__ = ["KinematicsBranch", "kinematic_features"]
+__all__ = ["SilhouetteFeatures", "TemporalBlock", "differences", "kinematic_features"]
 
 _FLAG = MOMENT_NAMES.index("touches_border")
 _FEATURES = 3 * _FLAG + 4
 
 
+def differences(
+    values: Float[Tensor, "B T F"], interval: Float[Tensor, " B"], valid: Bool[Tensor, "B T"]
+) -> tuple[Float[Tensor, "B T F"], Float[Tensor, "B T F"]]:
+    """First (backward) and second (central) derivatives in dimensionless time; 0 where a frame is missing.
+
+    Args:
+        values: one row per frame.
+        interval: Δt √(g/L).
+        valid: frames that are no repetition of the last one.
+    """
+    step = interval[:, None, None]
+    first, second = torch.zeros_like(values), torch.zeros_like(values)
+    first[:, 1:] = values.diff(dim=1) / step
+    second[:, 1:-1] = first[:, 2:].sub(first[:, 1:-1]) / step
+    whole = valid.to(values.dtype)[..., None]
+    previous, following = torch.zeros_like(whole), torch.zeros_like(whole)
+    previous[:, 1:], following[:, :-1] = whole[:, :-1], whole[:, 1:]
+    return first * whole * previous, second * whole * previous * following
+
+
 def kinematic_features(
     moments: Float[Tensor, "B T M"], interval: Float[Tensor, " B"], valid: Bool[Tensor, "B T"]
 ) -> Float[Tensor, "B T F"]:
-    """Moments, their first and second derivatives, dimensionless time, and the two flags.
+    """Moments, their derivatives, dimensionless time, log2 of the area's change, `touches_border`, valid.
 
-    Args:
-        moments: `models.silhouette.MOMENT_NAMES`, lengths in the silhouette's first size.
-        interval: Δt √(g/L).
-        valid: frames that are no repetition of the last one.
-
-    Central second difference, backward first difference, both in the time unit √(L/g) and zero where a frame
-    they need is missing. The last flags: `touches_border`, valid; before them log2 of the area's change.
+    `moments` are `models.silhouette.MOMENT_NAMES`, lengths in the silhouette's first size.
     """
     shape = moments[..., :_FLAG]
-    step = interval[:, None, None]
-    first = torch.zeros_like(shape)
-    first[:, 1:] = shape.diff(dim=1) / step
-    second = torch.zeros_like(shape)
-    second[:, 1:-1] = first[:, 2:].sub(first[:, 1:-1]) / step
-    whole = valid.float()
-    previous, following = _shifted(whole, 1), _shifted(whole, -1)
-    first, second = first * (whole * previous)[..., None], second * (whole * previous * following)[..., None]
+    first, second = differences(shape, interval, valid)
     area = shape[..., MOMENT_NAMES.index("sqrt_area")].clamp(min=1e-3)
-    growth = (area / area[:, :1]).log2()
     time = torch.arange(moments.shape[1], device=moments.device) * interval[:, None]
-    others = torch.stack([time, growth, moments[..., _FLAG], whole], dim=-1)
+    others = torch.stack([time, (area / area[:, :1]).log2(), moments[..., _FLAG], valid.float()], dim=-1)
     return torch.cat([shape, first, second, others], dim=-1)
 
 
-def _shifted(flags: Float[Tensor, "B T"], by: int) -> Float[Tensor, "B T"]:
-    moved = torch.zeros_like(flags)
-    if by > 0:
-        moved[:, by:] = flags[:, :-by]
-    else:
-        moved[:, :by] = flags[:, -by:]
-    return moved
+class SilhouetteFeatures(nn.Module):
+    """Moments -> one vector per frame; large features are compressed (asinh) and shown at two scales."""
+
+    feature_scale: Tensor
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.register_buffer("feature_scale", _default_scale(), persistent=False)
+        self.project = nn.Linear(2 * _FEATURES, channels)
+
+    def forward(
+        self, moments: Float[Tensor, "B T M"], interval: Float[Tensor, " B"], valid: Bool[Tensor, "B T"]
+    ) -> Float[Tensor, "B T C"]:
+        """The vectors."""
+        scaled = kinematic_features(moments, interval, valid) / self.feature_scale
+        return self.project(torch.cat([scaled.asinh(), (8 * scaled).asinh() / 2], dim=-1))
 
 
-class _Block(nn.Module):
-    """Two dilated convolutions with a residual connection, normalised per frame."""
+class TemporalBlock(nn.Module):
+    """Two dilated convolutions over time with a residual connection, normalised per frame."""
 
     def __init__(self, channels: int, dilation: int, dropout: float, drop_path: float) -> None:
         super().__init__()
@@ -68,38 +82,9 @@ class _Block(nn.Module):
                 parameter.zero_()
 
     def forward(self, frames: Float[Tensor, "B T C"]) -> Float[Tensor, "B T C"]:
+        """Frames see their neighbours."""
         inner = self.activation(self.first(self.norm(frames).transpose(1, 2)))
         return frames + self.drop_path(self.second(self.dropout(inner)).transpose(1, 2))
-
-
-class KinematicsBranch(nn.Module):
-    """Moments [B, T, M] -> embedding [B, 3 C]: mean, maximum and attention over the valid frames."""
-
-    feature_scale: Tensor
-
-    def __init__(self, config: KinematicsConfig) -> None:
-        super().__init__()
-        self.register_buffer("feature_scale", _default_scale())
-        self.project = nn.Linear(2 * _FEATURES, config.channels)
-        self.blocks = nn.ModuleList(
-            _Block(config.channels, 2 ** (k % 3), config.dropout, config.drop_path) for k in range(config.blocks)
-        )
-        self.norm = nn.LayerNorm(config.channels)
-        self.pool = AttentionPoolLatent(config.channels, num_heads=4, mlp_ratio=1.0)
-        self.out_features = 3 * config.channels
-
-    def forward(
-        self, moments: Float[Tensor, "B T M"], interval: Float[Tensor, " B"], valid: Bool[Tensor, "B T"]
-    ) -> Float[Tensor, "B D"]:
-        """The embedding; large features are compressed (asinh) and shown at two scales."""
-        scaled = kinematic_features(moments, interval, valid) / self.feature_scale
-        frames = self.project(torch.cat([scaled.asinh(), (8 * scaled).asinh() / 2], dim=-1))
-        for block in self.blocks:
-            frames = block(frames)
-        frames = self.norm(frames) * valid[..., None]
-        count = valid.sum(dim=1, keepdim=True).clamp(min=1)
-        highest = frames.masked_fill(~valid[..., None], -1e4).amax(dim=1)
-        return torch.cat([frames.sum(dim=1) / count, highest, self.pool(frames)], dim=-1)
 
 
 def _default_scale() -> Float[Tensor, " F"]:

@@ -1,4 +1,4 @@
-"""The whole network: video encoder and kinematics branch, one latent, three heads."""
+"""The whole network: what each frame shows, how the body moves, one latent, three heads."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from torch import Tensor, nn
 
 from models.config import NetworkConfig
 from models.encoder import VideoEncoder
+from models.frame_network import FrameNetwork
 from models.heads import DensityHead
-from models.kinematics import KinematicsBranch
+from models.kinematics import SilhouetteFeatures
+from models.motion import MotionBranch
 from models.skinning import SkinningHead
 
 __all__ = ["ClipBatch", "NetworkOutput", "PhysicsNetwork"]
@@ -40,17 +42,19 @@ class ClipBatch:
 
 @dataclass(frozen=True, eq=False)
 class NetworkOutput:
-    """Logits of the two densities (`models.heads`), and what the skinning head reads."""
+    """Logits of the two densities (`models.heads`), states, and what the skinning head reads."""
 
     stiffness_logits: Float[Tensor, "B K"]
     poisson_logits: Float[Tensor, "B J"]
+    states: Float[Tensor, "B T S"]
+    """`models.motion.STATE_NAMES`."""
     latent: Float[Tensor, "B D"]
     weights: Float[Tensor, "B Q M"] | None = None
     """Skinning weights at the points asked for."""
 
 
 class PhysicsNetwork(nn.Module):
-    """VideoMAE tokens and silhouette kinematics -> densities of log10(E/(ρ g L)) and ν; skinning weights."""
+    """Frames, silhouettes -> states of the motion -> densities of log10(E/(ρ g L)) and ν; skinning weights."""
 
     def __init__(self, config: NetworkConfig | None = None, *, encoder: VideoEncoder | None = None) -> None:
         """`encoder` brings pretrained weights (`models.encoder.load_pretrained_encoder`)."""
@@ -59,20 +63,21 @@ class PhysicsNetwork(nn.Module):
         if encoder is not None:
             config = config.model_copy(update={"encoder": encoder.config})
         self.config = config
-        hidden = config.encoder.hidden_size
+        hidden, channels, latent = config.encoder.hidden_size, config.kinematics.channels, config.latent_size
+        self.silhouettes = SilhouetteFeatures(channels)
+        self.frame_network = FrameNetwork(config.encoder.image_size, channels, widths=config.kinematics.frame_widths)
         self.encoder = encoder or VideoEncoder(config.encoder)
-        self.kinematics = KinematicsBranch(config.kinematics)
         self.token_norm = nn.LayerNorm(hidden)
         self.token_pool = AttentionPoolLatent(hidden, num_heads=config.encoder.heads, mlp_ratio=1.0)
-        self._video_size = 2 * hidden
-        joined = self._video_size + self.kinematics.out_features + _CONDITIONS
-        self.video_norm = nn.LayerNorm(self._video_size)
-        self.motion_norm = nn.LayerNorm(self.kinematics.out_features)
-        self.join = Mlp(joined, 2 * config.latent_size, config.latent_size, drop=config.dropout)
-        self.latent_norm = nn.LayerNorm(config.latent_size)
-        self.stiffness_head = DensityHead(config.latent_size, config.stiffness, dropout=config.dropout)
-        self.poisson_head = DensityHead(config.latent_size, config.poisson, dropout=config.dropout)
-        self.skinning_head = SkinningHead(config.latent_size, config.skinning)
+        self.token_features = nn.Linear(hidden, channels)
+        self.motion = MotionBranch(config.kinematics)
+        self.video_norm, self.motion_norm = nn.LayerNorm(2 * hidden), nn.LayerNorm(self.motion.out_features)
+        joined = 2 * hidden + self.motion.out_features + _CONDITIONS
+        self.join = Mlp(joined, 2 * latent, latent, drop=config.dropout)
+        self.latent_norm = nn.LayerNorm(latent)
+        self.stiffness_head = DensityHead(latent, config.stiffness, dropout=config.dropout)
+        self.poisson_head = DensityHead(latent, config.poisson, dropout=config.dropout)
+        self.skinning_head = SkinningHead(latent, config.skinning)
 
     def forward(
         self,
@@ -80,38 +85,58 @@ class PhysicsNetwork(nn.Module):
         points: Float[Tensor, "B Q 3"] | None = None,
         *,
         video: bool = True,
+        states: Float[Tensor, "B T S"] | None = None,
         generator: torch.Generator | None = None,
     ) -> NetworkOutput:
-        """Densities, latent, skinning weights at the points.
+        """Densities, states, latent, skinning weights at the points.
 
         Args:
             batch: the clips.
             points: where to read the skinning weights: object frame, in units of the object size.
-            video: False leaves the encoder out; the kinematics branch answers alone.
-            generator: CPU generator that draws which tokens and branches training hides.
+            video: False leaves the pictures out; the silhouettes answer alone.
+            states: true states (training), read in place of the predicted ones in some clips.
+            generator: CPU generator that draws what training hides and gives.
         """
-        motion = self.motion_norm(self.kinematics(batch.moments, batch.interval, batch.valid))
-        seen = self._video_embedding(batch, generator) if video else motion.new_zeros(len(motion), self._video_size)
-        if self.training:
-            hide = torch.rand(len(motion), generator=generator).to(motion.device)[:, None]
-            seen = seen * (hide >= self.config.video_dropout)
-            motion = motion * (hide <= 1 - self.config.kinematics_dropout) if video else motion
-        joined = torch.cat([seen, motion, _conditions(batch)], dim=-1)
+        draws = torch.rand(3, len(batch.interval), generator=generator).to(batch.interval.device)
+        features = self.silhouettes(batch.moments, batch.interval, batch.valid)
+        embedding = features.new_zeros(len(features), 2 * self.config.encoder.hidden_size)
+        if video:
+            pictures, embedding = self._pictures(batch, generator)
+            if self.training:
+                shown = draws[0] >= self.config.video_dropout
+                pictures, embedding = pictures * shown[:, None, None], embedding * shown[:, None]
+            features = features + pictures
+        motion = self.motion(
+            features,
+            batch.interval,
+            batch.valid,
+            given=states,
+            use_given=draws[1] < self.config.given_states if self.training else None,
+            hide_features=draws[2] < self.config.feature_dropout if self.training else None,
+        )
+        joined = torch.cat([embedding, self.motion_norm(motion.embedding), _conditions(batch)], dim=-1)
         latent = self.latent_norm(self.join(joined))
         return NetworkOutput(
             stiffness_logits=self.stiffness_head(latent),
             poisson_logits=self.poisson_head(latent),
+            states=motion.states,
             latent=latent,
             weights=None if points is None else self.skinning_head(latent, points),
         )
 
-    def _video_embedding(self, batch: ClipBatch, generator: torch.Generator | None) -> Float[Tensor, "B E"]:
-        """Mean of the tokens, weighted by how much of the object they show, and attention pooling."""
-        tokens, coverage = self.encoder(batch.frames, batch.mask, generator=generator)
-        tokens = self.token_norm(tokens)
-        weight = coverage + 1e-4
-        mean = (tokens * weight[..., None]).sum(dim=1) / weight.sum(dim=1, keepdim=True)
-        return self.video_norm(torch.cat([mean, self.token_pool(tokens)], dim=-1))
+    def _pictures(
+        self, batch: ClipBatch, generator: torch.Generator | None
+    ) -> tuple[Float[Tensor, "B T C"], Float[Tensor, "B E"]]:
+        """What the pictures say of each frame (convolutions, and tokens of its time), and of the whole clip."""
+        tokens, coverage, place = self.encoder(batch.frames, batch.mask, generator=generator)
+        tokens, weight = self.token_norm(tokens), (coverage + 1e-4)[..., None]
+        mean = (tokens * weight).sum(dim=1) / weight.sum(dim=1)
+        embedding = self.video_norm(torch.cat([mean, self.token_pool(tokens)], dim=-1))
+        time, rows, columns = self.config.encoder.grid
+        moment = nn.functional.one_hot(place // (rows * columns), time).to(tokens.dtype) * weight
+        by_time = moment.transpose(1, 2) @ tokens / (moment.sum(dim=1)[..., None] + 1e-4)
+        of_tokens = self.token_features(by_time).repeat_interleave(self.config.encoder.tubelet, dim=1)
+        return self.frame_network(batch.frames, batch.mask) + of_tokens, embedding
 
 
 def _conditions(batch: ClipBatch) -> Float[Tensor, "B C"]:

@@ -12,6 +12,7 @@ from torchvision.transforms.v2 import functional as transforms
 
 from models.silhouette import MOMENT_NAMES
 from train.config import AugmentConfig
+from train.states import flipped_states, referred_states
 
 __all__ = ["Sample", "augment", "flipped", "reindexed"]
 
@@ -21,7 +22,7 @@ _GREY = 127.0
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One clip as arrays, with the rest points whose x axis turns with it."""
+    """One clip as arrays, with the rest points and the states, which turn with it."""
 
     frames: UInt8[np.ndarray, "T S S 3"] | None
     mask: UInt8[np.ndarray, "T S S"] | None
@@ -29,6 +30,7 @@ class Sample:
     valid: Bool[np.ndarray, " T"]
     interval: float
     points: Float32[np.ndarray, "Q 3"]
+    states: Float32[np.ndarray, "T S"]
 
 
 def augment(sample: Sample, config: AugmentConfig, generator: np.random.Generator) -> Sample:
@@ -55,7 +57,8 @@ def flipped(sample: Sample) -> Sample:
         moments[:, _COLUMN[name]] *= -1
     frames = None if sample.frames is None else np.ascontiguousarray(sample.frames[:, :, ::-1])
     mask = None if sample.mask is None else np.ascontiguousarray(sample.mask[:, :, ::-1])
-    return replace(sample, frames=frames, mask=mask, moments=moments, points=points)
+    states = flipped_states(sample.states)
+    return replace(sample, frames=frames, mask=mask, moments=moments, points=points, states=states)
 
 
 def _time_window(
@@ -83,6 +86,7 @@ def reindexed(sample: Sample, start: int, stop: int, stride: int) -> Sample:
         frames=None if sample.frames is None else sample.frames[index],
         mask=None if sample.mask is None else sample.mask[index],
         moments=_referred_to_first(sample.moments[index]),
+        states=referred_states(sample.states[index]),
         valid=np.arange(total) < len(chosen),
         interval=sample.interval * stride,
     )

@@ -24,7 +24,7 @@ from train.records import LabelledClip, dataset_checksum
 __all__ = ["PreparedClips", "prepare_clips"]
 
 _CHUNK = 8
-_ARRAYS = ("frames", "mask", "moments", "valid", "fps", "confidence")
+_ARRAYS = ("frames", "mask", "moments", "valid", "fps", "confidence", "start_time")
 Progress = Callable[[int, int], None]
 
 
@@ -42,6 +42,8 @@ class PreparedClips:
     valid: Bool[np.ndarray, "N T"]
     fps: Float32[np.ndarray, " N"]
     confidence: Float32[np.ndarray, " N"]
+    start_time: Float32[np.ndarray, " N"]
+    """[s]"""
 
     @classmethod
     def open(cls, folder: Path) -> PreparedClips:
@@ -64,7 +66,7 @@ class PreparedClips:
             confidence=float(self.confidence[index]),
             crop=(0, 0, 0),
             source_frames=int(self.valid[index].sum()),
-            start_time=0.0,
+            start_time=float(self.start_time[index]),
         )
 
 
@@ -130,6 +132,7 @@ def _open_arrays(folder: Path, count: int, settings: ClipSettings) -> dict[str, 
         "valid": ((count, frames), np.bool_),
         "fps": ((count,), np.float32),
         "confidence": ((count,), np.float32),
+        "start_time": ((count,), np.float32),
         "done": ((count,), np.bool_),
     }
     arrays: dict[str, np.memmap] = {}
@@ -145,7 +148,7 @@ def _open_arrays(folder: Path, count: int, settings: ClipSettings) -> dict[str, 
 
 def _key(clips: Sequence[LabelledClip], settings: ClipSettings, true_mask_share: float) -> str:
     content = {
-        "format": 1,
+        "format": 2,
         "data": [dataset_checksum(folder) for folder in dict.fromkeys(clip.dataset for clip in clips)],
         "clips": [clip.name for clip in clips],
         "settings": settings.model_dump(),
@@ -178,4 +181,5 @@ def _prepare(clip: LabelledClip, settings: ClipSettings, true_mask_share: float)
         "valid": shown.valid,
         "fps": shown.fps,
         "confidence": shown.confidence,
+        "start_time": shown.start_time,
     }

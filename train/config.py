@@ -52,6 +52,8 @@ class LossConfig(_Frozen):
     """Of the CRPS in units of the constant predictor's."""
     poisson: float = Field(default=1.0, ge=0)
     """Of all terms of ν against those of the stiffness."""
+    states: float = Field(default=2.0, ge=0)
+    """Of the states of the motion, frame by frame."""
     span: float = Field(default=0.3, ge=0)
     captured: float = Field(default=0.3, ge=0)
     smoothing: float = Field(default=1.0, ge=0)

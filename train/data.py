@@ -18,6 +18,7 @@ from train.config import AugmentConfig
 from train.losses import Targets
 from train.plan import Plan
 from train.records import ClipSamples, LabelledClip
+from train.states import referred_states, states_of_motion
 
 __all__ = ["Item", "TrainingBatch", "TrainingClips", "batches", "collate"]
 
@@ -65,6 +66,7 @@ class TrainingClips(Dataset[_Example]):
     ) -> None:
         self._prepared, self._augmentation, self._modes, self._seed = prepared, augmentation, modes, seed
         self._samples = [clip.samples for clip in clips]
+        self._states = [_shown_states(clip, prepared, k) for k, clip in enumerate(clips)]
         size = np.array([clip.object_size for clip in clips])
         modulus = np.array([clip.youngs_modulus for clip in clips])
         density = np.array([clip.density for clip in clips])
@@ -87,6 +89,7 @@ class TrainingClips(Dataset[_Example]):
             valid=np.asarray(self._prepared.valid[k]),
             interval=float(self.interval[k]),
             points=samples.points,
+            states=self._states[k],
         )
         if config is not None:
             sample = augment(sample, config, generator)
@@ -107,9 +110,20 @@ class TrainingClips(Dataset[_Example]):
             points=samples.points[chosen],
             volume_weights=samples.volume_weights[chosen],
             displacements=samples.displacements[:, chosen],
+            height=samples.height,
             modes=samples.modes[chosen, : self._modes],
             importance=samples.importance[: self._modes],
         )
+
+
+def _shown_states(clip: LabelledClip, prepared: PreparedClips, index: int) -> Float32[np.ndarray, "T S"]:
+    """True states of the frames that a prepared clip shows."""
+    samples = clip.samples
+    states = states_of_motion(samples.points, samples.displacements, samples.volume_weights, height=samples.height)
+    times = prepared.start_time[index] + np.arange(prepared.valid.shape[1]) / prepared.fps[index]
+    last = int(prepared.valid[index].sum()) - 1
+    shown = np.clip(np.rint(times * clip.fps).astype(int), 0, len(states) - 1)
+    return referred_states(states[shown[np.minimum(np.arange(len(shown)), last)]])
 
 
 def collate(examples: Sequence[_Example]) -> TrainingBatch:
@@ -127,6 +141,7 @@ def collate(examples: Sequence[_Example]) -> TrainingBatch:
         targets=Targets(
             log10_stiffness=torch.tensor([e.log10_stiffness for e in examples], dtype=torch.float32),
             poisson_ratio=torch.tensor([e.poisson_ratio for e in examples], dtype=torch.float32),
+            states=torch.from_numpy(np.stack([s.states for s in samples])),
             points=torch.from_numpy(np.stack([s.points for s in samples])),
             modes=torch.from_numpy(np.stack([e.samples.modes for e in examples])),
             importance=torch.from_numpy(np.stack([e.samples.importance for e in examples])),

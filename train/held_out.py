@@ -37,6 +37,7 @@ def held_out(
     split: Split,
     cache: Path,
     limit: int | None = None,
+    workers: int = 1,
     report: Report | None = None,
 ) -> HeldOut:
     """The clips of a split, at most `limit`, spread over it evenly."""
@@ -44,7 +45,7 @@ def held_out(
     if limit is not None and limit < len(labels):
         labels = [labels[k] for k in np.linspace(0, len(labels) - 1, limit).round().astype(int)]
     progress = None if report is None else lambda done, total: report("preparing clips", done, total)
-    return HeldOut(labels, prepare_clips(labels, predictor.config.clip, cache, workers=1, progress=progress))
+    return HeldOut(labels, prepare_clips(labels, predictor.config.clip, cache, workers=workers, progress=progress))
 
 
 def estimates_of(

@@ -25,7 +25,7 @@ from train.cache import prepare_clips
 from train.config import TrainConfig
 from train.data import TrainingBatch, TrainingClips, batches
 from train.export import export_best
-from train.losses import compute_losses
+from train.losses import compute_losses, noisy_states
 from train.plan import Plan, Step
 from train.records import read_clips
 from train.run_log import RunLog, fingerprint, write_config
@@ -237,8 +237,11 @@ class _Run:
         self.schedules[int(step.video)].step_update(position)
         self.model.train()
         targets = batch.targets.to(device)
-        output = self.model(batch.clips.to(device), targets.points, video=step.video, generator=generator)
-        losses = compute_losses(output, targets, config.loss, config.network)
+        clips = batch.clips.to(device)
+        output = self.model(
+            clips, targets.points, video=step.video, states=noisy_states(targets, generator), generator=generator
+        )
+        losses = compute_losses(output, targets, clips.interval, clips.valid, config.loss, config.network)
         self.optimizer.zero_grad()
         self.accelerator.backward(losses.total)
         norm = self.accelerator.clip_grad_norm_(self.model.parameters(), config.gradient_clip)
@@ -265,6 +268,7 @@ class _Run:
                 epoch=step.epoch,
                 video=step.video,
                 score=score,
+                states=found.states,
                 span=found.span,
                 captured=found.captured,
                 stiffness=asdict(stiffness),

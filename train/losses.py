@@ -5,16 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from models.config import BinConfig, NetworkConfig
 from models.heads import BinnedDensity
+from models.kinematics import differences
+from models.motion import STATE_SCALE
 from models.network import NetworkOutput
 from models.skinning_energy import captured_energy_loss, span_loss
 from train.config import LossConfig
 
-__all__ = ["Losses", "Targets", "compute_losses", "smoothed_target"]
+__all__ = ["Losses", "Targets", "compute_losses", "noisy_states", "smoothed_target", "state_loss"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +25,8 @@ class Targets:
 
     log10_stiffness: Float[Tensor, " B"]
     poisson_ratio: Float[Tensor, " B"]
+    states: Float[Tensor, "B T S"]
+    """`models.motion.STATE_NAMES`."""
     points: Float[Tensor, "B Q 3"]
     """Object frame, in units of the object size."""
     modes: Float[Tensor, "B Q K"]
@@ -44,13 +48,21 @@ class Losses:
     stiffness_crps: Float[Tensor, ""]
     poisson_nll: Float[Tensor, ""]
     poisson_crps: Float[Tensor, ""]
+    states: Float[Tensor, ""]
     span: Float[Tensor, ""]
     captured: Float[Tensor, ""]
     total: Float[Tensor, ""]
 
 
-def compute_losses(output: NetworkOutput, targets: Targets, config: LossConfig, network: NetworkConfig) -> Losses:
-    """Cross-entropy with smoothed targets and CRPS for both densities; span and captured energy for W."""
+def compute_losses(
+    output: NetworkOutput,
+    targets: Targets,
+    interval: Float[Tensor, " B"],
+    valid: Bool[Tensor, "B T"],
+    config: LossConfig,
+    network: NetworkConfig,
+) -> Losses:
+    """Cross-entropy with smoothed targets and CRPS for both densities; states; span and captured energy for W."""
     stiffness = _scores(output.stiffness_logits, targets.log10_stiffness, network.stiffness, config.smoothing)
     poisson = _scores(output.poisson_logits, targets.poisson_ratio, network.poisson, config.smoothing)
     assert output.weights is not None
@@ -61,8 +73,23 @@ def compute_losses(output: NetworkOutput, targets: Targets, config: LossConfig, 
         config.nll * nll + config.crps * crps / _scale(bins)
         for (nll, crps), bins in ((stiffness, network.stiffness), (poisson, network.poisson))
     ]
-    total = densities[0] + config.poisson * densities[1] + config.span * span + config.captured * captured
-    return Losses(*stiffness, *poisson, span=span, captured=captured, total=total)
+    states = state_loss(output.states.float(), targets.states, interval, valid)
+    total = densities[0] + config.poisson * densities[1] + config.states * states
+    total = total + config.span * span + config.captured * captured
+    return Losses(*stiffness, *poisson, states=states, span=span, captured=captured, total=total)
+
+
+def state_loss(
+    predicted: Float[Tensor, "B T S"],
+    true: Float[Tensor, "B T S"],
+    interval: Float[Tensor, " B"],
+    valid: Bool[Tensor, "B T"],
+) -> Float[Tensor, ""]:
+    """Mean absolute error of the states and, by a third, of their rates, in typical magnitudes."""
+    error = (predicted - true) / STATE_SCALE.to(predicted.device)
+    rates, _ = differences(error, interval, valid)
+    weight = valid[..., None] / (valid.sum() * error.shape[-1])
+    return ((error.abs() + rates.abs() / 3) * weight).sum()
 
 
 def _scores(
@@ -89,3 +116,11 @@ def smoothed_target(values: Float[Tensor, " B"], bins: BinConfig, smoothing: flo
     below = torch.special.ndtr((edges - inside[:, None]) / (smoothing * width))
     mass = below.diff(dim=-1)
     return mass / mass.sum(dim=-1, keepdim=True)
+
+
+def noisy_states(targets: Targets, generator: torch.Generator) -> Float[Tensor, "B T S"]:
+    """True states as a good observer would see them: off by 0.3 to 10 % of typical magnitudes, clip by clip."""
+    shape = targets.states.shape
+    level = 10 ** (1.5 * torch.rand(shape[0], 1, 1, generator=generator) - 2.5)
+    noise = level * torch.randn(shape, generator=generator) * STATE_SCALE
+    return targets.states + noise.to(targets.states.device)

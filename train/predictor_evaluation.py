@@ -90,6 +90,7 @@ def evaluate_predictor(
     limit: int | None = None,
     device: str = "cpu",
     seed: int = 0,
+    workers: int = 1,
     report: Report | None = None,
 ) -> PredictorEvaluation:
     """Read the clips of a split in order, in random order, and as a single frame.
@@ -97,7 +98,7 @@ def evaluate_predictor(
     The constant predictor says the median of the training clips.
     """
     predictor = PhysicsPredictor.from_pretrained(checkpoint, device=device)
-    clips = held_out(data, predictor, split=split, cache=cache, limit=limit, report=report)
+    clips = held_out(data, predictor, split=split, cache=cache, limit=limit, workers=workers, report=report)
     training = read_clips(data, "train")
     constants = (
         float(np.median([np.log10(clip.youngs_modulus) for clip in training])),

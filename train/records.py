@@ -22,11 +22,13 @@ Split = Literal["train", "validation", "test"]
 
 @dataclass(frozen=True, eq=False)
 class ClipSamples:
-    """Points of one simulation, in the object frame of a view (`models.skinning`), lengths over the object size."""
+    """Points of one simulation, in the object frame of a view (`models.skinning`), lengths over its size."""
 
     points: Float32[np.ndarray, "Q 3"]
     volume_weights: Float32[np.ndarray, " Q"]
     displacements: Float32[np.ndarray, "T Q 3"]
+    height: float
+    """Of the origin over the floor."""
     modes: Float32[np.ndarray, "Q K"]
     importance: Float32[np.ndarray, " K"]
     """√(λ₁/λ_k): 1 for the lowest mode."""
@@ -81,6 +83,7 @@ class LabelledClip:
             points=((points - centre) @ axes.T / size).astype(np.float32),
             volume_weights=(stored.volume_weights / stored.volume_weights.sum()).astype(np.float32),
             displacements=(np.asarray(stored.displacements, np.float64) @ axes.T / size).astype(np.float32),
+            height=float(centre[2] / size),
             modes=np.asarray(stored.modes, np.float32),
             importance=np.sqrt(eigenvalues[0] / eigenvalues).astype(np.float32),
         )

@@ -58,11 +58,12 @@ def evaluate_skinning(
     limit: int | None = None,
     device: str = "cpu",
     seed: int = 0,
+    workers: int = 1,
     report: Report | None = None,
 ) -> SkinningEvaluation:
     """Fit the FEM motion of every clip's sample points with three bases of as many handles."""
     predictor = PhysicsPredictor.from_pretrained(checkpoint, device=device)
-    clips = held_out(data, predictor, split=split, cache=cache, limit=limit, report=report)
+    clips = held_out(data, predictor, split=split, cache=cache, limit=limit, workers=workers, report=report)
     handles, generator = predictor.config.network.skinning.handles, np.random.default_rng(seed)
     of_all, beyond = [], []
     progress = None if report is None else partial(report, "fitting motion")

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from models.calibration import Calibration, DensityCalibration, fit_density_calibration
 from models.config import BinConfig
+from models.motion import STATE_SCALE
 from models.network import PhysicsNetwork
 from models.skinning_energy import captured_energy_loss, span_loss
 from train.data import Item, TrainingClips, collate
@@ -27,6 +28,8 @@ class Validation:
     poisson_logits: Float[Tensor, "N J"]
     log10_stiffness: Float[Tensor, " N"]
     poisson_ratio: Float[Tensor, " N"]
+    states: float
+    """Error of the states, in typical magnitudes."""
     span: float
     captured: float
     stiffness_bins: BinConfig
@@ -79,13 +82,14 @@ def validate(network: PhysicsNetwork, clips: TrainingClips, *, video: bool = Tru
             (
                 output.stiffness_logits.float().cpu(),
                 output.poisson_logits.float().cpu(),
+                ((output.states.float() - targets.states) / STATE_SCALE.to(device)).abs().mean(dim=(1, 2)).cpu(),
                 batch.targets.log10_stiffness,
                 batch.targets.poisson_ratio,
                 span_loss(weights, targets.modes, targets.volume_weights, targets.importance).cpu(),
                 captured_energy_loss(weights, targets.displacements, targets.points, targets.volume_weights).cpu(),
             )
         )
-    stiffness, poisson, log10_stiffness, poisson_ratio, span, captured = (
+    stiffness, poisson, states, log10_stiffness, poisson_ratio, span, captured = (
         torch.cat(column) for column in zip(*columns, strict=True)
     )
     return Validation(
@@ -93,6 +97,7 @@ def validate(network: PhysicsNetwork, clips: TrainingClips, *, video: bool = Tru
         poisson_logits=poisson,
         log10_stiffness=log10_stiffness,
         poisson_ratio=poisson_ratio,
+        states=float(states.mean()),
         span=float(span.mean()),
         captured=float(captured.mean()),
         stiffness_bins=network.config.stiffness,

@@ -11,7 +11,7 @@ from physconvex.errors import InputError
 
 CONFIG = NetworkConfig(
     encoder=EncoderConfig(image_size=32, frames=12, hidden_size=24, layers=1),
-    kinematics=KinematicsConfig(channels=16, blocks=1),
+    kinematics=KinematicsConfig(channels=16, blocks=1, material_blocks=1, frame_widths=(8, 16)),
     latent_size=16,
 )
 

@@ -11,12 +11,17 @@ from transformers import VideoMAEConfig, VideoMAEModel
 from models.config import EncoderConfig, KinematicsConfig, NetworkConfig
 from models.encoder import VideoEncoder, load_pretrained_encoder, position_table, token_coverage
 from models.kinematics import kinematic_features
+from models.motion import STATE_NAMES
 from models.network import ClipBatch, PhysicsNetwork
 from models.silhouette import MOMENT_NAMES, silhouette_moments
 from physconvex.errors import InputError
 
 SMALL = EncoderConfig(image_size=32, frames=8, hidden_size=48, layers=2, heads=4)
-NETWORK = NetworkConfig(encoder=SMALL, kinematics=KinematicsConfig(channels=16, blocks=2), latent_size=16)
+NETWORK = NetworkConfig(
+    encoder=SMALL,
+    kinematics=KinematicsConfig(channels=16, blocks=2, material_blocks=2, frame_widths=(8, 16)),
+    latent_size=16,
+)
 
 
 def random_batch(count: int = 3, seed: int = 0, frames: int = 8, size: int = 32) -> ClipBatch:
@@ -70,7 +75,7 @@ def test_pretrained_weights_give_their_own_model_at_their_size(tmp_path: Path) -
     config = EncoderConfig(image_size=32, frames=8, mask_channel=False, eval_keep=1.0, hidden_size=96, heads=3)
     encoder = load_pretrained_encoder(tmp_path, config).eval()
     batch = random_batch()
-    tokens, _ = encoder(batch.frames, batch.mask)
+    tokens, _, _ = encoder(batch.frames, batch.mask)
     pixels = (batch.frames.movedim(-1, 2).float() / 255 - encoder.mean) / encoder.std
     torch.testing.assert_close(tokens, theirs(pixels).last_hidden_state, atol=1e-4, rtol=1e-4)
 
@@ -81,8 +86,8 @@ def test_pretrained_weights_at_another_size_and_with_a_mask(tmp_path: Path) -> N
     encoder = load_pretrained_encoder(tmp_path, EncoderConfig(image_size=112, frames=24, eval_keep=1.0)).eval()
     assert encoder.config.position_grid == (8, 14, 14) and encoder.config.grid == (12, 7, 7)
     batch = random_batch(1, frames=24, size=112)
-    tokens, _ = encoder(batch.frames, batch.mask)
-    without, _ = encoder(batch.frames, torch.full_like(batch.mask, 255))
+    tokens, _, _ = encoder(batch.frames, batch.mask)
+    without, _, _ = encoder(batch.frames, torch.full_like(batch.mask, 255))
     assert tokens.shape == (1, 588, 48)
     torch.testing.assert_close(tokens.sort(dim=1).values, without.sort(dim=1).values)
 
@@ -109,7 +114,9 @@ def test_tokens_that_show_the_object_are_kept() -> None:
     mask[:, :, :16, 16:] = 255  # one of four patches in each of four tubelets
     assert token_coverage(mask, SMALL).view(2, 4, 2, 2)[0, :, 0, 1].eq(1).all()
     for training, kept in ((True, round(0.35 * 16)), (False, 8)):
-        _, coverage = encoder.train(training)(batch.frames, mask, generator=torch.Generator().manual_seed(0))
+        generator = torch.Generator().manual_seed(0)
+        tokens, coverage, place = encoder.train(training)(batch.frames, mask, generator=generator)
+        assert place.diff(dim=1).gt(0).all() and tokens.shape[:2] == place.shape
         assert coverage.shape == (2, kept)
         assert coverage.sum(dim=1).eq(4).all()
 
@@ -139,7 +146,7 @@ def test_padded_frames_of_the_kinematics_are_not_read() -> None:
     batch = random_batch(1)
     valid = torch.arange(8)[None] < 5
     other = batch.moments.clone()
-    other[:, 6:] += 1  # frame 5 is still a neighbour of none that counts
+    other[:, 5:] += 1
     pairs = [dataclasses.replace(batch, valid=valid, moments=moments) for moments in (batch.moments, other)]
     latents = [network(pair, video=False).latent for pair in pairs]
     assert not torch.equal(latents[0], network(batch, video=False).latent)
@@ -147,14 +154,36 @@ def test_padded_frames_of_the_kinematics_are_not_read() -> None:
 
 
 def test_every_parameter_learns() -> None:
-    network = PhysicsNetwork(NETWORK.model_copy(update={"video_dropout": 0.0, "kinematics_dropout": 0.0}))
+    shown = {"video_dropout": 0.0, "feature_dropout": 0.0, "given_states": 0.0}
+    network = PhysicsNetwork(NETWORK.model_copy(update=shown))
     for parameter in network.parameters():  # leave the zeros some layers start from
         torch.nn.init.normal_(parameter, std=0.1)
     output = network(random_batch(4), torch.rand(4, 20, 3) - 0.5, generator=torch.Generator().manual_seed(0))
+    assert output.weights is not None
     total = output.stiffness_logits.square().sum() + output.poisson_logits.square().sum()
-    (total + output.weights.square().sum()).backward()
+    (total + output.weights.square().sum() + output.states.square().sum()).backward()
     dead = [name for name, p in network.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
     assert dead == []
+
+
+def test_answers_follow_from_the_states_given() -> None:
+    """With the features hidden and true states given, what is seen no longer matters; the states do."""
+    told = NETWORK.model_copy(update={"given_states": 0.999, "feature_dropout": 0.999, "video_dropout": 0.999})
+    network = PhysicsNetwork(told).train()
+    for module in network.modules():
+        if hasattr(module, "drop_prob") or isinstance(module, torch.nn.Dropout):
+            module.eval()
+    states = torch.randn(2, 8, len(STATE_NAMES), generator=torch.Generator().manual_seed(3))
+
+    def answer(seed: int, states: torch.Tensor) -> torch.Tensor:
+        draws = torch.Generator().manual_seed(0)
+        return network(random_batch(2, seed), states=states, generator=draws).stiffness_logits
+
+    assert torch.equal(answer(1, states), answer(2, states))
+    assert not torch.equal(answer(1, states), answer(1, states + 0.1))
+    network.eval()  # at inference nothing is given
+    assert torch.equal(answer(1, states), answer(1, states + 0.1))
+    assert not torch.equal(answer(1, states), answer(2, states))
 
 
 def test_training_draws_come_from_the_generator() -> None:
@@ -175,7 +204,7 @@ def test_moment_names_match_the_feature_scale() -> None:
     features = kinematic_features(
         torch.from_numpy(silhouette_moments(mask).moments)[None], torch.tensor([0.1]), torch.ones(1, 4, dtype=bool)
     )
-    assert features.shape[-1] == len(PhysicsNetwork(NETWORK).kinematics.feature_scale)
+    assert features.shape[-1] == len(PhysicsNetwork(NETWORK).silhouettes.feature_scale)
 
 
 def test_impossible_configurations_are_refused() -> None:

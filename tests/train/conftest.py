@@ -96,7 +96,9 @@ def tiny_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def tiny_config() -> TrainConfig:
     network = NetworkConfig(
         encoder=EncoderConfig(image_size=32, frames=16, hidden_size=24, layers=1, heads=3, tubelet=4),
-        kinematics=KinematicsConfig(channels=32, blocks=2, dropout=0.0, drop_path=0.0),
+        kinematics=KinematicsConfig(
+            channels=32, blocks=2, material_blocks=2, frame_widths=(8, 16), dropout=0.0, drop_path=0.0
+        ),
         stiffness=BinConfig(low=-0.5, high=3.5, bins=40),
         poisson=BinConfig(low=0.0, high=0.5, bins=10),
         skinning=SkinningConfig(handles=3, hidden_size=16, layers=1),
