@@ -2,7 +2,8 @@
 
 import random
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -57,19 +58,34 @@ def _torch_settings() -> dict[str, object]:
     }
 
 
-@pytest.fixture(autouse=True)
-def _torch_settings_stay() -> Iterator[None]:
-    """Fail a test that leaves torch's global settings other than it found them, and put them back."""
-    if "torch" not in sys.modules:
-        yield
-        return
+@contextmanager
+def torch_settings_kept() -> Iterator[None]:
+    """Fail if torch's global settings are left other than they were found, and put back those that changed.
+
+    A setting that did not change is not written: `use_deterministic_algorithms` alone loads half of torch.
+    """
     torch = sys.modules["torch"]
+    put_back: dict[str, Callable[..., object]] = {
+        "default dtype": torch.set_default_dtype,
+        "default device": torch.set_default_device,
+        "gradient mode": torch.set_grad_enabled,
+        "number of threads": torch.set_num_threads,
+        "deterministic algorithms": torch.use_deterministic_algorithms,
+    }
     before = _torch_settings()
     yield
     after = _torch_settings()
-    torch.set_default_dtype(before["default dtype"])
-    torch.set_grad_enabled(before["gradient mode"])
-    torch.set_num_threads(before["number of threads"])
-    torch.use_deterministic_algorithms(before["deterministic algorithms"])
     changed = {name: (before[name], after[name]) for name in before if before[name] != after[name]}
+    for name in changed:
+        put_back[name](before[name])
     assert not changed, f"the test changed torch's global settings (before, after): {changed}"
+
+
+@pytest.fixture(autouse=True)
+def _torch_settings_stay() -> Iterator[None]:
+    """Fail a test that changes torch's global settings."""
+    if "torch" not in sys.modules:
+        yield
+        return
+    with torch_settings_kept():
+        yield
