@@ -11,7 +11,7 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
 from physconvex.errors import InputError
-from physconvex.fem.elements import shape_values
+from physconvex.fem.elements import shape_gradients, shape_values
 from physconvex.fem.mesh import FACE_CORNERS, TetMesh
 
 __all__ = ["Embedding", "sample_interior"]
@@ -31,7 +31,7 @@ class Embedding:
         nodes: the nodes the weights belong to, shape [P, 4] or [P, 10].
         node_count: nodes of the mesh.
         max_distance: how far the outermost point lies outside the mesh [m] (0 if all are inside). Such points
-            move with the linear or quadratic continuation of the nearest element's motion.
+            move with the first-order continuation of the mesh's motion from its nearest point.
     """
 
     elements: Int[np.ndarray, " P"]
@@ -54,10 +54,10 @@ class Embedding:
         points = np.asarray(points, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise InputError(f"points: got shape {points.shape}; expected finite [P, 3] in metres")
-        elements, barycentric, distance = _locate(mesh, points)
+        elements, barycentric, anchors, distance = _locate(mesh, points)
         return cls(
             elements=elements,
-            weights=shape_values(barycentric, mesh.order),
+            weights=_continued_shape_values(barycentric, anchors, distance > 0, mesh.order),
             nodes=mesh.tets[elements],
             node_count=len(mesh.vertices),
             max_distance=float(distance.max(initial=0.0)),
@@ -117,8 +117,27 @@ def sample_interior(
     return points, np.full(count, mesh.volume / count)
 
 
-def _locate(mesh: TetMesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Element [P], barycentric coordinates [P, 4] and distance outside [P] of every point."""
+def _continued_shape_values(
+    barycentric: np.ndarray, anchors: np.ndarray, outside: np.ndarray, order: int
+) -> np.ndarray:
+    """Shape functions [P, n] at points inside, outside their first-order expansion about the anchors.
+
+    A quadratic element continued as it is would throw far points away: its shape functions grow with the square
+    of the distance. The expansion still reproduces every affine map, and joins the element's own map at its surface.
+    """
+    values = shape_values(anchors, order)
+    away = (barycentric - anchors)[outside]
+    values[outside] += np.einsum("pnk,pk->pn", shape_gradients(anchors[outside], order), away)
+    return values
+
+
+def _locate(mesh: TetMesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Where every point lies.
+
+    Returns:
+        Its element [P], its barycentric coordinates there [P, 4], those of the nearest point of the mesh [P, 4], and
+        the distance between the two [m], shape [P].
+    """
     corners = mesh.vertices[mesh.corner_tets]
     inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
     elements = np.zeros(len(points), dtype=np.int64)
@@ -130,11 +149,15 @@ def _locate(mesh: TetMesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     for block in np.array_split(missed, 1 + len(missed) * len(corners) // BLOCK):
         _improve(elements, depth, block, np.broadcast_to(every, (len(block), len(every))), corners, inverse, points)
     outside = np.flatnonzero(depth < TOLERANCE)
-    distance = np.zeros(len(points))
+    nearest, distance = points.copy(), np.zeros(len(points))
     for block in np.array_split(outside, 1 + len(outside) * 3 * CANDIDATES // BLOCK):
         if len(block):
-            elements[block], distance[block] = _nearest_element(mesh, corners, inverse, points[block])
-    return elements, _barycentric(corners, inverse, elements, points), distance
+            found = _nearest_element(mesh, corners, inverse, points[block])
+            elements[block], nearest[block], distance[block] = found
+    barycentric = _barycentric(corners, inverse, elements, points)
+    anchors = barycentric.copy()
+    anchors[outside] = _barycentric(corners, inverse, elements[outside], nearest[outside])
+    return elements, barycentric, anchors, distance
 
 
 def _improve(
@@ -161,8 +184,8 @@ def _barycentric(corners: np.ndarray, inverse: np.ndarray, elements: np.ndarray,
 
 def _nearest_element(
     mesh: TetMesh, corners: np.ndarray, inverse: np.ndarray, points: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Element and distance of points outside the mesh.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Element nearest to points outside the mesh, its nearest point and the distance.
 
     The nearest of the boundary faces whose centres are close; where several are equally near (the point sees an
     edge or a corner), the one whose element has to be continued least.
@@ -171,12 +194,13 @@ def _nearest_element(
     triangles = mesh.vertices[faces]
     count = min(2 * CANDIDATES, len(faces))
     near = cKDTree(triangles.mean(axis=1)).query(points, k=[*range(1, count + 1)])[1]
-    gaps = _triangle_distances(triangles[near], points[:, None])
-    least = gaps.min(axis=1)
+    feet = _nearest_on_triangles(triangles[near], points[:, None])
+    gaps = np.linalg.norm(points[:, None] - feet, axis=-1)
+    row, closest = np.arange(len(points)), gaps.argmin(axis=1)
     depth = _barycentric(corners, inverse, owner[near], points[:, None]).min(axis=2)
-    tied = gaps <= least[:, None] * 1.001 + 1e-12 * mesh.size
+    tied = np.linalg.norm(feet - feet[row, closest][:, None], axis=-1) <= 1e-9 * mesh.size
     best = np.where(tied, depth, -np.inf).argmax(axis=1)
-    return owner[near[np.arange(len(points)), best]], least
+    return owner[near[row, best]], feet[row, best], gaps[row, closest]
 
 
 def _boundary_faces_with_owner(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
@@ -187,17 +211,20 @@ def _boundary_faces_with_owner(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
     return single // 4, faces[single]
 
 
-def _triangle_distances(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Distances of `points` [..., 3] from `triangles` [..., 3, 3]."""
+def _nearest_on_triangles(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points of `triangles` [..., 3, 3] nearest to `points` [..., 3]."""
     normal = np.cross(triangles[..., 1, :] - triangles[..., 0, :], triangles[..., 2, :] - triangles[..., 0, :])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     height = np.einsum("...a,...a->...", normal, points - triangles[..., 0, :])
     inside = np.ones(height.shape, dtype=bool)
-    edges = np.full(height.shape, np.inf)
+    nearest, gap = np.zeros((*height.shape, 3)), np.full(height.shape, np.inf)
     for i in range(3):
         start, along = triangles[..., i, :], triangles[..., (i + 1) % 3, :] - triangles[..., i, :]
         offset = points - start
         inside &= np.einsum("...a,...a->...", np.cross(along, offset), normal) >= 0
         t = np.einsum("...a,...a->...", offset, along) / np.einsum("...a,...a->...", along, along)
-        edges = np.minimum(edges, np.linalg.norm(offset - np.clip(t, 0, 1)[..., None] * along, axis=-1))
-    return np.where(inside, np.abs(height), edges)
+        foot = start + np.clip(t, 0, 1)[..., None] * along
+        away = np.linalg.norm(points - foot, axis=-1)
+        nearest = np.where((away < gap)[..., None], foot, nearest)
+        gap = np.minimum(gap, away)
+    return np.where(inside[..., None], points - height[..., None] * normal, nearest)

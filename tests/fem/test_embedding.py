@@ -18,11 +18,43 @@ def quadratic_field(x):
 
 
 @pytest.mark.parametrize(("order", "field"), [(1, linear_field), (2, linear_field), (2, quadratic_field)])
-def test_fields_of_the_element_order_are_reproduced_inside_and_outside(order, field):
+def test_fields_of_the_element_order_are_reproduced_inside(order, field):
     mesh = box_mesh((1.0, 0.7, 0.4), (3, 2, 2), order=order)
-    points = np.random.default_rng(0).uniform(-0.05, [1.05, 0.75, 0.45], (500, 3))
+    points = np.random.default_rng(0).uniform(0, [1.0, 0.7, 0.4], (500, 3))
     embedding = Embedding.of_points(mesh, points)
     np.testing.assert_allclose(embedding.apply(field(mesh.vertices)), field(points), atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_affine_maps_are_reproduced_far_outside(order):
+    mesh = box_mesh((1.0, 0.7, 0.4), (3, 2, 2), order=order)
+    points = np.random.default_rng(0).uniform(-2.0, 3.0, (500, 3))
+    embedding = Embedding.of_points(mesh, points)
+    np.testing.assert_allclose(embedding.apply(linear_field(mesh.vertices)), linear_field(points), atol=1e-11)
+
+
+def test_outside_points_follow_the_first_order_expansion_at_the_nearest_point():
+    """Beyond the face x = 1 the nearest point is (1, y, z), and of a x² field the continuation is 1 + 2 (x − 1)."""
+    mesh = box_mesh((1.0, 0.7, 0.4), (3, 2, 2), order=2)
+    beyond = np.array([1e-7, 0.01, 0.3, 2.0])
+    points = np.stack([1 + beyond, np.full(4, 0.31), np.full(4, 0.17)], axis=-1)
+    carried = Embedding.of_points(mesh, points).apply(mesh.vertices**2)
+    np.testing.assert_allclose(carried[:, 0], 1 + 2 * beyond, atol=1e-11)
+    np.testing.assert_allclose(carried[:, 1:], np.broadcast_to([0.31**2, 0.17**2], (4, 2)), atol=1e-11)
+
+
+def test_the_continuation_joins_the_motion_of_the_surface():
+    mesh = box_mesh((1.0, 0.7, 0.4), (2, 2, 2), order=2)
+    rng = np.random.default_rng(6)
+    moved = mesh.vertices + 0.05 * rng.normal(size=mesh.vertices.shape)
+    surface = rng.uniform(0, [1.0, 0.7, 0.4], (200, 3))
+    side = rng.integers(0, 3, 200)
+    surface[np.arange(200), side] = np.array([1.0, 0.7, 0.4])[side]
+    outwards = np.eye(3)[side]
+    inner, outer = (Embedding.of_points(mesh, surface + gap * outwards) for gap in (-1e-8, 1e-8))
+    assert inner.max_distance == 0.0 < outer.max_distance
+    # gradients of the random motion are about 0.05 / 0.1 nodal distance: 1e-8 in position, 1e-8 × a few carried
+    np.testing.assert_allclose(outer.apply(moved), inner.apply(moved), atol=5e-7)
 
 
 def test_a_linear_mesh_does_not_reproduce_a_quadratic_field():
