@@ -23,12 +23,48 @@ class Pins:
     """Nodes whose positions are prescribed.
 
     Attributes:
-        nodes: node indices, shape [C].
+        nodes: indices of the nodes, each once, shape [C].
         motion: positions [m] as a function of time [s], shape [C, 3]; None holds them where they start.
+
+    Raises:
+        InputError: `nodes` is not a list of different node indices.
     """
 
     nodes: Int[np.ndarray, " C"]
     motion: Callable[[float], Float[np.ndarray, "C 3"]] | None = None
+
+    def __post_init__(self) -> None:
+        nodes = np.asarray(self.nodes)
+        if nodes.ndim != 1 or not np.issubdtype(nodes.dtype, np.integer) or not len(nodes):
+            raise InputError(
+                f"pins.nodes: got {nodes.dtype} of shape {nodes.shape}; expected at least one integer index, [C]. "
+                "Turn a mask into indices with numpy.flatnonzero; leave pins out for a free body"
+            )
+        values, counts = np.unique(nodes, return_counts=True)
+        if values[0] < 0:
+            raise InputError(f"pins.nodes: got {values[0]}; expected indices ≥ 0, counted from the first node")
+        if counts.max() > 1:
+            raise InputError(
+                f"pins.nodes: got node {values[counts.argmax()]} {counts.max()} times; expected each node once. "
+                "Remove what numpy.unique would"
+            )
+
+    def positions(self, time: float, start: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "C 3"]:
+        """Prescribed positions [m] at a time [s], for nodes that started at `start` [m].
+
+        Raises:
+            InputError: `motion` gave another shape than [C, 3], or values that are not finite.
+        """
+        if self.motion is None:
+            return start[self.nodes]
+        targets = np.asarray(self.motion(time), dtype=np.float64)
+        if targets.shape != (len(self.nodes), 3) or not np.isfinite(targets).all():
+            what = f"shape {targets.shape}" if np.isfinite(targets).all() else "values that are not finite"
+            raise InputError(
+                f"pins.motion: got {what} at t = {time:g} s; expected finite positions [m] of shape "
+                f"{(len(self.nodes), 3)}, one row per pinned node. Check the function at that time"
+            )
+        return targets
 
 
 @dataclass(frozen=True)
@@ -78,6 +114,17 @@ class Scene:
             value = getattr(self, name)
             if value is not None and not callable(value) and np.shape(value) != shape:
                 raise InputError(f"{name}: got shape {np.shape(value)}; expected {shape}")
+        if self.pins is not None:
+            self._check_pins(self.pins)
+
+    def _check_pins(self, pins: Pins) -> None:
+        count, largest = len(self.body.mesh.vertices), int(np.max(pins.nodes))
+        if largest >= count:
+            raise InputError(
+                f"pins.nodes: got node {largest}; expected indices below {count}, the number of nodes of the mesh. "
+                "Take them from the mesh of this body"
+            )
+        pins.positions(0.0, self.start)
 
     @property
     def start(self) -> Float[np.ndarray, "V 3"]:

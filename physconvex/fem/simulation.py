@@ -188,7 +188,7 @@ class _Stepper:
     def _place_pins(self, x: np.ndarray, time: float) -> None:
         pins = self.scene.pins
         if pins is not None:
-            x[pins.nodes] = self.scene.start[pins.nodes] if pins.motion is None else pins.motion(time)
+            x[pins.nodes] = pins.positions(time, self.scene.start)
 
     def statistics(self) -> SolveStatistics:
         return SolveStatistics(self.steps, self.iterations, self.equations.solver.factorisations, self.halved)
@@ -257,8 +257,8 @@ def solve_static(scene: Scene, *, tolerance: float = 1e-9, load_steps: int = 1) 
         raise InputError(f"load_steps: got {load_steps}; expected at least 1")
     equations = _Equations(scene)
     x = scene.start.copy()
-    if scene.pins is not None and scene.pins.motion is not None:
-        x[scene.pins.nodes] = scene.pins.motion(0.0)
+    if scene.pins is not None:
+        x[scene.pins.nodes] = scene.pins.positions(0.0, scene.start)
     total = equations.forces
     for part in range(1, load_steps + 1):
         equations.forces = total * (part / load_steps)

@@ -138,6 +138,44 @@ def test_bad_scenes_are_named(fields, message):
 
 
 @pytest.mark.parametrize(
+    ("nodes", "message"),
+    [
+        ([[0, 1]], r"pins\.nodes: got int64 of shape \(1, 2\); expected at least one integer index"),
+        ([0.0, 1.0], r"pins\.nodes: got float64"),
+        ([True, False], r"pins\.nodes: got bool.*numpy\.flatnonzero"),
+        ([], r"pins\.nodes: got float64 of shape \(0,\)"),
+        ([2, -1], r"pins\.nodes: got -1; expected indices ≥ 0"),
+        ([4, 2, 4], r"pins\.nodes: got node 4 2 times; expected each node once"),
+        ([0, 10_000], r"pins\.nodes: got node 10000; expected indices below \d+, the number of nodes"),
+    ],
+)
+def test_bad_pins_are_named(nodes, message):
+    with pytest.raises(InputError, match=message):
+        Scene(small_body(), pins=Pins(np.array(nodes)))
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        (np.zeros((3, 3)), r"pins\.motion: got shape \(3, 3\) at t = 0 s; expected .* \(2, 3\)"),
+        (np.zeros(3), r"pins\.motion: got shape \(3,\)"),
+        (np.full((2, 3), np.nan), r"pins\.motion: got values that are not finite at t = 0 s"),
+    ],
+)
+def test_bad_targets_of_pins_are_named(target, message):
+    with pytest.raises(InputError, match=message):
+        Scene(small_body(), pins=Pins(np.array([0, 1]), lambda t: target))
+
+
+def test_targets_of_pins_that_go_bad_on_the_way_are_named():
+    body = small_body()
+    rest = body.mesh.vertices[:2]
+    scene = Scene(body, pins=Pins(np.array([0, 1]), lambda t: rest if t < 0.02 else np.full((2, 3), np.inf)))
+    with pytest.raises(InputError, match=r"pins\.motion: got values that are not finite at t = 0\.02 s"):
+        simulate(scene, frames=2, fps=10, steps_per_frame=10)
+
+
+@pytest.mark.parametrize(
     ("constants", "message"),
     [
         ({"youngs_modulus": 0.0}, "youngs_modulus: got values in"),
