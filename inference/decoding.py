@@ -82,13 +82,13 @@ class BackgroundReader:
     def close(self) -> None:
         """Stop reading: clips under way are finished and dropped."""
         self._stop.set()
-        while any(thread.is_alive() for thread in self._threads):
-            try:
-                self._done.get(timeout=0.05)
-            except queue.Empty:
-                pass
-        for thread in self._threads:
-            thread.join()
+        while alive := [thread for thread in self._threads if thread.is_alive()]:
+            self._drop_ready()  # makes room for a thread that waits to hand over its clip
+            alive[0].join(timeout=0.05)
+
+    def _drop_ready(self) -> None:
+        while not self._done.empty():
+            self._done.get_nowait()
 
     def _next(self) -> ClipSource | None:
         with self._lock:

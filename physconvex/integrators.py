@@ -97,27 +97,40 @@ class Objective(Protocol):
 
 @dataclass(frozen=True)
 class Minimum:
-    """Result of `minimise`: the point, the number of steps taken, the size of the last step (max norm)."""
+    """Result of `minimise`.
+
+    Attributes:
+        x: the point.
+        iterations: steps taken.
+        last_step: size of the last step (max norm).
+        projections: how often the Hessian was not positive definite and was projected.
+    """
 
     x: np.ndarray
     iterations: int
     last_step: float
+    projections: int = 0
 
 
 def _renew(objective: Objective, x: np.ndarray, *, project: bool) -> bool:
     """Factorise at x, projected if asked or needed; tells whether it was projected."""
-    if not project:
-        try:
-            objective.factorise(x, project=False)
-            return False
-        except NotPositiveDefiniteError:
-            pass  # the exact Hessian is indefinite here: its projection is not
+    if not project and _factorised_as_it_is(objective, x):
+        return False
     try:
         objective.factorise(x, project=True)
     except NotPositiveDefiniteError as error:
         raise ConvergenceError(
             f"the projected Hessian is singular ({error}): a static body must be held by pins or contacts"
         ) from error
+    return True
+
+
+def _factorised_as_it_is(objective: Objective, x: np.ndarray) -> bool:
+    """Factorise the Hessian at x; False where it is not positive definite."""
+    try:
+        objective.factorise(x, project=False)
+    except NotPositiveDefiniteError:
+        return False
     return True
 
 
@@ -159,27 +172,31 @@ def minimise(
     at = _Trial(x, *objective.evaluate(x))
     if not np.isfinite(at.value):
         raise ConvergenceError(f"the start has no finite energy ({at.value})")
-    fresh, projected = False, False
+    fresh, projected, projections = False, False, 0
     if not (objective.factorised and reuse):
         projected, fresh = _renew(objective, at.x, project=False), True
+        projections += projected
     previous = np.inf
     for iteration in range(1, max_iterations + 1):
         direction = -objective.solve(at.gradient)
         size = float(np.abs(direction).max(initial=0.0))
         if not fresh and size > _STALE_RATE * previous and size > tolerance:
             projected, fresh = _renew(objective, at.x, project=False), True
+            projections += projected
             direction = -objective.solve(at.gradient)
             size = float(np.abs(direction).max(initial=0.0))
         slope = float((at.gradient * direction).sum())
         if size <= tolerance:
-            return Minimum(at.x + direction, iteration, size)
+            return Minimum(at.x + direction, iteration, size, projections)
         found = _line_search(objective, at, direction, slope, 12 if fresh else 2) if slope < 0 else None
         if found is not None:
             at, previous, fresh = found, size, not reuse
             if not reuse:
                 projected = _renew(objective, at.x, project=False)
+                projections += projected
         elif not fresh or not projected:
             projected, fresh = _renew(objective, at.x, project=fresh), True
+            projections += projected
             previous = np.inf
         else:
             raise ConvergenceError(f"no descent from a step of size {size:.3e} (iteration {iteration})")

@@ -13,7 +13,15 @@ from physconvex.contact import Friction
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem.assembly import Assembler
 from physconvex.fem.scene import Scene
-from physconvex.integrators import IntegratorName, State, StepCoefficients, bdf2, implicit_euler, minimise
+from physconvex.integrators import (
+    IntegratorName,
+    Minimum,
+    State,
+    StepCoefficients,
+    bdf2,
+    implicit_euler,
+    minimise,
+)
 from physconvex.linear_solvers import SymmetricSolver
 
 __all__ = ["SolveStatistics", "Trajectory", "simulate", "solve_static"]
@@ -23,12 +31,21 @@ _MAX_HALVINGS = 8
 
 @dataclass(frozen=True)
 class SolveStatistics:
-    """What a roll-out cost: time steps, Newton iterations, factorisations, and steps that had to be halved."""
+    """What a roll-out cost.
+
+    Attributes:
+        steps: time steps.
+        newton_iterations: of all steps.
+        factorisations: of Newton's matrix.
+        halved_steps: steps that did not converge and were cut in two.
+        projections: matrices that were not positive definite and were projected: the body is near buckling.
+    """
 
     steps: int = 0
     newton_iterations: int = 0
     factorisations: int = 0
     halved_steps: int = 0
+    projections: int = 0
 
 
 @dataclass(frozen=True)
@@ -148,7 +165,7 @@ class _Stepper:
         self.equations = _Equations(scene)
         self.previous: State | None = None
         self.previous_step = np.nan
-        self.steps = self.iterations = self.halved = 0
+        self.steps = self.iterations = self.halved = self.projections = 0
 
     def advance(self, state: State, step: float, depth: int = 0) -> State:
         try:
@@ -175,15 +192,19 @@ class _Stepper:
             guess = guess + 0.5 * step * (state.velocities - history.velocities)
         self._place_pins(guess, time)
         self.equations.set_step(coefficients, time, guess, state)
-        found = minimise(self.equations, guess, tolerance=self.tolerance)
-        self.iterations += found.iterations
+        found = self._minimise(guess)
         for _ in range(self.friction_passes - 1):
             if not self.equations.freeze_friction(found.x):
                 break
-            found = minimise(self.equations, found.x, tolerance=self.tolerance)
-            self.iterations += found.iterations
+            found = self._minimise(found.x)
         self.steps += 1
         return State(time, found.x, coefficients.velocity(found.x))
+
+    def _minimise(self, start: np.ndarray) -> Minimum:
+        found = minimise(self.equations, start, tolerance=self.tolerance)
+        self.iterations += found.iterations
+        self.projections += found.projections
+        return found
 
     def _place_pins(self, x: np.ndarray, time: float) -> None:
         pins = self.scene.pins
@@ -191,7 +212,13 @@ class _Stepper:
             x[pins.nodes] = pins.positions(time, self.scene.start)
 
     def statistics(self) -> SolveStatistics:
-        return SolveStatistics(self.steps, self.iterations, self.equations.solver.factorisations, self.halved)
+        return SolveStatistics(
+            steps=self.steps,
+            newton_iterations=self.iterations,
+            factorisations=self.equations.solver.factorisations,
+            halved_steps=self.halved,
+            projections=self.projections,
+        )
 
 
 def simulate(

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -13,6 +14,8 @@ import pyarrow.parquet
 import pytest
 
 from inference import iter_predictions, predict, predict_batch
+from inference.decoding import BackgroundReader, Failure
+from inference.sources import ClipSource
 from inference.table import ResultRow
 from physconvex.errors import InputError
 from tests.inference.conftest import MakeClip
@@ -224,3 +227,20 @@ def test_nothing_finished_is_lost_on_a_kill(tmp_path: Path, folder: Path) -> Non
     assert summary.resumed >= len(finished) and summary.resumed + summary.predicted == 5
     values = {row.path: row.youngs_modulus for row in summary.rows}
     assert all(values[row["path"]] == row["youngs_modulus"] for row in finished)
+
+
+def test_closing_a_reader_ends_its_threads_even_where_they_wait_to_hand_over() -> None:
+    read = []
+
+    def reader(source: ClipSource) -> Failure:
+        read.append(source)
+        return Failure(source, "not read")
+
+    before = set(threading.enumerate())
+    sources = [ClipSource(Path(f"{k}.mp4"), "video", str(k)) for k in range(50)]
+    background = BackgroundReader(sources, lambda: reader, workers=3, ahead=1)
+    next(background.batches(1))
+    assert set(threading.enumerate()) > before
+    background.close()
+    assert set(threading.enumerate()) <= before
+    assert len(read) < len(sources)

@@ -71,8 +71,13 @@ def test_banana_valley(reuse, start):
 
 def test_indefinite_hessian_is_projected():
     objective = rosenbrock()
-    minimise(objective, np.array([0.0, 3.0]), tolerance=1e-10)
+    found = minimise(objective, np.array([0.0, 3.0]), tolerance=1e-10)
     assert objective.calls[:2] == [False, True]
+    assert found.projections == objective.calls.count(True)
+
+
+def test_a_positive_definite_hessian_is_never_projected():
+    assert minimise(quadratic(np.eye(2), np.ones(2)), np.zeros(2), tolerance=1e-10).projections == 0
 
 
 def test_never_uphill():
