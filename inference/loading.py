@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
-from inference.sources import ClipSource
+from inference.sources import ClipSource, displayed_path
 from physconvex.capture import Capture, load_capture
 from physconvex.capture.fields import read_json_object
 from physconvex.capture.folder import CAPTURE_FILE
 from physconvex.errors import InputError
-from physconvex.video import read_image_sequence, read_video
+from physconvex.video import Video, read_image_sequence, read_video
 
 __all__ = [
     "DEFAULT_DENSITY",
@@ -86,6 +86,8 @@ class LoadedClip:
     density: float | None = None
     object_size: float | None = None
     warnings: tuple[str, ...] = ()
+    truncated: str = ""
+    """One line that names a file that is cut short and says what is missing (also a warning); else empty."""
 
     def with_mask(self, mask: object) -> LoadedClip:
         """Return the clip with this foreground, shape [T, H, W], in place of its own.
@@ -147,19 +149,32 @@ def _load_video(path: Path) -> LoadedClip:
     video = read_video(path, max_side=MAX_SIDE)
     mask_path = path.with_stem(path.stem + "_mask")
     mask = _read_mask_video(mask_path, video.frames.shape[:3]) if mask_path.is_file() else None
+    truncated, warnings = _named(displayed_path(path), video)
     return LoadedClip(
         frames=video.frames,
         fps=float(video.fps),
         timestamps=video.timestamps,
         mask=mask,
         alpha=video.alpha,
-        warnings=tuple(video.warnings),
+        warnings=warnings,
+        truncated=truncated,
     )
 
 
+def _named(name: str, video: Video) -> tuple[str, tuple[str, ...]]:
+    """What is missing of a video and its warnings, with the file named where it is cut short."""
+    if not video.truncated:
+        return "", tuple(video.warnings)
+    line = f"{name}: {video.truncated}"
+    return line, tuple(line if warning == video.truncated else warning for warning in video.warnings)
+
+
 def _read_mask_video(path: Path, shape: tuple[int, ...]) -> Bool[np.ndarray, "T H W"]:
-    mask = np.asarray(read_video(path, max_side=MAX_SIDE).frames[..., 0] > 127)
+    video = read_video(path, max_side=MAX_SIDE)
+    mask = np.asarray(video.frames[..., 0] > 127)
     if mask.shape != shape:
+        if video.truncated:
+            raise InputError(f"{path}: {video.truncated}")
         raise InputError(
             f"{path}: the mask has frames, height, width {mask.shape}, its video has {shape}; "
             "expected the same. Write the mask from the same frames, or remove it."
@@ -175,6 +190,7 @@ def _load_capture(folder: Path) -> LoadedClip:
         raise InputError(f"{folder}: the capture has no camera; prediction needs a video. Add one to {CAPTURE_FILE}.")
     name, count = capture.cameras[0].name, capture.observed_frames
     video, mask = capture.video(name), capture.mask(name)
+    truncated, warnings = _named(f"{displayed_path(folder)}: camera {name!r}", video)
     return LoadedClip(
         frames=video.frames[:count],
         fps=capture.fps,
@@ -182,7 +198,8 @@ def _load_capture(folder: Path) -> LoadedClip:
         mask=None if mask is None else mask[:count] > 127,
         density=capture.density if "density" in stated else None,
         object_size=capture.object_size,
-        warnings=(*video.warnings, *_capture_warnings(capture)),
+        warnings=(*warnings, *_capture_warnings(capture)),
+        truncated=truncated,
     )
 
 

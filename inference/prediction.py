@@ -94,6 +94,8 @@ class Prediction:
     """Frames of the clip that the prediction rests on."""
     warnings: tuple[str, ...] = ()
     """What may make the prediction worse than its intervals say, one line each."""
+    truncated: str = ""
+    """One line that names a file that is cut short and says how much was decoded (also a warning); else empty."""
 
     def to_record(self) -> dict[str, object]:
         """Return everything but the skinning field as JSON-ready values (for files and lines)."""
@@ -114,6 +116,7 @@ class Prediction:
             "foreground_confidence": self.foreground_confidence,
             "frames_used": self.frames_used,
             "warnings": list(self.warnings),
+            "truncated": self.truncated,
             "units": PREDICTION_UNITS,
         }
 

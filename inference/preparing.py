@@ -58,6 +58,8 @@ class ReadyClip:
     warnings: tuple[str, ...]
     picture: bytes = b""
     """JPEG of the frames used, with the outline of the object; empty unless asked for."""
+    truncated: str = ""
+    """Names a file that is cut short and says what is missing; else empty."""
 
 
 def ready_clip(loaded: LoadedClip, settings: ClipSettings, prepare: Prepare, *, picture: bool = False) -> ReadyClip:
@@ -67,7 +69,7 @@ def ready_clip(loaded: LoadedClip, settings: ClipSettings, prepare: Prepare, *, 
     mask = None if timed.mask is None else timed.mask.astype("uint8") * 255
     prepared = prepare(timed.frames, fps=conditions.fps, timestamps=timed.timestamps, mask=mask, alpha=timed.alpha)
     strip = frame_strip(timed, prepared) if picture else b""
-    return ReadyClip(None, prepared, conditions, loaded.warnings, strip)
+    return ReadyClip(None, prepared, conditions, loaded.warnings, strip, loaded.truncated)
 
 
 def ready_source(source: ClipSource, settings: ClipSettings, prepare: Prepare, *, picture: bool = False) -> ReadyClip:
@@ -100,6 +102,7 @@ def to_prediction(ready: ReadyClip, estimate: Estimated) -> Prediction:
         foreground_confidence=float(prepared.confidence),
         frames_used=int(prepared.valid.sum()),
         warnings=tuple(warnings),
+        truncated=ready.truncated,
     )
 
 

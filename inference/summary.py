@@ -25,6 +25,11 @@ class BatchSummary:
     """Clips without prediction."""
 
     @property
+    def truncated(self) -> int:
+        """Clips of this run that were predicted from the part that is left of a file."""
+        return sum(bool(row.truncated) for row in self.rows)
+
+    @property
     def exit_code(self) -> int:
-        """0 if every clip has a prediction, else 1."""
-        return 1 if self.failed else 0
+        """0 if every clip has a prediction from its whole file, else 1."""
+        return 1 if self.failed or self.truncated else 0

@@ -37,6 +37,7 @@ class ResultRow:
     assumed: str = ""  # joined by "; "
     warnings: str = ""  # joined by "; "
     name: str = ""  # of the files in clips/
+    truncated: str = ""  # names a file that is cut short and says how much was decoded; empty = whole
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> ResultRow:
@@ -66,6 +67,7 @@ def row_of_prediction(name: str, prediction: Prediction) -> ResultRow:
         assumed="; ".join(prediction.assumed),
         warnings="; ".join(prediction.warnings),
         name=name,
+        truncated=prediction.truncated,
     )
 
 

@@ -13,7 +13,8 @@ class Video:
     """Decoded frames, upright (rotation metadata applied), 8-bit RGB.
 
     `timestamps` are seconds since the first frame; where the rate varies they are not equidistant and
-    `fps` is the mean rate. `alpha` is None unless some pixel is not opaque.
+    `fps` is the mean rate. `alpha` is None unless some pixel is not opaque. `truncated` says in one line what is
+    missing where the file is cut short or damaged (it is also among the warnings), else it is empty.
     """
 
     frames: UInt8[np.ndarray, "T H W 3"]
@@ -21,6 +22,7 @@ class Video:
     timestamps: Float64[np.ndarray, " T"]  # [s]
     alpha: UInt8[np.ndarray, "T H W"] | None = None
     warnings: tuple[str, ...] = ()
+    truncated: str = ""
 
 
 def frame_rate(timestamps: Float64[np.ndarray, " T"]) -> float:

@@ -86,20 +86,23 @@ def _video(path: Path, probe: Probe, decoded: Decoded, limits: Limits) -> Video:
     if decoded.more:
         warnings.append(f"only the first {count} frames ({timestamps[-1]:.2f} s) were read")
     cut = _cut_short(probe, decoded, timestamps)
-    if cut and count < MIN_FRAMES_TRUNCATED:
+    if cut and count < MIN_FRAMES_TRUNCATED and not decoded.more:
         detail = f"cut short: {count} whole frames, at least {MIN_FRAMES_TRUNCATED} needed; copy it again"
         raise VideoError(path, "truncated", detail)
     if count < MIN_FRAMES:
         raise VideoError(path, "too_few_frames", f"holds {count} frame; motion needs at least {MIN_FRAMES}")
+    truncated = _missing(probe, count, timestamps) if cut else ""
     if cut:
-        warnings.append(f"the file is cut short or damaged: only its first {count} frames were read")
+        warnings.append(truncated)
     if probe.high_dynamic_range:
         warnings.append("high dynamic range: colours are used without tone mapping")
     frames, alpha = decoded.frames, None
     if probe.has_alpha:
         frames, alpha = np.ascontiguousarray(frames[..., :3]), np.ascontiguousarray(frames[..., 3])
         alpha = None if alpha.min() == 255 else alpha
-    return Video(frames=frames, fps=fps, timestamps=timestamps, alpha=alpha, warnings=tuple(warnings))
+    return Video(
+        frames=frames, fps=fps, timestamps=timestamps, alpha=alpha, warnings=tuple(warnings), truncated=truncated
+    )
 
 
 def _times(probe: Probe, decoded: Decoded) -> tuple[Float64[np.ndarray, " T"], float, list[str]]:
@@ -124,12 +127,21 @@ def _times(probe: Probe, decoded: Decoded) -> tuple[Float64[np.ndarray, " T"], f
     return timestamps, mean, []
 
 
+def _missing(probe: Probe, count: int, timestamps: Float64[np.ndarray, " T"]) -> str:
+    """One line that says how much of a file that is cut short was decoded."""
+    if probe.header_frames:
+        decoded = f"{count} of {probe.header_frames} frames"
+    elif probe.header_duration is not None:
+        decoded = f"{count} frames ({timestamps[-1]:.2f} of {probe.header_duration:.2f} s)"
+    else:
+        decoded = f"{count} frames"
+    return f"the file is cut short or damaged, {decoded} decoded: copy it again [truncated]"
+
+
 def _cut_short(probe: Probe, decoded: Decoded, timestamps: Float64[np.ndarray, " T"]) -> bool:
-    if decoded.more:
-        return bool(decoded.broken)
     if decoded.broken or probe.cut_short:
         return True
-    if probe.header_duration is None or len(timestamps) < 2:
+    if decoded.more or probe.header_duration is None or len(timestamps) < 2:
         return False
     step = float(np.median(np.diff(timestamps)))
     missing = probe.header_duration - (timestamps[-1] + step)

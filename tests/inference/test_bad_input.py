@@ -14,6 +14,7 @@ from inference import predict, predict_batch
 from inference.loading import load_clip
 from inference.sources import ClipSource
 from physconvex.errors import InputError
+from physconvex.video import write_video
 from tests.inference.conftest import MakeClip, falling_ball
 from tests.inference.predictor_double import PredictorDouble
 
@@ -51,6 +52,11 @@ def write_frames(
         container.mux(stream.encode(None))
 
 
+def noise() -> np.ndarray:
+    """Frames of the size of a falling ball that cannot be compressed, so that the file grows evenly."""
+    return np.random.default_rng(0).integers(0, 255, falling_ball().shape, dtype=np.uint8)
+
+
 @pytest.fixture(scope="module")
 def bad_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One file of each bad kind and one good clip."""
@@ -59,6 +65,9 @@ def bad_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "empty.mp4").touch()
     whole = (folder / "good.mp4").read_bytes()
     (folder / "truncated.mp4").write_bytes(whole[: len(whole) // 2])
+    write_video(folder / "few.mp4", noise(), fps=24.0)  # its index comes first, so that frames can be read
+    content = (folder / "few.mp4").read_bytes()
+    (folder / "few.mp4").write_bytes(content[: int(len(content) * 0.4)])
     (folder / "text.mp4").write_text("this is no video\n" * 40)
     write_audio(folder / "audio.mp4")
     write_frames(folder / "one.mp4", falling_ball(frames=1))
@@ -77,6 +86,7 @@ def test_each_bad_file_gets_one_line_and_the_good_one_its_prediction(bad_folder:
     says = {
         "empty.mp4": "empty",
         "truncated.mp4": "truncated",
+        "few.mp4": "whole frames, at least 8 needed; copy it again [truncated]",
         "text.mp4": "not a video",
         "audio.mp4": "no video stream",
         "one.mp4": "1 frame",
@@ -89,10 +99,21 @@ def test_each_bad_file_gets_one_line_and_the_good_one_its_prediction(bad_folder:
         assert part in errors[name], errors[name]
         assert str(bad_folder / name) in errors[name] and "\n" not in errors[name]
         assert "Traceback" not in errors[name] and "unexpected" not in errors[name]
-    assert (summary.predicted, summary.failed, summary.exit_code) == (1, 8, 1)
+    assert (summary.predicted, summary.failed, summary.exit_code) == (1, 9, 1)
 
 
-@pytest.mark.parametrize("name", ["empty.mp4", "truncated.mp4", "text.mp4", "audio.mp4", "one.mp4", "loop.mp4"])
+def test_a_mask_cut_short_is_named(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mp4", falling_ball(), fps=24.0)
+    write_video(tmp_path / "a_mask.mp4", noise(), fps=24.0)
+    content = (tmp_path / "a_mask.mp4").read_bytes()
+    (tmp_path / "a_mask.mp4").write_bytes(content[: int(len(content) * 0.9)])
+    with pytest.raises(InputError, match=r"a_mask\.mp4: the file is cut short.* of 12 frames decoded"):
+        predict(tmp_path / "a.mp4", predictor=PredictorDouble())
+
+
+@pytest.mark.parametrize(
+    "name", ["empty.mp4", "truncated.mp4", "few.mp4", "text.mp4", "audio.mp4", "one.mp4", "loop.mp4"]
+)
 def test_predict_raises_the_same(bad_folder: Path, name: str) -> None:
     with pytest.raises(InputError) as caught:
         predict(bad_folder / name, predictor=PredictorDouble())

@@ -1,5 +1,6 @@
 """The command line: what it prints where, and its exit codes."""
 
+import csv
 import json
 from pathlib import Path
 
@@ -49,6 +50,29 @@ def test_json_lines_alone_on_stdout_and_errors_on_stderr(app: typer.Typer, tmp_p
         assert by_name["a.mp4"]["units"]["youngs_modulus"] == "Pa"
         (line,) = result.stderr.splitlines()
         assert line.startswith("physconvex predict: ") and "empty.mp4" in line
+
+
+def test_a_file_cut_short_is_predicted_named_and_makes_the_exit_code_1(
+    app: typer.Typer, tmp_path: Path, make_clip: MakeClip
+) -> None:
+    make_clip(tmp_path / "clips" / "a.mp4")
+    cut = make_clip(tmp_path / "clips" / "cut.mp4", frames=24)
+    content = cut.read_bytes()
+    assert content.index(b"moov") < content.index(b"mdat"), "the index comes first, so that frames can be read"
+    cut.write_bytes(content[: int(len(content) * 0.8)])
+    for options in ((), (), ("--json",)):  # the later runs report what the first finished
+        result = run(app, tmp_path / "clips", "--out", tmp_path / "out", "--no-progress", *options)
+        assert result.exit_code == 1
+        (line,) = result.stderr.splitlines()
+        assert line.startswith(f"physconvex predict: {cut}: the file is cut short") and "of 24 frames decoded" in line
+    said = line.removeprefix("physconvex predict: ")
+    records = {Path(record["path"]).name: record for record in map(json.loads, result.stdout.splitlines())}
+    assert records["cut.mp4"]["truncated"] == said and said in records["cut.mp4"]["warnings"]
+    assert records["cut.mp4"]["youngs_modulus"] > 0 and records["a.mp4"]["truncated"] == ""
+    with open(tmp_path / "out" / "predictions.csv", newline="", encoding="utf-8") as file:
+        rows = {Path(row["path"]).name: row for row in csv.DictReader(file)}
+    assert rows["cut.mp4"]["truncated"] == said and said in rows["cut.mp4"]["warnings"].split("; ")
+    assert rows["cut.mp4"]["error"] == "" == rows["a.mp4"]["truncated"]
 
 
 def test_missing_paths_fail_and_the_others_go_on(app: typer.Typer, tmp_path: Path, make_clip: MakeClip) -> None:

@@ -328,7 +328,16 @@ def test_cut_in_mid_stream_keeps_what_came_before(tmp_path: Path, suffix: str) -
     video = read_video(_cut(path, 0.7))
     assert 8 <= len(video.frames) < 24
     np.testing.assert_array_equal(video.frames[:8], whole[:8])
-    assert "cut short" in video.warnings[0]
+    assert "cut short" in video.truncated and video.truncated in video.warnings
+    says = f"{len(video.frames)} of 24 frames decoded" if suffix == ".mp4" else "of 1.00 s) decoded"
+    assert says in video.truncated
+
+
+def test_cut_is_told_even_where_enough_frames_come_before_it(tmp_path: Path) -> None:
+    path = _encode(tmp_path / "clip.mp4", _noise(24), muxer_options={"movflags": "+faststart"}, options={"bf": "0"})
+    assert read_video(path, max_frames=4).truncated == ""
+    video = read_video(_cut(path, 0.7), max_frames=4)
+    assert len(video.frames) == 4 and "4 of 24 frames" in video.truncated
 
 
 def test_cut_after_few_frames_is_an_error(tmp_path: Path) -> None:
