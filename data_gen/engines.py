@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import Any, Literal, TypeVar
 
 from physconvex.errors import InputError
+from physconvex.processes import end_with_parent
 
 __all__ = ["EngineName", "run_tasks"]
 
@@ -60,7 +61,7 @@ def _repeatable() -> Iterator[None]:
 def _local(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int) -> Iterator[Any]:
     # Fresh processes: a forked one would inherit OpenGL contexts and thread pools that do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with _repeatable(), ProcessPoolExecutor(workers, mp_context=context) as pool:
+    with _repeatable(), ProcessPoolExecutor(workers, context, end_with_parent) as pool:
         futures = [pool.submit(function, task) for task in tasks]
         try:
             for future in as_completed(futures):

@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float32, UInt8
 from models.checkpoint import ClipSettings
 from models.clip import PreparedClip, prepare_clip
 from models.silhouette import MOMENT_NAMES
+from physconvex.processes import end_with_parent
 from train.records import LabelledClip, dataset_checksum
 
 __all__ = ["PreparedClips", "prepare_clips"]
@@ -119,7 +120,7 @@ def _mapping(workers: int) -> Iterator[Callable[..., Iterator[list[dict[str, obj
     if workers == 0:
         yield map
         return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent) as pool:
         yield pool.map
 
 
