@@ -1,5 +1,7 @@
-"""The suite's own guard on torch's global settings."""
+"""The suite's own devices: the guard on torch's global settings, and `--typecheck`."""
 
+import subprocess
+import sys
 from contextlib import AbstractContextManager
 from pathlib import Path
 
@@ -33,3 +35,26 @@ def test_unchanged_settings_are_not_written(
     with kept:
         pass
     assert not written
+
+
+def typechecked(folder: Path, *statements: str) -> subprocess.CompletedProcess[str]:
+    """Run a test of these statements under `--typecheck`."""
+    root = Path(__file__).parents[1]
+    test = folder / "test_one.py"
+    test.write_text("\n    ".join(["def test_one():", *statements]) + "\n")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--typecheck"]
+    command += ["--rootdir", str(root), "-c", str(root / "pyproject.toml"), "--confcutdir", str(root)]
+    command += ["-p", "tests.conftest", str(test)]
+    return subprocess.run(command, cwd=root, capture_output=True, text=True)
+
+
+@pytest.mark.slow
+def test_typecheck_takes_whole_numbers_and_refuses_wrong_shapes(tmp_path: Path) -> None:
+    fine = [
+        "from physconvex.fem import Scene, ElasticBody, box_mesh",
+        "Scene(ElasticBody(box_mesh((1, 1, 1), (1, 1, 1))))",
+    ]
+    assert typechecked(tmp_path, *fine).returncode == 0
+    wrong = ["import numpy", "from physconvex.fem.elements import shape_values", "shape_values(numpy.zeros((3, 5)), 1)"]
+    refused = typechecked(tmp_path, *wrong)
+    assert refused.returncode == 1 and "TypeCheckError" in refused.stdout

@@ -6,7 +6,7 @@ Two ways: fTetWild (Hu et al. 2020) takes everything, but its results differ fro
 
 from __future__ import annotations
 
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -26,6 +26,7 @@ MIN_MEAN_RATIO = 0.02
 COARSENINGS, COARSENING_FACTOR = 6, 1.35
 
 
+@runtime_checkable
 class Surface(Protocol):
     """Anything with triangles, for example `trimesh.Trimesh`."""
 

@@ -122,7 +122,11 @@ def test_impossible_prescribed_motion_is_an_error():
         ({"fps": 0.0}, "expected > 0"),
         ({"fps": np.nan}, "expected > 0"),
         ({"steps_per_frame": 0}, "expected > 0"),
-        ({"integrator": "rk4"}, "integrator: got 'rk4'; expected 'bdf2' or 'implicit_euler'"),
+        pytest.param(
+            {"integrator": "rk4"},
+            "integrator: got 'rk4'; expected 'bdf2' or 'implicit_euler'",
+            marks=pytest.mark.wrong_types,
+        ),
         ({"friction_passes": 0}, "friction_passes: got 0"),
     ],
 )
@@ -150,10 +154,6 @@ def test_bad_scenes_are_named(fields, message):
 @pytest.mark.parametrize(
     ("nodes", "message"),
     [
-        ([[0, 1]], r"pins\.nodes: got int64 of shape \(1, 2\); expected at least one integer index"),
-        ([0.0, 1.0], r"pins\.nodes: got float64"),
-        ([True, False], r"pins\.nodes: got bool.*numpy\.flatnonzero"),
-        ([], r"pins\.nodes: got float64 of shape \(0,\)"),
         ([2, -1], r"pins\.nodes: got -1; expected indices ≥ 0"),
         ([4, 2, 4], r"pins\.nodes: got node 4 2 times; expected each node once"),
         ([0, 10_000], r"pins\.nodes: got node 10000; expected indices below \d+, the number of nodes"),
@@ -162,6 +162,21 @@ def test_bad_scenes_are_named(fields, message):
 def test_bad_pins_are_named(nodes, message):
     with pytest.raises(InputError, match=message):
         Scene(small_body(), pins=Pins(np.array(nodes)))
+
+
+@pytest.mark.wrong_types
+@pytest.mark.parametrize(
+    ("nodes", "message"),
+    [
+        ([[0, 1]], r"pins\.nodes: got int64 of shape \(1, 2\); expected at least one integer index"),
+        ([0.0, 1.0], r"pins\.nodes: got float64"),
+        ([True, False], r"pins\.nodes: got bool.*numpy\.flatnonzero"),
+        ([], r"pins\.nodes: got float64 of shape \(0,\)"),
+    ],
+)
+def test_pins_that_are_no_indices_are_named(nodes, message):
+    with pytest.raises(InputError, match=message):
+        Pins(np.array(nodes))
 
 
 @pytest.mark.parametrize(
