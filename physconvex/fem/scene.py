@@ -14,6 +14,7 @@ from physconvex.fem.body import ElasticBody
 
 __all__ = ["Loads", "Pins", "Scene"]
 
+Vector = Sequence[float] | Float[np.ndarray, " 3"]
 Loads = Float[np.ndarray, "V 3"] | Callable[[float], Float[np.ndarray, "V 3"]]
 CONTACT_STIFFNESS_RATIO = 50.0  # kc·L / E: measured bias of E below 0.01 decades
 
@@ -89,14 +90,14 @@ class Scene:
 
     body: ElasticBody
     obstacles: tuple[Obstacle, ...] = ()
-    gravity: Sequence[float] = (0.0, 0.0, -9.81)
+    gravity: Vector = (0.0, 0.0, -9.81)
     damping_time: float = 0.0
     air_drag: float = 0.0
     pins: Pins | None = None
     loads: Loads | None = None
     initial_positions: Float[np.ndarray, "V 3"] | None = None
-    initial_velocity: Sequence[float] = (0.0, 0.0, 0.0)
-    initial_angular_velocity: Sequence[float] = (0.0, 0.0, 0.0)
+    initial_velocity: Vector = (0.0, 0.0, 0.0)
+    initial_angular_velocity: Vector = (0.0, 0.0, 0.0)
     contact_stiffness: float | None = None
     contact_smoothing: float | None = None
     slip_velocity: float | None = None
