@@ -68,19 +68,16 @@ def make_mesh(drop: Drop, target_nodes: int) -> TetMesh:
         ConvergenceError: no sound mesh was found.
     """
     body = drop.body
-    if body.signed_distance is not None:
-        mesh = tetrahedralize_implicit(
-            body.signed_distance,
-            body.bounds,
-            surface=(body.vertices, body.faces),
-            max_nodes=target_nodes,
-            order=2,
-        )
-    else:
-        try:
-            mesh = tetrahedralize((body.vertices, body.faces), max_nodes=target_nodes, order=2, method="auto")
-        except InputError as error:  # one bad mesh of a folder is a failed simulation, not the end of the run
-            raise ConvergenceError(f"{body.name}: {error}") from error
+    surface = (body.vertices, body.faces)
+    try:
+        if body.signed_distance is not None:
+            mesh = tetrahedralize_implicit(
+                body.signed_distance, body.bounds, surface=surface, max_nodes=target_nodes, order=2
+            )
+        else:
+            mesh = tetrahedralize(surface, max_nodes=target_nodes, order=2, method="auto")
+    except InputError as error:  # one bad body is a failed simulation, not the end of the run
+        raise ConvergenceError(f"{body.name}: {error}") from error
     x = drop.placed(mesh.vertices)
     x[:, 2] += max(0.0, 1e-3 * drop.size - x[:, 2].min())
     return TetMesh(x, mesh.tets)

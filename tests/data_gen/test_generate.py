@@ -20,7 +20,8 @@ from data_gen.dataset import Dataset
 from data_gen.engines import run_tasks
 from data_gen.generate import generate_dataset
 from data_gen.objects import ObjectMesh
-from data_gen.simulate import Samples, SimulatedDrop, simulate_drop
+from data_gen.scene import draw_drop
+from data_gen.simulate import Samples, SimulatedDrop, make_mesh, simulate_drop
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import Embedding, SolveStatistics, Trajectory, box_mesh
 
@@ -214,3 +215,10 @@ def test_a_local_cluster_of_two_workers_gives_the_same_bytes(reference, tmp_path
     pytest.importorskip(module)
     generate_dataset(tmp_path, count=3, config=CONFIG, seed=4, workers=2, engine=engine)
     assert contents(tmp_path) == reference
+
+
+def test_a_procedural_body_that_cannot_be_meshed_is_a_failed_attempt():
+    """This letter's triangles overlap; the mesher's complaint used to end the whole run."""
+    drop = draw_drop(load_config("training"), 1, 678, 0)
+    with pytest.raises(ConvergenceError, match=rf"{drop.object_id}: surface: not closed"):
+        make_mesh(drop, 500)
