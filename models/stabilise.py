@@ -21,10 +21,18 @@ class Stabilised:
 
     def undo(self, masks: UInt8[np.ndarray, "T H W"]) -> UInt8[np.ndarray, "T H W"]:
         """Move masks of the stabilised frames back to where the original frames show them."""
-        if not self.shifts.any():
-            return masks
-        moved = [_translate(mask, shift) for mask, shift in zip(masks, self.shifts, strict=True)]
-        return np.stack([cv2.threshold(mask, 127, 255, cv2.THRESH_BINARY)[1] for mask in moved])
+        return _moved(masks, self.shifts)
+
+    def follow(self, masks: UInt8[np.ndarray, "T H W"]) -> UInt8[np.ndarray, "T H W"]:
+        """Move masks of the original frames to where the stabilised frames show them."""
+        return _moved(masks, -self.shifts)
+
+
+def _moved(masks: UInt8[np.ndarray, "T H W"], shifts: Float64[np.ndarray, "T 2"]) -> UInt8[np.ndarray, "T H W"]:
+    if not shifts.any():
+        return masks
+    moved = [_translate(mask, shift) for mask, shift in zip(masks, shifts, strict=True)]
+    return np.stack([cv2.threshold(mask, 127, 255, cv2.THRESH_BINARY)[1] for mask in moved])
 
 
 def stabilise(frames: UInt8[np.ndarray, "T H W 3"]) -> Stabilised:

@@ -1,4 +1,4 @@
-"""The command `physconvex train`."""
+"""The commands `physconvex train` and `physconvex train-segmenter`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from tqdm import tqdm
 
-__all__ = ["train"]
+__all__ = ["train", "train_segmenter"]
 
 
 def train(
@@ -46,6 +46,26 @@ def train(
         )
     score = "none" if result.best_score is None else f"{result.best_score:.3f}"
     typer.echo(f"{result.steps} steps, best validation score {score}, checkpoint in {result.checkpoint}")
+
+
+def train_segmenter(
+    data: Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")],
+    out: Annotated[Path, typer.Option(help="Folder of the checkpoint.")],
+    steps: Annotated[int | None, typer.Option(help="Optimiser steps.", min=1)] = None,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    threads: Annotated[int | None, typer.Option(help="CPU threads of the network.", min=1)] = None,
+) -> None:
+    """Train the network that finds the object in a clip on the true masks of data sets."""
+    import torch
+
+    from train.segmentation import SegmentationConfig, train_segmenter
+
+    if threads is not None:
+        torch.set_num_threads(threads)
+    config = SegmentationConfig(seed=seed) if steps is None else SegmentationConfig(seed=seed, steps=steps)
+    with _Bar() as bar:
+        result = train_segmenter(config, data, out, report=bar.report)
+    typer.echo(f"mean intersection over union on validation clips {result.overlap:.3f}, checkpoint in {out}")
 
 
 class _Bar:

@@ -182,3 +182,5 @@ def test_stabilise_measures_shake_and_gain() -> None:
     expected = np.zeros_like(mask)
     expected[30:60, 31:61] = 255  # moved by (0.6, -0.4), rounded
     assert (steady.undo(np.stack([mask] * 3))[1] != expected).sum() <= 4  # corners
+    back = steady.follow(steady.undo(np.stack([mask] * 3)))
+    assert (back[1] != mask).sum() <= 4

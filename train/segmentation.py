@@ -1,0 +1,175 @@
+"""Training of the network that finds the object in the frames of a clip (`models.segmenter`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from timm.utils import ModelEmaV3
+from torch import Tensor
+from torch.nn import functional
+
+import physconvex
+from models.segmenter import (
+    SegmenterConfig,
+    SilhouetteSegmenter,
+    block_pixels,
+    clip_references,
+    load_segmenter,
+    object_coverage,
+    pad_pictures,
+    save_segmenter,
+)
+from train.records import Split, dataset_checksum, read_clips
+from train.segmentation_data import MaskedClip, SegmentationAugmentation, augmented, moving_part, read_masked_clips
+
+__all__ = ["SegmentationConfig", "SegmentationResult", "mean_overlap", "segmentation_loss", "train_segmenter"]
+
+Report = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentationConfig:
+    """The recipe."""
+
+    steps: int = 1100
+    batch: int = 3
+    """Clips per step."""
+    learning_rate: float = 2e-3
+    weight_decay: float = 1e-4
+    average: float = 0.99
+    """Decay of the running average of the weights, which is what is kept."""
+    network: SegmenterConfig = field(default_factory=SegmenterConfig)
+    augmentation: SegmentationAugmentation = field(default_factory=SegmentationAugmentation)
+    start: Path | None = None
+    """Checkpoint to go on from, of the same `network`; random weights unless given."""
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class SegmentationResult:
+    """How a training ended."""
+
+    losses: tuple[float, ...]
+    """Of every step."""
+    overlap: float
+    """Mean intersection over union on validation clips (0..1)."""
+
+
+def train_segmenter(
+    config: SegmentationConfig, data: Sequence[Path | str], out: Path | str, *, report: Report | None = None
+) -> SegmentationResult:
+    """Train on the true masks of the `train` split, measure on `validation`, write a checkpoint into `out`.
+
+    What is random depends on the seed alone. `report` is called with a name of the work, the number done, the total.
+
+    Raises:
+        InputError: a folder is no data set, or has no clip in one of the two splits.
+    """
+    say: Report = report or (lambda name, done, total: None)
+    training, validation = _read(data, "train", say), _read(data, "validation", say)
+    network, losses = _train(config, training, say)
+    overlap = mean_overlap(network, validation)
+    stored = config.network.model_copy(
+        update={"version": physconvex.__version__, "metrics": {"intersection_over_union": overlap}}
+    )
+    counts = (len(training), len(validation))
+    save_segmenter(out, network, stored, model_card=_model_card(config, data, counts, overlap))
+    return SegmentationResult(losses=tuple(losses), overlap=overlap)
+
+
+def _read(data: Sequence[Path | str], split: Split, say: Report) -> list[MaskedClip]:
+    listed = read_clips(data, split)
+    return read_masked_clips(listed, progress=lambda done: say(f"reading {split} clips", done, len(listed)))
+
+
+def _train(
+    config: SegmentationConfig, clips: Sequence[MaskedClip], say: Report
+) -> tuple[SilhouetteSegmenter, list[float]]:
+    with torch.random.fork_rng():
+        torch.manual_seed(config.seed)
+        network = SilhouetteSegmenter(config.network) if config.start is None else load_segmenter(config.start).train()
+    network = network.to(memory_format=torch.channels_last)
+    average = ModelEmaV3(network, decay=config.average, use_warmup=True)
+    optimizer = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimizer, config.learning_rate, total_steps=config.steps, pct_start=0.1
+    )
+    losses = []
+    for step in range(config.steps):
+        generator = np.random.default_rng((config.seed, step))
+        optimizer.zero_grad()
+        total = 0.0
+        for index in generator.integers(0, len(clips), config.batch):
+            example = augmented(clips[index], config.augmentation, generator)
+            loss = _clip_loss(network, example) / config.batch
+            loss.backward()
+            total += float(loss.detach())
+        torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        optimizer.step()
+        schedule.step()
+        average.update(network, step=step)
+        losses.append(total)
+        say(f"training, loss {np.mean(losses[-50:]):.3f}", step + 1, config.steps)
+    trained = average.module
+    assert isinstance(trained, SilhouetteSegmenter)
+    return trained.eval(), losses
+
+
+def _clip_loss(network: SilhouetteSegmenter, clip: MaskedClip) -> Tensor:
+    height, width = clip.mask.shape[1:]
+    padded = pad_pictures(clip.frames)
+    logits = network(block_pixels(padded), block_pixels(clip_references(padded)))[:, :height, :width]
+    return segmentation_loss(logits, torch.from_numpy(clip.mask > 127))
+
+
+def segmentation_loss(logits: Float[Tensor, "T H W"], truth: Bool[Tensor, "T H W"]) -> Tensor:
+    """Cross entropy of the pixels plus 1 - Dice of each frame (Milletari et al. 2016, "V-Net"), averaged."""
+    target = truth.to(logits.dtype)
+    entropy = functional.binary_cross_entropy_with_logits(logits, target)
+    probability = logits.sigmoid()
+    shared = (probability * target).sum(dim=(1, 2))
+    dice = (2 * shared + 1) / (probability.sum(dim=(1, 2)) + target.sum(dim=(1, 2)) + 1)
+    return 3 * entropy + 1 - dice.mean()
+
+
+def mean_overlap(network: SilhouetteSegmenter, clips: Sequence[MaskedClip]) -> float:
+    """Intersection over union in the moving part of each clip, mean over frames in which the object is seen."""
+    values = []
+    for clip in clips:
+        part = moving_part(clip)
+        found, true = object_coverage(part.frames, segmenter=network) > 0.5, part.mask > 127
+        union = (found | true).sum(axis=(1, 2))
+        values.append(float(np.mean((found & true).sum(axis=(1, 2))[union > 0] / union[union > 0])))
+    return float(np.mean(values))
+
+
+def _model_card(config: SegmentationConfig, data: Sequence[Path | str], counts: tuple[int, int], overlap: float) -> str:
+    sources = "\n".join(f"- `{Path(folder).name}`, manifest SHA-256 `{dataset_checksum(folder)}`" for folder in data)
+    begun = "from random weights" if config.start is None else "from the weights of an earlier training"
+    return f"""# physconvex segmenter
+
+Says which pixels of each frame show the one object that moves before a camera that stands still.
+
+## Training data
+
+True masks of {counts[0]} rendered clips, recoloured, cut and thinned at random, from
+
+{sources}
+
+{config.steps} steps of {config.batch} clips, seed {config.seed}, {begun}.
+
+## Validation
+
+Mean intersection over union with the true masks of {counts[1]} clips of objects that are not in the training data:
+{overlap:.3f}.
+
+## Limits
+
+One object; a camera that stands still but for slight shake. What never moves is background. Real videos are not in the
+training data.
+"""

@@ -1,0 +1,131 @@
+"""Clips with true masks for the segmenter: read once, then cut, recoloured and thinned anew for every step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+from models.activity import moving_window
+from models.stabilise import stabilise
+from train.records import LabelledClip
+
+__all__ = ["MaskedClip", "SegmentationAugmentation", "augmented", "moving_part", "read_masked_clips"]
+
+
+@dataclass(frozen=True)
+class MaskedClip:
+    """Frames of a camera that stands still, and the object in them (0 or 255)."""
+
+    frames: UInt8[np.ndarray, "T H W 3"]
+    mask: UInt8[np.ndarray, "T H W"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentationAugmentation:
+    """How far training clips may be changed."""
+
+    lengths: tuple[int, ...] = (6, 8, 8, 10, 12, 16)
+    """Frames shown."""
+    resting: float = 0.4
+    """Share of clips in which the object stops at some frame."""
+    backwards: float = 0.2
+    """Share of clips that are shown backwards."""
+    zoom: tuple[float, float] = (0.6, 1.4)
+    largest_side: int = 128  # [px]
+    recoloured: float = 0.8
+    """Share of clips whose colours are mixed anew."""
+    apart: float = 0.5
+    """Share of these in which object and background are recoloured apart."""
+    noise: float = 6.0  # largest standard deviation, of 255
+
+
+def read_masked_clips(
+    clips: Iterable[LabelledClip], *, progress: Callable[[int], None] | None = None
+) -> list[MaskedClip]:
+    """Frames without shake and the true masks that move with them; calls `progress` with the number read."""
+    out = []
+    for clip in clips:
+        steady = stabilise(clip.record.frames())
+        mask = clip.record.mask().astype(np.uint8) * np.uint8(255)
+        out.append(MaskedClip(steady.frames, steady.follow(mask)))
+        if progress is not None:
+            progress(len(out))
+    return out
+
+
+def moving_part(clip: MaskedClip, *, margin: int = 8) -> MaskedClip:
+    """The part of the picture in which something moves; all of it where that cannot be told."""
+    window = moving_window(clip.frames, margin=margin)
+    if window is None:
+        return clip
+    return MaskedClip(clip.frames[:, *window], clip.mask[:, *window])
+
+
+def augmented(clip: MaskedClip, options: SegmentationAugmentation, generator: np.random.Generator) -> MaskedClip:
+    """Fewer frames, mirrored or not, of other colours and size, with noise."""
+    clip = _thinned(clip, options, generator)
+    if generator.random() < 0.5:
+        clip = MaskedClip(clip.frames[:, :, ::-1], clip.mask[:, :, ::-1])
+    clip = MaskedClip(np.ascontiguousarray(clip.frames), np.ascontiguousarray(clip.mask))
+    clip = _resized(moving_part(clip, margin=int(generator.integers(4, 17))), options, generator)
+    frames = clip.frames.astype(np.float32)
+    if generator.random() < options.recoloured:
+        frames = _recoloured(frames, clip.mask, generator, apart=generator.random() < options.apart)
+    sigma = options.noise * generator.random() ** 2
+    frames += np.float32(sigma) * generator.standard_normal(frames.shape, dtype=np.float32)
+    return MaskedClip(np.clip(frames + 0.5, 0, 255).astype(np.uint8), clip.mask)
+
+
+def _thinned(clip: MaskedClip, options: SegmentationAugmentation, generator: np.random.Generator) -> MaskedClip:
+    count = min(int(generator.choice(options.lengths)), len(clip.frames))
+    stride = 2 if generator.random() < 0.4 and 2 * count <= len(clip.frames) else 1
+    start = int(generator.integers(0, len(clip.frames) - stride * (count - 1)))
+    order = start + stride * np.arange(count)
+    if generator.random() < options.resting:
+        order = np.minimum(order, order[generator.integers(1, count)])
+    if generator.random() < options.backwards:
+        order = order[::-1]
+    return MaskedClip(clip.frames[order], clip.mask[order])
+
+
+def _resized(clip: MaskedClip, options: SegmentationAugmentation, generator: np.random.Generator) -> MaskedClip:
+    height, width = clip.mask.shape[1:]
+    scale = min(float(np.exp(generator.uniform(*np.log(options.zoom)))), options.largest_side / max(height, width))
+    size = (max(16, round(width * scale)), max(16, round(height * scale)))
+    if generator.random() < 0.3 or size == (width, height):
+        return clip
+    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    frames = np.stack([cv2.resize(frame, size, interpolation=method) for frame in clip.frames])
+    masks = np.stack([cv2.resize(mask, size, interpolation=method) for mask in clip.mask])
+    return MaskedClip(frames, ((masks > 127) * np.uint8(255)).astype(np.uint8))
+
+
+def _recoloured(
+    frames: Float32[np.ndarray, "T H W 3"],
+    mask: UInt8[np.ndarray, "T H W"],
+    generator: np.random.Generator,
+    *,
+    apart: bool,
+) -> Float32[np.ndarray, "T H W 3"]:
+    mixed = _mixed(frames, generator)
+    if not apart:
+        return mixed
+    cover = np.stack([cv2.blur(m, (2, 2)) for m in mask]).astype(np.float32)[..., None] / 255
+    return mixed * (1 - cover) + _mixed(frames, generator) * cover
+
+
+def _mixed(frames: Float32[np.ndarray, "T H W 3"], generator: np.random.Generator) -> Float32[np.ndarray, "T H W 3"]:
+    """Channels mixed, contrast and brightness changed, at times as a negative."""
+    matrix = 0.25 * generator.standard_normal((3, 3)) + np.eye(3)[generator.permutation(3)]
+    matrix *= generator.uniform(0.5, 1.3) / np.maximum(np.abs(matrix.sum(axis=1, keepdims=True)), 0.5)
+    if generator.random() < 0.2:
+        matrix = -matrix
+    middle = frames[:, ::4, ::4].mean(axis=(0, 1, 2))
+    wanted = np.clip(middle + generator.uniform(-50, 50), 60, 195)
+    affine = np.concatenate([matrix, (wanted - matrix @ middle)[:, None]], axis=1).astype(np.float32)
+    rows = frames.reshape(1, -1, 3)
+    return cv2.transform(rows, affine).reshape(frames.shape)
