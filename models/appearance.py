@@ -13,15 +13,12 @@ __all__ = [
     "colour_planes",
     "colour_ratio",
     "difference",
-    "full_difference",
-    "noise_threshold",
     "sort_pictures",
 ]
 
 Planes: TypeAlias = Float32[np.ndarray, "3 T H W"]  # brightness and two colour differences, of 255
 Picture: TypeAlias = Float32[np.ndarray, "3 H W"]
 
-_LEAST_CONTRAST = 7.0  # of 255
 _SHADOW = (0.2, 0.96)  # a shadow's factor on the brightness
 _BINS = (12, 16, 16)  # of brightness and colour differences
 
@@ -36,33 +33,20 @@ def colour_planes(frames: UInt8[np.ndarray, "T H W 3"]) -> Planes:
     return out
 
 
-def full_difference(image: Picture, background: Picture) -> Float32[np.ndarray, "H W"]:
+def _full_difference(image: Picture, background: Picture) -> Float32[np.ndarray, "H W"]:
     """Largest difference of brightness and colours."""
     light = cv2.absdiff(image[0], background[0])
     return np.maximum(light, np.maximum(cv2.absdiff(image[1], background[1]), cv2.absdiff(image[2], background[2])))
 
 
-def difference(image: Picture, background: Picture, *, both: bool = False) -> Float32[np.ndarray, "H W"]:
-    """How far a picture is from the background; a shadow on the background counts little.
-
-    With `both`, the background may be the one in shadow.
-    """
-    full = full_difference(image, background)
+def difference(image: Picture, background: Picture) -> Float32[np.ndarray, "H W"]:
+    """How far a picture is from the background; a shadow on the background counts little."""
+    full = _full_difference(image, background)
     factor = (image[0] + 2.0) / (background[0] + 2.0)
     tint = np.maximum(np.abs(image[1] - factor * background[1]), np.abs(image[2] - factor * background[2]))
     shadow = (factor > _SHADOW[0]) & (factor < _SHADOW[1])
     smooth = np.abs(factor - cv2.blur(factor, (5, 5))) < 0.1
-    if both:
-        shadow |= (factor > 1 / _SHADOW[1]) & (factor < 1 / _SHADOW[0])
     return np.where(shadow & smooth, np.minimum(full, 1.5 * tint), full)
-
-
-def noise_threshold(planes: Planes) -> Float32[np.ndarray, "H W"]:
-    """Difference that noise alone does not reach: at least 4.5 times what the pixel does between frames."""
-    last = planes.shape[1] - 1
-    steps = [np.abs(planes[:, k + 1] - planes[:, k]).max(axis=0) for k in range(0, last, max(1, last // 8))]
-    local = cv2.blur(sort_pictures(steps)[len(steps) // 2], (3, 3))
-    return np.clip(np.maximum(4.5 * float(np.median(local)), 3.5 * local), _LEAST_CONTRAST, 40.0)
 
 
 def colour_codes(planes: Float32[np.ndarray, "3 *S"]) -> Int32[np.ndarray, "*S"]:

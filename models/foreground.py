@@ -5,9 +5,13 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float32, UInt8
 
-from models.background import background_silhouettes, plain_background_silhouettes
+from models.activity import moving_window
+from models.background import plain_background_masks
+from models.refinement import refined_coverage
+from models.shapes import link_masks
+from models.stabilise import stabilise
 from physconvex.errors import InputError
 
 __all__ = ["Foreground", "ForegroundSource", "locate_foreground"]
@@ -16,6 +20,8 @@ ForegroundSource = Literal["alpha", "mask", "background_model", "whole_frame"]
 
 _WORKING_SIDE = 128  # [px]
 _LEAST_CONFIDENCE = 0.2  # below it the whole frame is shown
+_PLAIN_CONFIDENCE = 0.6  # what differs from a plain background need not be the object
+_OBJECT_SHARE = (0.001, 0.7)  # of the picture that an object may cover
 
 
 @dataclass(frozen=True)
@@ -24,6 +30,14 @@ class Foreground:
 
     mask: UInt8[np.ndarray, "T H W"]
     source: ForegroundSource
+    confidence: float
+
+
+@dataclass(frozen=True)
+class _Silhouette:
+    """Coverage (0..255) and how far it can be trusted (0..1)."""
+
+    coverage: UInt8[np.ndarray, "T H W"]
     confidence: float
 
 
@@ -36,8 +50,8 @@ def locate_foreground(
     """Silhouette of the one object in a clip of a fixed camera.
 
     A given `mask` [T, H, W] (bool, or 8 bits and above 127) is taken, else `alpha`, else what moves before a
-    static background (`models.background`), else what differs from a plain one, else the whole frame with
-    confidence 0.
+    static background (`models.segmenter`, `models.refinement`), else what differs from a plain one, else the
+    whole frame with confidence 0.
 
     Raises:
         InputError: `mask` or `alpha` of another size than the frames.
@@ -47,14 +61,57 @@ def locate_foreground(
         if coverage is not None:
             return Foreground(mask=_binary(coverage, frames.shape[:3], source), source=source, confidence=1.0)
     small = _reduced(frames)
-    found = background_silhouettes(small)
+    found = _moving_silhouette(small)
     if found is None or found.confidence < _LEAST_CONFIDENCE:
-        found = plain_background_silhouettes(small)
+        found = _plain_silhouette(small)
     if found is None or found.confidence < _LEAST_CONFIDENCE:
         whole = np.full(frames.shape[:3], 255, np.uint8)
         return Foreground(mask=whole, source="whole_frame", confidence=0.0)
-    full = _enlarged(found.mask, frames.shape[1:3])
+    full = _enlarged(found.coverage, frames.shape[1:3])
     return Foreground(mask=full, source="background_model", confidence=found.confidence)
+
+
+def _moving_silhouette(frames: UInt8[np.ndarray, "T H W 3"]) -> _Silhouette | None:
+    """The moving object; None if nothing moves, everything does, or what is found is no object's size.
+
+    The confidence is how steady the area is, times the intersection over union to be expected if the network's
+    probabilities are right.
+    """
+    steady = stabilise(frames)
+    window = moving_window(steady.frames)
+    if window is None:
+        return None
+    from models.segmenter import object_coverage  # loads torch, which a clip that comes with a mask does not need
+
+    part = np.ascontiguousarray(steady.frames[:, *window])
+    coverage = np.zeros(frames.shape[:3], np.float32)
+    coverage[:, *window] = refined_coverage(part, object_coverage(part))
+    likely = (coverage > 0.5).astype(np.uint8)
+    mask = link_masks(likely, coverage.sum(axis=0)) > 0
+    confidence = _steadiness(mask) * _expected_overlap(coverage, mask)
+    coverage[(likely > 0) & ~mask] = 0.0
+    return _Silhouette(steady.undo((coverage * 255 + 0.5).astype(np.uint8)), confidence)
+
+
+def _plain_silhouette(frames: UInt8[np.ndarray, "T H W 3"]) -> _Silhouette | None:
+    masks = plain_background_masks(frames)
+    return None if masks is None else _Silhouette(masks, _PLAIN_CONFIDENCE * _steadiness(masks > 0))
+
+
+def _steadiness(mask: np.ndarray) -> float:
+    """Share of frames in which the area is nearly the usual one; 0 if that is no object's size."""
+    areas = mask.reshape(len(mask), -1).mean(axis=1)
+    typical = float(np.median(areas))
+    if not _OBJECT_SHARE[0] <= typical <= _OBJECT_SHARE[1]:
+        return 0.0
+    return float(np.mean(np.abs(areas / typical - 1) < 0.35))
+
+
+def _expected_overlap(coverage: Float32[np.ndarray, "T H W"], mask: np.ndarray) -> float:
+    """Intersection over union of the mask and a truth in which pixels are the object's with these probabilities."""
+    inside = float(coverage[mask].sum())
+    union = float(mask.sum() + coverage[~mask].sum())
+    return inside / union if union > 0 else 0.0
 
 
 def _binary(coverage: np.ndarray, shape: tuple[int, ...], name: str) -> UInt8[np.ndarray, "T H W"]:
@@ -74,9 +131,8 @@ def _reduced(frames: UInt8[np.ndarray, "T H W 3"]) -> UInt8[np.ndarray, "T h w 3
     return np.stack([cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames])
 
 
-def _enlarged(mask: UInt8[np.ndarray, "T h w"], size: tuple[int, int]) -> UInt8[np.ndarray, "T H W"]:
+def _enlarged(coverage: UInt8[np.ndarray, "T h w"], size: tuple[int, int]) -> UInt8[np.ndarray, "T H W"]:
+    """Above one half after linear interpolation."""
     height, width = size
-    if mask.shape[1:] == size:
-        return mask
-    smooth = [cv2.resize(m, (width, height), interpolation=cv2.INTER_LINEAR) for m in mask]
-    return np.stack([cv2.threshold(m, 127, 255, cv2.THRESH_BINARY)[1] for m in smooth])
+    smooth = (cv2.resize(c, (width, height), interpolation=cv2.INTER_LINEAR) for c in coverage)
+    return np.stack([cv2.threshold(c, 127, 255, cv2.THRESH_BINARY)[1] for c in smooth])

@@ -1,11 +1,15 @@
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
 
+from models.activity import moving_window
 from models.appearance import sort_pictures
+from models.refinement import refined_coverage
 from models.segmenter import (
+    BUNDLED_SEGMENTER,
     SegmenterConfig,
     SilhouetteSegmenter,
     block_pixels,
@@ -20,14 +24,40 @@ from physconvex.errors import InputError
 SMALL = SegmenterConfig(difference_channels=2, channels=(4, 6, 8), rim_channels=4)
 
 
+def _moving_disc(*, height: int = 96, width: int = 112, count: int = 16) -> tuple[np.ndarray, np.ndarray]:
+    """A textured disc that falls before a textured background, and its masks."""
+    generator = np.random.default_rng(3)
+    coarse = generator.uniform(40, 200, (12, 14, 3)).astype(np.float32)
+    backdrop = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    pattern = cv2.resize(generator.uniform(0, 255, (10, 10, 3)).astype(np.float32), (width, height))
+    frames, masks = [], []
+    for k in range(count):
+        mask = np.zeros((height, width), np.uint8)
+        cv2.circle(mask, (width // 2, int(20 + 0.3 * k**2)), 14, 255, -1)
+        image = np.where(mask[..., None] > 0, 0.6 * pattern, backdrop) + 2 * generator.standard_normal(backdrop.shape)
+        frames.append(image.clip(0, 255).astype(np.uint8))
+        masks.append(mask > 0)
+    return np.stack(frames), np.stack(masks)
+
+
+def test_refined_coverage_is_that_of_a_moving_disc_before_a_texture() -> None:
+    frames, truth = _moving_disc()
+    window = moving_window(frames)
+    assert window is not None
+    found = np.zeros(truth.shape, bool)
+    part = frames[:, *window]
+    found[:, *window] = refined_coverage(part, object_coverage(part)) > 0.5
+    overlap = (found & truth).sum(axis=(1, 2)) / (found | truth).sum(axis=(1, 2))
+    assert overlap.mean() > 0.9
+
+
 @pytest.mark.parametrize("size", [(48, 64), (37, 91), (16, 5)])
 def test_coverage_is_a_probability_for_each_pixel_of_any_size(size: tuple[int, int]) -> None:
     frames = np.random.default_rng(0).integers(0, 255, (6, *size, 3), dtype=np.uint8)
-    network = SilhouetteSegmenter(SMALL)
-    coverage = object_coverage(frames, segmenter=network)
+    coverage = object_coverage(frames)
     assert coverage.shape == (6, *size) and coverage.dtype == np.float32
     assert coverage.min() >= 0 and coverage.max() <= 1
-    np.testing.assert_array_equal(coverage, object_coverage(frames, segmenter=network))
+    np.testing.assert_array_equal(coverage, object_coverage(frames))
 
 
 def test_stem_sees_differences_to_the_references() -> None:
@@ -79,6 +109,11 @@ def test_saved_segmenter_is_read_again(tmp_path: Path) -> None:
     assert loaded.config == SMALL and not loaded.training
     expected, found = (object_coverage(frames, segmenter=n) for n in (network, loaded))
     np.testing.assert_allclose(found, expected, atol=5e-3)  # stored in float16
+
+
+def test_bundled_segmenter_is_small_and_says_how_good_it_is() -> None:
+    assert load_segmenter().config.metrics["intersection_over_union"] > 0.8
+    assert sum(path.stat().st_size for path in BUNDLED_SEGMENTER.iterdir()) < 2**20
 
 
 def test_missing_or_unfitting_checkpoints_are_refused(tmp_path: Path) -> None:
