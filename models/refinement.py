@@ -15,14 +15,14 @@ __all__ = ["refined_coverage", "uncovered_background"]
 
 _SCORE_RANGE = (-1.5, 2.0)  # of a pixel's distance from the background, in thresholds above the first
 _COLOUR_WEIGHT = 0.65  # of the log likelihood ratio of the colour
-_PRIOR_WEIGHT = 0.4  # of the network's log odds
+_PRIOR_WEIGHT = 0.6  # of the network's log odds
 _SHARPNESS = 1.6  # of the log odds, so that the overlap they promise is about the one measured
 _EDGE_SHARE = 0.04  # of the background's gradient that misplaced pixels may differ by
 _HALF = 0.45  # of the distance further in: below it a pixel at the rim is mostly background
 
 
 def refined_coverage(
-    frames: UInt8[np.ndarray, "T H W 3"], coverage: Float32[np.ndarray, "T H W"], *, rounds: int = 3
+    frames: UInt8[np.ndarray, "T H W 3"], coverage: Float32[np.ndarray, "T H W"], *, rounds: int = 2
 ) -> Float32[np.ndarray, "T H W"]:
     """Coverage (0..1) from the network's and from what the frames show of background and object."""
     planes = colour_planes(frames)
