@@ -3,7 +3,7 @@ export PHYSCONVEX_VENV ?= $(CURDIR)/.venv
 BIN := $(PHYSCONVEX_VENV)/bin
 PACKAGES := physconvex models data_gen train inference
 
-.PHONY: check quick static format test typecheck lock bench demo clean env
+.PHONY: check quick static format test typecheck lock bench bench-data demo clean env
 
 ## check: format, lint, import contract, types, then every test and doctest
 check: static
@@ -35,8 +35,15 @@ lock:
 	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes \
 	    --no-emit-index-url --no-emit-find-links --no-header --quiet $(LOCK_OPTIONS) -o requirements.lock
 
+## bench: speed, memory and label accuracy; results in benchmarks/results
 bench: env
-	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
+	@for name in generator friction_passes label_accuracy predict_throughput; do \
+	    echo "== $$name"; $(BIN)/python benchmarks/$$name.py || exit 1; done
+
+## bench-data: what needs a data set: make bench-data DATA=data/drops
+bench-data: env
+	@for name in foreground known_states; do \
+	    echo "== $$name"; $(BIN)/python benchmarks/$$name.py --data $(DATA) || exit 1; done
 
 demo:
 	./run-demo

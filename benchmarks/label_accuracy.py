@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from data_gen.config import load_config
 from data_gen.objects import random_object
+from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, refine, simulate
 from physconvex.fem.implicit_meshing import tetrahedralize_implicit
 
@@ -64,14 +65,19 @@ class Offset:
 
 
 def draw(seed: int, index: int, count: int, target_nodes: int) -> tuple[Case, str]:
-    """Case `index` of `count`; E is stratified over 1e4–1e7 Pa."""
+    """Case `index` of `count`; E is stratified over 1e4–1e7 Pa. A body that cannot be meshed is drawn anew."""
     rng = np.random.default_rng((seed, index))
-    thing = random_object(rng)
-    size = float(np.exp(rng.uniform(np.log(0.5), np.log(1.5))))
-    surface = (thing.vertices, thing.faces)
-    mesh = tetrahedralize_implicit(
-        thing.signed_distance, thing.bounds, surface=surface, max_nodes=target_nodes, order=2
-    )
+    while True:
+        thing = random_object(rng)
+        size = float(np.exp(rng.uniform(np.log(0.5), np.log(1.5))))
+        surface = (thing.vertices, thing.faces)
+        try:
+            mesh = tetrahedralize_implicit(
+                thing.signed_distance, thing.bounds, surface=surface, max_nodes=target_nodes, order=2
+            )
+            break
+        except (ConvergenceError, InputError) as error:
+            print(f"{thing.name} is drawn anew: {error}", file=sys.stderr)
     x = Rotation.random(random_state=int(rng.integers(2**31))).apply(mesh.vertices) * (size / mesh.size)
     x[:, 2] += rng.uniform(0.3, 1.5) * size - x[:, 2].min()
     youngs_modulus = 10 ** (4 + 3 * (index + rng.uniform()) / count)

@@ -39,6 +39,7 @@ from inference.weight_maps import weight_maps
 from models import PhysicsPredictor
 from models.config import EncoderConfig, NetworkConfig
 from models.estimator import collate_clips
+from models.mirror import answer_both_ways
 from models.scaling import dimensionless_interval
 from physconvex.video import write_video
 
@@ -271,7 +272,7 @@ def _network_steps(
     @torch.inference_mode()
     def bare() -> None:
         for batch in batches:
-            predictor.network(batch)
+            answer_both_ways(predictor.network, batch)
 
     def estimate() -> None:
         for group in groups:

@@ -1,6 +1,6 @@
 """Clip preparation, network, heads, calibration and checkpoints.
 
-Names are resolved on first use (PEP 562), so that a process that only prepares clips loads no torch.
+Names are resolved on first use (PEP 562).
 """
 
 from importlib import import_module

@@ -85,8 +85,12 @@ class KinematicsConfig(_Frozen):
     """From features to states."""
     material_blocks: int = Field(default=4, ge=1)
     """From states to the embedding."""
-    frame_widths: tuple[int, ...] = (32, 48, 64)
+    frame_widths: tuple[int, ...] = (48, 64, 64)
     """Channels of the convolutions over single frames, multiples of 8."""
+    window: int = Field(default=64, ge=8)
+    """Edge of the windows that follow the object [px]."""
+    extent: float = Field(default=1.8, gt=0)
+    """The same in units of the silhouette's first larger edge."""
     dropout: float = Field(default=0.1, ge=0, lt=1)
     drop_path: float = Field(default=0.1, ge=0, lt=1)
 
@@ -126,7 +130,7 @@ class NetworkConfig(_Frozen):
     latent_size: int = Field(default=192, ge=8)
     dropout: float = Field(default=0.1, ge=0, lt=1)
     video_dropout: float = Field(default=0.2, ge=0, lt=1)
-    """How often training hides the whole video embedding, so that the silhouettes must speak too."""
+    """How often training hides what the encoder says, so that the other branches must speak too."""
     feature_dropout: float = Field(default=0.3, ge=0, lt=1)
     """How often training has the material read from the states alone."""
     given_states: float = Field(default=0.3, ge=0, lt=1)

@@ -15,6 +15,7 @@ from models.checkpoint import PredictorConfig, load_checkpoint, save_checkpoint
 from models.clip import ClipConfig, PreparedClip, prepare_clip
 from models.config import NetworkConfig
 from models.heads import BinnedDensity
+from models.mirror import answer_both_ways
 from models.network import ClipBatch, PhysicsNetwork
 from models.scaling import dimensionless_interval, log10_youngs_modulus
 from models.skinning import SkinningField
@@ -131,7 +132,7 @@ class PhysicsPredictor:
         offset = log10_youngs_modulus(np.zeros(len(clips)), density=densities, object_size=sizes)
         intervals = dimensionless_interval(np.array([clip.fps for clip in clips]), object_size=sizes)
         batch = collate_clips(clips, intervals, self.clip_config).to(self.device)
-        output = self.network(batch)
+        output = answer_both_ways(self.network, batch)
         calibration, network = self.config.calibration, self.config.network
         stiffness = calibration.stiffness.density(output.stiffness_logits, network.stiffness)
         poisson = calibration.poisson.density(output.poisson_logits, network.poisson)

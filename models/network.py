@@ -65,7 +65,8 @@ class PhysicsNetwork(nn.Module):
         self.config = config
         hidden, channels, latent = config.encoder.hidden_size, config.kinematics.channels, config.latent_size
         self.silhouettes = SilhouetteFeatures(channels)
-        self.frame_network = FrameNetwork(config.encoder.image_size, channels, widths=config.kinematics.frame_widths)
+        frame = config.kinematics
+        self.frame_network = FrameNetwork(channels, widths=frame.frame_widths, window=frame.window, extent=frame.extent)
         self.encoder = encoder or VideoEncoder(config.encoder)
         self.token_norm = nn.LayerNorm(hidden)
         self.token_pool = AttentionPoolLatent(hidden, num_heads=config.encoder.heads, mlp_ratio=1.0)
@@ -84,7 +85,7 @@ class PhysicsNetwork(nn.Module):
         batch: ClipBatch,
         points: Float[Tensor, "B Q 3"] | None = None,
         *,
-        video: bool = True,
+        encoder: bool = True,
         states: Float[Tensor, "B T S"] | None = None,
         generator: torch.Generator | None = None,
     ) -> NetworkOutput:
@@ -93,41 +94,44 @@ class PhysicsNetwork(nn.Module):
         Args:
             batch: the clips.
             points: where to read the skinning weights: object frame, in units of the object size.
-            video: False leaves the pictures out; the silhouettes answer alone.
+            encoder: False leaves the video encoder out; silhouettes and frame network answer alone.
             states: true states (training), read in place of the predicted ones in some clips.
             generator: CPU generator that draws what training hides and gives.
         """
         draws = torch.rand(3, len(batch.interval), generator=generator).to(batch.interval.device)
-        features = self.silhouettes(batch.moments, batch.interval, batch.valid)
+        with torch.autocast(batch.moments.device.type, enabled=False):
+            features = self.silhouettes(batch.moments, batch.interval, batch.valid)
+        features = features + self.frame_network(batch.frames, batch.mask)
         embedding = features.new_zeros(len(features), 2 * self.config.encoder.hidden_size)
-        if video:
-            pictures, embedding = self._pictures(batch, generator)
+        if encoder:
+            by_frame, embedding = self._tokens(batch, generator)
             if self.training:
                 shown = draws[0] >= self.config.video_dropout
-                pictures, embedding = pictures * shown[:, None, None], embedding * shown[:, None]
-            features = features + pictures
-        motion = self.motion(
-            features,
-            batch.interval,
-            batch.valid,
-            given=states,
-            use_given=draws[1] < self.config.given_states if self.training else None,
-            hide_features=draws[2] < self.config.feature_dropout if self.training else None,
-        )
-        joined = torch.cat([embedding, self.motion_norm(motion.embedding), _conditions(batch)], dim=-1)
-        latent = self.latent_norm(self.join(joined))
-        return NetworkOutput(
-            stiffness_logits=self.stiffness_head(latent),
-            poisson_logits=self.poisson_head(latent),
-            states=motion.states,
-            latent=latent,
-            weights=None if points is None else self.skinning_head(latent, points),
-        )
+                by_frame, embedding = by_frame * shown[:, None, None], embedding * shown[:, None]
+            features = features + by_frame
+        with torch.autocast(features.device.type, enabled=False):  # rates are differences of states: whole precision
+            motion = self.motion(
+                features.float(),
+                batch.interval,
+                batch.valid,
+                given=states,
+                use_given=draws[1] < self.config.given_states if self.training else None,
+                hide_features=draws[2] < self.config.feature_dropout if self.training else None,
+            )
+            joined = torch.cat([embedding.float(), self.motion_norm(motion.embedding), _conditions(batch)], dim=-1)
+            latent = self.latent_norm(self.join(joined))
+            return NetworkOutput(
+                stiffness_logits=self.stiffness_head(latent),
+                poisson_logits=self.poisson_head(latent),
+                states=motion.states,
+                latent=latent,
+                weights=None if points is None else self.skinning_head(latent, points),
+            )
 
-    def _pictures(
+    def _tokens(
         self, batch: ClipBatch, generator: torch.Generator | None
     ) -> tuple[Float[Tensor, "B T C"], Float[Tensor, "B E"]]:
-        """What the pictures say of each frame (convolutions, and tokens of its time), and of the whole clip."""
+        """What the encoder's tokens say of each frame, and of the whole clip."""
         tokens, coverage, place = self.encoder(batch.frames, batch.mask, generator=generator)
         tokens, weight = self.token_norm(tokens), (coverage + 1e-4)[..., None]
         mean = (tokens * weight).sum(dim=1) / weight.sum(dim=1)
@@ -135,8 +139,7 @@ class PhysicsNetwork(nn.Module):
         time, rows, columns = self.config.encoder.grid
         moment = nn.functional.one_hot(place // (rows * columns), time).to(tokens.dtype) * weight
         by_time = moment.transpose(1, 2) @ tokens / (moment.sum(dim=1)[..., None] + 1e-4)
-        of_tokens = self.token_features(by_time).repeat_interleave(self.config.encoder.tubelet, dim=1)
-        return self.frame_network(batch.frames, batch.mask) + of_tokens, embedding
+        return self.token_features(by_time).repeat_interleave(self.config.encoder.tubelet, dim=1), embedding
 
 
 def _conditions(batch: ClipBatch) -> Float[Tensor, "B C"]:

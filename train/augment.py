@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Bool, Float32, Int64, UInt8
 from torchvision.transforms.v2 import functional as transforms
 
+from models.mirror import mirrored_moments
 from models.silhouette import MOMENT_NAMES
 from train.config import AugmentConfig
 from train.states import flipped_states, referred_states
@@ -24,8 +25,8 @@ _GREY = 127.0
 class Sample:
     """One clip as arrays, with the rest points and the states, which turn with it."""
 
-    frames: UInt8[np.ndarray, "T S S 3"] | None
-    mask: UInt8[np.ndarray, "T S S"] | None
+    frames: UInt8[np.ndarray, "T S S 3"]
+    mask: UInt8[np.ndarray, "T S S"]
     moments: Float32[np.ndarray, "T M"]
     valid: Bool[np.ndarray, " T"]
     interval: float
@@ -42,21 +43,15 @@ def augment(sample: Sample, config: AugmentConfig, generator: np.random.Generato
     noise[:, _COLUMN["sxx"] : _COLUMN["syy"] + 1] *= 0.2
     noise[:, _COLUMN["touches_border"]] = 0
     sample = replace(sample, moments=sample.moments + noise * np.float32(generator.random()))
-    if sample.frames is None or sample.mask is None:
-        return sample
     frames, mask = _geometry(sample.frames, sample.mask, config, generator)
     return replace(sample, frames=_colours(frames, mask, config, generator), mask=mask)
 
 
 def flipped(sample: Sample) -> Sample:
     """The mirror image."""
-    moments, points = sample.moments.copy(), sample.points * np.array([-1, 1, 1], np.float32)
-    moments[:, _COLUMN["left"]] = -sample.moments[:, _COLUMN["right"]]
-    moments[:, _COLUMN["right"]] = -sample.moments[:, _COLUMN["left"]]
-    for name in ("centroid_x", "sxy"):
-        moments[:, _COLUMN[name]] *= -1
-    frames = None if sample.frames is None else np.ascontiguousarray(sample.frames[:, :, ::-1])
-    mask = None if sample.mask is None else np.ascontiguousarray(sample.mask[:, :, ::-1])
+    moments, points = mirrored_moments(sample.moments), sample.points * np.array([-1, 1, 1], np.float32)
+    frames = np.ascontiguousarray(sample.frames[:, :, ::-1])
+    mask = np.ascontiguousarray(sample.mask[:, :, ::-1])
     states = flipped_states(sample.states)
     return replace(sample, frames=frames, mask=mask, moments=moments, points=points, states=states)
 
@@ -83,8 +78,8 @@ def reindexed(sample: Sample, start: int, stop: int, stride: int) -> Sample:
     index: Int64[np.ndarray, " T"] = np.pad(chosen, (0, total - len(chosen)), mode="edge")
     return replace(
         sample,
-        frames=None if sample.frames is None else sample.frames[index],
-        mask=None if sample.mask is None else sample.mask[index],
+        frames=sample.frames[index],
+        mask=sample.mask[index],
         moments=_referred_to_first(sample.moments[index]),
         states=referred_states(sample.states[index]),
         valid=np.arange(total) < len(chosen),

@@ -120,8 +120,18 @@ def _mapping(workers: int) -> Iterator[Callable[..., Iterator[list[dict[str, obj
     if workers == 0:
         yield map
         return
-    with ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent) as pool:
+    with ProcessPoolExecutor(workers, get_context("spawn"), _start_worker) as pool:
         yield pool.map
+
+
+def _start_worker() -> None:
+    """One thread in each process, and none that outlives this one."""
+    import cv2
+    import torch
+
+    end_with_parent()
+    cv2.setNumThreads(1)
+    torch.set_num_threads(1)
 
 
 def _open_arrays(folder: Path, count: int, settings: ClipSettings) -> dict[str, np.memmap]:
@@ -149,7 +159,7 @@ def _open_arrays(folder: Path, count: int, settings: ClipSettings) -> dict[str, 
 
 def _key(clips: Sequence[LabelledClip], settings: ClipSettings, true_mask_share: float) -> str:
     content = {
-        "format": 2,
+        "format": 3,
         "data": [dataset_checksum(folder) for folder in dict.fromkeys(clip.dataset for clip in clips)],
         "clips": [clip.name for clip in clips],
         "settings": settings.model_dump(),
@@ -162,9 +172,6 @@ def _key(clips: Sequence[LabelledClip], settings: ClipSettings, true_mask_share:
 def _prepare_chunk(
     clips: list[LabelledClip], *, settings: ClipSettings, true_mask_share: float
 ) -> list[dict[str, object]]:
-    import cv2
-
-    cv2.setNumThreads(1)
     return [_prepare(clip, settings, true_mask_share) for clip in clips]
 
 

@@ -63,7 +63,7 @@ class LossConfig(_Frozen):
 
 
 class TrainConfig(_Frozen):
-    """One run. Epochs of the first phase train the kinematics branch and the heads alone, without video."""
+    """One run. Epochs of the first phase leave the video encoder out, which costs most."""
 
     network: NetworkConfig = NetworkConfig()
     pretrained: str | None = None
@@ -74,8 +74,8 @@ class TrainConfig(_Frozen):
     epochs: int = Field(default=30, ge=1)
     batch_size: int = Field(default=16, ge=1)
     """Over all processes."""
-    kinematics_epochs: int = Field(default=40, ge=0)
-    kinematics_batch_size: int = Field(default=32, ge=1)
+    motion_epochs: int = Field(default=40, ge=0)
+    motion_batch_size: int = Field(default=32, ge=1)
     optimizer: str = "adamw"
     learning_rate: float = Field(default=1e-3, gt=0)
     weight_decay: float = Field(default=0.05, ge=0)

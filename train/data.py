@@ -31,7 +31,6 @@ class Item:
 
     epoch: int
     clip: int
-    video: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +82,8 @@ class TrainingClips(Dataset[_Example]):
         samples = self._subsampled(self._samples[k], generator)
         true_moments = config is not None and generator.random() < config.true_moments_share
         sample = Sample(
-            frames=np.asarray(self._prepared.frames[k]) if item.video else None,
-            mask=np.asarray(self._prepared.mask[k]) if item.video else None,
+            frames=np.asarray(self._prepared.frames[k]),
+            mask=np.asarray(self._prepared.mask[k]),
             moments=np.asarray(self._prepared.moments[k, int(true_moments)]),
             valid=np.asarray(self._prepared.valid[k]),
             interval=float(self.interval[k]),
@@ -127,12 +126,12 @@ def _shown_states(clip: LabelledClip, prepared: PreparedClips, index: int) -> Fl
 
 
 def collate(examples: Sequence[_Example]) -> TrainingBatch:
-    """Stack; clips without video get one-pixel frames, which the network does not read."""
+    """Stack."""
     samples = [example.sample for example in examples]
     return TrainingBatch(
         clips=ClipBatch(
-            frames=torch.from_numpy(np.stack([_or_empty(s.frames, (1, 1, 1, 3)) for s in samples])),
-            mask=torch.from_numpy(np.stack([_or_empty(s.mask, (1, 1, 1)) for s in samples])),
+            frames=torch.from_numpy(np.stack([s.frames for s in samples])),
+            mask=torch.from_numpy(np.stack([s.mask for s in samples])),
             moments=torch.from_numpy(np.stack([s.moments for s in samples])),
             valid=torch.from_numpy(np.stack([s.valid for s in samples])),
             interval=torch.tensor([s.interval for s in samples], dtype=torch.float32),
@@ -151,10 +150,6 @@ def collate(examples: Sequence[_Example]) -> TrainingBatch:
     )
 
 
-def _or_empty(array: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
-    return np.zeros(shape, np.uint8) if array is None else array
-
-
 class _Schedule(Sampler[list[Item]]):
     """What one process sees of each batch of the plan."""
 
@@ -166,7 +161,7 @@ class _Schedule(Sampler[list[Item]]):
 
     def __iter__(self) -> Iterator[list[Item]]:
         for step in map(self._plan.step, self._steps):
-            yield [Item(step.epoch, clip, step.video) for clip in step.clips[self._share]]
+            yield [Item(step.epoch, clip) for clip in step.clips[self._share]]
 
 
 def batches(

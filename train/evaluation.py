@@ -20,6 +20,10 @@ Cache = Annotated[Path | None, typer.Option(help="Where prepared clips live; OUT
 Limit = Annotated[int | None, typer.Option(help="At most this many clips.")]
 Device = Annotated[str, typer.Option(help="Device of the network.")]
 Seed = Annotated[int, typer.Option(help="Of shuffled times and random bases.")]
+Workers = Annotated[int, typer.Option(help="Processes that prepare clips.")]
+TrainingData = Annotated[
+    list[Path] | None, typer.Option(help="Whose training clips' median the constant predictor says; DATA unless given.")
+]
 
 
 @app.command()
@@ -32,6 +36,8 @@ def predictor(
     limit: Limit = None,
     device: Device = "cpu",
     seed: Seed = 0,
+    workers: Workers = 1,
+    training_data: TrainingData = None,
 ) -> None:
     """Errors of log10 E and ν and coverage of their intervals, by decade of stiffness.
 
@@ -42,7 +48,8 @@ def predictor(
     with tqdm(dynamic_ncols=True) as bar:
         result = evaluate_predictor(
             data, checkpoint=checkpoint, split=split, cache=cache or out / "cache", limit=limit, device=device,
-            seed=seed, report=lambda name, done, total: _show(bar, name, done, total),
+            seed=seed, workers=workers, training_data=training_data,
+            report=lambda name, done, total: _show(bar, name, done, total),
         )  # fmt: skip
     write_predictor_report(out, result)
     typer.echo(result.table())
@@ -58,6 +65,7 @@ def skinning(
     limit: Limit = None,
     device: Device = "cpu",
     seed: Seed = 0,
+    workers: Workers = 1,
 ) -> None:
     """Share of FEM motion that the predicted handles follow, beside eigenmodes and a random basis."""
     from train.skinning_evaluation import evaluate_skinning, write_skinning_report
@@ -65,7 +73,7 @@ def skinning(
     with tqdm(dynamic_ncols=True) as bar:
         result = evaluate_skinning(
             data, checkpoint=checkpoint, split=split, cache=cache or out / "cache", limit=limit, device=device,
-            seed=seed, report=lambda name, done, total: _show(bar, name, done, total),
+            seed=seed, workers=workers, report=lambda name, done, total: _show(bar, name, done, total),
         )  # fmt: skip
     write_skinning_report(out, result)
     typer.echo(result.table())

@@ -1,6 +1,6 @@
 """The training loop.
 
-Two phases: the kinematics branch and the heads alone (cheap), then the whole network. Whatever is random is a
+Two phases: all but the video encoder (cheap), then the whole network. Whatever is random is a
 function of seed and step, so a run that was killed goes on from its last state with the same losses.
 """
 
@@ -44,7 +44,7 @@ class TrainingResult:
 
     steps: int
     best_score: float | None
-    """Of the exported checkpoint; None before the first validation with video."""
+    """Of the exported checkpoint; None before the first validation with the encoder."""
     checkpoint: Path
     """For `PhysicsPredictor.from_pretrained`."""
 
@@ -135,7 +135,7 @@ class _Run:
         optimizer = create_optimizer_v2(
             network, opt=config.optimizer, lr=config.learning_rate, weight_decay=config.weight_decay
         )
-        first = self.plan.kinematics_steps
+        first = self.plan.motion_steps
         self.schedules = [self._schedule(optimizer, steps) for steps in (first, self.plan.steps - first)]
         self.model, self.optimizer = self.accelerator.prepare(network, optimizer)
 
@@ -184,7 +184,7 @@ class _Run:
             values = self._update(next(loader), step, progress.step, spent)
             progress = replace(progress, step=progress.step + 1, seconds=seconds)
             if log is not None:
-                log.write("train", progress.step, epoch=step.epoch, video=step.video, **values)
+                log.write("train", progress.step, epoch=step.epoch, encoder=step.encoder, **values)
                 self.report(f"epoch {step.epoch + 1}", progress.step, self.plan.steps)
             if step.ends_epoch and self._validation_due(step, progress.step):
                 progress = self._validate(progress, step, log)
@@ -193,7 +193,7 @@ class _Run:
                 saved = time.monotonic()
         if progress.step < self.plan.steps:  # the budget is spent; the averaged network may have become better
             last = self.plan.step(max(progress.step - 1, 0))
-            progress = self._validate(progress, replace(last, video=True), log)
+            progress = self._validate(progress, replace(last, encoder=True), log)
             self._save(progress)
         return progress
 
@@ -233,13 +233,13 @@ class _Run:
         rank = self.accelerator.process_index
         torch.manual_seed((config.seed * _EXAMPLE_SCALE + number) * 64 + rank)  # dropout
         generator = torch.Generator().manual_seed((config.seed * _EXAMPLE_SCALE + number) * 64 + rank)
-        position = max(step.position, int(spent * step.phase_steps)) if step.video else step.position
-        self.schedules[int(step.video)].step_update(position)
+        position = max(step.position, int(spent * step.phase_steps)) if step.encoder else step.position
+        self.schedules[int(step.encoder)].step_update(position)
         self.model.train()
         targets = batch.targets.to(device)
         clips = batch.clips.to(device)
         output = self.model(
-            clips, targets.points, video=step.video, states=noisy_states(targets, generator), generator=generator
+            clips, targets.points, encoder=step.encoder, states=noisy_states(targets, generator), generator=generator
         )
         losses = compute_losses(output, targets, clips.interval, clips.valid, config.loss, config.network)
         self.optimizer.zero_grad()
@@ -251,14 +251,14 @@ class _Run:
         return values | {"gradient_norm": float(norm), "learning_rate": self.optimizer.param_groups[0]["lr"]}
 
     def _validation_due(self, step: Step, done: int) -> bool:
-        every = self.config.validate_every * (1 if step.video else 5)
-        return (step.epoch + 1) % every == 0 or done in (self.plan.steps, self.plan.kinematics_steps)
+        every = self.config.validate_every * (1 if step.encoder else 5)
+        return (step.epoch + 1) % every == 0 or done in (self.plan.steps, self.plan.motion_steps)
 
     def _validate(self, progress: Progress, step: Step, log: RunLog | None) -> Progress:
         """Score the averaged network; export it if it is the best yet."""
         best = progress.best_score
         if log is not None:
-            found = validate(self.average.module, self.validation_clips, video=step.video)
+            found = validate(self.average.module, self.validation_clips, encoder=step.encoder)
             calibration = found.calibration()
             stiffness, poisson = found.metrics(calibration)
             score = found.score()
@@ -266,7 +266,7 @@ class _Run:
                 "validation",
                 progress.step,
                 epoch=step.epoch,
-                video=step.video,
+                encoder=step.encoder,
                 score=score,
                 states=found.states,
                 span=found.span,
@@ -274,7 +274,7 @@ class _Run:
                 stiffness=asdict(stiffness),
                 poisson=asdict(poisson),
             )
-            if step.video and (best is None or score < best):
+            if step.encoder and (best is None or score < best):
                 best = score
                 export_best(
                     self.out / "best",

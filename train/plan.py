@@ -21,7 +21,7 @@ class Step:
     epoch: int
     """Counted over both phases."""
     clips: list[int]
-    video: bool
+    encoder: bool
     ends_epoch: bool
     position: int
     """Within its phase."""
@@ -30,11 +30,11 @@ class Step:
 
 @dataclass(frozen=True)
 class Plan:
-    """First `kinematics_epochs` without video, then `epochs` with it; the last incomplete batch is left out."""
+    """First `motion_epochs` without the video encoder, then `epochs` with it; the last incomplete batch is left out."""
 
     clips: int
-    kinematics_epochs: int
-    kinematics_batch_size: int
+    motion_epochs: int
+    motion_batch_size: int
     epochs: int
     batch_size: int
     seed: int
@@ -46,39 +46,39 @@ class Plan:
         Raises:
             InputError: the batch cannot be shared among the processes, or there are too few clips.
         """
-        sizes = (min(config.kinematics_batch_size, clips), min(config.batch_size, clips))
+        sizes = (min(config.motion_batch_size, clips), min(config.batch_size, clips))
         if any(size % world for size in sizes):
             raise InputError(
                 f"batch_size: {sizes} are no multiples of {world} processes; change them in the configuration"
             )
-        return cls(clips, config.kinematics_epochs, sizes[0], config.epochs, sizes[1], config.seed)
+        return cls(clips, config.motion_epochs, sizes[0], config.epochs, sizes[1], config.seed)
 
     @property
-    def kinematics_steps(self) -> int:
+    def motion_steps(self) -> int:
         """Of the first phase."""
-        return self.kinematics_epochs * (self.clips // self.kinematics_batch_size)
+        return self.motion_epochs * (self.clips // self.motion_batch_size)
 
     @property
     def steps(self) -> int:
         """Of both phases."""
-        return self.kinematics_steps + self.epochs * (self.clips // self.batch_size)
+        return self.motion_steps + self.epochs * (self.clips // self.batch_size)
 
     def step(self, number: int) -> Step:
         """What happens in step `number`."""
-        video = number >= self.kinematics_steps
-        size = self.batch_size if video else self.kinematics_batch_size
-        position = number - self.kinematics_steps if video else number
+        encoder = number >= self.motion_steps
+        size = self.batch_size if encoder else self.motion_batch_size
+        position = number - self.motion_steps if encoder else number
         per_epoch = self.clips // size
         epoch, place = divmod(position, per_epoch)
-        epoch += self.kinematics_epochs if video else 0
+        epoch += self.motion_epochs if encoder else 0
         chosen = _permutation(self.seed, epoch, self.clips)[place * size : (place + 1) * size]
         return Step(
             epoch=epoch,
             clips=chosen.tolist(),
-            video=video,
+            encoder=encoder,
             ends_epoch=place == per_epoch - 1,
             position=position,
-            phase_steps=self.steps - self.kinematics_steps if video else self.kinematics_steps,
+            phase_steps=self.steps - self.motion_steps if encoder else self.motion_steps,
         )
 
 

@@ -91,15 +91,16 @@ def evaluate_predictor(
     device: str = "cpu",
     seed: int = 0,
     workers: int = 1,
+    training_data: Sequence[Path | str] | None = None,
     report: Report | None = None,
 ) -> PredictorEvaluation:
     """Read the clips of a split in order, in random order, and as a single frame.
 
-    The constant predictor says the median of the training clips.
+    The constant predictor says the median of the training clips of `training_data`, or of `data` unless given.
     """
     predictor = PhysicsPredictor.from_pretrained(checkpoint, device=device)
     clips = held_out(data, predictor, split=split, cache=cache, limit=limit, workers=workers, report=report)
-    training = read_clips(data, "train")
+    training = read_clips(training_data or data, "train")
     constants = (
         float(np.median([np.log10(clip.youngs_modulus) for clip in training])),
         float(np.median([clip.poisson_ratio for clip in training])),

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from models.calibration import Calibration, DensityCalibration, fit_density_calibration
 from models.config import BinConfig
+from models.mirror import answer_both_ways
 from models.motion import STATE_SCALE
 from models.network import PhysicsNetwork
 from models.skinning_energy import captured_energy_loss, span_loss
@@ -67,16 +68,18 @@ class Validation:
 
 
 @torch.no_grad()
-def validate(network: PhysicsNetwork, clips: TrainingClips, *, video: bool = True, batch_size: int = 16) -> Validation:
+def validate(
+    network: PhysicsNetwork, clips: TrainingClips, *, encoder: bool = True, batch_size: int = 16
+) -> Validation:
     """Run the network over all clips, unaugmented, in evaluation mode."""
     network.eval()
     device = next(network.parameters()).device
     columns: list[tuple[Tensor, ...]] = []
     for first in range(0, len(clips), batch_size):
         chosen = range(first, min(first + batch_size, len(clips)))
-        batch = collate([clips[Item(0, clip, video)] for clip in chosen])
+        batch = collate([clips[Item(0, clip)] for clip in chosen])
         targets = batch.targets.to(device)
-        output = network(batch.clips.to(device), targets.points, video=video)
+        output = answer_both_ways(network, batch.clips.to(device), targets.points, encoder=encoder)
         weights = output.weights.float()
         columns.append(
             (

@@ -19,7 +19,7 @@ from physconvex.errors import InputError
 SMALL = EncoderConfig(image_size=32, frames=8, hidden_size=48, layers=2, heads=4)
 NETWORK = NetworkConfig(
     encoder=SMALL,
-    kinematics=KinematicsConfig(channels=16, blocks=2, material_blocks=2, frame_widths=(8, 16)),
+    kinematics=KinematicsConfig(channels=16, blocks=2, material_blocks=2, frame_widths=(8, 16), window=16),
     latent_size=16,
 )
 
@@ -148,8 +148,8 @@ def test_padded_frames_of_the_kinematics_are_not_read() -> None:
     other = batch.moments.clone()
     other[:, 5:] += 1
     pairs = [dataclasses.replace(batch, valid=valid, moments=moments) for moments in (batch.moments, other)]
-    latents = [network(pair, video=False).latent for pair in pairs]
-    assert not torch.equal(latents[0], network(batch, video=False).latent)
+    latents = [network(pair, encoder=False).latent for pair in pairs]
+    assert not torch.equal(latents[0], network(batch, encoder=False).latent)
     torch.testing.assert_close(*latents)
 
 

@@ -12,6 +12,7 @@ import train.predictor_evaluation
 from models.clip import PreparedClip
 from models.estimator import Estimate, PhysicsPredictor
 from models.skinning import SkinningField
+from physconvex.errors import InputError
 from train.config import TrainConfig
 from train.predictor_evaluation import evaluate_predictor, write_predictor_report
 from train.records import read_clips
@@ -68,6 +69,10 @@ def test_an_oracle_gets_its_score_and_loses_it_without_time(
     truth = [np.log10(clip.youngs_modulus) for clip in read_clips([tiny_data], "test")]
     median = np.median([np.log10(clip.youngs_modulus) for clip in read_clips([tiny_data], "train")])
     assert ordered.log10_youngs_modulus.constant_mae == pytest.approx(np.abs(truth - median).mean())
+    with pytest.raises(InputError, match="nowhere"):  # whose median the constant is can be told
+        evaluate_predictor(
+            [tiny_data], checkpoint="oracle", split="test", cache=tiny_cache, workers=0, training_data=["nowhere"]
+        )
     write_predictor_report(tmp_path / "out", result)
     tree = json.loads((tmp_path / "out" / "predictor.json").read_text())
     assert [r["name"] for r in tree["readings"]] == ["frames in order", "frames shuffled", "a single frame"]

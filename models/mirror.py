@@ -1,0 +1,54 @@
+"""A clip and its mirror image fall alike: the answers to both are averaged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from models.network import ClipBatch, NetworkOutput, PhysicsNetwork
+from models.silhouette import MOMENT_NAMES
+
+__all__ = ["answer_both_ways", "mirrored_batch", "mirrored_moments"]
+
+_SWAPPED = {"left": "right", "right": "left"}
+_SOURCE = np.array([MOMENT_NAMES.index(_SWAPPED.get(name, name)) for name in MOMENT_NAMES])
+_SIGN = np.array([-1.0 if name in ("centroid_x", "left", "right", "sxy") else 1.0 for name in MOMENT_NAMES], np.float32)
+
+
+def mirrored_moments(moments: Float[np.ndarray, "*T M"]) -> Float[np.ndarray, "*T M"]:
+    """Of the silhouettes seen in a mirror: x turns."""
+    return moments[..., _SOURCE] * _SIGN
+
+
+def mirrored_batch(batch: ClipBatch) -> ClipBatch:
+    """Left and right exchanged."""
+    sign = torch.from_numpy(_SIGN).to(batch.moments.device)
+    return replace(
+        batch, frames=batch.frames.flip(3), mask=batch.mask.flip(3), moments=batch.moments[..., _SOURCE] * sign
+    )
+
+
+def answer_both_ways(
+    network: PhysicsNetwork, batch: ClipBatch, points: Float[Tensor, "B Q 3"] | None = None, *, encoder: bool = True
+) -> NetworkOutput:
+    """What the network says of the clips, with both densities the mean over clip and mirror image.
+
+    States, latent and skinning weights are those of the clips as they are. Arguments as of `PhysicsNetwork.forward`.
+    """
+    seen = network(batch, points, encoder=encoder)
+    turned = network(mirrored_batch(batch), encoder=encoder)
+    return replace(
+        seen,
+        stiffness_logits=_mean_density(seen.stiffness_logits, turned.stiffness_logits),
+        poisson_logits=_mean_density(seen.poisson_logits, turned.poisson_logits),
+    )
+
+
+def _mean_density(one: Float[Tensor, "B K"], other: Float[Tensor, "B K"]) -> Float[Tensor, "B K"]:
+    """Logits of the mean of two densities."""
+    both = torch.stack([one.float().log_softmax(dim=-1), other.float().log_softmax(dim=-1)])
+    return both.logsumexp(dim=0) - float(np.log(2.0))
