@@ -1,6 +1,7 @@
 """Reduced-order simulator: a body moved by M skinning weights, φ(X) = X + Σ_m W_m(X) Z_m [X; 1]."""
 
 from physconvex.contact import Plane, Sphere
+from physconvex.reduced.adjoint import LossGradient, simulate_with_adjoint
 from physconvex.reduced.autograd import rollout_positions
 from physconvex.reduced.basis import (
     CallableWeights,
@@ -23,6 +24,7 @@ __all__ = [
     "BodySamples",
     "CallableWeights",
     "Cubature",
+    "LossGradient",
     "NodalWeights",
     "Plane",
     "ReducedBody",
@@ -38,6 +40,7 @@ __all__ = [
     "rollout_positions",
     "sample_basis",
     "simulate",
+    "simulate_with_adjoint",
     "simulate_with_sensitivities",
     "tet_cubature",
     "with_parameters",
