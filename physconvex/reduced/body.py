@@ -183,14 +183,14 @@ class ReducedBody:
     def _integrate(self, tensor: Tensor) -> np.ndarray:
         """Σ_q w ∂N_a/∂X_j A_ijkl ∂N_b/∂X_l, shape [3R, 3R]; A_ijkl = A_klij, so that i ≤ k is enough."""
         size = self.space.dimension
-        parts = torch.zeros(6 * size, size, dtype=torch.float64, device=self.device)
+        parts = torch.zeros(size, 6 * size, dtype=torch.float64, device=self.device)  # b, (pair, a)
         gradients = self._gradients.reshape(-1, 3, size)  # [Q, j, R]
         a = (self._weights[:, None, None] * tensor).reshape(-1, 3, 3, 3, 3)
-        pairs = torch.stack([a[:, i, :, k, :] for i, k in _PAIRS], dim=2)  # [Q, j, pair, l]
+        pairs = torch.stack([a[:, i, :, k, :].mT for i, k in _PAIRS], dim=2)  # [Q, l, pair, j]
         for g, block in zip(*(t.split(max(_BLOCK // (18 * size), 1)) for t in (gradients, pairs)), strict=True):
-            half = (g.mT @ block.reshape(len(g), 3, 18)).reshape(len(g), size, 6, 3)
-            parts += half.permute(2, 1, 0, 3).reshape(6 * size, -1) @ g.reshape(-1, size)
-        return _from_pairs(parts.reshape(6, size, size)).cpu().numpy()
+            half = block.reshape(len(g), 18, 3) @ g  # [Q, (l, pair), a]: this order needs no transposition
+            parts += g.reshape(-1, size).mT @ half.reshape(-1, 6 * size)
+        return _from_pairs(parts.reshape(size, 6, size)).cpu().numpy()
 
     # -- Kelvin–Voigt viscosity: rate potential w/2 (2 μ_v Ė:Ė + λ_v (tr Ė)²), Ė = sym(F*ᵀ Ḟ), frozen F*
 
@@ -204,10 +204,10 @@ class ReducedBody:
 
 
 def _from_pairs(parts: Tensor) -> Tensor:
-    """The symmetric [3R, 3R] matrix from its blocks (i, k), i ≤ k, each [R, R]."""
-    size = parts.shape[-1]
+    """The symmetric [3R, 3R] matrix from its blocks (i, k), i ≤ k, given as [b, pair, a]."""
+    size = parts.shape[0]
     out = torch.empty(size, 3, size, 3, dtype=parts.dtype, device=parts.device)
-    for part, (i, k) in zip(parts, _PAIRS, strict=True):
-        out[:, i, :, k] = part
-        out[:, k, :, i] = part.mT
+    for number, (i, k) in enumerate(_PAIRS):
+        out[:, i, :, k] = parts[:, number].mT
+        out[:, k, :, i] = parts[:, number]
     return out.reshape(3 * size, 3 * size)

@@ -24,16 +24,15 @@ _BLOCK = 20_000
 
 def _ordered_orthogonal(gram: np.ndarray, volume: float) -> np.ndarray:
     """Columns T with Tᵀ G T = V·1 that span what the functions span, in their order (Gram–Schmidt), [D, R]."""
-    kept: list[np.ndarray] = []
+    basis = np.zeros((len(gram), 0))
     for j in range(len(gram)):
         residual = np.eye(len(gram))[j]
-        for _ in range(2):
-            for column in kept:
-                residual = residual - column * (column @ gram @ residual) / volume
+        for _ in range(2):  # the second pass removes what rounding left
+            residual = residual - basis @ (basis.T @ (gram @ residual)) / volume
         square = residual @ gram @ residual
         if square > _DEPENDENT * gram[j, j]:
-            kept.append(residual * np.sqrt(volume / square))
-    return np.stack(kept, axis=1)
+            basis = np.column_stack([basis, residual * np.sqrt(volume / square)])
+    return basis
 
 
 class ReducedSpace:
