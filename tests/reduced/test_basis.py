@@ -72,6 +72,7 @@ def test_number_of_weights_is_checked(count):
         eigenmode_weights(ElasticBody(box_mesh(SIZE, (2, 1, 1))), count)
 
 
+@pytest.mark.wrong_types
 def test_wrong_shapes_are_named():
     mesh = box_mesh(SIZE, (1, 1, 1))
     with pytest.raises(InputError, match="nodal_values"):
