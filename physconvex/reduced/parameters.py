@@ -9,6 +9,7 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Float
 
+from physconvex.contact import Obstacle, Plane, Sphere
 from physconvex.errors import InputError
 from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.scene import ReducedScene
@@ -113,6 +114,14 @@ def with_parameters(scene: ReducedScene, names: Sequence[str], values: Float[np.
     return scene
 
 
+def _rougher(obstacle: Obstacle, change: float) -> Obstacle:
+    """The same obstacle with another friction coefficient."""
+    friction, velocity = obstacle.friction + change, tuple(obstacle.velocity)
+    if isinstance(obstacle, Plane):
+        return Plane(tuple(obstacle.point), tuple(obstacle.normal), friction, velocity)
+    return Sphere(tuple(obstacle.center), obstacle.radius, friction, velocity)
+
+
 def _set(scene: ReducedScene, name: str, value: float) -> ReducedScene:
     body, change = scene.body, value - _read(scene, name)
     match name:
@@ -127,8 +136,7 @@ def _set(scene: ReducedScene, name: str, value: float) -> ReducedScene:
         case "air_drag":
             return replace(scene, air_drag=value)
         case "friction":
-            rough = [replace(o, friction=o.friction + change) if o.friction > 0 else o for o in scene.obstacles]
-            return replace(scene, obstacles=tuple(rough))
+            return replace(scene, obstacles=tuple(_rougher(o, change) if o.friction else o for o in scene.obstacles))
         case "log10_contact_stiffness":
             return replace(scene, contact_stiffness=10**value)
     stem, axis = axis_of(name)

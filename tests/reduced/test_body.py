@@ -80,7 +80,9 @@ def test_mass_of_affine_motions_is_exact_for_a_heterogeneous_body(mixed_body, or
     body = mixed_body(order)
     full = ElasticBody(box_mesh(SIZE, (2, 1, 1), order=order), density=body.density)
     assert body.total_mass == pytest.approx(full.total_mass, rel=1e-12)
-    assert body.first_moments @ body.space.affine(np.zeros((3, 3)), np.array([1.0, 0, 0]))[:, 0] == pytest.approx(body.total_mass)
+    assert body.first_moments @ body.space.affine(np.zeros((3, 3)), np.array([1.0, 0, 0]))[:, 0] == pytest.approx(
+        body.total_mass
+    )
     linear, shift = np.random.default_rng(1).normal(size=(3, 3)), np.array([0.1, -0.4, 0.2])
     v, nodal = body.space.affine(linear, shift), full.mesh.vertices @ linear.T + shift
     assert (v * (body.mass @ v)).sum() == pytest.approx((nodal * (full.mass @ nodal)).sum(), rel=1e-10)

@@ -174,6 +174,7 @@ def test_dropped_soft_box_approaches_the_full_model_with_more_weights():
 # --- errors
 
 
+@pytest.mark.wrong_types
 def test_bad_arguments_are_named(space_of):
     scene = ReducedScene(slab(space_of))
     for options in ({"frames": 0}, {"friction_passes": 0}, {"integrator": "euler"}):
