@@ -111,6 +111,8 @@ class NodalWeights:
 
     def at(self, points: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, "P M"], Float[np.ndarray, "P M 3"]]:
         """Values [-] and gradients [1/m] at rest positions [m]."""
+        if not len(points):
+            return np.zeros((0, self.count)), np.zeros((0, self.count, 3))
         blocks = np.array_split(np.asarray(points, dtype=np.float64), 1 + len(points) // _BLOCK)
         parts = [self._at_block(block) for block in blocks]
         return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])

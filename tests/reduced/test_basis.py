@@ -66,6 +66,12 @@ def test_callable_that_depends_on_nothing_has_no_gradient():
     np.testing.assert_array_equal(gradients, 0.0)
 
 
+def test_no_points_have_no_weights():
+    mesh = box_mesh(SIZE, (1, 1, 1))
+    values, gradients = NodalWeights(mesh, mesh.vertices).at(np.zeros((0, 3)))
+    assert values.shape == (0, 3) and gradients.shape == (0, 3, 3)
+
+
 @pytest.mark.parametrize("count", [0, 65])
 def test_number_of_weights_is_checked(count):
     with pytest.raises(InputError, match="count"):
