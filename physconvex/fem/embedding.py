@@ -14,7 +14,7 @@ from physconvex.errors import InputError
 from physconvex.fem.elements import shape_gradients, shape_values
 from physconvex.fem.mesh import FACE_CORNERS, TetMesh
 
-__all__ = ["Embedding", "sample_interior"]
+__all__ = ["Embedding", "locate", "sample_interior"]
 
 # Elements tried per point (nearest centres first), most point-element pairs handled at once, and how far outside
 # (in barycentric coordinates) still counts as inside.
@@ -54,7 +54,7 @@ class Embedding:
         points = np.asarray(points, dtype=np.float64)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise InputError(f"points: got shape {points.shape}; expected finite [P, 3] in metres")
-        elements, barycentric, anchors, distance = _locate(mesh, points)
+        elements, barycentric, anchors, distance = locate(mesh, points)
         return cls(
             elements=elements,
             weights=_continued_shape_values(barycentric, anchors, distance > 0, mesh.order),
@@ -131,7 +131,7 @@ def _continued_shape_values(
     return values
 
 
-def _locate(mesh: TetMesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def locate(mesh: TetMesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Where every point lies.
 
     Returns:

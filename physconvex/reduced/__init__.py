@@ -1,0 +1,47 @@
+"""Reduced-order simulator: a body moved by M skinning weights, φ(X) = X + Σ_m W_m(X) Z_m [X; 1]."""
+
+from physconvex.contact import Plane, Sphere
+from physconvex.reduced.adjoint import LossGradient, simulate_with_adjoint
+from physconvex.reduced.autograd import rollout_positions
+from physconvex.reduced.basis import (
+    CallableWeights,
+    NodalWeights,
+    SkinningBasis,
+    WeightField,
+    eigenmode_weights,
+    sample_basis,
+)
+from physconvex.reduced.body import ReducedBody
+from physconvex.reduced.cubature import BodySamples, Cubature, tet_cubature
+from physconvex.reduced.parameters import PARAMETERS, parameter_values, with_parameters
+from physconvex.reduced.scene import ReducedScene
+from physconvex.reduced.sensitivity import SensitiveTrajectory, simulate_with_sensitivities
+from physconvex.reduced.simulation import ReducedTrajectory, simulate
+from physconvex.reduced.space import ReducedSpace
+
+__all__ = [
+    "PARAMETERS",
+    "BodySamples",
+    "CallableWeights",
+    "Cubature",
+    "LossGradient",
+    "NodalWeights",
+    "Plane",
+    "ReducedBody",
+    "ReducedScene",
+    "ReducedSpace",
+    "ReducedTrajectory",
+    "SensitiveTrajectory",
+    "SkinningBasis",
+    "Sphere",
+    "WeightField",
+    "eigenmode_weights",
+    "parameter_values",
+    "rollout_positions",
+    "sample_basis",
+    "simulate",
+    "simulate_with_adjoint",
+    "simulate_with_sensitivities",
+    "tet_cubature",
+    "with_parameters",
+]

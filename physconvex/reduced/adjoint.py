@@ -1,0 +1,240 @@
+"""Adjoint sensitivities: the gradient of one loss by many parameters, in one sweep backwards through the roll-out.
+
+The forward tangents of `physconvex.reduced.sensitivity`, transposed step by step: each solve H dx = −r costs one
+back-substitution H λ = x̄, whatever the number of parameters. The local maps of friction and viscosity are transposed
+point by point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.linalg import lu_factor, lu_solve
+
+from physconvex.errors import InputError
+from physconvex.materials import lame_parameters
+from physconvex.reduced.body import viscous_stress
+from physconvex.reduced.equations import StepEquations
+from physconvex.reduced.friction_tangents import FreezeTangent, friction_tangent
+from physconvex.reduced.scene import ReducedScene
+from physconvex.reduced.simulation import ReducedTrajectory, SolvedPass, StepRecord, extrapolate, simulate
+from physconvex.reduced.step_derivatives import StepDerivatives
+
+__all__ = ["LossGradient", "simulate_with_adjoint"]
+
+Loss = Callable[[ReducedTrajectory], tuple[float, Float[np.ndarray, "T R 3"]]]
+
+
+@dataclass(frozen=True)
+class LossGradient:
+    """A roll-out, its loss, and the loss's derivatives.
+
+    Attributes:
+        trajectory: the roll-out.
+        loss: its loss.
+        named: by the named parameters, shape [P].
+        youngs_modulus: by E of each cell at fixed contact stiffness [1/Pa], shape [C].
+        poisson_ratio: by ν of each cell, shape [C].
+        initial_coordinates: by y(0) [1/m], shape [R, 3].
+        initial_velocities: by ẏ(0) [s/m], shape [R, 3].
+    """
+
+    trajectory: ReducedTrajectory
+    loss: float
+    named: Float[np.ndarray, " P"]
+    youngs_modulus: Float[np.ndarray, " C"]
+    poisson_ratio: Float[np.ndarray, " C"]
+    initial_coordinates: Float[np.ndarray, "R 3"]
+    initial_velocities: Float[np.ndarray, "R 3"]
+
+
+class _Bar:
+    """Derivatives of the loss by one state; grows while the sweep goes backwards."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.positions, self.velocities = np.zeros(shape), np.zeros(shape)
+
+
+class _Sweep:
+    """Accumulates derivatives over the steps, last step first."""
+
+    def __init__(self, scene: ReducedScene, names: Sequence[str]) -> None:
+        self.scene, self.body = scene, scene.body
+        self.derivatives = StepDerivatives(scene, names)
+        self.equations = StepEquations(scene)
+        self.named = np.zeros(len(names))
+        cells = self.body.space.samples.interior.cells
+        self.cells = torch.as_tensor(cells, device=self.body.device)
+        points = torch.zeros(len(cells), dtype=torch.float64, device=self.body.device)
+        self.mu, self.lam = points.clone(), points.clone()  # derivatives by μ and λ at the interior samples
+
+    def back(self, record: StepRecord, after: _Bar, before: _Bar, history: _Bar | None) -> None:
+        """Carry derivatives by the state after a step to the states before it."""
+        c = record.coefficients
+        guess = extrapolate(record.before, record.history, record.step)
+        self.equations.set_step(c, record.after.time, guess, record.before)
+        step_bars = _StepBars(self.scene.start.shape)
+        x_bar = after.positions + after.velocities / c.step
+        step_bars.base -= after.velocities / c.step
+        for number in reversed(range(len(record.passes))):
+            force_bar = self._back_solve(record.passes[number], x_bar)
+            self._back_gradient(record, number, guess, force_bar, step_bars)
+            places, speeds = self._back_friction(record, number, guess, force_bar, step_bars)
+            step_bars.base -= speeds / c.step
+            if number > 0:
+                x_bar = places + speeds / c.step
+            else:
+                before.positions += places
+                step_bars.guess += speeds / c.step
+        _back_coefficients(record, step_bars, before, history)
+
+    def _back_solve(self, solved: SolvedPass, x_bar: np.ndarray) -> np.ndarray:
+        """−H⁻¹ x̄: derivative of the loss by the gradient of the incremental potential."""
+        self.equations.friction = solved.friction
+        factor = lu_factor(self.equations.hessian(solved.x), check_finite=False)
+        return -lu_solve(factor, x_bar.ravel(), check_finite=False).reshape(x_bar.shape)
+
+    def _back_gradient(
+        self, record: StepRecord, number: int, guess: np.ndarray, force_bar: np.ndarray, bars: _StepBars
+    ) -> None:
+        """Everything in the gradient but friction."""
+        body, scene, c, x = self.body, self.scene, record.coefficients, record.passes[number].x
+        state = body.deformation_gradient(guess)
+        explicit = self.derivatives.explicit(self.equations, c, x, state)
+        self.named += (explicit * force_bar).sum((1, 2))
+        bars.target -= body.mass @ force_bar / c.step**2
+        velocity_bar = scene.air_drag * (body.mass @ force_bar)
+        f, spread = body.deformation_gradient(x), body.deformation_gradient(force_bar)
+        rate = body.deformation_gradient(c.velocity(x))
+        with torch.enable_grad():
+            inputs = [t.clone().requires_grad_() for t in (state, rate, body.mu, body.lam)]
+            f_star, speed, mu, lam = inputs
+            beta = scene.damping_time
+            stress = body.law.stress(f, mu, lam) + viscous_stress(f_star, speed, beta * mu, beta * lam)
+            state_bar, rate_bar, mu_bar, lam_bar = torch.autograd.grad((stress * spread).sum(), inputs)
+        bars.guess += body.forces_of(state_bar)
+        velocity_bar = velocity_bar + body.forces_of(rate_bar)
+        bars.base -= velocity_bar / c.step
+        self.mu += mu_bar
+        self.lam += lam_bar
+
+    def _back_friction(
+        self, record: StepRecord, number: int, guess: np.ndarray, force_bar: np.ndarray, bars: _StepBars
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives by the coordinates and velocities at which friction was frozen; by probing its local maps."""
+        c, surface, contact = record.coefficients, self.equations.surface, self.equations.contact
+        zero = np.zeros_like(force_bar)
+        if not record.passes[number].friction:
+            return zero, zero
+        if number == 0:
+            y, v, time = record.before.positions, c.velocity(guess), record.before.time
+        else:
+            y = record.passes[number - 1].x
+            v, time = c.velocity(y), record.after.time
+        named = len(self.named)
+        probes = np.zeros((3, 9 + named, len(surface), 3))  # of x, v when frozen, and the present velocity
+        for kind in range(3):
+            for axis in range(3):
+                probes[kind, 3 * kind + axis, :, axis] = 1.0
+        stiffness, coefficients = np.zeros(9 + named), np.zeros(9 + named)
+        stiffness[9:], coefficients[9:] = self.derivatives.dlog_stiffness, self.derivatives.dfriction
+        frozen = FreezeTangent(surface @ y, surface @ v, time, probes[0], probes[1], stiffness, coefficients)
+        maps = friction_tangent(contact, frozen, surface @ c.velocity(record.passes[number].x), probes[2])
+        pulled = (maps * (surface @ force_bar)).sum(-1)  # [9 + P, S]
+        self.named += pulled[9:].sum(1)
+        places, speeds, present = (surface.T @ pulled[3 * kind : 3 * kind + 3].T for kind in range(3))
+        bars.base -= present / c.step
+        return places, speeds
+
+    def finish(self, trajectory: ReducedTrajectory, loss: float, first: _Bar) -> LossGradient:
+        """All derivatives, when the sweep has come to the start."""
+        start = self.derivatives.start()
+        named = self.named + (start.positions * first.positions + start.velocities * first.velocities).sum((1, 2))
+        count = self.body.space.samples.interior.cell_count
+        weights = torch.as_tensor(self.body.space.samples.interior.weights, device=self.body.device)
+        by_cell = [
+            torch.zeros(count, dtype=torch.float64, device=self.body.device).index_add_(0, self.cells, weights * bar)
+            for bar in (self.mu, self.lam)
+        ]
+        with torch.enable_grad():
+            constants = [
+                torch.tensor(a, device=self.body.device, requires_grad=True)
+                for a in (self.body.youngs_modulus, self.body.poisson_ratio)
+            ]
+            mu, lam = lame_parameters(*constants)
+            modulus, ratio = torch.autograd.grad((by_cell[0] * mu + by_cell[1] * lam).sum(), constants)
+        # a rotating start turns its coordinates into velocities
+        spin = np.asarray(self.scene.initial_angular_velocity, dtype=np.float64)
+        positions = first.positions - np.cross(spin, first.velocities)
+        constant = self.body.space.affine(np.zeros((3, 3)), np.array([1.0, 0, 0]))[:, 0]
+        turned = -np.cross(spin, constant @ first.velocities)
+        positions = positions - np.outer(self.body.first_moments / self.body.total_mass, turned)
+        return LossGradient(
+            trajectory, loss, named, modulus.cpu().numpy(), ratio.cpu().numpy(), positions, first.velocities
+        )
+
+
+class _StepBars:
+    """Derivatives of the loss by target, base and guess of one step."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.target, self.base, self.guess = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+
+
+def _back_coefficients(record: StepRecord, bars: _StepBars, before: _Bar, history: _Bar | None) -> None:
+    """Transpose of `extrapolate` and of `bdf2` or `implicit_euler`."""
+    step, short = record.step, record.coefficients.step
+    before.positions += bars.guess
+    before.velocities += step * bars.guess
+    if history is not None:
+        before.velocities += 0.5 * step * bars.guess
+        history.velocities -= 0.5 * step * bars.guess
+    both = bars.base + bars.target
+    if record.two_step and history is not None:
+        before.positions += 4 / 3 * both
+        history.positions -= both / 3
+        before.velocities += 4 / 3 * short * bars.target
+        history.velocities -= short * bars.target / 3
+    else:
+        before.positions += both
+        before.velocities += step * bars.target
+
+
+def simulate_with_adjoint(
+    scene: ReducedScene, loss: Loss, *, parameters: Sequence[str] = ("log10_youngs_modulus",), **options: Any
+) -> LossGradient:
+    """Roll out, and differentiate a loss of the coordinates at the frames.
+
+    Args:
+        scene: body, forces, initial state.
+        loss: gives the loss of a trajectory and its derivative by `trajectory.coordinates`, shape [T, R, 3].
+        parameters: names, see `physconvex.reduced.PARAMETERS`; the fields of `LossGradient` come besides.
+        options: of `simulate`; the error of the gradient is that of Newton's `tolerance`.
+
+    Raises:
+        InputError: unknown names, options out of range, or a derivative of the wrong shape.
+        ConvergenceError: as in `simulate`.
+    """
+    sweep = _Sweep(scene, parameters)
+    records: list[StepRecord] = []
+    frame_states = [0]
+
+    def observe(_: StepEquations, record: StepRecord) -> None:
+        records.append(record)
+
+    run = simulate(scene, observer=observe, on_frame=lambda _: frame_states.append(len(records)), **options)
+    value, slope = loss(run)
+    if np.shape(slope) != run.coordinates.shape:
+        raise InputError(f"loss: gave a derivative of shape {np.shape(slope)}; expected {run.coordinates.shape}")
+    bars = [_Bar(scene.start.shape) for _ in range(len(records) + 1)]
+    for state, part in zip(frame_states, slope, strict=True):
+        bars[state].positions += part
+    for i in reversed(range(len(records))):
+        history = bars[i - 1] if records[i].history is not None else None
+        sweep.back(records[i], bars[i + 1], bars[i], history)
+    return sweep.finish(run, float(value), bars[0])

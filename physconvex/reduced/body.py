@@ -1,0 +1,213 @@
+"""A hyperelastic body in a reduced space: energy, forces, dense Hessian, mass, viscosity."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from physconvex.errors import InputError
+from physconvex.materials import get_law, lame_parameters, project_to_positive, strain_stiffness
+from physconvex.reduced.space import ReducedSpace
+
+__all__ = ["ReducedBody", "viscous_stress"]
+
+PerCell = float | Float[np.ndarray, " C"]
+_BLOCK = 4_000_000  # numbers in the largest temporary of the Hessian
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+def viscous_stress(state: Tensor, rate: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    """First Piola–Kirchhoff stress [Pa] of Kelvin–Voigt viscosity, F* (2 μ_v Ė + λ_v tr Ė), Ė = sym(F*ᵀ Ḟ).
+
+    Args:
+        state: F*, at which the viscosity of one time step is frozen, [..., 3, 3].
+        rate: Ḟ [1/s], [..., 3, 3].
+        mu, lam: viscosities μ_v, λ_v [Pa·s].
+    """
+    return state @ inner_viscous_stress(state, rate, mu, lam)
+
+
+def inner_viscous_stress(state: Tensor, rate: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    """2 μ_v Ė + λ_v tr Ė [Pa], without the F* in front."""
+    strain = state.mT @ rate
+    strain = 0.5 * (strain + strain.mT)
+    trace = strain.diagonal(dim1=-2, dim2=-1).sum(-1)
+    return 2 * mu[..., None, None] * strain + (lam * trace)[..., None, None] * torch.eye(3).to(strain)
+
+
+class ReducedBody:
+    """A reduced space filled with one elastic law; constants per cell of the samples (per tetrahedron).
+
+    Args:
+        space: shape functions and samples.
+        law: name of the elastic law, see `physconvex.materials`.
+        youngs_modulus: E [Pa], scalar or [C].
+        poisson_ratio: ν [-], scalar or [C], in (-1, 0.5).
+        density: ρ [kg/m³], scalar or [C].
+        device: where the arithmetic over the samples runs (the dense solve stays on the CPU).
+
+    Attributes:
+        mass: mass matrix of one coordinate [kg], shape [R, R].
+        first_moments: ∫ ρ N_a dV [kg], shape [R]: the weights of a uniform acceleration.
+
+    Raises:
+        InputError: a constant out of its range or of the wrong shape.
+    """
+
+    def __init__(
+        self,
+        space: ReducedSpace,
+        *,
+        law: str = "neo_hookean",
+        youngs_modulus: PerCell = 1e5,
+        poisson_ratio: PerCell = 0.4,
+        density: PerCell = 1000.0,
+        device: str | torch.device = "cpu",
+    ) -> None:
+        self.space, self.law, self.device = space, get_law(law), torch.device(device)
+        self.youngs_modulus = self._per_cell("youngs_modulus", youngs_modulus, 0.0, np.inf)
+        self.poisson_ratio = self._per_cell("poisson_ratio", poisson_ratio, -1.0, 0.5)
+        self.density = self._per_cell("density", density, 0.0, np.inf)
+        interior = space.samples.interior
+        self.mu, self.lam = (
+            constant[torch.as_tensor(interior.cells, device=self.device)]
+            for constant in lame_parameters(self._tensor(self.youngs_modulus), self._tensor(self.poisson_ratio))
+        )
+        self._weights = self._tensor(interior.weights)
+        flat = space.interior_gradients.transpose(0, 2, 1).reshape(-1, space.dimension)
+        self._gradients = self._tensor(np.ascontiguousarray(flat))  # [(Q, j), R]
+        self.mass, self.first_moments = space.mass_matrix(self.density)
+
+    def with_material(
+        self,
+        *,
+        youngs_modulus: PerCell | None = None,
+        poisson_ratio: PerCell | None = None,
+        density: PerCell | None = None,
+    ) -> ReducedBody:
+        """The same body with other constants; the space is shared."""
+        return ReducedBody(
+            self.space,
+            law=self.law.name,
+            youngs_modulus=self.youngs_modulus if youngs_modulus is None else youngs_modulus,
+            poisson_ratio=self.poisson_ratio if poisson_ratio is None else poisson_ratio,
+            density=self.density if density is None else density,
+            device=self.device,
+        )
+
+    # -- set-up
+
+    def _tensor(self, array: np.ndarray) -> Tensor:
+        return torch.as_tensor(array, dtype=torch.float64, device=self.device)
+
+    def _per_cell(self, name: str, value: PerCell, low: float, high: float) -> np.ndarray:
+        array, count = np.asarray(value, dtype=np.float64), self.space.samples.interior.cell_count
+        if array.shape not in ((), (count,)):
+            raise InputError(f"{name}: got shape {array.shape}; expected a number or [{count}], one per cell")
+        if not ((array > low) & (array < high)).all():
+            raise InputError(f"{name}: got values in [{array.min()}, {array.max()}]; expected inside ({low}, {high})")
+        return np.broadcast_to(array, count).copy()
+
+    @property
+    def rest(self) -> Float[np.ndarray, "R 3"]:
+        """Coordinates of the rest state [m]."""
+        return self.space.rest
+
+    @property
+    def volume(self) -> float:
+        """Volume of the body [m³]."""
+        return self.space.samples.mass.volume
+
+    @property
+    def total_mass(self) -> float:
+        """Mass of the body [kg]."""
+        mass = self.space.samples.mass
+        return float(mass.weights @ self.density[mass.cells])
+
+    @property
+    def shear_scale(self) -> float:
+        """∫ μ dV [J]: size of the terms that cancel each other in the elastic energy."""
+        return float((self._weights * self.mu).sum())
+
+    # -- elasticity
+
+    def deformation_gradient(self, y: Float[np.ndarray, "*B R 3"]) -> Tensor:
+        """F = ∂φ/∂X at the interior samples for coordinates y [m] (or Ḟ for velocities), shape [..., Q, 3, 3]."""
+        columns = self._gradients @ self._tensor(y)  # [..., (Q, j), i]
+        return columns.reshape(*columns.shape[:-2], -1, 3, 3).mT
+
+    def forces_of(self, stress: Tensor) -> Float[np.ndarray, "*B R 3"]:
+        """Generalised forces ∫ P : ∂N_a/∂X dV [N] of a stress field [Pa], shape [..., Q, 3, 3]."""
+        weighted = (self._weights[:, None, None] * stress).mT  # [..., Q, j, i]
+        return (self._gradients.mT @ weighted.reshape(*stress.shape[:-3], -1, 3)).cpu().numpy()
+
+    def energy(self, y: Float[np.ndarray, "R 3"]) -> float:
+        """Elastic energy [J] at coordinates y [m]."""
+        return float((self._weights * self.law.energy(self.deformation_gradient(y), self.mu, self.lam)).sum())
+
+    def gradient(self, y: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:
+        """Derivative of the elastic energy with respect to the coordinates [N]."""
+        return self.forces_of(self.law.stress(self.deformation_gradient(y), self.mu, self.lam))
+
+    def energy_and_gradient(self, y: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
+        """Both of the above with one evaluation of F."""
+        f = self.deformation_gradient(y)
+        energy = float((self._weights * self.law.energy(f, self.mu, self.lam)).sum())
+        return energy, self.forces_of(self.law.stress(f, self.mu, self.lam))
+
+    def hessian(
+        self,
+        y: Float[np.ndarray, "R 3"],
+        *,
+        project: bool = False,
+        viscous_state: Tensor | None = None,
+        damping_ratio: float = 0.0,
+    ) -> Float[np.ndarray, "N N"]:
+        """Dense stiffness matrix [N/m], N = 3 R, ordered function by function.
+
+        Args:
+            y: coordinates [m].
+            project: set negative eigenvalues of ∂P/∂F to zero first.
+            viscous_state: F* of a time step with Kelvin–Voigt viscosity, whose stiffness is then added.
+            damping_ratio: damping time over the time step [-].
+        """
+        tensor = self.law.hessian(self.deformation_gradient(y), self.mu, self.lam)
+        if project:
+            tensor = project_to_positive(tensor)
+        if viscous_state is not None:
+            tensor = tensor + strain_stiffness(viscous_state, damping_ratio * self.mu, damping_ratio * self.lam)
+        return self._integrate(tensor)
+
+    def _integrate(self, tensor: Tensor) -> np.ndarray:
+        """Σ_q w ∂N_a/∂X_j A_ijkl ∂N_b/∂X_l, shape [3R, 3R]; A_ijkl = A_klij, so that i ≤ k is enough."""
+        size = self.space.dimension
+        parts = torch.zeros(size, 6 * size, dtype=torch.float64, device=self.device)  # b, (pair, a)
+        gradients = self._gradients.reshape(-1, 3, size)  # [Q, j, R]
+        a = (self._weights[:, None, None] * tensor).reshape(-1, 3, 3, 3, 3)
+        pairs = torch.stack([a[:, i, :, k, :].mT for i, k in _PAIRS], dim=2)  # [Q, l, pair, j]
+        for g, block in zip(*(t.split(max(_BLOCK // (18 * size), 1)) for t in (gradients, pairs)), strict=True):
+            half = block.reshape(len(g), 18, 3) @ g  # [Q, (l, pair), a]: this order needs no transposition
+            parts += g.reshape(-1, size).mT @ half.reshape(-1, 6 * size)
+        return _from_pairs(parts.reshape(size, 6, size)).cpu().numpy()
+
+    # -- Kelvin–Voigt viscosity: rate potential w/2 (2 μ_v Ė:Ė + λ_v (tr Ė)²), Ė = sym(F*ᵀ Ḟ), frozen F*
+
+    def viscous_energy_and_gradient(
+        self, state: Tensor, velocity: Float[np.ndarray, "R 3"], damping_time: float
+    ) -> tuple[float, Float[np.ndarray, "R 3"]]:
+        """Rate potential [W] and its derivative with respect to velocity [N] for viscosity damping_time × (μ, λ)."""
+        rate = self.deformation_gradient(velocity)
+        stress = viscous_stress(state, rate, damping_time * self.mu, damping_time * self.lam)
+        return float(0.5 * (self._weights * (stress * rate).sum((-1, -2))).sum()), self.forces_of(stress)
+
+
+def _from_pairs(parts: Tensor) -> Tensor:
+    """The symmetric [3R, 3R] matrix from its blocks (i, k), i ≤ k, given as [b, pair, a]."""
+    size = parts.shape[0]
+    out = torch.empty(size, 3, size, 3, dtype=parts.dtype, device=parts.device)
+    for number, (i, k) in enumerate(_PAIRS):
+        out[:, i, :, k] = parts[:, number].mT
+        out[:, k, :, i] = parts[:, number]
+    return out.reshape(3 * size, 3 * size)

@@ -1,0 +1,147 @@
+"""The function that one time step of a reduced body minimises."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from torch import Tensor
+
+from physconvex.contact import Contact, Friction
+from physconvex.integrators import State, StepCoefficients
+from physconvex.linear_solvers import NotPositiveDefiniteError
+from physconvex.reduced.scene import ReducedScene
+
+__all__ = ["StepEquations", "contact_blocks"]
+
+
+def contact_blocks(contact: Contact, x: Float[np.ndarray, "S 3"], time: float) -> Float[np.ndarray, "S 3 3"]:
+    """Exact second derivatives of the contact energy [N/m], with the curvature of the obstacles."""
+    blocks = contact.hessian_blocks(x, time)
+    for obstacle in contact.obstacles:
+        bend = obstacle.curvature(x, time)
+        if not bend.any():
+            continue
+        bare = Contact((obstacle,), contact.areas, contact.stiffness, contact.smoothing, contact.slip_velocity)
+        _, pull = bare.energy_and_gradient(x, time)  # −A ψ' n
+        normals = obstacle.normals(x, time)
+        tangential = np.eye(3) - normals[:, :, None] * normals[:, None, :]
+        blocks += ((pull * normals).sum(1) * bend)[:, None, None] * tangential
+    return blocks
+
+
+class StepEquations:
+    """Incremental potential of one time step in the reduced coordinates, an `Objective` with a dense Hessian."""
+
+    def __init__(self, scene: ReducedScene) -> None:
+        self.scene, self.body = scene, scene.body
+        self.contact = scene.contact()
+        self.surface = scene.body.space.surface_values
+        self.start = scene.start
+        self.factorised = False
+        self.factorisations = 0
+        self.rounding = 1e-15 * self.body.shear_scale
+        self._factorised_step = np.nan
+        self._factor: tuple[np.ndarray, bool] | None = None
+        self.coefficients: StepCoefficients | None = None
+        self.forces = scene.external_forces(0.0)
+        self.time = 0.0
+        self.viscous: Tensor | None = None
+        self.friction: tuple[Friction, ...] = ()
+
+    def set_step(self, coefficients: StepCoefficients, time: float, guess: np.ndarray, last: State) -> None:
+        """Fix everything that is constant during one time step.
+
+        As in the full model: viscosity is frozen at the guess, friction takes its normal forces from the last state.
+        """
+        self.coefficients, self.time = coefficients, time
+        self.forces = self.scene.external_forces(time)
+        if self.factorised and not np.isclose(coefficients.step, self._factorised_step):
+            self.factorised = False
+        self.viscous = self.body.deformation_gradient(guess) if self.scene.damping_time > 0 else None
+        self._freeze(last.positions, coefficients.velocity(guess), last.time)
+
+    def freeze_friction(self, y: Float[np.ndarray, "R 3"]) -> bool:
+        """Linearise friction at coordinates y; tells whether there is any."""
+        assert self.coefficients is not None
+        self._freeze(y, self.coefficients.velocity(y), self.time)
+        return bool(self.friction)
+
+    def _freeze(self, y: np.ndarray, velocity: np.ndarray, time: float) -> None:
+        self.friction = self.contact.freeze_friction(self.surface @ y, self.surface @ velocity, time)
+
+    # -- value and gradient
+
+    def evaluate(self, x: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
+        """Incremental potential [J] and its derivative [N]."""
+        energy, gradient = self.body.energy_and_gradient(x)
+        touch, push = self.contact.energy_and_gradient(self.surface @ x, self.time)
+        energy += touch - float((self.forces * (x - self.start)).sum())
+        gradient = gradient + self.surface.T @ push - self.forces
+        if self.coefficients is not None:
+            offset = x - self.coefficients.target
+            pull = self.body.mass @ offset / self.coefficients.step**2
+            loss, drag = self.dissipation(self.coefficients.velocity(x))
+            energy += 0.5 * float((offset * pull).sum()) + self.coefficients.step * loss
+            gradient = gradient + pull + drag
+        return energy, gradient
+
+    def dissipation(self, velocity: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
+        """Rate potential [W] of friction, viscosity and drag, and the generalised forces against the motion [N]."""
+        loss, rub = self.contact.friction_energy_and_gradient(self.friction, self.surface @ velocity)
+        force = self.surface.T @ rub
+        if self.viscous is not None:
+            power, push = self.body.viscous_energy_and_gradient(self.viscous, velocity, self.scene.damping_time)
+            loss, force = loss + power, force + push
+        if self.scene.air_drag > 0:
+            momentum = self.scene.air_drag * (self.body.mass @ velocity)
+            loss, force = loss + 0.5 * float((velocity * momentum).sum()), force + momentum
+        return loss, force
+
+    # -- Hessian
+
+    def hessian(self, x: Float[np.ndarray, "R 3"], *, project: bool = False) -> Float[np.ndarray, "N N"]:
+        """Second derivative [N/m], N = 3 R; exact, or its positive definite approximation."""
+        step = np.inf if self.coefficients is None else self.coefficients.step
+        ratio = self.scene.damping_time / step
+        matrix = self.body.hessian(x, project=project, viscous_state=self.viscous, damping_ratio=ratio)
+        at = self.surface @ x
+        blocks = self.contact.hessian_blocks(at, self.time) if project else contact_blocks(self.contact, at, self.time)
+        if self.friction:
+            blocks = blocks + self.contact.friction_blocks(self.friction) / step
+        self._add_surface(matrix, blocks)
+        if np.isfinite(step):
+            matrix += np.kron((1 / step**2 + self.scene.air_drag / step) * self.body.mass, np.eye(3))
+        return matrix
+
+    def _add_surface(self, matrix: np.ndarray, blocks: np.ndarray) -> None:
+        """Add Σ_s N_a(s) B_s N_b(s) over the samples whose block is not zero."""
+        touched = np.flatnonzero(blocks.any(axis=(1, 2)))
+        if not len(touched):
+            return
+        values, size = self.surface[touched], len(self.start)
+        by_component = matrix.reshape(size, 3, size, 3)
+        for i in range(3):
+            for k in range(3):
+                by_component[:, i, :, k] += values.T @ (blocks[touched, i, k, None] * values)
+
+    def factorise(self, x: Float[np.ndarray, "R 3"], *, project: bool) -> None:
+        """Cholesky factor of the Hessian at x.
+
+        Raises:
+            NotPositiveDefiniteError: it is not positive definite.
+        """
+        self.factorised = False
+        self._factor = None
+        try:
+            self._factor = cho_factor(self.hessian(x, project=project), lower=True, overwrite_a=True)
+        except (LinAlgError, ValueError) as error:  # ValueError: not finite
+            raise NotPositiveDefiniteError(f"the reduced Hessian has no Cholesky factor: {error}") from error
+        self._factorised_step = np.nan if self.coefficients is None else self.coefficients.step
+        self.factorisations += 1
+        self.factorised = True
+
+    def solve(self, rhs: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:
+        """Apply the inverse of the last factorised Hessian."""
+        assert self._factor is not None
+        return cho_solve(self._factor, rhs.reshape(-1), check_finite=False).reshape(rhs.shape)

@@ -1,0 +1,153 @@
+"""The parameters that a reduced scene can be differentiated by: reading and setting them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.contact import Obstacle, Plane, Sphere
+from physconvex.errors import InputError
+from physconvex.reduced.body import ReducedBody
+from physconvex.reduced.scene import ReducedScene
+
+__all__ = ["PARAMETERS", "ParameterName", "check_parameters", "parameter_values", "with_parameters"]
+
+ParameterName = Literal[
+    "log10_youngs_modulus",  # log10 of the mean E [Pa]; bodies of several materials are scaled as a whole
+    "poisson_ratio",  # mean ν [-]; shifted as a whole
+    "density",  # mean ρ [kg/m³]; scaled as a whole
+    "gravity_x",
+    "gravity_y",
+    "gravity_z",  # [m/s²]
+    "damping_time",  # [s]
+    "air_drag",  # [1/s]
+    "friction",  # mean coefficient of the obstacles that have one [-]; shifted as a whole
+    "log10_contact_stiffness",  # log10 of kc [Pa/m]; where it is not named, a default kc follows E
+    "initial_velocity_x",
+    "initial_velocity_y",
+    "initial_velocity_z",  # [m/s]
+    "initial_angular_velocity_x",
+    "initial_angular_velocity_y",
+    "initial_angular_velocity_z",  # [rad/s]
+    "initial_position_x",
+    "initial_position_y",
+    "initial_position_z",  # centre of mass [m]
+]
+PARAMETERS: tuple[str, ...] = get_args(ParameterName)
+_AXES = {"x": 0, "y": 1, "z": 2}
+
+
+def check_parameters(scene: ReducedScene, names: Sequence[str]) -> None:
+    """Names known, each once, and present in the scene.
+
+    Raises:
+        InputError: they are not.
+    """
+    unknown = [name for name in names if name not in PARAMETERS]
+    if unknown or len(set(names)) != len(names) or not names:
+        raise InputError(f"parameters: got {list(names)}; expected different ones of {', '.join(PARAMETERS)}")
+    if "friction" in names and not _rough(scene):
+        raise InputError("parameters: got 'friction', but no obstacle has a friction coefficient > 0; give it one")
+
+
+def axis_of(name: str) -> tuple[str, int]:
+    """`gravity_z` → (`gravity`, 2)."""
+    stem, _, axis = name.rpartition("_")
+    return stem, _AXES[axis]
+
+
+def _rough(scene: ReducedScene) -> list[float]:
+    return [obstacle.friction for obstacle in scene.obstacles if obstacle.friction > 0]
+
+
+def mean_constant(body: ReducedBody, constant: Float[np.ndarray, " C"]) -> float:
+    """Volume average of a constant given per cell."""
+    interior = body.space.samples.interior
+    return float(interior.weights @ constant[interior.cells] / interior.volume)
+
+
+def mean_density(body: ReducedBody) -> float:
+    """Mass over volume [kg/m³]."""
+    return body.total_mass / body.volume
+
+
+def parameter_values(scene: ReducedScene, names: Sequence[str]) -> Float[np.ndarray, " P"]:
+    """Present values of the named parameters, shape [P]."""
+    check_parameters(scene, names)
+    return np.array([_read(scene, name) for name in names])
+
+
+def _read(scene: ReducedScene, name: str) -> float:
+    body = scene.body
+    match name:
+        case "log10_youngs_modulus":
+            return float(np.log10(mean_constant(body, body.youngs_modulus)))
+        case "poisson_ratio":
+            return mean_constant(body, body.poisson_ratio)
+        case "density":
+            return mean_density(body)
+        case "damping_time" | "air_drag":
+            return float(getattr(scene, name))
+        case "friction":
+            return float(np.mean(_rough(scene)))
+        case "log10_contact_stiffness":
+            return float(np.log10(scene.contact().stiffness))
+    stem, axis = axis_of(name)
+    if stem == "initial_position":
+        return float((body.first_moments @ scene.start / body.total_mass)[axis])
+    return float(getattr(scene, stem)[axis])
+
+
+def with_parameters(scene: ReducedScene, names: Sequence[str], values: Float[np.ndarray, " P"]) -> ReducedScene:
+    """The same scene with the named parameters set; the others stay.
+
+    Raises:
+        InputError: unknown names, or values out of range.
+    """
+    check_parameters(scene, names)
+    for name, value in sorted(zip(names, values, strict=True), key=lambda pair: PARAMETERS.index(pair[0])):
+        scene = _set(scene, name, float(value))
+    return scene
+
+
+def _rougher(obstacle: Obstacle, change: float) -> Obstacle:
+    """The same obstacle with another friction coefficient."""
+    friction, velocity = obstacle.friction + change, tuple(obstacle.velocity)
+    if isinstance(obstacle, Plane):
+        return Plane(tuple(obstacle.point), tuple(obstacle.normal), friction, velocity)
+    return Sphere(tuple(obstacle.center), obstacle.radius, friction, velocity)
+
+
+def _set(scene: ReducedScene, name: str, value: float) -> ReducedScene:
+    body, change = scene.body, value - _read(scene, name)
+    match name:
+        case "log10_youngs_modulus":
+            return replace(scene, body=body.with_material(youngs_modulus=body.youngs_modulus * 10**change))
+        case "poisson_ratio":
+            return replace(scene, body=body.with_material(poisson_ratio=body.poisson_ratio + change))
+        case "density":
+            return replace(scene, body=body.with_material(density=body.density * (value / mean_density(body))))
+        case "damping_time":
+            return replace(scene, damping_time=value)
+        case "air_drag":
+            return replace(scene, air_drag=value)
+        case "friction":
+            return replace(scene, obstacles=tuple(_rougher(o, change) if o.friction else o for o in scene.obstacles))
+        case "log10_contact_stiffness":
+            return replace(scene, contact_stiffness=10**value)
+    stem, axis = axis_of(name)
+    step = change * np.eye(3)[axis]
+    if stem == "initial_position":
+        return replace(scene, initial_coordinates=scene.start + body.space.affine(np.zeros((3, 3)), step))
+    vector = np.asarray(getattr(scene, stem), dtype=np.float64) + step
+    match stem:
+        case "gravity":
+            return replace(scene, gravity=vector)
+        case "initial_velocity":
+            return replace(scene, initial_velocity=vector)
+        case _:
+            return replace(scene, initial_angular_velocity=vector)

@@ -1,0 +1,134 @@
+"""The reduced space: motions φ(X) = X + Σ_m W_m(X) Z_m [X; 1] in well-conditioned coordinates.
+
+The functions W_m(X) [ξ; 1]_k, ξ = (X − centre)/size, are 4 (M + 1) scalar shape functions shared by the three
+coordinates, so that φ = Σ_a N_a(X) y_a with y_a ∈ R³: the reduced body is one element with global shape functions.
+Products of weights with X are nearly dependent (the first mode of a bar is almost X itself); the N_a are therefore
+made orthogonal in order, ∫ N_a N_b dV = V δ_ab, which leaves coordinates y in metres of rms displacement, and
+functions that add nothing are left out. The constant weight comes first: affine motions are kept exactly.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.errors import InputError
+from physconvex.reduced.basis import SkinningBasis, WeightField, sample_basis
+from physconvex.reduced.cubature import BodySamples, Cubature
+
+__all__ = ["ReducedSpace"]
+
+_DEPENDENT = 1e-9  # share of a function's square norm below which it counts as a combination of those before it
+_BLOCK = 20_000
+
+
+def _ordered_orthogonal(gram: np.ndarray, volume: float) -> np.ndarray:
+    """Columns T with Tᵀ G T = V·1 that span what the functions span, in their order (Gram–Schmidt), [D, R]."""
+    basis = np.zeros((len(gram), 0))
+    for j in range(len(gram)):
+        residual = np.eye(len(gram))[j]
+        for _ in range(2):  # the second pass removes what rounding left
+            residual = residual - basis @ (basis.T @ (gram @ residual)) / volume
+        square = residual @ gram @ residual
+        if square > _DEPENDENT * gram[j, j]:
+            basis = np.column_stack([basis, residual * np.sqrt(volume / square)])
+    return basis
+
+
+class ReducedSpace:
+    """Shape functions of a reduced body, and their values where the body is sampled.
+
+    Args:
+        field: skinning weights.
+        samples: where the body is sampled.
+
+    Attributes:
+        interior_gradients: ∂N_a/∂X at the interior samples [1/m], shape [Q, R, 3].
+        surface_values: N_a at the surface samples, shape [S, R].
+        integrals: ∫ N_a dV [m³], shape [R].
+        rest: coordinates of the rest state [m], shape [R, 3].
+
+    Raises:
+        InputError: the samples are too few or too flat to tell affine motions apart.
+    """
+
+    def __init__(self, field: WeightField, samples: BodySamples) -> None:
+        self.field, self.samples = field, samples
+        mass = samples.mass
+        self._center = mass.weights @ mass.points / mass.volume
+        self._length = samples.size
+        self._gram, integrals = self._moments(np.ones(mass.cell_count))
+        self._transform = _ordered_orthogonal(self._gram, mass.volume)
+        if self.dimension < 4 or not np.all(self._transform[:4, :4].diagonal() > 0):  # an affine function was dropped
+            raise InputError("samples: they lie in a plane or are fewer than four; expected a solid body")
+        self.integrals = self._transform.T @ integrals
+        self.interior_gradients = self.shape_gradients(samples.interior.points)
+        self.surface_values = self.shape_values(samples.surface_points)
+        self.rest = self.affine(np.eye(3), np.zeros(3))
+
+    @property
+    def dimension(self) -> int:
+        """R, number of shape functions; the body has 3 R degrees of freedom."""
+        return self._transform.shape[1]
+
+    # -- raw functions W_m [ξ; 1]_k, ordered by m, then k
+
+    def _raw_values(self, basis: SkinningBasis) -> np.ndarray:
+        xi = (basis.points - self._center) / self._length
+        homogeneous = np.hstack([xi, np.ones((len(xi), 1))])
+        return (basis.values[:, :, None] * homogeneous[:, None, :]).reshape(len(xi), 4 * basis.values.shape[1])
+
+    def _raw_gradients(self, basis: SkinningBasis) -> np.ndarray:
+        xi = (basis.points - self._center) / self._length
+        homogeneous = np.hstack([xi, np.ones((len(xi), 1))])
+        slopes = np.vstack([np.eye(3) / self._length, np.zeros((1, 3))])
+        raw = basis.gradients[:, :, None, :] * homogeneous[:, None, :, None]
+        raw = raw + basis.values[:, :, None, None] * slopes
+        return raw.reshape(len(xi), 4 * basis.values.shape[1], 3)
+
+    def _moments(self, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """∫ ρ N_a N_b and ∫ ρ N_a of the raw functions, for a density per cell."""
+        mass: Cubature = self.samples.mass
+        size = 4 * (self.field.count + 1)
+        gram, integrals = np.zeros((size, size)), np.zeros(size)
+        for rows in np.array_split(np.arange(len(mass.points)), 1 + len(mass.points) // _BLOCK):
+            values = self._raw_values(sample_basis(self.field, mass.points[rows]))
+            weighted = values * (mass.weights[rows] * density[mass.cells[rows]])[:, None]
+            gram += values.T @ weighted
+            integrals += weighted.sum(0)
+        return gram, integrals
+
+    # -- shape functions
+
+    def shape_values(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P R"]:
+        """N_a at rest positions [m]: positions of the points are `shape_values(points) @ y`."""
+        return self._raw_values(sample_basis(self.field, points)) @ self._transform
+
+    def shape_gradients(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P R 3"]:
+        """∂N_a/∂X at rest positions [1/m]."""
+        raw = self._raw_gradients(sample_basis(self.field, points))
+        return np.einsum("pdi,dr->pri", raw, self._transform)
+
+    def mass_matrix(self, density: Float[np.ndarray, " C"]) -> tuple[Float[np.ndarray, "R R"], Float[np.ndarray, " R"]]:
+        """∫ ρ N_a N_b dV and ∫ ρ N_a dV [kg] for a density per cell [kg/m³]."""
+        if np.ptp(density) == 0:
+            gram, integrals = density[0] * self._gram, density[0] * self.integrals
+            return self._transform.T @ gram @ self._transform, integrals
+        gram, raw = self._moments(density)
+        return self._transform.T @ gram @ self._transform, self._transform.T @ raw
+
+    # -- coordinates
+
+    def affine(self, linear: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "R 3"]:
+        """Coordinates of the field X ↦ linear X + shift (a position or a velocity)."""
+        raw = np.vstack([self._length * np.asarray(linear).T, np.asarray(shift) + np.asarray(linear) @ self._center])
+        coordinates = np.zeros((self.dimension, 3))
+        coordinates[:4] = np.linalg.solve(self._transform[:4, :4], raw)
+        return coordinates
+
+    def handles(self, coordinates: Float[np.ndarray, "*B R 3"]) -> Float[np.ndarray, "*B K 3 4"]:
+        """Z_m of φ(X) = X + Σ_m W_m(X) Z_m [X; 1], the constant weight first; zero at rest."""
+        raw = np.moveaxis(self._transform @ (np.asarray(coordinates) - self.rest), -2, -1)  # [..., 3, 4 K]
+        raw = np.moveaxis(raw.reshape(*raw.shape[:-1], -1, 4), -2, -3)  # [..., K, 3, 4]
+        linear = raw[..., :3] / self._length
+        return np.concatenate([linear, raw[..., 3:] - linear @ self._center[:, None]], axis=-1)

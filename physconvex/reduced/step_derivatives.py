@@ -1,0 +1,135 @@
+"""Derivatives of one time step's gradient by its parameters, shared by the forward and the adjoint sensitivities."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from physconvex.integrators import State, StepCoefficients
+from physconvex.reduced.body import viscous_stress
+from physconvex.reduced.equations import StepEquations
+from physconvex.reduced.friction_tangents import FreezeTangent
+from physconvex.reduced.parameters import axis_of, check_parameters, mean_density
+from physconvex.reduced.scene import ReducedScene
+
+__all__ = ["StepDerivatives"]
+
+_LN10 = float(np.log(10.0))
+
+
+def _lame_slopes(youngs_modulus: Tensor, poisson_ratio: Tensor) -> tuple[Tensor, Tensor]:
+    """∂μ/∂ν and ∂λ/∂ν [Pa]."""
+    e, nu = youngs_modulus, poisson_ratio
+    return -e / (2 * (1 + nu) ** 2), e * (1 + 2 * nu**2) / ((1 + nu) * (1 - 2 * nu)) ** 2
+
+
+class StepDerivatives:
+    """What depends outright on the named parameters of a scene.
+
+    Args:
+        scene: the scene.
+        names: P different names of `physconvex.reduced.PARAMETERS`.
+
+    Attributes:
+        dlog_stiffness: derivative of ln kc, shape [P]; a default contact stiffness follows E unless it is named too.
+        dfriction: derivative of the friction coefficients, shape [P].
+
+    Raises:
+        InputError: unknown names, or the same twice.
+    """
+
+    def __init__(self, scene: ReducedScene, names: Sequence[str]) -> None:
+        check_parameters(scene, names)
+        self.scene, self.body, self.names = scene, scene.body, tuple(names)
+        self.surface = scene.body.space.surface_values
+        self.contact = scene.contact()
+        stiffening = {"log10_contact_stiffness"}
+        if scene.contact_stiffness is None and "log10_contact_stiffness" not in names:
+            stiffening.add("log10_youngs_modulus")
+        self.dlog_stiffness = np.array([_LN10 if name in stiffening else 0.0 for name in names])
+        self.dfriction = np.array([float(name == "friction") for name in names])
+        body, device = self.body, self.body.device
+        cells = torch.as_tensor(body.space.samples.interior.cells, device=device)
+        constants = (torch.as_tensor(c, device=device) for c in (body.youngs_modulus, body.poisson_ratio))
+        self._dmu, self._dlam = (slope[cells] for slope in _lame_slopes(*constants))
+
+    def start(self) -> State:
+        """Derivatives of the initial state, both of shape [P, R, 3]."""
+        scene, space = self.scene, self.body.space
+        positions = np.zeros((len(self.names), *scene.start.shape))
+        velocities = positions.copy()
+        center = self.body.first_moments @ scene.start / self.body.total_mass
+        for i, name in enumerate(self.names):
+            stem = name.rpartition("_")[0]
+            if not stem.startswith("initial"):
+                continue
+            unit = np.eye(3)[axis_of(name)[1]]
+            if stem == "initial_position":
+                positions[i] = space.affine(np.zeros((3, 3)), unit)
+            elif stem == "initial_velocity":
+                velocities[i] = space.affine(np.zeros((3, 3)), unit)
+            else:
+                shift = space.affine(np.zeros((3, 3)), np.cross(unit, center))
+                velocities[i] = np.cross(unit, scene.start) - shift
+        return State(0.0, positions, velocities)
+
+    def freeze(
+        self,
+        y: Float[np.ndarray, "R 3"],
+        v: Float[np.ndarray, "R 3"],
+        time: float,
+        dy: Float[np.ndarray, "P R 3"],
+        dv: Float[np.ndarray, "P R 3"],
+    ) -> FreezeTangent:
+        """Friction frozen at coordinates y with velocities v, and how that moves."""
+        s = self.surface
+        return FreezeTangent(s @ y, s @ v, time, s @ dy, s @ dv, self.dlog_stiffness, self.dfriction)
+
+    def explicit(
+        self, equations: StepEquations, c: StepCoefficients, x: Float[np.ndarray, "R 3"], state: Tensor
+    ) -> Float[np.ndarray, "P R 3"]:
+        """∂g/∂p of the step's gradient at fixed states and frozen friction.
+
+        Every law is linear in μ and λ, contact in kc.
+
+        Args:
+            equations: of the step, for its time.
+            c: its coefficients.
+            x: coordinates at which the gradient is taken [m].
+            state: F* of the viscosity.
+        """
+        rate = self.body.deformation_gradient(c.velocity(x))
+        return np.stack([self._explicit(equations, name, c, x, state, rate) for name in self.names])
+
+    def _explicit(
+        self, equations: StepEquations, name: str, c: StepCoefficients, x: np.ndarray, state: Tensor, rate: Tensor
+    ) -> np.ndarray:
+        body, scene, beta = self.body, self.scene, self.scene.damping_time
+        match name:
+            case "log10_youngs_modulus":
+                drag = body.forces_of(viscous_stress(state, rate, beta * body.mu, beta * body.lam))
+                return _LN10 * (body.gradient(x) + drag) + self._stiffening(equations, name, x)
+            case "log10_contact_stiffness":
+                return self._stiffening(equations, name, x)
+            case "poisson_ratio":
+                stress = body.law.stress(body.deformation_gradient(x), self._dmu, self._dlam)
+                return body.forces_of(stress + viscous_stress(state, rate, beta * self._dmu, beta * self._dlam))
+            case "density":
+                weight = body.first_moments[:, None] * np.asarray(scene.gravity)
+                pull = (x - c.target) / c.step**2 + scene.air_drag * c.velocity(x)
+                return (body.mass @ pull - weight) / mean_density(body)
+            case "damping_time":
+                return body.forces_of(viscous_stress(state, rate, body.mu, body.lam))
+            case "air_drag":
+                return body.mass @ c.velocity(x)
+            case "gravity_x" | "gravity_y" | "gravity_z":
+                return -body.first_moments[:, None] * np.eye(3)[axis_of(name)[1]]
+        return np.zeros_like(x)
+
+    def _stiffening(self, equations: StepEquations, name: str, x: np.ndarray) -> np.ndarray:
+        _, push = self.contact.energy_and_gradient(self.surface @ x, equations.time)
+        return self.dlog_stiffness[self.names.index(name)] * (self.surface.T @ push)
