@@ -43,7 +43,7 @@ def test_python_blocks_compile(page: Path) -> None:
 
 def test_readme_names_every_command() -> None:
     table = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert set(re.findall(r"^\| `physconvex (\w+)", table, flags=re.MULTILINE)) == set(cli._commands())
+    assert set(re.findall(r"^\| `physconvex ([\w-]+)", table, flags=re.MULTILINE)) == set(cli._commands())
 
 
 def test_lock_pins_everything_by_hash_from_no_particular_place() -> None:
