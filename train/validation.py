@@ -80,6 +80,7 @@ def validate(
         batch = collate([clips[Item(0, clip)] for clip in chosen])
         targets = batch.targets.to(device)
         output = answer_both_ways(network, batch.clips.to(device), targets.points, encoder=encoder)
+        assert output.weights is not None
         weights = output.weights.float()
         columns.append(
             (
