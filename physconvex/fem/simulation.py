@@ -19,6 +19,8 @@ from physconvex.integrators import (
     State,
     StepCoefficients,
     bdf2,
+    check_stepping,
+    extrapolate,
     implicit_euler,
     minimise,
 )
@@ -187,9 +189,7 @@ class _Stepper:
         two_step = self.integrator == "bdf2" and history is not None
         coefficients = bdf2(state, history, step) if two_step and history else implicit_euler(state, step)
         time = state.time + step
-        guess = state.positions + step * state.velocities
-        if history is not None:
-            guess = guess + 0.5 * step * (state.velocities - history.velocities)
+        guess = extrapolate(state, history, step)
         self._place_pins(guess, time)
         self.equations.set_step(coefficients, time, guess, state)
         found = self._minimise(guess)
@@ -247,12 +247,7 @@ def simulate(
         InputError: an argument out of range.
         ConvergenceError: a step failed even after eight halvings.
     """
-    if frames < 1 or steps_per_frame < 1 or not (np.isfinite(fps) and fps > 0):
-        raise InputError(f"frames, steps_per_frame, fps: got {frames}, {steps_per_frame}, {fps}; expected > 0")
-    if friction_passes < 1:
-        raise InputError(f"friction_passes: got {friction_passes}; expected at least 1")
-    if integrator not in ("bdf2", "implicit_euler"):
-        raise InputError(f"integrator: got {integrator!r}; expected 'bdf2' or 'implicit_euler'")
+    check_stepping(frames, fps, steps_per_frame, integrator, friction_passes)
     stepper = _Stepper(scene, integrator, tolerance, friction_passes)
     states = [State(0.0, scene.start.copy(), scene.start_velocities())]
     state = states[0]

@@ -17,12 +17,13 @@ from jaxtyping import Float
 from scipy.linalg import lu_factor, lu_solve
 
 from physconvex.errors import InputError
+from physconvex.integrators import extrapolate
 from physconvex.materials import lame_parameters
 from physconvex.reduced.body import viscous_stress
 from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.friction_tangents import FreezeTangent, friction_tangent
 from physconvex.reduced.scene import ReducedScene
-from physconvex.reduced.simulation import ReducedTrajectory, SolvedPass, StepRecord, extrapolate, simulate
+from physconvex.reduced.simulation import ReducedTrajectory, SolvedPass, StepRecord, simulate
 from physconvex.reduced.step_derivatives import StepDerivatives
 
 __all__ = ["LossGradient", "simulate_with_adjoint"]

@@ -19,13 +19,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import lu_factor, lu_solve
 
-from physconvex.integrators import State, StepCoefficients, bdf2, implicit_euler
+from physconvex.integrators import State, StepCoefficients, bdf2, extrapolate, implicit_euler
 from physconvex.reduced.body import inner_viscous_stress
 from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.friction_tangents import friction_tangent
 from physconvex.reduced.parameters import parameter_values
 from physconvex.reduced.scene import ReducedScene
-from physconvex.reduced.simulation import ReducedTrajectory, StepRecord, extrapolate, simulate
+from physconvex.reduced.simulation import ReducedTrajectory, StepRecord, simulate
 from physconvex.reduced.step_derivatives import StepDerivatives
 
 __all__ = ["SensitiveTrajectory", "simulate_with_sensitivities"]

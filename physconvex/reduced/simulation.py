@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from physconvex.contact import Friction
-from physconvex.errors import ConvergenceError, InputError
+from physconvex.errors import ConvergenceError
 from physconvex.fem.simulation import SolveStatistics
 from physconvex.integrators import (
     IntegratorName,
@@ -18,6 +18,8 @@ from physconvex.integrators import (
     State,
     StepCoefficients,
     bdf2,
+    check_stepping,
+    extrapolate,
     implicit_euler,
     minimise,
 )
@@ -25,7 +27,7 @@ from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.space import ReducedSpace
 
-__all__ = ["ReducedTrajectory", "SolvedPass", "StepRecord", "extrapolate", "simulate"]
+__all__ = ["ReducedTrajectory", "SolvedPass", "StepRecord", "simulate"]
 
 _MAX_HALVINGS = 8
 
@@ -95,12 +97,6 @@ class StepRecord:
 
 
 Observer = Callable[[StepEquations, StepRecord], None]
-
-
-def extrapolate(state: State, history: State | None, step: float) -> np.ndarray:
-    """First guess of the new coordinates [m], linear in the states."""
-    guess = state.positions + step * state.velocities
-    return guess if history is None else guess + 0.5 * step * (state.velocities - history.velocities)
 
 
 class _Stepper:
@@ -199,12 +195,7 @@ def simulate(
         InputError: an argument out of range.
         ConvergenceError: a step failed even after eight halvings.
     """
-    if frames < 1 or steps_per_frame < 1 or not (np.isfinite(fps) and fps > 0):
-        raise InputError(f"frames, steps_per_frame, fps: got {frames}, {steps_per_frame}, {fps}; expected > 0")
-    if friction_passes < 1:
-        raise InputError(f"friction_passes: got {friction_passes}; expected at least 1")
-    if integrator not in ("bdf2", "implicit_euler"):
-        raise InputError(f"integrator: got {integrator!r}; expected 'bdf2' or 'implicit_euler'")
+    check_stepping(frames, fps, steps_per_frame, integrator, friction_passes)
     stepper = _Stepper(scene, integrator, tolerance, friction_passes, observer)
     states = [State(0.0, scene.start.copy(), scene.start_velocities())]
     state = states[0]
