@@ -8,36 +8,15 @@ import pytest
 from physconvex.errors import InputError
 from physconvex.reduced import (
     PARAMETERS,
-    Plane,
-    ReducedBody,
     ReducedScene,
     ReducedTrajectory,
-    Sphere,
     simulate,
     simulate_with_adjoint,
     simulate_with_sensitivities,
 )
+from tests.reduced.sliding_scene import sliding
 
 TIMING = {"frames": 4, "fps": 48, "steps_per_frame": 4, "tolerance": 1e-11}
-
-
-def scene_of(body: ReducedBody, **fields) -> ReducedScene:
-    """A spinning body between a rough plane and a rough ball, all effects switched on."""
-    rng = np.random.default_rng(4)
-    defaults = {
-        "obstacles": (
-            Plane(point=(0, 0, -0.004), normal=(0.1, 0.05, 1.0), friction=0.3, velocity=(0.1, 0, 0)),
-            Sphere(center=(0.36, 0.1, 0.05), radius=0.05, friction=0.15),
-        ),
-        "damping_time": 3e-3,
-        "air_drag": 0.5,
-        "contact_smoothing": 0.004,
-        "slip_velocity": 0.3,
-        "initial_velocity": (0.6, -0.2, -0.7),
-        "initial_angular_velocity": tuple(rng.normal(size=3)),
-        "initial_coordinates": body.rest + 0.001 * rng.normal(size=body.rest.shape),
-    }
-    return ReducedScene(body, **(defaults | fields))
 
 
 def quadratic_loss(run: ReducedTrajectory) -> tuple[float, np.ndarray]:
@@ -48,7 +27,7 @@ def quadratic_loss(run: ReducedTrajectory) -> tuple[float, np.ndarray]:
 
 @pytest.mark.parametrize("options", [{}, {"integrator": "implicit_euler"}, {"friction_passes": 1}])
 def test_adjoint_equals_forward_for_every_parameter(mixed_body, options):
-    scene = scene_of(mixed_body(1))
+    scene = sliding(mixed_body(1), seed=4)
     names = [name for name in PARAMETERS if name != "log10_contact_stiffness"]
     found = simulate_with_adjoint(scene, quadratic_loss, parameters=names, **(TIMING | options))
     forward = simulate_with_sensitivities(scene, names, **(TIMING | options))
@@ -61,7 +40,7 @@ def test_adjoint_equals_forward_for_every_parameter(mixed_body, options):
 def test_fields_by_finite_differences(mixed_body):
     """E and ν of single cells at fixed contact stiffness, and the initial coordinates of a spinning body."""
     body = mixed_body(1)
-    scene = scene_of(body, contact_stiffness=1e6)
+    scene = sliding(body, seed=4, contact_stiffness=1e6)
     found = simulate_with_adjoint(scene, quadratic_loss, **TIMING)
 
     def difference(make, step: float) -> float:
@@ -81,7 +60,7 @@ def test_fields_by_finite_differences(mixed_body):
 
 
 def test_sum_over_cells_is_the_derivative_of_the_whole(mixed_body):
-    scene = scene_of(mixed_body(1), contact_stiffness=1e6)
+    scene = sliding(mixed_body(1), seed=4, contact_stiffness=1e6)
     found = simulate_with_adjoint(scene, quadratic_loss, parameters=["log10_youngs_modulus", "poisson_ratio"], **TIMING)
     whole = np.log(10) * (found.youngs_modulus * scene.body.youngs_modulus).sum()
     np.testing.assert_allclose([whole, found.poisson_ratio.sum()], found.named, rtol=1e-8)
@@ -89,4 +68,6 @@ def test_sum_over_cells_is_the_derivative_of_the_whole(mixed_body):
 
 def test_a_derivative_of_the_wrong_shape_is_named(mixed_body):
     with pytest.raises(InputError, match="loss"):
-        simulate_with_adjoint(scene_of(mixed_body(1)), lambda run: (0.0, np.zeros(3)), frames=2, steps_per_frame=1)
+        simulate_with_adjoint(
+            sliding(mixed_body(1), seed=4), lambda run: (0.0, np.zeros(3)), frames=2, steps_per_frame=1
+        )

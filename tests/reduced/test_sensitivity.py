@@ -7,16 +7,14 @@ import torch
 from physconvex.errors import InputError
 from physconvex.reduced import (
     PARAMETERS,
-    Plane,
-    ReducedBody,
     ReducedScene,
-    Sphere,
     parameter_values,
     rollout_positions,
     simulate,
     simulate_with_sensitivities,
     with_parameters,
 )
+from tests.reduced.sliding_scene import sliding
 
 # steps of the differences: truncation ~ step² and rounding ~ 1e-11/step, both below 1e-5 of the derivative
 STEPS = {
@@ -27,25 +25,6 @@ STEPS = {
     "damping_time": 1e-7,
 }
 TIMING = {"frames": 4, "fps": 48, "steps_per_frame": 4, "tolerance": 1e-11}
-
-
-def sliding(body: ReducedBody, seed: int = 0, **fields) -> ReducedScene:
-    """A deformed body that hits a tilted rough plane and a rough ball with damping, drag and spin."""
-    rng = np.random.default_rng(seed)
-    defaults = {
-        "obstacles": (
-            Plane(point=(0, 0, -0.004), normal=(0.1, 0.05, 1.0), friction=0.3, velocity=(0.1, 0, 0)),
-            Sphere(center=(0.36, 0.1, 0.05), radius=0.05, friction=0.15),
-        ),
-        "damping_time": 3e-3,
-        "air_drag": 0.5,
-        "contact_smoothing": 0.004,
-        "slip_velocity": 0.3,
-        "initial_velocity": (0.6, -0.2, -0.7),
-        "initial_angular_velocity": tuple(rng.normal(size=3)),
-        "initial_coordinates": body.rest + 0.001 * rng.normal(size=body.rest.shape),
-    }
-    return ReducedScene(body, **(defaults | fields))
 
 
 def by_differences(scene: ReducedScene, name: str, **timing) -> tuple[np.ndarray, np.ndarray]:
