@@ -53,7 +53,7 @@ def shown_source_frames(loaded: LoadedClip, prepared: PreparedClip) -> np.ndarra
     fps = loaded.fps
     assert fps is not None, "a prepared clip has a rate"
     times = np.arange(len(loaded.frames)) / fps if loaded.timestamps is None else loaded.timestamps
-    shown = times[0] + prepared.start_time + np.arange(len(prepared.frames)) / prepared.fps
+    shown = times[0] + prepared.start_time + np.arange(len(prepared.valid)) / prepared.fps
     middles = (times[1:] + times[:-1]) / 2
     return np.searchsorted(middles, shown)
 

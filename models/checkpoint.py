@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 BUNDLED = Path(__file__).parent / "checkpoints"
-_FORMAT = "physconvex/predictor/1"
+_FORMAT = "physconvex/predictor/2"
 
 
 class _Frozen(BaseModel):
@@ -39,6 +39,8 @@ class ClipSettings(_Frozen):
     """`models.clip.ClipConfig` as it is written to JSON."""
 
     image_size: int = 112
+    window: int = 80
+    extent: float = 1.7
     frames: int = 24
     target_fps: float = 24.0
     margin: float = 0.1
@@ -73,8 +75,8 @@ class PredictorConfig(_Frozen):
 
     @classmethod
     def for_network(cls, network: NetworkConfig, **options: object) -> PredictorConfig:
-        """With the clip that the encoder wants."""
-        clip = ClipSettings(image_size=network.encoder.image_size, frames=network.encoder.frames)
+        """With the windows that the encoder wants."""
+        clip = ClipSettings(window=network.encoder.image_size, frames=network.encoder.frames)
         return cls.model_validate({"network": network, "clip": clip, **options})
 
 

@@ -9,35 +9,38 @@ from jaxtyping import Bool, Float32, Float64, UInt8
 from models.foreground import Foreground, ForegroundSource, locate_foreground
 from models.silhouette import MOMENT_NAMES, silhouette_moments
 from models.timing import motion_start, resample
+from models.windows import GREY, object_windows
 from physconvex.errors import InputError
 
 __all__ = ["MOMENT_NAMES", "ClipConfig", "PreparedClip", "freeze_time", "prepare_clip", "shuffle_time"]
-
-_GREY = 127  # what stands for "not the object"
 
 
 @dataclass(frozen=True)
 class ClipConfig:
     """What the network's input looks like."""
 
-    image_size: int = 112  # [px]
+    image_size: int = 112  # [px] of the fixed square in which silhouettes are measured
+    window: int = 80  # [px] edge of the windows that follow the object
+    extent: float = 1.7  # the same in units of the silhouette's first larger edge
     frames: int = 24
     target_fps: float = 24.0  # [1/s]
     margin: float = 0.1  # around the object's path, as a share of its larger edge
 
     def __post_init__(self) -> None:
-        if self.image_size < 8 or self.frames < 2 or not self.target_fps > 0 or self.margin < 0:
+        large = self.image_size >= 8 and self.window >= 8 and self.extent > 0 and self.margin >= 0
+        if not large or self.frames < 2 or not self.target_fps > 0:
             raise InputError(
-                f"ClipConfig: got {self}, expected image_size >= 8, frames >= 2, target_fps > 0, margin >= 0"
+                f"ClipConfig: got {self}, expected image_size >= 8, window >= 8, extent > 0, frames >= 2, "
+                "target_fps > 0, margin >= 0"
             )
 
 
 @dataclass(frozen=True)
 class PreparedClip:
-    """A fixed square window that follows nothing: what moves in it is the object."""
+    """The object's path in a fixed square, and what it looks like in windows that follow it."""
 
-    frames: UInt8[np.ndarray, "T S S 3"]  # mid-grey outside the object, unless the whole frame is shown
-    mask: UInt8[np.ndarray, "T S S"]  # coverage 0..255
+    windows: UInt8[np.ndarray, "T W W 4"]  # RGB, mid-grey outside the object unless the whole frame is shown; coverage
+    mask: UInt8[np.ndarray, "T S S"]  # coverage 0..255 in the fixed square
     moments: Float32[np.ndarray, "T M"]  # columns: MOMENT_NAMES
     valid: Bool[np.ndarray, " T"]  # False = repeats the last frame of a clip that is too short
     fps: float  # [1/s] rate of these frames
@@ -58,7 +61,7 @@ def prepare_clip(
     alpha: np.ndarray | None = None,
     config: ClipConfig | None = None,
 ) -> PreparedClip:
-    """Resample in time, find the object, cut out a fixed square around its path, grey out the rest.
+    """Resample in time, find the object, measure its path in a fixed square, cut out windows that follow it.
 
     Args:
         frames: 8-bit RGB, shape [T, H, W, 3].
@@ -93,8 +96,9 @@ def prepare_clip(
     if silhouettes.empty.any():
         warnings.append(f"the object is not seen in {int(silhouettes.empty.sum())} of {len(chosen)} frames")
     padding = config.frames - len(chosen)
+    windows = object_windows(images, masks, size=config.window, extent=config.extent)
     return PreparedClip(
-        frames=_pad(images, padding),
+        windows=_pad(windows, padding),
         mask=_pad(masks, padding),
         moments=_pad(silhouettes.moments, padding),
         valid=np.arange(config.frames) < len(chosen),
@@ -109,23 +113,23 @@ def prepare_clip(
 
 
 def shuffle_time(clip: PreparedClip, *, generator: np.random.Generator) -> PreparedClip:
-    """The clip as if filmed in random order: frames, masks and moments permuted together.
+    """The clip as if filmed in random order: windows, masks and moments permuted together.
 
     Moments refer to the first frame, which is another one then, so they are measured again.
     """
-    return _reorder(clip, generator.permutation(len(clip.frames)))
+    return _reorder(clip, generator.permutation(len(clip.mask)))
 
 
 def freeze_time(clip: PreparedClip, *, frame: int = 0) -> PreparedClip:
     """The clip as if nothing moved: one frame, repeated."""
-    return _reorder(clip, np.full(len(clip.frames), frame))
+    return _reorder(clip, np.full(len(clip.mask), frame))
 
 
 def _reorder(clip: PreparedClip, order: np.ndarray) -> PreparedClip:
     masks = clip.mask[order]
     touches = clip.moments[order, MOMENT_NAMES.index("touches_border")] > 0.5
     moments = silhouette_moments(masks, touches_border=touches).moments
-    return replace(clip, frames=clip.frames[order], mask=masks, moments=moments, valid=clip.valid[order])
+    return replace(clip, windows=clip.windows[order], mask=masks, moments=moments, valid=clip.valid[order])
 
 
 def _checked_times(frames: np.ndarray, fps: float, timestamps: np.ndarray | None) -> Float64[np.ndarray, " T"]:
@@ -173,7 +177,7 @@ def _cut_out(
         np.empty((len(frames), size, size), np.uint8),
     )
     for k, (frame, mask) in enumerate(zip(frames, foreground.mask, strict=True)):
-        canvas_image[...] = _GREY
+        canvas_image[...] = GREY
         canvas_mask[target] = mask[inside]
         cv2.copyTo(np.ascontiguousarray(frame[inside]), np.ascontiguousarray(mask[inside]), canvas_image[target])
         images[k] = cv2.resize(canvas_image, (size, size), interpolation=method)

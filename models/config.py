@@ -28,18 +28,19 @@ class _Frozen(BaseModel):
 class EncoderConfig(_Frozen):
     """VideoMAE encoder (Tong et al. 2022) over tubelets of `tubelet` frames × `patch_size`² pixels."""
 
-    image_size: int = Field(default=112, ge=16)
+    image_size: int = Field(default=80, ge=16)
+    """Edge of the windows that follow the object [px] (`models.windows`); the frame network reads them too."""
     frames: int = Field(default=24, ge=2)
     tubelet: int = Field(default=2, ge=1)
     patch_size: int = Field(default=16, ge=4)
     hidden_size: int = Field(default=192, ge=16)
-    layers: int = Field(default=5, ge=1)
+    layers: int = Field(default=4, ge=1)
     heads: int = Field(default=3, ge=1)
     mask_channel: bool = True
     dropout: float = Field(default=0.0, ge=0, lt=1)
-    train_keep: float = Field(default=0.35, gt=0, le=1)
+    train_keep: float = Field(default=0.6, gt=0, le=1)
     """Share of the tokens kept in training; those that show the object go first, at random."""
-    eval_keep: float = Field(default=0.5, gt=0, le=1)
+    eval_keep: float = Field(default=1.0, gt=0, le=1)
     """Share of the tokens kept otherwise; the emptiest are left out."""
     position_grid: tuple[int, int, int] | None = None
     """Grid (time, rows, columns) of the pretrained position table; None: a separable table of our own."""
@@ -87,10 +88,6 @@ class KinematicsConfig(_Frozen):
     """From states to the embedding."""
     frame_widths: tuple[int, ...] = (48, 64, 64)
     """Channels of the convolutions over single frames, multiples of 8."""
-    window: int = Field(default=64, ge=8)
-    """Edge of the windows that follow the object [px]."""
-    extent: float = Field(default=1.8, gt=0)
-    """The same in units of the silhouette's first larger edge."""
     dropout: float = Field(default=0.1, ge=0, lt=1)
     drop_path: float = Field(default=0.1, ge=0, lt=1)
 

@@ -24,7 +24,7 @@ _IMAGE_STD = (0.229, 0.224, 0.225)
 
 
 class VideoEncoder(nn.Module):
-    """Frames and masks -> tokens with their place in the clip."""
+    """Windows that follow the object -> tokens with their place in the clip."""
 
     tie_break: Tensor
     mean: Tensor
@@ -43,8 +43,7 @@ class VideoEncoder(nn.Module):
 
     def forward(
         self,
-        frames: UInt8[Tensor, "B T S S 3"],
-        mask: UInt8[Tensor, "B T S S"],
+        windows: UInt8[Tensor, "B T W W 4"],
         *,
         generator: torch.Generator | None = None,
     ) -> tuple[Float[Tensor, "B N D"], Float[Tensor, "B N"], Int64[Tensor, "B N"]]:
@@ -53,9 +52,9 @@ class VideoEncoder(nn.Module):
         In training, `train_keep` of the tokens, those that show the object first and at random (by
         `generator`, CPU); otherwise the `eval_keep` best covered.
         """
-        pixels = torch.cat([frames, mask[..., None]], dim=-1) if self.config.mask_channel else frames
-        pixels = (pixels.movedim(-1, 2).float() / 255 - self.mean) / self.std
-        coverage = token_coverage(mask, self.config)
+        pixels = windows[..., : self.config.channels].movedim(-1, 2).float() / 255
+        pixels = (pixels - self.mean) / self.std
+        coverage = token_coverage(windows[..., 3], self.config)
         if self.training:
             noise = torch.rand(coverage.shape, generator=generator).to(coverage.device)
             score, share = (coverage > 0).float() + noise, self.config.train_keep
@@ -68,7 +67,7 @@ class VideoEncoder(nn.Module):
         return tokens, coverage.gather(1, place), place
 
 
-def token_coverage(mask: UInt8[Tensor, "B T S S"], config: EncoderConfig) -> Float[Tensor, "B N"]:
+def token_coverage(mask: UInt8[Tensor, "B T W W"], config: EncoderConfig) -> Float[Tensor, "B N"]:
     """Share of each tubelet that the object covers, 0..1, in the order of the tokens."""
     size = (config.tubelet, config.patch_size, config.patch_size)
     return functional.avg_pool3d(mask[:, None].float() / 255, size).flatten(1)

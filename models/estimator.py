@@ -198,15 +198,14 @@ def collate_clips(clips: Sequence[PreparedClip], intervals: Float64[np.ndarray, 
     Raises:
         InputError: a clip was prepared with another configuration.
     """
-    shape = (config.frames, config.image_size, config.image_size)
+    shape = (config.frames, config.window, config.window, 4)
     for k, clip in enumerate(clips):
-        if clip.mask.shape != shape:
+        if clip.windows.shape != shape:
             raise InputError(
-                f"clips[{k}]: prepared as {clip.mask.shape}, this checkpoint reads {shape}; use its `prepare`"
+                f"clips[{k}]: prepared as {clip.windows.shape}, this checkpoint reads {shape}; use its `prepare`"
             )
     return ClipBatch(
-        frames=torch.from_numpy(np.stack([clip.frames for clip in clips])),
-        mask=torch.from_numpy(np.stack([clip.mask for clip in clips])),
+        windows=torch.from_numpy(np.stack([clip.windows for clip in clips])),
         moments=torch.from_numpy(np.stack([clip.moments for clip in clips]).astype(np.float32)),
         valid=torch.from_numpy(np.stack([clip.valid for clip in clips])),
         interval=torch.from_numpy(np.asarray(intervals, np.float32)),

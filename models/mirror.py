@@ -27,20 +27,18 @@ def mirrored_moments(moments: Float[np.ndarray, "*T M"]) -> Float[np.ndarray, "*
 def mirrored_batch(batch: ClipBatch) -> ClipBatch:
     """Left and right exchanged."""
     sign = torch.from_numpy(_SIGN).to(batch.moments.device)
-    return replace(
-        batch, frames=batch.frames.flip(3), mask=batch.mask.flip(3), moments=batch.moments[..., _SOURCE] * sign
-    )
+    return replace(batch, windows=batch.windows.flip(3), moments=batch.moments[..., _SOURCE] * sign)
 
 
 def answer_both_ways(
-    network: PhysicsNetwork, batch: ClipBatch, points: Float[Tensor, "B Q 3"] | None = None, *, encoder: bool = True
+    network: PhysicsNetwork, batch: ClipBatch, points: Float[Tensor, "B Q 3"] | None = None
 ) -> NetworkOutput:
     """What the network says of the clips, with both densities the mean over clip and mirror image.
 
     States, latent and skinning weights are those of the clips as they are. Arguments as of `PhysicsNetwork.forward`.
     """
-    seen = network(batch, points, encoder=encoder)
-    turned = network(mirrored_batch(batch), encoder=encoder)
+    seen = network(batch, points)
+    turned = network(mirrored_batch(batch))
     return replace(
         seen,
         stiffness_logits=_mean_density(seen.stiffness_logits, turned.stiffness_logits),

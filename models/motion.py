@@ -31,7 +31,7 @@ STATE_NAMES = (
     *(f"gradient_{i}{j}" for i in "xyz" for j in "xyz"),
 )
 
-STATE_SCALE = torch.tensor([0.2, 0.2, 0.3, 0.3, 0.2, 0.1, 0.05, 0.1, 0.05, 0.03, *[0.3] * 9])
+STATE_SCALE = torch.tensor([0.2, 0.2, 0.3, 0.3, 0.2, 0.1, 0.05, 0.1, 0.1, 0.03, *[0.6] * 9])
 """Typical magnitudes."""
 
 _STATES = len(STATE_NAMES)

@@ -26,8 +26,8 @@ _CONDITIONS = 3
 class ClipBatch:
     """What the network reads of B clips of T frames. All numbers are dimensionless."""
 
-    frames: UInt8[Tensor, "B T S S 3"]
-    mask: UInt8[Tensor, "B T S S"]
+    windows: UInt8[Tensor, "B T W W 4"]
+    """RGB and coverage about the object (`models.windows`)."""
     moments: Float[Tensor, "B T M"]
     valid: Bool[Tensor, "B T"]
     interval: Float[Tensor, " B"]
@@ -54,7 +54,7 @@ class NetworkOutput:
 
 
 class PhysicsNetwork(nn.Module):
-    """Frames, silhouettes -> states of the motion -> densities of log10(E/(ρ g L)) and ν; skinning weights."""
+    """Windows, silhouettes -> states of the motion -> densities of log10(E/(ρ g L)) and ν; skinning weights."""
 
     def __init__(self, config: NetworkConfig | None = None, *, encoder: VideoEncoder | None = None) -> None:
         """`encoder` brings pretrained weights (`models.encoder.load_pretrained_encoder`)."""
@@ -66,11 +66,11 @@ class PhysicsNetwork(nn.Module):
         hidden, channels, latent = config.encoder.hidden_size, config.kinematics.channels, config.latent_size
         self.silhouettes = SilhouetteFeatures(channels)
         frame = config.kinematics
-        self.frame_network = FrameNetwork(channels, widths=frame.frame_widths, window=frame.window, extent=frame.extent)
+        self.frame_network = FrameNetwork(channels, widths=frame.frame_widths, window=config.encoder.image_size)
         self.encoder = encoder or VideoEncoder(config.encoder)
         self.token_norm = nn.LayerNorm(hidden)
         self.token_pool = AttentionPoolLatent(hidden, num_heads=config.encoder.heads, mlp_ratio=1.0)
-        self.token_features = nn.Linear(hidden, channels)
+        self.token_features = nn.Linear(hidden, config.encoder.tubelet * channels)
         self.motion = MotionBranch(config.kinematics)
         self.video_norm, self.motion_norm = nn.LayerNorm(2 * hidden), nn.LayerNorm(self.motion.out_features)
         joined = 2 * hidden + self.motion.out_features + _CONDITIONS
@@ -85,7 +85,6 @@ class PhysicsNetwork(nn.Module):
         batch: ClipBatch,
         points: Float[Tensor, "B Q 3"] | None = None,
         *,
-        encoder: bool = True,
         states: Float[Tensor, "B T S"] | None = None,
         generator: torch.Generator | None = None,
     ) -> NetworkOutput:
@@ -94,21 +93,17 @@ class PhysicsNetwork(nn.Module):
         Args:
             batch: the clips.
             points: where to read the skinning weights: object frame, in units of the object size.
-            encoder: False leaves the video encoder out; silhouettes and frame network answer alone.
             states: true states (training), read in place of the predicted ones in some clips.
             generator: CPU generator that draws what training hides and gives.
         """
         draws = torch.rand(3, len(batch.interval), generator=generator).to(batch.interval.device)
         with torch.autocast(batch.moments.device.type, enabled=False):
             features = self.silhouettes(batch.moments, batch.interval, batch.valid)
-        features = features + self.frame_network(batch.frames, batch.mask)
-        embedding = features.new_zeros(len(features), 2 * self.config.encoder.hidden_size)
-        if encoder:
-            by_frame, embedding = self._tokens(batch, generator)
-            if self.training:
-                shown = draws[0] >= self.config.video_dropout
-                by_frame, embedding = by_frame * shown[:, None, None], embedding * shown[:, None]
-            features = features + by_frame
+        by_frame, embedding = self._tokens(batch, generator)
+        if self.training:
+            shown = draws[0] >= self.config.video_dropout
+            by_frame, embedding = by_frame * shown[:, None, None], embedding * shown[:, None]
+        features = features + self.frame_network(batch.windows) + by_frame
         with torch.autocast(features.device.type, enabled=False):  # rates are differences of states: whole precision
             motion = self.motion(
                 features.float(),
@@ -132,14 +127,15 @@ class PhysicsNetwork(nn.Module):
         self, batch: ClipBatch, generator: torch.Generator | None
     ) -> tuple[Float[Tensor, "B T C"], Float[Tensor, "B E"]]:
         """What the encoder's tokens say of each frame, and of the whole clip."""
-        tokens, coverage, place = self.encoder(batch.frames, batch.mask, generator=generator)
+        tokens, coverage, place = self.encoder(batch.windows, generator=generator)
         tokens, weight = self.token_norm(tokens), (coverage + 1e-4)[..., None]
         mean = (tokens * weight).sum(dim=1) / weight.sum(dim=1)
         embedding = self.video_norm(torch.cat([mean, self.token_pool(tokens)], dim=-1))
         time, rows, columns = self.config.encoder.grid
         moment = nn.functional.one_hot(place // (rows * columns), time).to(tokens.dtype) * weight
         by_time = moment.transpose(1, 2) @ tokens / (moment.sum(dim=1)[..., None] + 1e-4)
-        return self.token_features(by_time).repeat_interleave(self.config.encoder.tubelet, dim=1), embedding
+        by_frame = self.token_features(by_time).unflatten(2, (self.config.encoder.tubelet, -1)).flatten(1, 2)
+        return by_frame, embedding
 
 
 def _conditions(batch: ClipBatch) -> Float[Tensor, "B C"]:

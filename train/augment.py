@@ -12,21 +12,20 @@ from torchvision.transforms.v2 import functional as transforms
 
 from models.mirror import mirrored_moments
 from models.silhouette import MOMENT_NAMES
+from models.windows import GREY
 from train.config import AugmentConfig
 from train.states import flipped_states, referred_states
 
 __all__ = ["Sample", "augment", "flipped", "reindexed"]
 
 _COLUMN = {name: k for k, name in enumerate(MOMENT_NAMES)}
-_GREY = 127.0
 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
     """One clip as arrays, with the rest points and the states, which turn with it."""
 
-    frames: UInt8[np.ndarray, "T S S 3"]
-    mask: UInt8[np.ndarray, "T S S"]
+    windows: UInt8[np.ndarray, "T W W 4"]
     moments: Float32[np.ndarray, "T M"]
     valid: Bool[np.ndarray, " T"]
     interval: float
@@ -43,17 +42,14 @@ def augment(sample: Sample, config: AugmentConfig, generator: np.random.Generato
     noise[:, _COLUMN["sxx"] : _COLUMN["syy"] + 1] *= 0.2
     noise[:, _COLUMN["touches_border"]] = 0
     sample = replace(sample, moments=sample.moments + noise * np.float32(generator.random()))
-    frames, mask = _geometry(sample.frames, sample.mask, config, generator)
-    return replace(sample, frames=_colours(frames, mask, config, generator), mask=mask)
+    return replace(sample, windows=_colours(_geometry(sample.windows, config, generator), config, generator))
 
 
 def flipped(sample: Sample) -> Sample:
     """The mirror image."""
     moments, points = mirrored_moments(sample.moments), sample.points * np.array([-1, 1, 1], np.float32)
-    frames = np.ascontiguousarray(sample.frames[:, :, ::-1])
-    mask = np.ascontiguousarray(sample.mask[:, :, ::-1])
-    states = flipped_states(sample.states)
-    return replace(sample, frames=frames, mask=mask, moments=moments, points=points, states=states)
+    windows, states = np.ascontiguousarray(sample.windows[:, :, ::-1]), flipped_states(sample.states)
+    return replace(sample, windows=windows, moments=moments, points=points, states=states)
 
 
 def _time_window(
@@ -78,8 +74,7 @@ def reindexed(sample: Sample, start: int, stop: int, stride: int) -> Sample:
     index: Int64[np.ndarray, " T"] = np.pad(chosen, (0, total - len(chosen)), mode="edge")
     return replace(
         sample,
-        frames=sample.frames[index],
-        mask=sample.mask[index],
+        windows=sample.windows[index],
         moments=_referred_to_first(sample.moments[index]),
         states=referred_states(sample.states[index]),
         valid=np.arange(total) < len(chosen),
@@ -101,34 +96,27 @@ def _referred_to_first(moments: Float32[np.ndarray, "T M"]) -> Float32[np.ndarra
 
 
 def _geometry(
-    frames: UInt8[np.ndarray, "T S S 3"],
-    mask: UInt8[np.ndarray, "T S S"],
-    config: AugmentConfig,
-    generator: np.random.Generator,
-) -> tuple[UInt8[np.ndarray, "T S S 3"], UInt8[np.ndarray, "T S S"]]:
-    """One zoom and shift for the whole clip; the mask a pixel larger or smaller now and then."""
-    size = frames.shape[1]
+    windows: UInt8[np.ndarray, "T W W 4"], config: AugmentConfig, generator: np.random.Generator
+) -> UInt8[np.ndarray, "T W W 4"]:
+    """One zoom and shift for the whole clip; the coverage a pixel larger or smaller now and then."""
+    size = windows.shape[1]
     zoom = float(np.exp(generator.uniform(-config.zoom, config.zoom)))
     move = generator.uniform(-config.shift, config.shift, 2) * size + (1 - zoom) * size / 2
     matrix = np.array([[zoom, 0, move[0]], [0, zoom, move[1]]], dtype=np.float32)
     erosion = generator.integers(2) if generator.random() < config.mask_share else None
-    moved, masks = np.empty_like(frames), np.empty_like(mask)
-    for k in range(len(frames)):
-        moved[k] = cv2.warpAffine(frames[k], matrix, (size, size), borderValue=(_GREY, _GREY, _GREY))
-        masks[k] = cv2.warpAffine(mask[k], matrix, (size, size))
+    moved = np.empty_like(windows)
+    for k, window in enumerate(windows):
+        moved[k] = cv2.warpAffine(window, matrix, (size, size), borderValue=(GREY, GREY, GREY, 0))
         if erosion is not None:
-            masks[k] = (cv2.erode, cv2.dilate)[erosion](masks[k], np.ones((3, 3), np.uint8))
-    return moved, masks
+            moved[k, ..., 3] = (cv2.erode, cv2.dilate)[erosion](moved[k, ..., 3], np.ones((3, 3), np.uint8))
+    return moved
 
 
 def _colours(
-    frames: UInt8[np.ndarray, "T S S 3"],
-    mask: UInt8[np.ndarray, "T S S"],
-    config: AugmentConfig,
-    generator: np.random.Generator,
-) -> UInt8[np.ndarray, "T S S 3"]:
+    windows: UInt8[np.ndarray, "T W W 4"], config: AugmentConfig, generator: np.random.Generator
+) -> UInt8[np.ndarray, "T W W 4"]:
     """One change of colour for the whole clip; what is not the object stays mid-grey."""
-    clip = torch.from_numpy(frames).movedim(-1, 1)
+    clip = torch.from_numpy(windows[..., :3]).movedim(-1, 1)
     factors = 1 + generator.uniform(-config.colour, config.colour, 3)
     clip = transforms.adjust_brightness(clip, float(factors[0]))
     clip = transforms.adjust_contrast(clip, float(factors[1]))
@@ -136,5 +124,5 @@ def _colours(
         clip = transforms.rgb_to_grayscale(clip, num_output_channels=3)
     else:
         clip = transforms.adjust_saturation(clip, float(factors[2]))
-    changed = clip.movedim(1, -1).numpy()
-    return np.where(mask[..., None] > 0, changed, np.uint8(_GREY))
+    cover = windows[..., 3:]
+    return np.concatenate([np.where(cover > 0, clip.movedim(1, -1).numpy(), np.uint8(GREY)), cover], axis=3)

@@ -25,7 +25,7 @@ from train.records import LabelledClip, dataset_checksum
 __all__ = ["PreparedClips", "prepare_clips"]
 
 _CHUNK = 8
-_ARRAYS = ("frames", "mask", "moments", "valid", "fps", "confidence", "start_time")
+_ARRAYS = ("windows", "mask", "moments", "valid", "fps", "confidence", "start_time")
 Progress = Callable[[int, int], None]
 
 
@@ -37,7 +37,7 @@ class PreparedClips:
     """
 
     folder: Path
-    frames: UInt8[np.ndarray, "N T S S 3"]
+    windows: UInt8[np.ndarray, "N T W W 4"]
     mask: UInt8[np.ndarray, "N T S S"]
     moments: Float32[np.ndarray, "N 2 T M"]
     valid: Bool[np.ndarray, "N T"]
@@ -58,7 +58,7 @@ class PreparedClips:
     def clip(self, index: int) -> PreparedClip:
         """One clip as `prepare_clip` gave it (its crop and warnings are not kept)."""
         return PreparedClip(
-            frames=np.asarray(self.frames[index]),
+            windows=np.asarray(self.windows[index]),
             mask=np.asarray(self.mask[index]),
             moments=self.moments[index, 0],
             valid=self.valid[index],
@@ -135,9 +135,9 @@ def _start_worker() -> None:
 
 
 def _open_arrays(folder: Path, count: int, settings: ClipSettings) -> dict[str, np.memmap]:
-    size, frames = settings.image_size, settings.frames
+    size, window, frames = settings.image_size, settings.window, settings.frames
     shapes: dict[str, tuple[tuple[int, ...], type]] = {
-        "frames": ((count, frames, size, size, 3), np.uint8),
+        "windows": ((count, frames, window, window, 4), np.uint8),
         "mask": ((count, frames, size, size), np.uint8),
         "moments": ((count, 2, frames, len(MOMENT_NAMES)), np.float32),
         "valid": ((count, frames), np.bool_),
@@ -159,7 +159,7 @@ def _open_arrays(folder: Path, count: int, settings: ClipSettings) -> dict[str, 
 
 def _key(clips: Sequence[LabelledClip], settings: ClipSettings, true_mask_share: float) -> str:
     content = {
-        "format": 3,
+        "format": 4,
         "data": [dataset_checksum(folder) for folder in dict.fromkeys(clip.dataset for clip in clips)],
         "clips": [clip.name for clip in clips],
         "settings": settings.model_dump(),
@@ -183,7 +183,7 @@ def _prepare(clip: LabelledClip, settings: ClipSettings, true_mask_share: float)
     draw = int.from_bytes(hashlib.sha256(clip.name.encode()).digest()[:4], "big") / 2**32
     shown = known if draw < true_mask_share else found
     return {
-        "frames": shown.frames,
+        "windows": shown.windows,
         "mask": shown.mask,
         "moments": np.stack([found.moments, known.moments]),
         "valid": shown.valid,

@@ -30,9 +30,9 @@ class AugmentConfig(_Frozen):
     """Every other frame is shown, at twice the interval."""
     shorten_share: float = Field(default=0.2, ge=0, le=1)
     """The last frames are dropped, down to two thirds."""
-    zoom: float = Field(default=0.1, ge=0, lt=0.5)
-    shift: float = Field(default=0.06, ge=0, lt=0.5)
-    """Of the window, as a share of its edge."""
+    zoom: float = Field(default=0.05, ge=0, lt=0.5)
+    shift: float = Field(default=0.03, ge=0, lt=0.5)
+    """Of the windows, as a share of their edge."""
     colour: float = Field(default=0.3, ge=0, lt=1)
     """Brightness, contrast and saturation change by up to this factor."""
     grey_share: float = Field(default=0.1, ge=0, le=1)
@@ -63,25 +63,25 @@ class LossConfig(_Frozen):
 
 
 class TrainConfig(_Frozen):
-    """One run. Epochs of the first phase leave the video encoder out, which costs most."""
+    """One run."""
 
     network: NetworkConfig = NetworkConfig()
     pretrained: str | None = None
     """Public VideoMAE weights, by folder or name; None trains from scratch."""
     margin: float = Field(default=0.1, ge=0)
-    """Of the window around the object's path (`models.clip.ClipConfig`)."""
+    """Of the square around the object's path (`models.clip.ClipConfig`)."""
+    extent: float = Field(default=1.7, gt=0)
+    """Of the windows that follow the object."""
     seed: int = Field(default=0, ge=0)
     epochs: int = Field(default=30, ge=1)
-    batch_size: int = Field(default=16, ge=1)
+    batch_size: int = Field(default=32, ge=1)
     """Over all processes."""
-    motion_epochs: int = Field(default=40, ge=0)
-    motion_batch_size: int = Field(default=32, ge=1)
     optimizer: str = "adamw"
     learning_rate: float = Field(default=1e-3, gt=0)
     weight_decay: float = Field(default=0.05, ge=0)
     warmup_share: float = Field(default=0.05, ge=0, lt=1)
     final_share: float = Field(default=0.01, ge=0, le=1)
-    """Of the learning rate, at the end of each phase."""
+    """Of the learning rate, at the end."""
     gradient_clip: float = Field(default=1.0, gt=0)
     ema_decay: float = Field(default=0.998, ge=0, lt=1)
     mixed_precision: Literal["no", "bf16"] = "no"
@@ -89,7 +89,7 @@ class TrainConfig(_Frozen):
     """Training clips shown with the true mask in place of the one found."""
     checkpoint_seconds: float = Field(default=120.0, ge=0)
     validate_every: int = Field(default=1, ge=1)
-    """Epochs between validations; five times as many in the first phase."""
+    """Epochs between validations."""
     workers: int = Field(default=1, ge=0)
     """Processes that augment; 0 does so in the training process."""
     augment: AugmentConfig = AugmentConfig()
@@ -99,7 +99,7 @@ class TrainConfig(_Frozen):
     def clip(self) -> ClipSettings:
         """How clips are prepared."""
         encoder = self.network.encoder
-        return ClipSettings(image_size=encoder.image_size, frames=encoder.frames, margin=self.margin)
+        return ClipSettings(window=encoder.image_size, extent=self.extent, frames=encoder.frames, margin=self.margin)
 
 
 def load_train_config(source: str | Path | None = None, **overrides: object) -> TrainConfig:

@@ -82,8 +82,7 @@ class TrainingClips(Dataset[_Example]):
         samples = self._subsampled(self._samples[k], generator)
         true_moments = config is not None and generator.random() < config.true_moments_share
         sample = Sample(
-            frames=np.asarray(self._prepared.frames[k]),
-            mask=np.asarray(self._prepared.mask[k]),
+            windows=np.asarray(self._prepared.windows[k]),
             moments=np.asarray(self._prepared.moments[k, int(true_moments)]),
             valid=np.asarray(self._prepared.valid[k]),
             interval=float(self.interval[k]),
@@ -130,8 +129,7 @@ def collate(examples: Sequence[_Example]) -> TrainingBatch:
     samples = [example.sample for example in examples]
     return TrainingBatch(
         clips=ClipBatch(
-            frames=torch.from_numpy(np.stack([s.frames for s in samples])),
-            mask=torch.from_numpy(np.stack([s.mask for s in samples])),
+            windows=torch.from_numpy(np.stack([s.windows for s in samples])),
             moments=torch.from_numpy(np.stack([s.moments for s in samples])),
             valid=torch.from_numpy(np.stack([s.valid for s in samples])),
             interval=torch.tensor([s.interval for s in samples], dtype=torch.float32),

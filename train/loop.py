@@ -1,7 +1,7 @@
 """The training loop.
 
-Two phases: all but the video encoder (cheap), then the whole network. Whatever is random is a
-function of seed and step, so a run that was killed goes on from its last state with the same losses.
+Whatever is random is a function of seed and step, so a run that was killed goes on from its last state with the
+same losses.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class TrainingResult:
 
     steps: int
     best_score: float | None
-    """Of the exported checkpoint; None before the first validation with the encoder."""
+    """Of the exported checkpoint; None before the first validation."""
     checkpoint: Path
     """For `PhysicsPredictor.from_pretrained`."""
 
@@ -68,8 +68,8 @@ def train_predictor(
         out: run folder: `config.json`, `log.jsonl`, `tensorboard/`, `state.safetensors`, `best/`.
         cpu: use no accelerator. Devices and processes are otherwise those of `accelerate launch` or `torchrun`.
         resume: go on from `state.safetensors` where there is one.
-        minutes: stop after this time, the learning rate of the second phase falling accordingly. How far a run
-            comes then depends on the machine, so it repeats only nearly.
+        minutes: stop after this time, the learning rate falling accordingly. How far a run comes
+             then depends on the machine, so it repeats only nearly.
         cache: where prepared clips live; `out/cache` unless given.
         report: called with a name of the work, the number done and the total.
 
@@ -92,7 +92,7 @@ class _Run:
     ) -> None:
         self.config, self.data, self.out, self.minutes = config, data, out, minutes
         self.report: Report = report or (lambda name, done, total: None)
-        # one branch rests in the first phase, and hidden tokens or branches may leave parameters unused
+        # hidden tokens or branches may leave parameters unused
         unused = DistributedDataParallelKwargs(find_unused_parameters=True)
         self.accelerator = Accelerator(cpu=cpu, mixed_precision=config.mixed_precision, kwargs_handlers=[unused])
         self.main = self.accelerator.is_main_process
@@ -135,8 +135,7 @@ class _Run:
         optimizer = create_optimizer_v2(
             network, opt=config.optimizer, lr=config.learning_rate, weight_decay=config.weight_decay
         )
-        first = self.plan.motion_steps
-        self.schedules = [self._schedule(optimizer, steps) for steps in (first, self.plan.steps - first)]
+        self.schedule = self._schedule(optimizer, self.plan.steps)
         self.model, self.optimizer = self.accelerator.prepare(network, optimizer)
 
     def _schedule(self, optimizer: torch.optim.Optimizer, steps: int) -> CosineLRScheduler:
@@ -181,19 +180,20 @@ class _Run:
             spent = 0.0 if self.minutes is None else seconds / (60 * self.minutes)
             if spent >= 1:
                 break
-            values = self._update(next(loader), step, progress.step, spent)
+            values = self._update(next(loader), progress.step, spent)
             progress = replace(progress, step=progress.step + 1, seconds=seconds)
             if log is not None:
-                log.write("train", progress.step, epoch=step.epoch, encoder=step.encoder, **values)
+                log.write("train", progress.step, epoch=step.epoch, **values)
                 self.report(f"epoch {step.epoch + 1}", progress.step, self.plan.steps)
-            if step.ends_epoch and self._validation_due(step, progress.step):
+            due = (step.epoch + 1) % self.config.validate_every == 0 or progress.step == self.plan.steps
+            if step.ends_epoch and due:
                 progress = self._validate(progress, step, log)
             if step.ends_epoch or time.monotonic() - saved > self.config.checkpoint_seconds:
                 self._save(progress)
                 saved = time.monotonic()
         if progress.step < self.plan.steps:  # the budget is spent; the averaged network may have become better
             last = self.plan.step(max(progress.step - 1, 0))
-            progress = self._validate(progress, replace(last, encoder=True), log)
+            progress = self._validate(progress, last, log)
             self._save(progress)
         return progress
 
@@ -227,20 +227,17 @@ class _Run:
             return seconds
         return float(broadcast(torch.tensor(seconds, device=self.accelerator.device)))
 
-    def _update(self, batch: TrainingBatch, step: Step, number: int, spent: float) -> dict[str, float]:
+    def _update(self, batch: TrainingBatch, number: int, spent: float) -> dict[str, float]:
         """One step of the optimiser; what the log says of it."""
         config, device = self.config, self.accelerator.device
         rank = self.accelerator.process_index
         torch.manual_seed((config.seed * _EXAMPLE_SCALE + number) * 64 + rank)  # dropout
         generator = torch.Generator().manual_seed((config.seed * _EXAMPLE_SCALE + number) * 64 + rank)
-        position = max(step.position, int(spent * step.phase_steps)) if step.encoder else step.position
-        self.schedules[int(step.encoder)].step_update(position)
+        self.schedule.step_update(max(number, int(spent * self.plan.steps)))
         self.model.train()
         targets = batch.targets.to(device)
         clips = batch.clips.to(device)
-        output = self.model(
-            clips, targets.points, encoder=step.encoder, states=noisy_states(targets, generator), generator=generator
-        )
+        output = self.model(clips, targets.points, states=noisy_states(targets, generator), generator=generator)
         losses = compute_losses(output, targets, clips.interval, clips.valid, config.loss, config.network)
         self.optimizer.zero_grad()
         self.accelerator.backward(losses.total)
@@ -250,15 +247,11 @@ class _Run:
         values = {name: value.item() for name, value in vars(losses).items()}
         return values | {"gradient_norm": float(norm), "learning_rate": self.optimizer.param_groups[0]["lr"]}
 
-    def _validation_due(self, step: Step, done: int) -> bool:
-        every = self.config.validate_every * (1 if step.encoder else 5)
-        return (step.epoch + 1) % every == 0 or done in (self.plan.steps, self.plan.motion_steps)
-
     def _validate(self, progress: Progress, step: Step, log: RunLog | None) -> Progress:
         """Score the averaged network; export it if it is the best yet."""
         best = progress.best_score
         if log is not None:
-            found = validate(self.average.module, self.validation_clips, encoder=step.encoder)
+            found = validate(self.average.module, self.validation_clips)
             calibration = found.calibration()
             stiffness, poisson = found.metrics(calibration)
             score = found.score()
@@ -266,7 +259,6 @@ class _Run:
                 "validation",
                 progress.step,
                 epoch=step.epoch,
-                encoder=step.encoder,
                 score=score,
                 states=found.states,
                 span=found.span,
@@ -274,7 +266,7 @@ class _Run:
                 stiffness=asdict(stiffness),
                 poisson=asdict(poisson),
             )
-            if step.encoder and (best is None or score < best):
+            if best is None or score < best:
                 best = score
                 export_best(
                     self.out / "best",

@@ -21,20 +21,14 @@ class Step:
     epoch: int
     """Counted over both phases."""
     clips: list[int]
-    encoder: bool
     ends_epoch: bool
-    position: int
-    """Within its phase."""
-    phase_steps: int
 
 
 @dataclass(frozen=True)
 class Plan:
-    """First `motion_epochs` without the video encoder, then `epochs` with it; the last incomplete batch is left out."""
+    """Every clip once an epoch, but for the last incomplete batch."""
 
     clips: int
-    motion_epochs: int
-    motion_batch_size: int
     epochs: int
     batch_size: int
     seed: int
@@ -46,40 +40,22 @@ class Plan:
         Raises:
             InputError: the batch cannot be shared among the processes, or there are too few clips.
         """
-        sizes = (min(config.motion_batch_size, clips), min(config.batch_size, clips))
-        if any(size % world for size in sizes):
-            raise InputError(
-                f"batch_size: {sizes} are no multiples of {world} processes; change them in the configuration"
-            )
-        return cls(clips, config.motion_epochs, sizes[0], config.epochs, sizes[1], config.seed)
-
-    @property
-    def motion_steps(self) -> int:
-        """Of the first phase."""
-        return self.motion_epochs * (self.clips // self.motion_batch_size)
+        size = min(config.batch_size, clips)
+        if size % world:
+            raise InputError(f"batch_size: {size} is no multiple of {world} processes; change it in the configuration")
+        return cls(clips, config.epochs, size, config.seed)
 
     @property
     def steps(self) -> int:
-        """Of both phases."""
-        return self.motion_steps + self.epochs * (self.clips // self.batch_size)
+        """Of the whole run."""
+        return self.epochs * (self.clips // self.batch_size)
 
     def step(self, number: int) -> Step:
         """What happens in step `number`."""
-        encoder = number >= self.motion_steps
-        size = self.batch_size if encoder else self.motion_batch_size
-        position = number - self.motion_steps if encoder else number
-        per_epoch = self.clips // size
-        epoch, place = divmod(position, per_epoch)
-        epoch += self.motion_epochs if encoder else 0
+        per_epoch, size = self.clips // self.batch_size, self.batch_size
+        epoch, place = divmod(number, per_epoch)
         chosen = _permutation(self.seed, epoch, self.clips)[place * size : (place + 1) * size]
-        return Step(
-            epoch=epoch,
-            clips=chosen.tolist(),
-            encoder=encoder,
-            ends_epoch=place == per_epoch - 1,
-            position=position,
-            phase_steps=self.steps - self.motion_steps if encoder else self.motion_steps,
-        )
+        return Step(epoch=epoch, clips=chosen.tolist(), ends_epoch=place == per_epoch - 1)
 
 
 @lru_cache(maxsize=4)

@@ -68,9 +68,7 @@ class Validation:
 
 
 @torch.no_grad()
-def validate(
-    network: PhysicsNetwork, clips: TrainingClips, *, encoder: bool = True, batch_size: int = 16
-) -> Validation:
+def validate(network: PhysicsNetwork, clips: TrainingClips, *, batch_size: int = 16) -> Validation:
     """Run the network over all clips, unaugmented, in evaluation mode."""
     network.eval()
     device = next(network.parameters()).device
@@ -79,7 +77,7 @@ def validate(
         chosen = range(first, min(first + batch_size, len(clips)))
         batch = collate([clips[Item(0, clip)] for clip in chosen])
         targets = batch.targets.to(device)
-        output = answer_both_ways(network, batch.clips.to(device), targets.points, encoder=encoder)
+        output = answer_both_ways(network, batch.clips.to(device), targets.points)
         assert output.weights is not None
         weights = output.weights.float()
         columns.append(

@@ -67,7 +67,7 @@ class PredictorDouble:
     def _one(self, clip: PreparedClip, density: float, object_size: float) -> EstimateDouble:
         height = 1.0 + abs(float(clip.moments[:, 1].min()))
         youngs_modulus = 1e5 * density / 1000 * object_size * height * (clip.fps / 24.0) ** 2
-        inside = clip.frames[clip.mask > 200]
+        inside = clip.windows[clip.windows[..., 3] > 200, :3]
         if self.fail_on and inside[:, 0].mean() > inside[:, 2].mean() + 60:
             if self.fail_on == "raise":
                 raise RuntimeError("the network stumbled\nover red")

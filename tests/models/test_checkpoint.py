@@ -27,7 +27,7 @@ def saved(tmp_path: Path) -> tuple[Path, PhysicsNetwork, PredictorConfig]:
 def test_round_trip(saved: tuple[Path, PhysicsNetwork, PredictorConfig]) -> None:
     folder, network, config = saved
     loaded, found = load_checkpoint(folder)
-    assert found == config and found.clip.image_size == 32 and found.clip.frames == 8
+    assert found == config and found.clip.window == 32 and found.clip.frames == 8
     assert not loaded.training
     for (name, before), after in zip(network.state_dict().items(), loaded.state_dict().values(), strict=True):
         assert after.dtype == before.dtype, name

@@ -27,7 +27,7 @@ def _falling_box(
 
 
 def _same(a: PreparedClip, b: PreparedClip) -> None:
-    for name in ("frames", "mask", "moments", "valid"):
+    for name in ("windows", "mask", "moments", "valid"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
 
 
@@ -90,7 +90,7 @@ def test_short_clip_repeats_its_last_frame() -> None:
     images, mask = _falling_box(10)
     clip = prepare_clip(images, mask=mask)
     np.testing.assert_array_equal(clip.valid, np.arange(24) < 10)
-    np.testing.assert_array_equal(clip.frames[10:], np.repeat(clip.frames[9:10], 14, axis=0))
+    np.testing.assert_array_equal(clip.windows[10:], np.repeat(clip.windows[9:10], 14, axis=0))
     np.testing.assert_array_equal(clip.moments[10:], np.repeat(clip.moments[9:10], 14, axis=0))
     np.testing.assert_array_equal(clip.mask[10:], np.repeat(clip.mask[9:10], 14, axis=0))
 
@@ -107,13 +107,14 @@ def test_rate_of_the_source_changes_only_the_rate() -> None:
 
 def test_shapes_types_and_greyed_background() -> None:
     images, mask = _falling_box()
-    clip = prepare_clip(images, mask=mask, config=ClipConfig(image_size=64, frames=16))
-    assert clip.frames.shape == (16, 64, 64, 3) and clip.frames.dtype == np.uint8
+    clip = prepare_clip(images, mask=mask, config=ClipConfig(image_size=64, window=48, frames=16))
+    assert clip.windows.shape == (16, 48, 48, 4) and clip.windows.dtype == np.uint8
     assert clip.mask.shape == (16, 64, 64) and clip.mask.dtype == np.uint8
     assert clip.moments.shape == (16, len(MOMENT_NAMES)) and clip.moments.dtype == np.float32
     assert clip.valid.shape == (16,) and clip.valid.dtype == bool
-    assert (clip.frames[clip.mask == 0] == GREY).all()
-    inside = clip.frames[clip.mask == 255].astype(int)
+    colours, cover = clip.windows[..., :3], clip.windows[..., 3]
+    assert (colours[cover == 0] == GREY).all()
+    inside = colours[cover == 255].astype(int)
     assert np.abs(inside - [200, 20, 30]).max() <= 1
     assert (clip.foreground, clip.confidence) == ("mask", 1.0)
 
@@ -142,7 +143,7 @@ def test_size_of_the_video_does_not_matter() -> None:
     big_mask = np.stack([cv2.resize(m, None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST) for m in mask])
     a, b = prepare_clip(images, mask=mask), prepare_clip(big, mask=big_mask)
     np.testing.assert_allclose(a.moments, b.moments, atol=0.03)
-    assert np.abs(a.frames.astype(int) - b.frames).mean() < 3.0
+    assert np.abs(a.windows.astype(int) - b.windows).mean() < 3.0
 
 
 def test_whole_frame_is_shown_where_nothing_is_found() -> None:
@@ -151,8 +152,8 @@ def test_whole_frame_is_shown_where_nothing_is_found() -> None:
     assert (clip.foreground, clip.confidence) == ("whole_frame", 0.0)
     assert clip.crop == (0, -10, 80)
     np.testing.assert_array_equal(clip.moments[:, COLUMN["touches_border"]], 1.0)
-    assert clip.frames[0, 56].std() > 20  # the picture, not grey
-    assert (clip.frames[0, 2] == GREY).all()  # beyond it
+    assert clip.windows[0, 40, 40:60, :3].std() > 20  # the picture, not grey
+    assert (clip.windows[0, 2, :, :3] == GREY).all()  # beyond it
 
 
 def test_background_model_sees_what_the_mask_shows() -> None:
@@ -228,7 +229,7 @@ def test_no_object_at_all_gives_finite_moments() -> None:
     images, mask = _falling_box()
     clip = prepare_clip(images, mask=np.zeros_like(mask))
     np.testing.assert_array_equal(clip.moments, 0.0)
-    assert (clip.frames == GREY).all()
+    assert (clip.windows[..., :3] == GREY).all() and (clip.windows[..., 3] == 0).all()
 
 
 # Controls
@@ -240,7 +241,7 @@ def test_shuffled_time_moves_all_arrays_together() -> None:
     shuffled = shuffle_time(clip, generator=np.random.default_rng(3))
     order = np.random.default_rng(3).permutation(24)
     assert not np.array_equal(order, np.arange(24))
-    np.testing.assert_array_equal(shuffled.frames, clip.frames[order])
+    np.testing.assert_array_equal(shuffled.windows, clip.windows[order])
     np.testing.assert_array_equal(shuffled.mask, clip.mask[order])
     np.testing.assert_array_equal(shuffled.valid, clip.valid[order])
     y = COLUMN["centroid_y"]
@@ -253,7 +254,7 @@ def test_frozen_time_shows_one_frame() -> None:
     images, mask = _falling_box(20)
     clip = prepare_clip(images, mask=mask)
     frozen = freeze_time(clip, frame=7)
-    np.testing.assert_array_equal(frozen.frames, np.repeat(clip.frames[7:8], 24, axis=0))
+    np.testing.assert_array_equal(frozen.windows, np.repeat(clip.windows[7:8], 24, axis=0))
     assert frozen.valid.all()
     assert np.ptp(frozen.moments, axis=0).max() == 0.0
     np.testing.assert_array_equal(frozen.moments[:, :2], 0.0)

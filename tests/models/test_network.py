@@ -19,7 +19,7 @@ from physconvex.errors import InputError
 SMALL = EncoderConfig(image_size=32, frames=8, hidden_size=48, layers=2, heads=4)
 NETWORK = NetworkConfig(
     encoder=SMALL,
-    kinematics=KinematicsConfig(channels=16, blocks=2, material_blocks=2, frame_widths=(8, 16), window=16),
+    kinematics=KinematicsConfig(channels=16, blocks=2, material_blocks=2, frame_widths=(8, 16)),
     latent_size=16,
 )
 
@@ -31,8 +31,7 @@ def random_batch(count: int = 3, seed: int = 0, frames: int = 8, size: int = 32)
         return torch.randint(0, 256, shape, generator=generator, dtype=torch.uint8)
 
     return ClipBatch(
-        frames=draw(count, frames, size, size, 3),
-        mask=draw(count, frames, size, size),
+        windows=draw(count, frames, size, size, 4),
         moments=torch.rand(count, frames, len(MOMENT_NAMES), generator=generator),
         valid=torch.ones(count, frames, dtype=torch.bool),
         interval=torch.full((count,), 0.13),
@@ -75,8 +74,8 @@ def test_pretrained_weights_give_their_own_model_at_their_size(tmp_path: Path) -
     config = EncoderConfig(image_size=32, frames=8, mask_channel=False, eval_keep=1.0, hidden_size=96, heads=3)
     encoder = load_pretrained_encoder(tmp_path, config).eval()
     batch = random_batch()
-    tokens, _, _ = encoder(batch.frames, batch.mask)
-    pixels = (batch.frames.movedim(-1, 2).float() / 255 - encoder.mean) / encoder.std
+    tokens, _, _ = encoder(batch.windows)
+    pixels = (batch.windows[..., :3].movedim(-1, 2).float() / 255 - encoder.mean) / encoder.std
     torch.testing.assert_close(tokens, theirs(pixels).last_hidden_state, atol=1e-4, rtol=1e-4)
 
 
@@ -86,8 +85,8 @@ def test_pretrained_weights_at_another_size_and_with_a_mask(tmp_path: Path) -> N
     encoder = load_pretrained_encoder(tmp_path, EncoderConfig(image_size=112, frames=24, eval_keep=1.0)).eval()
     assert encoder.config.position_grid == (8, 14, 14) and encoder.config.grid == (12, 7, 7)
     batch = random_batch(1, frames=24, size=112)
-    tokens, _, _ = encoder(batch.frames, batch.mask)
-    without, _, _ = encoder(batch.frames, torch.full_like(batch.mask, 255))
+    tokens, _, _ = encoder(batch.windows)
+    without, _, _ = encoder(torch.cat([batch.windows[..., :3], torch.full_like(batch.windows[..., 3:], 255)], dim=-1))
     assert tokens.shape == (1, 588, 48)
     torch.testing.assert_close(tokens.sort(dim=1).values, without.sort(dim=1).values)
 
@@ -108,14 +107,15 @@ def test_missing_weights_are_a_clear_error(tmp_path: Path) -> None:
 
 
 def test_tokens_that_show_the_object_are_kept() -> None:
-    encoder = VideoEncoder(SMALL)
-    batch = random_batch(2)
-    mask = torch.zeros_like(batch.mask)
-    mask[:, :, :16, 16:] = 255  # one of four patches in each of four tubelets
-    assert token_coverage(mask, SMALL).view(2, 4, 2, 2)[0, :, 0, 1].eq(1).all()
+    config = SMALL.model_copy(update={"train_keep": 0.35, "eval_keep": 0.5})
+    encoder = VideoEncoder(config)
+    windows = random_batch(2).windows
+    windows[..., 3] = 0
+    windows[:, :, :16, 16:, 3] = 255  # one of four patches in each of four tubelets
+    assert token_coverage(windows[..., 3], config).view(2, 4, 2, 2)[0, :, 0, 1].eq(1).all()
     for training, kept in ((True, round(0.35 * 16)), (False, 8)):
         generator = torch.Generator().manual_seed(0)
-        tokens, coverage, place = encoder.train(training)(batch.frames, mask, generator=generator)
+        tokens, coverage, place = encoder.train(training)(windows, generator=generator)
         assert place.diff(dim=1).gt(0).all() and tokens.shape[:2] == place.shape
         assert coverage.shape == (2, kept)
         assert coverage.sum(dim=1).eq(4).all()
@@ -148,8 +148,8 @@ def test_padded_frames_of_the_kinematics_are_not_read() -> None:
     other = batch.moments.clone()
     other[:, 5:] += 1
     pairs = [dataclasses.replace(batch, valid=valid, moments=moments) for moments in (batch.moments, other)]
-    latents = [network(pair, encoder=False).latent for pair in pairs]
-    assert not torch.equal(latents[0], network(batch, encoder=False).latent)
+    latents = [network(pair).latent for pair in pairs]
+    assert not torch.equal(latents[0], network(batch).latent)
     torch.testing.assert_close(*latents)
 
 

@@ -97,7 +97,7 @@ def tiny_config() -> TrainConfig:
     network = NetworkConfig(
         encoder=EncoderConfig(image_size=32, frames=16, hidden_size=24, layers=1, heads=3, tubelet=4),
         kinematics=KinematicsConfig(
-            channels=32, blocks=2, material_blocks=2, frame_widths=(8, 16), window=16, dropout=0.0, drop_path=0.0
+            channels=32, blocks=2, material_blocks=2, frame_widths=(8, 16), dropout=0.0, drop_path=0.0
         ),
         stiffness=BinConfig(low=-0.5, high=3.5, bins=40),
         poisson=BinConfig(low=0.0, high=0.5, bins=10),
@@ -107,10 +107,8 @@ def tiny_config() -> TrainConfig:
     )
     return TrainConfig(
         network=network,
-        epochs=2,
-        motion_epochs=2,
+        epochs=4,
         batch_size=8,
-        motion_batch_size=8,
         learning_rate=3e-3,
         ema_decay=0.9,
         workers=0,

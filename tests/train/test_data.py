@@ -49,7 +49,7 @@ def test_cache_holds_what_inference_prepares(tiny_data: Path, tiny_cache: Path, 
     clips = read_clips([tiny_data], "test")
     prepared = prepare_clips(clips, tiny_config.clip, tiny_cache, workers=0)
     expected = prepare_clip(clips[3].record.frames(), fps=clips[3].fps, config=tiny_config.clip.clip_config())
-    np.testing.assert_array_equal(prepared.frames[3], expected.frames)
+    np.testing.assert_array_equal(prepared.windows[3], expected.windows)
     np.testing.assert_array_equal(prepared.clip(3).moments, expected.moments)
     assert prepared.clip(3).fps == expected.fps
 
@@ -86,19 +86,19 @@ def test_batches_are_a_function_of_seed_and_step(tiny_data: Path, tiny_cache: Pa
     prepared = prepare_clips(clips, tiny_config.clip, tiny_cache, workers=0, true_mask_share=0.2)
     training = TrainingClips(clips, prepared, augmentation=tiny_config.augment, modes=3, seed=5)
     plan = Plan.of(tiny_config, len(training))
-    assert plan.motion_steps == 12 and plan.steps == 24
+    assert plan.steps == 24
     from_start = list(batches(training, plan, first_step=0))
     from_middle = list(batches(training, plan, first_step=13))
     assert len(from_start) == 24
     for one, other in zip(from_start[13:], from_middle, strict=True):
         assert torch.equal(one.clips.moments, other.clips.moments)
-        assert torch.equal(one.clips.frames, other.clips.frames)
+        assert torch.equal(one.clips.windows, other.clips.windows)
         assert torch.equal(one.targets.displacements, other.targets.displacements)
     halves = [list(batches(training, plan, first_step=20, rank=rank, world=2)) for rank in (0, 1)]
     for whole, first, second in zip(from_start[20:], *halves, strict=True):
         together = torch.cat([first.clips.moments, second.clips.moments])
         assert torch.equal(together.sum(dim=(1, 2)).sort().values, whole.clips.moments.sum(dim=(1, 2)).sort().values)
-    assert from_start[0].clips.frames.shape == (8, 16, 32, 32, 3)
+    assert from_start[0].clips.windows.shape == (8, 16, 32, 32, 4)
 
 
 def test_every_clip_once_an_epoch(tiny_config: TrainConfig) -> None:
@@ -108,7 +108,7 @@ def test_every_clip_once_an_epoch(tiny_config: TrainConfig) -> None:
         epochs.setdefault(plan.step(number).epoch, []).extend(plan.step(number).clips)
     assert len(epochs) == 4 and all(sorted(seen) == list(range(48)) for seen in epochs.values())
     assert epochs[0] != epochs[1]
-    with pytest.raises(InputError, match="no multiples of 3 processes"):
+    with pytest.raises(InputError, match="no multiple of 3 processes"):
         Plan.of(tiny_config, 48, world=3)
 
 

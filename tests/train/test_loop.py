@@ -36,7 +36,7 @@ def validations(run: Path) -> list[dict]:
 def test_it_learns_stiffness_from_motion(
     tiny_data: Path, tiny_cache: Path, tiny_config: TrainConfig, tmp_path: Path
 ) -> None:
-    config = tiny_config.model_copy(update={"motion_epochs": 60, "epochs": 6})
+    config = tiny_config.model_copy(update={"epochs": 66})
     result = train_predictor(config, [tiny_data], tmp_path, cpu=True, cache=tiny_cache)
     history = losses(tmp_path)
     assert np.mean(history[-6:]) < 0.8 * np.mean(history[:6])
@@ -98,7 +98,7 @@ def kill_after_a_few_steps(process: subprocess.Popen, log: Path, *, finish: bool
 def test_other_configuration_in_the_same_folder_is_refused(
     tiny_data: Path, tiny_cache: Path, tiny_config: TrainConfig, tmp_path: Path
 ) -> None:
-    config = tiny_config.model_copy(update={"motion_epochs": 0, "epochs": 1})
+    config = tiny_config.model_copy(update={"epochs": 1})
     train_predictor(config, [tiny_data], tmp_path, cpu=True, cache=tiny_cache)
     other = config.model_copy(update={"learning_rate": 1e-5})
     with pytest.raises(InputError, match="another configuration"):
@@ -110,7 +110,7 @@ def test_other_configuration_in_the_same_folder_is_refused(
 def test_budget_ends_the_run_with_a_checkpoint(
     tiny_data: Path, tiny_cache: Path, tiny_config: TrainConfig, tmp_path: Path
 ) -> None:
-    config = tiny_config.model_copy(update={"motion_epochs": 0, "epochs": 10_000})
+    config = tiny_config.model_copy(update={"epochs": 10_000})
     result = train_predictor(config, [tiny_data], tmp_path, cpu=True, cache=tiny_cache, minutes=0.03)
     assert 0 < result.steps < 60_000
     lines = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
