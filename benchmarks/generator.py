@@ -110,7 +110,7 @@ def throughput(config: GeneratorConfig, seed: int, count: int, workers: int) -> 
             config=config,
             seed=seed,
             workers=workers,
-            on_report=lambda _: stamps.append(time.perf_counter() - start),
+            on_report=lambda *_: stamps.append(time.perf_counter() - start),
         )
         total = time.perf_counter() - start
     clips = summary.made * config.camera.views

@@ -202,7 +202,7 @@ def generate_captures(
     options: RingOptions | None = None,
     workers: int = 1,
     engine: EngineName = "local",
-    on_report: Callable[[TaskReport], None] | None = None,
+    on_report: Callable[[TaskReport, int], None] | None = None,
 ) -> GenerationSummary:
     """Make (or finish) `count` captures below `root`, one folder each; the bytes depend on the arguments alone.
 
@@ -222,10 +222,11 @@ def generate_captures(
     todo = [n for n in range(count) if not capture_folder(root, n).is_dir()]
     tasks = [CaptureTask(root.resolve(), config, seed, n, options) for n in todo]
     failed, given_up = 0, []
-    for report in run_tasks(make_capture, tasks, workers=workers, engine=engine):
+    reports = run_tasks(make_capture, tasks, workers=workers, engine=engine)
+    for done, report in enumerate(reports, start=count - len(todo) + 1):
         failed += len(report.failures)
         if report.given_up:
             given_up.append(report.simulation)
         if on_report is not None:
-            on_report(report)
+            on_report(report, done)
     return GenerationSummary(len(todo) - len(given_up), count - len(todo), failed, tuple(sorted(given_up)))

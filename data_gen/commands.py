@@ -101,13 +101,15 @@ def _resolved(config: str, settings: list[str] | None, objects: Path | None) -> 
 
 
 @contextmanager
-def _advancing(count: int, unit: str, progress: bool) -> Iterator[Callable[[TaskReport], None]]:
-    """A progress bar that moves with each report."""
+def _advancing(count: int, unit: str, progress: bool) -> Iterator[Callable[[TaskReport, int], None]]:
+    """A progress bar that moves with each report, from where an earlier run left off."""
     with tqdm(total=count, unit=unit, disable=not progress) as bar:
 
-        def advance(report: TaskReport) -> None:
+        def advance(report: TaskReport, done: int) -> None:
+            if bar.n == 0:
+                bar.initial = bar.n = done - 1
             bar.set_postfix(simulate=f"{report.simulate_seconds:.1f} s", render=f"{report.render_seconds:.1f} s")
-            bar.update()
+            bar.update(done - bar.n)
 
         yield advance
 

@@ -244,12 +244,13 @@ def generate_dataset(
     seed: int = 0,
     workers: int = 1,
     engine: EngineName = "local",
-    on_report: Callable[[TaskReport], None] | None = None,
+    on_report: Callable[[TaskReport, int], None] | None = None,
 ) -> GenerationSummary:
     """Make (or finish) a data set of `count` simulations.
 
     The bytes written depend on `config`, `seed` and the simulation's number only, not on workers, engine or earlier
-    interruptions. Times alone differ; they go to `timings.jsonl`, outside the manifest.
+    interruptions. Times alone differ; they go to `timings.jsonl`, outside the manifest. `on_report` is told of each task
+    as it ends, and how many simulations are settled then.
 
     Raises:
         InputError: the folder holds a data set of another seed or configuration, or not one simulation succeeded.
@@ -261,13 +262,14 @@ def generate_dataset(
     todo = [n for n in range(count) if not is_settled(root, n)]
     tasks = [SimulationTask(root.resolve(), config, seed, n) for n in todo]
     failed = made = 0
-    for report in run_tasks(make_simulation, tasks, workers=workers, engine=engine):
+    reports = run_tasks(make_simulation, tasks, workers=workers, engine=engine)
+    for done, report in enumerate(reports, start=count - len(todo) + 1):
         with (root / "timings.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps({k: v for k, v in asdict(report).items() if k != "failures"}) + "\n")
         failed += len(report.failures)
         made += not report.given_up
         if on_report is not None:
-            on_report(report)
+            on_report(report, done)
     given_up = finish_dataset(root, _plain(config), seed, __version__)
     return GenerationSummary(made, count - len(todo), failed, given_up)
 

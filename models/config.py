@@ -18,7 +18,7 @@ __all__ = [
 EncoderSize = Literal["tiny", "small", "base"]
 
 # hidden size, layers, heads; "base" is that of the public VideoMAE weights, "small" that of ViT-S.
-_SIZES: dict[str, tuple[int, int, int]] = {"tiny": (192, 5, 3), "small": (384, 12, 6), "base": (768, 12, 12)}
+_SIZES: dict[str, tuple[int, int, int]] = {"tiny": (192, 6, 3), "small": (384, 12, 6), "base": (768, 12, 12)}
 
 
 class _Frozen(BaseModel):
@@ -34,7 +34,7 @@ class EncoderConfig(_Frozen):
     tubelet: int = Field(default=2, ge=1)
     patch_size: int = Field(default=16, ge=4)
     hidden_size: int = Field(default=192, ge=16)
-    layers: int = Field(default=4, ge=1)
+    layers: int = Field(default=6, ge=1)
     heads: int = Field(default=3, ge=1)
     mask_channel: bool = True
     dropout: float = Field(default=0.0, ge=0, lt=1)

@@ -98,11 +98,13 @@ def test_failed_attempts_are_replaced_recorded_and_not_repeated(in_process, tmp_
 
     in_process.setattr(data_gen.generate, "simulate_drop", fails_twice_for_number_one)
     reports = []
-    summary = generate_dataset(tmp_path, count=2, config=CONFIG, seed=1, on_report=reports.append)
+    summary = generate_dataset(
+        tmp_path, count=2, config=CONFIG, seed=1, on_report=lambda *report: reports.append(report)
+    )
     assert summary.failed_attempts == 2 and len(set(tried)) == 4
     rows = [clip.row for clip in Dataset.open(tmp_path).clips]
     assert [row["attempt"] for row in rows] == [0, 2] and rows[1]["youngs_modulus"] == tried[3]
-    assert [len(report.failures) for report in reports] == [0, 2]
+    assert [(len(report.failures), done) for report, done in reports] == [(0, 1), (2, 2)]
     notes = [json.loads(line) for line in (tmp_path / "failures.jsonl").read_text().splitlines()]
     assert [(note["simulation"], note["attempt"]) for note in notes] == [(1, 0), (1, 1)]
     assert "no mesh" in notes[0]["message"]
@@ -124,7 +126,11 @@ def test_a_hopeless_simulation_is_given_up_and_the_rest_made(in_process, tmp_pat
 
 def test_adding_simulations_keeps_the_others(in_process, tmp_path):
     generate_dataset(tmp_path / "grown", count=1, config=CONFIG, seed=1)
-    generate_dataset(tmp_path / "grown", count=2, config=CONFIG, seed=1)
+    settled = []
+    generate_dataset(
+        tmp_path / "grown", count=2, config=CONFIG, seed=1, on_report=lambda report, done: settled.append(done)
+    )
+    assert settled == [2]  # of two, one was there
     generate_dataset(tmp_path / "whole", count=2, config=CONFIG, seed=1)
     assert contents(tmp_path / "grown") == contents(tmp_path / "whole")
 
