@@ -249,8 +249,8 @@ def generate_dataset(
     """Make (or finish) a data set of `count` simulations.
 
     The bytes written depend on `config`, `seed` and the simulation's number only, not on workers, engine or earlier
-    interruptions. Times alone differ; they go to `timings.jsonl`, outside the manifest. `on_report` is told of each task
-    as it ends, and how many simulations are settled then.
+    interruptions. Times alone differ; they go to `timings.jsonl`, outside the manifest. `on_report` is told of each
+    task as it ends, and how many simulations are settled then.
 
     Raises:
         InputError: the folder holds a data set of another seed or configuration, or not one simulation succeeded.
