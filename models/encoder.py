@@ -15,20 +15,24 @@ from transformers.models.videomae.modeling_videomae import get_sinusoid_encoding
 from models.config import EncoderConfig
 from physconvex.errors import InputError
 
-__all__ = ["VideoEncoder", "load_pretrained_encoder", "position_table", "token_coverage"]
+__all__ = ["VideoEncoder", "load_pretrained_encoder", "normalised", "position_table", "token_coverage"]
 
 Grid = tuple[int, int, int]
 
-_IMAGE_MEAN = (0.485, 0.456, 0.406)
-_IMAGE_STD = (0.229, 0.224, 0.225)
+_MEAN = (0.485, 0.456, 0.406, 0.5)
+_STD = (0.229, 0.224, 0.225, 0.5)
+
+
+def normalised(windows: UInt8[Tensor, "B T W W 4"]) -> Float[Tensor, "B T 4 W W"]:
+    """Windows as the networks read them: colours as public VideoMAE weights want them, coverage from −1 to 1."""
+    mean, std = (torch.tensor(v, device=windows.device).mul_(255).view(-1, 1, 1) for v in (_MEAN, _STD))
+    return windows.movedim(-1, 2).to(torch.float32, memory_format=torch.contiguous_format).sub_(mean).div_(std)
 
 
 class VideoEncoder(nn.Module):
     """Windows that follow the object -> tokens with their place in the clip."""
 
     tie_break: Tensor
-    mean: Tensor
-    std: Tensor
 
     def __init__(self, config: EncoderConfig) -> None:
         super().__init__()
@@ -37,24 +41,19 @@ class VideoEncoder(nn.Module):
         self.model.embeddings.position_embeddings = position_table(config)
         noise = torch.rand(config.tokens, generator=torch.Generator().manual_seed(0))
         self.register_buffer("tie_break", noise, persistent=False)
-        mean, std = [*_IMAGE_MEAN, 0.5][: config.channels], [*_IMAGE_STD, 0.5][: config.channels]
-        self.register_buffer("mean", torch.tensor(mean).view(-1, 1, 1), persistent=False)
-        self.register_buffer("std", torch.tensor(std).view(-1, 1, 1), persistent=False)
 
     def forward(
         self,
-        windows: UInt8[Tensor, "B T W W 4"],
+        pictures: Float[Tensor, "B T 4 W W"],
         *,
         generator: torch.Generator | None = None,
     ) -> tuple[Float[Tensor, "B N D"], Float[Tensor, "B N"], Int64[Tensor, "B N"]]:
-        """Tokens kept, each one's coverage by the object (0..1), and its number in the clip.
+        """Tokens kept of `normalised` pictures, each one's coverage by the object (0..1), its number in the clip.
 
         In training, `train_keep` of the tokens, those that show the object first and at random (by
         `generator`, CPU); otherwise the `eval_keep` best covered.
         """
-        pixels = windows[..., : self.config.channels].movedim(-1, 2).float() / 255
-        pixels = (pixels - self.mean) / self.std
-        coverage = token_coverage(windows[..., 3], self.config)
+        coverage = token_coverage(pictures[:, :, 3], self.config)
         if self.training:
             noise = torch.rand(coverage.shape, generator=generator).to(coverage.device)
             score, share = (coverage > 0).float() + noise, self.config.train_keep
@@ -63,14 +62,14 @@ class VideoEncoder(nn.Module):
         keep = max(1, round(share * self.config.tokens))
         place = score.topk(keep, dim=1).indices.sort(dim=1).values
         hidden = torch.ones_like(coverage, dtype=torch.bool).scatter_(1, place, False)
-        tokens = self.model(pixels, bool_masked_pos=hidden).last_hidden_state
+        tokens = self.model(pictures[:, :, : self.config.channels], bool_masked_pos=hidden).last_hidden_state
         return tokens, coverage.gather(1, place), place
 
 
-def token_coverage(mask: UInt8[Tensor, "B T W W"], config: EncoderConfig) -> Float[Tensor, "B N"]:
-    """Share of each tubelet that the object covers, 0..1, in the order of the tokens."""
+def token_coverage(cover: Float[Tensor, "B T W W"], config: EncoderConfig) -> Float[Tensor, "B N"]:
+    """Share of each tubelet that the object covers, 0..1, in the order of the tokens; `cover` is −1..1."""
     size = (config.tubelet, config.patch_size, config.patch_size)
-    return functional.avg_pool3d(mask[:, None].float() / 255, size).flatten(1)
+    return (functional.avg_pool3d(cover[:, None], size).flatten(1) + 1) / 2
 
 
 def position_table(config: EncoderConfig) -> Float[Tensor, "1 N D"]:
@@ -118,6 +117,7 @@ def _videomae_config(config: EncoderConfig) -> VideoMAEConfig:
         hidden_dropout_prob=config.dropout,
         attention_probs_dropout_prob=0.0,
         layer_norm_eps=1e-6,
+        attn_implementation="eager",  # on a processor faster than the fused kernel at these lengths
     )
 
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
-
-from models.windows import GREY
 
 __all__ = ["FrameNetwork"]
 
@@ -33,10 +30,8 @@ class FrameNetwork(nn.Module):
         self.read = nn.Linear(32 * side * side, channels)
         self.compare = nn.Linear(channels, channels)
 
-    def forward(self, windows: UInt8[Tensor, "B T W W 4"]) -> Float[Tensor, "B T C"]:
-        """The vectors."""
-        values = windows.movedim(-1, 2).float()
-        pictures = torch.cat([(values[:, :, :3] - GREY) / 128, values[:, :, 3:] / 255], dim=2)
+    def forward(self, pictures: Float[Tensor, "B T 4 W W"]) -> Float[Tensor, "B T C"]:
+        """The vectors, of pictures as `models.encoder.normalised` gives them."""
         maps = functional.gelu(self.reduce(self.layers(pictures.flatten(0, 1))))
-        vectors = self.read(maps.flatten(1)).unflatten(0, windows.shape[:2])
+        vectors = self.read(maps.flatten(1)).unflatten(0, pictures.shape[:2])
         return vectors + self.compare(vectors[:, :1])

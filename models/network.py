@@ -10,7 +10,7 @@ from timm.layers import AttentionPoolLatent, Mlp
 from torch import Tensor, nn
 
 from models.config import NetworkConfig
-from models.encoder import VideoEncoder
+from models.encoder import VideoEncoder, normalised
 from models.frame_network import FrameNetwork
 from models.heads import DensityHead
 from models.kinematics import SilhouetteFeatures
@@ -99,11 +99,12 @@ class PhysicsNetwork(nn.Module):
         draws = torch.rand(3, len(batch.interval), generator=generator).to(batch.interval.device)
         with torch.autocast(batch.moments.device.type, enabled=False):
             features = self.silhouettes(batch.moments, batch.interval, batch.valid)
-        by_frame, embedding = self._tokens(batch, generator)
+        pictures = normalised(batch.windows)
+        by_frame, embedding = self._tokens(pictures, generator)
         if self.training:
             shown = draws[0] >= self.config.video_dropout
             by_frame, embedding = by_frame * shown[:, None, None], embedding * shown[:, None]
-        features = features + self.frame_network(batch.windows) + by_frame
+        features = features + self.frame_network(pictures) + by_frame
         with torch.autocast(features.device.type, enabled=False):  # rates are differences of states: whole precision
             motion = self.motion(
                 features.float(),
@@ -124,10 +125,10 @@ class PhysicsNetwork(nn.Module):
             )
 
     def _tokens(
-        self, batch: ClipBatch, generator: torch.Generator | None
+        self, pictures: Float[Tensor, "B T 4 W W"], generator: torch.Generator | None
     ) -> tuple[Float[Tensor, "B T C"], Float[Tensor, "B E"]]:
         """What the encoder's tokens say of each frame, and of the whole clip."""
-        tokens, coverage, place = self.encoder(batch.windows, generator=generator)
+        tokens, coverage, place = self.encoder(pictures, generator=generator)
         tokens, weight = self.token_norm(tokens), (coverage + 1e-4)[..., None]
         mean = (tokens * weight).sum(dim=1) / weight.sum(dim=1)
         embedding = self.video_norm(torch.cat([mean, self.token_pool(tokens)], dim=-1))

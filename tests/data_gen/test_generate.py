@@ -98,9 +98,7 @@ def test_failed_attempts_are_replaced_recorded_and_not_repeated(in_process, tmp_
 
     in_process.setattr(data_gen.generate, "simulate_drop", fails_twice_for_number_one)
     reports = []
-    summary = generate_dataset(
-        tmp_path, count=2, config=CONFIG, seed=1, on_report=lambda *told: reports.append(told)
-    )
+    summary = generate_dataset(tmp_path, count=2, config=CONFIG, seed=1, on_report=lambda *told: reports.append(told))
     assert summary.failed_attempts == 2 and len(set(tried)) == 4
     rows = [clip.row for clip in Dataset.open(tmp_path).clips]
     assert [row["attempt"] for row in rows] == [0, 2] and rows[1]["youngs_modulus"] == tried[3]

@@ -9,7 +9,7 @@ import torch
 from transformers import VideoMAEConfig, VideoMAEModel
 
 from models.config import EncoderConfig, KinematicsConfig, NetworkConfig
-from models.encoder import VideoEncoder, load_pretrained_encoder, position_table, token_coverage
+from models.encoder import VideoEncoder, load_pretrained_encoder, normalised, position_table, token_coverage
 from models.kinematics import kinematic_features
 from models.motion import STATE_NAMES
 from models.network import ClipBatch, PhysicsNetwork
@@ -74,8 +74,9 @@ def test_pretrained_weights_give_their_own_model_at_their_size(tmp_path: Path) -
     config = EncoderConfig(image_size=32, frames=8, mask_channel=False, eval_keep=1.0, hidden_size=96, heads=3)
     encoder = load_pretrained_encoder(tmp_path, config).eval()
     batch = random_batch()
-    tokens, _, _ = encoder(batch.windows)
-    pixels = (batch.windows[..., :3].movedim(-1, 2).float() / 255 - encoder.mean) / encoder.std
+    tokens, _, _ = encoder(normalised(batch.windows))
+    mean, std = torch.tensor([[0.485, 0.456, 0.406], [0.229, 0.224, 0.225]])[..., None, None]
+    pixels = (batch.windows[..., :3].movedim(-1, 2).float() / 255 - mean) / std
     torch.testing.assert_close(tokens, theirs(pixels).last_hidden_state, atol=1e-4, rtol=1e-4)
 
 
@@ -85,8 +86,9 @@ def test_pretrained_weights_at_another_size_and_with_a_mask(tmp_path: Path) -> N
     encoder = load_pretrained_encoder(tmp_path, EncoderConfig(image_size=112, frames=24, eval_keep=1.0)).eval()
     assert encoder.config.position_grid == (8, 14, 14) and encoder.config.grid == (12, 7, 7)
     batch = random_batch(1, frames=24, size=112)
-    tokens, _, _ = encoder(batch.windows)
-    without, _, _ = encoder(torch.cat([batch.windows[..., :3], torch.full_like(batch.windows[..., 3:], 255)], dim=-1))
+    pictures = normalised(batch.windows)
+    tokens, _, _ = encoder(pictures)
+    without, _, _ = encoder(torch.cat([pictures[:, :, :3], torch.ones_like(pictures[:, :, 3:])], dim=2))
     assert tokens.shape == (1, 588, 48)
     torch.testing.assert_close(tokens.sort(dim=1).values, without.sort(dim=1).values)
 
@@ -112,10 +114,11 @@ def test_tokens_that_show_the_object_are_kept() -> None:
     windows = random_batch(2).windows
     windows[..., 3] = 0
     windows[:, :, :16, 16:, 3] = 255  # one of four patches in each of four tubelets
-    assert token_coverage(windows[..., 3], config).view(2, 4, 2, 2)[0, :, 0, 1].eq(1).all()
+    pictures = normalised(windows)
+    assert token_coverage(pictures[:, :, 3], config).view(2, 4, 2, 2)[0, :, 0, 1].eq(1).all()
     for training, kept in ((True, round(0.35 * 16)), (False, 8)):
         generator = torch.Generator().manual_seed(0)
-        tokens, coverage, place = encoder.train(training)(windows, generator=generator)
+        tokens, coverage, place = encoder.train(training)(pictures, generator=generator)
         assert place.diff(dim=1).gt(0).all() and tokens.shape[:2] == place.shape
         assert coverage.shape == (2, kept)
         assert coverage.sum(dim=1).eq(4).all()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from models.encoder import normalised
 from models.frame_network import FrameNetwork
 from models.windows import GREY, object_windows
 
@@ -74,7 +75,7 @@ def test_vectors_tell_shapes_apart_and_know_the_first_frame() -> None:
     network = FrameNetwork(16, widths=(8, 16), window=32).eval()
 
     def vectors(frames: np.ndarray, mask: np.ndarray) -> torch.Tensor:
-        return network(torch.from_numpy(object_windows(frames, mask, size=32, extent=1.6))[None])
+        return network(normalised(torch.from_numpy(object_windows(frames, mask, size=32, extent=1.6))[None]))
 
     still = vectors(*disc(40.0, 30.0, 12.0))
     assert still.shape == (1, 3, 16)
