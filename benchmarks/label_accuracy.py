@@ -1,7 +1,7 @@
 """How far E and ν act to be off in the discretisation that makes training clips.
 
 For a sample of random objects over the stiffness range, the generator's run is compared with a reference on the same
-geometry (every tetrahedron split into eight, twice as many time steps, three friction passes). The offset
+geometry (every tetrahedron split into eight, twice as many time steps and friction passes). The offset
 (Δ log10 E, Δν) is what must be added to the labels of the generator's run to fit the reference best, by Gauss–Newton
 on the trajectories of all nodes with central differences; the residual rms before and after is stored too.
 
@@ -131,7 +131,7 @@ def measure(case: Case, family: str, steps: int, passes: int, tolerance: float) 
     fine = refine(case.mesh)
     clock = time.perf_counter()
     nodes = cKDTree(fine.vertices).query(case.mesh.vertices)[1]
-    reference = run(case, fine, 2 * steps, 3, 1e-6)[:, nodes]
+    reference = run(case, fine, 2 * steps, 2 * passes, 1e-6)[:, nodes]
     reference_seconds = time.perf_counter() - clock
     low, high = max(-STEP_NU, -case.poisson_ratio), min(STEP_NU, 0.495 - case.poisson_ratio)
 

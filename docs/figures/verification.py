@@ -95,10 +95,10 @@ def measured_numbers() -> dict[str, Any]:
 
 def contact_numbers() -> dict[str, Any]:
     """Slopes and impacts."""
-    passes = [(1e5, 2), (1e5, 8), (1e6, 2), (1e6, 8)]
+    impacts = [(friction, modulus, passes) for friction in (0.2, 0.5) for modulus in (1e5, 1e6) for passes in (2, 12)]
     return {
         "slope": asdict(contact.slope((5, 10, 15, 20, 25, 28, 30, 35, 40, 45))),
-        "impacts": [asdict(contact.impact(modulus, passes=count)) for modulus, count in passes],
+        "impacts": [asdict(contact.impact(modulus, passes=n, friction=friction)) for friction, modulus, n in impacts],
     }
 
 

@@ -196,7 +196,9 @@ class _Stepper:
         for _ in range(self.friction_passes - 1):
             if not self.equations.freeze_friction(found.x):
                 break
-            found = self._minimise(found.x)
+            last, found = found.x, self._minimise(found.x)
+            if np.abs(found.x - last).max() <= step * self.equations.contact.slip_velocity:
+                break
         self.steps += 1
         return State(time, found.x, coefficients.velocity(found.x))
 
@@ -229,7 +231,7 @@ def simulate(
     steps_per_frame: int = 16,
     integrator: IntegratorName = "bdf2",
     tolerance: float = 1e-7,
-    friction_passes: int = 2,
+    friction_passes: int = 12,
 ) -> Trajectory:
     """Roll a scene out in time.
 
@@ -240,8 +242,9 @@ def simulate(
         steps_per_frame: time steps between frames.
         integrator: "bdf2" (second order, first step implicit Euler) or "implicit_euler".
         tolerance: Newton's last step, relative to the body's size.
-        friction_passes: how often friction is linearised and solved in each step; more passes approach implicit
-            Coulomb friction, one is explicit in the friction weights.
+        friction_passes: how often friction is linearised and solved in each step at most; fewer are made where the
+            velocities no longer change by more than the scene's `slip_velocity`. One is explicit in the friction
+            weights.
 
     Raises:
         InputError: an argument out of range.

@@ -199,13 +199,16 @@ def test_smooth_plane_leaves_tangential_momentum_alone():
     np.testing.assert_allclose(speed[:, :2], np.broadcast_to([1.0, 0.5], (5, 2)), atol=1e-6)
 
 
-@pytest.mark.parametrize(("modulus", "passes", "tolerance"), [(1e5, 8, 0.01), (1e5, 2, 0.05), (1e6, 2, 0.08)])
-def test_sliding_impact_exchanges_impulses_by_coulombs_law(modulus, passes, tolerance):
+@pytest.mark.parametrize(
+    ("friction", "modulus", "passes", "tolerance"),
+    [(0.2, 1e5, 12, 0.01), (0.2, 1e5, 2, 0.05), (0.2, 1e6, 12, 0.03), (0.5, 1e5, 12, 0.01), (0.5, 1e6, 12, 0.01)],
+)
+def test_sliding_impact_exchanges_impulses_by_coulombs_law(friction, modulus, passes, tolerance):
     """A body that slides through the whole impact loses μ times the normal impulse, whatever the force's course.
 
-    The normal forces of the first pass come from the last state: two passes leave a few per cent.
+    The normal forces of the first pass come from the last state: two passes leave a few per cent; repeated until the
+    velocities stand still, what is left is the step's.
     """
-    friction = 0.2
     body = ElasticBody(box_mesh((0.2, 0.2, 0.1), (2, 2, 1)), youngs_modulus=modulus, poisson_ratio=0.3)
     scene = Scene(
         body,
@@ -215,5 +218,5 @@ def test_sliding_impact_exchanges_impulses_by_coulombs_law(modulus, passes, tole
     )
     run = simulate(scene, frames=2, fps=8, steps_per_frame=50, friction_passes=passes)
     start, end = mean_velocity(body, run)
-    assert end[2] > 1.0 and end[0] > 2.5  # it bounced, and never stuck
+    assert end[2] > 1.0 and end[0] > 1.0  # it bounced, and never stuck
     assert (start - end)[0] / (end - start)[2] == pytest.approx(friction, rel=tolerance)
