@@ -4,7 +4,7 @@ from typing import TypeAlias
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Int32, UInt8
+from jaxtyping import Float32, Int32, Shaped, UInt8
 
 __all__ = [
     "Picture",
@@ -73,7 +73,7 @@ def _smooth(counts: Float32[np.ndarray, " B"]) -> Float32[np.ndarray, " B"]:
     return cube[1:-1, 1:-1, 1:-1].ravel()
 
 
-def sort_pictures(pictures: list[np.ndarray]) -> Float32[np.ndarray, "T *S"]:
+def sort_pictures(pictures: list[np.ndarray]) -> Shaped[np.ndarray, "T *S"]:
     """Sort over the pictures, all pixels at once (Batcher's merge exchange; Knuth, TAOCP 3, 5.2.2)."""
     count, p = len(pictures), 1
     while p < count:

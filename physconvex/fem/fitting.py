@@ -143,8 +143,8 @@ def _nearest_on_boundary(triangles: np.ndarray, points: np.ndarray) -> tuple[np.
 
 
 def closest_in_triangles(
-    triangles: Float[np.ndarray, "*N 3 3"], points: Float[np.ndarray, "*N 3"]
-) -> Float[np.ndarray, "*N 3"]:
+    triangles: Float[np.ndarray, "*#N 3 3"], points: Float[np.ndarray, "*#N 3"]
+) -> Float[np.ndarray, "*#N 3"]:
     """Barycentric coordinates of the point of each triangle that is closest to each point."""
     a, b, c = np.moveaxis(triangles, -2, 0)
     u, v, w = b - a, c - a, points - a

@@ -138,10 +138,12 @@ def test_field_survives_a_file(field: tuple[SkinningHead, torch.Tensor, Skinning
     assert loaded.object_size == 1.7
 
 
-def test_foreign_files_and_points_are_refused(
-    field: tuple[SkinningHead, torch.Tensor, SkinningField], tmp_path: Path
-) -> None:
+def test_foreign_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no skinning field"):
         SkinningField.load(tmp_path / "nothing")
+
+
+@pytest.mark.wrong_types
+def test_points_of_another_shape_are_refused(field: tuple[SkinningHead, torch.Tensor, SkinningField]) -> None:
     with pytest.raises(InputError, match=r"expected \[Q, 3\]"):
         field[2](np.zeros((4, 2)))
