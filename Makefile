@@ -42,7 +42,7 @@ bench: env
 
 ## bench-data: what needs a data set: make bench-data DATA=data/drops
 bench-data: env
-	@for name in foreground known_states; do \
+	@for name in foreground known_states training_epoch; do \
 	    echo "== $$name"; $(BIN)/python benchmarks/$$name.py --data $(DATA) || exit 1; done
 
 demo:

@@ -18,9 +18,7 @@ from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, simulate, tetrahe
 
 RESULT = Path(__file__).parent / "results" / "friction_passes.json"
 # (steps per frame, passes, tolerance); the first is the reference of its stiffness
-SETTINGS = (
-    (96, 24, 1e-6), (24, 1, 5e-5), (24, 2, 5e-5), (24, 4, 5e-5), (24, 12, 5e-5), (24, 12, 1e-6), (16, 12, 5e-5)
-)
+SETTINGS = ((96, 24, 1e-6), (24, 1, 5e-5), (24, 2, 5e-5), (24, 4, 5e-5), (24, 12, 5e-5), (24, 12, 1e-6), (16, 12, 5e-5))
 
 
 @dataclass(frozen=True)

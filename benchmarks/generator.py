@@ -1,4 +1,4 @@
-"""Speed of the generator: clips per minute, where the time goes, and how it grows.
+"""Speed and memory of the generator: clips per minute, where the time goes, and how it grows.
 
     python benchmarks/generator.py                     about ten minutes on two cores; let nothing else run
     python benchmarks/generator.py --simulations 2 --quick
@@ -14,6 +14,7 @@ import argparse
 import json
 import os
 import platform
+import resource
 import statistics
 import sys
 import tempfile
@@ -40,7 +41,7 @@ STAGES = ("object", "mesh", "simulate", "render", "encode")
 VARIATIONS: dict[str, tuple[tuple[str, int], ...]] = {
     "nodes": tuple(("solver.target_nodes", n) for n in (250, 500, 1000, 2000)),
     "frames": tuple(("video.frames", n) for n in (12, 24, 48)),
-    "steps": tuple(("solver.steps_per_frame", n) for n in (8, 16, 32)),
+    "steps": tuple(("solver.steps_per_frame", n) for n in (12, 24, 48)),
     "views": tuple(("camera.views", n) for n in (1, 3, 6)),
     "pixels": tuple(("pixels", n) for n in (64, 128, 256, 448)),
 }
@@ -122,6 +123,7 @@ def throughput(config: GeneratorConfig, seed: int, count: int, workers: int) -> 
         "seconds": round(total, 2),
         "seconds_to_first_simulation": round(stamps[0], 2),
         "clips_per_minute": round(60 * clips / total, 2),
+        "worker_peak_memory_mib": round(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024),
     }
 
 
