@@ -13,6 +13,13 @@ from physconvex.reduced.basis import (
 )
 from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.cubature import BodySamples, Cubature, tet_cubature
+from physconvex.reduced.given_fields import ArrayWeights, StackedWeights, predicted_weights, snapshot_weights
+from physconvex.reduced.neural_field import (
+    NeuralFieldOptions,
+    NeuralWeights,
+    train_neural_weights,
+    untrained_neural_weights,
+)
 from physconvex.reduced.parameters import PARAMETERS, parameter_values, with_parameters
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.sensitivity import SensitiveTrajectory, simulate_with_sensitivities
@@ -21,10 +28,13 @@ from physconvex.reduced.space import ReducedSpace
 
 __all__ = [
     "PARAMETERS",
+    "ArrayWeights",
     "BodySamples",
     "CallableWeights",
     "Cubature",
     "LossGradient",
+    "NeuralFieldOptions",
+    "NeuralWeights",
     "NodalWeights",
     "Plane",
     "ReducedBody",
@@ -34,14 +44,19 @@ __all__ = [
     "SensitiveTrajectory",
     "SkinningBasis",
     "Sphere",
+    "StackedWeights",
     "WeightField",
     "eigenmode_weights",
     "parameter_values",
+    "predicted_weights",
     "rollout_positions",
     "sample_basis",
     "simulate",
     "simulate_with_adjoint",
     "simulate_with_sensitivities",
+    "snapshot_weights",
     "tet_cubature",
+    "train_neural_weights",
+    "untrained_neural_weights",
     "with_parameters",
 ]
