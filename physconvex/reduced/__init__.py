@@ -21,10 +21,12 @@ from physconvex.reduced.neural_field import (
     untrained_neural_weights,
 )
 from physconvex.reduced.parameters import PARAMETERS, parameter_values, with_parameters
+from physconvex.reduced.pins import Pins
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.sensitivity import SensitiveTrajectory, simulate_with_sensitivities
 from physconvex.reduced.simulation import ReducedTrajectory, simulate
 from physconvex.reduced.space import ReducedSpace
+from physconvex.reduced.wind import Wind
 
 __all__ = [
     "PARAMETERS",
@@ -36,6 +38,7 @@ __all__ = [
     "NeuralFieldOptions",
     "NeuralWeights",
     "NodalWeights",
+    "Pins",
     "Plane",
     "ReducedBody",
     "ReducedScene",
@@ -46,6 +49,7 @@ __all__ = [
     "Sphere",
     "StackedWeights",
     "WeightField",
+    "Wind",
     "eigenmode_weights",
     "parameter_values",
     "predicted_weights",

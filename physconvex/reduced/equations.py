@@ -37,6 +37,8 @@ class StepEquations:
         self.scene, self.body = scene, scene.body
         self.contact = scene.contact()
         self.surface = scene.body.space.surface_values
+        self.pins = scene.pin_springs()
+        self.areas = scene.body.space.samples.surface_areas
         self.start = scene.start
         self.factorised = False
         self.factorisations = 0
@@ -78,6 +80,9 @@ class StepEquations:
         touch, push = self.contact.energy_and_gradient(self.surface @ x, self.time)
         energy += touch - float((self.forces * (x - self.start)).sum())
         gradient = gradient + self.surface.T @ push - self.forces
+        if self.pins is not None:
+            stretch, hold = self.pins.energy_and_gradient(x, self.time)
+            energy, gradient = energy + stretch, gradient + hold
         if self.coefficients is not None:
             offset = x - self.coefficients.target
             pull = self.body.mass @ offset / self.coefficients.step**2
@@ -87,12 +92,15 @@ class StepEquations:
         return energy, gradient
 
     def dissipation(self, velocity: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
-        """Rate potential [W] of friction, viscosity and drag, and the generalised forces against the motion [N]."""
+        """Rate potential [W] of friction, viscosity, drag and wind; generalised forces against the motion [N]."""
         loss, rub = self.contact.friction_energy_and_gradient(self.friction, self.surface @ velocity)
         force = self.surface.T @ rub
         if self.viscous is not None:
             power, push = self.body.viscous_energy_and_gradient(self.viscous, velocity, self.scene.damping_time)
             loss, force = loss + power, force + push
+        if self.scene.wind is not None:
+            power, blow = self.scene.wind.energy_and_gradient(self.surface @ velocity, self.areas, self.time)
+            loss, force = loss + power, force + self.surface.T @ blow
         if self.scene.air_drag > 0:
             momentum = self.scene.air_drag * (self.body.mass @ velocity)
             loss, force = loss + 0.5 * float((velocity * momentum).sum()), force + momentum
@@ -109,10 +117,20 @@ class StepEquations:
         blocks = self.contact.hessian_blocks(at, self.time) if project else contact_blocks(self.contact, at, self.time)
         if self.friction:
             blocks = blocks + self.contact.friction_blocks(self.friction) / step
+        if self.coefficients is not None:
+            blocks = blocks + self.wind_blocks(self.coefficients.velocity(x)) / step
         self._add_surface(matrix, blocks)
+        if self.pins is not None:
+            matrix += np.kron(self.pins.matrix, np.eye(3))
         if np.isfinite(step):
             matrix += np.kron((1 / step**2 + self.scene.air_drag / step) * self.body.mass, np.eye(3))
         return matrix
+
+    def wind_blocks(self, velocity: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "S 3 3"]:
+        """Derivative of the force of the wind on the surface samples by their velocities [N·s/m]; zero without wind."""
+        if self.scene.wind is None:
+            return np.zeros((len(self.areas), 3, 3))
+        return self.scene.wind.blocks(self.surface @ velocity, self.areas, self.time)
 
     def _add_surface(self, matrix: np.ndarray, blocks: np.ndarray) -> None:
         """Add Σ_s N_a(s) B_s N_b(s) over the samples whose block is not zero."""
