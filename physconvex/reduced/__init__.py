@@ -1,6 +1,8 @@
 """Reduced-order simulator: a body moved by M skinning weights, φ(X) = X + Σ_m W_m(X) Z_m [X; 1]."""
 
 from physconvex.contact import Plane, Sphere
+from physconvex.elastic_terms import with_fibres, with_strain_stiffening
+from physconvex.inelastic import Plasticine, Sand, StandardLinearSolid
 from physconvex.reduced.adjoint import LossGradient, simulate_with_adjoint
 from physconvex.reduced.autograd import rollout_positions
 from physconvex.reduced.basis import (
@@ -40,14 +42,17 @@ __all__ = [
     "NodalWeights",
     "Pins",
     "Plane",
+    "Plasticine",
     "ReducedBody",
     "ReducedScene",
     "ReducedSpace",
     "ReducedTrajectory",
+    "Sand",
     "SensitiveTrajectory",
     "SkinningBasis",
     "Sphere",
     "StackedWeights",
+    "StandardLinearSolid",
     "WeightField",
     "Wind",
     "eigenmode_weights",
@@ -62,5 +67,7 @@ __all__ = [
     "tet_cubature",
     "train_neural_weights",
     "untrained_neural_weights",
+    "with_fibres",
     "with_parameters",
+    "with_strain_stiffening",
 ]

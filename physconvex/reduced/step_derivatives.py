@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from physconvex.errors import InputError
 from physconvex.integrators import State, StepCoefficients
 from physconvex.reduced.body import viscous_stress
 from physconvex.reduced.equations import StepEquations
@@ -44,6 +45,11 @@ class StepDerivatives:
 
     def __init__(self, scene: ReducedScene, names: Sequence[str]) -> None:
         check_parameters(scene, names)
+        if scene.body.flow is not None:
+            raise InputError(
+                f"scene: its body flows ({scene.body.flow}); derivatives of roll-outs exist for elastic and "
+                "Kelvin–Voigt bodies only: leave out `flow`, or take finite differences of `simulate`"
+            )
         self.scene, self.body, self.names = scene, scene.body, tuple(names)
         self.surface = scene.body.space.surface_values
         self.contact = scene.contact()
