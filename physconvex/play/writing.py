@@ -66,4 +66,4 @@ def _write_frames(played: PlayedObject, folder: Path) -> None:
     folder.mkdir(exist_ok=True)
     for number, vertices in enumerate(played.positions):
         mesh = trimesh.Trimesh(vertices, played.surface.faces, process=False)
-        (folder / f"{number:06d}.ply").write_bytes(mesh.export(file_type="ply"))
+        mesh.export(folder / f"{number:06d}.ply")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -157,37 +159,29 @@ class ReducedBody:
             y: coordinates [m].
             response: of the flow during a time step; that of a body that has not flowed, at once, unless given.
         """
-        return float((self._weights * self._density(self.deformation_gradient(y), response)).sum())
+        return float((self._weights * self._material("energy", self.deformation_gradient(y), response)).sum())
 
     def gradient(self, y: Float[np.ndarray, "R 3"], *, response: FlowStep | None = None) -> Float[np.ndarray, "R 3"]:
         """Derivative of the energy with respect to the coordinates [N]."""
-        return self.forces_of(self._stress(self.deformation_gradient(y), response))
+        return self.forces_of(self._material("stress", self.deformation_gradient(y), response))
 
     def energy_and_gradient(
         self, y: Float[np.ndarray, "R 3"], *, response: FlowStep | None = None
     ) -> tuple[float, Float[np.ndarray, "R 3"]]:
         """Both of the above with one evaluation of F."""
         f = self.deformation_gradient(y)
-        return float((self._weights * self._density(f, response)).sum()), self.forces_of(self._stress(f, response))
+        energy = float((self._weights * self._material("energy", f, response)).sum())
+        return energy, self.forces_of(self._material("stress", f, response))
 
-    def _parts(self, response: FlowStep | None) -> tuple[bool, FlowStep | None]:
-        """Whether the law acts, and what flows."""
-        return self.flow is None or self.flow.beside_law, self._virgin if response is None else response
-
-    def _density(self, f: Tensor, response: FlowStep | None) -> Tensor:
-        elastic, flowing = self._parts(response)
-        part = 0.0 if flowing is None else flowing.energy(f)
-        return (self.law.energy(f, self.mu, self.lam) if elastic else 0.0) + part
-
-    def _stress(self, f: Tensor, response: FlowStep | None) -> Tensor:
-        elastic, flowing = self._parts(response)
-        part = 0.0 if flowing is None else flowing.stress(f)
-        return (self.law.stress(f, self.mu, self.lam) if elastic else 0.0) + part
-
-    def _tangent(self, f: Tensor, response: FlowStep | None) -> Tensor:
-        elastic, flowing = self._parts(response)
-        part = 0.0 if flowing is None else flowing.hessian(f)
-        return (self.law.hessian(f, self.mu, self.lam) if elastic else 0.0) + part
+    def _material(self, of: Literal["energy", "stress", "hessian"], f: Tensor, response: FlowStep | None) -> Tensor:
+        """Energy density, stress or Hessian of what acts at the samples: the law, what flows, or both."""
+        parts: list[Tensor] = []
+        if self.flow is None or self.flow.beside_law:
+            parts.append(getattr(self.law, of)(f, self.mu, self.lam))
+        flowing = self._virgin if response is None else response
+        if flowing is not None:
+            parts.append(getattr(flowing, of)(f))
+        return sum(parts[1:], parts[0])
 
     # -- flow
 
@@ -218,7 +212,7 @@ class ReducedBody:
             damping_ratio: damping time over the time step [-].
             response: as for the energy.
         """
-        tensor = self._tangent(self.deformation_gradient(y), response)
+        tensor = self._material("hessian", self.deformation_gradient(y), response)
         if project:
             tensor = project_to_positive(tensor)
         if viscous_state is not None:

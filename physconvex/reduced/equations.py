@@ -135,7 +135,7 @@ class StepEquations:
         blocks = self.contact.hessian_blocks(at, self.time) if project else contact_blocks(self.contact, at, self.time)
         if self.friction:
             blocks = blocks + self.contact.friction_blocks(self.friction) / step
-        if self.coefficients is not None:
+        if self.coefficients is not None and self.scene.wind is not None:
             blocks = blocks + self.wind_blocks(self.coefficients.velocity(x)) / step
         self._add_surface(matrix, blocks)
         if self.pins is not None:

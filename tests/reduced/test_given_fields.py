@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from physconvex.errors import InputError
 from physconvex.fem import ElasticBody, box_mesh
@@ -64,6 +65,23 @@ def test_a_predicted_field_is_turned_and_shifted_with_its_gradients():
     np.testing.assert_allclose(field.at(inside @ turn.T + origin)[0], WavyField()(inside), atol=1e-7)
     # float32 values: rounding 6e-8 over the step
     np.testing.assert_allclose(gradients, by_differences(field, points, 1e-3), atol=1e-3)
+
+
+def test_the_field_of_the_network_moves_a_body():
+    """Float32 values and gradients of a skinning head become a space in float64 that holds affine motions."""
+    from models.config import SkinningConfig
+    from models.skinning import SkinningField, SkinningHead
+
+    head = SkinningHead(4, SkinningConfig(handles=3))
+    (network,) = SkinningField.from_head(head, torch.ones(1, 4), [0.3])
+    field = predicted_weights(network, origin=(0.15, 0.1, 0.05))
+    points = inner_points()
+    np.testing.assert_allclose(field.at(points)[0], network(points - [0.15, 0.1, 0.05]), atol=1e-7)
+    # float32: rounding of the weights over the step, and the step's square
+    np.testing.assert_allclose(field.at(points)[1], by_differences(field, points, 1e-3), atol=2e-2)
+    space = ReducedSpace(field, BodySamples.of_mesh(box_mesh(SIZE, (2, 1, 1))))
+    assert space.dimension == 16 and space.shape_values(points).dtype == np.float64
+    np.testing.assert_allclose(space.shape_values(points) @ space.rest, points, atol=1e-12)
 
 
 def test_stacked_fields_stand_beside_each_other():
