@@ -109,12 +109,14 @@ class ForceConfig(Frozen):
 
 
 class BasisConfig(Frozen):
-    """Skinning weights: their kind and number M, seed of the neural field, most nodes of the background mesh."""
+    """Skinning weights: their kind and number M, seed of the neural field; most nodes of the background mesh, its
+    mesher, and most vertices of the surface that touch the floor."""
 
     kind: Literal["eigenmodes", "neural"] = "eigenmodes"
     modes: int = Field(default=10, ge=1, le=64)
     seed: int = Field(default=0, ge=0)
     max_nodes: int = Field(default=500, ge=20)
+    contact_points: int = Field(default=2000, ge=10)
     mesher: Literal["auto", "lattice", "ftetwild"] = "auto"
 
 

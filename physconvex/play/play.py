@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -72,7 +72,9 @@ def play(
     mesh = tetrahedralize(
         (placed.vertices, placed.faces), order=2, method=config.basis.mesher, max_nodes=config.basis.max_nodes
     )
-    samples = BodySamples.of_mesh(mesh)
+    points, areas = placed.contact_points(config.basis.contact_points)
+    # the surface itself touches, not the nodes of the coarse mesh behind it
+    samples = replace(BodySamples.of_mesh(mesh), surface_points=points, surface_areas=areas)
     body = ReducedBody(
         ReducedSpace(_field(config, mesh, samples), samples),
         law=_law(material),

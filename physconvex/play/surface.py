@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from physconvex.errors import InputError
@@ -35,6 +36,21 @@ class RestSurface:
         vertices = Rotation.from_euler("xyz", config.orientation_deg, degrees=True).apply(vertices)
         vertices[:, 2] += config.drop_height - vertices[:, 2].min()
         return RestSurface(vertices, self.faces)
+
+    def contact_points(self, limit: int) -> tuple[Float[np.ndarray, "S 3"], Float[np.ndarray, " S"]]:
+        """Points that touch obstacles [m] and the area each stands for [m²]: the vertices, or `limit` of them.
+
+        Every vertex carries a third of the triangles around it, or hands that to the nearest vertex that was chosen.
+        """
+        corners = self.vertices[self.faces]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        areas = np.zeros(len(self.vertices))
+        np.add.at(areas, self.faces, np.linalg.norm(normals, axis=1)[:, None] / 6)
+        chosen = np.arange(len(areas))
+        if len(chosen) > limit:
+            chosen = np.random.default_rng(0).choice(len(areas), limit, replace=False, p=areas / areas.sum())
+        _, nearest = cKDTree(self.vertices[chosen]).query(self.vertices)
+        return self.vertices[chosen], np.bincount(nearest, areas, minlength=len(chosen))
 
 
 def read_surface(path: str | Path) -> RestSurface:

@@ -92,6 +92,18 @@ def test_orientation_turns_the_object():
     assert placed.vertices[:, 2].min() == pytest.approx(0.25)
 
 
+def test_areas_of_contact_points_add_up_whatever_their_number():
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
+    surface = load_surface(ball)
+    points, areas = surface.contact_points(10_000)
+    np.testing.assert_array_equal(points, surface.vertices)
+    assert areas.sum() == pytest.approx(ball.area)
+    fewer, shares = surface.contact_points(40)
+    assert len(fewer) == 40 and shares.sum() == pytest.approx(ball.area) and (shares > 0).all()
+    # a uniform pressure has no resultant on a closed surface
+    np.testing.assert_allclose(areas @ (points / 0.1), 0.0, atol=1e-12)
+
+
 def load_surface(mesh):
     from physconvex.play import RestSurface
 
