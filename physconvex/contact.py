@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.errors import InputError
+from physconvex.travel import Travel, Velocity
 
 __all__ = ["Contact", "Friction", "Obstacle", "Plane", "Sphere"]
 
@@ -35,6 +36,14 @@ def _check_friction(friction: float) -> None:
         raise InputError(f"friction: got {friction}; expected a finite coefficient ≥ 0")
 
 
+def _travel(obstacle: Plane | Sphere) -> Travel:
+    """Its motion; a constant velocity becomes an array in place."""
+    travel = Travel(obstacle.velocity)
+    if not callable(obstacle.velocity):
+        object.__setattr__(obstacle, "velocity", travel.velocity(0.0))
+    return travel
+
+
 @dataclass(frozen=True)
 class Plane:
     """Half-space {x : (x − point(t))·normal < 0} that bodies may not enter.
@@ -43,16 +52,19 @@ class Plane:
         point: a point on the plane at t = 0 [m].
         normal: outward direction, any length.
         friction: Coulomb coefficient [-].
-        velocity: velocity of the plane [m/s]; a tangential part is a conveyor belt.
+        velocity: velocity of the plane [m/s], or a function of time [s] that gives it; a tangential part is a
+            conveyor belt.
     """
 
     point: Sequence[float] = (0.0, 0.0, 0.0)
     normal: Sequence[float] = (0.0, 0.0, 1.0)
     friction: float = 0.0
-    velocity: Sequence[float] = (0.0, 0.0, 0.0)
+    velocity: Velocity = (0.0, 0.0, 0.0)
+    _travel: Travel = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        for name in ("point", "normal", "velocity"):
+        object.__setattr__(self, "_travel", _travel(self))
+        for name in ("point", "normal"):
             object.__setattr__(self, name, _vector(name, getattr(self, name)))
         length = np.linalg.norm(self.normal)
         if length == 0:
@@ -62,7 +74,11 @@ class Plane:
 
     def gap(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, " V"]:
         """Signed distance [m], negative inside."""
-        return (x - (np.asarray(self.point) + time * np.asarray(self.velocity))) @ np.asarray(self.normal)
+        return (x - (np.asarray(self.point) + self._travel.displacement(time))) @ np.asarray(self.normal)
+
+    def velocity_at(self, time: float) -> Float[np.ndarray, " 3"]:
+        """Velocity at a time [m/s]."""
+        return self._travel.velocity(time)
 
     def normals(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, "V 3"]:
         """Gradient of the gap."""
@@ -75,27 +91,32 @@ class Plane:
 
 @dataclass(frozen=True)
 class Sphere:
-    """Solid sphere that bodies may not enter; `center` [m] at t = 0, `radius` [m], `velocity` [m/s]."""
+    """Solid sphere that bodies may not enter: `center` [m] at t = 0, `radius` [m], `velocity` [m/s] or a function."""
 
     center: Sequence[float]
     radius: float
     friction: float = 0.0
-    velocity: Sequence[float] = (0.0, 0.0, 0.0)
+    velocity: Velocity = (0.0, 0.0, 0.0)
+    _travel: Travel = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        for name in ("center", "velocity"):
-            object.__setattr__(self, name, _vector(name, getattr(self, name)))
+        object.__setattr__(self, "_travel", _travel(self))
+        object.__setattr__(self, "center", _vector("center", self.center))
         if not (np.isfinite(self.radius) and self.radius > 0):
             raise InputError(f"radius: got {self.radius}; expected a length > 0 in metres")
         _check_friction(self.friction)
 
     def _offset(self, x: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
-        offset = x - (np.asarray(self.center) + time * np.asarray(self.velocity))
+        offset = x - (np.asarray(self.center) + self._travel.displacement(time))
         return offset, np.maximum(np.linalg.norm(offset, axis=1), 1e-12)
 
     def gap(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, " V"]:
         """Signed distance [m], negative inside."""
         return self._offset(x, time)[1] - self.radius
+
+    def velocity_at(self, time: float) -> Float[np.ndarray, " 3"]:
+        """Velocity at a time [m/s]."""
+        return self._travel.velocity(time)
 
     def normals(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, "V 3"]:
         """Gradient of the gap."""
@@ -207,7 +228,7 @@ class Contact:
                 continue
             nodes, depth = self._touching(obstacle, x, time)
             if len(nodes):
-                speed = np.asarray(obstacle.velocity)
+                speed = obstacle.velocity_at(time)
                 part = Friction(nodes, np.zeros(len(nodes)), obstacle.normals(x[nodes], time), speed)
                 relative = np.linalg.norm(part.slip(velocity), axis=1) / self.slip_velocity
                 # f₁(y)/y with f₁ = 2y − y² below one, 1 above

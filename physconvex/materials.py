@@ -31,7 +31,7 @@ Triple = Callable[[Tensor, Tensor, Tensor], Tensor]
 class Law:
     """An elastic law: three functions of (F, mu, lam); see the module's docstring for shapes and units."""
 
-    name: LawName
+    name: str
     energy: Triple
     stress: Triple
     hessian: Triple

@@ -1,6 +1,8 @@
 """Reduced-order simulator: a body moved by M skinning weights, φ(X) = X + Σ_m W_m(X) Z_m [X; 1]."""
 
 from physconvex.contact import Plane, Sphere
+from physconvex.elastic_terms import with_fibres, with_strain_stiffening
+from physconvex.inelastic import Plasticine, Sand, StandardLinearSolid
 from physconvex.reduced.adjoint import LossGradient, simulate_with_adjoint
 from physconvex.reduced.autograd import rollout_positions
 from physconvex.reduced.basis import (
@@ -13,35 +15,59 @@ from physconvex.reduced.basis import (
 )
 from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.cubature import BodySamples, Cubature, tet_cubature
+from physconvex.reduced.given_fields import ArrayWeights, StackedWeights, predicted_weights, snapshot_weights
+from physconvex.reduced.neural_field import (
+    NeuralFieldOptions,
+    NeuralWeights,
+    train_neural_weights,
+    untrained_neural_weights,
+)
 from physconvex.reduced.parameters import PARAMETERS, parameter_values, with_parameters
+from physconvex.reduced.pins import Pins
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.sensitivity import SensitiveTrajectory, simulate_with_sensitivities
 from physconvex.reduced.simulation import ReducedTrajectory, simulate
 from physconvex.reduced.space import ReducedSpace
+from physconvex.reduced.wind import Wind
 
 __all__ = [
     "PARAMETERS",
+    "ArrayWeights",
     "BodySamples",
     "CallableWeights",
     "Cubature",
     "LossGradient",
+    "NeuralFieldOptions",
+    "NeuralWeights",
     "NodalWeights",
+    "Pins",
     "Plane",
+    "Plasticine",
     "ReducedBody",
     "ReducedScene",
     "ReducedSpace",
     "ReducedTrajectory",
+    "Sand",
     "SensitiveTrajectory",
     "SkinningBasis",
     "Sphere",
+    "StackedWeights",
+    "StandardLinearSolid",
     "WeightField",
+    "Wind",
     "eigenmode_weights",
     "parameter_values",
+    "predicted_weights",
     "rollout_positions",
     "sample_basis",
     "simulate",
     "simulate_with_adjoint",
     "simulate_with_sensitivities",
+    "snapshot_weights",
     "tet_cubature",
+    "train_neural_weights",
+    "untrained_neural_weights",
+    "with_fibres",
     "with_parameters",
+    "with_strain_stiffening",
 ]

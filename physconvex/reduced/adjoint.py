@@ -39,7 +39,7 @@ class LossGradient:
         trajectory: the roll-out.
         loss: its loss.
         named: by the named parameters, shape [P].
-        youngs_modulus: by E of each cell at fixed contact stiffness [1/Pa], shape [C].
+        youngs_modulus: by E of each cell at fixed stiffness of contact and pins [1/Pa], shape [C].
         poisson_ratio: by ν of each cell, shape [C].
         initial_coordinates: by y(0) [1/m], shape [R, 3].
         initial_velocities: by ẏ(0) [s/m], shape [R, 3].
@@ -69,6 +69,7 @@ class _Sweep:
         self.derivatives = StepDerivatives(scene, names)
         self.equations = StepEquations(scene)
         self.named = np.zeros(len(names))
+        self.anchors = np.zeros(scene.start.shape)  # derivatives by the coordinates that pins hold the body at
         cells = self.body.space.samples.interior.cells
         self.cells = torch.as_tensor(cells, device=self.body.device)
         points = torch.zeros(len(cells), dtype=torch.float64, device=self.body.device)
@@ -110,6 +111,12 @@ class _Sweep:
         self.named += (explicit * force_bar).sum((1, 2))
         bars.target -= body.mass @ force_bar / c.step**2
         velocity_bar = scene.air_drag * (body.mass @ force_bar)
+        if scene.wind is not None:
+            blocks = self.equations.wind_blocks(c.velocity(x))
+            surface = self.equations.surface
+            velocity_bar += surface.T @ np.einsum("sij,sj->si", blocks, surface @ force_bar)
+        if self.equations.pins is not None and self.equations.pins.motion is None:
+            self.anchors -= self.equations.pins.matrix @ force_bar
         f, spread = body.deformation_gradient(x), body.deformation_gradient(force_bar)
         rate = body.deformation_gradient(c.velocity(x))
         with torch.enable_grad():
@@ -175,6 +182,7 @@ class _Sweep:
         constant = self.body.space.affine(np.zeros((3, 3)), np.array([1.0, 0, 0]))[:, 0]
         turned = -np.cross(spin, constant @ first.velocities)
         positions = positions - np.outer(self.body.first_moments / self.body.total_mass, turned)
+        positions = positions + self.anchors
         return LossGradient(
             trajectory, loss, named, modulus.cpu().numpy(), ratio.cpu().numpy(), positions, first.velocities
         )

@@ -1,6 +1,8 @@
-"""A hyperelastic body in a reduced space: energy, forces, dense Hessian, mass, viscosity."""
+"""An elastic or inelastic body in a reduced space: energy, forces, dense Hessian, mass, viscosity."""
 
 from __future__ import annotations
+
+from typing import Literal
 
 import numpy as np
 import torch
@@ -8,7 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from physconvex.errors import InputError
-from physconvex.materials import get_law, lame_parameters, project_to_positive, strain_stiffness
+from physconvex.inelastic import FlowRule, FlowStep
+from physconvex.materials import Law, get_law, lame_parameters, project_to_positive, strain_stiffness
 from physconvex.reduced.space import ReducedSpace
 
 __all__ = ["ReducedBody", "viscous_stress"]
@@ -42,10 +45,12 @@ class ReducedBody:
 
     Args:
         space: shape functions and samples.
-        law: name of the elastic law, see `physconvex.materials`.
+        law: the elastic law or its name, see `physconvex.materials` and `physconvex.elastic_terms`.
         youngs_modulus: E [Pa], scalar or [C].
         poisson_ratio: ν [-], scalar or [C], in (-1, 0.5).
         density: ρ [kg/m³], scalar or [C].
+        flow: how the material flows, see `physconvex.inelastic`; purely elastic unless given. `Plasticine` and `Sand`
+            stand in the place of `law`, `StandardLinearSolid` beside it.
         device: where the arithmetic over the samples runs (the dense solve stays on the CPU).
 
     Attributes:
@@ -60,13 +65,15 @@ class ReducedBody:
         self,
         space: ReducedSpace,
         *,
-        law: str = "neo_hookean",
+        law: str | Law = "neo_hookean",
         youngs_modulus: PerCell = 1e5,
         poisson_ratio: PerCell = 0.4,
         density: PerCell = 1000.0,
+        flow: FlowRule | None = None,
         device: str | torch.device = "cpu",
     ) -> None:
-        self.space, self.law, self.device = space, get_law(law), torch.device(device)
+        self.space, self.flow, self.device = space, flow, torch.device(device)
+        self.law = get_law(law) if isinstance(law, str) else law
         self.youngs_modulus = self._per_cell("youngs_modulus", youngs_modulus, 0.0, np.inf)
         self.poisson_ratio = self._per_cell("poisson_ratio", poisson_ratio, -1.0, 0.5)
         self.density = self._per_cell("density", density, 0.0, np.inf)
@@ -79,6 +86,7 @@ class ReducedBody:
         flat = space.interior_gradients.transpose(0, 2, 1).reshape(-1, space.dimension)
         self._gradients = self._tensor(np.ascontiguousarray(flat))  # [(Q, j), R]
         self.mass, self.first_moments = space.mass_matrix(self.density)
+        self._virgin = None if flow is None else self.flow_step(self.unflowed(), self.space.rest, 0.0)
 
     def with_material(
         self,
@@ -90,10 +98,11 @@ class ReducedBody:
         """The same body with other constants; the space is shared."""
         return ReducedBody(
             self.space,
-            law=self.law.name,
+            law=self.law,
             youngs_modulus=self.youngs_modulus if youngs_modulus is None else youngs_modulus,
             poisson_ratio=self.poisson_ratio if poisson_ratio is None else poisson_ratio,
             density=self.density if density is None else density,
+            flow=self.flow,
             device=self.device,
         )
 
@@ -143,19 +152,47 @@ class ReducedBody:
         weighted = (self._weights[:, None, None] * stress).mT  # [..., Q, j, i]
         return (self._gradients.mT @ weighted.reshape(*stress.shape[:-3], -1, 3)).cpu().numpy()
 
-    def energy(self, y: Float[np.ndarray, "R 3"]) -> float:
-        """Elastic energy [J] at coordinates y [m]."""
-        return float((self._weights * self.law.energy(self.deformation_gradient(y), self.mu, self.lam)).sum())
+    def energy(self, y: Float[np.ndarray, "R 3"], *, response: FlowStep | None = None) -> float:
+        """Elastic energy [J] at coordinates y [m]; with flow, the incremental one of a step.
 
-    def gradient(self, y: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:
-        """Derivative of the elastic energy with respect to the coordinates [N]."""
-        return self.forces_of(self.law.stress(self.deformation_gradient(y), self.mu, self.lam))
+        Args:
+            y: coordinates [m].
+            response: of the flow during a time step; that of a body that has not flowed, at once, unless given.
+        """
+        return float((self._weights * self._material("energy", self.deformation_gradient(y), response)).sum())
 
-    def energy_and_gradient(self, y: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
+    def gradient(self, y: Float[np.ndarray, "R 3"], *, response: FlowStep | None = None) -> Float[np.ndarray, "R 3"]:
+        """Derivative of the energy with respect to the coordinates [N]."""
+        return self.forces_of(self._material("stress", self.deformation_gradient(y), response))
+
+    def energy_and_gradient(
+        self, y: Float[np.ndarray, "R 3"], *, response: FlowStep | None = None
+    ) -> tuple[float, Float[np.ndarray, "R 3"]]:
         """Both of the above with one evaluation of F."""
         f = self.deformation_gradient(y)
-        energy = float((self._weights * self.law.energy(f, self.mu, self.lam)).sum())
-        return energy, self.forces_of(self.law.stress(f, self.mu, self.lam))
+        energy = float((self._weights * self._material("energy", f, response)).sum())
+        return energy, self.forces_of(self._material("stress", f, response))
+
+    def _material(self, of: Literal["energy", "stress", "hessian"], f: Tensor, response: FlowStep | None) -> Tensor:
+        """Energy density, stress or Hessian of what acts at the samples: the law, what flows, or both."""
+        parts: list[Tensor] = []
+        if self.flow is None or self.flow.beside_law:
+            parts.append(getattr(self.law, of)(f, self.mu, self.lam))
+        flowing = self._virgin if response is None else response
+        if flowing is not None:
+            parts.append(getattr(flowing, of)(f))
+        return sum(parts[1:], parts[0])
+
+    # -- flow
+
+    def unflowed(self) -> Tensor:
+        """F_f⁻¹ of a body that has not flowed, shape [Q, 3, 3]."""
+        return torch.eye(3, dtype=torch.float64, device=self.device).expand(len(self.mu), 3, 3)
+
+    def flow_step(self, undo: Tensor, y: Float[np.ndarray, "R 3"], step: float) -> FlowStep:
+        """Response of the flowing part during a step [s], from F_f⁻¹ at its start; what is lagged is taken at y [m]."""
+        assert self.flow is not None
+        return self.flow.during(undo, self.deformation_gradient(y), self.mu, self.lam, step)
 
     def hessian(
         self,
@@ -164,6 +201,7 @@ class ReducedBody:
         project: bool = False,
         viscous_state: Tensor | None = None,
         damping_ratio: float = 0.0,
+        response: FlowStep | None = None,
     ) -> Float[np.ndarray, "N N"]:
         """Dense stiffness matrix [N/m], N = 3 R, ordered function by function.
 
@@ -172,8 +210,9 @@ class ReducedBody:
             project: set negative eigenvalues of ∂P/∂F to zero first.
             viscous_state: F* of a time step with Kelvin–Voigt viscosity, whose stiffness is then added.
             damping_ratio: damping time over the time step [-].
+            response: as for the energy.
         """
-        tensor = self.law.hessian(self.deformation_gradient(y), self.mu, self.lam)
+        tensor = self._material("hessian", self.deformation_gradient(y), response)
         if project:
             tensor = project_to_positive(tensor)
         if viscous_state is not None:

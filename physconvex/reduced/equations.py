@@ -8,6 +8,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from torch import Tensor
 
 from physconvex.contact import Contact, Friction
+from physconvex.inelastic import FlowStep
 from physconvex.integrators import State, StepCoefficients
 from physconvex.linear_solvers import NotPositiveDefiniteError
 from physconvex.reduced.scene import ReducedScene
@@ -37,6 +38,8 @@ class StepEquations:
         self.scene, self.body = scene, scene.body
         self.contact = scene.contact()
         self.surface = scene.body.space.surface_values
+        self.pins = scene.pin_springs()
+        self.areas = scene.body.space.samples.surface_areas
         self.start = scene.start
         self.factorised = False
         self.factorisations = 0
@@ -48,13 +51,17 @@ class StepEquations:
         self.time = 0.0
         self.viscous: Tensor | None = None
         self.friction: tuple[Friction, ...] = ()
+        self.undo = None if self.body.flow is None else self.body.unflowed()  # F_f⁻¹, stored from step to step
+        self.response: FlowStep | None = None
+        self._duration = 0.0
 
     def set_step(self, coefficients: StepCoefficients, time: float, guess: np.ndarray, last: State) -> None:
         """Fix everything that is constant during one time step.
 
-        As in the full model: viscosity is frozen at the guess, friction takes its normal forces from the last state.
+        As in the full model: viscosity is frozen at the guess, friction takes its normal forces from the last state;
+        so does sand its pressure.
         """
-        self.coefficients, self.time = coefficients, time
+        self.coefficients, self.time, self._duration = coefficients, time, time - last.time
         self.forces = self.scene.external_forces(time)
         if self.factorised and not np.isclose(coefficients.step, self._factorised_step):
             self.factorised = False
@@ -62,22 +69,36 @@ class StepEquations:
         self._freeze(last.positions, coefficients.velocity(guess), last.time)
 
     def freeze_friction(self, y: Float[np.ndarray, "R 3"]) -> bool:
-        """Linearise friction at coordinates y; tells whether there is any."""
+        """Take anew at coordinates y what a solve holds fixed, friction and sand's pressure; tells if there is any."""
         assert self.coefficients is not None
         self._freeze(y, self.coefficients.velocity(y), self.time)
-        return bool(self.friction)
+        return bool(self.friction) or (self.body.flow is not None and self.body.flow.lagged)
+
+    def commit(self, x: Float[np.ndarray, "R 3"]) -> None:
+        """Store what has flowed by the end of a step at coordinates x."""
+        if self.response is not None:
+            self.undo = self.response.flowed(self.body.deformation_gradient(x))
+
+    def flowed(self) -> Float[np.ndarray, "Q 3 3"] | None:
+        """F_f at the interior samples; None for an elastic body."""
+        return None if self.undo is None else np.linalg.inv(self.undo.cpu().numpy())
 
     def _freeze(self, y: np.ndarray, velocity: np.ndarray, time: float) -> None:
         self.friction = self.contact.freeze_friction(self.surface @ y, self.surface @ velocity, time)
+        if self.undo is not None:
+            self.response = self.body.flow_step(self.undo, y, self._duration)
 
     # -- value and gradient
 
     def evaluate(self, x: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
         """Incremental potential [J] and its derivative [N]."""
-        energy, gradient = self.body.energy_and_gradient(x)
+        energy, gradient = self.body.energy_and_gradient(x, response=self.response)
         touch, push = self.contact.energy_and_gradient(self.surface @ x, self.time)
         energy += touch - float((self.forces * (x - self.start)).sum())
         gradient = gradient + self.surface.T @ push - self.forces
+        if self.pins is not None:
+            stretch, hold = self.pins.energy_and_gradient(x, self.time)
+            energy, gradient = energy + stretch, gradient + hold
         if self.coefficients is not None:
             offset = x - self.coefficients.target
             pull = self.body.mass @ offset / self.coefficients.step**2
@@ -87,12 +108,15 @@ class StepEquations:
         return energy, gradient
 
     def dissipation(self, velocity: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
-        """Rate potential [W] of friction, viscosity and drag, and the generalised forces against the motion [N]."""
+        """Rate potential [W] of friction, viscosity, drag and wind; generalised forces against the motion [N]."""
         loss, rub = self.contact.friction_energy_and_gradient(self.friction, self.surface @ velocity)
         force = self.surface.T @ rub
         if self.viscous is not None:
             power, push = self.body.viscous_energy_and_gradient(self.viscous, velocity, self.scene.damping_time)
             loss, force = loss + power, force + push
+        if self.scene.wind is not None:
+            power, blow = self.scene.wind.energy_and_gradient(self.surface @ velocity, self.areas, self.time)
+            loss, force = loss + power, force + self.surface.T @ blow
         if self.scene.air_drag > 0:
             momentum = self.scene.air_drag * (self.body.mass @ velocity)
             loss, force = loss + 0.5 * float((velocity * momentum).sum()), force + momentum
@@ -104,15 +128,27 @@ class StepEquations:
         """Second derivative [N/m], N = 3 R; exact, or its positive definite approximation."""
         step = np.inf if self.coefficients is None else self.coefficients.step
         ratio = self.scene.damping_time / step
-        matrix = self.body.hessian(x, project=project, viscous_state=self.viscous, damping_ratio=ratio)
+        matrix = self.body.hessian(
+            x, project=project, viscous_state=self.viscous, damping_ratio=ratio, response=self.response
+        )
         at = self.surface @ x
         blocks = self.contact.hessian_blocks(at, self.time) if project else contact_blocks(self.contact, at, self.time)
         if self.friction:
             blocks = blocks + self.contact.friction_blocks(self.friction) / step
+        if self.coefficients is not None and self.scene.wind is not None:
+            blocks = blocks + self.wind_blocks(self.coefficients.velocity(x)) / step
         self._add_surface(matrix, blocks)
+        if self.pins is not None:
+            matrix += np.kron(self.pins.matrix, np.eye(3))
         if np.isfinite(step):
             matrix += np.kron((1 / step**2 + self.scene.air_drag / step) * self.body.mass, np.eye(3))
         return matrix
+
+    def wind_blocks(self, velocity: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "S 3 3"]:
+        """Derivative of the force of the wind on the surface samples by their velocities [N·s/m]; zero without wind."""
+        if self.scene.wind is None:
+            return np.zeros((len(self.areas), 3, 3))
+        return self.scene.wind.blocks(self.surface @ velocity, self.areas, self.time)
 
     def _add_surface(self, matrix: np.ndarray, blocks: np.ndarray) -> None:
         """Add Σ_s N_a(s) B_s N_b(s) over the samples whose block is not zero."""

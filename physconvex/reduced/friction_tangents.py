@@ -86,7 +86,7 @@ def _of_obstacle(
         """Change of the tangential part with the normal."""
         return -dn * _dot(n, u) - n * _dot(dn, u)
 
-    belt = np.asarray(obstacle.velocity)
+    belt = obstacle.velocity_at(frozen.time)
     slip = tangential(frozen.v[nodes] - belt)
     speed = np.linalg.norm(slip, axis=1, keepdims=True)
     dslip = tangential(frozen.dv[:, nodes]) + turned(frozen.v[nodes] - belt)

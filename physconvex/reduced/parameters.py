@@ -9,10 +9,11 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.contact import Obstacle, Plane, Sphere
+from physconvex.contact import Obstacle
 from physconvex.errors import InputError
 from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.scene import ReducedScene
+from physconvex.reduced.wind import Wind
 
 __all__ = ["PARAMETERS", "ParameterName", "check_parameters", "parameter_values", "with_parameters"]
 
@@ -26,6 +27,9 @@ ParameterName = Literal[
     "damping_time",  # [s]
     "air_drag",  # [1/s]
     "friction",  # mean coefficient of the obstacles that have one [-]; shifted as a whole
+    "wind_x",
+    "wind_y",
+    "wind_z",  # velocity of the air [m/s]
     "log10_contact_stiffness",  # log10 of kc [Pa/m]; where it is not named, a default kc follows E
     "initial_velocity_x",
     "initial_velocity_y",
@@ -52,6 +56,10 @@ def check_parameters(scene: ReducedScene, names: Sequence[str]) -> None:
         raise InputError(f"parameters: got {list(names)}; expected different ones of {', '.join(PARAMETERS)}")
     if "friction" in names and not _rough(scene):
         raise InputError("parameters: got 'friction', but no obstacle has a friction coefficient > 0; give it one")
+    if any(name.startswith("wind") for name in names) and (scene.wind is None or callable(scene.wind.velocity)):
+        raise InputError(
+            "parameters: got a wind velocity, but the scene has no constant wind; give it `wind=Wind(...)`"
+        )
 
 
 def axis_of(name: str) -> tuple[str, int]:
@@ -62,6 +70,11 @@ def axis_of(name: str) -> tuple[str, int]:
 
 def _rough(scene: ReducedScene) -> list[float]:
     return [obstacle.friction for obstacle in scene.obstacles if obstacle.friction > 0]
+
+
+def _wind(scene: ReducedScene) -> Wind:
+    assert scene.wind is not None
+    return scene.wind
 
 
 def mean_constant(body: ReducedBody, constant: Float[np.ndarray, " C"]) -> float:
@@ -99,6 +112,8 @@ def _read(scene: ReducedScene, name: str) -> float:
     stem, axis = axis_of(name)
     if stem == "initial_position":
         return float((body.first_moments @ scene.start / body.total_mass)[axis])
+    if stem == "wind":
+        return float(_wind(scene).velocity_at(0.0)[axis])
     return float(getattr(scene, stem)[axis])
 
 
@@ -116,10 +131,7 @@ def with_parameters(scene: ReducedScene, names: Sequence[str], values: Float[np.
 
 def _rougher(obstacle: Obstacle, change: float) -> Obstacle:
     """The same obstacle with another friction coefficient."""
-    friction, velocity = obstacle.friction + change, tuple(obstacle.velocity)
-    if isinstance(obstacle, Plane):
-        return Plane(tuple(obstacle.point), tuple(obstacle.normal), friction, velocity)
-    return Sphere(tuple(obstacle.center), obstacle.radius, friction, velocity)
+    return replace(obstacle, friction=obstacle.friction + change)
 
 
 def _set(scene: ReducedScene, name: str, value: float) -> ReducedScene:
@@ -143,6 +155,9 @@ def _set(scene: ReducedScene, name: str, value: float) -> ReducedScene:
     step = change * np.eye(3)[axis]
     if stem == "initial_position":
         return replace(scene, initial_coordinates=scene.start + body.space.affine(np.zeros((3, 3)), step))
+    if stem == "wind":
+        wind = _wind(scene)
+        return replace(scene, wind=replace(wind, velocity=wind.velocity_at(0.0) + step))
     vector = np.asarray(getattr(scene, stem), dtype=np.float64) + step
     match stem:
         case "gravity":

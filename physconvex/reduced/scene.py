@@ -12,10 +12,13 @@ from physconvex.contact import Contact, Obstacle
 from physconvex.errors import InputError
 from physconvex.fem.scene import CONTACT_STIFFNESS_RATIO
 from physconvex.reduced.body import ReducedBody
+from physconvex.reduced.pins import PIN_STIFFNESS_RATIO, Pins, PinSprings
+from physconvex.reduced.wind import Wind
 
 __all__ = ["ReducedScene"]
 
 Vector = Sequence[float] | Float[np.ndarray, " 3"]
+Acceleration = Vector | Callable[[float], Vector]
 SurfaceLoads = Float[np.ndarray, "S 3"] | Callable[[float], Float[np.ndarray, "S 3"]]
 
 
@@ -29,6 +32,10 @@ class ReducedScene:
         gravity: acceleration [m/s²].
         damping_time: Kelvin–Voigt time β [s]: viscosities are β μ and β λ.
         air_drag: mass-proportional damping α [1/s] (force −α m v).
+        push: further uniform acceleration [m/s²], constant or a function of time [s]: a force on every part of the body
+            in proportion to its mass.
+        wind: moving or still air around the body.
+        pins: points that are held or led along a path.
         loads: forces on the surface samples [N], shape [S, 3], constant or a function of time.
         initial_coordinates: state at t = 0 [m], shape [R, 3]; the rest state unless given, see `ReducedSpace.affine`.
         initial_velocity: of the centre of mass [m/s].
@@ -46,6 +53,9 @@ class ReducedScene:
     gravity: Vector = (0.0, 0.0, -9.81)
     damping_time: float = 0.0
     air_drag: float = 0.0
+    push: Acceleration | None = None
+    wind: Wind | None = None
+    pins: Pins | None = None
     loads: SurfaceLoads | None = None
     initial_coordinates: Float[np.ndarray, "R 3"] | None = None
     initial_velocity: Vector = (0.0, 0.0, 0.0)
@@ -62,6 +72,7 @@ class ReducedScene:
         for name in ("damping_time", "air_drag"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise InputError(f"{name}: got {getattr(self, name)}; expected a finite number ≥ 0")
+        self.uniform_acceleration(0.0)
         shapes = {
             "loads": self.body.space.samples.surface_points.shape,
             "initial_coordinates": (self.body.space.dimension, 3),
@@ -97,9 +108,28 @@ class ReducedScene:
             slip_velocity=2e-3 * np.sqrt(9.81 * size) if self.slip_velocity is None else self.slip_velocity,
         )
 
+    def pin_springs(self) -> PinSprings | None:
+        """The springs of the pins with their defaults resolved."""
+        if self.pins is None:
+            return None
+        values = self.body.space.shape_values(self.pins.points)
+        default = PIN_STIFFNESS_RATIO * float(self.body.youngs_modulus.max()) / self.body.space.samples.size
+        stiffness = default if self.pins.stiffness is None else self.pins.stiffness
+        return PinSprings(values, stiffness * np.asarray(self.pins.areas), values @ self.start, self.pins.motion)
+
+    def uniform_acceleration(self, time: float) -> Float[np.ndarray, " 3"]:
+        """Gravity and push [m/s²]."""
+        gravity = np.asarray(self.gravity, dtype=np.float64)
+        if self.push is None:
+            return gravity
+        push = np.asarray(self.push(time) if callable(self.push) else self.push, dtype=np.float64)
+        if push.shape != (3,) or not np.isfinite(push).all():
+            raise InputError(f"push: got {push!r} at t = {time:g} s; expected three finite numbers in m/s²")
+        return gravity + push
+
     def external_forces(self, time: float) -> Float[np.ndarray, "R 3"]:
-        """Gravity and loads as generalised forces [N]."""
-        forces = self.body.first_moments[:, None] * np.asarray(self.gravity, dtype=np.float64)
+        """Gravity, push and loads as generalised forces [N]."""
+        forces = self.body.first_moments[:, None] * self.uniform_acceleration(time)
         if self.loads is None:
             return forces
         loads = np.asarray(self.loads(time) if callable(self.loads) else self.loads)

@@ -109,6 +109,9 @@ class _Tangents:
         state = body.deformation_gradient(guess)
         out = self.derivatives.explicit(equations, c, x, state)
         out += body.mass @ (-change.target / c.step**2 + scene.air_drag * dv)
+        if scene.wind is not None:
+            blocks = equations.wind_blocks(c.velocity(x))
+            out += equations.surface.T @ np.einsum("sij,psj->psi", blocks, equations.surface @ dv)
         if scene.damping_time > 0:
             mu, lam = scene.damping_time * body.mu, scene.damping_time * body.lam
             rate = body.deformation_gradient(c.velocity(x))

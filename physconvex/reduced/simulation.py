@@ -42,6 +42,7 @@ class ReducedTrajectory:
         coordinates: y [m], shape [T, R, 3].
         velocities: ẏ [m/s], shape [T, R, 3].
         statistics: what the roll-out cost.
+        flowed: F_f at the interior samples, shape [T, Q, 3, 3]; None for an elastic body.
     """
 
     space: ReducedSpace
@@ -49,6 +50,7 @@ class ReducedTrajectory:
     coordinates: Float[np.ndarray, "T R 3"]
     velocities: Float[np.ndarray, "T R 3"]
     statistics: SolveStatistics
+    flowed: Float[np.ndarray, "T Q 3 3"] | None = None
 
     def positions(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "T P 3"]:
         """Where material points, given by their rest positions [m], are at the frames [m]."""
@@ -130,6 +132,7 @@ class _Stepper:
             middle = self.advance(state, step / 2, depth + 1)
             return self.advance(middle, step / 2, depth + 1)
         self.previous, self.previous_step = state, step
+        self.equations.commit(record.after.positions)
         if self.observer is not None:
             self.observer(self.equations, record)
         return record.after
@@ -187,7 +190,7 @@ def simulate(
         steps_per_frame: time steps between frames.
         integrator: "bdf2" (second order, first step implicit Euler) or "implicit_euler".
         tolerance: Newton's last step, relative to the body's size.
-        friction_passes: how often friction is linearised and solved in each step.
+        friction_passes: how often friction is linearised and solved in each step, and the pressure in sand taken.
         observer: called with the equations and the record of every converged step.
         on_frame: called with the number of every finished frame.
 
@@ -198,12 +201,13 @@ def simulate(
     check_stepping(frames, fps, steps_per_frame, integrator, friction_passes)
     stepper = _Stepper(scene, integrator, tolerance, friction_passes, observer)
     states = [State(0.0, scene.start.copy(), scene.start_velocities())]
-    state = states[0]
+    state, flows = states[0], [stepper.equations.flowed()]
     for frame in range(1, frames):
         for _ in range(steps_per_frame):
             state = stepper.advance(state, 1.0 / (fps * steps_per_frame))
         state = replace(state, time=frame / fps)
         states.append(state)
+        flows.append(stepper.equations.flowed())
         if on_frame is not None:
             on_frame(frame)
     return ReducedTrajectory(
@@ -212,4 +216,5 @@ def simulate(
         coordinates=np.stack([s.positions for s in states]),
         velocities=np.stack([s.velocities for s in states]),
         statistics=stepper.statistics(),
+        flowed=None if scene.body.flow is None else np.stack([f for f in flows if f is not None]),
     )

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from physconvex.errors import InputError
 from physconvex.integrators import State, StepCoefficients
 from physconvex.reduced.body import viscous_stress
 from physconvex.reduced.equations import StepEquations
@@ -44,6 +45,11 @@ class StepDerivatives:
 
     def __init__(self, scene: ReducedScene, names: Sequence[str]) -> None:
         check_parameters(scene, names)
+        if scene.body.flow is not None:
+            raise InputError(
+                f"scene: its body flows ({scene.body.flow}); derivatives of roll-outs exist for elastic and "
+                "Kelvin–Voigt bodies only: leave out `flow`, or take finite differences of `simulate`"
+            )
         self.scene, self.body, self.names = scene, scene.body, tuple(names)
         self.surface = scene.body.space.surface_values
         self.contact = scene.contact()
@@ -112,14 +118,16 @@ class StepDerivatives:
         match name:
             case "log10_youngs_modulus":
                 drag = body.forces_of(viscous_stress(state, rate, beta * body.mu, beta * body.lam))
-                return _LN10 * (body.gradient(x) + drag) + self._stiffening(equations, name, x)
+                return _LN10 * (body.gradient(x) + drag + self._hold(equations, x)) + self._stiffening(
+                    equations, name, x
+                )
             case "log10_contact_stiffness":
                 return self._stiffening(equations, name, x)
             case "poisson_ratio":
                 stress = body.law.stress(body.deformation_gradient(x), self._dmu, self._dlam)
                 return body.forces_of(stress + viscous_stress(state, rate, beta * self._dmu, beta * self._dlam))
             case "density":
-                weight = body.first_moments[:, None] * np.asarray(scene.gravity)
+                weight = body.first_moments[:, None] * scene.uniform_acceleration(equations.time)
                 pull = (x - c.target) / c.step**2 + scene.air_drag * c.velocity(x)
                 return (body.mass @ pull - weight) / mean_density(body)
             case "damping_time":
@@ -128,7 +136,25 @@ class StepDerivatives:
                 return body.mass @ c.velocity(x)
             case "gravity_x" | "gravity_y" | "gravity_z":
                 return -body.first_moments[:, None] * np.eye(3)[axis_of(name)[1]]
+            case "wind_x" | "wind_y" | "wind_z":
+                pushed = equations.wind_blocks(c.velocity(x)) @ np.eye(3)[axis_of(name)[1]]
+                return -(self.surface.T @ pushed)
+            case "initial_position_x" | "initial_position_y" | "initial_position_z":
+                return self._led(equations, name, x)
         return np.zeros_like(x)
+
+    def _hold(self, equations: StepEquations, x: np.ndarray) -> np.ndarray:
+        """Forces of pins whose stiffness follows E."""
+        pins = self.scene.pins
+        if equations.pins is None or pins is None or pins.stiffness is not None:
+            return np.zeros_like(x)
+        return equations.pins.energy_and_gradient(x, equations.time)[1]
+
+    def _led(self, equations: StepEquations, name: str, x: np.ndarray) -> np.ndarray:
+        """Pins that hold the body where it starts go along with its start."""
+        if equations.pins is None or equations.pins.motion is not None:
+            return np.zeros_like(x)
+        return -np.outer(equations.pins.values.T @ equations.pins.weights, np.eye(3)[axis_of(name)[1]])
 
     def _stiffening(self, equations: StepEquations, name: str, x: np.ndarray) -> np.ndarray:
         _, push = self.contact.energy_and_gradient(self.surface @ x, equations.time)

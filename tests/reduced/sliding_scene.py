@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from physconvex.reduced import Plane, ReducedBody, ReducedScene, Sphere
+from physconvex.reduced import Plane, ReducedBody, ReducedScene, Sphere, Wind
 
 
 def sliding(body: ReducedBody, seed: int = 0, **fields) -> ReducedScene:
@@ -15,6 +15,8 @@ def sliding(body: ReducedBody, seed: int = 0, **fields) -> ReducedScene:
         ),
         "damping_time": 3e-3,
         "air_drag": 0.5,
+        "push": lambda t: (20 * t, -1.0, 0.5),
+        "wind": Wind((3.0, 1.0, -0.5), drag_coefficient=20.0),
         "contact_smoothing": 0.004,
         "slip_velocity": 0.3,
         "initial_velocity": (0.6, -0.2, -0.7),

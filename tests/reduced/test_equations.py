@@ -5,7 +5,7 @@ import pytest
 
 from physconvex.integrators import State, bdf2, implicit_euler
 from physconvex.linear_solvers import NotPositiveDefiniteError
-from physconvex.reduced import Plane, ReducedBody, ReducedScene, Sphere
+from physconvex.reduced import Pins, Plane, ReducedBody, ReducedScene, Sphere, Wind
 from physconvex.reduced.equations import StepEquations
 
 STEP = 1e-6
@@ -25,6 +25,9 @@ def full_scene(body: ReducedBody) -> ReducedScene:
         ),
         damping_time=0.01,
         air_drag=0.7,
+        push=lambda t: (t, 0.3, 0.0),
+        wind=Wind(lambda t: (2.0, 10 * t, 0.0), drag_coefficient=5.0),
+        pins=Pins(body.space.samples.surface_points[:4], 1e-3, motion=lambda t: np.full((4, 3), 0.1 * t)),
         loads=lambda t: 0.01 * (1 + t) * loads,
         contact_smoothing=0.02,
         slip_velocity=0.3,

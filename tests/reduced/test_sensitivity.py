@@ -75,7 +75,7 @@ def test_other_ways_of_stepping(mixed_body, options):
 
 def test_free_flight_of_an_undamped_body(mixed_body):
     """Damping and drag of zero have derivatives of their own, taken here from one side."""
-    scene = sliding(mixed_body(1), obstacles=(), damping_time=0.0, air_drag=0.0)
+    scene = sliding(mixed_body(1), obstacles=(), damping_time=0.0, air_drag=0.0, push=None, wind=None)
     assert_agree(scene, ["log10_youngs_modulus", "poisson_ratio", "initial_angular_velocity_y"], **TIMING)
     run = simulate_with_sensitivities(scene, ["damping_time", "air_drag", "gravity_z"], **TIMING)
     for i, (name, step) in enumerate({"damping_time": 1e-8, "air_drag": 1e-4}.items()):

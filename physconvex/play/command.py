@@ -1,0 +1,79 @@
+"""The command `physconvex simulate`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["simulate"]
+
+
+def simulate(
+    mesh: Annotated[Path, typer.Argument(help="Mesh file of a closed surface, z up (glTF: y up).", show_default=False)],
+    out: Annotated[Path, typer.Option(help="Folder of the results; it is made.")] = Path("simulation"),
+    preset: Annotated[
+        str | None,
+        typer.Option(help="stiff, soft, plasticine, sand, push or moving_floor, or a YAML file of the same form."),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Override, as material.youngs_modulus=3.0e4 or floor.velocity=[1,0,0]; repeatable."),
+    ] = None,
+    youngs_modulus: Annotated[float | None, typer.Option(help="E [Pa].")] = None,
+    poisson_ratio: Annotated[float | None, typer.Option(help="ν.")] = None,
+    density: Annotated[float | None, typer.Option(help="Density [kg/m³].")] = None,
+    size: Annotated[float | None, typer.Option(help="Largest edge of the object [m]. Default: as in the file.")] = None,
+    drop_height: Annotated[float | None, typer.Option(help="Lowest point over the floor at the start [m].")] = None,
+    orientation: Annotated[
+        tuple[float, float, float] | None, typer.Option(help="Turns about x, then y, then z [degrees].")
+    ] = None,
+    basis: Annotated[str | None, typer.Option(help="Skinning weights: eigenmodes or neural.")] = None,
+    modes: Annotated[int | None, typer.Option(help="Number of skinning weights beside the constant one.")] = None,
+    frames: Annotated[int | None, typer.Option(help="Frames, the first at t = 0.")] = None,
+    fps: Annotated[float | None, typer.Option(help="Frames per second [1/s].")] = None,
+    ply: Annotated[bool, typer.Option(help="Write one PLY file per frame.")] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")] = False,
+    progress: Annotated[bool, typer.Option(help="Show a progress bar.")] = True,
+) -> None:
+    """Play an object: drop, push or shake a mesh of any material and write its motion.
+
+    Writes trajectory.npz, frames/*.ply and simulation.json (configuration, version, summary).
+    """
+    from tqdm import tqdm
+
+    from physconvex.play.config import load_play_config
+    from physconvex.play.play import play
+    from physconvex.play.surface import read_surface
+    from physconvex.play.writing import summary_of, write_played
+
+    chosen = {
+        "material.youngs_modulus": youngs_modulus,
+        "material.poisson_ratio": poisson_ratio,
+        "material.density": density,
+        "object.size": size,
+        "object.drop_height": drop_height,
+        "object.orientation_deg": None if orientation is None else list(orientation),
+        "basis.kind": basis,
+        "basis.modes": modes,
+        "time.frames": frames,
+        "time.fps": fps,
+    }
+    overrides = [f"{name}={json.dumps(value)}" for name, value in chosen.items() if value is not None]
+    config = load_play_config(preset, overrides=[*overrides, *(settings or [])])
+    surface = read_surface(mesh)
+    quiet = as_json or not progress or not sys.stderr.isatty()
+    with tqdm(total=config.time.frames - 1, unit="frame", disable=quiet) as bar:
+        played = play(surface, config, on_frame=lambda _: bar.update())
+    write_played(played, out, ply=ply)
+    summary = {"out": str(out), **summary_of(played)}
+    if as_json:
+        typer.echo(json.dumps(summary))
+    else:
+        typer.echo(
+            f"{out}: {summary['frames']} frames of {summary['vertices']} vertices, {summary['mass_kg']:.3g} kg; height "
+            f"{summary['height_first_m']:.3g} m at first, {summary['height_last_m']:.3g} m at last"
+        )

@@ -1,0 +1,196 @@
+"""What `physconvex simulate` plays: object, material, forces, floor, basis and time, readable from YAML.
+
+Units are SI; names that end in `_deg` are degrees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from physconvex.errors import InputError
+from physconvex.materials import LawName
+
+__all__ = [
+    "BasisConfig",
+    "FloorConfig",
+    "ForceConfig",
+    "MaterialConfig",
+    "ObjectConfig",
+    "PlayConfig",
+    "TimeConfig",
+    "load_play_config",
+    "preset_names",
+]
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
+
+
+class Frozen(BaseModel):
+    """Immutable, and strict about unknown names."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class ObjectConfig(Frozen):
+    """How the object starts: size (largest edge [m], that of the file if null), orientation (turns about x, then y,
+    then z), height of its lowest point over the floor [m], velocity [m/s], spin [rad/s]."""
+
+    size: Positive | None = None
+    orientation_deg: Vector = (0.0, 0.0, 0.0)
+    drop_height: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.5
+    velocity: Vector = (0.0, 0.0, 0.0)
+    angular_velocity: Vector = (0.0, 0.0, 0.0)
+
+
+class MaterialConfig(Frozen):
+    """What it is made of.
+
+    `kind` says what is needed besides E [Pa], ν, density [kg/m³] and the Kelvin–Voigt time [s]: plasticine a
+    `yield_stress` [Pa], sand a `friction_angle_deg`, a viscoelastic body (standard linear solid) a `modulus_ratio` and
+    a `relaxation_time` [s]. An elastic or viscoelastic body may have fibres (`fibre_direction` in the turned object,
+    `fibre_ratio` of their modulus to μ) and stiffen with strain (`stiffening`).
+    """
+
+    kind: Literal["elastic", "plasticine", "sand", "viscoelastic"] = "elastic"
+    law: LawName = "neo_hookean"
+    youngs_modulus: Positive = 1e5
+    poisson_ratio: Annotated[float, Field(gt=-1, lt=0.5)] = 0.4
+    density: Positive = 1000.0
+    damping_time: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1e-3
+    yield_stress: Positive | None = None
+    friction_angle_deg: Annotated[float, Field(gt=0, lt=90)] | None = None
+    modulus_ratio: Positive | None = None
+    relaxation_time: Positive | None = None
+    fibre_direction: Vector | None = None
+    fibre_ratio: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    stiffening: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+
+    @model_validator(mode="after")
+    def check(self) -> MaterialConfig:
+        needed = {
+            "plasticine": ("yield_stress",),
+            "sand": ("friction_angle_deg",),
+            "viscoelastic": ("modulus_ratio", "relaxation_time"),
+        }
+        for name in needed.get(self.kind, ()):
+            if getattr(self, name) is None:
+                raise ValueError(f"{name} is missing, which a material of kind {self.kind!r} needs")
+        if self.fibre_ratio > 0 and self.fibre_direction is None:
+            raise ValueError("fibre_direction is missing, which fibre_ratio > 0 needs")
+        if self.kind in ("plasticine", "sand") and (self.fibre_ratio > 0 or self.stiffening > 0):
+            raise ValueError(f"a material of kind {self.kind!r} has neither fibres nor stiffening")
+        return self
+
+
+class FloorConfig(Frozen):
+    """The plane z = 0: friction coefficient, velocity [m/s], and the period [s] with which the velocity swings as a
+    sine (null: it is constant)."""
+
+    friction: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.5
+    velocity: Vector = (0.0, 0.0, 0.0)
+    period: Positive | None = None
+
+
+class ForceConfig(Frozen):
+    """Gravity [m/s²], a steady push (acceleration [m/s²]), wind [m/s] (null: no air at all), drag coefficient."""
+
+    gravity: Vector = (0.0, 0.0, -9.81)
+    push: Vector = (0.0, 0.0, 0.0)
+    wind: Vector | None = None
+    drag_coefficient: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1.0
+
+
+class BasisConfig(Frozen):
+    """Skinning weights: their kind and number M, seed of the neural field; most nodes of the background mesh, its
+    mesher, and most vertices of the surface that touch the floor."""
+
+    kind: Literal["eigenmodes", "neural"] = "eigenmodes"
+    modes: int = Field(default=10, ge=1, le=64)
+    seed: int = Field(default=0, ge=0)
+    max_nodes: int = Field(default=500, ge=20)
+    contact_points: int = Field(default=2000, ge=10)
+    mesher: Literal["auto", "lattice", "ftetwild"] = "auto"
+
+
+class TimeConfig(Frozen):
+    """Frames, rate [1/s], time steps per frame, friction passes per step, Newton's last step relative to the size."""
+
+    frames: int = Field(default=24, ge=1)
+    fps: Positive = 24.0
+    steps_per_frame: int = Field(default=8, ge=1)
+    friction_passes: int = Field(default=2, ge=1)
+    tolerance: Positive = 1e-5
+
+
+class PlayConfig(Frozen):
+    """Everything that `physconvex simulate` needs beside the mesh."""
+
+    object: ObjectConfig = ObjectConfig()
+    material: MaterialConfig = MaterialConfig()
+    floor: FloorConfig | None = FloorConfig()
+    forces: ForceConfig = ForceConfig()
+    basis: BasisConfig = BasisConfig()
+    time: TimeConfig = TimeConfig()
+
+
+def preset_names() -> list[str]:
+    """Names of the presets that come with the package."""
+    folder = resources.files("physconvex.play") / "presets"
+    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+
+
+def load_play_config(source: str | Path | None = None, *, overrides: Sequence[str] = ()) -> PlayConfig:
+    """Configuration from a preset name, a YAML file, or the defaults, with `section.name=value` overrides.
+
+    Raises:
+        InputError: no such file or preset, bad YAML, an unknown name or a value out of range.
+    """
+    tree = {} if source is None else _read_yaml(source)
+    for override in overrides:
+        _override(tree, override)
+    try:
+        return PlayConfig.model_validate(tree)
+    except ValidationError as error:
+        lines = (f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']} (got {e['input']!r})" for e in error.errors())
+        raise InputError("configuration: " + "; ".join(lines)) from error
+
+
+def _read_yaml(source: str | Path) -> dict[str, Any]:
+    preset = resources.files("physconvex.play") / "presets" / f"{source}.yaml"
+    if "/" not in str(source) and preset.is_file():
+        text = preset.read_text(encoding="utf-8")
+    elif Path(source).is_file():
+        text = Path(source).read_text(encoding="utf-8")
+    else:
+        names = ", ".join(preset_names())
+        raise InputError(f"preset: got {str(source)!r}; expected a YAML file or one of the presets {names}")
+    try:
+        tree = yaml.safe_load(text) or {}
+    except yaml.YAMLError as error:
+        raise InputError(f"preset: {source} is no valid YAML: {error}") from error
+    if not isinstance(tree, dict):
+        raise InputError(f"preset: {source} holds {type(tree).__name__}; expected sections such as `material:`")
+    return tree
+
+
+def _override(tree: dict[str, Any], override: str) -> None:
+    """Set `section.name=value`; the value is YAML."""
+    path, equals, text = override.partition("=")
+    section, dot, name = path.strip().partition(".")
+    if not (equals and dot and name):
+        raise InputError(f"--set: got {override!r}; expected section.name=value, as material.youngs_modulus=1.0e5")
+    branch = tree.setdefault(section, {})
+    if not isinstance(branch, dict):
+        raise InputError(f"--set: {section!r} in {override!r} is a value, not a section")
+    try:
+        branch[name] = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise InputError(f"--set: the value of {override!r} is no valid YAML: {error}") from error

@@ -1,0 +1,69 @@
+"""Write a played object: trajectory, one PLY per frame, and what it was made of."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import physconvex
+from physconvex.play.play import PlayedObject
+
+__all__ = ["summary_of", "write_played"]
+
+
+def summary_of(played: PlayedObject) -> dict[str, Any]:
+    """Numbers worth a look, with their units in the names."""
+    heights = played.positions[:, :, 2]
+    start, end = (float(np.ptp(heights[k])) for k in (0, -1))
+    return {
+        "frames": len(played.positions),
+        "vertices": len(played.surface.vertices),
+        "mass_kg": played.mass,
+        "volume_m3": played.volume,
+        "height_first_m": start,
+        "height_last_m": end,
+        "centre_last_m": played.positions[-1].mean(0).tolist(),
+        "lowest_m": float(heights.min()),
+        "statistics": asdict(played.trajectory.statistics),
+    }
+
+
+def write_played(played: PlayedObject, folder: str | Path, *, ply: bool = True) -> None:
+    """Write into a folder, which is made if need be.
+
+    - trajectory.npz: times [T] s, rest [V, 3] m, faces [F, 3], positions [T, V, 3] m, and the handles
+      Z_m(t) [T, M + 1, 3, 4] of the reduced body;
+    - frames/000000.ply …: the surface at each frame (unless `ply` is false);
+    - simulation.json: version, resolved configuration, summary.
+    """
+    out = Path(folder)
+    out.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(
+        out / "trajectory.npz",
+        times=played.trajectory.times,
+        rest=played.surface.vertices,
+        faces=played.surface.faces,
+        positions=played.positions,
+        handles=played.trajectory.handles(),
+    )
+    if ply:
+        _write_frames(played, out / "frames")
+    record = {
+        "version": physconvex.__version__,
+        "configuration": played.config.model_dump(mode="json"),
+        "summary": summary_of(played),
+    }
+    (out / "simulation.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+
+
+def _write_frames(played: PlayedObject, folder: Path) -> None:
+    import trimesh
+
+    folder.mkdir(exist_ok=True)
+    for number, vertices in enumerate(played.positions):
+        mesh = trimesh.Trimesh(vertices, played.surface.faces, process=False)
+        mesh.export(folder / f"{number:06d}.ply")

@@ -1,0 +1,185 @@
+"""Skinning weights that come from elsewhere: any function of points, a predicted field, snapshots of a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.errors import InputError
+from physconvex.fem.body import ElasticBody
+from physconvex.reduced.basis import MAX_WEIGHTS, NodalWeights, WeightField
+
+__all__ = ["ArrayWeights", "PredictedField", "StackedWeights", "predicted_weights", "snapshot_weights"]
+
+_NEGLIGIBLE = 1e-10  # share of the largest snapshot's square norm below which a mode is rounding
+
+
+@runtime_checkable
+class PredictedField(Protocol):
+    """A skinning field as the network leaves it behind: weights and gradients at points of the object frame [m]."""
+
+    @property
+    def handles(self) -> int:
+        """M, without the constant weight."""
+
+    def __call__(self, points: Float[np.ndarray, "P 3"]) -> np.ndarray:
+        """Weights [-], shape [P, M]."""
+
+    def gradient(self, points: Float[np.ndarray, "P 3"]) -> np.ndarray:
+        """∂W/∂X [1/m], shape [P, M, 3]."""
+
+
+@dataclass(frozen=True)
+class ArrayWeights:
+    """Weights given by any function of arrays; a `WeightField`.
+
+    Attributes:
+        function: rest positions [m], shape [P, 3] → weights, shape [P, M]; each row a function of its own point.
+        count: M.
+        gradient: the same for ∂W/∂X [1/m], shape [P, M, 3]; central differences of the function unless given.
+        difference: step of the differences [m]. A float32 function of a body of size L wants about 5e-3 L, a float64
+            one 1e-5 L.
+
+    Raises:
+        InputError: neither `gradient` nor `difference` is given, or `count` is out of range.
+    """
+
+    function: Callable[[Float[np.ndarray, "P 3"]], np.ndarray]
+    count: int
+    gradient: Callable[[Float[np.ndarray, "P 3"]], np.ndarray] | None = None
+    difference: float | None = None
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.count <= MAX_WEIGHTS:
+            raise InputError(f"count: got {self.count} weights; expected 1 to {MAX_WEIGHTS} beside the constant one")
+        if self.gradient is None and (self.difference is None or not self.difference > 0):
+            raise InputError(
+                f"gradient, difference: got None and {self.difference}; expected a function that gives gradients, or "
+                "a step > 0 in metres for differences"
+            )
+
+    def at(self, points: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, "P M"], Float[np.ndarray, "P M 3"]]:
+        """Values [-] and gradients [1/m] at rest positions [m].
+
+        Raises:
+            InputError: a function gave another shape, or values that are not finite.
+        """
+        points = np.asarray(points, dtype=np.float64)
+        values = self._called("function", self.function, points, (len(points), self.count))
+        if self.gradient is not None:
+            return values, self._called("gradient", self.gradient, points, (len(points), self.count, 3))
+        assert self.difference is not None
+        slopes = []
+        for shift in self.difference * np.eye(3):
+            ahead, behind = (self._called("function", self.function, points + s, values.shape) for s in (shift, -shift))
+            slopes.append((ahead - behind) / (2 * self.difference))
+        return values, np.stack(slopes, axis=-1)
+
+    @staticmethod
+    def _called(
+        name: str, function: Callable[[np.ndarray], np.ndarray], points: np.ndarray, shape: tuple[int, ...]
+    ) -> np.ndarray:
+        found = np.asarray(function(points), dtype=np.float64)
+        if found.shape != shape or not np.isfinite(found).all():
+            raise InputError(f"{name}: gave shape {found.shape}; expected finite values of shape {shape}")
+        return found
+
+
+def predicted_weights(
+    field: PredictedField,
+    *,
+    origin: Sequence[float] | Float[np.ndarray, " 3"] = (0.0, 0.0, 0.0),
+    rotation: Float[np.ndarray, "3 3"] | None = None,
+) -> ArrayWeights:
+    """Weights of a field that lives in a frame of its own, for example one that the network predicted.
+
+    Args:
+        field: weights and gradients at points of its frame.
+        origin: where the frame's origin lies in the rest body [m]; for a predicted field the centre of the rest
+            bounding box.
+        rotation: turns vectors of the frame into vectors of the rest body, shape [3, 3]; none unless given.
+
+    Raises:
+        InputError: `rotation` is none.
+    """
+    turn = np.eye(3) if rotation is None else np.asarray(rotation, dtype=np.float64)
+    if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
+        raise InputError(f"rotation: got {rotation!r}; expected a rotation matrix, shape [3, 3]")
+    start = np.asarray(origin, dtype=np.float64)
+    return ArrayWeights(
+        lambda points: field((points - start) @ turn),
+        field.handles,
+        gradient=lambda points: np.asarray(field.gradient((points - start) @ turn), dtype=np.float64) @ turn.T,
+    )
+
+
+@dataclass(frozen=True)
+class StackedWeights:
+    """The weights of several fields beside each other, for example eigenmodes and snapshot modes; a `WeightField`.
+
+    Raises:
+        InputError: no field, or more than 64 weights together.
+    """
+
+    fields: tuple[WeightField, ...]
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.count <= MAX_WEIGHTS:
+            raise InputError(f"fields: got {self.count} weights together; expected 1 to {MAX_WEIGHTS}")
+
+    @property
+    def count(self) -> int:
+        """M, the number of weights beside the constant one."""
+        return sum(field.count for field in self.fields)
+
+    def at(self, points: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, "P M"], Float[np.ndarray, "P M 3"]]:
+        """Values [-] and gradients [1/m] at rest positions [m]."""
+        parts = [field.at(points) for field in self.fields]
+        return np.concatenate([p[0] for p in parts], axis=1), np.concatenate([p[1] for p in parts], axis=1)
+
+
+def snapshot_weights(
+    body: ElasticBody, displacements: Sequence[Float[np.ndarray, "T V 3"]], count: int
+) -> NodalWeights:
+    """Weights from proper orthogonal decomposition (Sirovich 1987) of motions of the body on its own mesh.
+
+    Every component of every snapshot counts as one scalar field. What the constant weight gives already (affine
+    motions) is taken out, and the `count` fields that carry most of the rest, ∫ ρ u² dV, are the weights, so that
+    Σ_m W_m(X) t_m comes as near to the snapshots as M fields can.
+
+    Args:
+        body: mesh and density.
+        displacements: of its nodes [m], one trajectory or several, each of shape [T, V, 3].
+        count: M, number of weights.
+
+    Returns:
+        weights normalised to ∫ ρ W² dV = total mass, those that carry most first.
+
+    Raises:
+        InputError: a wrong shape, or snapshots with fewer than `count` independent fields beyond affine motions.
+    """
+    nodes = body.mesh.vertices
+    for trajectory in displacements:
+        if np.ndim(trajectory) != 3 or np.shape(trajectory)[1:] != nodes.shape or not np.isfinite(trajectory).all():
+            raise InputError(f"displacements: got shape {np.shape(trajectory)}; expected finite [T, {len(nodes)}, 3]")
+    if not len(displacements):
+        raise InputError("displacements: got none; expected at least one trajectory [T, V, 3]")
+    columns = np.concatenate([np.moveaxis(np.asarray(u), 1, 0).reshape(len(nodes), -1) for u in displacements], axis=1)
+    affine = np.hstack([nodes, np.ones((len(nodes), 1))])
+    weighted = body.mass @ affine
+    largest = float(np.einsum("vk,vk->k", columns, body.mass @ columns).max(initial=0.0))
+    columns = columns - affine @ np.linalg.solve(affine.T @ weighted, weighted.T @ columns)
+    squares, mixing = np.linalg.eigh(columns.T @ (body.mass @ columns))
+    squares, mixing = squares[::-1], mixing[:, ::-1]
+    independent = int((squares > _NEGLIGIBLE * largest).sum())
+    if not 1 <= count <= min(independent, MAX_WEIGHTS):
+        raise InputError(
+            f"count: got {count}; the snapshots have {independent} independent fields beyond affine motions; give "
+            "fewer weights or more snapshots"
+        )
+    modes = columns @ (mixing[:, :count] / np.sqrt(squares[:count]))
+    return NodalWeights(body.mesh, modes * np.sqrt(body.total_mass))

@@ -1,0 +1,246 @@
+"""Data-free neural skinning weights: a network W(X) trained on the body alone, without any simulation.
+
+The network minimises (paper, eq. 6, after Modi et al. 2024, "Simplicits", eqs. 9–11)
+
+    E_Z [ (1/V) ∫ Ψ(F_Z) dV ] + c ‖ (1/V) ∫ [1, W] [1, W]ᵀ dV − I ‖²,       F_Z = ∂/∂X Σ_m W_m(X) Z_m [X; 1] + I,
+
+over random handle transforms Z: weights that deform the body with little energy, orthonormal to each other and, since
+the constant weight always stands beside them, to that as well. Lengths are in units of the body's size and moduli in
+units of the mean modulus, so that the options hold for every body; a stiff part moves as one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from physconvex.errors import InputError
+from physconvex.materials import get_law, lame_parameters
+from physconvex.reduced.basis import MAX_WEIGHTS
+from physconvex.reduced.cubature import BodySamples
+
+__all__ = ["NeuralFieldOptions", "NeuralWeights", "train_neural_weights", "untrained_neural_weights"]
+
+Layers = list[tuple[Tensor, Tensor]]
+PerCell = float | Float[np.ndarray, " C"]
+
+
+@dataclass(frozen=True)
+class NeuralFieldOptions:
+    """Shape of the network and its training.
+
+    Attributes:
+        hidden_size: width of the hidden layers.
+        hidden_layers: their number.
+        steps: of Adam, its rate falling to zero along a cosine.
+        points: cubature points drawn for each step.
+        transforms: random handle transforms drawn for each step.
+        learning_rate: Adam's first rate.
+        transform_scale: standard deviation of the entries of Z, lengths in units of the body's size.
+        orthogonality: c, weight of the orthogonality term.
+        law: elastic law; it must be finite for every F.
+
+    Raises:
+        InputError: a value out of range.
+    """
+
+    hidden_size: int = 64
+    hidden_layers: int = 3
+    steps: int = 1000
+    points: int = 512
+    transforms: int = 8
+    learning_rate: float = 3e-3
+    transform_scale: float = 0.1
+    orthogonality: float = 1000.0
+    law: str = "neo_hookean"
+
+    def __post_init__(self) -> None:
+        for name in ("hidden_size", "hidden_layers", "points", "transforms"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name}: got {getattr(self, name)}; expected at least 1")
+        if self.steps < 0:
+            raise InputError(f"steps: got {self.steps}; expected at least 0 (which leaves the network untrained)")
+        for name in ("learning_rate", "transform_scale", "orthogonality"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise InputError(f"{name}: got {getattr(self, name)}; expected a finite number > 0")
+
+
+@dataclass(frozen=True, eq=False)
+class NeuralWeights:
+    """Skinning weights given by a small network, C^∞, in float64; a `WeightField`.
+
+    Attributes:
+        layers: weight matrices [O, I] and biases [O] of the network, SiLU between them.
+        center: rest position that the network sees as zero [m], shape [3].
+        size: length that it sees as one [m].
+        elastic_history: mean elastic term of each training step (unit: mean modulus), shape [T].
+        orthogonality_history: orthogonality term ‖·‖² of each training step, shape [T].
+    """
+
+    layers: tuple[tuple[Tensor, Tensor], ...] = field(repr=False)
+    center: Float[np.ndarray, " 3"]
+    size: float
+    elastic_history: Float[np.ndarray, " T"] = field(repr=False)
+    orthogonality_history: Float[np.ndarray, " T"] = field(repr=False)
+
+    @property
+    def count(self) -> int:
+        """M, the number of weights beside the constant one."""
+        return len(self.layers[-1][1])
+
+    def at(self, points: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, "P M"], Float[np.ndarray, "P M 3"]]:
+        """Values [-] and exact gradients [1/m] at rest positions [m]."""
+        with torch.no_grad():
+            x = torch.as_tensor((np.asarray(points, dtype=np.float64) - self.center) / self.size)
+            values, gradients = _values_and_gradients(list(self.layers), x)
+        return values.numpy(), gradients.numpy() / self.size
+
+
+def _values_and_gradients(layers: Layers, x: Tensor) -> tuple[Tensor, Tensor]:
+    """W [P, M] and ∂W/∂x [P, M, 3] by the chain rule carried forward: SiLU'(a) = s (1 + a (1 − s)), s = sigmoid(a)."""
+    values, slopes = x, torch.eye(3, dtype=x.dtype).expand(len(x), 3, 3)  # slopes: [P, axis, feature]
+    for number, (weight, bias) in enumerate(layers):
+        values, slopes = values @ weight.mT + bias, slopes @ weight.mT
+        if number < len(layers) - 1:
+            s = torch.sigmoid(values)
+            slopes = slopes * (s * (1 + values * (1 - s)))[:, None]
+            values = values * s
+    return values, slopes.mT
+
+
+def _deformation_gradients(values: Tensor, gradients: Tensor, x: Tensor, transforms: Tensor) -> Tensor:
+    """F = I + Σ_m W_m A_m + (A_m x + t_m) ⊗ ∂W_m/∂x for Z = [A t] of shape [B, M, 3, 4]; shape [B, P, 3, 3]."""
+    linear, shift = transforms[..., :3], transforms[..., 3]
+    blended = torch.einsum("pm,bmij->bpij", values, linear)
+    carried = torch.einsum("bmij,pj->bpmi", linear, x) + shift[:, None]
+    return torch.eye(3, dtype=x.dtype) + blended + torch.einsum("bpmi,pmj->bpij", carried, gradients)
+
+
+def _initial_layers(sizes: list[int], generator: torch.Generator) -> Layers:
+    """He initialisation; biases spread over the body."""
+    return [
+        (
+            torch.randn(outputs, inputs, dtype=torch.float64, generator=generator) * np.sqrt(2 / inputs),
+            torch.rand(outputs, dtype=torch.float64, generator=generator) - 0.5,
+        )
+        for inputs, outputs in pairwise(sizes)
+    ]
+
+
+class _Trainer:
+    """The loss of eq. 6 on random points and transforms of one body."""
+
+    def __init__(
+        self, samples: BodySamples, youngs_modulus: PerCell, poisson_ratio: PerCell, options: NeuralFieldOptions
+    ) -> None:
+        interior, self.options = samples.interior, options
+        self.center = interior.weights @ interior.points / interior.volume
+        self.size = samples.size
+        self.x = torch.as_tensor((interior.points - self.center) / self.size)
+        self.weights = torch.as_tensor(interior.weights)
+        modulus = np.broadcast_to(np.asarray(youngs_modulus, dtype=np.float64), interior.cell_count)[interior.cells]
+        ratio = np.broadcast_to(np.asarray(poisson_ratio, dtype=np.float64), interior.cell_count)[interior.cells]
+        mean = interior.weights @ modulus / interior.volume
+        self.mu, self.lam = lame_parameters(torch.as_tensor(modulus / mean), torch.as_tensor(ratio.copy()))
+        self.law = get_law(options.law)
+
+    def terms(self, layers: Layers, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        """Elastic and orthogonality term of one step."""
+        o, count = self.options, len(layers[-1][1])
+        rows = torch.multinomial(self.weights, o.points, replacement=True, generator=generator)
+        x = self.x[rows]
+        values, gradients = _values_and_gradients(layers, x)
+        transforms = o.transform_scale * torch.randn(
+            o.transforms, count, 3, 4, dtype=torch.float64, generator=generator
+        )
+        f = _deformation_gradients(values, gradients, x, transforms)
+        # the scale of the transforms is taken out again, so that it does not change the balance of the two terms
+        elastic = self.law.energy(f, self.mu[rows], self.lam[rows]).mean() / o.transform_scale**2
+        together = torch.cat([torch.ones_like(values[:, :1]), values], dim=1)
+        gram = together.mT @ together / len(together)
+        return elastic, ((gram - torch.eye(count + 1, dtype=torch.float64)) ** 2).sum()
+
+    def train(
+        self, layers: Layers, generator: torch.Generator, on_step: Callable[[int], None] | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Adam in place; the two terms at every step."""
+        o = self.options
+        parameters = [tensor.requires_grad_() for layer in layers for tensor in layer]
+        optimiser = torch.optim.Adam(parameters, lr=o.learning_rate)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, T_max=max(o.steps, 1))
+        history = np.zeros((o.steps, 2))
+        for step in range(o.steps):
+            with torch.enable_grad():
+                elastic, orthogonality = self.terms(layers, generator)
+                optimiser.zero_grad()
+                (elastic + o.orthogonality * orthogonality).backward()
+            optimiser.step()
+            schedule.step()
+            history[step] = elastic.item(), orthogonality.item()
+            if on_step is not None:
+                on_step(step + 1)
+        return history[:, 0], history[:, 1]
+
+
+def train_neural_weights(
+    samples: BodySamples,
+    count: int,
+    *,
+    generator: torch.Generator,
+    youngs_modulus: PerCell = 1.0,
+    poisson_ratio: PerCell = 0.4,
+    options: NeuralFieldOptions | None = None,
+    on_step: Callable[[int], None] | None = None,
+) -> NeuralWeights:
+    """Train skinning weights for one body.
+
+    Args:
+        samples: where the body is sampled; the interior points stand for it.
+        count: M, number of weights beside the constant one.
+        generator: source of everything random, on the CPU.
+        youngs_modulus: E [Pa], scalar or per cell [C]; only its ratios matter.
+        poisson_ratio: ν [-], scalar or per cell [C].
+        options: network and training; the defaults take under a minute on two cores.
+        on_step: called with the number of every finished step.
+
+    Raises:
+        InputError: `count` is not in 1..64, constants of a wrong shape or range, or the training ran off.
+    """
+    options = NeuralFieldOptions() if options is None else options
+    if not 1 <= count <= MAX_WEIGHTS:
+        raise InputError(f"count: got {count} weights; expected 1 to {MAX_WEIGHTS} beside the constant one")
+    _check_constants(samples.interior.cell_count, youngs_modulus, poisson_ratio)
+    trainer = _Trainer(samples, youngs_modulus, poisson_ratio, options)
+    layers = _initial_layers([3, *[options.hidden_size] * options.hidden_layers, count], generator)
+    elastic, orthogonality = trainer.train(layers, generator, on_step)
+    if not all(bool(torch.isfinite(tensor).all()) for layer in layers for tensor in layer):
+        raise InputError(f"options: the training ran off with learning_rate {options.learning_rate}; give a lower one")
+    frozen = tuple((weight.detach(), bias.detach()) for weight, bias in layers)
+    return NeuralWeights(frozen, trainer.center, trainer.size, elastic, orthogonality)
+
+
+def untrained_neural_weights(
+    samples: BodySamples, count: int, *, generator: torch.Generator, options: NeuralFieldOptions | None = None
+) -> NeuralWeights:
+    """The network before its training: random smooth weights, what a trained field is to be compared with."""
+    options = NeuralFieldOptions() if options is None else options
+    bare = NeuralFieldOptions(hidden_size=options.hidden_size, hidden_layers=options.hidden_layers, steps=0)
+    return train_neural_weights(samples, count, generator=generator, options=bare)
+
+
+def _check_constants(cells: int, youngs_modulus: PerCell, poisson_ratio: PerCell) -> None:
+    for name, value, low, high in (
+        ("youngs_modulus", youngs_modulus, 0.0, np.inf),
+        ("poisson_ratio", poisson_ratio, -1.0, 0.5),
+    ):
+        array = np.asarray(value, dtype=np.float64)
+        if array.shape not in ((), (cells,)):
+            raise InputError(f"{name}: got shape {array.shape}; expected a number or [{cells}], one per cell")
+        if not ((array > low) & (array < high)).all():
+            raise InputError(f"{name}: got values in [{array.min()}, {array.max()}]; expected inside ({low}, {high})")

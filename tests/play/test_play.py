@@ -1,0 +1,130 @@
+"""`physconvex simulate`: from a mesh file to its motion on disk."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from typer import Typer
+from typer.testing import CliRunner
+
+from physconvex.errors import InputError
+from physconvex.play import PlayConfig, load_play_config, play, read_surface
+from physconvex.play.command import simulate
+from physconvex.play.config import preset_names
+
+QUICK = ["basis.max_nodes=80", "basis.modes=2", "time.frames=3", "time.steps_per_frame=4", "basis.mesher=lattice"]
+
+app = Typer()
+app.command()(simulate)
+
+
+@pytest.fixture
+def ball(tmp_path) -> str:
+    path = tmp_path / "ball.obj"
+    trimesh.creation.icosphere(subdivisions=2, radius=0.1).export(path)
+    return str(path)
+
+
+def invoke(*arguments: str):
+    return CliRunner().invoke(app, list(arguments))
+
+
+def test_the_command_writes_trajectory_frames_and_summary(ball, tmp_path):
+    out = tmp_path / "played"
+    settings = [part for s in QUICK for part in ("--set", s)]
+    result = invoke(
+        ball, "--out", str(out), "--preset", "soft", "--drop-height", "0.3", "--size", "0.4", "--json", *settings
+    )
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)
+    # a ball of radius 0.2 m and 1000 kg/m³
+    assert summary["frames"] == 3 and summary["mass_kg"] == pytest.approx(33.5, rel=0.05)
+    with np.load(out / "trajectory.npz") as arrays:
+        positions, times, rest = arrays["positions"], arrays["times"], arrays["rest"]
+        assert arrays["handles"].shape == (3, 3, 3, 4)
+    np.testing.assert_allclose(times, np.arange(3) / 24)
+    np.testing.assert_allclose(positions[0], rest, atol=1e-9)
+    assert rest[:, 2].min() == pytest.approx(0.3) and np.ptp(rest, axis=0).max() == pytest.approx(0.4)
+    fall = positions[:, :, 2].mean(1)
+    # free fall; the first step of BDF2 is implicit: up to 0.75 g h² more
+    np.testing.assert_allclose(fall[0] - fall, 9.81 / 2 * times**2, atol=9.81 / 96**2)
+    frames = sorted((out / "frames").iterdir())
+    assert [f.name for f in frames] == ["000000.ply", "000001.ply", "000002.ply"]
+    np.testing.assert_allclose(trimesh.load_mesh(frames[-1], process=False).vertices, positions[-1], atol=1e-6)
+    record = json.loads((out / "simulation.json").read_text())
+    assert record["configuration"]["material"]["youngs_modulus"] == 8e3
+    assert PlayConfig.model_validate(record["configuration"]) == load_play_config(
+        "soft", overrides=["object.drop_height=0.3", "object.size=0.4", *QUICK]
+    )
+
+
+def test_presets_are_what_their_names_say():
+    configs = {name: load_play_config(name) for name in preset_names()}
+    assert set(configs) == {"stiff", "soft", "plasticine", "sand", "push", "moving_floor"}
+    assert (configs["stiff"].material.youngs_modulus, configs["stiff"].material.poisson_ratio) == (1e7, 0.49)
+    assert (configs["soft"].material.youngs_modulus, configs["soft"].material.poisson_ratio) == (8e3, 0.4)
+    assert configs["plasticine"].material.yield_stress == 500.0
+    assert configs["sand"].material.friction_angle_deg == 10.0
+    assert configs["push"].forces.push[0] < 0
+    floor = configs["moving_floor"].floor
+    assert floor is not None and floor.velocity[0] > 0 and floor.period is not None
+
+
+@pytest.mark.parametrize("name", ["stiff", "plasticine", "sand", "push", "moving_floor"])
+def test_every_preset_plays(ball, name):
+    low = ["object.drop_height=0.001", "time.frames=4"]
+    played = play(read_surface(ball), load_play_config(name, overrides=[*QUICK, *low]))
+    assert np.isfinite(played.positions).all() and played.positions[:, :, 2].min() > -0.01
+    centre = played.positions[-1].mean(0)
+    if name == "push":
+        assert centre[0] < -0.01
+    flowed = played.trajectory.flowed
+    assert (flowed is not None) == (name in ("plasticine", "sand"))
+
+
+def test_orientation_turns_the_object():
+    bar = trimesh.creation.box((0.4, 0.2, 0.1))
+    surface = load_surface(bar)
+    config = load_play_config(overrides=["object.orientation_deg=[0,90,0]", "object.drop_height=0.25"]).object
+    placed = surface.placed(config)
+    np.testing.assert_allclose(np.ptp(placed.vertices, axis=0), [0.1, 0.2, 0.4], atol=1e-12)
+    assert placed.vertices[:, 2].min() == pytest.approx(0.25)
+
+
+def test_areas_of_contact_points_add_up_whatever_their_number():
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.1)
+    surface = load_surface(ball)
+    points, areas = surface.contact_points(10_000)
+    np.testing.assert_array_equal(points, surface.vertices)
+    assert areas.sum() == pytest.approx(ball.area)
+    fewer, shares = surface.contact_points(40)
+    assert len(fewer) == 40 and shares.sum() == pytest.approx(ball.area) and (shares > 0).all()
+    # a uniform pressure has no resultant on a closed surface
+    np.testing.assert_allclose(areas @ (points / 0.1), 0.0, atol=1e-12)
+
+
+def load_surface(mesh):
+    from physconvex.play import RestSurface
+
+    return RestSurface(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+
+
+def test_bad_input_names_what_is_wrong(ball, tmp_path):
+    broken = tmp_path / "broken.obj"
+    broken.write_text("nothing of a mesh")
+    cases = {
+        "absent.obj": (str(tmp_path / "absent.obj"),),
+        "mesh": (str(broken),),
+        "preset": (ball, "--preset", "jelly"),
+        r"material\.yield_stress|yield_stress is missing": (ball, "--set", "material.kind=plasticine"),
+        "poisson_ratio": (ball, "--poisson-ratio", "0.6"),
+        "colour": (ball, "--set", "material.colour=red"),
+        "--set": (ball, "--set", "material"),
+    }
+    for pattern, arguments in cases.items():
+        result = invoke(*arguments, "--out", str(tmp_path / "none"))
+        assert isinstance(result.exception, InputError), (pattern, result.exception)
+        with pytest.raises(InputError, match=pattern):
+            raise result.exception
+    assert not (tmp_path / "none").exists()
