@@ -21,9 +21,9 @@ LEAST_POINTS = 4  # fewer span no volume
 class ConvexField:
     """N convexes, each the hull of K ≥ 4 points, in the world frame.
 
-    Occupancy of one convex, in space with signed distances [m] to the faces of its hull and in an image with those to the
-    edges of its projected hull (3D convex splatting, Held et al. 2025, eqs. 2-4, with α in 1/m):
-    O = sigmoid(−β log Σ_h exp(α f_h)). Far from corners the edge is a sigmoid of slope αβ/4 [1/m].
+    Occupancy of one convex (3D Convex Splatting, Held et al. 2025), in space with signed distances f_h [m] to the faces
+    of its hull, in an image with those to the edges of its projected hull at the depth of its centre:
+    O = sigmoid(−β log Σ_h exp(α f_h)). Far from corners an edge is a sigmoid of slope αβ/4 [1/m].
 
     With K = 6 and spherical harmonics of degree 3 a convex has 69 parameters.
 

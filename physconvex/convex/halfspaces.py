@@ -11,6 +11,7 @@ from scipy.spatial import ConvexHull, QhullError
 from torch import Tensor
 
 from physconvex.convex.field import ConvexField
+from physconvex.errors import InputError
 
 __all__ = ["HalfSpaces", "half_spaces", "hull_faces", "occupancy", "support"]
 

@@ -47,7 +47,7 @@ def write_glb(field: ConvexField, path: str | Path) -> None:
     mesh = hull_mesh(field)
     if mesh.is_empty:
         raise InputError("field: no convex has a volume; there is nothing to write")
-    Path(path).write_bytes(mesh.export(file_type="glb"))
+    mesh.export(Path(path), file_type="glb")
 
 
 def _mean_colours(field: ConvexField) -> np.ndarray:

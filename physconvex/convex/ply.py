@@ -71,11 +71,9 @@ def read_ply(path: str | Path) -> ConvexField:
     table = torch.from_numpy(np.frombuffer(body, TYPES[kind]).reshape(count, len(names)).copy())
     points = names.index("smoothness") // 3
     flat = table.split([3 * points, 1, 1, 1, len(names) - 3 * points - 3], dim=1)
-    field = ConvexField(
-        flat[0].reshape(count, points, 3),
-        *(f[:, 0] for f in flat[1:4]),
-        flat[4].reshape(count, flat[4].shape[1] // 3, 3),
-    )
+    corners = flat[0].reshape(count, points, 3)
+    harmonics = flat[4].reshape(count, flat[4].shape[1] // 3, 3)
+    field = ConvexField(corners, flat[1][:, 0], flat[2][:, 0], flat[3][:, 0], harmonics)
     field.check_values()
     return field
 
