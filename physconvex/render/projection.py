@@ -109,8 +109,8 @@ def _cut(local: Float[Tensor, "N K 3"], beyond: Tensor, near: float) -> Float[Te
 def _polygons(owners: Int[Tensor, " N"], points: Float[Tensor, "N C 2"], view: View) -> tuple[Tensor, Tensor]:
     """Owner [L] and line [L, 3] of every side of the hulls."""
     order, number = hull_indices(points)
-    least_width = THIN / view.focal.detach().prod().sqrt()
-    thin = _widths(points.detach(), order, number) < least_width
+    least_width = THIN / view.focal.prod().sqrt()
+    thin = _widths(points.detach(), order, number) < least_width.detach()
     corners, following, is_side = _ends(points, order, number)
     is_side = is_side & ~thin[:, None]
     rectangles = _rectangles(points[thin], 0.5 * least_width)
@@ -121,14 +121,13 @@ def _polygons(owners: Int[Tensor, " N"], points: Float[Tensor, "N C 2"], view: V
 def _rectangles(points: Float[Tensor, "N C 2"], margin: Tensor) -> Float[Tensor, "N4 3"]:
     """Lines of the rectangles of all that is within a margin of the longest chords, or of squares about tiny ones.
 
-    The margin does not depend on the focal length by derivative: it is a rule of drawing, no geometry. Chords shorter
-    than the margin do not say which way the rectangle lies, or it would spin with the least motion of its points.
+    Chords shorter than the margin do not say which way the rectangle lies: it would spin with the least motion.
     """
     rows = torch.arange(len(points), device=points.device)
     apart = (points.detach()[:, :, None] - points.detach()[:, None]).square().sum(dim=-1).flatten(1)
     farthest = apart.argmax(dim=1)
     start, end = points[rows, farthest // points.shape[1]], points[rows, farthest % points.shape[1]]
-    long = (apart[rows, farthest] > margin**2)[:, None]
+    long = (apart[rows, farthest] > margin.detach() ** 2)[:, None]
     along = torch.where(long, end - start, points.new_tensor([1.0, 0.0]))
     along = along / torch.linalg.vector_norm(along, dim=1, keepdim=True)
     across = torch.stack([along[:, 1], -along[:, 0]], dim=1)

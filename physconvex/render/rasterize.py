@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from jaxtyping import Float, Int
@@ -12,11 +13,13 @@ from torch import Tensor
 from physconvex.camera import Camera
 from physconvex.convex.field import ConvexField
 from physconvex.errors import InputError
+from physconvex.render.kernel import composite_kernel
+from physconvex.render.native import KernelUnavailable, load_library
 from physconvex.render.projection import NEAR, Splats, project
 from physconvex.render.reference import Layers, composite_reference
 from physconvex.render.view import View
 
-__all__ = ["Backend", "RenderedImage", "composite", "render"]
+__all__ = ["Backend", "RenderedImage", "composite", "render", "uses_kernel"]
 
 Backend = Literal["auto", "kernel", "reference"]
 
@@ -45,8 +48,29 @@ class RenderedImage:
 
 
 def composite(splats: Splats, coordinates: Float[Tensor, "H W 2"], *, backend: Backend = "auto") -> Layers:
-    """Blend polygons with the chosen implementation."""
+    """Blend polygons with the chosen implementation, see `render`."""
+    if uses_kernel(coordinates, backend):
+        return composite_kernel(splats, coordinates)
     return composite_reference(splats, coordinates)
+
+
+def uses_kernel(tensor: Tensor, backend: Backend) -> bool:
+    """Whether a backend means the kernel for tensors like this one; warns where it cannot be had.
+
+    Raises:
+        KernelUnavailable: it was asked for and cannot be had.
+        InputError: no such backend.
+    """
+    if backend not in get_args(Backend):
+        raise InputError(f"backend: got {backend!r}; expected one of {', '.join(get_args(Backend))}")
+    if backend == "auto" and tensor.dtype == torch.float32 and tensor.device.type == "cpu":
+        try:
+            load_library()
+        except KernelUnavailable as error:
+            warnings.warn(f"drawing with plain torch, which is slow: {error}", RuntimeWarning, stacklevel=3)
+            return False
+        return True
+    return backend == "kernel"
 
 
 def render(
@@ -64,10 +88,12 @@ def render(
         background: one colour or one per pixel; white if not given.
         near: what is nearer than this is cut away [m].
         backend: `reference` is the definition in plain torch; `kernel` computes the same in float32 on the CPU and
-            needs a C++ compiler; `auto` takes the kernel where it can be had.
+            needs a C++ compiler; `auto` takes the kernel for float32 on the CPU where it can be had (or warns), else
+            the reference.
 
     Raises:
-        InputError: a background of another shape, `near` not positive.
+        InputError: a background of another shape, `near` not positive, no such backend.
+        KernelUnavailable: `backend="kernel"` where it cannot be compiled.
     """
     view = View.of(camera, field.points.dtype) if isinstance(camera, Camera) else camera
     if near <= 0:

@@ -39,6 +39,9 @@ def composite_reference(splats: Splats, coordinates: Float[Tensor, "H W 2"]) -> 
     a = min(opacity · sigmoid(−β log Σ_h exp s_h), 0.99), taken as zero below 1/255 and where the transmittance so
     far is below 1e-4.
     """
+    if not len(splats):
+        nothing = sum(tensor.sum() for tensor in splats.differentiable()) + 0.0 * coordinates.sum(dim=-1)
+        return Layers(nothing[..., None].expand(*nothing.shape, 4), nothing + 1.0, torch.full_like(nothing, -1).long())
     place, padded = _padded(splats)
     rows = []
     for strip in coordinates.split(BLOCK):
@@ -53,7 +56,7 @@ _NAMES = ("features", "transmittance", "heaviest")
 def _padded(splats: Splats) -> tuple[Int[Tensor, "M H"], Tensor]:
     """For every polygon its lines, and which places of the list hold none."""
     number = splats.starts.diff()
-    place = torch.arange(int(number.max()) if len(splats) else 0, device=number.device)
+    place = torch.arange(int(number.max()), device=number.device)
     missing = place >= number[:, None]
     return (splats.starts[:-1, None] + place).masked_fill(missing, 0), missing
 
@@ -71,7 +74,7 @@ def _within_reach(splats: Splats, place: Tensor, missing: Tensor, block: Float[T
 
 def _blend(splats: Splats, place: Tensor, missing: Tensor, block: Float[Tensor, "h w 2"]) -> Layers:
     """One block of pixels."""
-    chosen = _within_reach(splats, place, missing, block) if len(splats) else splats.convex
+    chosen = _within_reach(splats, place, missing, block)
     if not len(chosen):
         empty = block.sum(dim=-1) * 0.0
         return Layers(empty[..., None].expand(*empty.shape, 4), empty + 1.0, torch.full_like(empty, -1).long())

@@ -1,0 +1,118 @@
+"""The kernel's C++ source as a loaded library: compiled on first use with the system's compiler, then kept."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+
+__all__ = ["KernelUnavailable", "cache_folder", "load_library"]
+
+SOURCE = Path(__file__).with_name("kernel.cpp")
+COMPILERS = ("c++", "g++", "clang++")
+# No result may be infinite or NaN by design, which lets minima and maxima become single instructions.
+FLAGS = (
+    "-std=c++17", "-O3", "-march=native", "-fPIC", "-shared", "-pthread", "-fopenmp-simd",
+    "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-ffinite-math-only",
+)  # fmt: skip
+COMPILE_SECONDS = 300
+
+
+class KernelUnavailable(RuntimeError):
+    """The kernel cannot be compiled or loaded here; the message says why."""
+
+
+def cache_folder() -> Path:
+    """Where compiled kernels are kept: $PHYSCONVEX_CACHE, else `physconvex` in the user's cache folder."""
+    given = os.environ.get("PHYSCONVEX_CACHE")
+    if given:
+        return Path(given)
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "physconvex"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "physconvex"
+
+
+@cache
+def load_library() -> ctypes.CDLL:
+    """The library with its functions' types declared.
+
+    Raises:
+        KernelUnavailable: no compiler, or it failed.
+    """
+    return _declared(ctypes.CDLL(str(_compiled())))
+
+
+def _compiled() -> Path:
+    """Path of the library of this source, these flags, this compiler and this processor."""
+    compiler = _compiler()
+    key = [SOURCE.read_bytes(), " ".join(FLAGS).encode(), compiler.encode(), _processor()]
+    name = hashlib.sha256(b"\0".join(key)).hexdigest()[:24]
+    library = cache_folder() / f"kernel-{name}.so"
+    if library.is_file():
+        return library
+    try:
+        library.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=library.parent) as folder:
+            made = Path(folder) / library.name
+            _run([compiler, *FLAGS, str(SOURCE), "-o", str(made)])
+            made.replace(library)  # in one step, so that two processes may do this at once
+    except OSError as error:
+        raise KernelUnavailable(f"{library.parent}: cannot be written: {error.strerror}") from None
+    return library
+
+
+def _compiler() -> str:
+    """Path of the first compiler found; $CXX goes before the usual names."""
+    for name in (os.environ.get("CXX"), *COMPILERS):
+        found = shutil.which(name) if name else None
+        if found:
+            return found
+    raise KernelUnavailable(f"no C++ compiler found (looked for $CXX, {', '.join(COMPILERS)})")
+
+
+def _run(command: list[str]) -> None:
+    """Run a compiler."""
+    try:
+        result = subprocess.run(command, capture_output=True, text=True, timeout=COMPILE_SECONDS, check=False)
+    except subprocess.TimeoutExpired:
+        raise KernelUnavailable(f"{command[0]} did not end within {COMPILE_SECONDS} s") from None
+    if result.returncode:
+        raise KernelUnavailable(f"{command[0]} failed:\n{result.stderr.strip()[-2000:]}")
+
+
+def _processor() -> bytes:
+    """What the compiler's -march=native depends on: a home folder may be shared by unlike machines."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    told = [line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))]
+    return "\n".join([platform.machine(), platform.processor(), *dict.fromkeys(told)]).encode()
+
+
+class Scene(ctypes.Structure):
+    """`struct Scene` of kernel.cpp."""
+
+    _fields_ = (
+        *((name, ctypes.c_int32) for name in ("width", "height", "polygons", "threads")),
+        *((name, ctypes.c_void_p) for name in ("coordinates", "starts", "lines", "sharpness", "opacity", "features")),
+    )
+
+
+def _declared(library: ctypes.CDLL) -> ctypes.CDLL:
+    """Declare the functions of kernel.cpp."""
+    pointer, scene = ctypes.c_void_p, ctypes.POINTER(Scene)
+    library.pc_plan.argtypes, library.pc_plan.restype = [scene], pointer
+    library.pc_free.argtypes, library.pc_free.restype = [pointer], None
+    library.pc_blend.argtypes, library.pc_blend.restype = [scene, pointer] + [pointer] * 3, None
+    library.pc_gradient.argtypes, library.pc_gradient.restype = [scene, pointer] + [pointer] * 9, None
+    library.pc_tangent.argtypes = [scene, pointer, ctypes.c_int32] + [pointer] * 7
+    library.pc_tangent.restype = None
+    return library
