@@ -23,6 +23,7 @@ from physconvex.camera import look_at
 from physconvex.convex import ConvexField, FreeParameters, coefficients_of_colour
 from physconvex.render import Splats, View, project, render
 from physconvex.render.kernel import composite_kernel
+from physconvex.render.rasterize import splat
 
 RESULT = Path(__file__).parent / "results" / "raster_speed.json"
 SIZE = 448
@@ -110,7 +111,7 @@ def main() -> None:
     rows = []
     for task, drawn, call in (
         ("object, forward", splats, forward),
-        ("object, projection alone", splats, lambda: project(field, view)),
+        ("object, projection alone", splats, lambda: splat(field, view, backend="kernel")),
         ("object, blending alone", splats, lambda: composite_kernel(splats, pixels)),
         ("object, forward and backward", splats, both),
         ("raster_limit, forward", eight, lambda: composite_kernel(eight, grid)),

@@ -2,21 +2,45 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-__all__ = ["hull_indices"]
+__all__ = ["Hulls", "planar_hulls"]
 
 
-def hull_indices(points: Float[Tensor, "N C 2"]) -> tuple[Int[Tensor, "N C"], Int[Tensor, " N"]]:
-    """Indices of the corners of each hull in order of rising angle (u towards v), and their number.
+@dataclass(frozen=True, eq=False)
+class Hulls:
+    """Which points are corners, without gradients.
+
+    Attributes:
+        order: indices of the corners in order of rising angle (u towards v), zero beyond their number, shape [N, C].
+        number: how many corners, shape [N].
+        width: the least, over sides, of the greatest distance of a point from that side, zero for less than three
+            corners, shape [N], in the unit of the points.
+    """
+
+    order: Int[Tensor, "N C"]
+    number: Int[Tensor, " N"]
+    width: Float[Tensor, " N"]
+
+
+def planar_hulls(points: Float[Tensor, "N C 2"]) -> Hulls:
+    """The hulls of N sets of C points.
 
     Gift wrapping (Jarvis 1973) in float64: from the point of least v (then least u), the next corner is the point that
     leaves all others on its left; of several in line, the farthest. Points in line and repeated points are no
-    corners: a hull of points in line has two, one of equal points has one. Entries beyond the number are zero.
+    corners: a hull of points in line has two, one of equal points has one.
     """
     points = points.detach().double()
+    order, number = _wrapped(points)
+    return Hulls(order, number, _widths(points, order, number))
+
+
+def _wrapped(points: Float[Tensor, "N C 2"]) -> tuple[Int[Tensor, "N C"], Int[Tensor, " N"]]:
+    """Corners in order, and their number."""
     count, candidates = points.shape[:2]
     rows = torch.arange(count, device=points.device)
     least_v = points[..., 1].amin(dim=1, keepdim=True)
@@ -46,3 +70,18 @@ def _next_corner(offsets: Float[Tensor, "N C 2"]) -> Int[Tensor, " N"]:
         best = torch.where(better[:, None], other, best)
         index = torch.where(better, candidate, index)
     return index
+
+
+def _widths(points: Float[Tensor, "N C 2"], order: Tensor, number: Tensor) -> Float[Tensor, " N"]:
+    """Least widths."""
+    rows = torch.arange(len(points), device=points.device)
+    widths = torch.full_like(points[:, 0, 0], torch.inf)
+    for step in range(order.shape[1]):
+        corner = points[rows, order[:, step]]
+        following = points[rows, order.gather(1, ((step + 1) % number.clamp(min=1))[:, None])[:, 0]]
+        along = following - corner
+        offsets = points - corner[:, None]
+        reach = (along[:, None, 0] * offsets[..., 1] - along[:, None, 1] * offsets[..., 0]).amax(dim=1)
+        reach = reach / torch.linalg.vector_norm(along, dim=1)
+        widths = torch.where(step < number, torch.minimum(widths, reach), widths)
+    return torch.where(number > 2, widths, 0.0)

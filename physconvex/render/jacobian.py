@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from jaxtyping import Float
@@ -12,12 +14,12 @@ from torch.autograd import forward_ad
 
 from physconvex.convex.field import ConvexField
 from physconvex.errors import InputError
-from physconvex.render.kernel import composite_tangents
-from physconvex.render.projection import NEAR, project
-from physconvex.render.rasterize import Backend, composite, uses_kernel
+from physconvex.render.kernel import composite_kernel, composite_tangents
+from physconvex.render.projection import NEAR, Splats
+from physconvex.render.rasterize import Backend, splat
 from physconvex.render.view import View
 
-__all__ = ["ImageJacobian", "render_jacobian"]
+__all__ = ["ImageJacobian", "load_forward_mode", "render_jacobian"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +35,15 @@ class ImageJacobian:
     colour: Float[Tensor, "P H W 3"]
     alpha: Float[Tensor, "P H W"]
     weighted_depth: Float[Tensor, "P H W"]
+
+
+@cache
+def load_forward_mode() -> None:
+    """Let torch load its forward-mode rules, which (in 2.15) warns of torch's own use of `torch.jit.script`."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".torch.jit.script. is deprecated", category=FutureWarning)
+        with forward_ad.dual_level():
+            forward_ad.make_dual(torch.zeros(1), torch.zeros(1))
 
 
 def render_jacobian(
@@ -56,33 +67,30 @@ def render_jacobian(
     """
     if parameters.ndim != 1 or not len(parameters):
         raise InputError(f"parameters: got shape {tuple(parameters.shape)}; expected [P] with P ≥ 1")
+    load_forward_mode()
     parameters = parameters.detach()
     tangents: list[tuple[Tensor | None, ...]] = []
     with torch.no_grad():
         for direction in torch.eye(len(parameters)).to(parameters):
             with forward_ad.dual_level():
                 field, view = scene(forward_ad.make_dual(parameters, direction))
-                splats, coordinates = project(field, view, near=near), view.pixel_coordinates()
-                whole = (coordinates, *splats.differentiable())
-                if not uses_kernel(coordinates, backend):
-                    layers = composite(splats, coordinates, backend="reference")
-                    whole = (layers.features, layers.transmittance)
-                tangents.append(tuple(forward_ad.unpack_dual(tensor).tangent for tensor in whole))
-                plain = [forward_ad.unpack_dual(tensor).primal for tensor in whole]
-        if uses_kernel(coordinates, backend):
-            primal = type(splats)(splats.convex, splats.starts, *plain[1:])
-            features, transmittance = composite_tangents(primal, plain[0], tangents)
+                splats, composite = splat(field, view, near=near, backend=backend)
+                duals: tuple[Tensor, ...] = (view.pixel_coordinates(), *splats.differentiable())
+                if composite is not composite_kernel:
+                    layers = composite(splats, duals[0])
+                    duals = (layers.features, layers.transmittance)
+                pairs = [forward_ad.unpack_dual(tensor) for tensor in duals]
+                values = [pair.primal for pair in pairs]
+                tangents.append(tuple(pair.tangent for pair in pairs))
+        if composite is composite_kernel:
+            primal = Splats(splats.convex, splats.starts, *values[1:])
+            features, transmittance = composite_tangents(primal, values[0], tangents)
         else:
-            filled = [
-                [_or_zero(part, plain[place]) for part in parts]
-                for place, parts in enumerate(zip(*tangents, strict=True))
-            ]
-            features, transmittance = (torch.stack(parts) for parts in filled)
+            parts = zip(*tangents, strict=True)
+            features, transmittance = (
+                torch.stack([torch.zeros_like(value) if one is None else one for one in some])
+                for value, some in zip(values, parts, strict=True)
+            )
     background = torch.ones(3).to(features) if background is None else background.to(features)
     colour = features[..., :3] + transmittance[..., None] * background
     return ImageJacobian(colour, -transmittance, features[..., 3])
-
-
-def _or_zero(tangent: Tensor | None, like: Tensor) -> Tensor:
-    """A tangent, zero where the tensor does not depend on the parameter."""
-    return torch.zeros_like(like) if tangent is None else tangent

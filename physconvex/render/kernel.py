@@ -12,11 +12,12 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from physconvex.render.hull import Hulls
 from physconvex.render.native import Scene, load_library
 from physconvex.render.projection import Splats
 from physconvex.render.reference import Layers
 
-__all__ = ["composite_kernel", "composite_tangents"]
+__all__ = ["composite_kernel", "composite_tangents", "planar_hulls_kernel"]
 
 FEATURES = 4
 
@@ -47,6 +48,21 @@ def composite_tangents(
     """
     blending = _Blending(splats.starts, coordinates, *splats.differentiable())
     return blending.tangents(tangents)
+
+
+def planar_hulls_kernel(points: Float[Tensor, "N C 2"]) -> Hulls:
+    """What `planar_hulls` computes.
+
+    Raises:
+        KernelUnavailable: the kernel cannot be compiled here.
+    """
+    given = points.detach().double().cpu().contiguous()
+    count, candidates = given.shape[:2]
+    order, number = torch.empty((count, candidates), dtype=torch.long), torch.empty(count, dtype=torch.long)
+    width = torch.empty(count, dtype=torch.float64)
+    pointers = [tensor.data_ptr() for tensor in (given, order, number, width)]
+    load_library().pc_hulls(count, candidates, torch.get_num_threads(), *pointers)
+    return Hulls(*(tensor.to(points.device) for tensor in (order, number, width)))
 
 
 class _Blending:
@@ -105,7 +121,7 @@ class _Composite(torch.autograd.Function):
         ctx.blending = _Blending(starts, *inputs)
         features, transmittance, heaviest = ctx.blending.blend()
         out = features.to(inputs[0]), transmittance.to(inputs[0]), heaviest.to(inputs[0].device).long()
-        ctx.kinds = [(tensor.dtype, tensor.device) for tensor in inputs]
+        ctx.kinds = [(tensor.device, tensor.dtype) for tensor in inputs]
         ctx.mark_non_differentiable(out[2])
         ctx.save_for_backward(*out[:2], *inputs)  # the inputs only so that torch notices if they were changed
         return out

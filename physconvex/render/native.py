@@ -111,6 +111,7 @@ def _declared(library: ctypes.CDLL) -> ctypes.CDLL:
     pointer, scene = ctypes.c_void_p, ctypes.POINTER(Scene)
     library.pc_plan.argtypes, library.pc_plan.restype = [scene], pointer
     library.pc_free.argtypes, library.pc_free.restype = [pointer], None
+    library.pc_hulls.argtypes, library.pc_hulls.restype = [ctypes.c_int32] * 3 + [pointer] * 4, None
     library.pc_blend.argtypes, library.pc_blend.restype = [scene, pointer] + [pointer] * 3, None
     library.pc_gradient.argtypes, library.pc_gradient.restype = [scene, pointer] + [pointer] * 9, None
     library.pc_tangent.argtypes = [scene, pointer, ctypes.c_int32] + [pointer] * 7

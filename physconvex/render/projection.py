@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -10,7 +11,7 @@ from torch import Tensor
 
 from physconvex.convex.field import ConvexField
 from physconvex.convex.spherical_harmonics import view_colours
-from physconvex.render.hull import hull_indices
+from physconvex.render.hull import Hulls, planar_hulls
 from physconvex.render.view import View
 
 __all__ = ["NEAR", "THIN", "Splats", "project"]
@@ -48,13 +49,18 @@ class Splats:
         return self.lines, self.sharpness, self.opacity, self.features
 
 
-def project(field: ConvexField, view: View, *, near: float = NEAR) -> Splats:
+def project(
+    field: ConvexField, view: View, *, near: float = NEAR, hulls: Callable[[Tensor], Hulls] = planar_hulls
+) -> Splats:
     """The polygons that a view sees of a field, differentiable with respect to both.
 
     Each polygon is the exact hull of the projected points. Which points are its corners is chosen without a gradient;
     its lines are then functions of those corners. What lies nearer than `near` [m] is cut off exactly: of a convex that
     reaches there, the part beyond is drawn. A hull less than `THIN` pixels wide (a convex seen edge-on, a tiny one) is
     drawn as a rectangle of that width, see `_rectangles`. Polygons are ordered by the mean depth of the points.
+
+    Args:
+        hulls: what finds the corners, `planar_hulls` or its twin in the kernel.
     """
     local = view.local(field.points)
     depths = local[..., 2].clamp(min=near).mean(dim=1)
@@ -65,8 +71,8 @@ def project(field: ConvexField, view: View, *, near: float = NEAR) -> Splats:
     beyond = local.detach()[..., 2] > near
     whole, cut = beyond.all(dim=1).nonzero()[:, 0], (beyond.any(dim=1) & ~beyond.all(dim=1)).nonzero()[:, 0]
     groups = [
-        _polygons(whole, local[whole][..., :2] / local[whole][..., 2:], view),
-        _polygons(cut, _cut(local[cut], beyond[cut], near), view),
+        _polygons(whole, local[whole][..., :2] / local[whole][..., 2:], view, hulls),
+        _polygons(cut, _cut(local[cut], beyond[cut], near), view, hulls),
     ]
     owners, lines = (torch.cat(parts) for parts in zip(*groups, strict=True))
     drawn = torch.cat([whole, cut])
@@ -106,12 +112,14 @@ def _cut(local: Float[Tensor, "N K 3"], beyond: Tensor, near: float) -> Float[Te
     return candidates[..., :2] / candidates[..., 2:]
 
 
-def _polygons(owners: Int[Tensor, " N"], points: Float[Tensor, "N C 2"], view: View) -> tuple[Tensor, Tensor]:
+def _polygons(
+    owners: Int[Tensor, " N"], points: Float[Tensor, "N C 2"], view: View, hulls: Callable[[Tensor], Hulls]
+) -> tuple[Tensor, Tensor]:
     """Owner [L] and line [L, 3] of every side of the hulls."""
-    order, number = hull_indices(points)
+    found = hulls(points)
     least_width = THIN / view.focal.prod().sqrt()
-    thin = _widths(points.detach(), order, number) < least_width.detach()
-    corners, following, is_side = _ends(points, order, number)
+    thin = found.width < least_width.detach()
+    corners, following, is_side = _ends(points, found)
     is_side = is_side & ~thin[:, None]
     rectangles = _rectangles(points[thin], 0.5 * least_width)
     owner = torch.cat([owners[:, None].expand(is_side.shape)[is_side], owners[thin].repeat_interleave(4)])
@@ -139,21 +147,9 @@ def _rectangles(points: Float[Tensor, "N C 2"], margin: Tensor) -> Float[Tensor,
     return torch.cat([normals, offsets], dim=-1).flatten(0, 1)
 
 
-def _widths(points: Float[Tensor, "N C 2"], order: Tensor, number: Tensor) -> Float[Tensor, " N"]:
-    """Least width of hulls: the least, over sides, of the greatest distance of a corner from that side."""
-    corners, following, is_side = _ends(points, order, number)
-    along = following - corners
-    length = torch.linalg.vector_norm(along, dim=-1).clamp(min=torch.finfo(points.dtype).tiny)
-    offsets = points[:, None] - corners[:, :, None]
-    cross = along[:, :, None, 0] * offsets[..., 1] - along[:, :, None, 1] * offsets[..., 0]
-    reach = (cross / length[..., None]).amax(dim=2).masked_fill(~is_side, torch.inf)
-    return torch.where(number > 2, reach.amin(dim=1), 0.0)
-
-
-def _ends(points: Tensor, order: Tensor, number: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _ends(points: Tensor, hulls: Hulls) -> tuple[Tensor, Tensor, Tensor]:
     """Corners in order, the corner after each, and which places hold one."""
-    place = torch.arange(order.shape[1], device=order.device)
-    after = torch.where(place + 1 < number[:, None], place + 1, 0)
-    rows = torch.arange(len(points), device=order.device)[:, None]
-    is_side = place < number[:, None]
-    return points[rows, order], points[rows, order.gather(1, after)], is_side
+    place = torch.arange(points.shape[1], device=points.device)
+    after = torch.where(place + 1 < hulls.number[:, None], place + 1, 0)
+    rows = torch.arange(len(points), device=points.device)[:, None]
+    return points[rows, hulls.order], points[rows, hulls.order.gather(1, after)], place < hulls.number[:, None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -13,13 +14,13 @@ from torch import Tensor
 from physconvex.camera import Camera
 from physconvex.convex.field import ConvexField
 from physconvex.errors import InputError
-from physconvex.render.kernel import composite_kernel
+from physconvex.render.kernel import composite_kernel, planar_hulls_kernel
 from physconvex.render.native import KernelUnavailable, load_library
 from physconvex.render.projection import NEAR, Splats, project
 from physconvex.render.reference import Layers, composite_reference
 from physconvex.render.view import View
 
-__all__ = ["Backend", "RenderedImage", "composite", "render", "uses_kernel"]
+__all__ = ["Backend", "RenderedImage", "render", "splat"]
 
 Backend = Literal["auto", "kernel", "reference"]
 
@@ -47,14 +48,16 @@ class RenderedImage:
         return torch.where(seen, self.weighted_depth / torch.where(seen, self.alpha, 1.0), torch.inf)
 
 
-def composite(splats: Splats, coordinates: Float[Tensor, "H W 2"], *, backend: Backend = "auto") -> Layers:
-    """Blend polygons with the chosen implementation, see `render`."""
-    if uses_kernel(coordinates, backend):
-        return composite_kernel(splats, coordinates)
-    return composite_reference(splats, coordinates)
+def splat(
+    field: ConvexField, view: View, *, near: float = NEAR, backend: Backend = "auto"
+) -> tuple[Splats, Callable[[Splats, Tensor], Layers]]:
+    """The polygons of a field, and what blends them, by the chosen implementation, see `render`."""
+    if _uses_kernel(field.points, backend):
+        return project(field, view, near=near, hulls=planar_hulls_kernel), composite_kernel
+    return project(field, view, near=near), composite_reference
 
 
-def uses_kernel(tensor: Tensor, backend: Backend) -> bool:
+def _uses_kernel(tensor: Tensor, backend: Backend) -> bool:
     """Whether a backend means the kernel for tensors like this one; warns where it cannot be had.
 
     Raises:
@@ -67,7 +70,7 @@ def uses_kernel(tensor: Tensor, backend: Backend) -> bool:
         try:
             load_library()
         except KernelUnavailable as error:
-            warnings.warn(f"drawing with plain torch, which is slow: {error}", RuntimeWarning, stacklevel=3)
+            warnings.warn(f"drawing with plain torch, which is slow: {error}", RuntimeWarning, stacklevel=4)
             return False
         return True
     return backend == "kernel"
@@ -103,8 +106,8 @@ def render(
         raise InputError(
             f"background: got shape {tuple(background.shape)}; expected [3] or [{view.height}, {view.width}, 3]"
         )
-    splats = project(field, view, near=near)
-    layers = composite(splats, view.pixel_coordinates(), backend=backend)
+    splats, composite = splat(field, view, near=near, backend=backend)
+    layers = composite(splats, view.pixel_coordinates())
     colour = layers.features[..., :3] + layers.transmittance[..., None] * background
     convex = torch.cat([splats.convex, splats.convex.new_tensor([-1])])[layers.heaviest]
     return RenderedImage(colour, 1 - layers.transmittance, layers.features[..., 3], convex)

@@ -18,6 +18,8 @@ def assert_agrees(found: Tensor, expected: Tensor, *, relative: float, name: str
     assert found.shape == expected.shape, f"{name}: shape {tuple(found.shape)} instead of {tuple(expected.shape)}"
     found, expected = found.detach().double().flatten(), expected.detach().double().flatten()
     assert found.isfinite().all(), f"{name}: not finite"
+    if not found.numel():
+        return
     greatest, norm = expected.abs().max(), expected.norm()
     if not norm:
         assert not found.any(), f"{name}: {found.abs().max()} where all should be zero"

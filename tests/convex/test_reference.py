@@ -102,9 +102,8 @@ def test_what_crosses_the_near_plane_is_cut_off_exactly() -> None:
     """A box through the camera, and its part beyond the plane as a convex of its own, have the same outline."""
     front = View.of(look_at((0, -1, 0), (0, 0, 0), width=8, height=8, vertical_field_of_view=1.2), torch.float64)
     box = cube(0.5).points * torch.tensor([0.4, 3.0, 0.2])
-    beyond = torch.where(
-        box[..., 1:2] < 0, torch.tensor([1.0, 0.0, 1.0]) * box + torch.tensor([0.0, -0.9, 0.0], dtype=torch.float64), box
-    )
+    beyond = box.clone()
+    beyond[..., 1] = box[..., 1].clamp(min=-1 + 0.1)  # all corners nearer than the plane move onto it
     outlines = []
     for points in (box, beyond):
         lines = project(cube().with_points(points), front, near=0.1).lines
