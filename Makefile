@@ -37,7 +37,7 @@ lock:
 
 ## bench: speed, memory and label accuracy; results in benchmarks/results
 bench: env
-	@for name in generator friction_passes label_accuracy predict_throughput reduced_accuracy reduced_speed; do \
+	@for name in generator friction_passes label_accuracy predict_throughput raster_speed reduced_accuracy reduced_speed; do \
 	    echo "== $$name"; $(BIN)/python benchmarks/$$name.py || exit 1; done
 
 ## bench-data: what needs a data set: make bench-data DATA=data/drops

@@ -12,6 +12,7 @@ import sys
 import tempfile
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 __all__ = ["KernelUnavailable", "cache_folder", "load_library"]
 
@@ -23,6 +24,7 @@ FLAGS = (
     "-fno-math-errno", "-fno-trapping-math", "-fno-signed-zeros", "-ffinite-math-only",
 )  # fmt: skip
 COMPILE_SECONDS = 300
+POINTER: Any = ctypes.c_void_p
 
 
 class KernelUnavailable(RuntimeError):
@@ -102,18 +104,22 @@ class Scene(ctypes.Structure):
 
     _fields_ = (
         *((name, ctypes.c_int32) for name in ("width", "height", "polygons", "threads")),
-        *((name, ctypes.c_void_p) for name in ("coordinates", "starts", "lines", "sharpness", "opacity", "features")),
+        *((name, POINTER) for name in ("coordinates", "starts", "lines", "sharpness", "opacity", "features")),
     )
 
 
 def _declared(library: ctypes.CDLL) -> ctypes.CDLL:
     """Declare the functions of kernel.cpp."""
-    pointer, scene = ctypes.c_void_p, ctypes.POINTER(Scene)
-    library.pc_plan.argtypes, library.pc_plan.restype = [scene], pointer
-    library.pc_free.argtypes, library.pc_free.restype = [pointer], None
-    library.pc_hulls.argtypes, library.pc_hulls.restype = [ctypes.c_int32] * 3 + [pointer] * 4, None
-    library.pc_blend.argtypes, library.pc_blend.restype = [scene, pointer] + [pointer] * 3, None
-    library.pc_gradient.argtypes, library.pc_gradient.restype = [scene, pointer] + [pointer] * 9, None
-    library.pc_tangent.argtypes = [scene, pointer, ctypes.c_int32] + [pointer] * 7
-    library.pc_tangent.restype = None
+    scene: Any = ctypes.POINTER(Scene)
+    count: Any = ctypes.c_int32
+    for name, result, arguments in (
+        ("pc_plan", POINTER, [scene]),
+        ("pc_free", None, [POINTER]),
+        ("pc_hulls", None, [count] * 3 + [POINTER] * 4),
+        ("pc_blend", None, [scene, POINTER] + [POINTER] * 3),
+        ("pc_gradient", None, [scene, POINTER] + [POINTER] * 9),
+        ("pc_tangent", None, [scene, POINTER, count] + [POINTER] * 7),
+    ):
+        function = getattr(library, name)
+        function.argtypes, function.restype = arguments, result
     return library

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -53,8 +53,8 @@ class View:
 
     def to(self, target: torch.dtype | torch.device | str) -> View:
         """The view in another floating type or on another device."""
-        named = {entry.name: getattr(self, entry.name) for entry in fields(self)}
-        return replace(self, **{name: value.to(target) for name, value in named.items() if isinstance(value, Tensor)})
+        tensors = (self.focal, self.principal, self.rotation, self.position, self.distortion)
+        return View(self.width, self.height, *(tensor.to(target) for tensor in tensors))
 
     def moved(self, twist: Float[Tensor, " 6"]) -> View:
         """The view shifted by `twist[:3]` [m] and turned by the rotation vector `twist[3:]` [rad], in camera axes."""
@@ -71,8 +71,7 @@ class View:
 
     def pixel_coordinates(self) -> Float[Tensor, "height width 2"]:
         """Where on the plane at unit distance each pixel centre looks, undistorted."""
-        kind = {"dtype": self.focal.dtype, "device": self.focal.device}
-        columns, rows = torch.arange(self.width, **kind) + 0.5, torch.arange(self.height, **kind) + 0.5
+        columns, rows = (torch.arange(size).to(self.focal) + 0.5 for size in (self.width, self.height))
         pixels = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), dim=-1)
         distorted = (pixels - self.principal) / self.focal
         if not self.distortion.detach().any() and not self.distortion.requires_grad:
