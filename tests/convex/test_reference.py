@@ -150,6 +150,8 @@ def test_backgrounds() -> None:
         draw(field, view, background=torch.zeros(view.w, view.h, 3))
     with pytest.raises(InputError, match="near"):
         draw(field, view, near=0.0)
+    with pytest.raises(InputError, match=r"a view of torch.float32 on cpu for a field of torch.float64"):
+        draw(field, View.of(view))
 
 
 def test_an_empty_field_shows_the_background() -> None:
