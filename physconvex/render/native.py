@@ -16,7 +16,7 @@ from typing import Any
 
 __all__ = ["KernelUnavailable", "cache_folder", "load_library"]
 
-SOURCE = Path(__file__).with_name("kernel.cpp")
+SOURCES = Path(__file__).with_name("cpu")
 COMPILERS = ("c++", "g++", "clang++")
 # No result may be infinite or NaN by design, which lets minima and maxima become single instructions.
 FLAGS = (
@@ -52,9 +52,10 @@ def load_library() -> ctypes.CDLL:
 
 
 def _compiled() -> Path:
-    """Path of the library of this source, these flags, this compiler and this processor."""
+    """Path of the library of these sources, these flags, this compiler and this processor."""
     compiler = _compiler()
-    key = [SOURCE.read_bytes(), " ".join(FLAGS).encode(), compiler.encode(), _processor()]
+    sources = [path.read_bytes() for path in sorted(SOURCES.iterdir()) if path.suffix in (".cpp", ".h")]
+    key = [*sources, " ".join(FLAGS).encode(), compiler.encode(), _processor()]
     name = hashlib.sha256(b"\0".join(key)).hexdigest()[:24]
     library = cache_folder() / f"kernel-{name}.so"
     if library.is_file():
@@ -63,7 +64,7 @@ def _compiled() -> Path:
         library.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=library.parent) as folder:
             made = Path(folder) / library.name
-            _run([compiler, *FLAGS, str(SOURCE), "-o", str(made)])
+            _run([compiler, *FLAGS, str(SOURCES / "kernel.cpp"), "-o", str(made)])
             made.replace(library)  # in one step, so that two processes may do this at once
     except OSError as error:
         raise KernelUnavailable(f"{library.parent}: cannot be written: {error.strerror}") from None
@@ -100,7 +101,7 @@ def _processor() -> bytes:
 
 
 class Scene(ctypes.Structure):
-    """`struct Scene` of kernel.cpp."""
+    """`struct Scene` of cpu/arithmetic.h."""
 
     _fields_ = (
         *((name, ctypes.c_int32) for name in ("width", "height", "polygons", "threads")),
@@ -109,7 +110,7 @@ class Scene(ctypes.Structure):
 
 
 def _declared(library: ctypes.CDLL) -> ctypes.CDLL:
-    """Declare the functions of kernel.cpp."""
+    """Declare the functions of cpu/kernel.cpp."""
     scene: Any = ctypes.POINTER(Scene)
     count: Any = ctypes.c_int32
     for name, result, arguments in (

@@ -65,7 +65,8 @@ def project(
     local = view.local(field.points)
     depths = local[..., 2].clamp(min=near).mean(dim=1)
     directions = field.centres - view.position
-    directions = directions / torch.linalg.vector_norm(directions, dim=1, keepdim=True)
+    distances = torch.linalg.vector_norm(directions, dim=1, keepdim=True)
+    directions = directions / distances.clamp(min=torch.finfo(distances.dtype).tiny)
     features = torch.cat([view_colours(field.harmonics, directions), depths[:, None]], dim=1)
 
     beyond = local.detach()[..., 2] > near

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
 from jaxtyping import Float, Int
@@ -45,12 +45,16 @@ def composite_reference(splats: Splats, coordinates: Float[Tensor, "H W 2"]) -> 
     place, padded = _padded(splats)
     rows = []
     for strip in coordinates.split(BLOCK):
-        blocks = [_blend(splats, place, padded, block) for block in strip.split(BLOCK, dim=1)]
-        rows.append(Layers(*(torch.cat([getattr(block, name) for block in blocks], dim=1) for name in _NAMES)))
-    return Layers(*(torch.cat([getattr(row, name) for row in rows]) for name in _NAMES))
+        rows.append(_joined([_blend(splats, place, padded, block) for block in strip.split(BLOCK, dim=1)], dim=1))
+    return _joined(rows, dim=0)
 
 
-_NAMES = ("features", "transmittance", "heaviest")
+def _joined(parts: list[Layers], dim: int) -> Layers:
+    """Parts of an image side by side or one above the other."""
+    features, transmittance, heaviest = (
+        torch.cat([getattr(part, entry.name) for part in parts], dim=dim) for entry in fields(Layers)
+    )
+    return Layers(features, transmittance, heaviest)
 
 
 def _padded(splats: Splats) -> tuple[Int[Tensor, "M H"], Tensor]:

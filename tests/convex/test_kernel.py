@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from physconvex.convex import ConvexField
 from physconvex.render import Splats, View, project
@@ -116,8 +117,21 @@ def test_changed_inputs_are_noticed_before_the_backward_pass() -> None:
     leaf = inputs[3].clone().requires_grad_()
     opacity = leaf * 1.0
     image = layers(splats, (*inputs[:3], opacity, inputs[4]), composite_kernel)
-    opacity.data  # noqa: B018 (reading is no change)
     with torch.no_grad():
         opacity.mul_(0.5)
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         image.features.sum().backward()
+
+
+def test_forward_mode_of_the_torch_function() -> None:
+    load_forward_mode()
+    splats, inputs = polygons(random_field(6, seed=7))
+    directions = tuple(1e-2 * weights(tensor.shape).to(tensor) for tensor in inputs)
+    with forward_ad.dual_level():
+        duals = tuple(forward_ad.make_dual(tensor, d) for tensor, d in zip(inputs, directions, strict=True))
+        image = layers(splats, duals, composite_kernel)
+        tangents = [forward_ad.unpack_dual(tensor).tangent for tensor in (image.features, image.transmittance)]
+    plain = Splats(splats.convex, splats.starts, *inputs[1:])
+    expected = composite_tangents(plain, inputs[0], [directions])
+    assert all(torch.equal(tangent, some[0]) for tangent, some in zip(tangents, expected, strict=True))
+    assert tangents[0].abs().max() > 0
