@@ -70,6 +70,7 @@ def test_backward_and_forward_mode_agree_through_the_kernel() -> None:
     assert_agrees(forward, at.grad, relative=1e-4)
 
 
+@pytest.mark.wrong_types
 def test_parameters_must_be_one_row() -> None:
     scene = scene_of(random_field(2), View.of(camera(), torch.float64))
     for wrong in (torch.zeros(0), torch.zeros(())):
