@@ -1,0 +1,18 @@
+"""Differentiable images of convex fields."""
+
+from physconvex.render.jacobian import ImageJacobian, render_jacobian
+from physconvex.render.native import KernelUnavailable
+from physconvex.render.projection import Splats, project
+from physconvex.render.rasterize import RenderedImage, render
+from physconvex.render.view import View
+
+__all__ = [
+    "ImageJacobian",
+    "KernelUnavailable",
+    "RenderedImage",
+    "Splats",
+    "View",
+    "project",
+    "render",
+    "render_jacobian",
+]

@@ -1,0 +1,116 @@
+"""Images of convex fields."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from physconvex.camera import Camera
+from physconvex.convex.field import ConvexField
+from physconvex.errors import InputError
+from physconvex.render.kernel import composite_kernel, planar_hulls_kernel
+from physconvex.render.native import KernelUnavailable, load_library
+from physconvex.render.projection import NEAR, Splats, project
+from physconvex.render.reference import Layers, composite_reference
+from physconvex.render.view import View
+
+__all__ = ["Backend", "RenderedImage", "render", "splat"]
+
+Backend = Literal["auto", "kernel", "reference"]
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedImage:
+    """What a camera sees.
+
+    Attributes:
+        colour: before the background, shape [H, W, 3], linear in the field's colours, 0 to 1 where those are.
+        alpha: share of the background that is hidden, shape [H, W].
+        weighted_depth: Σ_i w_i d_i, the depth along the viewing direction times alpha, shape [H, W], metres.
+        convex: index of the convex with the greatest weight, −1 where there is none, shape [H, W].
+    """
+
+    colour: Float[Tensor, "H W 3"]
+    alpha: Float[Tensor, "H W"]
+    weighted_depth: Float[Tensor, "H W"]
+    convex: Int[Tensor, "H W"]
+
+    @property
+    def depth(self) -> Float[Tensor, "H W"]:
+        """Mean depth of what is seen [m]; infinite where nothing is."""
+        seen = self.alpha > 0
+        return torch.where(seen, self.weighted_depth / torch.where(seen, self.alpha, 1.0), torch.inf)
+
+
+def splat(
+    field: ConvexField, view: View, *, near: float = NEAR, backend: Backend = "auto"
+) -> tuple[Splats, Callable[[Splats, Tensor], Layers]]:
+    """The polygons of a field, and what blends them, by the chosen implementation, see `render`."""
+    if _uses_kernel(field.points, backend):
+        return project(field, view, near=near, hulls=planar_hulls_kernel), composite_kernel
+    return project(field, view, near=near), composite_reference
+
+
+def _uses_kernel(tensor: Tensor, backend: Backend) -> bool:
+    """Whether a backend means the kernel for tensors like this one; warns where it cannot be had.
+
+    Raises:
+        KernelUnavailable: it was asked for and cannot be had.
+        InputError: no such backend.
+    """
+    if backend not in get_args(Backend):
+        raise InputError(f"backend: got {backend!r}; expected one of {', '.join(get_args(Backend))}")
+    if backend == "auto" and tensor.dtype == torch.float32 and tensor.device.type == "cpu":
+        try:
+            load_library()
+        except KernelUnavailable as error:
+            warnings.warn(f"drawing with plain torch, which is slow: {error}", RuntimeWarning, stacklevel=4)
+            return False
+        return True
+    return backend == "kernel"
+
+
+def render(
+    field: ConvexField,
+    camera: Camera | View,
+    *,
+    background: Float[Tensor, " 3"] | Float[Tensor, "H W 3"] | None = None,
+    near: float = NEAR,
+    backend: Backend = "auto",
+) -> RenderedImage:
+    """Draw a field, differentiable with respect to the field, the view and the background.
+
+    Args:
+        camera: a `View` for derivatives with respect to its pose, focal length or distortion.
+        background: one colour or one per pixel; white if not given.
+        near: what is nearer than this is cut away [m].
+        backend: `reference` is the definition in plain torch; `kernel` computes the same in float32 on the CPU and
+            needs a C++ compiler; `auto` takes the kernel for float32 on the CPU where it can be had (or warns), else
+            the reference.
+
+    Raises:
+        InputError: a background of another shape, `near` not positive, no such backend, a view of another type.
+        KernelUnavailable: `backend="kernel"` where it cannot be compiled.
+    """
+    view = View.of(camera, field.points.dtype).to(field.points.device) if isinstance(camera, Camera) else camera
+    if (view.focal.dtype, view.focal.device) != (field.points.dtype, field.points.device):
+        kinds = [f"{tensor.dtype} on {tensor.device}" for tensor in (view.focal, field.points)]
+        raise InputError(f"camera: got a view of {kinds[0]} for a field of {kinds[1]}; convert one with .to()")
+    if near <= 0:
+        raise InputError(f"near: got {near}; expected a positive distance [m]")
+    background = torch.ones(3).to(field.points) if background is None else background.to(field.points)
+    if background.shape not in ((3,), (view.height, view.width, 3)):
+        raise InputError(
+            f"background: got shape {tuple(background.shape)}; expected [3] or [{view.height}, {view.width}, 3]"
+        )
+    splats, composite = splat(field, view, near=near, backend=backend)
+    layers = composite(splats, view.pixel_coordinates())
+    colour = layers.features[..., :3] + layers.transmittance[..., None] * background
+    convex = torch.cat([splats.convex, splats.convex.new_tensor([-1])])[layers.heaviest]
+    return RenderedImage(colour, 1 - layers.transmittance, layers.features[..., 3], convex)

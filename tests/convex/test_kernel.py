@@ -1,0 +1,137 @@
+"""The CPU kernel against the reference on the same polygons: image, gradients, directional derivatives."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+
+from physconvex.convex import ConvexField
+from physconvex.render import Splats, View, project
+from physconvex.render.jacobian import load_forward_mode
+from physconvex.render.kernel import composite_kernel, composite_tangents
+from physconvex.render.reference import Layers, composite_reference
+from tests.convex.agreement import assert_agrees
+from tests.convex.fields import random_field
+from tests.convex.scenes import HARD_CASES, camera, hard_case
+
+ROUNDING = 2.0**-24  # of float32
+
+Inputs = tuple[Tensor, ...]  # coordinates, lines, sharpness, opacity, features
+
+
+def polygons(field: ConvexField, width: int = 37, height: int = 21) -> tuple[Splats, Inputs]:
+    """What is drawn, and its differentiable part, rounded to float32 so that both start from the same numbers."""
+    view = View.of(replace(camera(width, height), k1=0.1), torch.float64)
+    splats = project(field, view)
+    inputs = (view.pixel_coordinates(), *splats.differentiable())
+    return splats, tuple(tensor.float() for tensor in inputs)
+
+
+def layers(splats: Splats, inputs: Inputs, composite) -> Layers:
+    coordinates, *polygons = inputs
+    return composite(Splats(splats.convex, splats.starts, *polygons), coordinates)
+
+
+def weights(shape: torch.Size) -> Tensor:
+    return torch.randn(shape, generator=torch.Generator().manual_seed(11), dtype=torch.float64)
+
+
+def compare(field: ConvexField, width: int = 37, height: int = 21) -> None:
+    """Forward, backward and forward mode."""
+    load_forward_mode()
+    splats, inputs = polygons(field, width, height)
+    # s_h is a sum of terms as large as these, each rounded; what it makes of the image is of the same size
+    tolerance = ROUNDING * max(300.0, float(inputs[1].abs().amax() if len(splats) else 0))
+    leaves = [[t.to(kind).clone().requires_grad_() for t in inputs] for kind in (torch.float64, torch.float32)]
+    expected = layers(splats, tuple(leaves[0]), composite_reference)
+    found = layers(splats, tuple(leaves[1]), composite_kernel)
+    assert found.features.dtype == torch.float32
+    for name in ("features", "transmittance"):
+        assert_agrees(getattr(found, name), getattr(expected, name), relative=tolerance, name=name)
+    # where two weigh nearly the same, either may be named
+    assert (found.heaviest == expected.heaviest).float().mean() > 0.999
+
+    gradients = []
+    for image, leaf in zip((expected, found), leaves, strict=True):
+        features, transmittance = weights(image.features.shape), weights(image.transmittance.shape)
+        loss = (features * image.features).sum() + (transmittance * image.transmittance).sum()
+        gradients.append(torch.autograd.grad(loss, leaf, allow_unused=True, materialize_grads=True))
+    names = ("coordinates", "lines", "sharpness", "opacity", "features")
+    for name, reference, kernel in zip(names, *gradients, strict=True):
+        assert_agrees(kernel, reference, relative=10 * tolerance, name=name)
+
+    directions = [
+        tuple(1e-2 * weights(t.shape).to(t) * t.abs().mean() for t in inputs),
+        (None, inputs[1], None, None, None),
+    ]
+    d_features, d_transmittance = composite_tangents(
+        Splats(splats.convex, splats.starts, *inputs[1:]), inputs[0], directions
+    )
+    for place, direction in enumerate(directions):
+        filled = tuple(
+            (torch.zeros_like(t) if d is None else d).double() for t, d in zip(inputs, direction, strict=True)
+        )
+
+        def image(*values: Tensor) -> tuple[Tensor, Tensor]:
+            drawn = layers(splats, values, composite_reference)
+            return drawn.features, drawn.transmittance
+
+        _, tangents = torch.func.jvp(image, tuple(t.double() for t in inputs), filled)
+        assert_agrees(d_features[place], tangents[0], relative=10 * tolerance, name=f"direction {place}")
+        assert_agrees(d_transmittance[place], tangents[1], relative=10 * tolerance, name=f"direction {place}")
+
+
+@pytest.mark.parametrize("name", [name for name in HARD_CASES if name != "behind"])
+@pytest.mark.parametrize("points", [4, 6, 12])
+def test_hard_cases(name: str, points: int) -> None:
+    compare(hard_case(name, points, seed=points))
+
+
+@pytest.mark.parametrize(("width", "height"), [(16, 16), (1, 1), (50, 33)])
+def test_many_convexes_on_images_of_any_size(width: int, height: int) -> None:
+    compare(random_field(60, seed=5, size=0.1), width, height)
+
+
+def test_nothing_to_draw() -> None:
+    for field in (hard_case("behind"), random_field(2).select(torch.zeros(2, dtype=torch.bool))):
+        compare(field)
+
+
+def test_the_number_of_threads_does_not_change_a_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    splats, inputs = polygons(random_field(60, seed=6), 70, 40)
+    results = []
+    for threads in (1, 3):
+        monkeypatch.setattr(torch, "get_num_threads", lambda threads=threads: threads)
+        leaves = [tensor.clone().requires_grad_() for tensor in inputs]
+        image = layers(splats, tuple(leaves), composite_kernel)
+        (image.features.square().sum() + image.transmittance.sum()).backward()
+        results.append([image.features, image.transmittance, *(leaf.grad for leaf in leaves)])
+        monkeypatch.undo()
+    assert all(torch.equal(*pair) for pair in zip(*results, strict=True))
+
+
+def test_changed_inputs_are_noticed_before_the_backward_pass() -> None:
+    splats, inputs = polygons(random_field(3))
+    leaf = inputs[3].clone().requires_grad_()
+    opacity = leaf * 1.0
+    image = layers(splats, (*inputs[:3], opacity, inputs[4]), composite_kernel)
+    with torch.no_grad():
+        opacity.mul_(0.5)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        image.features.sum().backward()
+
+
+def test_forward_mode_of_the_torch_function() -> None:
+    load_forward_mode()
+    splats, inputs = polygons(random_field(6, seed=7))
+    directions = tuple(1e-2 * weights(tensor.shape).to(tensor) for tensor in inputs)
+    with forward_ad.dual_level():
+        duals = tuple(forward_ad.make_dual(tensor, d) for tensor, d in zip(inputs, directions, strict=True))
+        image = layers(splats, duals, composite_kernel)
+        tangents = [forward_ad.unpack_dual(tensor).tangent for tensor in (image.features, image.transmittance)]
+    plain = Splats(splats.convex, splats.starts, *inputs[1:])
+    expected = composite_tangents(plain, inputs[0], [directions])
+    assert all(torch.equal(tangent, some[0]) for tangent, some in zip(tangents, expected, strict=True))
+    assert tangents[0].abs().max() > 0
