@@ -38,6 +38,7 @@ class VideoEncoder(nn.Module):
         super().__init__()
         self.config = config
         self.model = VideoMAEModel(_videomae_config(config))
+        self.model.set_attn_implementation("eager")  # on a processor faster than the fused kernel at these lengths
         self.model.embeddings.position_embeddings = position_table(config)
         noise = torch.rand(config.tokens, generator=torch.Generator().manual_seed(0))
         self.register_buffer("tie_break", noise, persistent=False)
@@ -117,7 +118,6 @@ def _videomae_config(config: EncoderConfig) -> VideoMAEConfig:
         hidden_dropout_prob=config.dropout,
         attention_probs_dropout_prob=0.0,
         layer_norm_eps=1e-6,
-        attn_implementation="eager",  # on a processor faster than the fused kernel at these lengths
     )
 
 
