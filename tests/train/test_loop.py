@@ -36,7 +36,7 @@ def validations(run: Path) -> list[dict]:
 def test_it_learns_stiffness_from_motion(
     tiny_data: Path, tiny_cache: Path, tiny_config: TrainConfig, tmp_path: Path
 ) -> None:
-    config = tiny_config.model_copy(update={"epochs": 66})
+    config = tiny_config.model_copy(update={"epochs": 120})
     result = train_predictor(config, [tiny_data], tmp_path, cpu=True, cache=tiny_cache)
     history = losses(tmp_path)
     assert np.mean(history[-6:]) < 0.8 * np.mean(history[:6])
