@@ -7,15 +7,13 @@ Units are SI; names that end in `_deg` are degrees. A range is written as a numb
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from physconvex.errors import InputError
+from physconvex.configuration import read_tree, set_value, validated
 
 __all__ = [
     "AppearanceConfig",
@@ -218,48 +216,8 @@ def load_config(source: str | Path | None = None, *, overrides: Sequence[str] = 
     Raises:
         InputError: no such file or preset, bad YAML, an unknown name or a value out of range.
     """
-    tree: dict[str, Any] = {} if source is None else read_yaml(source)
+    expected = "sections such as `motion:`"
+    tree = {} if source is None else read_tree(source, "data_gen", argument="config", expected=expected)
     for override in overrides:
-        apply_override(tree, override)
-    try:
-        return GeneratorConfig.model_validate(tree)
-    except ValidationError as error:
-        lines = (f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']} (got {e['input']!r})" for e in error.errors())
-        raise InputError("configuration: " + "; ".join(lines)) from error
-
-
-def read_yaml(source: str | Path) -> dict[str, Any]:
-    """The tree in a YAML file, or in the preset of that name."""
-    preset = resources.files("data_gen") / "presets" / f"{source}.yaml"
-    if Path(source).is_file():
-        text = Path(source).read_text(encoding="utf-8")
-    elif "/" not in str(source) and preset.is_file():
-        text = preset.read_text(encoding="utf-8")
-    else:
-        folder = resources.files("data_gen") / "presets"
-        names = sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
-        raise InputError(f"config: got {str(source)!r}; expected a YAML file or one of the presets {', '.join(names)}")
-    try:
-        tree = yaml.safe_load(text) or {}
-    except yaml.YAMLError as error:
-        raise InputError(f"config: {source} is no valid YAML: {error}") from error
-    if not isinstance(tree, dict):
-        raise InputError(f"config: {source} holds {type(tree).__name__}; expected sections such as `motion:`")
-    return tree
-
-
-def apply_override(tree: dict[str, Any], override: str) -> None:
-    """Set `section.name=value` in a configuration tree; the value is YAML."""
-    path, equals, text = override.partition("=")
-    *sections, name = path.strip().split(".")
-    if not equals or not name:
-        raise InputError(f"--set: got {override!r}; expected section.name=value, as material.poisson_ratio=[0.3,0.4]")
-    for section in sections:
-        branch = tree.setdefault(section, {})
-        if not isinstance(branch, dict):
-            raise InputError(f"--set: {section!r} in {override!r} is a value, not a section")
-        tree = branch
-    try:
-        tree[name] = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise InputError(f"--set: {override!r}: the value is no valid YAML: {error}") from error
+        set_value(tree, override, example="material.poisson_ratio=[0.3,0.4]")
+    return validated(GeneratorConfig, tree, argument="configuration")

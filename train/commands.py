@@ -15,7 +15,7 @@ def train(
     data: Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")],
     out: Annotated[Path, typer.Option(help="Run folder; its `best/` is the checkpoint.")],
     config: Annotated[str | None, typer.Option(help="YAML file or preset (`default`).")] = None,
-    epochs: Annotated[int | None, typer.Option(help="Epochs of the whole network.")] = None,
+    epochs: Annotated[int | None, typer.Option(help="Epochs.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
     device: Annotated[str, typer.Option(help="`auto` (an accelerator if there is one) or `cpu`.")] = "auto",
     resume: Annotated[bool, typer.Option(help="Go on with the run in --out.")] = True,

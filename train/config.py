@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from importlib import resources
 from pathlib import Path
 from typing import Literal
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from models.checkpoint import ClipSettings
 from models.config import NetworkConfig
-from physconvex.errors import InputError
+from physconvex.configuration import read_tree, validated
 
 __all__ = ["AugmentConfig", "LossConfig", "TrainConfig", "load_train_config"]
 
@@ -108,29 +106,6 @@ def load_train_config(source: str | Path | None = None, **overrides: object) -> 
     Raises:
         InputError: no such file or preset, bad YAML, an unknown name or a value out of range.
     """
-    tree = {} if source is None else _read_yaml(source)
+    tree = {} if source is None else read_tree(source, "train", argument="config", expected="names and values")
     tree |= {name: value for name, value in overrides.items() if value is not None}
-    try:
-        return TrainConfig.model_validate(tree)
-    except ValidationError as error:
-        lines = (f"{'.'.join(map(str, e['loc']))}: {e['msg']} (got {e['input']!r})" for e in error.errors())
-        raise InputError("config: " + "; ".join(lines)) from error
-
-
-def _read_yaml(source: str | Path) -> dict[str, object]:
-    folder = resources.files("train") / "presets"
-    preset = folder / f"{source}.yaml"
-    if Path(source).is_file():
-        text = Path(source).read_text(encoding="utf-8")
-    elif "/" not in str(source) and preset.is_file():
-        text = preset.read_text(encoding="utf-8")
-    else:
-        names = sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name[-5:] == ".yaml")
-        raise InputError(f"config: got {str(source)!r}; expected a YAML file or a preset ({', '.join(names)})")
-    try:
-        tree = yaml.safe_load(text) or {}
-    except yaml.YAMLError as error:
-        raise InputError(f"config: {source} is no valid YAML: {error}") from error
-    if not isinstance(tree, dict):
-        raise InputError(f"config: {source} holds {type(tree).__name__}; expected names and values")
-    return tree
+    return validated(TrainConfig, tree, argument="config")

@@ -68,8 +68,8 @@ def train_predictor(
         out: run folder: `config.json`, `log.jsonl`, `tensorboard/`, `state.safetensors`, `best/`.
         cpu: use no accelerator. Devices and processes are otherwise those of `accelerate launch` or `torchrun`.
         resume: go on from `state.safetensors` where there is one.
-        minutes: stop after this time, the learning rate falling accordingly. How far a run comes
-             then depends on the machine, so it repeats only nearly.
+        minutes: stop after this time, the learning rate falling accordingly. How far a run comes then depends on the
+            machine, so it repeats only nearly.
         cache: where prepared clips live; `out/cache` unless given.
         report: called with a name of the work, the number done and the total.
 

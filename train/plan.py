@@ -19,7 +19,6 @@ class Step:
     """One update."""
 
     epoch: int
-    """Counted over both phases."""
     clips: list[int]
     ends_epoch: bool
 

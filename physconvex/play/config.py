@@ -6,13 +6,12 @@ Units are SI; names that end in `_deg` are degrees.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from physconvex.configuration import read_tree, set_value, validated
 from physconvex.errors import InputError
 from physconvex.materials import LawName
 
@@ -25,12 +24,13 @@ __all__ = [
     "PlayConfig",
     "TimeConfig",
     "load_play_config",
-    "preset_names",
 ]
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
+
+_EXAMPLE = "material.youngs_modulus=1.0e5"
 
 
 class Frozen(BaseModel):
@@ -141,56 +141,16 @@ class PlayConfig(Frozen):
     time: TimeConfig = TimeConfig()
 
 
-def preset_names() -> list[str]:
-    """Names of the presets that come with the package."""
-    folder = resources.files("physconvex.play") / "presets"
-    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
-
-
 def load_play_config(source: str | Path | None = None, *, overrides: Sequence[str] = ()) -> PlayConfig:
     """Configuration from a preset name, a YAML file, or the defaults, with `section.name=value` overrides.
 
     Raises:
         InputError: no such file or preset, bad YAML, an unknown name or a value out of range.
     """
-    tree = {} if source is None else _read_yaml(source)
+    expected = "sections such as `material:`"
+    tree = {} if source is None else read_tree(source, "physconvex.play", argument="preset", expected=expected)
     for override in overrides:
-        _override(tree, override)
-    try:
-        return PlayConfig.model_validate(tree)
-    except ValidationError as error:
-        lines = (f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']} (got {e['input']!r})" for e in error.errors())
-        raise InputError("configuration: " + "; ".join(lines)) from error
-
-
-def _read_yaml(source: str | Path) -> dict[str, Any]:
-    preset = resources.files("physconvex.play") / "presets" / f"{source}.yaml"
-    if "/" not in str(source) and preset.is_file():
-        text = preset.read_text(encoding="utf-8")
-    elif Path(source).is_file():
-        text = Path(source).read_text(encoding="utf-8")
-    else:
-        names = ", ".join(preset_names())
-        raise InputError(f"preset: got {str(source)!r}; expected a YAML file or one of the presets {names}")
-    try:
-        tree = yaml.safe_load(text) or {}
-    except yaml.YAMLError as error:
-        raise InputError(f"preset: {source} is no valid YAML: {error}") from error
-    if not isinstance(tree, dict):
-        raise InputError(f"preset: {source} holds {type(tree).__name__}; expected sections such as `material:`")
-    return tree
-
-
-def _override(tree: dict[str, Any], override: str) -> None:
-    """Set `section.name=value`; the value is YAML."""
-    path, equals, text = override.partition("=")
-    section, dot, name = path.strip().partition(".")
-    if not (equals and dot and name):
-        raise InputError(f"--set: got {override!r}; expected section.name=value, as material.youngs_modulus=1.0e5")
-    branch = tree.setdefault(section, {})
-    if not isinstance(branch, dict):
-        raise InputError(f"--set: {section!r} in {override!r} is a value, not a section")
-    try:
-        branch[name] = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise InputError(f"--set: the value of {override!r} is no valid YAML: {error}") from error
+        if "." not in override.partition("=")[0]:
+            raise InputError(f"--set: got {override!r}; expected section.name=value, as {_EXAMPLE}")
+        set_value(tree, override, example=_EXAMPLE)
+    return validated(PlayConfig, tree, argument="configuration")

@@ -8,10 +8,10 @@ import trimesh
 from typer import Typer
 from typer.testing import CliRunner
 
+from physconvex.configuration import preset_names
 from physconvex.errors import InputError
 from physconvex.play import PlayConfig, load_play_config, play, read_surface
 from physconvex.play.command import simulate
-from physconvex.play.config import preset_names
 
 QUICK = ["basis.max_nodes=80", "basis.modes=2", "time.frames=3", "time.steps_per_frame=4", "basis.mesher=lattice"]
 
@@ -60,7 +60,7 @@ def test_the_command_writes_trajectory_frames_and_summary(ball, tmp_path):
 
 
 def test_presets_are_what_their_names_say():
-    configs = {name: load_play_config(name) for name in preset_names()}
+    configs = {name: load_play_config(name) for name in preset_names("physconvex.play")}
     assert set(configs) == {"stiff", "soft", "plasticine", "sand", "push", "moving_floor"}
     assert (configs["stiff"].material.youngs_modulus, configs["stiff"].material.poisson_ratio) == (1e7, 0.49)
     assert (configs["soft"].material.youngs_modulus, configs["soft"].material.poisson_ratio) == (8e3, 0.4)

@@ -1,0 +1,86 @@
+"""Frozen configurations read from YAML: a file or a preset, single values set over it, errors in plain words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from physconvex.errors import InputError
+
+__all__ = ["preset_names", "read_tree", "set_value", "validated"]
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def preset_names(package: str) -> list[str]:
+    """Names of the presets in the folder `presets` of a package."""
+    folder = resources.files(package) / "presets"
+    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+
+
+def read_tree(source: str | Path, package: str, *, argument: str, expected: str) -> dict[str, Any]:
+    """The tree in a YAML file, or in the preset of that name.
+
+    Args:
+        source: path of a file, or name of a preset; a file goes first.
+        package: whose presets.
+        argument: what the source is called in errors.
+        expected: what a file should hold, for errors.
+
+    Raises:
+        InputError: no such file or preset, bad YAML, or no names and values.
+    """
+    preset = resources.files(package) / "presets" / f"{source}.yaml"
+    if Path(source).is_file():
+        text = Path(source).read_text(encoding="utf-8")
+    elif "/" not in str(source) and preset.is_file():
+        text = preset.read_text(encoding="utf-8")
+    else:
+        names = ", ".join(preset_names(package))
+        raise InputError(f"{argument}: got {str(source)!r}; expected a YAML file or one of the presets {names}")
+    try:
+        tree = yaml.safe_load(text) or {}
+    except yaml.YAMLError as error:
+        raise InputError(f"{argument}: {source} is no valid YAML: {error}") from error
+    if not isinstance(tree, dict):
+        raise InputError(f"{argument}: {source} holds {type(tree).__name__}; expected {expected}")
+    return tree
+
+
+def set_value(tree: dict[str, Any], override: str, *, example: str) -> None:
+    """Set `section.name=value` in a tree; the value is YAML. `example` is shown in errors.
+
+    Raises:
+        InputError: another form, a section that is a value, or bad YAML.
+    """
+    path, equals, text = override.partition("=")
+    *sections, name = path.strip().split(".")
+    if not equals or not name:
+        raise InputError(f"--set: got {override!r}; expected section.name=value, as {example}")
+    for section in sections:
+        branch = tree.setdefault(section, {})
+        if not isinstance(branch, dict):
+            raise InputError(f"--set: {section!r} in {override!r} is a value, not a section")
+        tree = branch
+    try:
+        tree[name] = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise InputError(f"--set: {override!r}: the value is no valid YAML: {error}") from error
+
+
+def validated(model: type[Model], tree: Mapping[str, Any], *, argument: str) -> Model:
+    """The configuration, or an error with every place that is wrong.
+
+    Raises:
+        InputError: an unknown name or a value out of range.
+    """
+    try:
+        return model.model_validate(tree)
+    except ValidationError as error:
+        lines = (f"{'.'.join(str(part) for part in e['loc'])}: {e['msg']} (got {e['input']!r})" for e in error.errors())
+        raise InputError(f"{argument}: " + "; ".join(lines)) from error
