@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from physconvex.camera import UNDISTORT_ITERATIONS, Camera
 
@@ -74,7 +75,8 @@ class View:
         columns, rows = (torch.arange(size).to(self.focal) + 0.5 for size in (self.width, self.height))
         pixels = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), dim=-1)
         distorted = (pixels - self.principal) / self.focal
-        if not self.distortion.detach().any() and not self.distortion.requires_grad:
+        followed = self.distortion.requires_grad or forward_ad.unpack_dual(self.distortion).tangent is not None
+        if not self.distortion.detach().any() and not followed:
             return distorted
         plane = distorted
         k1, k2 = self.distortion.unbind()

@@ -1,14 +1,18 @@
 """Derivatives of all pixels by few parameters, against differences and between implementations."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from physconvex import InputError
+from physconvex.camera import look_at
 from physconvex.convex import ConvexField
 from physconvex.render import View, render, render_jacobian
+from physconvex.render.jacobian import load_forward_mode
 from tests.convex.agreement import assert_agrees
 from tests.convex.fields import random_field
 from tests.convex.scenes import camera
@@ -76,3 +80,14 @@ def test_parameters_must_be_one_row() -> None:
     for wrong in (torch.zeros(0), torch.zeros(())):
         with pytest.raises(InputError, match="parameters"):
             render_jacobian(scene, wrong)
+
+
+def test_a_lens_without_distortion_can_be_differentiated_by_it() -> None:
+    load_forward_mode()
+    view = View.of(look_at((0, -4, 0.5), (0, 0, 0.5), width=6, height=4, vertical_field_of_view=0.6), torch.float64)
+    k1 = torch.tensor([1.0, 0.0], dtype=torch.float64)
+    with forward_ad.dual_level():
+        dual = forward_ad.make_dual(torch.zeros_like(k1), k1)
+        tangent = forward_ad.unpack_dual(replace(view, distortion=dual).pixel_coordinates()).tangent
+    plane = view.pixel_coordinates()
+    torch.testing.assert_close(tangent, -plane * plane.square().sum(dim=-1, keepdim=True))
