@@ -7,28 +7,15 @@ from jaxtyping import Float
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from torch import Tensor
 
-from physconvex.contact import Contact, Friction
+from physconvex.contact import Friction
 from physconvex.inelastic import FlowStep
 from physconvex.integrators import State, StepCoefficients
 from physconvex.linear_solvers import NotPositiveDefiniteError
+from physconvex.reduced.body import function_by_function
 from physconvex.reduced.scene import ReducedScene
+from physconvex.reduced.surface_contact import SurfaceContact, add_surface_blocks, contact_blocks
 
-__all__ = ["StepEquations", "contact_blocks"]
-
-
-def contact_blocks(contact: Contact, x: Float[np.ndarray, "S 3"], time: float) -> Float[np.ndarray, "S 3 3"]:
-    """Exact second derivatives of the contact energy [N/m], with the curvature of the obstacles."""
-    blocks = contact.hessian_blocks(x, time)
-    for obstacle in contact.obstacles:
-        bend = obstacle.curvature(x, time)
-        if not bend.any():
-            continue
-        bare = Contact((obstacle,), contact.areas, contact.stiffness, contact.smoothing, contact.slip_velocity)
-        _, pull = bare.energy_and_gradient(x, time)  # −A ψ' n
-        normals = obstacle.normals(x, time)
-        tangential = np.eye(3) - normals[:, :, None] * normals[:, None, :]
-        blocks += ((pull * normals).sum(1) * bend)[:, None, None] * tangential
-    return blocks
+__all__ = ["StepEquations"]
 
 
 class StepEquations:
@@ -38,6 +25,7 @@ class StepEquations:
         self.scene, self.body = scene, scene.body
         self.contact = scene.contact()
         self.surface = scene.body.space.surface_values
+        self.touch = SurfaceContact(self.contact, self.surface)
         self.pins = scene.pin_springs()
         self.areas = scene.body.space.samples.surface_areas
         self.start = scene.start
@@ -50,6 +38,7 @@ class StepEquations:
         self.forces = scene.external_forces(0.0)
         self.time = 0.0
         self.viscous: Tensor | None = None
+        self._viscous_stiffness: tuple[Tensor, np.ndarray] | None = None
         self.friction: tuple[Friction, ...] = ()
         self.undo = None if self.body.flow is None else self.body.unflowed()  # F_f⁻¹, stored from step to step
         self.response: FlowStep | None = None
@@ -93,9 +82,9 @@ class StepEquations:
     def evaluate(self, x: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
         """Incremental potential [J] and its derivative [N]."""
         energy, gradient = self.body.energy_and_gradient(x, response=self.response)
-        touch, push = self.contact.energy_and_gradient(self.surface @ x, self.time)
+        touch, push = self.touch.energy_and_gradient(x, self.time)
         energy += touch - float((self.forces * (x - self.start)).sum())
-        gradient = gradient + self.surface.T @ push - self.forces
+        gradient = gradient + push - self.forces
         if self.pins is not None:
             stretch, hold = self.pins.energy_and_gradient(x, self.time)
             energy, gradient = energy + stretch, gradient + hold
@@ -109,8 +98,7 @@ class StepEquations:
 
     def dissipation(self, velocity: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
         """Rate potential [W] of friction, viscosity, drag and wind; generalised forces against the motion [N]."""
-        loss, rub = self.contact.friction_energy_and_gradient(self.friction, self.surface @ velocity)
-        force = self.surface.T @ rub
+        loss, force = self.touch.friction(self.friction, velocity)
         if self.viscous is not None:
             power, push = self.body.viscous_energy_and_gradient(self.viscous, velocity, self.scene.damping_time)
             loss, force = loss + power, force + push
@@ -126,40 +114,43 @@ class StepEquations:
 
     def hessian(self, x: Float[np.ndarray, "R 3"], *, project: bool = False) -> Float[np.ndarray, "N N"]:
         """Second derivative [N/m], N = 3 R; exact, or its positive definite approximation."""
+        return function_by_function(self._hessian_blocks(x, project=project))
+
+    def _hessian_blocks(self, x: np.ndarray, *, project: bool) -> Float[np.ndarray, "3 R 3 R"]:
+        """The same, components first."""
         step = np.inf if self.coefficients is None else self.coefficients.step
-        ratio = self.scene.damping_time / step
-        matrix = self.body.hessian(
-            x, project=project, viscous_state=self.viscous, damping_ratio=ratio, response=self.response
-        )
+        matrix = self.body.stiffness_blocks(x, project=project, response=self.response)
+        if self.viscous is not None:
+            matrix += self._viscous_blocks(self.viscous, self.scene.damping_time / step)
+        add_surface_blocks(matrix, self.surface, self._sample_blocks(x, step, project=project))
+        inertia = np.zeros_like(self.body.mass) if self.pins is None else self.pins.matrix
+        if np.isfinite(step):
+            inertia = inertia + (1 / step**2 + self.scene.air_drag / step) * self.body.mass
+        for i in range(3):
+            matrix[i, :, i] += inertia
+        return matrix
+
+    def _viscous_blocks(self, state: Tensor, ratio: float) -> np.ndarray:
+        """Stiffness of the viscosity, the same in the whole step."""
+        if self._viscous_stiffness is None or self._viscous_stiffness[0] is not state:
+            self._viscous_stiffness = state, self.body.viscous_blocks(state, ratio)
+        return self._viscous_stiffness[1]
+
+    def _sample_blocks(self, x: np.ndarray, step: float, *, project: bool) -> Float[np.ndarray, "S 3 3"]:
+        """Second derivatives by the positions of the surface samples."""
         at = self.surface @ x
         blocks = self.contact.hessian_blocks(at, self.time) if project else contact_blocks(self.contact, at, self.time)
         if self.friction:
             blocks = blocks + self.contact.friction_blocks(self.friction) / step
         if self.coefficients is not None and self.scene.wind is not None:
             blocks = blocks + self.wind_blocks(self.coefficients.velocity(x)) / step
-        self._add_surface(matrix, blocks)
-        if self.pins is not None:
-            matrix += np.kron(self.pins.matrix, np.eye(3))
-        if np.isfinite(step):
-            matrix += np.kron((1 / step**2 + self.scene.air_drag / step) * self.body.mass, np.eye(3))
-        return matrix
+        return blocks
 
     def wind_blocks(self, velocity: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "S 3 3"]:
         """Derivative of the force of the wind on the surface samples by their velocities [N·s/m]; zero without wind."""
         if self.scene.wind is None:
             return np.zeros((len(self.areas), 3, 3))
         return self.scene.wind.blocks(self.surface @ velocity, self.areas, self.time)
-
-    def _add_surface(self, matrix: np.ndarray, blocks: np.ndarray) -> None:
-        """Add Σ_s N_a(s) B_s N_b(s) over the samples whose block is not zero."""
-        touched = np.flatnonzero(blocks.any(axis=(1, 2)))
-        if not len(touched):
-            return
-        values, size = self.surface[touched], len(self.start)
-        by_component = matrix.reshape(size, 3, size, 3)
-        for i in range(3):
-            for k in range(3):
-                by_component[:, i, :, k] += values.T @ (blocks[touched, i, k, None] * values)
 
     def factorise(self, x: Float[np.ndarray, "R 3"], *, project: bool) -> None:
         """Cholesky factor of the Hessian at x.
@@ -170,7 +161,9 @@ class StepEquations:
         self.factorised = False
         self._factor = None
         try:
-            self._factor = cho_factor(self.hessian(x, project=project), lower=True, overwrite_a=True)
+            blocks = self._hessian_blocks(x, project=project)
+            square = blocks.reshape(self.start.size, self.start.size)
+            self._factor = cho_factor(square.T, lower=True, overwrite_a=True)  # symmetric, and its columns contiguous
         except (LinAlgError, ValueError) as error:  # ValueError: not finite
             raise NotPositiveDefiniteError(f"the reduced Hessian has no Cholesky factor: {error}") from error
         self._factorised_step = np.nan if self.coefficients is None else self.coefficients.step
@@ -180,4 +173,4 @@ class StepEquations:
     def solve(self, rhs: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:
         """Apply the inverse of the last factorised Hessian."""
         assert self._factor is not None
-        return cho_solve(self._factor, rhs.reshape(-1), check_finite=False).reshape(rhs.shape)
+        return cho_solve(self._factor, rhs.T.reshape(-1), check_finite=False).reshape(3, -1).T.copy()

@@ -144,14 +144,21 @@ class _Stepper:
         coefficients = bdf2(state, history, step) if two_step and history else implicit_euler(state, step)
         self.equations.set_step(coefficients, state.time + step, guess, state)
         passes = [self._minimise(guess)]
+        enough = step * self.equations.contact.slip_velocity
         while len(passes) < self.friction_passes and self.equations.freeze_friction(passes[-1].x):
             passes.append(self._minimise(passes[-1].x))
+            if self._largest_change(passes[-1].x - passes[-2].x) <= enough:
+                break
         x = passes[-1].x
         if not np.isfinite(x).all():
             raise ConvergenceError("the new state is not finite")
         self.steps += 1
         after = State(state.time + step, x, coefficients.velocity(x))
         return StepRecord(state, history, two_step, step, coefficients, self.equations.viscous, tuple(passes), after)
+
+    def _largest_change(self, change: np.ndarray) -> float:
+        """Largest component of a change of position of the surface samples [m]."""
+        return float(np.abs(self.equations.surface @ change).max(initial=0.0))
 
     def _minimise(self, start: np.ndarray) -> SolvedPass:
         found: Minimum = minimise(self.equations, start, tolerance=self.tolerance)
@@ -177,7 +184,7 @@ def simulate(
     steps_per_frame: int = 16,
     integrator: IntegratorName = "bdf2",
     tolerance: float = 1e-7,
-    friction_passes: int = 2,
+    friction_passes: int = 12,
     observer: Observer | None = None,
     on_frame: Callable[[int], None] | None = None,
 ) -> ReducedTrajectory:
@@ -190,7 +197,9 @@ def simulate(
         steps_per_frame: time steps between frames.
         integrator: "bdf2" (second order, first step implicit Euler) or "implicit_euler".
         tolerance: Newton's last step, relative to the body's size.
-        friction_passes: how often friction is linearised and solved in each step, and the pressure in sand taken.
+        friction_passes: how often friction is linearised and solved in each step at most, and the pressure in sand
+            taken; fewer are made where the surface's velocities no longer change by more than the scene's
+            `slip_velocity`. The full model's rule, see docs/decisions/001-frozen-friction.md.
         observer: called with the equations and the record of every converged step.
         on_frame: called with the number of every finished frame.
 
