@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.linalg import lu_factor, lu_solve
 
 from physconvex.errors import InputError
 from physconvex.integrators import extrapolate
@@ -98,8 +97,7 @@ class _Sweep:
     def _back_solve(self, solved: SolvedPass, x_bar: np.ndarray) -> np.ndarray:
         """−H⁻¹ x̄: derivative of the loss by the gradient of the incremental potential."""
         self.equations.friction = solved.friction
-        factor = lu_factor(self.equations.hessian(solved.x), check_finite=False)
-        return -lu_solve(factor, x_bar.ravel(), check_finite=False).reshape(x_bar.shape)
+        return -self.equations.exact_solve(solved.x, x_bar[None])[0]
 
     def _back_gradient(
         self, record: StepRecord, number: int, guess: np.ndarray, force_bar: np.ndarray, bars: _StepBars

@@ -229,7 +229,7 @@ class ReducedBody:
     def stiffness_blocks(
         self, y: Float[np.ndarray, "R 3"], *, project: bool = False, response: FlowStep | None = None
     ) -> Float[np.ndarray, "3 R 3 R"]:
-        """The stiffness matrix without viscosity [N/m], components first: `hessian` before its rows are put in order."""
+        """The stiffness matrix without viscosity [N/m], components first."""
         if self._quick is not None and not project:
             blocks = self._quick.hessian_blocks(y)
             if blocks is not None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg import lu_factor, lu_solve
+from scipy.linalg.lapack import dpotrf, dpotrs
 from torch import Tensor
 
 from physconvex.contact import Friction
@@ -13,9 +16,13 @@ from physconvex.integrators import State, StepCoefficients
 from physconvex.linear_solvers import NotPositiveDefiniteError
 from physconvex.reduced.body import function_by_function
 from physconvex.reduced.scene import ReducedScene
+from physconvex.reduced.secants import Secants
 from physconvex.reduced.surface_contact import SurfaceContact, add_surface_blocks, contact_blocks
 
 __all__ = ["StepEquations"]
+
+_SECANTS = 8  # pairs of changes kept
+_ROUNDED = 1e-9  # share of the body's size below which a change is left out of them
 
 
 class StepEquations:
@@ -33,7 +40,8 @@ class StepEquations:
         self.factorisations = 0
         self.rounding = 1e-15 * self.body.shear_scale
         self._factorised_step = np.nan
-        self._factor: tuple[np.ndarray, bool] | None = None
+        self._factor: np.ndarray | None = None
+        self.secants = Secants(_SECANTS, smallest=_ROUNDED * self.body.space.samples.size)
         self.coefficients: StepCoefficients | None = None
         self.forces = scene.external_forces(0.0)
         self.time = 0.0
@@ -52,7 +60,7 @@ class StepEquations:
         """
         self.coefficients, self.time, self._duration = coefficients, time, time - last.time
         self.forces = self.scene.external_forces(time)
-        if self.factorised and not np.isclose(coefficients.step, self._factorised_step):
+        if self.factorised and not math.isclose(coefficients.step, self._factorised_step, rel_tol=1e-9):
             self.factorised = False
         self.viscous = self.body.deformation_gradient(guess) if self.scene.damping_time > 0 else None
         self._freeze(last.positions, coefficients.velocity(guess), last.time)
@@ -73,6 +81,7 @@ class StepEquations:
         return None if self.undo is None else np.linalg.inv(self.undo.cpu().numpy())
 
     def _freeze(self, y: np.ndarray, velocity: np.ndarray, time: float) -> None:
+        self.secants.interrupt()
         self.friction = self.contact.freeze_friction(self.surface @ y, self.surface @ velocity, time)
         if self.undo is not None:
             self.response = self.body.flow_step(self.undo, y, self._duration)
@@ -94,6 +103,7 @@ class StepEquations:
             loss, drag = self.dissipation(self.coefficients.velocity(x))
             energy += 0.5 * float((offset * pull).sum()) + self.coefficients.step * loss
             gradient = gradient + pull + drag
+        self.secants.note(x, gradient)
         return energy, gradient
 
     def dissipation(self, velocity: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
@@ -160,17 +170,39 @@ class StepEquations:
         """
         self.factorised = False
         self._factor = None
-        try:
-            blocks = self._hessian_blocks(x, project=project)
-            square = blocks.reshape(self.start.size, self.start.size)
-            self._factor = cho_factor(square.T, lower=True, overwrite_a=True)  # symmetric, and its columns contiguous
-        except (LinAlgError, ValueError) as error:  # ValueError: not finite
-            raise NotPositiveDefiniteError(f"the reduced Hessian has no Cholesky factor: {error}") from error
+        blocks = self._hessian_blocks(x, project=project)
+        square = blocks.reshape(self.start.size, self.start.size).T  # symmetric, and its columns contiguous
+        if not np.isfinite(square[0, 0]) or not np.isfinite(square).all():
+            raise NotPositiveDefiniteError("the reduced Hessian is not finite")
+        factor, failed = dpotrf(square, lower=1, clean=0, overwrite_a=1)
+        if failed:
+            raise NotPositiveDefiniteError(
+                f"the reduced Hessian has no Cholesky factor: minor {failed} is not positive"
+            )
+        self._factor = factor
+        self.secants.forget()
         self._factorised_step = np.nan if self.coefficients is None else self.coefficients.step
         self.factorisations += 1
         self.factorised = True
 
     def solve(self, rhs: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:
-        """Apply the inverse of the last factorised Hessian."""
+        """Apply the inverse of the last factorised Hessian, corrected by the gradients met since then."""
         assert self._factor is not None
-        return cho_solve(self._factor, rhs.T.reshape(-1), check_finite=False).reshape(3, -1).T.copy()
+        return self.secants.solve(self._unfactor, rhs.reshape(-1)).reshape(rhs.shape)
+
+    def _unfactor(self, rhs: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+        assert self._factor is not None
+        by_component = rhs.reshape(-1, 3).T.reshape(-1)
+        out, _ = dpotrs(self._factor, by_component, lower=1)
+        return out.reshape(3, -1).T.reshape(-1)
+
+    def exact_solve(self, x: Float[np.ndarray, "R 3"], rhs: Float[np.ndarray, "P R 3"]) -> Float[np.ndarray, "P R 3"]:
+        """Apply the inverse of the exact Hessian at x to P vectors; it may be indefinite."""
+        square = self._hessian_blocks(x, project=False).reshape(self.start.size, self.start.size).T
+        columns = np.ascontiguousarray(rhs.transpose(2, 1, 0)).reshape(self.start.size, -1)
+        factor, failed = dpotrf(square, lower=1, clean=0)
+        if failed:
+            solved = lu_solve(lu_factor(square, check_finite=False), columns, check_finite=False)
+        else:
+            solved, _ = dpotrs(factor, columns, lower=1)
+        return solved.reshape(3, len(self.start), -1).transpose(2, 1, 0).copy()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -30,6 +31,7 @@ from physconvex.reduced.space import ReducedSpace
 __all__ = ["ReducedTrajectory", "SolvedPass", "StepRecord", "simulate"]
 
 _MAX_HALVINGS = 8
+_STALE_RATE = 0.5  # secants make up for a factor that has grown old
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,7 @@ class _Stepper:
         return record.after
 
     def _try(self, state: State, step: float) -> StepRecord:
-        history = self.previous if np.isclose(self.previous_step, step) else None
+        history = self.previous if math.isclose(self.previous_step, step, rel_tol=1e-9) else None
         guess = extrapolate(state, history, step)
         two_step = self.integrator == "bdf2" and history is not None
         coefficients = bdf2(state, history, step) if two_step and history else implicit_euler(state, step)
@@ -161,7 +163,7 @@ class _Stepper:
         return float(np.abs(self.equations.surface @ change).max(initial=0.0))
 
     def _minimise(self, start: np.ndarray) -> SolvedPass:
-        found: Minimum = minimise(self.equations, start, tolerance=self.tolerance)
+        found: Minimum = minimise(self.equations, start, tolerance=self.tolerance, stale_rate=_STALE_RATE)
         self.iterations += found.iterations
         self.projections += found.projections
         return SolvedPass(found.x, self.equations.friction)
@@ -183,7 +185,7 @@ def simulate(
     fps: float = 24.0,
     steps_per_frame: int = 16,
     integrator: IntegratorName = "bdf2",
-    tolerance: float = 1e-7,
+    tolerance: float = 3e-8,
     friction_passes: int = 12,
     observer: Observer | None = None,
     on_frame: Callable[[int], None] | None = None,

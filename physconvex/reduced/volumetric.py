@@ -1,12 +1,13 @@
 """Fast arithmetic for the elastic laws Ψ = μ/2 (I₁ − 3) + f(J): both neo-Hookean laws, float64 on the CPU.
 
-With C = cof F, the stress is P = μ F + f' C, and with u_i = Σ_j C_ij ∂N/∂X_j ∈ R^R the integrated Hessian has the blocks
+With C = cof F, the stress is P = μ F + f' C, and with u_i = Σ_j C_ij ∂N/∂X_j ∈ R^R the integrated Hessian has the
+blocks
 
     H_ik = δ_ik Σ w μ ∂N·∂Nᵀ + Σ w f'' u_i u_kᵀ + Σ w f'/J (u_i u_kᵀ − u_k u_iᵀ)
 
-(the last term is f' ∂C/∂F, because row b of F is the cross product of the other two rows of C over J). The first term is
-constant, the second one symmetric product [3R, Q]·[Q, 3R], the third three products [R, Q]·[Q, R]: 15 R² Q operations in
-all, against 36 R² Q of a general law.
+(the last term is f' ∂C/∂F, because row b of F is the cross product of the other two rows of C over J). The first term
+is constant, the second one symmetric product [3R, Q]·[Q, 3R], the third three products [R, Q]·[Q, R]: 15 R² Q
+operations in all, against 36 R² Q of a general law.
 """
 
 from __future__ import annotations
