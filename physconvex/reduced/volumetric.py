@@ -82,6 +82,7 @@ class VolumetricSamples:
         cofactor -= ring[1:4, 2:] * ring[2:, 1:4]
         return f, cofactor, np.einsum("jq,jq->q", f[0], cofactor[0])
 
+    @np.errstate(over="ignore", invalid="ignore")  # a trial step far too long has no finite energy, and is refused
     def energy_and_gradient(self, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:
         """Elastic energy [J] and its derivative by the coordinates [N]."""
         f, cofactor, j = self._gradient_and_cofactor(y)
