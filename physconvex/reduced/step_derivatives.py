@@ -14,7 +14,8 @@ from physconvex.integrators import State, StepCoefficients
 from physconvex.reduced.body import viscous_stress
 from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.friction_tangents import FreezeTangent
-from physconvex.reduced.parameters import axis_of, check_parameters, mean_density
+from physconvex.reduced.parameters import axis_of, cells_of, check_parameters, mean_density, region_of
+from physconvex.reduced.rotation_vector import rotation_matrix, turning_rates
 from physconvex.reduced.scene import ReducedScene
 
 __all__ = ["StepDerivatives"]
@@ -53,15 +54,43 @@ class StepDerivatives:
         self.scene, self.body, self.names = scene, scene.body, tuple(names)
         self.surface = scene.body.space.surface_values
         self.contact = scene.contact()
-        stiffening = {"log10_contact_stiffness"}
-        if scene.contact_stiffness is None and "log10_contact_stiffness" not in names:
-            stiffening.add("log10_youngs_modulus")
-        self.dlog_stiffness = np.array([_LN10 if name in stiffening else 0.0 for name in names])
+        follows = scene.contact_stiffness is None and "log10_contact_stiffness" not in names
+        self.dlog_stiffness = np.array(
+            [_LN10 * (name == "log10_contact_stiffness" or (follows and self._stiffest(name))) for name in names]
+        )
+        self._heavier = {name: self._mass_of(name) for name in names if region_of(name)[0] == "density"}
         self.dfriction = np.array([float(name == "friction") for name in names])
+        self._moved = self.start().positions
         body, device = self.body, self.body.device
         cells = torch.as_tensor(body.space.samples.interior.cells, device=device)
         constants = (torch.as_tensor(c, device=device) for c in (body.youngs_modulus, body.poisson_ratio))
         self._dmu, self._dlam = (slope[cells] for slope in _lame_slopes(*constants))
+
+    def _stiffest(self, name: str) -> bool:
+        """Whether a parameter is the E that default stiffnesses follow: the largest one."""
+        stem, region = region_of(name)
+        modulus = self.body.youngs_modulus * cells_of(self.body, region)
+        return stem == "log10_youngs_modulus" and bool(modulus.max() == self.body.youngs_modulus.max())
+
+    def _mass_of(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the mass matrix and of the first moments by a density."""
+        region = region_of(name)[1]
+        mean = mean_density(self.body, region)
+        if region is None:
+            return self.body.mass / mean, self.body.first_moments / mean
+        mass, moments = self.body.space.mass_matrix(self.body.density * cells_of(self.body, region))
+        return mass / mean, moments / mean
+
+    def _moved_center(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the initial state by a density, which moves the centre of mass."""
+        scene, space, (_, moments) = self.scene, self.body.space, self._heavier[name]
+        one = space.affine(np.zeros((3, 3)), np.array([1.0, 0, 0]))[:, 0]
+        center = self.body.first_moments @ scene.start / self.body.total_mass
+        turn = rotation_matrix(np.asarray(scene.initial_orientation, dtype=np.float64))
+        shift = turn.T @ (moments @ (scene.start - np.outer(one, center))) / self.body.total_mass
+        spin = np.asarray(scene.initial_angular_velocity, dtype=np.float64)
+        position = shift - turn @ shift
+        return np.outer(one, position), np.outer(one, np.cross(spin, position - shift))
 
     def start(self) -> State:
         """Derivatives of the initial state, both of shape [P, R, 3]."""
@@ -70,11 +99,17 @@ class StepDerivatives:
         velocities = positions.copy()
         center = self.body.first_moments @ scene.start / self.body.total_mass
         for i, name in enumerate(self.names):
+            if name in self._heavier:
+                positions[i], velocities[i] = self._moved_center(name)
             stem = name.rpartition("_")[0]
             if not stem.startswith("initial"):
                 continue
             unit = np.eye(3)[axis_of(name)[1]]
-            if stem == "initial_position":
+            if stem == "initial_orientation":
+                rate = turning_rates(np.asarray(scene.initial_orientation, dtype=np.float64)) @ unit
+                positions[i] = np.cross(rate, scene.start) - space.affine(np.zeros((3, 3)), np.cross(rate, center))
+                velocities[i] = np.cross(np.asarray(scene.initial_angular_velocity), positions[i])
+            elif stem == "initial_position":
                 positions[i] = space.affine(np.zeros((3, 3)), unit)
             elif stem == "initial_velocity":
                 velocities[i] = space.affine(np.zeros((3, 3)), unit)
@@ -108,30 +143,48 @@ class StepDerivatives:
             x: coordinates at which the gradient is taken [m].
             state: F* of the viscosity.
         """
-        rate = self.body.deformation_gradient(c.velocity(x))
+        viscous = self.scene.damping_time > 0 or "damping_time" in self.names
+        rate = self.body.deformation_gradient(c.velocity(x)) if viscous else None
         return np.stack([self._explicit(equations, name, c, x, state, rate) for name in self.names])
 
+    def _viscous_forces(
+        self, state: Tensor, rate: Tensor | None, mu: Tensor, lam: Tensor, time: float
+    ) -> Float[np.ndarray, "R 3"]:
+        """Forces of the viscosities time × (μ, λ) [N]; none without a rate."""
+        if rate is None or time == 0:
+            return np.zeros_like(self.scene.start)
+        return self.body.forces_of(viscous_stress(state, rate, time * mu, time * lam))
+
     def _explicit(
-        self, equations: StepEquations, name: str, c: StepCoefficients, x: np.ndarray, state: Tensor, rate: Tensor
+        self,
+        equations: StepEquations,
+        name: str,
+        c: StepCoefficients,
+        x: np.ndarray,
+        state: Tensor,
+        rate: Tensor | None,
     ) -> np.ndarray:
         body, scene, beta = self.body, self.scene, self.scene.damping_time
-        match name:
+        stem, region = region_of(name)
+        match stem:
             case "log10_youngs_modulus":
-                drag = body.forces_of(viscous_stress(state, rate, beta * body.mu, beta * body.lam))
-                return _LN10 * (body.gradient(x) + drag + self._hold(equations, x)) + self._stiffening(
-                    equations, name, x
-                )
+                mu, lam = self._within(region, body.mu, body.lam)
+                force = body.gradient(x) if region is None else self._elastic_forces(x, mu, lam)
+                force = force + self._viscous_forces(state, rate, mu, lam, beta)
+                if self._stiffest(name):
+                    force += self._hold(equations, x)
+                return _LN10 * force + self._stiffening(equations, name, x)
             case "log10_contact_stiffness":
                 return self._stiffening(equations, name, x)
             case "poisson_ratio":
-                stress = body.law.stress(body.deformation_gradient(x), self._dmu, self._dlam)
-                return body.forces_of(stress + viscous_stress(state, rate, beta * self._dmu, beta * self._dlam))
+                mu, lam = self._within(region, self._dmu, self._dlam)
+                return self._elastic_forces(x, mu, lam) + self._viscous_forces(state, rate, mu, lam, beta)
             case "density":
-                weight = body.first_moments[:, None] * scene.uniform_acceleration(equations.time)
+                mass, moments = self._heavier[name]
                 pull = (x - c.target) / c.step**2 + scene.air_drag * c.velocity(x)
-                return (body.mass @ pull - weight) / mean_density(body)
+                return mass @ pull - moments[:, None] * scene.uniform_acceleration(equations.time)
             case "damping_time":
-                return body.forces_of(viscous_stress(state, rate, body.mu, body.lam))
+                return self._viscous_forces(state, rate, body.mu, body.lam, 1.0)
             case "air_drag":
                 return body.mass @ c.velocity(x)
             case "gravity_x" | "gravity_y" | "gravity_z":
@@ -139,9 +192,20 @@ class StepDerivatives:
             case "wind_x" | "wind_y" | "wind_z":
                 pushed = equations.wind_blocks(c.velocity(x)) @ np.eye(3)[axis_of(name)[1]]
                 return -(self.surface.T @ pushed)
-            case "initial_position_x" | "initial_position_y" | "initial_position_z":
-                return self._led(equations, name, x)
+        if name.startswith(("initial_position", "initial_orientation")):
+            return self._led(equations, name, x)
         return np.zeros_like(x)
+
+    def _elastic_forces(self, x: np.ndarray, mu: Tensor, lam: Tensor) -> Float[np.ndarray, "R 3"]:
+        """Forces of the law with other constants [N]."""
+        return self.body.forces_of(self.body.law.stress(self.body.deformation_gradient(x), mu, lam))
+
+    def _within(self, region: int | None, mu: Tensor, lam: Tensor) -> tuple[Tensor, Tensor]:
+        """Constants of the samples of a region, zero elsewhere."""
+        if region is None:
+            return mu, lam
+        here = torch.as_tensor(cells_of(self.body, region)[self.body.space.samples.interior.cells], device=mu.device)
+        return mu * here, lam * here
 
     def _hold(self, equations: StepEquations, x: np.ndarray) -> np.ndarray:
         """Forces of pins whose stiffness follows E."""
@@ -154,7 +218,7 @@ class StepDerivatives:
         """Pins that hold the body where it starts go along with its start."""
         if equations.pins is None or equations.pins.motion is not None:
             return np.zeros_like(x)
-        return -np.outer(equations.pins.values.T @ equations.pins.weights, np.eye(3)[axis_of(name)[1]])
+        return -equations.pins.matrix @ self._moved[self.names.index(name)]
 
     def _stiffening(self, equations: StepEquations, name: str, x: np.ndarray) -> np.ndarray:
         _, push = self.contact.energy_and_gradient(self.surface @ x, equations.time)
