@@ -28,7 +28,7 @@ def reconstruct(
     start: Annotated[str | None, typer.Option(help="mesh, hull, points or auto (the first there is).")] = None,
     points: Annotated[Path | None, typer.Option(help="File whose vertices the convexes may start from [m].")] = None,
     budget: Annotated[int | None, typer.Option(help="Most convexes. Default: 24000.")] = None,
-    steps: Annotated[int | None, typer.Option(help="Steps of the optimiser, one view each. Default: 1500.")] = None,
+    steps: Annotated[int | None, typer.Option(help="Steps of the optimiser, one view each. Default: 400.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
     turntable: Annotated[bool, typer.Option(help="Write a film of the object from all round.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")] = False,

@@ -2,6 +2,7 @@
 
 from physconvex.convex.field import ConvexField
 from physconvex.convex.halfspaces import HalfSpaces, half_spaces, hull_faces, occupancy, support
+from physconvex.convex.halving import halve
 from physconvex.convex.merging import merge
 from physconvex.convex.mesh import hull_mesh, write_glb
 from physconvex.convex.motion import BoundField, DeformationMap, advect, affine_map, bind_to_space, bind_to_tets
@@ -26,6 +27,7 @@ __all__ = [
     "bind_to_tets",
     "coefficients_of_colour",
     "half_spaces",
+    "halve",
     "harmonic_basis",
     "hull_faces",
     "hull_mesh",

@@ -47,7 +47,7 @@ class ReconstructionConfig(BaseModel):
     budget: int = Field(default=24_000, ge=50)
     start_share: Share = 0.6
     filler_share: Share = 0.1
-    steps: int = Field(default=1500, ge=1)
+    steps: int = Field(default=400, ge=1)
     levels: tuple[Share, ...] = (0.25, 0.5, 1.0)
     level_shares: tuple[Share, ...] = (0.1, 0.2, 0.7)
     refinements: int = Field(default=5, ge=0)

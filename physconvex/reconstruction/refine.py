@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from physconvex.convex import ConvexField, split
+from physconvex.convex import ConvexField, halve
 from physconvex.reconstruction.attribution import gather
 from physconvex.reconstruction.observation import Observation
 from physconvex.render import render
@@ -20,6 +20,7 @@ LEAST_OPACITY = 0.03
 DIVISIBLE = 2.5  # extent in footprints from which a convex is split; smaller ones are cloned
 SHARE = 0.2  # of the convexes that one refinement may divide
 CLONE_SHIFT = 0.25  # of its extent by which a clone is moved
+SLIGHT = 2.0  # pixels, over all views, below which a convex may make room for others
 OUTSIDE = 0.2  # a convex is a floater if less than this share of its pixels is covered by the object
 
 
@@ -55,8 +56,8 @@ def refine(
     """Prune, split and clone.
 
     Every convex is charged with the squared differences of the pixels it explains (by `gather`, over all views). Pruned
-    are transparent ones and those that explain background; if the budget is full, also those charged least, so that the
-    ones charged most can be divided.
+    are transparent ones and those that explain background; if the budget is full, also those seen least, so that the
+    ones charged most can be divided. What no view sees stays: it is part of the body all the same.
 
     Args:
         budget: most convexes afterwards.
@@ -70,8 +71,8 @@ def refine(
     wanted = int(SHARE * len(field))
     crowded = min(int(keep.sum()) + wanted - budget, wanted // 2)
     if crowded > 0:
-        seen = (keep & ~fixed & (weight > 0)).nonzero()[:, 0]
-        keep[seen[(charge[seen]).argsort()[:crowded]]] = False
+        slight = (keep & ~fixed & (weight > 0) & (weight < SLIGHT)).nonzero()[:, 0]
+        keep[slight[weight[slight].argsort()[:crowded]]] = False
     room = max(0, min(wanted, budget - int(keep.sum())))
     candidates = (keep & ~fixed & (charge > 0)).nonzero()[:, 0]
     chosen = candidates[charge[candidates].argsort(descending=True)[:room]]
@@ -88,22 +89,23 @@ def _divided(
 ) -> Refinement:
     """Those kept, the large ones split, the small ones cloned."""
     overlap = 2.0 / (field.smoothness * field.sharpness)
-    left = keep.nonzero()[:, 0]
-    division = split(field.select(left), large[left], overlap=torch.minimum(overlap, 0.2 * extent)[left])
-    sources = left[division.sources]
+    whole, parents = (keep & ~large).nonzero()[:, 0], large.nonzero()[:, 0]
+    parts = halve(field.points[parents], torch.minimum(overlap, 0.2 * extent)[parents])
+    sources = torch.cat([whole, parents.repeat_interleave(2)])
+    divided = field.select(sources).with_points(torch.cat([field.points[whole], parts.flatten(0, 1)]))
     fresh = large[sources]
     clones = small.nonzero()[:, 0]
     shift = torch.randn((len(clones), 3), generator=generator)
     shift = CLONE_SHIFT * extent[clones, None] * shift / shift.norm(dim=1, keepdim=True)
     copies = field.select(clones)
     copies = copies.with_points(copies.points + shift[:, None])
-    joined = [torch.cat(pair) for pair in zip(division.field.tensors(), copies.tensors(), strict=True)]
+    joined = [torch.cat(pair) for pair in zip(divided.tensors(), copies.tensors(), strict=True)]
     sources = torch.cat([sources, clones])
     fresh = torch.cat([fresh, torch.ones(len(clones), dtype=torch.bool)])
     # a convex and its clone let through together what the convex did: (1 − o')² = 1 − o
     doubled = small[sources]
     joined[3] = torch.where(doubled, 1 - (1 - joined[3]).clamp(min=0).sqrt(), joined[3])
-    return Refinement(ConvexField(*joined), sources, fresh, len(field) - len(left), int(large[left].sum()), len(clones))
+    return Refinement(ConvexField(*joined), sources, fresh, int((~keep).sum()), len(parents), len(clones))
 
 
 def _charged(

@@ -14,7 +14,7 @@ __all__ = ["fillers", "octahedra", "prisms"]
 GREATEST_GROWTH = 2.0  # of a sliver whose edges are moved outward
 SHARE_OF_WALL = 0.4  # of the way to the other side of the body that a prism may reach
 SURFACE_SAMPLES = 40_000
-LATTICE = 48  # cells along the longest edge at most
+LATTICE = 64  # cells along the longest edge at most
 BOX_POINTS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 WEDGES = np.array([[0, 1, 2, 3, 4, 5], [2, 3, 4, 5, 6, 7]])  # of a box, sharing the diagonal plane
 
@@ -55,7 +55,7 @@ def _wall(mesh: trimesh.Trimesh, corners: np.ndarray, normals: np.ndarray) -> Fl
 
 
 def fillers(mesh: trimesh.Trimesh, *, depth: float, most: int) -> Float[np.ndarray, "B 6 3"]:
-    """At most `most` wedges that fill what lies deeper than `depth` [m] inside a closed surface.
+    """At most `most` wedges that fill what prisms of a `depth` [m] leave free inside a closed surface.
 
     Cells of a lattice that lie inside as a whole, joined to boxes, each cut into two wedges of six points. The lattice
     is made coarser until they are few enough. Boxes reach a twentieth of a cell into each other.
@@ -63,10 +63,10 @@ def fillers(mesh: trimesh.Trimesh, *, depth: float, most: int) -> Float[np.ndarr
     low, size = mesh.bounds[0], float(np.ptp(mesh.bounds, axis=0).max())
     samples, _ = trimesh.sample.sample_surface(mesh, SURFACE_SAMPLES, seed=0)
     tree = cKDTree(samples)
-    cells = min(LATTICE, max(4, int(size / max(depth, size / LATTICE))))
+    cells = min(LATTICE, max(4, int(np.ceil(np.sqrt(3) * size / max(depth, size / LATTICE)))))  # no gaps to the prisms
     while cells >= 4 and most >= 2:
         edge = size / cells
-        inside = _cells_inside(mesh, tree, low, edge, depth)
+        inside = _cells_inside(mesh, tree, low, edge)
         boxes = _joined(inside)
         if 2 * len(boxes) <= most:
             spans = (boxes[:, 1] - boxes[:, 0] + 0.1)[:, None] * BOX_POINTS + boxes[:, :1] - 0.05
@@ -75,15 +75,13 @@ def fillers(mesh: trimesh.Trimesh, *, depth: float, most: int) -> Float[np.ndarr
     return np.zeros((0, 6, 3))
 
 
-def _cells_inside(
-    mesh: trimesh.Trimesh, tree: cKDTree, low: np.ndarray, edge: float, depth: float
-) -> Bool[np.ndarray, "X Y Z"]:
-    """Cells whose every point is inside, at least 0.7 `depth` below the surface."""
+def _cells_inside(mesh: trimesh.Trimesh, tree: cKDTree, low: np.ndarray, edge: float) -> Bool[np.ndarray, "X Y Z"]:
+    """Cells that are inside as a whole."""
     shape = np.ceil(np.ptp(mesh.bounds, axis=0) / edge).astype(int)
     grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1)
     centres = (low + edge * (grid + 0.5)).reshape(-1, 3)
     half_diagonal = 0.5 * np.sqrt(3) * edge
-    deep = np.flatnonzero(tree.query(centres)[0] > max(half_diagonal, 0.7 * depth))
+    deep = np.flatnonzero(tree.query(centres)[0] > half_diagonal)
     inside = np.zeros(len(centres), dtype=bool)
     if len(deep):
         inside[deep] = mesh.contains(centres[deep])
