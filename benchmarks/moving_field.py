@@ -70,7 +70,7 @@ def drop(body: ObjectMesh, nodes: int) -> tuple[TetMesh, np.ndarray]:
     modulus = STIFFNESS * DENSITY * GRAVITY * size
     elastic = ElasticBody(mesh, youngs_modulus=modulus, poisson_ratio=RATIO, density=DENSITY)
     scene = Scene(body=elastic, obstacles=(Plane(friction=0.5),), gravity=(0.0, 0.0, -GRAVITY), damping_time=5e-4)
-    return mesh, simulate(scene, frames=FRAMES, fps=RATE, steps_per_frame=12).positions
+    return mesh, simulate(scene, frames=FRAMES, fps=RATE, steps_per_frame=8).positions
 
 
 def deformations(surface: np.ndarray) -> np.ndarray:

@@ -35,7 +35,10 @@ VIEWS = (StillViews(12, (10, 35, -10), name="fit"), StillViews(4, (20, 0), phase
 
 @dataclass(frozen=True)
 class Row:
-    """One object: means over views, cost, coverage (None for a surface that is open)."""
+    """One object: means over views, cost, coverage (None for a surface that is open).
+
+    `wall_seconds` is that of the fit. `processor_seconds` includes scoring and files; None for a run that was resumed.
+    """
 
     object: str
     start: str
@@ -47,7 +50,7 @@ class Row:
     held_out_ssim: float
     held_out_mask_iou: float
     wall_seconds: float
-    processor_seconds: float
+    processor_seconds: float | None
     peak_memory_mib: float
     coverage: Coverage | None
 
@@ -59,16 +62,16 @@ def measure(name: str, folder: Path, work: Path, options: argparse.Namespace) ->
         write_still_capture(capture, load_user_mesh(folder / name / "model.obj"), VIEWS, size=options.size)
     config = load_reconstruction_config(overrides=options.settings)
     held_out = [f"{VIEWS[1].name}{k}" for k in range(VIEWS[1].count)]
-    wall, processor = time.perf_counter(), time.process_time()
+    processor = time.process_time()
     out = work / f"{name}-{options.size}-result"
-    result = reconstruct(capture, out=out, config=config, held_out=held_out, redo=True)
-    wall, processor = time.perf_counter() - wall, time.process_time() - processor
+    result = reconstruct(capture, out=out, config=config, held_out=held_out, redo=not options.resume)
+    spent = None if options.resume else time.process_time() - processor
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     numbers = result.to_json()
     training, held = numbers["training"]["mean"], numbers["held_out"]["mean"]
     return Row(
         name, result.start, len(result.field), training["psnr"], training["ssim"], held["psnr"], held["psnr_object"],
-        held["ssim"], held["mask_iou"], wall, processor, memory, coverage(result, capture),
+        held["ssim"], held["mask_iou"], result.seconds, spent, memory, coverage(result, capture),
     )  # fmt: skip
 
 
@@ -94,6 +97,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--set", dest="settings", nargs="*", default=[], help="settings, as steps=400")
     parser.add_argument("--work", type=Path, help="folder for captures and fields; kept if given")
+    parser.add_argument("--resume", action="store_true", help="go on where an earlier run in --work was stopped")
     parser.add_argument("--no-store", action="store_true", help="only print")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)

@@ -64,18 +64,17 @@ def rendered_frames(
     surface: Surface, camera: Camera, lighting: Lighting, positions: Iterable[Float[np.ndarray, "P 3"]]
 ) -> list[UInt8[np.ndarray, "h w 4"]]:
     """The object alone with its vertices at each of the positions [m], colours not multiplied by alpha."""
-    renderer = Renderer(camera.w, camera.h, supersampling=3)
+    renderer = Renderer(camera.w, camera.h, supersampling=2)
     white = np.full((2, 2, 3), 255, np.uint8)
     frames = []
     try:
         renderer.set_surface(surface)
         renderer.set_view(camera, lighting, Backdrop(white, white))
         for places in positions:
-            image, alpha = renderer.frame(np.asarray(places, dtype=np.float64))
-            del image  # with floor and shadow
-            rgba = renderer.draw("object")
-            colour = rgba[..., :3] / np.maximum(alpha, 1e-6)[..., None]
-            straight = np.concatenate([np.where(alpha[..., None] > 0, colour, 1.0), alpha[..., None]], axis=2)
+            rgba = renderer.object_alone(np.asarray(places, dtype=np.float64))
+            alpha = rgba[..., 3:]
+            colour = rgba[..., :3] / np.maximum(alpha, 1e-6)
+            straight = np.concatenate([np.where(alpha > 0, colour, 1.0), alpha], axis=2)
             frames.append((255 * straight.clip(0, 1)).round().astype(np.uint8))
     finally:
         renderer.close()

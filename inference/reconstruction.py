@@ -188,7 +188,8 @@ def _fit_and_store(
 
 def _read_points(path: Path) -> np.ndarray:
     try:
-        return np.asarray(trimesh.load(path, process=False).vertices, dtype=np.float64)
+        loaded: Any = trimesh.load(path, process=False)
+        return np.asarray(loaded.vertices, dtype=np.float64)
     except Exception as error:  # trimesh's readers raise whatever the broken file makes them
         raise InputError(
             f"points: {path} cannot be read ({type(error).__name__}: {error}); expected PLY or OBJ"

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
-__all__ = ["corners_of", "cut_points", "fewer_points", "hull_volume", "padded_points"]
+__all__ = ["corners_of", "cut_points", "fewer_points", "hull_triangles", "hull_volume", "padded_points"]
 
 
 def hull_volume(points: Float[np.ndarray, "C 3"]) -> float:
@@ -19,6 +19,17 @@ def corners_of(points: Float[np.ndarray, "C 3"]) -> Int[np.ndarray, " M"]:
     """Indices of the points that are corners of the hull; all of them where the points lie in a plane."""
     hull = _hull(points)
     return np.arange(len(points)) if hull is None else np.sort(hull.vertices)
+
+
+def hull_triangles(points: Float[np.ndarray, "C 3"]) -> tuple[Int[np.ndarray, " M"], Int[np.ndarray, "F 3"]]:
+    """Indices of the corners of a hull with volume, and its triangles as places among them, outward."""
+    hull = ConvexHull((points - points.mean(axis=0)) / _scale(points))
+    corners = np.sort(hull.vertices)
+    faces = hull.simplices.copy()
+    a, b, c = np.moveaxis(hull.points[faces], 1, 0)
+    inward = np.einsum("fi,fi->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return corners, np.searchsorted(corners, faces)
 
 
 def cut_points(

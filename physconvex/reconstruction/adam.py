@@ -32,7 +32,8 @@ class RowAdam:
     @classmethod
     def of(cls, tensors: Sequence[Tensor]) -> RowAdam:
         """Before the first step."""
-        return cls(*([torch.zeros_like(tensor, requires_grad=False) for tensor in tensors] for _ in range(2)))
+        first, second = ([torch.zeros_like(tensor, requires_grad=False) for tensor in tensors] for _ in range(2))
+        return cls(first, second)
 
     @torch.no_grad()
     def step(self, tensors: Sequence[Tensor], rates: Sequence[Tensor | float]) -> None:

@@ -123,7 +123,7 @@ def _step(state: FitState, seen: Observation, config: ReconstructionConfig) -> f
         tensor.grad = None
     current = state.parameters.field()
     loss = image_loss(render(current, seen.view, background=seen.background), seen, config)
-    loss.backward()  # type: ignore[no-untyped-call]
+    loss.backward()
     state.adam.step(tensors, _rates(state, config))
     with torch.no_grad():
         state.parameters.harmonics[:, 1:] *= 1 - config.view_decay

@@ -110,7 +110,7 @@ def _continued(colours: np.ndarray, inside: np.ndarray) -> np.ndarray:
     outside = (cv2.dilate(inside.astype(np.uint8), kernel) == 0).astype(np.float32)
     if not outside.any():
         return np.ones_like(colours)
-    filled = np.broadcast_to(colours[outside > 0].mean(axis=0), colours.shape).astype(np.float32)
+    filled: np.ndarray = np.broadcast_to(colours[outside > 0].mean(axis=0), colours.shape).astype(np.float32)
     for radius in (64, 16, 4):  # coarse means where nothing finer is known
         size = (2 * radius + 1, 2 * radius + 1)
         weight = cv2.blur(outside, size, borderType=cv2.BORDER_CONSTANT)[..., None]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -108,4 +108,4 @@ def _coloured(field: ConvexField, observations: Sequence[Observation]) -> Convex
         count = min(4, int(known.sum()))
         near = cKDTree(field.centres[known].numpy()).query(field.centres[~known].numpy(), k=[*range(1, count + 1)])[1]
         colours[~known] = colours[known][torch.as_tensor(near)].mean(dim=1)
-    return ConvexField(*field.tensors()[:4], coefficients_of_colour(colours))
+    return replace(field, harmonics=coefficients_of_colour(colours))

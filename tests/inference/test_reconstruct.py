@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from inference.reconstruction import reconstruct
 from inference.reconstruction_command import reconstruct as command
 from inference.reconstruction_views import capture_views
-from physconvex.capture import load_capture
+from physconvex.capture import Capture, load_capture, save_capture
 from physconvex.convex import read_ply
 from physconvex.errors import InputError
 from physconvex.reconstruction import ReconstructionConfig
@@ -96,6 +96,23 @@ def test_a_run_that_was_killed_goes_on_to_the_same_field(capture, tmp_path, monk
     assert steps == [8, 9, 10, 11, 12]
     whole = reconstruct(capture, config=TINY)
     assert [one.psnr for one in resumed.training] == [one.psnr for one in whole.training]
+
+
+def test_videos_with_masks_before_a_busy_wall_do_as_well(tmp_path):
+    rng = np.random.default_rng(0)
+    videos, masks = {}, {}
+    for camera in ring(4):
+        frame, coverage = pictures(camera)
+        share = coverage[..., None] / 255
+        mixed = (share * frame + (1 - share) * rng.integers(60, 200, (48, 48, 3))).round().astype(np.uint8)
+        videos[camera.name], masks[camera.name] = np.stack([mixed] * 2), np.stack([coverage > 127] * 2)
+    source = Capture(folder=tmp_path / "films", fps=24.0, frames=2, observed_frames=1, cameras=tuple(ring(4)))
+    save_capture(source, videos=videos, masks=masks, mesh=ball_mesh(2), crf=8)
+    result = reconstruct(tmp_path / "films", config=TINY)
+    assert result.silhouettes == ("mask",)
+    # Outside the mask the image is its own background, so only the object and its rim count.
+    assert np.mean([one.psnr_object for one in result.training]) > 15
+    assert np.mean([one.mask_iou for one in result.training]) > 0.8
 
 
 def test_silhouettes_come_from_a_plain_background_where_there_is_nothing_better(tmp_path):
