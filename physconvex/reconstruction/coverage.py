@@ -8,9 +8,10 @@ import numpy as np
 import torch
 import trimesh
 
-from physconvex.convex import ConvexField, half_spaces, inside_union, union_occupancy
+from physconvex.convex import ConvexField, HalfSpaces, half_spaces, inside_union
 from physconvex.errors import InputError
 from physconvex.reconstruction.triangles import welded
+from physconvex.render.reference import LEAST_ALPHA
 
 __all__ = ["Coverage", "measure_coverage"]
 
@@ -21,7 +22,7 @@ class Coverage:
 
     Attributes:
         volume: of the body's volume that lies in a hull.
-        soft_volume: mean of 1 − Π (1 − opacity · occupancy) over the body's volume.
+        drawn_volume: of the body's volume that lies in a hull that is drawn (opacity of at least 1/255).
         surface: of the body's surface that lies in a hull or within `margin` of one.
         gaps: of the volume within ten margins below the surface that lies in no hull or within `margin` of one.
         outside: volume of the hulls outside the body, over the body's volume.
@@ -30,7 +31,7 @@ class Coverage:
     """
 
     volume: float
-    soft_volume: float
+    drawn_volume: float
     surface: float
     gaps: float
     outside: float
@@ -61,10 +62,12 @@ def measure_coverage(
     below = surface - rng.uniform(0, 10 * margin, (len(surface), 1)) * mesh.face_normals[faces]
     below = below[mesh.contains(below)]
     spaces = half_spaces(field.to(torch.float64))
+    drawn = field.opacity >= LEAST_ALPHA
+    drawn_spaces = HalfSpaces(spaces.normals[drawn], spaces.offsets[drawn])
     covered = inside_union(field, box, spaces=spaces)
     return Coverage(
         float(covered[within].mean()),
-        float(union_occupancy(field, box[within][:samples]).mean()),
+        float(inside_union(field.select(drawn), box[within], spaces=drawn_spaces).mean()),
         float(inside_union(field, surface, margin=margin, spaces=spaces).mean()),
         float(1 - inside_union(field, below, margin=margin, spaces=spaces).mean()),
         float(covered[~within].sum() / max(within.sum(), 1)),

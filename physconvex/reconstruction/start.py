@@ -22,6 +22,9 @@ from physconvex.reconstruction.visual_hull import footprint, visual_hull
 __all__ = ["Start", "start_field"]
 
 OPACITY = 0.97
+UNPAINTED = (
+    1e-3  # below what is drawn: convexes are sorted by their centres, so large inner ones could hide the surface
+)
 DEPTH = 1.3  # of prisms, in mean edges of the triangles
 
 
@@ -31,7 +34,7 @@ class Start:
 
     Attributes:
         field: the convexes, the fillers last.
-        fillers: how many of them fill the inside; they keep their place.
+        fillers: how many of them fill the inside; they keep their place and are not drawn.
         footprint: what one pixel covers at the object [m].
         kind: what the convexes were made from.
     """
@@ -69,7 +72,8 @@ def start_field(
     both = torch.as_tensor(np.concatenate([outer, inner]), dtype=torch.float32)
     ones = torch.ones(len(both))
     grey = coefficients_of_colour(torch.full((len(both), 3), 0.5))
-    field = ConvexField(both, ones * 4 / (config.edge_width * pixel), ones, ones * OPACITY, grey)
+    opacity = torch.where(torch.arange(len(both)) < len(outer), OPACITY, UNPAINTED)
+    field = ConvexField(both, ones * 4 / (config.edge_width * pixel), ones, opacity, grey)
     return Start(_coloured(field, observations), len(inner), pixel, kind)
 
 
