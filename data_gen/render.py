@@ -121,6 +121,7 @@ class Renderer:
     def frame(self, positions: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
         """Image (0 to 1) and coverage by the object (0 to 1) with the surface's vertices at `positions` [m]."""
         rgba = self.object_alone(positions)
+        assert self.plate is not None  # else the line above has raised
         towards = np.array(self.lighting.direction)
         self.flat.points[:] = positions - np.maximum(positions[:, 2:], 0) / towards[2] * towards
         self.flat.Modified()

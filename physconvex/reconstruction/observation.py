@@ -94,6 +94,7 @@ def observe(
     if not coverage.any():
         raise InputError(f"camera {camera.name!r}: its silhouette is empty; remove the camera or correct its mask")
     colours = frame.astype(np.float32) / 255
+    background: np.ndarray
     if fractional:
         share = coverage.astype(np.float32)[..., None] / 255
         background = np.ones_like(colours)
@@ -114,7 +115,8 @@ def _continued(colours: np.ndarray, inside: np.ndarray) -> np.ndarray:
     for radius in (64, 16, 4):  # coarse means where nothing finer is known
         size = (2 * radius + 1, 2 * radius + 1)
         weight = cv2.blur(outside, size, borderType=cv2.BORDER_CONSTANT)[..., None]
-        mean = cv2.blur(colours * outside[..., None], size, borderType=cv2.BORDER_CONSTANT) / np.maximum(weight, 1e-6)
+        total = cv2.blur(colours * outside[..., None], size, borderType=cv2.BORDER_CONSTANT)
+        mean = np.asarray(total / np.maximum(weight, 1e-6), dtype=np.float32)
         known = np.clip(weight * 20, 0, 1)
-        filled = known * mean + (1 - known) * filled
+        filled = np.asarray(known * mean + (1 - known) * filled)
     return np.where(outside[..., None] > 0, colours, filled).astype(np.float32)

@@ -26,7 +26,9 @@ def test_the_parts_fill_most_of_the_whole_and_nothing_else(kind, share):
     both = random_field(2 * len(field), points=field.points.shape[1]).with_points(parts.flatten(0, 1))
     volumes = hull_volumes(both).reshape(-1, 2)
     assert volumes.sum() > share * hull_volumes(field).sum()
-    assert (volumes.sum(axis=1) < (1 + 1e-9) * hull_volumes(field)).all()
+    # points within a twentieth of the extent of the cut belong to both parts, so those may share that much
+    assert (volumes.sum(axis=1) < 1.3 * hull_volumes(field)).all()
+    assert (volumes.max(axis=1) < hull_volumes(field)).all()
     assert (volumes.min(axis=1) > 0).all()
     corners = parts[0].flatten(0, 1).numpy()
     assert inside_union(field.select(torch.tensor([0])), corners, margin=1e-9).all()
@@ -34,7 +36,7 @@ def test_the_parts_fill_most_of_the_whole_and_nothing_else(kind, share):
 
 def test_overlapping_parts_reach_into_each_other():
     field = prism_field(5)
-    apart, over = (halve(field.points, torch.full((5,), overlap)) for overlap in (0.0, 0.1))
+    apart, over = (halve(field.points, torch.full((5,), overlap)) for overlap in (0.0, 0.5))
     template = random_field(10)
     first, second = (hull_volumes(template.with_points(some.flatten(0, 1))).sum() for some in (apart, over))
     assert second > 1.02 * first
