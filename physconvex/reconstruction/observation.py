@@ -94,6 +94,7 @@ def observe(
     if not coverage.any():
         raise InputError(f"camera {camera.name!r}: its silhouette is empty; remove the camera or correct its mask")
     colours = frame.astype(np.float32) / 255
+    share: np.ndarray
     background: np.ndarray
     if fractional:
         share = coverage.astype(np.float32)[..., None] / 255
