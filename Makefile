@@ -3,7 +3,7 @@ export PHYSCONVEX_VENV ?= $(CURDIR)/.venv
 BIN := $(PHYSCONVEX_VENV)/bin
 PACKAGES := physconvex models data_gen train inference
 
-.PHONY: check quick static format test typecheck lock bench bench-data demo clean env
+.PHONY: check quick static format test typecheck lock bench bench-data bench-objects demo clean env
 
 ## check: format, lint, import contract, types, then every test and doctest
 check: static
@@ -45,6 +45,11 @@ bench: env
 bench-data: env
 	@for name in foreground known_states training_epoch; do \
 	    echo "== $$name"; $(BIN)/python benchmarks/$$name.py --data $(DATA) || exit 1; done
+
+## bench-objects: what needs a folder of scanned objects: make bench-objects OBJECTS=data/gso
+bench-objects: env
+	@for name in reconstruction moving_field; do \
+	    echo "== $$name"; $(BIN)/python benchmarks/$$name.py --objects $(OBJECTS) || exit 1; done
 
 demo:
 	./run-demo

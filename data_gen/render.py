@@ -120,20 +120,25 @@ class Renderer:
 
     def frame(self, positions: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
         """Image (0 to 1) and coverage by the object (0 to 1) with the surface's vertices at `positions` [m]."""
+        rgba = self.object_alone(positions)
+        assert self.plate is not None  # else the line above has raised
+        towards = np.array(self.lighting.direction)
+        self.flat.points[:] = positions - np.maximum(positions[:, 2:], 0) / towards[2] * towards
+        self.flat.Modified()
+        shadow = self.soften(self.draw("shadow")[..., 3])
+        image = self.plate * (1 - self.shadow_strength * shadow[..., None])
+        image = image * (1 - rgba[..., 3:]) + rgba[..., :3]
+        return image, rgba[..., 3]
+
+    def object_alone(self, positions: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "h w 4"]:
+        """The lit object without floor and background, vertices at `positions` [m]; pre-multiplied RGBA, 0 to 1."""
         if self.plate is None or self.surface is None:
             raise InputError("frame: no view yet; call set_surface and set_view before")
         corners = positions[self.corners]
         self.mesh.points[:] = corners
         self.mesh.point_data["Normals"][:] = self.normals.at(corners.reshape(-1, 3, 3))
         self.mesh.Modified()
-        towards = np.array(self.lighting.direction)
-        self.flat.points[:] = positions - np.maximum(positions[:, 2:], 0) / towards[2] * towards
-        self.flat.Modified()
-        rgba = self.draw("object")
-        shadow = self.soften(self.draw("shadow")[..., 3])
-        image = self.plate * (1 - self.shadow_strength * shadow[..., None])
-        image = image * (1 - rgba[..., 3:]) + rgba[..., :3]
-        return image, rgba[..., 3]
+        return self.draw("object")
 
     def soften(self, shadow: np.ndarray) -> np.ndarray:
         sigma = self.lighting.shadow_softness * self.height

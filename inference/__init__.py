@@ -1,4 +1,4 @@
-"""Predict elastic constants and skinning weights: one clip, or folders of clips with result files.
+"""Predict elastic constants and skinning weights of clips; reconstruct objects; with result files.
 
 Names are resolved on first use (PEP 562), so that a process that only reads clips stays light.
 """
@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from inference.batch import predict_batch
     from inference.prediction import Prediction
     from inference.predictor import predict
+    from inference.reconstruction import Reconstruction, reconstruct
     from inference.sources import find_sources
     from inference.streaming import ClipResult, iter_predictions
     from inference.summary import BatchSummary
@@ -18,20 +19,24 @@ __all__ = [
     "BatchSummary",
     "ClipResult",
     "Prediction",
+    "Reconstruction",
     "find_sources",
     "iter_predictions",
     "predict",
     "predict_batch",
+    "reconstruct",
 ]
 
 _MODULES = {
     "BatchSummary": "inference.summary",
     "ClipResult": "inference.streaming",
     "Prediction": "inference.prediction",
+    "Reconstruction": "inference.reconstruction",
     "find_sources": "inference.sources",
     "iter_predictions": "inference.streaming",
     "predict": "inference.predictor",
     "predict_batch": "inference.batch",
+    "reconstruct": "inference.reconstruction",
 }
 
 

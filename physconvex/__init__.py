@@ -14,6 +14,7 @@ _LAZY = {
     "Prediction": "inference",
     "predict": "inference",
     "predict_batch": "inference",
+    "reconstruct": "inference",
 }
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "__version__",
     "predict",
     "predict_batch",
+    "reconstruct",
 ]
 
 try:

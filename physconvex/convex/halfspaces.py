@@ -49,10 +49,8 @@ def hull_faces(points: Float[np.ndarray, "K 3"]) -> Int[np.ndarray, "H 3"]:
         hull = ConvexHull(centred)
     except QhullError:
         raise InputError("points: all in one plane; their hull has no volume") from None
-    keep: list[int] = []
-    for face, equation in enumerate(hull.equations):
-        if all(np.abs(equation - hull.equations[other]).max() > COPLANAR for other in keep):
-            keep.append(face)
+    same = np.abs(hull.equations[:, None] - hull.equations).max(axis=2) <= COPLANAR
+    keep = np.flatnonzero(same.argmax(axis=1) == np.arange(len(same)))  # the first of each plane
     faces, outward = hull.simplices[keep], hull.equations[keep, :3]
     a, b, c = np.moveaxis(centred[faces], 1, 0)
     flipped = np.einsum("hi,hi->h", np.cross(b - a, c - a), outward) < 0

@@ -9,6 +9,7 @@ import torch
 import trimesh
 
 from physconvex.convex.field import ConvexField
+from physconvex.convex.hull_points import hull_triangles
 from physconvex.convex.spherical_harmonics import MIDDLE, harmonic_basis
 from physconvex.errors import InputError
 
@@ -24,13 +25,15 @@ def hull_mesh(field: ConvexField) -> trimesh.Trimesh:
     vertices: list[np.ndarray] = []
     faces: list[np.ndarray] = []
     rgba: list[np.ndarray] = []
+    count = 0
     for points, colour in zip(field.points.detach().cpu().double().numpy(), colours, strict=True):
         if np.linalg.matrix_rank(points - points[0], tol=1e-9 * np.ptp(points)) < 3:
             continue
-        hull = trimesh.convex.convex_hull(points)
-        faces.append(hull.faces + sum(map(len, vertices)))
-        vertices.append(hull.vertices)
-        rgba.append(np.tile(colour, (len(hull.vertices), 1)))
+        corners, triangles = hull_triangles(points)
+        faces.append(triangles + count)
+        vertices.append(points[corners])
+        rgba.append(np.tile(colour, (len(corners), 1)))
+        count += len(corners)
     if not vertices:
         return trimesh.Trimesh()
     return trimesh.Trimesh(

@@ -1,6 +1,7 @@
 """Differentiable images of convex fields."""
 
 from physconvex.render.jacobian import ImageJacobian, render_jacobian
+from physconvex.render.movies import film, orbit
 from physconvex.render.native import KernelUnavailable
 from physconvex.render.projection import Splats, project
 from physconvex.render.rasterize import RenderedImage, render
@@ -12,6 +13,8 @@ __all__ = [
     "RenderedImage",
     "Splats",
     "View",
+    "film",
+    "orbit",
     "project",
     "render",
     "render_jacobian",

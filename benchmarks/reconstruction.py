@@ -1,0 +1,118 @@
+"""Static reconstruction of scanned objects: views that were fitted, views that were not, time, memory, coverage.
+
+Each object (a folder with model.obj and texture.png) is rendered at 448² from 12 cameras to fit (elevations 10, 35 and
+−10 degrees in turn) and 4 held out between them (20 and 0 degrees), with alpha, before white; then reconstructed from
+them and its mesh. Coverage is measured by random points against the mesh, where that is watertight; `margin` is half of
+what a pixel covers. Processor time counts all threads.
+
+python benchmarks/reconstruction.py --objects data/gso [--names Dino_4 …] [--size 448] [--threads 2] [--set steps=400]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from data_gen.objects.user_meshes import load_user_mesh
+from data_gen.still_captures import StillViews, write_still_capture
+from inference.reconstruction import Reconstruction, reconstruct
+from physconvex.capture import load_capture
+from physconvex.errors import InputError
+from physconvex.reconstruction import Coverage, load_reconstruction_config, measure_coverage
+
+RESULT = Path(__file__).parent / "results" / "reconstruction.json"
+VIEWS = (StillViews(12, (10, 35, -10), name="fit"), StillViews(4, (20, 0), phase=0.37, name="held"))
+
+
+@dataclass(frozen=True)
+class Row:
+    """One object: means over views, cost, coverage (None for a surface that is open).
+
+    `wall_seconds` is that of the fit. `processor_seconds` includes scoring and files; None for a run that was resumed.
+    """
+
+    object: str
+    start: str
+    convexes: int
+    training_psnr: float
+    training_ssim: float
+    held_out_psnr: float
+    held_out_psnr_object: float
+    held_out_ssim: float
+    held_out_mask_iou: float
+    wall_seconds: float
+    processor_seconds: float | None
+    peak_memory_mib: float
+    coverage: Coverage | None
+
+
+def measure(name: str, folder: Path, work: Path, options: argparse.Namespace) -> Row:
+    """Render, reconstruct and score one object."""
+    capture = work / f"{name}-{options.size}"
+    if not capture.exists():
+        write_still_capture(capture, load_user_mesh(folder / name / "model.obj"), VIEWS, size=options.size)
+    config = load_reconstruction_config(overrides=options.settings)
+    held_out = [f"{VIEWS[1].name}{k}" for k in range(VIEWS[1].count)]
+    processor = time.process_time()
+    out = work / f"{name}-{options.size}-result"
+    result = reconstruct(capture, out=out, config=config, held_out=held_out, redo=not options.resume)
+    spent = None if options.resume else time.process_time() - processor
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    numbers = result.to_json()
+    training, held = numbers["training"]["mean"], numbers["held_out"]["mean"]
+    return Row(
+        name, result.start, len(result.field), training["psnr"], training["ssim"], held["psnr"], held["psnr_object"],
+        held["ssim"], held["mask_iou"], result.seconds, spent, memory, coverage(result, capture),
+    )  # fmt: skip
+
+
+def coverage(result: Reconstruction, capture: Path) -> Coverage | None:
+    """Coverage of the capture's mesh."""
+    source = load_capture(capture)
+    mesh = source.mesh()
+    assert mesh is not None
+    camera = source.cameras[0]
+    pixel = float(np.linalg.norm(camera.position - mesh.bounds.mean(axis=0))) / camera.fl_x
+    try:
+        return measure_coverage(result.field, mesh, margin=0.5 * pixel)
+    except InputError:
+        return None
+
+
+def main() -> None:
+    """Measure and store."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--objects", type=Path, required=True, help="folder of folders with model.obj and texture.png")
+    parser.add_argument("--names", nargs="*", help="which of them; all if not given")
+    parser.add_argument("--size", type=int, default=448)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--set", dest="settings", nargs="*", default=[], help="settings, as steps=400")
+    parser.add_argument("--work", type=Path, help="folder for captures and fields; kept if given")
+    parser.add_argument("--resume", action="store_true", help="go on where an earlier run in --work was stopped")
+    parser.add_argument("--no-store", action="store_true", help="only print")
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    names = options.names or sorted(path.parent.name for path in options.objects.glob("*/model.obj"))
+    command = f"python benchmarks/reconstruction.py --objects gso --names {' '.join(names)} --size {options.size}"
+    command += f" --threads {options.threads}" + (f" --set {' '.join(options.settings)}" if options.settings else "")
+    rows: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as scratch:
+        for name in names:
+            row = measure(name, options.objects, options.work or Path(scratch), options)
+            rows.append(asdict(row))
+            print(row, flush=True)
+            if not options.no_store:
+                RESULT.write_text(json.dumps({"command": command, "rows": rows}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,268 @@
+"""Reconstruct the object of a capture at rest as a convex field, with result files."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import trimesh
+
+import physconvex
+from inference.reconstruction_pictures import write_comparison
+from inference.reconstruction_views import CaptureViews, capture_views
+from physconvex.capture import load_capture
+from physconvex.convex import ConvexField, read_ply, write_glb, write_ply
+from physconvex.errors import InputError
+from physconvex.reconstruction import (
+    FitState,
+    Progress,
+    ReconstructionConfig,
+    ViewScore,
+    begin,
+    fit,
+    score,
+    start_field,
+)
+from physconvex.reconstruction.state import load_state, save_state
+from physconvex.render.movies import film, orbit
+from physconvex.video import write_video
+
+__all__ = ["Reconstruction", "reconstruct"]
+
+STATE, RESULT, FIELD, HULLS, FILM = (
+    "state.safetensors",
+    "reconstruction.json",
+    "field.ply",
+    "hulls.glb",
+    "turntable.mp4",
+)
+_STORE_EVERY = 20.0  # seconds
+_FILM_FRAMES, _FILM_RATE = 48, 24.0
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """A convex field and how well it explains the views.
+
+    Attributes:
+        field: the convexes at rest, world frame.
+        training, held_out: scores of the views that were fitted and of those that were not.
+        start: what the convexes were made from: mesh, hull or points.
+        silhouettes: where the object's silhouettes came from.
+        seconds: wall-clock time of the fit [s].
+        config: what was asked for.
+        out: folder of the files, or None.
+    """
+
+    field: ConvexField
+    training: tuple[ViewScore, ...]
+    held_out: tuple[ViewScore, ...]
+    start: str
+    silhouettes: tuple[str, ...]
+    seconds: float
+    config: ReconstructionConfig
+    out: Path | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """What `reconstruction.json` holds."""
+        return {
+            "version": physconvex.__version__,
+            "convexes": len(self.field),
+            "points_per_convex": self.field.points.shape[1],
+            "start": self.start,
+            "silhouettes": list(self.silhouettes),
+            "seconds": self.seconds,
+            "training": _table(self.training),
+            "held_out": _table(self.held_out),
+            "config": self.config.model_dump(mode="json"),
+        }
+
+
+def _table(scores: Sequence[ViewScore]) -> dict[str, Any]:
+    """Means over the views, and every view."""
+    rows = [asdict(one) for one in scores]
+    names = [name for name in ViewScore.__dataclass_fields__ if name != "camera"]
+    means = {name: float(np.mean([row[name] for row in rows])) for name in names} if rows else {}
+    return {"mean": means, "views": rows}
+
+
+def reconstruct(
+    capture: str | Path,
+    *,
+    out: str | Path | None = None,
+    config: ReconstructionConfig | None = None,
+    held_out: Sequence[str] = (),
+    points: str | Path | None = None,
+    turntable: bool = False,
+    redo: bool = False,
+    on_step: Callable[[Progress], None] | None = None,
+) -> Reconstruction:
+    """Fit a convex field to the first frames of a capture.
+
+    With `out` a run can be stopped at any time: the same call goes on where it stopped, and a finished one is read
+    from its files. Writes field.ply, hulls.glb, reconstruction.json, views/<camera>.png (observed, rendered,
+    difference) and, if asked for, turntable.mp4.
+
+    Args:
+        capture: folder with capture.json.
+        out: folder of the results; nothing is written if not given.
+        config: settings; the defaults if not given.
+        held_out: names of cameras that are scored but not fitted.
+        points: mesh or point file whose vertices the convexes may start from [m].
+        redo: forget what is in `out`.
+        on_step: called after every step.
+
+    Raises:
+        InputError: see `capture_views`; a start that is not possible; `out` holds another reconstruction.
+    """
+    config = ReconstructionConfig() if config is None else config
+    folder = None if out is None else Path(out)
+    source = load_capture(capture)
+    views = capture_views(source, held_out)
+    given = None if points is None else _read_points(Path(points))
+    claim = _claim(views, config, given)
+    if folder is not None:
+        finished = _prepared(folder, claim, redo=redo)
+        if finished is not None:
+            return _read(folder, finished, config)
+    state = None if folder is None else load_state(folder / STATE, claim=claim)
+    mesh = source.mesh()
+    kind: str = _start_kind(config, mesh is not None, given is not None)
+    if state is None:
+        state = begin(start_field(views.training, config, mesh=mesh, points=given))
+    _fit_and_store(state, views, config, folder, claim, on_step)
+    field = state.field()
+    trained, tested = (score(field, part) for part in (views.training, views.held_out))
+    result = Reconstruction(
+        field,
+        tuple(one for one, _ in trained),
+        tuple(one for one, _ in tested),
+        kind,
+        views.silhouettes,
+        state.seconds,
+        config,
+        folder,
+    )
+    if folder is not None:
+        pictures = [image for _, image in (*trained, *tested)]
+        _write(result, folder, views, pictures, claim, turntable=turntable)
+    return result
+
+
+def _start_kind(config: ReconstructionConfig, mesh: bool, points: bool) -> str:
+    if config.start != "auto":
+        return config.start
+    return "mesh" if mesh else "points" if points else "hull"
+
+
+def _fit_and_store(
+    state: FitState,
+    views: CaptureViews,
+    config: ReconstructionConfig,
+    folder: Path | None,
+    claim: str,
+    on_step: Callable[[Progress], None] | None,
+) -> None:
+    """Fit, with the state on disk every now and then."""
+    stored = time.monotonic()
+
+    def after(progress: Progress, state: FitState) -> None:
+        nonlocal stored
+        if folder is not None and (progress.step == progress.steps or time.monotonic() - stored > _STORE_EVERY):
+            save_state(state, folder / STATE, claim=claim)
+            stored = time.monotonic()
+        if on_step is not None:
+            on_step(progress)
+
+    fit(state, views.training, config, on_step=after)
+
+
+def _read_points(path: Path) -> np.ndarray:
+    try:
+        loaded: Any = trimesh.load(path, process=False)
+        return np.asarray(loaded.vertices, dtype=np.float64)
+    except Exception as error:  # trimesh's readers raise whatever the broken file makes them
+        raise InputError(
+            f"points: {path} cannot be read ({type(error).__name__}: {error}); expected PLY or OBJ"
+        ) from None
+
+
+def _claim(views: CaptureViews, config: ReconstructionConfig, points: np.ndarray | None) -> str:
+    """Checksum of everything that the result depends on."""
+    digest = hashlib.sha256(config.model_dump_json().encode())
+    for part in (views.training, views.held_out):
+        digest.update(b"part")
+        for seen in part:
+            digest.update(json.dumps(seen.camera.to_json()).encode())
+            for tensor in (seen.image, seen.coverage):
+                digest.update(tensor.numpy().tobytes())
+    digest.update(b"" if points is None else points.tobytes())
+    return digest.hexdigest()[:32]
+
+
+def _prepared(folder: Path, claim: str, *, redo: bool) -> dict[str, Any] | None:
+    """Make the folder; what it holds of this very reconstruction, if that is finished.
+
+    Raises:
+        InputError: it holds another one.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if redo:
+        for name in (STATE, RESULT, FIELD, HULLS, FILM):
+            (folder / name).unlink(missing_ok=True)
+        shutil.rmtree(folder / "views", ignore_errors=True)
+    if not (folder / RESULT).exists():
+        return None
+    try:
+        content: dict[str, Any] = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(f"{folder / RESULT}: no valid JSON ({error}); remove it or use redo") from None
+    if content.get("claim") != claim:
+        raise InputError(
+            f"{folder}: holds a reconstruction of another capture or with other settings; choose another folder or redo"
+        )
+    return content
+
+
+def _read(folder: Path, content: dict[str, Any], config: ReconstructionConfig) -> Reconstruction:
+    """A finished reconstruction."""
+    training, held_out = (
+        tuple(ViewScore(**row) for row in content[part]["views"]) for part in ("training", "held_out")
+    )
+    silhouettes = tuple(content["silhouettes"])
+    field = read_ply(folder / FIELD)
+    return Reconstruction(field, training, held_out, content["start"], silhouettes, content["seconds"], config, folder)
+
+
+def _write(
+    result: Reconstruction,
+    folder: Path,
+    views: CaptureViews,
+    pictures: Sequence[torch.Tensor],
+    claim: str,
+    *,
+    turntable: bool,
+) -> None:
+    """All files; the summary last, since it says that the others are there."""
+    write_ply(result.field, folder / FIELD)
+    write_glb(result.field, folder / HULLS)
+    (folder / "views").mkdir(exist_ok=True)
+    for seen, picture in zip((*views.training, *views.held_out), pictures, strict=True):
+        write_comparison(folder / "views" / f"{seen.camera.name}.png", seen, picture)
+    if turntable:
+        frames = film(itertools.repeat(result.field), orbit(result.field, _FILM_FRAMES))
+        write_video(folder / FILM, frames, fps=_FILM_RATE)
+    text = json.dumps({"claim": claim, **result.to_json()}, indent=1) + "\n"
+    partial = folder / f".{RESULT}.part"
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(folder / RESULT)
+    (folder / STATE).unlink(missing_ok=True)

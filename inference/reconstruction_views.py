@@ -1,0 +1,72 @@
+"""The first frames of a capture as observations of the object at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from physconvex.capture import Capture
+from physconvex.errors import InputError
+from physconvex.reconstruction import Observation, observe
+
+__all__ = ["CaptureViews", "capture_views"]
+
+_LEAST_VIEWS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureViews:
+    """What is fitted, what is only looked at, and where each silhouette came from (mask, alpha, plain background)."""
+
+    training: tuple[Observation, ...]
+    held_out: tuple[Observation, ...]
+    silhouettes: tuple[str, ...]
+
+
+def capture_views(capture: Capture, held_out: Sequence[str] = ()) -> CaptureViews:
+    """Frame 0 of every camera with the object's silhouette: its mask, else its alpha, else what differs from a plain
+    background.
+
+    Args:
+        held_out: names of cameras that are only scored.
+
+    Raises:
+        InputError: no cameras, an unknown name, fewer than two views to fit, a camera without any silhouette.
+    """
+    if not capture.cameras:
+        raise InputError(f"{capture.folder}: capture.json names no cameras; a reconstruction needs several with poses")
+    for name in held_out:
+        capture.camera(name)
+    training = len(capture.cameras) - len(set(held_out))
+    if training < _LEAST_VIEWS:
+        raise InputError(
+            f"{capture.folder}: {training} view(s) to fit; one view says nothing of depth: expected at least "
+            f"{_LEAST_VIEWS}, better 12 from all sides"
+        )
+    found = [_observation(capture, camera.name) for camera in capture.cameras]
+    fitted = tuple(seen for seen, _ in found if seen.camera.name not in held_out)
+    only_scored = tuple(seen for seen, _ in found if seen.camera.name in held_out)
+    return CaptureViews(fitted, only_scored, tuple(sorted({source for _, source in found})))
+
+
+def _observation(capture: Capture, name: str) -> tuple[Observation, str]:
+    """Frame 0 of a camera, and where its silhouette comes from."""
+    camera, video = capture.camera(name), capture.video(name)
+    frame = video.frames[0]
+    if (capture.folder / f"{name}_mask.mp4").exists():
+        mask = capture.mask(name)
+        assert mask is not None
+        return observe(camera, frame, mask[0], fractional=False), "mask"
+    if video.alpha is not None:
+        return observe(camera, frame, video.alpha[0], fractional=True), "alpha"
+    from models.background import plain_background_masks
+
+    masks = plain_background_masks(frame[None])
+    if masks is None or not np.any(masks):
+        raise InputError(
+            f"camera {name!r}: no {name}_mask.mp4, no alpha channel, and its background is not plain, so the object "
+            "cannot be told from it; add a mask or images with alpha"
+        )
+    return observe(camera, frame, masks[0], fractional=False), "plain background"

@@ -1,0 +1,99 @@
+"""Convex dynamics: neighbours merged where one hull does for two."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from physconvex.convex.field import ConvexField
+from physconvex.convex.hull_points import corners_of, fewer_points, hull_volume, padded_points
+from physconvex.convex.splitting import Division
+from physconvex.errors import InputError
+
+__all__ = ["merge"]
+
+NEIGHBOURS = 8  # pairs tried per convex
+
+
+def merge(
+    field: ConvexField, *, volume_tolerance: float = 0.01, colour_tolerance: float = 0.05, limit: int | None = None
+) -> Division:
+    """Merge pairs of neighbours, each convex at most once, into the hull of both.
+
+    A pair may merge if the hull of at most K of its corners differs in volume by at most `volume_tolerance` from the
+    two hulls together, and their harmonics by at most `colour_tolerance` (rms over coefficients and channels). Repeat
+    to merge further. The merged convex has the mean of colours, α, β and opacity, weighted by volume.
+
+    Args:
+        volume_tolerance: share of the volume of both that may be added or lost.
+        limit: stop when so many convexes are left.
+    """
+    if volume_tolerance < 0 or colour_tolerance < 0:
+        raise InputError(f"tolerances: got {volume_tolerance} and {colour_tolerance}; expected at least 0")
+    points = field.points.detach().cpu().double().numpy()
+    volumes = np.array([hull_volume(some) for some in points])
+    colours = field.harmonics.detach().cpu().double().flatten(1).numpy()
+    free = np.ones(len(field), dtype=bool)
+    pairs: list[tuple[int, int]] = []
+    hulls: list[np.ndarray] = []
+    lost = 0.0
+    for first, second in _neighbours(points.mean(axis=1)):
+        if limit is not None and len(field) - len(pairs) <= limit:
+            break
+        if not (free[first] and free[second]):
+            continue
+        if np.sqrt(np.square(colours[first] - colours[second]).mean()) > colour_tolerance:
+            continue
+        both = np.concatenate([points[first], points[second]])
+        both = both[corners_of(both)]
+        hull = fewer_points(both, points.shape[1])
+        before = volumes[first] + volumes[second]
+        if (
+            abs(hull_volume(hull) - before) > volume_tolerance * before
+            or hull_volume(both) > (1 + volume_tolerance) * before
+        ):
+            continue
+        free[[first, second]] = False
+        pairs.append((first, second))
+        hulls.append(padded_points(hull, points.shape[1]))
+        lost += max(0.0, before - hull_volume(hull))
+    return _merged(field, volumes, free, pairs, hulls, lost)
+
+
+def _neighbours(centres: Float[np.ndarray, "N 3"]) -> np.ndarray:
+    """Pairs of convexes whose centres are near, nearest first, shape [P, 2]."""
+    count = min(NEIGHBOURS + 1, len(centres))
+    distance, other = cKDTree(centres).query(centres, k=[*range(1, count + 1)])
+    mine = np.repeat(np.arange(len(centres)), count)
+    pairs = np.sort(np.stack([mine, other.ravel()], axis=1), axis=1)
+    order = np.argsort(distance.ravel(), kind="stable")
+    pairs = pairs[order][pairs[order, 0] < pairs[order, 1]]
+    _, first = np.unique(pairs, axis=0, return_index=True)
+    return pairs[np.sort(first)]
+
+
+def _merged(
+    field: ConvexField,
+    volumes: np.ndarray,
+    free: np.ndarray,
+    pairs: list[tuple[int, int]],
+    hulls: list[np.ndarray],
+    lost: float,
+) -> Division:
+    left = torch.as_tensor(np.flatnonzero(free))
+    if not pairs:
+        return Division(field, left, 0.0)
+    chosen = torch.as_tensor(pairs)
+    weights = torch.as_tensor(volumes)[chosen] + torch.finfo(torch.float64).tiny
+    weights = (weights / weights.sum(dim=1, keepdim=True)).to(field.points)
+
+    def join(tensor: torch.Tensor) -> torch.Tensor:
+        both = tensor[chosen]
+        mean = (weights.reshape(*weights.shape, *[1] * (tensor.ndim - 1)) * both).sum(dim=1)
+        return torch.cat([tensor[left], mean])
+
+    new = torch.cat([field.points[left], torch.as_tensor(np.array(hulls)).to(field.points)])
+    merged = field.map(join).with_points(new)
+    return Division(merged, torch.cat([left, chosen[:, 0]]), lost)

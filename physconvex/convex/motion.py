@@ -1,0 +1,120 @@
+"""Vertex dynamics: convexes whose points go with a deformation of the body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.sparse import csr_matrix
+from torch import Tensor
+
+from physconvex.convex.field import ConvexField
+from physconvex.convex.rotation import polar_rotation, rotate_harmonics
+from physconvex.errors import InputError
+from physconvex.fem.elements import shape_gradients
+from physconvex.fem.embedding import Embedding, locate
+from physconvex.fem.mesh import TetMesh
+from physconvex.reduced.space import ReducedSpace
+
+__all__ = ["BoundField", "DeformationMap", "advect", "affine_map", "bind_to_space", "bind_to_tets"]
+
+DeformationMap = Callable[[Tensor], tuple[Tensor, Tensor]]
+"""Rest positions X [P, 3] to positions x [P, 3], both in metres, and gradients ∂x_i/∂X_j [P, 3, 3]."""
+
+
+def affine_map(linear: Float[Tensor, "3 3"], shift: Float[Tensor, " 3"]) -> DeformationMap:
+    """x = linear X + shift."""
+
+    def deform(points: Tensor) -> tuple[Tensor, Tensor]:
+        gradient = linear.to(points)
+        return points @ gradient.T + shift.to(points), gradient.expand(len(points), 3, 3)
+
+    return deform
+
+
+def advect(field: ConvexField, deform: DeformationMap) -> ConvexField:
+    """The field carried by a deformation: points move with it, colours turn with the rotation at the centres.
+
+    Smoothness and sharpness stay, so edges are as many metres wide as before.
+
+    Args:
+        deform: the map X ↦ x with its gradient.
+    """
+    positions, _ = deform(field.points.reshape(-1, 3))
+    _, gradients = deform(field.centres)
+    return _carried(field, positions.reshape(field.points.shape), gradients)
+
+
+def _carried(field: ConvexField, points: Tensor, gradients: Float[Tensor, "N 3 3"]) -> ConvexField:
+    return replace(field, points=points, harmonics=rotate_harmonics(field.harmonics, polar_rotation(gradients)))
+
+
+@dataclass(frozen=True, eq=False)
+class BoundField:
+    """A field bound to a body whose positions are linear in coordinates q [D, 3], such as the nodes of a mesh.
+
+    Attributes:
+        field: the field at rest.
+        positions: positions of all points from q, shape [N K, D].
+        gradients: ∂/∂X_j at the centres from q, shape [N 3, D], row 3 n + j, 1/m.
+        max_distance: how far the outermost point lies outside the body [m]; such points continue its motion.
+    """
+
+    field: ConvexField
+    positions: Any
+    gradients: Any
+    max_distance: float = 0.0
+
+    def at(self, coordinates: Float[np.ndarray, "D 3"]) -> ConvexField:
+        """The field where the body is at these coordinates [m].
+
+        Raises:
+            InputError: another number of coordinates than those of the body.
+        """
+        values = np.asarray(coordinates, dtype=np.float64)
+        if values.shape != (self.positions.shape[1], 3):
+            raise InputError(f"coordinates: got shape {values.shape}; expected [{self.positions.shape[1]}, 3]")
+        points = np.asarray(self.positions @ values).reshape(self.field.points.shape)
+        gradients = np.asarray(self.gradients @ values).reshape(-1, 3, 3).swapaxes(1, 2)
+        kind = self.field.points
+        return _carried(self.field, torch.as_tensor(points).to(kind), torch.as_tensor(gradients).to(kind))
+
+
+def bind_to_tets(field: ConvexField, mesh: TetMesh) -> BoundField:
+    """Bind to the nodes of a tetrahedral mesh at rest, by the shape functions of the element that holds each point.
+
+    `BoundField.at` then takes nodal positions [V, 3], such as `Trajectory.positions[t]`.
+    """
+    embedding = Embedding.of_points(mesh, _numbers(field.points).reshape(-1, 3))
+    elements, _, anchors, _ = locate(mesh, _numbers(field.centres))
+    corners = mesh.vertices[mesh.corner_tets[elements]]
+    inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))  # rows: gradients of λ_1 to λ_3
+    slopes = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+    gradients = np.einsum("pnk,pkj->pjn", shape_gradients(anchors, mesh.order), slopes)  # [N, 3, n]
+    nodes = np.repeat(mesh.tets[elements][:, None], 3, axis=1)
+    rows = np.arange(0, gradients.size + 1, gradients.shape[2])
+    shape = (3 * len(field), len(mesh.vertices))
+    return BoundField(
+        field,
+        embedding.matrix,
+        csr_matrix((gradients.ravel(), nodes.ravel(), rows), shape=shape),
+        embedding.max_distance,
+    )
+
+
+def bind_to_space(field: ConvexField, space: ReducedSpace) -> BoundField:
+    """Bind to a reduced body.
+
+    `BoundField.at` then takes its coordinates [R, 3], such as `ReducedTrajectory.coordinates[t]`.
+    """
+    gradients = np.swapaxes(space.shape_gradients(_numbers(field.centres)), 1, 2)  # [N, 3, R]
+    values = space.shape_values(_numbers(field.points).reshape(-1, 3))
+    return BoundField(field, values, gradients.reshape(-1, gradients.shape[2]))
+
+
+def _numbers(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().cpu().double().numpy()

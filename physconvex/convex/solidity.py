@@ -1,0 +1,68 @@
+"""Where convexes are: membership of points in the union of the hulls, and occupancy of that union."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from scipy.spatial import cKDTree
+
+from physconvex.convex.field import ConvexField
+from physconvex.convex.halfspaces import HalfSpaces, half_spaces
+
+__all__ = ["hull_volumes", "inside_union", "union_occupancy"]
+
+PAIRS = 400_000  # point-convex pairs evaluated at once
+SOFT_REACH = 8.0  # an edge is neglected beyond this many widths 1/(αβ)
+
+
+def hull_volumes(field: ConvexField) -> Float[np.ndarray, " N"]:
+    """Volume of each hull [m³]."""
+    from physconvex.convex.hull_points import hull_volume
+
+    return np.array([hull_volume(points) for points in field.points.detach().cpu().double().numpy()])
+
+
+def inside_union(
+    field: ConvexField, positions: Float[np.ndarray, "Q 3"], *, margin: float = 0.0, spaces: HalfSpaces | None = None
+) -> Bool[np.ndarray, " Q"]:
+    """Whether positions [m] lie in at least one hull, or no farther than `margin` [m] from its planes."""
+    field = field.to(torch.float64)
+    spaces = half_spaces(field) if spaces is None else spaces
+    found = np.zeros(len(positions), dtype=bool)
+    for points, _, distances in _pairs(field, spaces, positions, np.full(len(field), margin)):
+        found[points[distances.amax(dim=1).numpy() <= margin]] = True
+    return found
+
+
+def union_occupancy(field: ConvexField, positions: Float[np.ndarray, "Q 3"]) -> Float[np.ndarray, " Q"]:
+    """1 − Π_i (1 − opacity_i O_i) at positions [m], with O_i of `ConvexField`."""
+    field = field.to(torch.float64)
+    free = np.ones(len(positions))
+    reach = (SOFT_REACH / (field.smoothness * field.sharpness)).detach().numpy()
+    for points, convexes, distances in _pairs(field, half_spaces(field), positions, reach):
+        scaled = field.smoothness[convexes, None] * distances
+        inside = torch.sigmoid(-field.sharpness[convexes] * torch.logsumexp(scaled, dim=1))
+        np.multiply.at(free, points, (1 - field.opacity[convexes] * inside).detach().numpy())
+    return 1 - free
+
+
+def _pairs(
+    field: ConvexField, spaces: HalfSpaces, positions: np.ndarray, reach: np.ndarray
+) -> Iterator[tuple[np.ndarray, torch.Tensor, torch.Tensor]]:
+    """Points, convexes and distances [pairs, H] to their planes, of pairs whose bounding balls say they may meet."""
+    tree = cKDTree(positions)
+    centres = field.centres.detach()
+    radius = torch.linalg.vector_norm(field.points.detach() - centres[:, None], dim=2).amax(dim=1).numpy() + reach
+    for block in np.array_split(np.arange(len(field)), max(1, len(field) // 2000)):
+        near = tree.query_ball_point(centres[block].numpy(), radius[block])
+        owners = np.repeat(block, [len(some) for some in near])
+        points = np.concatenate([np.asarray(some, dtype=np.int64) for some in near])
+        for part in np.array_split(np.arange(len(points)), 1 + len(points) // PAIRS):
+            if len(part):
+                convexes = torch.as_tensor(owners[part])
+                where = torch.as_tensor(positions[points[part]])
+                distances = torch.einsum("pi,phi->ph", where, spaces.normals[convexes].detach())
+                yield points[part], convexes, distances - spaces.offsets[convexes].detach()

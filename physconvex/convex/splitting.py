@@ -1,0 +1,158 @@
+"""Convex dynamics: convexes cut in two, and merged again, where the deformation asks for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from physconvex.convex.field import LEAST_POINTS, ConvexField
+from physconvex.convex.hull_points import cut_points, fewer_points, hull_volume, padded_points
+from physconvex.convex.motion import DeformationMap
+from physconvex.errors import InputError
+
+__all__ = ["Division", "non_affinity", "split", "split_until_affine"]
+
+LEVELS = 6  # of splitting at most: one convex becomes up to 64
+CENTRAL = 0.15  # a corner this near to the middle (in extents) becomes the place of the cut
+
+
+@dataclass(frozen=True, eq=False)
+class Division:
+    """What splitting or merging made.
+
+    Attributes:
+        field: the new field.
+        sources: for each new convex the old one it is (a part of), shape [M].
+        lost_volume: volume of the old hulls that no new hull holds, since a hull has at most K points [m³].
+    """
+
+    field: ConvexField
+    sources: Int[Tensor, " M"]
+    lost_volume: float
+
+
+def non_affinity(field: ConvexField, deform: DeformationMap) -> Float[Tensor, " N"]:
+    """How far a deformation is from affine within each convex, as a share of the size of the moved convex.
+
+    The greatest distance of the moved points and middles of all pairs of points from where the best affine map (least
+    squares over them) takes them, over the greatest distance of two moved points.
+    """
+    first, second = zip(*combinations(range(field.points.shape[1]), 2), strict=True)
+    rest = torch.cat([field.points, 0.5 * (field.points[:, first] + field.points[:, second])], dim=1)
+    moved = deform(rest.reshape(-1, 3))[0].reshape(rest.shape)
+    ones = torch.ones_like(rest[..., :1])
+    scale = torch.linalg.vector_norm(rest - rest.mean(dim=1, keepdim=True), dim=2).mean(dim=1)[:, None, None]
+    table = torch.cat([(rest - rest.mean(dim=1, keepdim=True)) / scale, ones], dim=2)
+    fitted = table @ (torch.linalg.pinv(table) @ moved)
+    corners = moved[:, : field.points.shape[1]]
+    size = torch.cdist(corners, corners).flatten(1).amax(dim=1)
+    return torch.linalg.vector_norm(moved - fitted, dim=2).amax(dim=1) / size
+
+
+def split(
+    field: ConvexField,
+    which: Bool[Tensor, " N"],
+    *,
+    normals: Float[Tensor, "N 3"] | None = None,
+    overlap: Float[Tensor, " N"] | float = 0.0,
+    keep_count: bool = True,
+) -> Division:
+    """Cut convexes in two, by default across their longest extent; the others stay as they are and come first.
+
+    The cut goes through the middle, or through a corner near to it, which leaves fewer corners. Both parts keep colour,
+    edges and opacity. Without `overlap` their hulls share one face: occupancy as a set is conserved exactly, but soft
+    edges there let light through.
+
+    Args:
+        which: the convexes to split, shape [N].
+        normals: of the cuts, shape [N, 3].
+        overlap: by how much each part reaches beyond the cut [m], one or per convex.
+        keep_count: keep K points per convex, leaving out corners that cost the least volume; otherwise K grows so that
+            all are kept.
+    """
+    if which.shape != (len(field),) or which.dtype != torch.bool:
+        raise InputError(f"which: got {which.dtype} of shape {tuple(which.shape)}; expected bool [{len(field)}]")
+    count = field.points.shape[1]
+    margins = torch.as_tensor(overlap).expand(len(field)).cpu().double().numpy()
+    chosen = which.nonzero()[:, 0]
+    points = field.points.detach().cpu().double().numpy()
+    longest = np.linalg.svd(points - points.mean(axis=1, keepdims=True), full_matrices=False)[2][:, 0]
+    directions = longest if normals is None else normals.detach().cpu().double().numpy()
+    parts: list[np.ndarray] = []
+    lost = 0.0
+    for convex in chosen.tolist():
+        for part in _halves(points[convex], directions[convex], margins[convex]):
+            kept = fewer_points(part, count) if keep_count else part
+            lost += hull_volume(part) - hull_volume(kept) if len(kept) < len(part) else 0.0
+            parts.append(kept)
+    width = max([count, *map(len, parts)])
+    sources = torch.cat([(~which).nonzero()[:, 0], chosen.repeat_interleave(2)])
+    new = np.array([padded_points(part, width) for part in parts]).reshape(-1, width, 3)
+    old = torch.cat([field.points, field.points[:, :1].expand(-1, width - count, -1)], dim=1)[~which]
+    divided = field.select(sources).with_points(torch.cat([old, torch.as_tensor(new).to(old)]))
+    return Division(divided, sources, lost)
+
+
+def _halves(
+    points: Float[np.ndarray, "K 3"], normal: Float[np.ndarray, " 3"], margin: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The parts on either side of the cut."""
+    height = points @ normal
+    low, high = height.min(), height.max()
+    offset = 0.5 * (low + high)
+    nearest = height[np.abs(height - offset).argmin()]
+    if abs(nearest - offset) < CENTRAL * (high - low):
+        offset = nearest
+    halves = cut_points(points, normal, offset + margin), cut_points(points, -normal, -offset + margin)
+    least = min(map(len, halves))
+    return halves if least >= LEAST_POINTS else (points, points)
+
+
+def split_until_affine(field: ConvexField, deform: DeformationMap, *, tolerance: float, limit: int) -> Division:
+    """Split the rest field, across the direction in which the gradient changes most, until the deformation is
+    affine within every convex up to `tolerance`, or there are `limit`.
+
+    All corners are kept (K may grow), so the union of the hulls stays what it was. Advect the result.
+
+    Args:
+        tolerance: greatest `non_affinity` to be left, as a share of a convex's size.
+        limit: most convexes.
+    """
+    if not tolerance > 0:
+        raise InputError(f"tolerance: got {tolerance}; expected a positive share of a convex's size")
+    sources, lost = torch.arange(len(field)), 0.0
+    for _ in range(LEVELS):
+        error = non_affinity(field, deform).detach().cpu()
+        room = limit - len(field)
+        worst = error.argsort(descending=True)[: max(room, 0)]
+        which = torch.zeros(len(field), dtype=torch.bool)
+        which[worst[error[worst] > tolerance]] = True
+        if not which.any():
+            break
+        division = split(field, which, normals=_bending(field, deform), keep_count=False)
+        field, sources, lost = division.field, sources[division.sources], lost + division.lost_volume
+    return Division(field, sources, lost)
+
+
+def _bending(field: ConvexField, deform: DeformationMap) -> Float[Tensor, "N 3"]:
+    """Unit normals of the cuts across which the gradient F changes most from part to part.
+
+    F(X_k) ≈ F̄ + G (X_k − X̄) by least squares; with coordinates u = C^(−1/2) (X − X̄) in which the convex is as long in
+    all directions, the greatest change is along the first right singular vector v of G C^(1/2): the cut is u · v = 0.
+    """
+    with torch.no_grad():
+        offsets = field.points - field.centres[:, None]
+        gradients = deform(field.points.reshape(-1, 3))[1].reshape(*offsets.shape[:2], 9)
+        changes = gradients - gradients.mean(dim=1, keepdim=True)
+        slopes = torch.linalg.pinv(offsets) @ changes  # [N, 3, 9]
+        values, axes = torch.linalg.eigh(offsets.transpose(1, 2) @ offsets)
+        roots = values.clamp(min=1e-8 * values[:, 2:]).sqrt()
+        whitened = roots[..., None] * (axes.transpose(1, 2) @ slopes)
+        direction = torch.linalg.svd(whitened.transpose(1, 2), full_matrices=False)[2][:, 0]
+        normals = (axes @ (direction / roots)[..., None])[..., 0]
+        return normals / torch.linalg.vector_norm(normals, dim=1, keepdim=True)

@@ -1,0 +1,34 @@
+"""From views to a static convex field."""
+
+from physconvex.reconstruction.config import ReconstructionConfig, load_reconstruction_config
+from physconvex.reconstruction.coverage import Coverage, measure_coverage
+from physconvex.reconstruction.fit import FitState, Progress, begin, fit, image_loss
+from physconvex.reconstruction.observation import Observation, observe
+from physconvex.reconstruction.refine import Refinement, refine
+from physconvex.reconstruction.scores import ViewScore, score
+from physconvex.reconstruction.similarity import psnr, structural_similarity
+from physconvex.reconstruction.start import Start, start_field
+from physconvex.reconstruction.visual_hull import visual_hull
+
+__all__ = [
+    "Coverage",
+    "FitState",
+    "Observation",
+    "Progress",
+    "ReconstructionConfig",
+    "Refinement",
+    "Start",
+    "ViewScore",
+    "begin",
+    "fit",
+    "image_loss",
+    "load_reconstruction_config",
+    "measure_coverage",
+    "observe",
+    "psnr",
+    "refine",
+    "score",
+    "start_field",
+    "structural_similarity",
+    "visual_hull",
+]

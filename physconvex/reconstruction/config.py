@@ -1,0 +1,111 @@
+"""What a reconstruction is to do, readable from YAML."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from physconvex.configuration import set_value, validated
+from physconvex.errors import InputError
+
+__all__ = ["ReconstructionConfig", "StartKind", "load_reconstruction_config"]
+
+StartKind = Literal["auto", "mesh", "hull", "points"]
+Share = Annotated[float, Field(ge=0, le=1)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_EXAMPLE = "budget=12000"
+
+
+class ReconstructionConfig(BaseModel):
+    """Lengths are in footprints: what one pixel of the full image covers at the object.
+
+    Attributes:
+        start: what the first convexes come from: the capture's mesh, the visual hull of the masks, points; `auto` takes
+            the mesh if there is one, else points if given, else the hull.
+        budget: most convexes.
+        start_share: share of the budget that covers the surface at the start; refinement adds the rest.
+        filler_share: share of the budget that may fill the inside.
+        steps: steps of the optimiser, one view each.
+        levels, level_shares: coarse to fine: scales of the image, and the share of the steps spent at each.
+        refinements: how often convexes are split, cloned and pruned, evenly over the first `refine_until` of the steps.
+        dissimilarity: λ of (1 − λ) L1 + λ (1 − SSIM)/2.
+        mask_weight: weight of the mean difference of alpha and mask.
+        edge_width: of the soft edges at the start.
+        point_rate: greatest step of a coordinate; falls to `final_rate` times this, as do the other rates.
+        edge_rate: of log α and log β; opacity_rate: of the logit; colour_rate: of the first harmonic; the others get
+            `view_rate` times this, and are pulled to zero by `view_decay` per step.
+        seed: of the order of the views and of what is sampled.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    start: StartKind = "auto"
+    budget: int = Field(default=24_000, ge=50)
+    start_share: Share = 0.6
+    filler_share: Share = 0.1
+    steps: int = Field(default=400, ge=1)
+    levels: tuple[Share, ...] = (0.25, 0.5, 1.0)
+    level_shares: tuple[Share, ...] = (0.1, 0.2, 0.7)
+    refinements: int = Field(default=5, ge=0)
+    refine_until: Share = 0.6
+    dissimilarity: Share = 0.2
+    mask_weight: float = Field(default=0.2, ge=0, allow_inf_nan=False)
+    edge_width: Positive = 1.0
+    point_rate: Positive = 0.05
+    edge_rate: Positive = 0.01
+    opacity_rate: Positive = 0.02
+    colour_rate: Positive = 0.02
+    view_rate: float = Field(default=0.05, ge=0, allow_inf_nan=False)
+    view_decay: Share = 0.002
+    final_rate: Share = 0.1
+    seed: int = Field(default=0, ge=0)
+
+    @model_validator(mode="after")
+    def check(self) -> ReconstructionConfig:
+        if len(self.levels) != len(self.level_shares) or not self.levels or min(self.levels) <= 0:
+            raise ValueError(f"levels {self.levels} and level_shares {self.level_shares} must be as many, above zero")
+        if abs(sum(self.level_shares) - 1) > 1e-6:
+            raise ValueError(f"level_shares {self.level_shares} must sum to one")
+        return self
+
+    def scale_at(self, step: int) -> float:
+        """Scale of the image in a step."""
+        passed = 0.0
+        for scale, share in zip(self.levels, self.level_shares, strict=True):
+            passed += share * self.steps
+            if step < passed - 1e-9:
+                return scale
+        return self.levels[-1]
+
+    def refinement_steps(self) -> tuple[int, ...]:
+        """Steps before which the convexes are refined."""
+        every = self.refine_until * self.steps / max(self.refinements, 1)
+        return tuple(sorted({round(every * (k + 1)) for k in range(self.refinements)} - {0}))
+
+
+def load_reconstruction_config(
+    source: str | Path | None = None, *, overrides: Sequence[str] = (), **values: Any
+) -> ReconstructionConfig:
+    """The configuration of a YAML file (else the defaults), with `name=value` overrides, and values that are not None.
+
+    Raises:
+        InputError: no such file, bad YAML, an unknown name or a value out of range.
+    """
+    tree: dict[str, Any] = {}
+    if source is not None:
+        if not Path(source).is_file():
+            raise InputError(f"config: {source} is not a file; expected YAML with lines such as `budget: 12000`")
+        try:
+            tree = yaml.safe_load(Path(source).read_text(encoding="utf-8")) or {}
+        except yaml.YAMLError as error:
+            raise InputError(f"config: {source} is no valid YAML: {error}") from error
+        if not isinstance(tree, dict):
+            raise InputError(f"config: {source} holds {type(tree).__name__}; expected names and values")
+    for override in overrides:
+        set_value(tree, override, example=_EXAMPLE)
+    tree.update({name: value for name, value in values.items() if value is not None})
+    return validated(ReconstructionConfig, tree, argument="configuration")

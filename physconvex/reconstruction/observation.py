@@ -1,0 +1,123 @@
+"""What one camera saw: an image, what was behind the object, where the object is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from physconvex.camera import Camera
+from physconvex.errors import InputError
+from physconvex.render import View
+
+__all__ = ["Observation", "observe"]
+
+SOFT_RIM = 2  # pixels around a binary mask that the object may touch
+MARGIN = 6  # pixels kept around the object when an observation is cropped
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """One view of the object at rest.
+
+    Attributes:
+        camera: of these pixels.
+        image: the object before its background, shape [H, W, 3], 0 to 1.
+        background: what is or would be seen without the object, shape [H, W, 3].
+        coverage: share of each pixel that the object covers, shape [H, W].
+    """
+
+    camera: Camera
+    image: Float[Tensor, "H W 3"]
+    background: Float[Tensor, "H W 3"]
+    coverage: Float[Tensor, "H W"]
+
+    @property
+    def view(self) -> View:
+        """The camera as tensors."""
+        return View.of(self.camera)
+
+    def resized(self, scale: float) -> Observation:
+        """The same field of view at a scale of the number of pixels (mean over areas)."""
+        if scale == 1:
+            return self
+        width, height = (max(8, round(scale * size)) for size in (self.camera.w, self.camera.h))
+
+        def shrink(tensor: Tensor) -> Tensor:
+            return torch.as_tensor(cv2.resize(tensor.numpy(), (width, height), interpolation=cv2.INTER_AREA))
+
+        maps = (shrink(tensor) for tensor in (self.image, self.background, self.coverage))
+        return Observation(self.camera.resized(width, height), *maps)
+
+    def cropped(self) -> Observation:
+        """The part around the object; nothing is to be learnt of an object from the rest but that it is not there."""
+        rows, columns = (torch.nonzero(self.coverage.sum(dim=axis) > 0)[:, 0] for axis in (1, 0))
+        if not len(rows):
+            return self
+        top, left = max(0, int(rows[0]) - MARGIN), max(0, int(columns[0]) - MARGIN)
+        bottom, right = int(rows[-1]) + 1 + MARGIN, int(columns[-1]) + 1 + MARGIN
+        maps = (tensor[top:bottom, left:right].contiguous() for tensor in (self.image, self.background, self.coverage))
+        image, background, coverage = maps
+        old = self.camera
+        camera = Camera(
+            old.name, image.shape[1], image.shape[0], old.fl_x, old.fl_y, old.cx - left, old.cy - top,
+            old.transform_matrix, old.k1, old.k2,
+        )  # fmt: skip
+        return Observation(camera, image, background, coverage)
+
+
+def observe(
+    camera: Camera,
+    frame: UInt8[np.ndarray, "H W 3"],
+    coverage: UInt8[np.ndarray, "H W"],
+    *,
+    fractional: bool,
+) -> Observation:
+    """An observation from a picture and the object's silhouette.
+
+    With `fractional` coverage (the alpha of an image, colours not multiplied by it) the object is put before white. A
+    mask of zeros and ones says nothing of how much of the pixels at its rim the object covers: there the picture stays
+    as it is, and the background is continued from outside, so that a soft edge before it explains the mixed pixels.
+
+    Raises:
+        InputError: sizes that do not fit, or an empty silhouette.
+    """
+    if frame.shape != (camera.h, camera.w, 3) or coverage.shape != (camera.h, camera.w):
+        raise InputError(
+            f"camera {camera.name!r}: got a picture {frame.shape} and a silhouette {coverage.shape}; "
+            f"expected {camera.h}×{camera.w} pixels"
+        )
+    if not coverage.any():
+        raise InputError(f"camera {camera.name!r}: its silhouette is empty; remove the camera or correct its mask")
+    colours = frame.astype(np.float32) / 255
+    share: np.ndarray
+    background: np.ndarray
+    if fractional:
+        share = coverage.astype(np.float32)[..., None] / 255
+        background = np.ones_like(colours)
+        colours = share * colours + (1 - share) * background
+    else:
+        share = (coverage > 127).astype(np.float32)[..., None]
+        background = _continued(colours, share[..., 0] > 0)
+    return Observation(camera, *(torch.as_tensor(values) for values in (colours, background, share[..., 0])))
+
+
+def _continued(colours: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """The colours outside a mask and its rim, continued inward as local means."""
+    kernel = np.ones((2 * SOFT_RIM + 1, 2 * SOFT_RIM + 1), np.uint8)
+    outside = (cv2.dilate(inside.astype(np.uint8), kernel) == 0).astype(np.float32)
+    if not outside.any():
+        return np.ones_like(colours)
+    filled: np.ndarray = np.broadcast_to(colours[outside > 0].mean(axis=0), colours.shape).astype(np.float32)
+    for radius in (64, 16, 4):  # coarse means where nothing finer is known
+        size = (2 * radius + 1, 2 * radius + 1)
+        weight = cv2.blur(outside, size, borderType=cv2.BORDER_CONSTANT)[..., None]
+        total = cv2.blur(colours * outside[..., None], size, borderType=cv2.BORDER_CONSTANT)
+        mean = np.asarray(total / np.maximum(weight, 1e-6), dtype=np.float32)
+        known = np.clip(weight * 20, 0, 1)
+        filled = np.asarray(known * mean + (1 - known) * filled)
+    return np.where(outside[..., None] > 0, colours, filled).astype(np.float32)

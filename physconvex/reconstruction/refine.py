@@ -1,0 +1,122 @@
+"""Adaptive refinement: convexes are added where images differ, and taken away where they explain nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from physconvex.convex import ConvexField, halve
+from physconvex.reconstruction.attribution import gather
+from physconvex.reconstruction.observation import Observation
+from physconvex.render import render
+
+__all__ = ["Refinement", "refine"]
+
+LEAST_OPACITY = 0.03
+DIVISIBLE = 2.5  # extent in footprints from which a convex is split; smaller ones are cloned
+SHARE = 0.2  # of the convexes that one refinement may divide
+CLONE_SHIFT = 0.25  # of its extent by which a clone is moved
+SLIGHT = 2.0  # pixels, over all views, below which a convex may make room for others
+OUTSIDE = 0.2  # a convex is a floater if less than this share of its pixels is covered by the object
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """A new field.
+
+    Attributes:
+        field: the convexes.
+        sources: the old convex that each is (a part of), shape [M].
+        fresh: which are new, shape [M].
+        pruned, split, cloned: how many were.
+    """
+
+    field: ConvexField
+    sources: Int[Tensor, " M"]
+    fresh: Bool[Tensor, " M"]
+    pruned: int
+    split: int
+    cloned: int
+
+
+@torch.no_grad()
+def refine(
+    field: ConvexField,
+    observations: Sequence[Observation],
+    *,
+    budget: int,
+    footprint: float,
+    fixed: Bool[Tensor, " N"],
+    generator: torch.Generator,
+) -> Refinement:
+    """Prune, split and clone.
+
+    Every convex is charged with the squared differences of the pixels it explains (by `gather`, over all views). Pruned
+    are transparent ones and those that explain background; if the budget is full, also those seen least, so that the
+    ones charged most can be divided. What no view sees stays: it is part of the body all the same.
+
+    Args:
+        budget: most convexes afterwards.
+        footprint: what a pixel covers [m].
+        fixed: convexes that are neither divided nor pruned, shape [N].
+        generator: of the directions in which clones are moved.
+    """
+    charge, weight, covered = _charged(field, observations)
+    floating = (weight > 1) & (covered < OUTSIDE * weight)
+    keep = fixed | ((field.opacity > LEAST_OPACITY) & ~floating)
+    wanted = int(SHARE * len(field))
+    crowded = min(int(keep.sum()) + wanted - budget, wanted // 2)
+    if crowded > 0:
+        slight = (keep & ~fixed & (weight > 0) & (weight < SLIGHT)).nonzero()[:, 0]
+        keep[slight[weight[slight].argsort()[:crowded]]] = False
+    room = max(0, min(wanted, budget - int(keep.sum())))
+    candidates = (keep & ~fixed & (charge > 0)).nonzero()[:, 0]
+    chosen = candidates[charge[candidates].argsort(descending=True)[:room]]
+    extent = torch.linalg.vector_norm(field.points - field.centres[:, None], dim=2).amax(dim=1) * 2
+    large = torch.zeros(len(field), dtype=torch.bool)
+    large[chosen] = extent[chosen] > DIVISIBLE * footprint
+    small = torch.zeros_like(large)
+    small[chosen] = ~large[chosen]
+    return _divided(field, keep, large, small, extent, generator)
+
+
+def _divided(
+    field: ConvexField, keep: Tensor, large: Tensor, small: Tensor, extent: Tensor, generator: torch.Generator
+) -> Refinement:
+    """Those kept, the large ones split, the small ones cloned."""
+    overlap = 2.0 / (field.smoothness * field.sharpness)
+    whole, parents = (keep & ~large).nonzero()[:, 0], large.nonzero()[:, 0]
+    parts = halve(field.points[parents], torch.minimum(overlap, 0.2 * extent)[parents])
+    sources = torch.cat([whole, parents.repeat_interleave(2)])
+    divided = field.select(sources).with_points(torch.cat([field.points[whole], parts.flatten(0, 1)]))
+    fresh = large[sources]
+    clones = small.nonzero()[:, 0]
+    shift = torch.randn((len(clones), 3), generator=generator)
+    shift = CLONE_SHIFT * extent[clones, None] * shift / shift.norm(dim=1, keepdim=True)
+    copies = field.select(clones)
+    copies = copies.with_points(copies.points + shift[:, None])
+    joined = [torch.cat(pair) for pair in zip(divided.tensors(), copies.tensors(), strict=True)]
+    sources = torch.cat([sources, clones])
+    fresh = torch.cat([fresh, torch.ones(len(clones), dtype=torch.bool)])
+    # a convex and its clone let through together what the convex did: (1 − o')² = 1 − o
+    doubled = small[sources]
+    joined[3] = torch.where(doubled, 1 - (1 - joined[3]).clamp(min=0).sqrt(), joined[3])
+    return Refinement(ConvexField(*joined), sources, fresh, int((~keep).sum()), len(parents), len(clones))
+
+
+def _charged(
+    field: ConvexField, observations: Sequence[Observation]
+) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"], Float[Tensor, " N"]]:
+    """Squared differences, pixels, and covered pixels of each convex over all views."""
+    sums = field.points.new_zeros((len(field), 3))
+    for seen in observations:
+        image = render(field, seen.view, background=seen.background)
+        error = (image.colour - seen.image).square().sum(dim=-1) + (image.alpha - seen.coverage).square()
+        maps = torch.stack([error, torch.ones_like(error), seen.coverage], dim=-1)
+        with torch.enable_grad():
+            sums += gather(field, seen.view, maps).values
+    return sums[:, 0], sums[:, 1], sums[:, 2]

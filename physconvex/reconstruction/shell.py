@@ -1,0 +1,115 @@
+"""First convexes: prisms under a surface, boxes inside it, octahedra about points."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from physconvex.reconstruction.triangles import Triangles
+
+__all__ = ["fillers", "octahedra", "prisms"]
+
+GREATEST_GROWTH = 2.0  # of a sliver whose edges are moved outward
+SHARE_OF_WALL = 0.4  # of the way to the other side of the body that a prism may reach
+SURFACE_SAMPLES = 40_000
+LATTICE = 64  # cells along the longest edge at most
+BOX_POINTS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+WEDGES = np.array([[0, 1, 2, 3, 4, 5], [2, 3, 4, 5, 6, 7]])  # of a box, sharing the diagonal plane
+
+
+def prisms(triangles: Triangles, mesh: trimesh.Trimesh, *, depth: float, overhang: float) -> Float[np.ndarray, "F 6 3"]:
+    """A prism of six points under every triangle.
+
+    Args:
+        mesh: the closed surface that the triangles lie on; prisms end before its other side.
+        depth: how far they reach inward [m].
+        overhang: by how much their edges are moved outward [m], so that soft edges of neighbours overlap.
+    """
+    corners = triangles.corners
+    lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1), axis=2)  # opposite the corner
+    perimeter = lengths.sum(axis=1, keepdims=True)
+    middle = (lengths[..., None] * corners).sum(axis=1, keepdims=True) / perimeter[..., None]  # of the inscribed circle
+    radius = 2 * triangles.areas / perimeter[:, 0]
+    growth = np.minimum(1 + overhang / np.maximum(radius, 1e-12), GREATEST_GROWTH)
+    outer = middle + growth[:, None, None] * (corners - middle)
+    wall = _wall(mesh, corners, triangles.normals)
+    inward = np.minimum(depth, SHARE_OF_WALL * wall)[..., None] * triangles.normals
+    return np.concatenate([outer, outer - inward], axis=1)
+
+
+def _wall(mesh: trimesh.Trimesh, corners: np.ndarray, normals: np.ndarray) -> Float[np.ndarray, "F 3"]:
+    """Distance [m] from the corners inward to the other side; infinite where there is none.
+
+    Rays start a little towards the middle of the triangle, so that edges between faces are not hit.
+    """
+    size = float(np.ptp(mesh.vertices, axis=0).max())
+    inner = 0.9 * corners + 0.1 * corners.mean(axis=1, keepdims=True)
+    origins = (inner - 1e-4 * size * normals).reshape(-1, 3)
+    directions = -normals.reshape(-1, 3)
+    where, rays, _ = mesh.ray.intersects_location(origins, directions, multiple_hits=False)
+    wall = np.full(len(origins), np.inf)
+    wall[rays] = np.linalg.norm(where - origins[rays], axis=1)
+    return wall.reshape(corners.shape[:2])
+
+
+def fillers(mesh: trimesh.Trimesh, *, depth: float, most: int) -> Float[np.ndarray, "B 6 3"]:
+    """At most `most` wedges that fill what prisms of a `depth` [m] leave free inside a closed surface.
+
+    Cells of a lattice that lie inside as a whole, joined to boxes, each cut into two wedges of six points. The lattice
+    is made coarser until they are few enough. Boxes reach a twentieth of a cell into each other.
+    """
+    low, size = mesh.bounds[0], float(np.ptp(mesh.bounds, axis=0).max())
+    samples, _ = trimesh.sample.sample_surface(mesh, SURFACE_SAMPLES, seed=0)
+    tree = cKDTree(samples)
+    cells = min(LATTICE, max(4, int(np.ceil(np.sqrt(3) * size / max(depth, size / LATTICE)))))  # no gaps to the prisms
+    while cells >= 4 and most >= 2:
+        edge = size / cells
+        inside = _cells_inside(mesh, tree, low, edge)
+        boxes = _joined(inside)
+        if 2 * len(boxes) <= most:
+            spans = (boxes[:, 1] - boxes[:, 0] + 0.1)[:, None] * BOX_POINTS + boxes[:, :1] - 0.05
+            return (low + edge * spans)[:, WEDGES].reshape(-1, 6, 3)
+        cells = int(0.85 * cells)
+    return np.zeros((0, 6, 3))
+
+
+def _cells_inside(mesh: trimesh.Trimesh, tree: cKDTree, low: np.ndarray, edge: float) -> Bool[np.ndarray, "X Y Z"]:
+    """Cells that are inside as a whole."""
+    shape = np.ceil(np.ptp(mesh.bounds, axis=0) / edge).astype(int)
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1)
+    centres = (low + edge * (grid + 0.5)).reshape(-1, 3)
+    half_diagonal = 0.5 * np.sqrt(3) * edge
+    deep = np.flatnonzero(tree.query(centres)[0] > half_diagonal)
+    inside = np.zeros(len(centres), dtype=bool)
+    if len(deep):
+        inside[deep] = mesh.contains(centres[deep])
+    return inside.reshape(shape)
+
+
+def _joined(inside: Bool[np.ndarray, "X Y Z"]) -> Int[np.ndarray, "B 2 3"]:
+    """Boxes (first cell, cell after the last) that fill the cells: each is grown along x, then y, then z."""
+    left = inside.copy()
+    boxes = []
+    for first in np.argwhere(inside):
+        if not left[tuple(first)]:
+            continue
+        last = first + 1
+        for axis in range(3):
+            while last[axis] < left.shape[axis]:
+                layer = [slice(a, b) for a, b in zip(first, last, strict=True)]
+                layer[axis] = slice(last[axis], last[axis] + 1)
+                if not left[tuple(layer)].all():
+                    break
+                last[axis] += 1
+        left[tuple(slice(a, b) for a, b in zip(first, last, strict=True))] = False
+        boxes.append((first, last))
+    return np.array(boxes, dtype=np.int64).reshape(-1, 2, 3)
+
+
+def octahedra(points: Float[np.ndarray, "P 3"], *, neighbours: int = 3) -> Float[np.ndarray, "P 6 3"]:
+    """An octahedron about each point, as large as the mean distance to the nearest others."""
+    distance = cKDTree(points).query(points, k=[*range(2, 2 + min(neighbours, len(points) - 1))])[0]
+    axes = np.concatenate([np.eye(3), -np.eye(3)])
+    return points[:, None] + distance.mean(axis=1)[:, None, None] * axes

@@ -1,0 +1,116 @@
+"""Splitting and merging conserve what is occupied."""
+
+import numpy as np
+import pytest
+import torch
+
+from physconvex.convex import (
+    ConvexField,
+    advect,
+    affine_map,
+    hull_volumes,
+    inside_union,
+    merge,
+    non_affinity,
+    split,
+    split_until_affine,
+    union_occupancy,
+)
+from physconvex.errors import InputError
+from tests.convex.fields import cube, random_field
+
+
+def bend(points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """A bar along x bent to a circle of radius 0.5 m about the y axis."""
+    x, y, z = points.unbind(-1)
+    sine, cosine, radius = (x / 0.5).sin(), (x / 0.5).cos(), 0.5 - z
+    zero, one = torch.zeros_like(x), torch.ones_like(x)
+    gradient = [cosine * radius / 0.5, zero, -sine, zero, one, zero, sine * radius / 0.5, zero, cosine]
+    return torch.stack([radius * sine, y, 0.5 - radius * cosine], -1), torch.stack(gradient, -1).reshape(-1, 3, 3)
+
+
+def bar() -> ConvexField:
+    field = cube()
+    return field.with_points(field.points * field.points.new_tensor([1.0, 0.1, 0.1]))
+
+
+def probes(field: ConvexField, count: int = 4000) -> np.ndarray:
+    points = field.points.flatten(0, 1).numpy()
+    return np.random.default_rng(0).uniform(points.min(axis=0), points.max(axis=0), (count, 3))
+
+
+@pytest.mark.parametrize("points", [4, 6, 8])
+def test_the_parts_of_a_split_fill_what_the_whole_did(points):
+    field = random_field(5, points=points, seed=points)
+    which = torch.tensor([True, False, True, True, False])
+    division = split(field, which, keep_count=False)
+    assert len(division.field) == 8
+    assert division.sources.tolist() == [1, 4, 0, 0, 2, 2, 3, 3]
+    np.testing.assert_allclose(hull_volumes(division.field).sum(), hull_volumes(field).sum(), rtol=1e-9)
+    where = probes(field)
+    np.testing.assert_array_equal(inside_union(division.field, where), inside_union(field, where))
+    assert torch.equal(division.field.harmonics, field.harmonics[division.sources])
+
+
+def test_with_the_number_of_points_kept_the_loss_is_what_is_stated():
+    field = random_field(6, points=6, seed=3)
+    division = split(field, torch.ones(6, dtype=torch.bool))
+    assert division.field.points.shape == (12, 6, 3)
+    before, after = hull_volumes(field).sum(), hull_volumes(division.field).sum()
+    assert 0 < division.lost_volume < 0.2 * before
+    np.testing.assert_allclose(before - after, division.lost_volume, rtol=1e-9)
+
+
+def test_overlap_closes_the_seam_between_soft_parts():
+    field = ConvexField(*(10 * tensor if at == 1 else tensor for at, tensor in enumerate(bar().tensors())))
+    seam = np.zeros((1, 3))
+    plain = split(field, torch.tensor([True])).field
+    over = split(field, torch.tensor([True]), overlap=0.1).field
+    before, cut, closed = (float(union_occupancy(one, seam)[0]) for one in (field, plain, over))
+    assert cut < before - 0.1 and closed > before - 0.02
+
+
+def test_bending_is_found_and_split_away():
+    field = bar()
+    straight = affine_map(torch.eye(3) * 2, torch.ones(3))
+    assert float(non_affinity(field, straight)) < 1e-12
+    before = float(non_affinity(field, bend))
+    division = split_until_affine(field, bend, tolerance=0.01, limit=100)
+    assert before > 0.1 and float(non_affinity(division.field, bend).max()) < 0.01
+    # A bent bar whose middle line keeps its length keeps its volume (Pappus), and the parts fill it.
+    moved = hull_volumes(advect(division.field, bend)).sum()
+    assert moved == pytest.approx(float(hull_volumes(field)[0]), rel=0.01)
+    assert hull_volumes(advect(field, bend)).sum() < 0.5 * moved  # the hull of eight moved corners
+    assert len(split_until_affine(field, bend, tolerance=0.01, limit=5).field) <= 5
+
+
+def test_merging_undoes_a_split_and_conserves_occupancy():
+    field = bar()
+    parts = split(field, torch.tensor([True])).field
+    parts = split(parts, torch.tensor([True, True])).field
+    assert len(parts) == 4
+    once = merge(parts)
+    twice = merge(once.field)
+    assert (len(once.field), len(twice.field)) == (2, 1)
+    where = probes(field)
+    np.testing.assert_array_equal(inside_union(twice.field, where), inside_union(field, where))
+    assert len(merge(parts, limit=3).field) == 3
+
+
+def test_what_differs_in_colour_or_place_is_not_merged():
+    parts = split(bar(), torch.tensor([True])).field
+    painted = ConvexField(*parts.tensors()[:4], parts.harmonics + torch.tensor([0.0, 0.5])[:, None, None])
+    assert len(merge(painted).field) == 2
+    apart = parts.with_points(parts.points * 1.0 + torch.tensor([[[0.0, 0, 0]], [[0.3, 0, 0]]]))
+    assert len(merge(apart).field) == 2
+    assert len(merge(parts).field) == 1
+
+
+def test_wrong_arguments_are_refused():
+    field = bar()
+    with pytest.raises(InputError, match="which"):
+        split(field, torch.tensor([1]))
+    with pytest.raises(InputError, match="tolerance"):
+        split_until_affine(field, bend, tolerance=0.0, limit=5)
+    with pytest.raises(InputError, match="tolerances"):
+        merge(field, volume_tolerance=-1.0)
