@@ -88,7 +88,8 @@ class MarkerObservations:
 
     @cached_property
     def _seen(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.nonzero(np.isfinite(self.positions).all(-1))
+        frames, points = np.nonzero(np.isfinite(self.positions).all(-1))
+        return frames, points
 
     @cached_property
     def frames(self) -> Int[np.ndarray, " N"]:
@@ -184,7 +185,8 @@ class PixelObservations:
 
     @cached_property
     def _seen(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.nonzero(np.isfinite(self.pixels).all(-1))
+        frames, points = np.nonzero(np.isfinite(self.pixels).all(-1))
+        return frames, points
 
     @cached_property
     def frames(self) -> Int[np.ndarray, " N"]:

@@ -25,7 +25,7 @@ def box_capture(tmp_path_factory) -> Capture:
     from physconvex.identify import ReducedModel, TwinOptions, base_twin
 
     box = box_mesh((0.3, 0.2, 0.1), (2, 1, 1), order=1)
-    tets = TetMesh(box.vertices + [0, 0, 0.012], box.tets)
+    tets = TetMesh(box.vertices + np.array([0, 0, 0.012]), box.tets)
     points = np.random.default_rng(0).uniform(size=(8, 3)) * [0.3, 0.2, 0.1] + [0, 0, 0.012]
     folder = tmp_path_factory.mktemp("captures")
     floor = Floor(np.zeros(3), np.array([0.1, 0.05, 1.0]), friction=0.3)
