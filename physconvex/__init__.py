@@ -12,8 +12,11 @@ from physconvex.errors import ConvergenceError, InputError, PhysconvexError
 _LAZY = {
     "PhysicsPredictor": "models",
     "Prediction": "inference",
+    "RefineOptions": "inference",
+    "Refinement": "inference",
     "predict": "inference",
     "predict_batch": "inference",
+    "refine": "inference",
 }
 
 __all__ = [
@@ -22,9 +25,12 @@ __all__ = [
     "PhysconvexError",
     "PhysicsPredictor",
     "Prediction",
+    "RefineOptions",
+    "Refinement",
     "__version__",
     "predict",
     "predict_batch",
+    "refine",
 ]
 
 try:
