@@ -90,8 +90,8 @@ class _Problem:
     def seen(self) -> Observations:
         return self.observed.observations
 
-    def reduced(self, twin: Twin | None = None) -> ReducedModel:
-        return ReducedModel(self.twin if twin is None else twin, self.names, self.seen.points, self.frames)
+    def reduced(self) -> ReducedModel:
+        return ReducedModel(self.twin, self.names, self.seen.points, self.frames)
 
     def full(self) -> FullModel:
         return FullModel(self.twin, self.names, self.seen.points, self.frames)
@@ -99,6 +99,22 @@ class _Problem:
     @property
     def frames(self) -> int:
         return int(self.seen.frames.max()) + 1
+
+    @property
+    def windows(self) -> tuple[int, ...]:
+        """Numbers of frames to be fitted one after the other.
+
+        A held body swings: over many periods the misfit has a minimum per period, over one it has one.
+        """
+        count = self.frames
+        if self.twin.clamp is None:
+            return (count,)
+        return tuple(dict.fromkeys(max(2, round(count * share)) for share in (0.25, 0.5, 1.0)))
+
+    def first(self, frames: int) -> _Problem:
+        """The first frames alone."""
+        part = replace(self.observed, observations=self.observed.observations.in_frames(frames))
+        return replace(self, observed=part)
 
 
 class _Run:
@@ -146,7 +162,7 @@ class _Run:
         starts = scan_of(self.stages.run("scan", lambda: self._scan(problem)), problem.parameters)
         return fit_of(self.stages.run("reduced", lambda: self._best(problem, starts)), problem.parameters)
 
-    def _cheap(self, problem: _Problem) -> ReducedModel:
+    def _cheap(self, problem: _Problem) -> Twin:
         """Few weights and long steps, the same world: for the scan."""
         options = self._twin_options(min(_CHEAP_WEIGHTS, self.options.weights))
         twin = base_twin(self.capture, options, mesh=problem.twin.mesh)
@@ -159,28 +175,36 @@ class _Run:
         held = {n: v for n, v in self.options.fixed.items() if v is not None}
         if held:
             twin = twin.with_values(list(held), np.array(list(held.values())))
-        return problem.reduced(replace(twin, steps_per_frame=max(4, twin.steps_per_frame // 2)))
+        return replace(twin, steps_per_frame=max(4, twin.steps_per_frame // 2))
 
     def _scan(self, problem: _Problem) -> dict[str, np.ndarray]:
         moduli, ratios, note = scan_range(self.capture, problem.twin, self.options)
         if note:
             self.warnings.append(note)
-        cheap = self._cheap(problem)
-        found = scan(cheap, problem.seen, problem.parameters, moduli=moduli, ratios=ratios)
+        frames = problem.windows[0]
+        cheap = replace(problem, twin=self._cheap(problem)).first(frames)
+        found = scan(cheap.reduced(), cheap.seen, problem.parameters, moduli=moduli, ratios=ratios)
         return arrays_of_scan(found)
 
     def _best(self, problem: _Problem, starts: tuple[tuple[Parameter, ...], ...]) -> dict[str, np.ndarray]:
         """A few cheap iterations from the two best starts, then the model itself from the better one."""
-        cheap, model = self._cheap(problem), problem.reduced()
-        trials = []
-        for start in starts:
-            try:
-                trials.append(fit(cheap, problem.seen, start, options=FitOptions(max_iterations=6)))
-            except ConvergenceError:
-                continue
+        cheap = replace(problem, twin=self._cheap(problem))
+        trials = [trial for start in starts if (trial := self._grown(cheap, start)) is not None]
         best = min(trials, key=lambda trial: trial.misfit) if trials else None
         chosen = starts[0] if best is None else _from(problem.parameters, best)
-        return arrays_of_fit(fit(model, problem.seen, chosen))
+        return arrays_of_fit(fit(problem.reduced(), problem.seen, chosen))
+
+    def _grown(self, cheap: _Problem, start: tuple[Parameter, ...]) -> Fit | None:
+        """Fit longer and longer parts of the motion; None where the body cannot be simulated."""
+        found = None
+        for frames in cheap.windows:
+            part = cheap.first(frames)
+            try:
+                found = fit(part.reduced(), part.seen, start, options=FitOptions(max_iterations=6))
+            except ConvergenceError:
+                return None
+            start = _from(cheap.parameters, found)
+        return found
 
     def _fit(self, name: str, problem: _Problem, start: tuple[Parameter, ...]) -> Fit:
         arrays = self.stages.run(name, lambda: arrays_of_fit(fit(problem.reduced(), problem.seen, start)))

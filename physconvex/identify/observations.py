@@ -52,6 +52,9 @@ class Observations(Protocol):
     ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
         """The residuals, and their derivatives by K parameters where the positions have `tangents` [T, K, P, 3]."""
 
+    def in_frames(self, count: int) -> Observations:
+        """The first `count` frames alone; the points stay."""
+
 
 def _axes(count: int, width: int) -> np.ndarray:
     return np.tile(np.arange(width), count)
@@ -279,6 +282,10 @@ class StackedObservations:
     def robust_scales(self) -> Float[np.ndarray, " N"]:
         """Huber's thresholds."""
         return np.concatenate([part.robust_scales for part in self.parts])
+
+    def in_frames(self, count: int) -> StackedObservations:
+        """The first `count` frames alone; the points stay."""
+        return StackedObservations(tuple(part.in_frames(count) for part in self.parts))
 
     def residuals(self, positions: Positions) -> Float[np.ndarray, " N"]:
         """(model − seen)/σ."""

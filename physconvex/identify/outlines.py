@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -92,6 +92,11 @@ class OutlineObservations:
         frames = np.repeat(np.arange(1, len(masks)), [len(pixels) for pixels, _ in found])
         pixels, normals = (np.concatenate([pair[k] for pair in found]) for k in (0, 1))
         return cls(camera, points, triangles, pixels, normals, frames, sigma)
+
+    def in_frames(self, count: int) -> OutlineObservations:
+        """The first `count` frames alone; the points stay."""
+        kept = self.frames < count
+        return replace(self, pixels=self.pixels[kept], normals=self.normals[kept], frames=self.frames[kept])
 
     @cached_property
     def point_indices(self) -> Int[np.ndarray, " N"]:
