@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float
 
+from inference.refining.fits import arrays_of_fit, fit_of
 from inference.refining.options import RefineOptions
 from inference.refining.result import Estimate, interval_of
 from inference.refining.stages import Stages
 from physconvex.errors import ConvergenceError
 from physconvex.fem import TetMesh, tetrahedralize
 from physconvex.identify import (
+    CorrectedModel,
     Fit,
+    FitOptions,
     FullModel,
     Identifiability,
     Observations,
+    ReducedModel,
     Twin,
+    WeightedObservations,
+    fit,
+    frame_errors,
     noise_covariance,
     parameter_shift,
 )
 
-__all__ = ["estimates_of", "finer_mesh", "model_error"]
+__all__ = ["Judged", "estimates_of", "finer_mesh", "judge"]
 
 _FINER = 1.8  # nodes of the finer mesh over those of the twin
 
@@ -61,33 +70,65 @@ def finer_mesh(twin: Twin) -> TetMesh | None:
         return None
 
 
-def model_error(
-    twin: Twin, found: Fit, seen: Observations, options: RefineOptions, stages: Stages, warnings: list[str]
-) -> Float[np.ndarray, " K"]:
-    """How far a finer full model moves each value, to first order; NaN where that is not tried.
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A fit judged by a finer model.
 
-    With the correction the comparison is between the full model and one with a finer mesh and half the step; without
-    it, between the reduced model and the full one.
+    Attributes:
+        fit: the last one; with the correction on, of the reduced model shifted to the finer model.
+        shift: how far the finer model moves each value, to first order, shape [K]; NaN where unknown.
+        frame_errors: rms difference between the two models in each frame, in standard deviations of the noise, [T].
     """
-    if not options.model_error:
-        return np.full(len(found.values), np.nan)
+
+    fit: Fit
+    shift: Float[np.ndarray, " K"]
+    frame_errors: Float[np.ndarray, " T"]
+
+
+def judge(
+    twin: Twin, found: Fit, seen: Observations, options: RefineOptions, stages: Stages, warnings: list[str]
+) -> Judged:
+    """Compare with a finer model, let frames count by what that changes, and fit once more.
+
+    With the correction the comparison is between the full model and one with a finer mesh and half the step, and the
+    last fit takes its residuals from the latter; without it, between the reduced model and the full one, and nothing is
+    fitted again.
+    """
     frames = int(seen.frames.max()) + 1
+    unknown = Judged(found, np.full(len(found.values), np.nan), np.zeros(frames))
+    if not options.model_error:
+        return unknown
 
     def compute() -> dict[str, np.ndarray]:
-        exact = FullModel(twin, found.names, seen.points, frames)
+        exact = FullModel(twin, found.names, seen.points, frames).positions(found.values)
         if not options.correction:
-            change = seen.residuals(exact.positions(found.values)) - found.residuals
-            return {"shift": parameter_shift(found, change), "meshed": np.array(1)}
+            change = seen.residuals(exact) - found.residuals
+            errors = frame_errors(seen, exact, found.positions)
+            return {"shift": parameter_shift(found, change), "errors": errors, "meshed": np.array(1)}
         mesh = finer_mesh(twin)
-        fine = FullModel(twin, found.names, seen.points, frames, mesh, refinement=2)
-        change = seen.residuals(fine.positions(found.values)) - seen.residuals(exact.positions(found.values))
-        return {"shift": parameter_shift(found, change), "meshed": np.array(int(mesh is not None))}
+        fine = FullModel(twin, found.names, seen.points, frames, mesh, refinement=2).positions(found.values)
+        errors = frame_errors(seen, fine, exact)
+        last = _fit_again(twin, found, WeightedObservations.by_errors(seen, errors), fine)
+        change = WeightedObservations.by_errors(seen, errors)
+        shift = parameter_shift(last, change.residuals(fine) - change.residuals(exact))
+        return arrays_of_fit(last) | {"shift": shift, "errors": errors, "meshed": np.array(int(mesh is not None))}
 
     try:
         arrays = stages.run("model_error", compute)
     except ConvergenceError as error:
         warnings.append(f"The model error is unknown: the finer model failed ({error}).")
-        return np.full(len(found.values), np.nan)
+        return unknown
     if not arrays["meshed"]:
         warnings.append("No finer mesh was found: the model error is that of the time step alone.")
-    return np.asarray(arrays["shift"])
+    last = fit_of(arrays, found.parameters) if "values" in arrays else found
+    return Judged(last, arrays["shift"], arrays["errors"])
+
+
+def _fit_again(twin: Twin, found: Fit, seen: Observations, fine: np.ndarray) -> Fit:
+    """From the fitted values, with the reduced model shifted to the finer one."""
+    reduced = ReducedModel(twin, found.names, seen.points, len(fine))
+    shift = fine - reduced.positions(found.values)
+    slope = np.zeros((len(fine), len(found.values), *fine.shape[1:]))
+    start = [p.at(float(v)) for p, v in zip(found.parameters, found.values, strict=True)]
+    corrected = CorrectedModel(reduced, found.values, shift, slope)
+    return fit(corrected, seen, start, options=FitOptions(max_iterations=8, max_step=1.5))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from inference.refining.estimates import estimates_of, model_error
+from inference.refining.estimates import estimates_of, judge
 from inference.refining.fits import arrays_of_correction, arrays_of_fit, arrays_of_scan, fit_of, runs_of, scan_of
 from inference.refining.motion import future_rms, motion_of
 from inference.refining.observing import Observed, observe
@@ -229,7 +229,8 @@ class _Run:
     def _result(
         self, problem: _Problem, start: Fit, final: Fit, arrays: dict[str, np.ndarray], converged: bool
     ) -> Refinement:
-        shift = model_error(problem.twin, final, problem.seen, self.options, self.stages, self.warnings)
+        judged = judge(problem.twin, final, problem.seen, self.options, self.stages, self.warnings)
+        final = judged.fit
         motion = motion_of(self.capture, problem.twin, final, self.options, self.stages)
         told = identifiability(final)
         held = [n for n in dict.fromkeys(["log10_youngs_modulus", "poisson_ratio", *self.options.fixed])]
@@ -237,11 +238,12 @@ class _Run:
         values = parameter_values(problem.twin.scene, held) if held else np.zeros(0)
         return Refinement(
             path=str(self.capture.folder),
-            estimates=estimates_of(final, shift, told),
+            estimates=estimates_of(final, judged.shift, told),
             fixed=dict(zip(held, map(float, values), strict=True)),
             covariance=noise_covariance(final),
             reduced_chi_square=final.reduced_chi_square,
-            residual_rms=problem.observed.rms(final.residuals),
+            residual_rms=problem.observed.rms(problem.seen.residuals(final.positions)),
+            frame_errors=judged.frame_errors,
             future_rms=future_rms(self.capture, motion),
             identifiability=told,
             history=final.history,

@@ -122,7 +122,9 @@ class Refinement:
         fixed: values that were held.
         covariance: of the noise, in the parameters' units, shape [K, K], in the order of `estimates`.
         reduced_chi_square: squares of the whitened residuals over degrees of freedom.
-        residual_rms: root mean square of the residuals by kind of observation, with its unit.
+        residual_rms: root mean square of the residuals by source, in standard deviations of its stated noise.
+        frame_errors: rms difference between the full and a finer model by frame, in standard deviations of the noise;
+            residuals of a frame were divided by √(1 + its square).
         future_rms: the same of the markers in the frames that were not fitted [m]; NaN without.
         identifiability: what the data can tell.
         history: of the last search.
@@ -141,6 +143,7 @@ class Refinement:
     covariance: Float[np.ndarray, "K K"]
     reduced_chi_square: float
     residual_rms: dict[str, float]
+    frame_errors: Float[np.ndarray, " T"]
     future_rms: float
     identifiability: Identifiability
     history: tuple[Iteration, ...]
@@ -188,6 +191,7 @@ class Refinement:
             "noise_covariance": {"order": names, "matrix": self.covariance.tolist()},
             "reduced_chi_square": self.reduced_chi_square,
             "residual_rms": self.residual_rms,
+            "model_error_by_frame": [float(e) for e in self.frame_errors],
             "future_rms_m": _plain(self.future_rms),
             "identifiability": {
                 "condition": _plain(told.condition),
