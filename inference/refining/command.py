@@ -44,6 +44,10 @@ def refine(
     prior: Annotated[
         list[str] | None, typer.Option(help="Gaussian prior NAME=MEAN,SIGMA, as poisson_ratio=0.49,0.005; repeatable.")
     ] = None,
+    initial: Annotated[
+        list[str] | None,
+        typer.Option(help="Start at NAME=VALUE, as log10_youngs_modulus=5.2, and do not scan; repeatable."),
+    ] = None,
     start: Annotated[str, typer.Option(help="Where the scan looks: predict (network), scan (everywhere), auto.")] = (
         "auto"
     ),
@@ -77,6 +81,7 @@ def refine(
         free=tuple(free or ()),
         fixed=dict(_assignment(text) for text in fix or ()),
         priors=dict(_prior(text) for text in prior or ()),
+        initial=dict(_value(text) for text in initial or ()),
         start=start,  # type: ignore[arg-type]
         correction=correction,
         full_runs=full_runs,
@@ -101,6 +106,11 @@ def refine(
 def _assignment(text: str) -> tuple[str, float | None]:
     name, given, value = text.partition("=")
     return name, (_number(text, value, "NAME=VALUE") if given else None)
+
+
+def _value(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    return name, _number(text, value, "NAME=VALUE")
 
 
 def _prior(text: str) -> tuple[str, tuple[float, float]]:

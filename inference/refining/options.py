@@ -24,6 +24,7 @@ class RefineOptions:
         free: parameters beyond E, ν, the damping time and what the capture does not state of the initial motion.
         fixed: parameters that stay, with their values; None: as the capture (or, for E and ν, the start) has it.
         priors: mean and standard deviation by parameter.
+        initial: values to start at, by name, such as log10_youngs_modulus; with E among them nothing is scanned.
         start: where the scan looks: "predict" around the network's prediction (videos), "scan" everywhere, "auto" the
             first of the two that works.
         correction: remove the reduced model's error with runs of the full one.
@@ -41,6 +42,7 @@ class RefineOptions:
     free: tuple[str, ...] = ()
     fixed: Mapping[str, float | None] = field(default_factory=dict)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    initial: Mapping[str, float] = field(default_factory=dict)
     start: Literal["auto", "predict", "scan"] = "auto"
     correction: bool = True
     full_runs: int = 4
@@ -61,4 +63,5 @@ class RefineOptions:
 
     def as_json(self) -> dict[str, Any]:
         """All settings, for the result's file."""
-        return asdict(self) | {"fixed": dict(self.fixed), "priors": {k: list(v) for k, v in self.priors.items()}}
+        priors = {name: list(pair) for name, pair in self.priors.items()}
+        return asdict(self) | {"fixed": dict(self.fixed), "initial": dict(self.initial), "priors": priors}

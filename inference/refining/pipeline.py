@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from inference.prediction import Prediction
 from inference.refining.estimates import estimates_of, judge
 from inference.refining.fits import arrays_of_correction, arrays_of_fit, arrays_of_scan, fit_of, runs_of, scan_of
 from inference.refining.motion import future_rms, motion_of
@@ -18,7 +20,7 @@ from inference.refining.result import Refinement
 from inference.refining.stages import Stages, key_of
 from inference.refining.starting import scan_range
 from physconvex.capture import Capture, load_capture
-from physconvex.errors import ConvergenceError
+from physconvex.errors import ConvergenceError, InputError
 from physconvex.identify import (
     Fit,
     FitOptions,
@@ -48,6 +50,7 @@ def refine(
     path: str | os.PathLike[str],
     *,
     out: str | os.PathLike[str] | None = None,
+    initial: Prediction | None = None,
     options: RefineOptions | None = None,
     on_stage: Callable[[str, bool], None] | None = None,
 ) -> Refinement:
@@ -57,6 +60,7 @@ def refine(
         path: capture folder (`capture.json`, see the docs) with a rest geometry and marker tracks, videos, or both.
         out: folder for finished stages, so that a stopped refinement goes on; None keeps nothing. Result files are
             written by `inference.refining.write_refinement`.
+        initial: a prediction to start at, in the place of a scan.
         options: settings.
         on_stage: told the name of each stage when it begins, and whether it was read again.
 
@@ -65,6 +69,9 @@ def refine(
         ConvergenceError: no start was found at which the body can be simulated.
     """
     options = options or RefineOptions()
+    if initial is not None:
+        start = {"log10_youngs_modulus": math.log10(initial.youngs_modulus), "poisson_ratio": initial.poisson_ratio}
+        options = replace(options, initial={**start, **options.initial})
     capture = load_capture(Path(path))
     run = _Run(capture, options, Stages(None if out is None else Path(out), _key(capture, options), on_stage))
     return run.refine()
@@ -148,7 +155,11 @@ class _Run:
             twin, damping="damping_time" not in options.fixed, free=options.free, fixed=list(options.fixed),
             priors=options.priors,
         )  # fmt: skip
-        return _Problem(twin, parameters, observed)
+        unknown = [name for name in options.initial if name not in [p.name for p in parameters]]
+        if unknown:
+            raise InputError(f"initial: {unknown} are not free; free are {[p.name for p in parameters]}")
+        started = tuple(p.at(options.initial.get(p.name, p.start)) for p in parameters)
+        return _Problem(twin, started, observed)
 
     def _twin_options(self, weights: int) -> TwinOptions:
         return TwinOptions(weights, self.options.max_nodes, self.options.steps_per_frame)
@@ -157,7 +168,7 @@ class _Run:
 
     def _reduced_fit(self, problem: _Problem) -> Fit:
         names = problem.names
-        if "log10_youngs_modulus" not in names:
+        if "log10_youngs_modulus" not in names or "log10_youngs_modulus" in self.options.initial:
             return self._fit("reduced", problem, problem.parameters)
         starts = scan_of(self.stages.run("scan", lambda: self._scan(problem)), problem.parameters)
         return fit_of(self.stages.run("reduced", lambda: self._best(problem, starts)), problem.parameters)
