@@ -3,10 +3,10 @@
 python benchmarks/refine_accuracy.py --cases 6          (goes on where it stopped)
 
 Truth: quadratic finite elements on a finer mesh of the same body, with two thirds of the time step of the model's. Two
-scenes: a bar clamped at one end that swings (no contact: the truth converges), and a block that is thrown onto a tilted,
-rough floor. Twenty markers on the surface, 1 mm of noise in each coordinate, 12 of 16 frames are fitted; damping is unknown,
-and for the block the initial velocity too. E is drawn log-uniform, ν uniform. The constant predictor says the middle of
-both ranges.
+scenes: a bar clamped at one end that swings (no contact: the truth converges), and a block that is thrown onto a
+tilted, rough floor. Twenty markers on the surface, 1 mm of noise in each coordinate, 12 of 16 frames are fitted;
+damping is unknown, and for the block the initial velocity too. E is drawn log-uniform, ν uniform. The constant
+predictor says the middle of both ranges.
 """
 
 from __future__ import annotations

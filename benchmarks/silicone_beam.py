@@ -107,7 +107,7 @@ def options(ratio: float, **changes: object) -> RefineOptions:
         "free": ("initial_position_z",),
         "priors": {"initial_position_z": (0.015, 1.5e-3)},
         "start": "scan",
-        "weights": 14,
+        "weights": 8,
     }
     return RefineOptions(**(settings | changes))  # type: ignore[arg-type]
 
