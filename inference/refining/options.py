@@ -29,7 +29,7 @@ class RefineOptions:
             first of the two that works.
         correction: remove the reduced model's error with runs of the full one.
         full_runs: most of these runs.
-        model_error: one run with a finer mesh and half the time step, to state what error is left.
+        model_error: one run with a finer mesh, to state what error is left.
         outlines: use the masks of videos.
         checkpoint: of the network.
     """
