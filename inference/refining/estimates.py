@@ -99,9 +99,9 @@ def judge(
 ) -> Judged:
     """Compare with a finer model, let frames count by what that changes, and fit once more.
 
-    With the correction the comparison is between the full model and one with a finer mesh (half the step, where there is
-    none), and the last fit takes its residuals from the latter; without it, between the reduced model and the full one,
-    and nothing is fitted again.
+    With the correction the comparison is between the full model and one with a finer mesh (half the step, where there
+    is none), and the last fit takes its residuals from the latter; without it, between the reduced model and the full
+    one, and nothing is fitted again.
     """
     frames = int(seen.frames.max()) + 1
     unknown = Judged(found, np.full(len(found.values), np.nan), np.zeros(frames))
