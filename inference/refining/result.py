@@ -27,6 +27,7 @@ UNITS = {
     "initial_velocity": "m/s",
     "initial_angular_velocity": "rad/s",
     "initial_position": "m",
+    "initial_orientation": "rad",
 }
 
 
