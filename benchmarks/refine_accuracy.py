@@ -32,7 +32,7 @@ MODULUS, RATIO, DAMPING = (4.3, 5.7), (0.2, 0.45), (5e-4, 2e-3)
 BAR, BLOCK = (0.3, 0.1, 0.1), (0.2, 0.15, 0.12)
 CELLS = {"bar": ((5, 2, 2), (8, 3, 3)), "block": ((3, 2, 2), (5, 4, 3))}  # of the model, of the truth
 FLOOR = Floor(np.zeros(3), np.array([0.12, 0.06, 1.0]), friction=0.4)
-OPTIONS = RefineOptions(weights=10, max_nodes=2000, start="scan", full_runs=3)
+OPTIONS = RefineOptions(weights=6, max_nodes=2000, start="scan", full_runs=3, model_error=False)
 
 
 @dataclass(frozen=True)
