@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +20,7 @@ from physconvex.reduced import simulate, simulate_with_sensitivities
 __all__ = ["FullModel", "Model", "ReducedModel"]
 
 
+@runtime_checkable
 class Model(Protocol):
     """Positions of chosen points in all frames, by named parameters."""
 
