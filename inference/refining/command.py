@@ -54,7 +54,7 @@ def refine(
     weights: Annotated[int, typer.Option(help="Number of skinning weights.")] = 20,
     max_nodes: Annotated[int, typer.Option(help="Most nodes of the quadratic mesh.")] = 500,
     steps_per_frame: Annotated[int | None, typer.Option(help="Time steps per frame. Default: 384 per second.")] = None,
-    full_runs: Annotated[int, typer.Option(help="Most runs of the full model in the correction.")] = 4,
+    full_runs: Annotated[int, typer.Option(help="Most runs of the full model in the correction.")] = 5,
     correction: Annotated[bool, typer.Option(help="Remove the reduced model's error with the full model.")] = True,
     model_error: Annotated[bool, typer.Option(help="State the error that a finer model would remove.")] = True,
     outlines: Annotated[bool, typer.Option(help="Use the masks of videos.")] = True,

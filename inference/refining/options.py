@@ -45,7 +45,7 @@ class RefineOptions:
     initial: Mapping[str, float] = field(default_factory=dict)
     start: Literal["auto", "predict", "scan"] = "auto"
     correction: bool = True
-    full_runs: int = 4
+    full_runs: int = 5
     model_error: bool = True
     outlines: bool = True
     checkpoint: str = "default"

@@ -165,6 +165,40 @@ def test_the_correction_removes_the_error_of_the_cheap_model():
     assert 2 <= len(found.runs) <= 5
 
 
+class Swing(Line):
+    """A swing whose frequency is that of √E; the better model is stiffer by `factor`."""
+
+    def __init__(self, factor: float) -> None:
+        self.factor = factor
+
+    def _phase(self, values):
+        return 30.0 * np.sqrt(self.factor * 10 ** (values[0] - 5.0)) * np.arange(12) / 24.0
+
+    def positions(self, values):
+        return np.stack([np.cos(self._phase(values)), values[1] * np.ones(12), np.zeros(12)], -1)[:, None]
+
+    def linearise(self, values):
+        phase = self._phase(values)
+        by_modulus = np.stack([-np.sin(phase) * phase * 0.5 * np.log(10), 0 * phase, 0 * phase], -1)
+        by_ratio = np.broadcast_to([0.0, 1.0, 0.0], (12, 3))
+        return self.positions(values), np.stack([by_modulus, by_ratio], 1)[:, :, None]
+
+
+def test_a_full_model_out_of_phase_is_aligned_first():
+    """At the reduced model's E the full one swings more than a third of a period off after the observed time."""
+    from physconvex.identify import MarkerObservations
+
+    cheap, full = Swing(1.0), Swing(0.6)
+    truth = np.array([5.2, 0.3])
+    seen = MarkerObservations(np.zeros((1, 3)), full.positions(truth), np.full((12, 1), 0.01))
+    start = fit(cheap, seen, [replace(UNKNOWN[0], start=5.0), UNKNOWN[1]])
+    assert start.values[0] == pytest.approx(5.2 + np.log10(0.6), abs=1e-3)
+    phases = [full._phase(values)[-1] for values in (start.values, truth)]
+    assert phases[1] - phases[0] > 2 * np.pi / 3
+    found = correct(cheap, full, seen, start, max_runs=4)
+    np.testing.assert_allclose(found.fit.values, truth, atol=1e-3)
+
+
 def test_the_full_model_carries_the_same_points_in_the_same_world(box_twin, seen):
     """In flight the two models agree; floor, contact and damping are the same."""
     names, values = ("log10_youngs_modulus", "damping_time"), np.array([4.0, 2e-3])
