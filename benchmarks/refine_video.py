@@ -56,7 +56,7 @@ def main() -> None:
     )
     folder = capture_folder(root / "captures", 0)
     found = refine(folder, out=root / "refined", options=OPTIONS)
-    write_refinement(found, root / "refined", options=OPTIONS)
+    write_refinement(found, root / "refined", options=OPTIONS, pictures=False)
     truth = json.loads((folder / "truth.json").read_text())
     names = [e.name for e in found.estimates]
     result = {
