@@ -202,10 +202,11 @@ def test_a_full_model_out_of_phase_is_aligned_first():
 def test_the_full_model_carries_the_same_points_in_the_same_world(box_twin, seen):
     """In flight the two models agree; floor, contact and damping are the same."""
     names, values = ("log10_youngs_modulus", "damping_time"), np.array([4.0, 2e-3])
-    full = FullModel(box_twin, names, seen.points, 2).positions(values)
-    reduced = ReducedModel(box_twin, names, seen.points, 2).positions(values)
+    slow = box_twin.with_scene(initial_velocity=(0.2, 0.0, -0.1))  # it does not touch the floor in one frame
+    full = FullModel(slow, names, seen.points, 2).positions(values)
+    reduced = ReducedModel(slow, names, seen.points, 2).positions(values)
     np.testing.assert_allclose(full, reduced, atol=1e-6)
-    assert np.linalg.norm(full[1] - full[0], axis=-1).min() > 0.01
+    assert np.linalg.norm(full[1] - full[0], axis=-1).min() > 0.004
     twin = box_twin.with_values(names, values)
     scene = twin.full_scene()
     assert scene.obstacles == twin.scene.obstacles and scene.damping_time == 2e-3

@@ -72,5 +72,9 @@ def test_a_stack_counts_points_through():
 def test_nothing_seen_is_refused():
     with pytest.raises(InputError, match="none is seen"):
         MarkerObservations(POINTS, np.full((4, 5, 3), np.nan), np.ones((4, 5)))
+
+
+@pytest.mark.wrong_types
+def test_shapes_that_do_not_fit_are_refused():
     with pytest.raises(InputError, match="expected \\[P, 3\\]"):
         MarkerObservations(POINTS, np.zeros((4, 4, 3)), np.ones((4, 5)))
