@@ -189,7 +189,7 @@ class _Run:
         return replace(twin, steps_per_frame=max(4, twin.steps_per_frame // 2))
 
     def _scan(self, problem: _Problem) -> dict[str, np.ndarray]:
-        moduli, ratios, note = scan_range(self.capture, problem.twin, self.options)
+        moduli, ratios, note = scan_range(self.capture, problem.twin.mesh.size, self.options)
         if note:
             self.warnings.append(note)
         frames = problem.windows[0]

@@ -7,7 +7,7 @@ import numpy as np
 from inference.refining.options import RefineOptions
 from physconvex.capture import Capture
 from physconvex.errors import InputError
-from physconvex.identify import Twin, scan_values
+from physconvex.identify import scan_values
 
 __all__ = ["scan_range"]
 
@@ -16,26 +16,26 @@ _LEAST = 0.4  # half width of the scan around a prediction [decades]
 
 
 def scan_range(
-    capture: Capture, twin: Twin, options: RefineOptions
+    capture: Capture, size: float, options: RefineOptions
 ) -> tuple[tuple[float, ...], tuple[float, ...], str]:
-    """log10 E and ν of the scan, and a note for the user ("" for none).
+    """log10 E and ν of the scan of a body of that size [m], and a note for the user ("" for none).
 
     Raises:
         InputError: a prediction was asked for and is impossible.
     """
     if options.start == "scan" or (options.start == "auto" and not capture.cameras):
-        return (*_everywhere(capture, twin), "")
+        return (*_everywhere(capture, size), "")
     try:
         return (*_predicted(capture, options), "")
     except InputError as error:
         if options.start == "predict":
             raise
-        return (*_everywhere(capture, twin), f"The network gave no start ({error}); the whole range was scanned.")
+        return (*_everywhere(capture, size), f"The network gave no start ({error}); the whole range was scanned.")
 
 
-def _everywhere(capture: Capture, twin: Twin) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _everywhere(capture: Capture, size: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
     gravity = float(np.linalg.norm(capture.gravity))
-    return scan_values(density=capture.density, gravity=gravity, size=twin.mesh.size), _RATIOS
+    return scan_values(density=capture.density, gravity=gravity, size=size), _RATIOS
 
 
 def _predicted(capture: Capture, options: RefineOptions) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -140,11 +140,16 @@ def test_a_wrong_option_is_named(folder, tmp_path):
         (["--fix", "poisson_ratio"], "needs a value"),
         (["--initial", "air_drag=0.1"], "are not free"),
         (["--observations", "video"], "no cameras"),
-        (["--observations", "all"], "expected one of"),
     ):
         result = run(folder, "--out", tmp_path / "x", *arguments, *SMALL)
         assert isinstance(result.exception, InputError)
         assert message in str(result.exception)
+
+
+@pytest.mark.wrong_types
+def test_a_wrong_choice_is_named(folder, tmp_path):
+    result = run(folder, "--out", tmp_path, "--observations", "all", *SMALL)
+    assert "expected one of" in str(result.exception)
 
 
 def test_what_is_missing_is_named(folder, tmp_path):

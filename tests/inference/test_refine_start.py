@@ -11,7 +11,7 @@ from physconvex.camera import look_at
 from physconvex.capture import Capture
 from physconvex.errors import InputError
 
-TWIN = SimpleNamespace(mesh=SimpleNamespace(size=0.5))
+SIZE = 0.5  # m
 CAMERA = look_at((0, -1, 0), (0, 0, 0), width=32, height=32, vertical_field_of_view=0.5)
 
 
@@ -30,14 +30,14 @@ def predicts(monkeypatch, answer):
 
 def test_the_scan_covers_the_predicted_interval(monkeypatch, tmp_path):
     predicts(monkeypatch, SimpleNamespace(youngs_modulus_interval=(1e4, 1e6), poisson_ratio=0.4))
-    moduli, ratios, note = scan_range(capture(tmp_path, CAMERA), TWIN, RefineOptions())
+    moduli, ratios, note = scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions())
     np.testing.assert_allclose(moduli, [4, 4.5, 5, 5.5, 6])
     assert ratios == (0.4, 0.3) and note == ""
 
 
 def test_an_overconfident_interval_is_widened(monkeypatch, tmp_path):
     predicts(monkeypatch, SimpleNamespace(youngs_modulus_interval=(1e5, 1e5), poisson_ratio=0.3))
-    moduli, ratios, _ = scan_range(capture(tmp_path, CAMERA), TWIN, RefineOptions())
+    moduli, ratios, _ = scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions())
     np.testing.assert_allclose((moduli[0], moduli[-1]), [4.6, 5.4])
     assert ratios == (0.3, 0.45)
 
@@ -45,22 +45,27 @@ def test_an_overconfident_interval_is_widened(monkeypatch, tmp_path):
 def test_without_a_prediction_the_whole_range_is_scanned_and_that_is_said(monkeypatch, tmp_path):
     predicts(monkeypatch, InputError("no video"))
     seen = capture(tmp_path, CAMERA)
-    moduli, _, note = scan_range(seen, TWIN, RefineOptions())
+    moduli, _, note = scan_range(seen, SIZE, RefineOptions())
     assert "no video" in note and moduli[-1] - moduli[0] > 3.5
     # E/(ρ g L) from about 0.5 on
     assert moduli[0] == pytest.approx(np.log10(0.5 * 1000 * 9.81 * 0.5), abs=0.01)
     with pytest.raises(InputError, match="no video"):
-        scan_range(seen, TWIN, RefineOptions(start="predict"))
-    assert scan_range(capture(tmp_path), TWIN, RefineOptions())[2] == ""
+        scan_range(seen, SIZE, RefineOptions(start="predict"))
+    assert scan_range(capture(tmp_path), SIZE, RefineOptions())[2] == ""
 
 
 def test_options_are_checked():
     for bad, message in (
         ({"weights": 0}, "weights: got 0"),
-        ({"start": "guess"}, "expected one of"),
         ({"steps_per_frame": 0}, "at least 1"),
         ({"fixed": {"poisson_ratio": None}}, "needs a value"),
     ):
         with pytest.raises(InputError, match=message):
             RefineOptions(**bad)
     assert RefineOptions(priors={"poisson_ratio": (0.4, 0.1)}).as_json()["priors"] == {"poisson_ratio": [0.4, 0.1]}
+
+
+@pytest.mark.wrong_types
+def test_choices_are_checked():
+    with pytest.raises(InputError, match="expected one of"):
+        RefineOptions(start="guess")
