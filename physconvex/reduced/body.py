@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from physconvex.errors import InputError
@@ -50,6 +50,8 @@ class ReducedBody:
         youngs_modulus: E [Pa], scalar or [C].
         poisson_ratio: ν [-], scalar or [C], in (-1, 0.5).
         density: ρ [kg/m³], scalar or [C].
+        regions: number of each cell's region, [C], 0 to K − 1: E, ν and ρ of a region are then parameters of a scene,
+            as `poisson_ratio[0]`.
         flow: how the material flows, see `physconvex.inelastic`; purely elastic unless given. `Plasticine` and `Sand`
             stand in the place of `law`, `StandardLinearSolid` beside it.
         device: where the arithmetic over the samples runs (the dense solve stays on the CPU).
@@ -72,12 +74,14 @@ class ReducedBody:
         density: PerCell = 1000.0,
         flow: FlowRule | None = None,
         device: str | torch.device = "cpu",
+        regions: Int[np.ndarray, " C"] | None = None,
     ) -> None:
         self.space, self.flow, self.device = space, flow, torch.device(device)
         self.law = get_law(law) if isinstance(law, str) else law
         self.youngs_modulus = self._per_cell("youngs_modulus", youngs_modulus, 0.0, np.inf)
         self.poisson_ratio = self._per_cell("poisson_ratio", poisson_ratio, -1.0, 0.5)
         self.density = self._per_cell("density", density, 0.0, np.inf)
+        self.regions = None if regions is None else self._checked_regions(regions)
         interior = space.samples.interior
         self.mu, self.lam = (
             constant[torch.as_tensor(interior.cells, device=self.device)]
@@ -109,6 +113,7 @@ class ReducedBody:
             density=self.density if density is None else density,
             flow=self.flow,
             device=self.device,
+            regions=self.regions,
         )
 
     # -- set-up
@@ -123,6 +128,19 @@ class ReducedBody:
         if not ((array > low) & (array < high)).all():
             raise InputError(f"{name}: got values in [{array.min()}, {array.max()}]; expected inside ({low}, {high})")
         return np.broadcast_to(array, count).copy()
+
+    def _checked_regions(self, regions: np.ndarray) -> np.ndarray:
+        array, count = np.asarray(regions), self.space.samples.interior.cell_count
+        if (
+            array.shape != (count,)
+            or array.dtype.kind not in "iu"
+            or set(array.tolist()) != set(range(array.max() + 1))
+        ):
+            raise InputError(
+                f"regions: got {array.dtype} of shape {array.shape}; expected whole numbers of shape [{count}], one "
+                "per cell, from 0 without a gap"
+            )
+        return array
 
     @property
     def rest(self) -> Float[np.ndarray, "R 3"]:

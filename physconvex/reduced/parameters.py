@@ -45,6 +45,7 @@ ParameterName = Literal[
     "initial_orientation_z",  # rotation vector about the centre of mass [rad]
 ]
 PARAMETERS: tuple[str, ...] = get_args(ParameterName)
+REGIONAL = ("log10_youngs_modulus", "poisson_ratio", "density")  # also per region of the body, as `density[0]`
 _AXES = {"x": 0, "y": 1, "z": 2}
 
 
@@ -54,15 +55,38 @@ def check_parameters(scene: ReducedScene, names: Sequence[str]) -> None:
     Raises:
         InputError: they are not.
     """
-    unknown = [name for name in names if name not in PARAMETERS]
+    unknown = [name for name in names if not _is_known(scene.body, name)]
     if unknown or len(set(names)) != len(names) or not names:
         raise InputError(f"parameters: got {list(names)}; expected different ones of {', '.join(PARAMETERS)}")
+    both = [stem for stem in REGIONAL if stem in names and any(n.startswith(f"{stem}[") for n in names)]
+    if both:
+        raise InputError(f"parameters: got {both[0]} of the body and of its regions; name one or the others")
     if "friction" in names and not _rough(scene):
         raise InputError("parameters: got 'friction', but no obstacle has a friction coefficient > 0; give it one")
     if any(name.startswith("wind") for name in names) and (scene.wind is None or callable(scene.wind.velocity)):
         raise InputError(
             "parameters: got a wind velocity, but the scene has no constant wind; give it `wind=Wind(...)`"
         )
+
+
+def region_of(name: str) -> tuple[str, int | None]:
+    """`density[2]` → (`density`, 2); `density` → (`density`, None)."""
+    stem, bracket, number = name.partition("[")
+    return (stem, int(number[:-1])) if bracket and number[:-1].isdecimal() and number.endswith("]") else (name, None)
+
+
+def _is_known(body: ReducedBody, name: str) -> bool:
+    stem, region = region_of(name)
+    if region is None:
+        return name in PARAMETERS
+    return stem in REGIONAL and body.regions is not None and region <= int(body.regions.max())
+
+
+def cells_of(body: ReducedBody, region: int | None) -> Float[np.ndarray, " C"]:
+    """One at the cells of a region (or of the whole body), zero elsewhere."""
+    if region is None or body.regions is None:
+        return np.ones(len(body.density))
+    return (body.regions == region).astype(np.float64)
 
 
 def axis_of(name: str) -> tuple[str, int]:
@@ -80,15 +104,18 @@ def _wind(scene: ReducedScene) -> Wind:
     return scene.wind
 
 
-def mean_constant(body: ReducedBody, constant: Float[np.ndarray, " C"]) -> float:
-    """Volume average of a constant given per cell."""
+def mean_constant(body: ReducedBody, constant: Float[np.ndarray, " C"], region: int | None = None) -> float:
+    """Volume average of a constant given per cell, over the body or a region."""
     interior = body.space.samples.interior
-    return float(interior.weights @ constant[interior.cells] / interior.volume)
+    volumes = interior.weights * cells_of(body, region)[interior.cells]
+    return float(volumes @ constant[interior.cells] / volumes.sum())
 
 
-def mean_density(body: ReducedBody) -> float:
-    """Mass over volume [kg/m³]."""
-    return body.total_mass / body.volume
+def mean_density(body: ReducedBody, region: int | None = None) -> float:
+    """Mass over volume [kg/m³], of the body or a region."""
+    if region is None:
+        return body.total_mass / body.volume
+    return mean_constant(body, body.density, region)
 
 
 def parameter_values(scene: ReducedScene, names: Sequence[str]) -> Float[np.ndarray, " P"]:
@@ -99,13 +126,14 @@ def parameter_values(scene: ReducedScene, names: Sequence[str]) -> Float[np.ndar
 
 def _read(scene: ReducedScene, name: str) -> float:
     body = scene.body
-    match name:
+    stem, region = region_of(name)
+    match stem:
         case "log10_youngs_modulus":
-            return float(np.log10(mean_constant(body, body.youngs_modulus)))
+            return float(np.log10(mean_constant(body, body.youngs_modulus, region)))
         case "poisson_ratio":
-            return mean_constant(body, body.poisson_ratio)
+            return mean_constant(body, body.poisson_ratio, region)
         case "density":
-            return mean_density(body)
+            return mean_density(body, region)
         case "damping_time" | "air_drag":
             return float(getattr(scene, name))
         case "friction":
@@ -127,7 +155,9 @@ def with_parameters(scene: ReducedScene, names: Sequence[str], values: Float[np.
         InputError: unknown names, or values out of range.
     """
     check_parameters(scene, names)
-    for name, value in sorted(zip(names, values, strict=True), key=lambda pair: PARAMETERS.index(pair[0])):
+    for name, value in sorted(
+        zip(names, values, strict=True), key=lambda pair: PARAMETERS.index(region_of(pair[0])[0])
+    ):
         scene = _set(scene, name, float(value))
     return scene
 
@@ -138,14 +168,16 @@ def _rougher(obstacle: Obstacle, change: float) -> Obstacle:
 
 
 def _set(scene: ReducedScene, name: str, value: float) -> ReducedScene:
-    body, change = scene.body, value - _read(scene, name)
-    match name:
+    body, before = scene.body, _read(scene, name)
+    change, (stem, region) = value - before, region_of(name)
+    here = cells_of(body, region)
+    match stem:
         case "log10_youngs_modulus":
-            return replace(scene, body=body.with_material(youngs_modulus=body.youngs_modulus * 10**change))
+            return replace(scene, body=body.with_material(youngs_modulus=body.youngs_modulus * 10 ** (change * here)))
         case "poisson_ratio":
-            return replace(scene, body=body.with_material(poisson_ratio=body.poisson_ratio + change))
+            return replace(scene, body=body.with_material(poisson_ratio=body.poisson_ratio + change * here))
         case "density":
-            return replace(scene, body=body.with_material(density=body.density * (value / mean_density(body))))
+            return replace(scene, body=body.with_material(density=body.density * (value / before) ** here))
         case "damping_time":
             return replace(scene, damping_time=value)
         case "air_drag":

@@ -14,8 +14,8 @@ from physconvex.integrators import State, StepCoefficients
 from physconvex.reduced.body import viscous_stress
 from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.friction_tangents import FreezeTangent
-from physconvex.reduced.parameters import axis_of, check_parameters, mean_density
-from physconvex.reduced.rotation_vector import turning_rates
+from physconvex.reduced.parameters import axis_of, cells_of, check_parameters, mean_density, region_of
+from physconvex.reduced.rotation_vector import rotation_matrix, turning_rates
 from physconvex.reduced.scene import ReducedScene
 
 __all__ = ["StepDerivatives"]
@@ -54,16 +54,43 @@ class StepDerivatives:
         self.scene, self.body, self.names = scene, scene.body, tuple(names)
         self.surface = scene.body.space.surface_values
         self.contact = scene.contact()
-        stiffening = {"log10_contact_stiffness"}
-        if scene.contact_stiffness is None and "log10_contact_stiffness" not in names:
-            stiffening.add("log10_youngs_modulus")
-        self.dlog_stiffness = np.array([_LN10 if name in stiffening else 0.0 for name in names])
+        follows = scene.contact_stiffness is None and "log10_contact_stiffness" not in names
+        self.dlog_stiffness = np.array(
+            [_LN10 * (name == "log10_contact_stiffness" or (follows and self._stiffest(name))) for name in names]
+        )
+        self._heavier = {name: self._mass_of(name) for name in names if region_of(name)[0] == "density"}
         self.dfriction = np.array([float(name == "friction") for name in names])
         self._moved = self.start().positions
         body, device = self.body, self.body.device
         cells = torch.as_tensor(body.space.samples.interior.cells, device=device)
         constants = (torch.as_tensor(c, device=device) for c in (body.youngs_modulus, body.poisson_ratio))
         self._dmu, self._dlam = (slope[cells] for slope in _lame_slopes(*constants))
+
+    def _stiffest(self, name: str) -> bool:
+        """Whether a parameter is the E that default stiffnesses follow: the largest one."""
+        stem, region = region_of(name)
+        modulus = self.body.youngs_modulus * cells_of(self.body, region)
+        return stem == "log10_youngs_modulus" and bool(modulus.max() == self.body.youngs_modulus.max())
+
+    def _mass_of(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the mass matrix and of the first moments by a density."""
+        region = region_of(name)[1]
+        mean = mean_density(self.body, region)
+        if region is None:
+            return self.body.mass / mean, self.body.first_moments / mean
+        mass, moments = self.body.space.mass_matrix(self.body.density * cells_of(self.body, region))
+        return mass / mean, moments / mean
+
+    def _moved_center(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of the initial state by a density, which moves the centre of mass."""
+        scene, space, (_, moments) = self.scene, self.body.space, self._heavier[name]
+        one = space.affine(np.zeros((3, 3)), np.array([1.0, 0, 0]))[:, 0]
+        center = self.body.first_moments @ scene.start / self.body.total_mass
+        turn = rotation_matrix(np.asarray(scene.initial_orientation, dtype=np.float64))
+        shift = turn.T @ (moments @ (scene.start - np.outer(one, center))) / self.body.total_mass
+        spin = np.asarray(scene.initial_angular_velocity, dtype=np.float64)
+        position = shift - turn @ shift
+        return np.outer(one, position), np.outer(one, np.cross(spin, position - shift))
 
     def start(self) -> State:
         """Derivatives of the initial state, both of shape [P, R, 3]."""
@@ -72,6 +99,8 @@ class StepDerivatives:
         velocities = positions.copy()
         center = self.body.first_moments @ scene.start / self.body.total_mass
         for i, name in enumerate(self.names):
+            if name in self._heavier:
+                positions[i], velocities[i] = self._moved_center(name)
             stem = name.rpartition("_")[0]
             if not stem.startswith("initial"):
                 continue
@@ -136,21 +165,24 @@ class StepDerivatives:
         rate: Tensor | None,
     ) -> np.ndarray:
         body, scene, beta = self.body, self.scene, self.scene.damping_time
-        match name:
+        stem, region = region_of(name)
+        match stem:
             case "log10_youngs_modulus":
-                drag = self._viscous_forces(state, rate, body.mu, body.lam, beta)
-                return _LN10 * (body.gradient(x) + drag + self._hold(equations, x)) + self._stiffening(
-                    equations, name, x
-                )
+                mu, lam = self._within(region, body.mu, body.lam)
+                force = body.gradient(x) if region is None else self._elastic_forces(x, mu, lam)
+                force = force + self._viscous_forces(state, rate, mu, lam, beta)
+                if self._stiffest(name):
+                    force += self._hold(equations, x)
+                return _LN10 * force + self._stiffening(equations, name, x)
             case "log10_contact_stiffness":
                 return self._stiffening(equations, name, x)
             case "poisson_ratio":
-                stress = body.law.stress(body.deformation_gradient(x), self._dmu, self._dlam)
-                return body.forces_of(stress) + self._viscous_forces(state, rate, self._dmu, self._dlam, beta)
+                mu, lam = self._within(region, self._dmu, self._dlam)
+                return self._elastic_forces(x, mu, lam) + self._viscous_forces(state, rate, mu, lam, beta)
             case "density":
-                weight = body.first_moments[:, None] * scene.uniform_acceleration(equations.time)
+                mass, moments = self._heavier[name]
                 pull = (x - c.target) / c.step**2 + scene.air_drag * c.velocity(x)
-                return (body.mass @ pull - weight) / mean_density(body)
+                return mass @ pull - moments[:, None] * scene.uniform_acceleration(equations.time)
             case "damping_time":
                 return self._viscous_forces(state, rate, body.mu, body.lam, 1.0)
             case "air_drag":
@@ -163,6 +195,17 @@ class StepDerivatives:
         if name.startswith(("initial_position", "initial_orientation")):
             return self._led(equations, name, x)
         return np.zeros_like(x)
+
+    def _elastic_forces(self, x: np.ndarray, mu: Tensor, lam: Tensor) -> Float[np.ndarray, "R 3"]:
+        """Forces of the law with other constants [N]."""
+        return self.body.forces_of(self.body.law.stress(self.body.deformation_gradient(x), mu, lam))
+
+    def _within(self, region: int | None, mu: Tensor, lam: Tensor) -> tuple[Tensor, Tensor]:
+        """Constants of the samples of a region, zero elsewhere."""
+        if region is None:
+            return mu, lam
+        here = torch.as_tensor(cells_of(self.body, region)[self.body.space.samples.interior.cells], device=mu.device)
+        return mu * here, lam * here
 
     def _hold(self, equations: StepEquations, x: np.ndarray) -> np.ndarray:
         """Forces of pins whose stiffness follows E."""

@@ -7,6 +7,7 @@ import torch
 from physconvex.errors import InputError
 from physconvex.reduced import (
     PARAMETERS,
+    ReducedBody,
     ReducedScene,
     parameter_values,
     rollout_positions,
@@ -24,12 +25,13 @@ STEPS = {
     "density": 1e-2,
     "damping_time": 1e-7,
 }
+CONSTANTS = ("youngs_modulus", "poisson_ratio", "density")
 TIMING = {"frames": 4, "fps": 48, "steps_per_frame": 4, "tolerance": 1e-11}
 
 
 def by_differences(scene: ReducedScene, name: str, **timing) -> tuple[np.ndarray, np.ndarray]:
     """Central differences of coordinates and velocities at the frames."""
-    value, step = parameter_values(scene, [name]), STEPS.get(name, 1e-5)
+    value, step = parameter_values(scene, [name]), STEPS.get(name.partition("[")[0], 1e-5)
     ahead, behind = (simulate(with_parameters(scene, [name], value + s), **timing) for s in (step, -step))
     return tuple((getattr(ahead, f) - getattr(behind, f)) / (2 * step) for f in ("coordinates", "velocities"))
 
@@ -58,6 +60,22 @@ def test_every_parameter_through_contact_and_friction(mixed_body):
     # a default contact stiffness follows E; named, it does not
     assert_agree(scene, [name for name in PARAMETERS if name != "log10_contact_stiffness"], **timing)
     assert_agree(scene, ["log10_contact_stiffness"], **timing)
+
+
+def test_constants_of_regions(mixed_body):
+    """E, ν and ρ of each half; the stiffer one leads the contact stiffness, the density moves the centre of mass."""
+    body = mixed_body(1)
+    cells = np.arange(len(body.density))
+    scene = sliding(ReducedBody(body.space, regions=cells % 2, **{n: getattr(body, n) for n in CONSTANTS}), seed=1)
+    names = [f"{name}[{region}]" for name in ("log10_youngs_modulus", "poisson_ratio", "density") for region in (0, 1)]
+    assert_agree(scene, names, **TIMING)
+    values = parameter_values(scene, names)
+    np.testing.assert_allclose(parameter_values(with_parameters(scene, names, values * 1.01), names), values * 1.01)
+    for bad in (["density[2]"], ["friction[0]"], ["density", "density[0]"]):
+        with pytest.raises(InputError, match="parameters"):
+            simulate_with_sensitivities(scene, bad)
+    with pytest.raises(InputError, match="regions"):
+        ReducedBody(body.space, regions=cells + 1)
 
 
 @pytest.mark.parametrize("law", ["corotated", "neo_hookean_log", "stvk"])

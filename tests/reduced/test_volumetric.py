@@ -40,3 +40,8 @@ def test_a_flattened_body_takes_the_general_arithmetic(mixed_body):
 def test_an_overturned_body_has_infinite_energy_under_the_logarithmic_law(mixed_body):
     body = mixed_body(1, "neo_hookean_log")
     assert body.energy_and_gradient(body.rest * [1.0, 1.0, -1.0])[0] == np.inf
+
+
+def test_a_state_beyond_all_numbers_has_no_finite_energy_and_no_warning(mixed_body):
+    body = mixed_body(1)
+    assert not np.isfinite(body.energy_and_gradient(1e120 * body.rest)[0])
