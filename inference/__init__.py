@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from inference.prediction import Prediction
     from inference.predictor import predict
     from inference.reconstruction import Reconstruction, reconstruct
+    from inference.refining import Refinement, RefineOptions, refine
     from inference.sources import find_sources
     from inference.streaming import ClipResult, iter_predictions
     from inference.summary import BatchSummary
@@ -20,11 +21,14 @@ __all__ = [
     "ClipResult",
     "Prediction",
     "Reconstruction",
+    "RefineOptions",
+    "Refinement",
     "find_sources",
     "iter_predictions",
     "predict",
     "predict_batch",
     "reconstruct",
+    "refine",
 ]
 
 _MODULES = {
@@ -32,11 +36,14 @@ _MODULES = {
     "ClipResult": "inference.streaming",
     "Prediction": "inference.prediction",
     "Reconstruction": "inference.reconstruction",
+    "RefineOptions": "inference.refining",
+    "Refinement": "inference.refining",
     "find_sources": "inference.sources",
     "iter_predictions": "inference.streaming",
     "predict": "inference.predictor",
     "predict_batch": "inference.batch",
     "reconstruct": "inference.reconstruction",
+    "refine": "inference.refining",
 }
 
 

@@ -12,9 +12,12 @@ from physconvex.errors import ConvergenceError, InputError, PhysconvexError
 _LAZY = {
     "PhysicsPredictor": "models",
     "Prediction": "inference",
+    "RefineOptions": "inference",
+    "Refinement": "inference",
     "predict": "inference",
     "predict_batch": "inference",
     "reconstruct": "inference",
+    "refine": "inference",
 }
 
 __all__ = [
@@ -23,10 +26,13 @@ __all__ = [
     "PhysconvexError",
     "PhysicsPredictor",
     "Prediction",
+    "RefineOptions",
+    "Refinement",
     "__version__",
     "predict",
     "predict_batch",
     "reconstruct",
+    "refine",
 ]
 
 try:

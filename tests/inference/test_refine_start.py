@@ -1,0 +1,71 @@
+"""Where the scan looks: around the prediction, or everywhere with a note; a prediction given outright."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from inference.refining import RefineOptions
+from inference.refining.starting import scan_range
+from physconvex.camera import look_at
+from physconvex.capture import Capture
+from physconvex.errors import InputError
+
+SIZE = 0.5  # m
+CAMERA = look_at((0, -1, 0), (0, 0, 0), width=32, height=32, vertical_field_of_view=0.5)
+
+
+def capture(tmp_path, *cameras):
+    return Capture(tmp_path, 24.0, 4, 3, cameras)
+
+
+def predicts(monkeypatch, answer):
+    def predict(path, checkpoint):
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    monkeypatch.setattr("inference.predictor.predict", predict)
+
+
+def test_the_scan_covers_the_predicted_interval(monkeypatch, tmp_path):
+    predicts(monkeypatch, SimpleNamespace(youngs_modulus_interval=(1e4, 1e6), poisson_ratio=0.4))
+    moduli, ratios, note = scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions())
+    np.testing.assert_allclose(moduli, [4, 4.5, 5, 5.5, 6])
+    assert ratios == (0.4, 0.3) and note == ""
+
+
+def test_an_overconfident_interval_is_widened(monkeypatch, tmp_path):
+    predicts(monkeypatch, SimpleNamespace(youngs_modulus_interval=(1e5, 1e5), poisson_ratio=0.3))
+    moduli, ratios, _ = scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions())
+    np.testing.assert_allclose((moduli[0], moduli[-1]), [4.6, 5.4])
+    assert ratios == (0.3, 0.45)
+
+
+def test_without_a_prediction_the_whole_range_is_scanned_and_that_is_said(monkeypatch, tmp_path):
+    predicts(monkeypatch, InputError("no video"))
+    seen = capture(tmp_path, CAMERA)
+    moduli, _, note = scan_range(seen, SIZE, RefineOptions())
+    assert "no video" in note and moduli[-1] - moduli[0] > 3.5
+    # E/(ρ g L) from about 0.5 on
+    assert moduli[0] == pytest.approx(np.log10(0.5 * 1000 * 9.81 * 0.5), abs=0.01)
+    with pytest.raises(InputError, match="no video"):
+        scan_range(seen, SIZE, RefineOptions(start="predict"))
+    assert scan_range(capture(tmp_path), SIZE, RefineOptions())[2] == ""
+
+
+def test_options_are_checked():
+    for bad, message in (
+        ({"weights": 0}, "weights: got 0"),
+        ({"steps_per_frame": 0}, "at least 1"),
+        ({"fixed": {"poisson_ratio": None}}, "needs a value"),
+    ):
+        with pytest.raises(InputError, match=message):
+            RefineOptions(**bad)
+    assert RefineOptions(priors={"poisson_ratio": (0.4, 0.1)}).as_json()["priors"] == {"poisson_ratio": [0.4, 0.1]}
+
+
+@pytest.mark.wrong_types
+def test_choices_are_checked():
+    with pytest.raises(InputError, match="expected one of"):
+        RefineOptions(start="guess")
