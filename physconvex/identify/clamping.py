@@ -1,0 +1,120 @@
+"""Which nodes of a mesh are held, and how they are led, from a capture's boundary."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.interpolate import CubicSpline
+from scipy.spatial import cKDTree
+
+from physconvex.capture import Boundary
+from physconvex.errors import InputError
+from physconvex.fem import Pins as NodePins
+from physconvex.fem import TetMesh
+from physconvex.reduced import Pins
+
+__all__ = ["Clamp", "clamp_of"]
+
+_NEIGHBOURS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Clamp:
+    """Held nodes of a mesh.
+
+    Attributes:
+        mesh: the mesh.
+        nodes: indices of the nodes, shape [C].
+        motion: positions of the nodes [m] as a function of time [s], shape [C, 3]; None = they stay.
+    """
+
+    mesh: TetMesh
+    nodes: Int[np.ndarray, " C"]
+    motion: Callable[[float], Float[np.ndarray, "C 3"]] | None = None
+
+    def node_pins(self) -> NodePins:
+        """For the full model: the nodes are prescribed."""
+        return NodePins(self.nodes, self.motion)
+
+    def springs(self) -> Pins:
+        """For the reduced model: springs at the nodes that carry boundary area."""
+        areas = self.mesh.node_areas[self.nodes]
+        kept = np.flatnonzero(areas > 0)
+        motion = self.motion
+        led = None if motion is None else lambda time: motion(time)[kept]
+        return Pins(self.mesh.vertices[self.nodes[kept]], areas[kept], motion=led)
+
+
+def clamp_of(boundary: Boundary, mesh: TetMesh, *, reference: Float[np.ndarray, "R 3"], fps: float) -> Clamp:
+    """Carry a boundary over to the nodes of a mesh.
+
+    Args:
+        boundary: vertices of `reference`, or a box in the rest frame; their motion.
+        mesh: mesh of the model, rest state.
+        reference: the vertices that the boundary counts [m]: of the capture's tetrahedra, else of its mesh.
+        fps: frames per second of the motion; it is interpolated by cubic splines.
+
+    Raises:
+        InputError: an index out of range, or no node of the mesh is held.
+    """
+    held = _held_vertices(boundary, reference)
+    nodes = _nodes_near(mesh, reference, held, boundary)
+    if not (mesh.node_areas[nodes] > 0).any():
+        raise InputError(
+            "boundary: it holds no node of the surface; expected a box (rest frame, metres) or vertices that hold part "
+            "of the body. Compare it with the bounding box "
+            f"{mesh.vertices.min(0).round(4).tolist()} to {mesh.vertices.max(0).round(4).tolist()}"
+        )
+    if boundary.motion is None:
+        return Clamp(mesh, nodes)
+    if len(held) != boundary.motion.shape[1]:
+        raise InputError(
+            f"boundary: motion leads {boundary.motion.shape[1]} points, the box holds {len(held)} vertices; "
+            "expected one row per held vertex, in their order"
+        )
+    return Clamp(mesh, nodes, _led(mesh.vertices[nodes], reference[held], boundary.motion, fps))
+
+
+def _held_vertices(boundary: Boundary, reference: np.ndarray) -> np.ndarray:
+    if boundary.clamped_box is not None:
+        low, high = boundary.clamped_box
+        return np.flatnonzero(((reference >= low) & (reference <= high)).all(1))
+    assert boundary.clamped_vertices is not None
+    if boundary.clamped_vertices.max() >= len(reference):
+        raise InputError(
+            f"boundary: clamped_vertices has {boundary.clamped_vertices.max()}; expected indices below "
+            f"{len(reference)}, the vertices of tets.npz (else of the mesh)"
+        )
+    return boundary.clamped_vertices
+
+
+def _nodes_near(mesh: TetMesh, reference: np.ndarray, held: np.ndarray, boundary: Boundary) -> np.ndarray:
+    """Nodes in the box; else nodes whose nearest reference vertices (two, if as near) are all held."""
+    if boundary.clamped_box is not None:
+        low, high = boundary.clamped_box
+        return np.flatnonzero(((mesh.vertices >= low) & (mesh.vertices <= high)).all(1))
+    marked = np.zeros(len(reference), dtype=bool)
+    marked[held] = True
+    distance, nearest = cKDTree(reference).query(mesh.vertices, k=2)
+    tie = distance[:, 1] < distance[:, 0] * 1.01 + 1e-9 * mesh.size
+    return np.flatnonzero(marked[nearest[:, 0]] & (~tie | marked[nearest[:, 1]]))
+
+
+def _led(
+    nodes: np.ndarray, held: np.ndarray, motion: np.ndarray, fps: float
+) -> Callable[[float], Float[np.ndarray, "C 3"]]:
+    """Nodes follow the displacements of the nearest led points, weighted by inverse square distance."""
+    count = min(_NEIGHBOURS, len(held))
+    distance, nearest = cKDTree(held).query(nodes, k=[*range(1, count + 1)])
+    weights = 1.0 / np.maximum(distance, 1e-9 * (1 + np.ptp(held))) ** 2
+    weights /= weights.sum(1, keepdims=True)
+    displacement = np.einsum("ck,tcki->tci", weights, (motion - held)[:, nearest])
+    if len(motion) < 2:
+        fixed = nodes + displacement[0]
+        return lambda time: fixed
+    spline = CubicSpline(np.arange(len(motion)) / fps, displacement)
+    last = (len(motion) - 1) / fps
+    return lambda time: nodes + spline(min(max(time, 0.0), last))

@@ -1,0 +1,205 @@
+"""Removing the reduced model's error: residuals from the full-order model, derivatives from the reduced one.
+
+Space mapping (Bandler et al. 2004; Echeverría & Hemker 2005, "manifold mapping"): at θ_k the full model is run and the
+reduced one is shifted by the difference of the two,
+
+    x(θ) = x_reduced(θ) + δ_k + D_k (θ − θ_k),        δ_k = x_full(θ_k) − x_reduced(θ_k),
+
+which is fitted; D_k is built from the differences seen so far (Broyden's update) and starts at zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.errors import ConvergenceError
+from physconvex.identify.levenberg_marquardt import Fit, FitOptions, fit
+from physconvex.identify.model import Model
+from physconvex.identify.observations import Observations
+from physconvex.identify.parameters import step_scales
+
+__all__ = ["CorrectedModel", "Correction", "FullRun", "correct"]
+
+_STEP_DONE = 0.01  # of a typical step: 0.002 decades of E
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectedModel:
+    """A model shifted by a difference that was seen at one place.
+
+    Attributes:
+        model: the cheap model.
+        anchor: values at which the shift is exact, shape [K].
+        shift: δ [m], shape [T, P, 3].
+        slope: D, shape [T, K, P, 3].
+    """
+
+    model: Model
+    anchor: Float[np.ndarray, " K"]
+    shift: Float[np.ndarray, "T P 3"]
+    slope: Float[np.ndarray, "T K P 3"]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.model.names
+
+    def _correction(self, values: np.ndarray) -> np.ndarray:
+        return self.shift + np.einsum("tkpi,k->tpi", self.slope, values - self.anchor)
+
+    def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
+        """Corrected positions [m]."""
+        return self.model.positions(values) + self._correction(values)
+
+    def linearise(
+        self, values: Float[np.ndarray, " K"]
+    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
+        """Corrected positions and their derivatives."""
+        positions, tangents = self.model.linearise(values)
+        return positions + self._correction(values), tangents + self.slope
+
+
+@dataclass(frozen=True, eq=False)
+class FullRun:
+    """One run of the full model: values [K], misfit of what it predicts, rms distance to the reduced model [m]."""
+
+    values: Float[np.ndarray, " K"]
+    misfit: float
+    distance: float
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """The result.
+
+    Attributes:
+        fit: of the corrected model.
+        model: the corrected model, exact at the last run of the full one.
+        runs: of the full model.
+        converged: whether the last step was below a hundredth of the typical ones.
+    """
+
+    fit: Fit
+    model: CorrectedModel
+    runs: tuple[FullRun, ...]
+    converged: bool
+
+
+def correct(
+    model: Model,
+    full: Model,
+    observations: Observations,
+    start: Fit,
+    *,
+    max_runs: int = 4,
+    options: FitOptions | None = None,
+    on_run: Callable[[FullRun], None] | None = None,
+) -> Correction:
+    """Fit again with the difference to the full model taken into account.
+
+    Where a step makes the full model's misfit worse, the next one starts from the best values, half as far.
+
+    Args:
+        model: with derivatives; it was fitted in `start`.
+        full: the better model, of the same names and points.
+        observations: what was seen.
+        start: the fit of the cheap model.
+        max_runs: most runs of the full model.
+        options: of each inner fit.
+        on_run: told after each run of the full model.
+
+    Raises:
+        ConvergenceError: the full model fails at the start.
+    """
+    scales, prior = step_scales(start.parameters), _prior(start)
+    options = options or FitOptions(max_iterations=8)
+    values, slope, current = start.values, _no_slope(start), start
+    runs: list[FullRun] = []
+    best: tuple[float, CorrectedModel, Fit] | None = None
+    previous: tuple[np.ndarray, np.ndarray] | None = None
+    converged = False
+    while len(runs) < max_runs:
+        try:
+            exact = full.positions(values)
+        except ConvergenceError:
+            if best is None:
+                raise
+            values = 0.5 * (values + best[1].anchor)
+            runs.append(FullRun(values, float("inf"), float("nan")))
+            continue
+        shift = exact - model.positions(values)
+        if previous is not None:
+            slope = _broyden(slope, previous, values, shift, scales)
+        previous = (values, shift)
+        misfit = _loss(observations, exact) + prior(values)
+        runs.append(FullRun(values, misfit, float(np.sqrt(np.square(shift).sum(-1).mean()))))
+        if on_run is not None:
+            on_run(runs[-1])
+        corrected = CorrectedModel(model, values, shift, slope)
+        if best is not None and misfit > best[0] * (1 + 1e-6):
+            values = 0.5 * (values + best[1].anchor)
+            converged = bool(np.abs((values - best[1].anchor) / scales).max() < _STEP_DONE)
+            if converged:
+                break
+            continue
+        current = _refit(corrected, observations, start, values, options)
+        best = (misfit, corrected, current)
+        step = np.abs((current.values - values) / scales).max()
+        values = current.values
+        converged = bool(step < _STEP_DONE)
+        if converged:
+            break
+    assert best is not None
+    return Correction(best[2], best[1], tuple(runs), converged)
+
+
+def _refit(
+    corrected: CorrectedModel, observations: Observations, start: Fit, values: np.ndarray, options: FitOptions
+) -> Fit:
+    parameters = [p.at(float(v)) for p, v in zip(start.parameters, values, strict=True)]
+    return fit(corrected, observations, parameters, options=replace(options, max_step=1.5))
+
+
+def _no_slope(start: Fit) -> np.ndarray:
+    frames, points, _ = start.positions.shape
+    return np.zeros((frames, len(start.values), points, 3))
+
+
+def _broyden(
+    slope: np.ndarray,
+    previous: tuple[np.ndarray, np.ndarray],
+    values: np.ndarray,
+    shift: np.ndarray,
+    scales: np.ndarray,
+) -> np.ndarray:
+    """Least change of the slope that explains the last two shifts (steps in typical lengths)."""
+    step = (values - previous[0]) / scales
+    square = float(step @ step)
+    if square < 1e-8:
+        return slope
+    unexplained = shift - previous[1] - np.einsum("tkpi,k->tpi", slope, values - previous[0])
+    return slope + unexplained[:, None] * (step / scales / square)[None, :, None, None]
+
+
+def _loss(observations: Observations, positions: np.ndarray) -> float:
+    size, limit = np.abs(observations.residuals(positions)), observations.robust_scales
+    with np.errstate(invalid="ignore"):
+        return float(np.where(size <= limit, 0.5 * size**2, limit * (size - 0.5 * limit)).sum())
+
+
+def _prior(start: Fit) -> Callable[[np.ndarray], float]:
+    mean = np.array([p.prior_mean for p in start.parameters])
+    precision = np.array([1 / p.prior_sigma for p in start.parameters])
+    return lambda values: 0.5 * float(np.square((values - mean) * precision).sum())
+
+
+def parameter_shift(found: Fit, change: Sequence[float] | np.ndarray) -> Float[np.ndarray, " K"]:
+    """How far a change of the whitened residuals [N] moves the fitted values, to first order."""
+    from physconvex.identify.uncertainty import noise_covariance
+
+    gradient = found.jacobian.T @ (found.weights * np.asarray(change))
+    return -noise_covariance(found) @ gradient

@@ -1,0 +1,213 @@
+"""Levenberg–Marquardt on whitened residuals with bounds, Gaussian priors and Huber's loss.
+
+Nocedal & Wright 2006, §10.3, with Marquardt's scaling; the damped step is a bounded linear least-squares problem, so
+that a parameter at its bound leaves the others free. Huber's loss enters by reweighting (weights min(1, k/|r|)).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import lsq_linear
+
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.identify.model import Model, check_names
+from physconvex.identify.observations import Observations
+from physconvex.identify.parameters import Parameter, lower_bounds, starts, step_scales, upper_bounds
+
+__all__ = ["Fit", "FitOptions", "Iteration", "fit"]
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """When to stop.
+
+    Attributes:
+        max_iterations: most linearisations.
+        relative_tolerance: stop when a step promises to lower the misfit by less than this share of it …
+        absolute_tolerance: … or by less than this much (half a squared standard deviation is 0.5).
+        max_step: longest step of a parameter, in its typical steps.
+        start_damping: Marquardt's λ at the start.
+    """
+
+    max_iterations: int = 15
+    relative_tolerance: float = 1e-5
+    absolute_tolerance: float = 1e-3
+    max_step: float = 3.0
+    start_damping: float = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Iteration:
+    """One accepted state of the search: values [K], misfit (half the weighted squares, priors included), λ."""
+
+    values: Float[np.ndarray, " K"]
+    misfit: float
+    damping: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The result of a search.
+
+    Attributes:
+        parameters: the unknowns.
+        values: their values, shape [K].
+        positions: of the observed points at the solution [m], shape [T, P, 3].
+        residuals: whitened, without priors, shape [N].
+        jacobian: their derivatives, shape [N, K].
+        weights: of Huber's loss, shape [N].
+        history: accepted states, the start first.
+        converged: whether a tolerance was met.
+        evaluations: simulations made.
+    """
+
+    parameters: tuple[Parameter, ...]
+    values: Float[np.ndarray, " K"]
+    positions: Float[np.ndarray, "T P 3"]
+    residuals: Float[np.ndarray, " N"]
+    jacobian: Float[np.ndarray, "N K"]
+    weights: Float[np.ndarray, " N"]
+    history: tuple[Iteration, ...]
+    converged: bool
+    evaluations: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def misfit(self) -> float:
+        """Half the weighted squares, priors included."""
+        return self.history[-1].misfit
+
+    @property
+    def reduced_chi_square(self) -> float:
+        """Weighted squares over degrees of freedom: one where the stated noise is all that is left."""
+        free = max(len(self.residuals) - len(self.values), 1)
+        return float(self.weights @ self.residuals**2) / free
+
+    def value(self, name: str) -> float:
+        """Value of a parameter."""
+        return float(self.values[self.names.index(name)])
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """A linearisation."""
+
+    values: np.ndarray
+    positions: np.ndarray
+    residuals: np.ndarray
+    jacobian: np.ndarray
+    weights: np.ndarray
+    misfit: float
+
+
+def fit(
+    model: Model,
+    observations: Observations,
+    parameters: Sequence[Parameter],
+    *,
+    options: FitOptions | None = None,
+    on_iteration: Callable[[Iteration], None] | None = None,
+) -> Fit:
+    """Fit a model to observations, from the starts of the parameters.
+
+    Raises:
+        InputError: model and parameters do not fit together.
+        ConvergenceError: the model cannot be evaluated at the start.
+    """
+    parameters = tuple(parameters)
+    check_names(model.names, [p.name for p in parameters])
+    options = options or FitOptions()
+    search = _Search(model, observations, parameters, options)
+    point = search.linearise(starts(parameters))
+    damping, growth, converged = options.start_damping, 2.0, False
+    history = [Iteration(point.values, point.misfit, damping)]
+    while search.evaluations < options.max_iterations and not converged:
+        step, promised = search.step(point, damping)
+        threshold = max(options.absolute_tolerance, options.relative_tolerance * point.misfit)
+        if promised < threshold:
+            converged = True
+            break
+        trial = search.try_linearise(point.values + step)
+        gain = -1.0 if trial is None else (point.misfit - trial.misfit) / promised
+        if trial is not None and gain > 1e-3:
+            converged = point.misfit - trial.misfit < threshold and promised < 10 * threshold
+            point, growth = trial, 2.0
+            damping *= max(0.1, 1 - (2 * gain - 1) ** 3) if gain > 0.1 else 2.0
+            history.append(Iteration(point.values, point.misfit, damping))
+            if on_iteration is not None:
+                on_iteration(history[-1])
+        else:
+            damping, growth = damping * growth, growth * 2.0
+            converged = bool(np.abs(step / step_scales(parameters)).max() < 1e-5)
+    return Fit(
+        parameters,
+        point.values,
+        point.positions,
+        point.residuals,
+        point.jacobian,
+        point.weights,
+        tuple(history),
+        converged,
+        search.evaluations,
+    )
+
+
+class _Search:
+    def __init__(
+        self, model: Model, observations: Observations, parameters: tuple[Parameter, ...], options: FitOptions
+    ) -> None:
+        self.model, self.observations, self.parameters = model, observations, parameters
+        self.scales, self.max_step = step_scales(parameters), options.max_step
+        self.lower, self.upper = lower_bounds(parameters), upper_bounds(parameters)
+        self.mean = np.array([p.prior_mean for p in parameters])
+        self.precision = np.array([1 / p.prior_sigma for p in parameters])  # zero where there is no prior
+        self.evaluations = 0
+
+    def linearise(self, values: np.ndarray) -> _Point:
+        self.evaluations += 1
+        positions, tangents = self.model.linearise(values)
+        residuals, jacobian = self.observations.linearise(positions, tangents)
+        if len(residuals) == 0:
+            raise InputError("observations: nothing was seen; expected at least one residual")
+        size, limit = np.abs(residuals), self.observations.robust_scales
+        weights = np.minimum(1.0, limit / np.maximum(size, 1e-300))
+        inside = size <= limit
+        outside = ~inside
+        loss = 0.5 * float((residuals[inside] ** 2).sum())
+        loss += float((limit[outside] * (size[outside] - 0.5 * limit[outside])).sum())
+        prior = (values - self.mean) * self.precision
+        return _Point(values, positions, residuals, jacobian, weights, loss + 0.5 * float(prior @ prior))
+
+    def try_linearise(self, values: np.ndarray) -> _Point | None:
+        try:
+            point = self.linearise(values)
+        except ConvergenceError:  # too far: the step is shortened
+            return None
+        return point if np.isfinite(point.misfit) else None
+
+    def step(self, point: _Point, damping: float) -> tuple[np.ndarray, float]:
+        """Damped step within the bounds, and the fall of the misfit that the linearisation promises."""
+        root = np.sqrt(point.weights)
+        rows = np.vstack([root[:, None] * point.jacobian, np.diag(self.precision)]) * self.scales
+        target = -np.concatenate([root * point.residuals, (point.values - self.mean) * self.precision])
+        q, triangle = np.linalg.qr(rows)
+        right = q.T @ target
+        norms = np.linalg.norm(triangle, axis=0)
+        scaling = np.sqrt(damping) * np.maximum(norms, 1e-3 * norms.max(initial=1e-30))
+        low = np.maximum((self.lower - point.values) / self.scales, -self.max_step)
+        high = np.minimum((self.upper - point.values) / self.scales, self.max_step)
+        high = np.maximum(high, low + 1e-12)
+        matrix = np.vstack([triangle, np.diag(scaling)])
+        found = lsq_linear(matrix, np.concatenate([right, np.zeros(len(scaling))]), bounds=(low, high))
+        step = found.x
+        promised = 0.5 * float(right @ right) - 0.5 * float(np.square(triangle @ step - right).sum())
+        moved = np.clip(point.values + step * self.scales, self.lower, self.upper)
+        return moved - point.values, promised

@@ -1,0 +1,292 @@
+"""What was seen of a motion, as whitened residuals of material points: one interface for markers, pixels, outlines.
+
+An observation names the material points it needs (`points`, rest positions). Given where a model puts them, it returns
+(model − seen)/σ, a fixed number N of residuals, and their derivatives; every residual knows its frame and its point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from physconvex.camera import Camera
+from physconvex.errors import InputError
+
+__all__ = ["MarkerObservations", "Observations", "PixelObservations", "StackedObservations", "camera_jacobian"]
+
+Positions = Float[np.ndarray, "T P 3"]
+Tangents = Float[np.ndarray, "T K P 3"]
+
+
+@runtime_checkable
+class Observations(Protocol):
+    """Anything that a model's positions can be compared with."""
+
+    @property
+    def points(self) -> Float[np.ndarray, "P 3"]:
+        """Rest positions of the material points that are needed [m]."""
+
+    @property
+    def frames(self) -> Int[np.ndarray, " N"]:
+        """Frame of each residual."""
+
+    @property
+    def point_indices(self) -> Int[np.ndarray, " N"]:
+        """Point of each residual, an index into `points`."""
+
+    @property
+    def robust_scales(self) -> Float[np.ndarray, " N"]:
+        """Residual beyond which Huber's loss grows only linearly, in standard deviations; inf = least squares."""
+
+    def residuals(self, positions: Positions) -> Float[np.ndarray, " N"]:
+        """(model − seen)/σ where the model puts the points at `positions` [T, P, 3] m, all frames."""
+
+    def linearise(
+        self, positions: Positions, tangents: Tangents
+    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+        """The residuals, and their derivatives by K parameters where the positions have `tangents` [T, K, P, 3]."""
+
+
+def _axes(count: int, width: int) -> np.ndarray:
+    return np.tile(np.arange(width), count)
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerObservations:
+    """Points followed in space.
+
+    Attributes:
+        points: rest positions [m], shape [P, 3].
+        positions: measured positions [m], shape [T, P, 3]; NaN = not seen.
+        sigma: standard deviation of each coordinate [m], shape [T, P].
+        robust_scale: Huber's threshold in standard deviations; inf = least squares.
+
+    Raises:
+        InputError: shapes that do not fit, or nothing seen.
+    """
+
+    points: Float[np.ndarray, "P 3"]
+    positions: Float[np.ndarray, "T P 3"]
+    sigma: Float[np.ndarray, "T P"]
+    robust_scale: float = np.inf
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.positions)
+        if len(shape) != 3 or shape[1:] != (len(self.points), 3) or np.shape(self.sigma) != shape[:2]:
+            raise InputError(
+                f"markers: got points {np.shape(self.points)}, positions {shape} and sigma {np.shape(self.sigma)}; "
+                "expected [P, 3], [T, P, 3] and [T, P]"
+            )
+        if not len(self.frames):
+            raise InputError("markers: none is seen in any frame; expected at least one position that is not NaN")
+
+    @cached_property
+    def _seen(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.nonzero(np.isfinite(self.positions).all(-1))
+
+    @cached_property
+    def frames(self) -> Int[np.ndarray, " N"]:
+        """Frame of each residual."""
+        return np.repeat(self._seen[0], 3)
+
+    @cached_property
+    def point_indices(self) -> Int[np.ndarray, " N"]:
+        """Point of each residual."""
+        return np.repeat(self._seen[1], 3)
+
+    @property
+    def axes(self) -> Int[np.ndarray, " N"]:
+        """Coordinate of each residual, 0 to 2."""
+        return _axes(len(self._seen[0]), 3)
+
+    @property
+    def robust_scales(self) -> Float[np.ndarray, " N"]:
+        """Huber's thresholds."""
+        return np.full(len(self.frames), self.robust_scale)
+
+    def residuals(self, positions: Positions) -> Float[np.ndarray, " N"]:
+        """(model − seen)/σ."""
+        t, p = self._seen
+        return ((positions[t, p] - self.positions[t, p]) / self.sigma[t, p][:, None]).ravel()
+
+    def linearise(
+        self, positions: Positions, tangents: Tangents
+    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+        """The residuals and their derivatives."""
+        t, p = self._seen
+        jacobian = tangents[t, :, p] / self.sigma[t, p][:, None, None]  # [n, K, 3]
+        return self.residuals(positions), np.moveaxis(jacobian, 1, 2).reshape(-1, tangents.shape[1])
+
+    def in_frames(self, count: int) -> MarkerObservations:
+        """The first `count` frames alone."""
+        return MarkerObservations(self.points, self.positions[:count], self.sigma[:count], self.robust_scale)
+
+
+def camera_jacobian(camera: Camera, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2 3"]:
+    """Derivatives of a camera's pixel coordinates by world positions [pixels/m]; NaN behind the camera."""
+    local = (np.asarray(points, dtype=np.float64) - camera.position) @ camera.rotation
+    depth = np.where(local[:, 2] < 0, -local[:, 2], np.nan)
+    plane = np.stack([local[:, 0] / depth, -local[:, 1] / depth], axis=-1)
+    zero = np.zeros_like(depth)
+    by_local = np.stack(
+        [
+            np.stack([1 / depth, zero, plane[:, 0] / depth], axis=-1),
+            np.stack([zero, -1 / depth, plane[:, 1] / depth], axis=-1),
+        ],
+        axis=1,
+    )
+    square = (plane**2).sum(-1)
+    slope = camera.k1 + 2 * camera.k2 * square  # of the distortion by r²
+    spread = camera.distortion(square)[:, None, None] * np.eye(2)
+    spread = spread + 2 * slope[:, None, None] * plane[:, :, None] * plane[:, None, :]
+    focal = np.array([camera.fl_x, camera.fl_y])[:, None]
+    return focal * (spread @ by_local) @ camera.rotation.T
+
+
+@dataclass(frozen=True, eq=False)
+class PixelObservations:
+    """Material points followed in the images of one camera.
+
+    Attributes:
+        camera: the camera.
+        points: rest positions [m], shape [P, 3].
+        pixels: measured pixel coordinates, shape [T, P, 2]; NaN = not seen.
+        sigma: standard deviation of each coordinate [pixels], shape [T, P].
+        robust_scale: Huber's threshold in standard deviations.
+
+    Raises:
+        InputError: shapes that do not fit, or nothing seen.
+    """
+
+    camera: Camera
+    points: Float[np.ndarray, "P 3"]
+    pixels: Float[np.ndarray, "T P 2"]
+    sigma: Float[np.ndarray, "T P"]
+    robust_scale: float = 3.0
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.pixels)
+        if len(shape) != 3 or shape[1:] != (len(self.points), 2) or np.shape(self.sigma) != shape[:2]:
+            raise InputError(
+                f"pixels: got points {np.shape(self.points)}, pixels {shape} and sigma {np.shape(self.sigma)}; "
+                "expected [P, 3], [T, P, 2] and [T, P]"
+            )
+        if not len(self.frames):
+            raise InputError(
+                f"pixels: camera {self.camera.name!r} sees no point in any frame; expected at least one that is not NaN"
+            )
+
+    @cached_property
+    def _seen(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.nonzero(np.isfinite(self.pixels).all(-1))
+
+    @cached_property
+    def frames(self) -> Int[np.ndarray, " N"]:
+        """Frame of each residual."""
+        return np.repeat(self._seen[0], 2)
+
+    @cached_property
+    def point_indices(self) -> Int[np.ndarray, " N"]:
+        """Point of each residual."""
+        return np.repeat(self._seen[1], 2)
+
+    @property
+    def axes(self) -> Int[np.ndarray, " N"]:
+        """Image axis of each residual: 0 along the columns, 1 along the rows."""
+        return _axes(len(self._seen[0]), 2)
+
+    @property
+    def robust_scales(self) -> Float[np.ndarray, " N"]:
+        """Huber's thresholds."""
+        return np.full(len(self.frames), self.robust_scale)
+
+    def residuals(self, positions: Positions) -> Float[np.ndarray, " N"]:
+        """(model − seen)/σ; a point that the model puts behind the camera is a residual of 1e3."""
+        t, p = self._seen
+        pixels, _ = self.camera.project(positions[t, p])
+        values = (pixels - self.pixels[t, p]) / self.sigma[t, p][:, None]
+        return np.nan_to_num(values, nan=1e3).ravel()
+
+    def linearise(
+        self, positions: Positions, tangents: Tangents
+    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+        """The residuals and their derivatives."""
+        t, p = self._seen
+        by_position = np.nan_to_num(camera_jacobian(self.camera, positions[t, p])) / self.sigma[t, p][:, None, None]
+        jacobian = np.einsum("nci,nki->nck", by_position, tangents[t, :, p])
+        return self.residuals(positions), jacobian.reshape(-1, tangents.shape[1])
+
+    def in_frames(self, count: int) -> PixelObservations:
+        """The first `count` frames alone."""
+        return PixelObservations(self.camera, self.points, self.pixels[:count], self.sigma[:count], self.robust_scale)
+
+
+@dataclass(frozen=True, eq=False)
+class StackedObservations:
+    """Several observations as one: their points and their residuals one after the other."""
+
+    parts: tuple[Observations, ...]
+
+    def __post_init__(self) -> None:
+        if not self.parts:
+            raise InputError("observations: got none; expected marker tracks, videos or masks")
+
+    @classmethod
+    def of(cls, parts: Sequence[Observations]) -> StackedObservations:
+        """The stack of several; a stack is taken apart first."""
+        flat: list[Observations] = []
+        for part in parts:
+            flat.extend(part.parts if isinstance(part, StackedObservations) else [part])
+        return cls(tuple(flat))
+
+    @cached_property
+    def points(self) -> Float[np.ndarray, "P 3"]:
+        """All points [m]."""
+        return np.concatenate([part.points for part in self.parts])
+
+    @cached_property
+    def point_slices(self) -> tuple[slice, ...]:
+        """Where the points of each part are."""
+        ends = np.cumsum([0, *(len(part.points) for part in self.parts)])
+        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+
+    @cached_property
+    def residual_slices(self) -> tuple[slice, ...]:
+        """Where the residuals of each part are."""
+        ends = np.cumsum([0, *(len(part.frames) for part in self.parts)])
+        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+
+    @cached_property
+    def frames(self) -> Int[np.ndarray, " N"]:
+        """Frame of each residual."""
+        return np.concatenate([part.frames for part in self.parts])
+
+    @cached_property
+    def point_indices(self) -> Int[np.ndarray, " N"]:
+        """Point of each residual, an index into `points` of the stack."""
+        pairs = zip(self.parts, self.point_slices, strict=True)
+        return np.concatenate([part.point_indices + where.start for part, where in pairs])
+
+    @property
+    def robust_scales(self) -> Float[np.ndarray, " N"]:
+        """Huber's thresholds."""
+        return np.concatenate([part.robust_scales for part in self.parts])
+
+    def residuals(self, positions: Positions) -> Float[np.ndarray, " N"]:
+        """(model − seen)/σ."""
+        pairs = zip(self.parts, self.point_slices, strict=True)
+        return np.concatenate([part.residuals(positions[:, where]) for part, where in pairs])
+
+    def linearise(
+        self, positions: Positions, tangents: Tangents
+    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+        """The residuals and their derivatives."""
+        pairs = zip(self.parts, self.point_slices, strict=True)
+        found = [part.linearise(positions[:, where], tangents[:, :, where]) for part, where in pairs]
+        return np.concatenate([r for r, _ in found]), np.concatenate([j for _, j in found])

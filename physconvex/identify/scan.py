@@ -1,0 +1,86 @@
+"""A coarse scan over Young's modulus and Poisson's ratio: the search that follows converges within half a decade."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from physconvex.errors import ConvergenceError
+from physconvex.identify.levenberg_marquardt import Fit, FitOptions, fit
+from physconvex.identify.model import Model
+from physconvex.identify.observations import Observations
+from physconvex.identify.parameters import Parameter
+
+__all__ = ["Candidate", "scan", "scan_values"]
+
+_MODULUS, _RATIO = "log10_youngs_modulus", "poisson_ratio"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A start and its misfit after one step in the other unknowns."""
+
+    log10_youngs_modulus: float
+    poisson_ratio: float
+    misfit: float
+    parameters: tuple[Parameter, ...]
+
+
+def scan_values(*, density: float, gravity: float, size: float) -> tuple[float, ...]:
+    """log10 E of a scan where nothing is known: E/(ρ g L) from 0.5 to 2000, in half decades."""
+    unit = np.log10(density * max(gravity, 1.0) * size)
+    return tuple(float(unit + decades) for decades in np.arange(-0.3, 3.31, 0.45))
+
+
+def scan(
+    model: Model,
+    observations: Observations,
+    parameters: Sequence[Parameter],
+    *,
+    moduli: Sequence[float],
+    ratios: Sequence[float] = (0.25, 0.45),
+    on_candidate: Callable[[Candidate], None] | None = None,
+) -> list[Candidate]:
+    """Candidates for the start, best first.
+
+    At each pair (E, ν) the other unknowns take one damped step. Pairs at which the model cannot be evaluated are left
+    out.
+
+    Args:
+        model: a cheap model will do.
+        observations: what was seen.
+        parameters: the unknowns, among them log10 E; ν if it is free.
+        moduli: log10 E.
+        ratios: ν; only the present one where it is not free.
+
+    Raises:
+        ConvergenceError: the model cannot be evaluated at any pair.
+    """
+    free = any(p.name == _RATIO for p in parameters)
+    found = []
+    for modulus in moduli:
+        for ratio in ratios if free else (float("nan"),):
+            held = tuple(_held(p, {_MODULUS: modulus, _RATIO: ratio}) for p in parameters)
+            try:
+                state = fit(model, observations, held, options=FitOptions(max_iterations=2))
+            except ConvergenceError:  # too soft to be simulated: no start
+                continue
+            found.append(Candidate(modulus, ratio, state.misfit, _restart(parameters, state)))
+            if on_candidate is not None:
+                on_candidate(found[-1])
+    if not found:
+        raise ConvergenceError(f"scan: the model fails at all of log10 E = {[round(m, 2) for m in moduli]}")
+    return sorted(found, key=lambda candidate: candidate.misfit)
+
+
+def _held(parameter: Parameter, values: dict[str, float]) -> Parameter:
+    if parameter.name not in values:
+        return parameter
+    at = parameter.at(values[parameter.name])
+    return replace(at, lower=at.start, upper=at.start)
+
+
+def _restart(parameters: Sequence[Parameter], state: Fit) -> tuple[Parameter, ...]:
+    return tuple(p.at(float(v)) for p, v in zip(parameters, state.values, strict=True))

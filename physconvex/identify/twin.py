@@ -1,0 +1,205 @@
+"""The base twin of a capture: the model of what `capture.json` states, reduced and full-order on one mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.capture import Capture
+from physconvex.contact import Plane
+from physconvex.errors import InputError
+from physconvex.fem import ElasticBody, Scene, TetMesh, to_quadratic
+from physconvex.fem.meshing import tetrahedralize
+from physconvex.identify.clamping import Clamp, clamp_of
+from physconvex.reduced import BodySamples, ReducedBody, ReducedScene, ReducedSpace, eigenmode_weights, with_parameters
+
+__all__ = ["Twin", "TwinOptions", "base_twin", "mesh_of_capture"]
+
+RATE = 384.0  # time steps per second at least: below 0.02 decades of E by the time step, see design notes
+
+
+@dataclass(frozen=True)
+class TwinOptions:
+    """How a twin is discretised.
+
+    Attributes:
+        weights: number M of skinning weights beside the constant one.
+        max_nodes: most nodes of its quadratic mesh; finer tetrahedra of a capture are meshed anew.
+        steps_per_frame: time steps per frame; None: at least 384 per second, at least 4 per frame.
+        law: elastic law, see `physconvex.materials`.
+        youngs_modulus, poisson_ratio: of the twin before anything is fitted.
+    """
+
+    weights: int = 20
+    max_nodes: int = 700
+    steps_per_frame: int | None = None
+    law: str = "neo_hookean"
+    youngs_modulus: float = 1e5
+    poisson_ratio: float = 0.35
+
+
+@dataclass(frozen=True, eq=False)
+class Twin:
+    """A capture's body and world, ready to be rolled out.
+
+    Attributes:
+        capture: where it comes from.
+        mesh: quadratic tetrahedra, rest state = state at t = 0, world frame [m].
+        scene: the reduced scene; its cells are the tetrahedra of `mesh`.
+        clamp: what is held, or None.
+        steps_per_frame: time steps per frame.
+        law: name of the elastic law.
+    """
+
+    capture: Capture
+    mesh: TetMesh
+    scene: ReducedScene
+    clamp: Clamp | None
+    steps_per_frame: int
+    law: str
+
+    @property
+    def fps(self) -> float:
+        """Frames per second."""
+        return self.capture.fps
+
+    def with_scene(self, **changes: Any) -> Twin:
+        """The same twin with fields of its reduced scene replaced (an effect added, for example)."""
+        return replace(self, scene=replace(self.scene, **changes))
+
+    def with_values(self, names: Sequence[str], values: Float[np.ndarray, " K"]) -> Twin:
+        """The same twin with parameters set."""
+        return replace(self, scene=with_parameters(self.scene, names, values))
+
+    def timing(self, frames: int | None = None) -> dict[str, Any]:
+        """Arguments of the roll-outs: number of frames, rate, steps per frame."""
+        count = self.capture.frames if frames is None else frames
+        return {"frames": count, "fps": self.fps, "steps_per_frame": self.steps_per_frame}
+
+    def full_scene(self, mesh: TetMesh | None = None) -> Scene:
+        """The same body and world for the full-order model.
+
+        Args:
+            mesh: another mesh of the same geometry (constants must then be uniform); the twin's own unless given.
+        """
+        scene, body = self.scene, self.scene.body
+        own = mesh is None
+        mesh = self.mesh if mesh is None else mesh
+        constants = {name: getattr(body, name) for name in ("youngs_modulus", "poisson_ratio", "density")}
+        if not own:
+            constants = {name: _uniform(name, value) for name, value in constants.items()}
+        start = body.space.shape_values(mesh.vertices) @ scene.start
+        clamp = self.clamp if own else self._clamp_on(mesh)
+        if scene.wind is not None or scene.push is not None or scene.loads is not None:
+            raise InputError("full_scene: wind, push and loads exist in the reduced model only; leave them out")
+        return Scene(
+            ElasticBody(mesh, law=self.law, **constants),
+            obstacles=scene.obstacles,
+            gravity=scene.gravity,
+            damping_time=scene.damping_time,
+            air_drag=scene.air_drag,
+            pins=None if clamp is None else clamp.node_pins(),
+            initial_positions=start,
+            initial_velocity=scene.initial_velocity,
+            initial_angular_velocity=scene.initial_angular_velocity,
+            contact_stiffness=scene.contact().stiffness,
+        )
+
+    def _clamp_on(self, mesh: TetMesh) -> Clamp | None:
+        boundary = self.capture.boundary()
+        if boundary is None:
+            return None
+        return clamp_of(boundary, mesh, reference=_reference(self.capture, mesh), fps=self.fps)
+
+
+def _uniform(name: str, value: np.ndarray) -> float:
+    if np.ptp(value) > 1e-9 * abs(value).max():
+        raise InputError(f"full_scene: {name} differs from cell to cell; expected a uniform body on another mesh")
+    return float(value[0])
+
+
+def mesh_of_capture(capture: Capture, *, max_nodes: int = 700) -> TetMesh:
+    """Quadratic tetrahedra of a capture's rest geometry, of at most `max_nodes` nodes.
+
+    Those of `tets.npz` are taken if they are few enough, else its boundary (or `mesh.*`) is meshed.
+
+    Raises:
+        InputError: the capture has no rest geometry, or none that encloses a volume.
+    """
+    tets = capture.tets()
+    if tets is not None:
+        quadratic = to_quadratic(tets)
+        if len(quadratic.vertices) <= max_nodes:
+            return quadratic
+        used, faces = np.unique(tets.boundary_faces[:, :3], return_inverse=True)
+        pair = (tets.vertices[used], faces.reshape(-1, 3))
+        return tetrahedralize(pair, max_nodes=max_nodes, order=2, method="auto")
+    surface = capture.mesh()
+    if surface is None:
+        raise InputError(
+            f"{capture.folder}: no rest geometry; expected tets.npz (vertices, tets) or mesh.obj, .ply or .glb of the "
+            "closed surface where it is at t = 0. Points alone do not tell what body carries them"
+        )
+    pair = (np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces))
+    return tetrahedralize(pair, max_nodes=max_nodes, order=2, method="auto")
+
+
+def _reference(capture: Capture, mesh: TetMesh) -> np.ndarray:
+    """The vertices that the capture's boundary counts."""
+    tets = capture.tets()
+    if tets is not None:
+        return tets.vertices
+    surface = capture.mesh()
+    return mesh.vertices if surface is None else np.asarray(surface.vertices, dtype=np.float64)
+
+
+def base_twin(capture: Capture, options: TwinOptions | None = None, *, mesh: TetMesh | None = None) -> Twin:
+    """The model of what a capture states: geometry, density, gravity, floor and friction, initial motion, boundary.
+
+    Args:
+        capture: the capture; what it does not state about the initial motion is zero here.
+        options: discretisation.
+        mesh: quadratic rest mesh, in the place of the capture's own.
+
+    Raises:
+        InputError: no rest geometry, or a boundary that does not fit it.
+    """
+    options = options or TwinOptions()
+    mesh = mesh_of_capture(capture, max_nodes=options.max_nodes) if mesh is None else to_quadratic(mesh)
+    boundary = capture.boundary()
+    clamp = None
+    if boundary is not None:
+        clamp = clamp_of(boundary, mesh, reference=_reference(capture, mesh), fps=capture.fps)
+    weights = eigenmode_weights(ElasticBody(mesh), options.weights)
+    body = ReducedBody(
+        ReducedSpace(weights, BodySamples.of_mesh(mesh)),
+        law=options.law,
+        youngs_modulus=options.youngs_modulus,
+        poisson_ratio=options.poisson_ratio,
+        density=capture.density,
+    )
+    scene = ReducedScene(
+        body,
+        obstacles=_obstacles(capture),
+        gravity=tuple(float(g) for g in capture.gravity),
+        pins=None if clamp is None else clamp.springs(),
+        initial_velocity=_vector(capture.initial_velocity),
+        initial_angular_velocity=_vector(capture.initial_angular_velocity),
+    )
+    steps = options.steps_per_frame or max(4, int(np.ceil(RATE / capture.fps)))
+    return Twin(capture, mesh, scene, clamp, steps, options.law)
+
+
+def _vector(value: np.ndarray | None) -> tuple[float, float, float]:
+    return (0.0, 0.0, 0.0) if value is None else (float(value[0]), float(value[1]), float(value[2]))
+
+
+def _obstacles(capture: Capture) -> tuple[Plane, ...]:
+    floor = capture.floor
+    if floor is None:
+        return ()
+    return (Plane(point=_vector(floor.point), normal=_vector(floor.normal), friction=floor.friction),)

@@ -1,0 +1,126 @@
+"""How well the data determine each parameter, in numbers and in plain words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.identify.levenberg_marquardt import Fit
+
+__all__ = ["Identifiability", "NullDirection", "identifiability", "noise_covariance"]
+
+_LOOSE = 1.0  # a direction is undetermined when its deviation exceeds one typical step …
+_CORRELATED = 0.95
+_AT_BOUND = 1e-6
+
+
+@dataclass(frozen=True)
+class NullDirection:
+    """A combination of parameters that the data leave open: share by name (in typical steps), deviation along it."""
+
+    shares: tuple[tuple[str, float], ...]
+    sigma: float
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """What the data can tell.
+
+    Attributes:
+        condition: largest over smallest singular value of the Jacobian, columns in typical steps.
+        null_directions: combinations that are not determined.
+        at_bounds: names of the parameters that ended at a bound.
+        correlations: of the parameters, shape [K, K].
+        sentences: the same in words.
+    """
+
+    condition: float
+    null_directions: tuple[NullDirection, ...]
+    at_bounds: tuple[str, ...]
+    correlations: Float[np.ndarray, "K K"]
+    sentences: tuple[str, ...]
+
+
+def _information(found: Fit, *, priors: bool = True) -> np.ndarray:
+    """Jᵀ W J in typical steps, with the priors."""
+    scales = np.array([p.step for p in found.parameters])
+    rows = np.sqrt(found.weights)[:, None] * found.jacobian * scales
+    information = rows.T @ rows
+    if priors:
+        information += np.diag([(p.step / p.prior_sigma) ** 2 for p in found.parameters])
+    return information
+
+
+def _at_bounds(found: Fit) -> np.ndarray:
+    lower = np.array([p.lower for p in found.parameters])
+    upper = np.array([p.upper for p in found.parameters])
+    near = _AT_BOUND * np.array([p.step for p in found.parameters])
+    return (found.values - lower < near) | (upper - found.values < near)
+
+
+def noise_covariance(found: Fit) -> Float[np.ndarray, "K K"]:
+    """Covariance from the stated noise and the priors, (Jᵀ W J + Σ₀⁻¹)⁻¹, in the parameters' units.
+
+    Parameters at a bound are held there: their rows and columns are zero. Directions that the data leave open have a
+    deviation of at most 10⁶ typical steps.
+    """
+    scales = np.array([p.step for p in found.parameters])
+    free = ~_at_bounds(found)
+    out = np.zeros((len(scales), len(scales)))
+    if free.any():
+        values, vectors = np.linalg.eigh(_information(found)[np.ix_(free, free)])
+        inner = (vectors / np.maximum(values, 1e-12)) @ vectors.T
+        out[np.ix_(free, free)] = inner * np.outer(scales[free], scales[free])
+    return out
+
+
+def identifiability(found: Fit) -> Identifiability:
+    """What the data of a fit can tell (priors left out)."""
+    names = np.array(found.names)
+    information = _information(found, priors=False)
+    values, vectors = np.linalg.eigh(information)
+    values = np.maximum(values, 0.0)
+    condition = float(np.sqrt(values[-1] / values[0])) if values[0] > 1e-12 * values[-1] else float("inf")
+    spread = max(found.reduced_chi_square, 1.0)  # what the model does not explain counts as noise here
+    null = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        sigma = float(np.sqrt(spread / max(value, 1e-24)))
+        if sigma > _LOOSE:
+            vector = vector * np.sign(vector[np.abs(vector).argmax()])
+            shares = tuple((str(n), float(v)) for n, v in zip(names, vector, strict=True) if abs(v) > 0.2)
+            null.append(NullDirection(shares, sigma))
+    covariance = noise_covariance(found)
+    deviations = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    correlations = covariance / np.outer(deviations, deviations)
+    at_bounds = tuple(names[_at_bounds(found)])
+    return Identifiability(
+        condition, tuple(null), at_bounds, correlations, tuple(_sentences(found, null, at_bounds, correlations))
+    )
+
+
+def _sentences(
+    found: Fit, null: list[NullDirection], at_bounds: tuple[str, ...], correlations: np.ndarray
+) -> list[str]:
+    out = []
+    for direction in null:
+        parts = " with ".join(f"{name} ({share:+.2f})" for name, share in direction.shares)
+        out.append(f"The data do not determine {parts}: other values along this direction fit as well.")
+    for name in at_bounds:
+        value = found.value(name)
+        out.append(f"{name} ended at its bound {value:g}: the data would have it beyond, or cannot tell; no interval.")
+    names = found.names
+    for i in range(len(names)):
+        for j in range(i):
+            if abs(correlations[i, j]) > _CORRELATED and not null:
+                pair = f"{names[j]} and {names[i]}"
+                out.append(f"{pair} can be traded against each other (correlation {correlations[i, j]:+.3f}).")
+    if found.reduced_chi_square > 4:
+        out.append(
+            f"The residual is {np.sqrt(found.reduced_chi_square):.1f} times the stated noise: the model does not "
+            "explain all that was seen, and intervals from noise alone are too small."
+        )
+    if not found.converged:
+        out.append("The search did not converge within its iterations.")
+    return out or ["All parameters are determined by the data."]

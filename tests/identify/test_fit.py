@@ -1,0 +1,184 @@
+"""Known constants → tracks → wrong start → the constants again; what the search says of what it cannot tell."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from physconvex.errors import InputError
+from physconvex.identify import (
+    FitOptions,
+    FullModel,
+    Parameter,
+    ReducedModel,
+    correct,
+    default_parameter,
+    default_parameters,
+    fit,
+    identifiability,
+    marker_observations,
+    noise_covariance,
+    scan,
+)
+
+TRUTH = np.array([np.log10(2e4), 0.38])
+
+
+@pytest.fixture(scope="module")
+def seen(box_capture):
+    return marker_observations(box_capture)
+
+
+@pytest.fixture(scope="module")
+def unknowns(box_twin):
+    return default_parameters(box_twin, free=["initial_velocity_z"])
+
+
+@pytest.fixture(scope="module")
+def model(box_twin, seen, unknowns):
+    return ReducedModel(box_twin, tuple(p.name for p in unknowns), seen.points, 5)
+
+
+def test_constants_are_recovered_where_the_start_is_half_a_decade_off(model, seen, unknowns):
+    start = [unknowns[0].at(TRUTH[0] + 0.4), unknowns[1].at(0.2), unknowns[2]]
+    found = fit(model, seen, start)
+    assert found.converged
+    np.testing.assert_allclose(found.values, [*TRUTH, -0.5], atol=1e-3)
+    assert found.misfit < 1e-2 < found.history[0].misfit
+    assert found.value("poisson_ratio") == found.values[1]
+
+
+def test_a_scan_escapes_a_wrong_start(model, seen, unknowns):
+    candidates = scan(model, seen, unknowns, moduli=(3.4, 4.2, 5.0), ratios=(0.3,))
+    assert [c.misfit for c in candidates] == sorted(c.misfit for c in candidates)
+    assert candidates[0].log10_youngs_modulus == 4.2
+    assert candidates[0].parameters[0].upper == unknowns[0].upper  # free again
+
+
+def test_the_model_s_jacobian_against_differences(model, seen):
+    values = np.array([4.35, 0.3, -0.45])
+    tight = replace(model, options=(("tolerance", 1e-10),))
+    _, jacobian = seen.linearise(*tight.linearise(values))
+    for k, step in enumerate((1e-5, 1e-5, 1e-5)):
+        shift = step * np.eye(3)[k]
+        slope = (seen.residuals(tight.positions(values + shift)) - seen.residuals(tight.positions(values - shift))) / (
+            2 * step
+        )
+        assert np.linalg.norm(jacobian[:, k] - slope) < 1e-3 * np.linalg.norm(slope)
+
+
+class Line:
+    """Positions linear in two parameters, of which the second has no effect unless it is given one."""
+
+    names = ("log10_youngs_modulus", "poisson_ratio")
+
+    def __init__(self, second: float = 1.0) -> None:
+        self.directions = np.random.default_rng(1).normal(size=(4, 2, 6, 3)) * np.array([1.0, second])[:, None, None]
+
+    def positions(self, values):
+        return np.einsum("tkpi,k->tpi", self.directions, values)
+
+    def linearise(self, values):
+        return self.positions(values), self.directions
+
+
+def line_markers(line, values, noise=0.0, sigma=0.01, seed=0):
+    from physconvex.identify import MarkerObservations
+
+    exact = line.positions(np.array(values))
+    noisy = exact + np.random.default_rng(seed).normal(scale=noise, size=exact.shape) if noise else exact
+    return MarkerObservations(np.zeros((6, 3)), noisy, np.full((4, 6), sigma))
+
+
+UNKNOWN = (
+    Parameter("log10_youngs_modulus", 4.0, 3.0, 8.0, 0.2),
+    Parameter("poisson_ratio", 0.3, 0.0, 0.495, 0.1),
+)
+
+
+def test_intervals_cover_the_truth_as_often_as_they_say():
+    line, inside = Line(), []
+    for seed in range(200):
+        found = fit(line, line_markers(line, (5.0, 0.3), noise=0.01, seed=seed), UNKNOWN)
+        deviations = np.sqrt(np.diag(noise_covariance(found)))
+        inside.append(np.abs(found.values - [5.0, 0.3]) < 1.645 * deviations)
+    # 400 draws of a share of .9: three standard deviations are .045
+    assert np.mean(inside) == pytest.approx(0.9, abs=0.045)
+
+
+def test_a_parameter_at_its_bound_is_said_to_be_there():
+    line = Line()
+    found = fit(line, line_markers(line, (5.0, 0.7)), UNKNOWN)
+    assert found.value("poisson_ratio") == pytest.approx(0.495)
+    told = identifiability(found)
+    assert told.at_bounds == ("poisson_ratio",)
+    assert any("bound" in sentence for sentence in told.sentences)
+    assert noise_covariance(found)[1, 1] == 0
+
+
+def test_a_direction_without_effect_is_named():
+    line = Line(second=1e-9)
+    told = identifiability(fit(line, line_markers(line, (5.0, 0.3)), UNKNOWN))
+    assert told.condition > 1e6
+    assert [d.shares[0][0] for d in told.null_directions] == ["poisson_ratio"]
+    assert any("do not determine poisson_ratio" in s for s in told.sentences)
+    clear = Line()
+    assert identifiability(fit(clear, line_markers(clear, (5.0, 0.3)), UNKNOWN)).sentences == (
+        "All parameters are determined by the data.",
+    )
+
+
+def test_a_prior_decides_what_the_data_leave_open():
+    line = Line(second=1e-9)
+    unknown = (UNKNOWN[0], replace(UNKNOWN[1], prior_mean=0.41, prior_sigma=0.02))
+    found = fit(line, line_markers(line, (5.0, 0.3)), unknown)
+    assert found.value("poisson_ratio") == pytest.approx(0.41, abs=1e-3)
+    assert np.sqrt(noise_covariance(found)[1, 1]) == pytest.approx(0.02, rel=1e-3)
+
+
+def test_one_outlier_does_not_move_a_robust_fit():
+    line = Line()
+    seen = line_markers(line, (5.0, 0.3), noise=0.01)
+    seen.positions[2, 3] += 5.0
+    errors = [
+        np.abs(fit(line, replace(seen, robust_scale=scale), UNKNOWN).values - [5.0, 0.3]).max()
+        for scale in (np.inf, 2.0)
+    ]
+    assert errors[1] < 0.01 < errors[0]
+
+
+class Bent(Line):
+    """A model that another one, with a shift and a stretch, is the truth of."""
+
+    def positions(self, values):
+        return super().positions(values * np.array([1.05, 0.9]) + np.array([-0.1, 0.02]))
+
+
+def test_the_correction_removes_the_error_of_the_cheap_model():
+    cheap, full = Line(), Bent()
+    seen = line_markers(full, (5.0, 0.3))
+    start = fit(cheap, seen, UNKNOWN)
+    assert np.abs(start.values - [5.0, 0.3]).max() > 0.03
+    found = correct(cheap, full, seen, start, max_runs=5)
+    np.testing.assert_allclose(found.fit.values, [5.0, 0.3], atol=2e-3)
+    assert found.runs[-1].misfit < 1e-2 * found.runs[0].misfit
+    assert 2 <= len(found.runs) <= 5
+
+
+def test_the_full_model_carries_the_same_points_in_the_same_world(box_twin, seen):
+    """With three weights the two models differ by millimetres, with another world they would by centimetres."""
+    names, values = ("log10_youngs_modulus", "poisson_ratio"), TRUTH
+    full = FullModel(box_twin, names, seen.points, 4).positions(values)
+    reduced = ReducedModel(box_twin, names, seen.points, 4).positions(values)
+    np.testing.assert_allclose(full[0], seen.points, atol=1e-12)
+    assert np.abs(full - reduced).max() < 3e-3
+    assert np.linalg.norm(full[3] - full[0], axis=-1).min() > 0.02
+
+
+def test_names_and_bounds_are_checked(model, seen):
+    with pytest.raises(InputError, match="expected those of the model"):
+        fit(model, seen, UNKNOWN, options=FitOptions())
+    with pytest.raises(InputError, match="expected one of"):
+        default_parameter("colour")
+    with pytest.raises(InputError, match="expected a value in"):
+        Parameter("poisson_ratio", 0.6, 0.0, 0.495)
