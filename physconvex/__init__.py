@@ -10,19 +10,23 @@ from typing import Any
 from physconvex.errors import ConvergenceError, InputError, PhysconvexError
 
 _LAZY = {
+    "GapReport": "physconvex.gap",
     "PhysicsPredictor": "models",
     "Prediction": "inference",
+    "diagnose": "physconvex.gap",
     "predict": "inference",
     "predict_batch": "inference",
 }
 
 __all__ = [
     "ConvergenceError",
+    "GapReport",
     "InputError",
     "PhysconvexError",
     "PhysicsPredictor",
     "Prediction",
     "__version__",
+    "diagnose",
     "predict",
     "predict_batch",
 ]

@@ -161,8 +161,8 @@ class ElasticBody:
     def flow_step(self, undo: Tensor, x: Float[np.ndarray, "V 3"], step: float) -> FlowStep:
         """Response of the flowing part during a step [s], from F_f⁻¹ at its start; what is lagged is taken at x [m]."""
         assert self.flow is not None
-        constants = (constant.expand(self._weights.shape) for constant in (self._mu, self._lam))
-        return self.flow.during(undo, self.deformation_gradient(x), *constants, step)
+        mu, lam = (constant.expand(self._weights.shape) for constant in (self._mu, self._lam))
+        return self.flow.during(undo, self.deformation_gradient(x), mu, lam, step)
 
     def stress(self, x: Float[np.ndarray, "V 3"]) -> Tensor:
         """First Piola–Kirchhoff stress at the quadrature points [Pa], shape [E, Q, 3, 3]."""

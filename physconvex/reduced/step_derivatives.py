@@ -52,8 +52,8 @@ class StepDerivatives:
             )
         if scene.contact_damping > 0:
             raise InputError(
-                f"scene: its contact_damping is {scene.contact_damping:g} s; derivatives of roll-outs exist without it: "
-                "set it to zero, or take finite differences of `simulate`"
+                f"scene: its contact_damping is {scene.contact_damping:g} s; derivatives of roll-outs exist without "
+                "it: set it to zero, or take finite differences of `simulate`"
             )
         self.scene, self.body, self.names = scene, scene.body, tuple(names)
         self.surface = scene.body.space.surface_values

@@ -110,6 +110,10 @@ class Motion:
     velocities: Float[np.ndarray, "T P 3"]
     camera: Camera | None = None
 
+    def first(self, count: int) -> Motion:
+        """Its first frames."""
+        return Motion(self.rest, self.times[:count], self.positions[:count], self.velocities[:count], self.camera)
+
 
 def _always(situation: Situation) -> bool:
     return True

@@ -19,7 +19,7 @@ Doses = Float[np.ndarray, " D"]
 Positions = Float[np.ndarray, "T P 3"]
 
 
-def at_times(motion: Motion, times: Float[np.ndarray, "T *P"]) -> Positions:
+def at_times(motion: Motion, times: np.ndarray) -> Positions:
     """Positions at other times [s], one per frame [T] or per frame and point [T, P]; straight on beyond the ends."""
     inside = np.clip(times, motion.times[0], motion.times[-1])
     if inside.ndim == 1:

@@ -29,8 +29,8 @@ def cell_coordinates(scene: AnyScene) -> Float[np.ndarray, "C 3"]:
     if isinstance(scene, ReducedScene):
         interior = scene.body.space.samples.interior
         weights = np.bincount(interior.cells, interior.weights)
-        centres = np.stack([np.bincount(interior.cells, interior.weights * x) for x in interior.points.T], axis=1)
-        centres /= weights[:, None]
+        moments = [np.bincount(interior.cells, interior.weights * x) / weights for x in interior.points.T]
+        centres = np.stack(moments, axis=1)
         box = scene.body.space.samples.surface_points
     else:
         mesh = scene.body.mesh
