@@ -97,7 +97,7 @@ class Baseline:
         return -self.observations.residuals(positions)
 
     def change(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
-        """What the model's residual gains where it moves from the base motion to `positions`, all frames or the first."""
+        """What the residual gains where the base motion moves to `positions`, in all frames or the first ones."""
         if len(positions) < self.model.frames:
             positions = np.concatenate([positions, self.positions[len(positions) :]])
         return self.observations.residuals(positions) - self.observations.residuals(self.positions)

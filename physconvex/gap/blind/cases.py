@@ -19,7 +19,7 @@ from physconvex.gap.effects import DEFAULT_EFFECTS, Effect, Motion, Situation
 __all__ = ["BLIND_EFFECTS", "Case", "HiddenEffect", "draw_case", "simulate_case"]
 
 # dose ranges that are drawn from (log-uniform, in multiples of the screening trial dose)
-_MULTIPLES = (1.0, 6.0)
+_MULTIPLES = (2.0, 6.0)
 BLIND_EFFECTS: tuple[str, ...] = (
     "damping", "viscoelasticity", "plasticity", "heterogeneity", "anisotropy", "nonlinear_elasticity", "friction",
     "gravity_tilt", "air_drag", "wind", "initial_velocity", "initial_spin", "time_offset", "time_scale", "camera_pose",
@@ -155,7 +155,7 @@ def draw_case(seed: int, effects: tuple[str, ...]) -> Case:
     if kind == "clamped":
         low = surface.vertices.min(0)
         high = surface.vertices.max(0)
-        box = np.array([low - 1e-6, [low[0] + 0.02 * size, high[1] + 1e-6, high[2] + 1e-6]])
+        box = np.array([low - 0.02 * size, [low[0] + 0.04 * size, high[1] + 0.02 * size, high[2] + 0.02 * size]])
         case = replace(case, clamped=box)
     return replace(case, hidden=tuple(_drawn_effect(rng, name, case.situation) for name in effects))
 
@@ -187,7 +187,7 @@ def _floor_height(case: Case) -> float:
     return float(case.surface.vertices[:, 2].min()) - case.height
 
 
-def simulate_case(case: Case, *, nodes: int = 600, rate: float = 700.0) -> tuple[Motion, Float[np.ndarray, "P 3"]]:
+def simulate_case(case: Case, *, nodes: int = 450, rate: float = 500.0) -> tuple[Motion, Float[np.ndarray, "P 3"]]:
     """Simulate with effects, on the full-order model; the observed positions of 40 surface points.
 
     Raises:

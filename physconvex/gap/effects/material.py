@@ -151,7 +151,7 @@ STIFFENING = Effect(
 OTHER_LAW = Effect(
     "nonlinear_elasticity",
     "material",
-    (Dose("corotated_share", "", -1.0, 1.5, 0.2, lambda s: 0.3),),
+    (Dose("corotated_share", "", -0.5, 1.0, 0.2, lambda s: 0.3),),
     scene=_other_law,
     variant="law",
     description="another elastic law at large strain: on the way from the base law to the corotated one",
