@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from inference.batch import predict_batch
     from inference.prediction import Prediction
     from inference.predictor import predict
+    from inference.refining import Refinement, RefineOptions, refine
     from inference.sources import find_sources
     from inference.streaming import ClipResult, iter_predictions
     from inference.summary import BatchSummary
@@ -18,20 +19,26 @@ __all__ = [
     "BatchSummary",
     "ClipResult",
     "Prediction",
+    "RefineOptions",
+    "Refinement",
     "find_sources",
     "iter_predictions",
     "predict",
     "predict_batch",
+    "refine",
 ]
 
 _MODULES = {
     "BatchSummary": "inference.summary",
     "ClipResult": "inference.streaming",
     "Prediction": "inference.prediction",
+    "RefineOptions": "inference.refining",
+    "Refinement": "inference.refining",
     "find_sources": "inference.sources",
     "iter_predictions": "inference.streaming",
     "predict": "inference.predictor",
     "predict_batch": "inference.batch",
+    "refine": "inference.refining",
 }
 
 

@@ -14,8 +14,11 @@ _LAZY = {
     "PhysicsPredictor": "models",
     "Prediction": "inference",
     "diagnose": "physconvex.gap",
+    "RefineOptions": "inference",
+    "Refinement": "inference",
     "predict": "inference",
     "predict_batch": "inference",
+    "refine": "inference",
 }
 
 __all__ = [
@@ -25,10 +28,13 @@ __all__ = [
     "PhysconvexError",
     "PhysicsPredictor",
     "Prediction",
+    "RefineOptions",
+    "Refinement",
     "__version__",
     "diagnose",
     "predict",
     "predict_batch",
+    "refine",
 ]
 
 try:

@@ -16,6 +16,7 @@ from physconvex.identify.scan import Candidate, scan, scan_values
 from physconvex.identify.setup import default_parameters, marker_observations
 from physconvex.identify.twin import Twin, TwinOptions, base_twin, mesh_of_capture
 from physconvex.identify.uncertainty import Identifiability, NullDirection, identifiability, noise_covariance
+from physconvex.identify.weighting import WeightedObservations, frame_errors
 
 __all__ = [
     "Candidate",
@@ -38,6 +39,7 @@ __all__ = [
     "StackedObservations",
     "Twin",
     "TwinOptions",
+    "WeightedObservations",
     "base_twin",
     "camera_jacobian",
     "clamp_of",
@@ -45,6 +47,7 @@ __all__ = [
     "default_parameter",
     "default_parameters",
     "fit",
+    "frame_errors",
     "identifiability",
     "marker_observations",
     "mesh_of_capture",

@@ -14,6 +14,7 @@ from physconvex.capture import Boundary
 from physconvex.errors import InputError
 from physconvex.fem import Pins as NodePins
 from physconvex.fem import TetMesh
+from physconvex.fem.mesh import EDGE_CORNERS
 from physconvex.reduced import Pins
 
 __all__ = ["Clamp", "clamp_of"]
@@ -92,15 +93,14 @@ def _held_vertices(boundary: Boundary, reference: np.ndarray) -> np.ndarray:
 
 
 def _nodes_near(mesh: TetMesh, reference: np.ndarray, held: np.ndarray, boundary: Boundary) -> np.ndarray:
-    """Nodes in the box; else nodes whose nearest reference vertices (two, if as near) are all held."""
+    """Nodes in the box; else corners whose nearest reference vertex is held, and the middles between two such."""
     if boundary.clamped_box is not None:
         low, high = boundary.clamped_box
         return np.flatnonzero(((mesh.vertices >= low) & (mesh.vertices <= high)).all(1))
-    marked = np.zeros(len(reference), dtype=bool)
-    marked[held] = True
-    distance, nearest = cKDTree(reference).query(mesh.vertices, k=2)
-    tie = distance[:, 1] < distance[:, 0] * 1.01 + 1e-9 * mesh.size
-    return np.flatnonzero(marked[nearest[:, 0]] & (~tie | marked[nearest[:, 1]]))
+    marked = np.isin(cKDTree(reference).query(mesh.vertices)[1], held)
+    if mesh.order == 2:
+        marked[mesh.tets[:, 4:]] = marked[mesh.tets[:, EDGE_CORNERS]].all(-1)
+    return np.flatnonzero(marked)
 
 
 def _led(

@@ -21,10 +21,12 @@ from physconvex.identify.levenberg_marquardt import Fit, FitOptions, fit
 from physconvex.identify.model import Model
 from physconvex.identify.observations import Observations
 from physconvex.identify.parameters import step_scales
+from physconvex.identify.uncertainty import noise_covariance
 
-__all__ = ["CorrectedModel", "Correction", "FullRun", "correct"]
+__all__ = ["CorrectedModel", "Correction", "FullRun", "correct", "parameter_shift"]
 
 _STEP_DONE = 0.01  # of a typical step: 0.002 decades of E
+_NOISE_DONE = 0.2  # of a standard deviation
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +82,7 @@ class Correction:
         fit: of the corrected model.
         model: the corrected model, exact at the last run of the full one.
         runs: of the full model.
-        converged: whether the last step was below a hundredth of the typical ones.
+        converged: whether the last step was below a hundredth of the typical ones, or a fifth of the noise.
     """
 
     fit: Fit
@@ -142,19 +144,21 @@ def correct(
         corrected = CorrectedModel(model, values, shift, slope)
         if best is not None and misfit > best[0] * (1 + 1e-6):
             values = 0.5 * (values + best[1].anchor)
-            converged = bool(np.abs((values - best[1].anchor) / scales).max() < _STEP_DONE)
-            if converged:
+            if converged := _small(values - best[1].anchor, best[2], scales):
                 break
             continue
         current = _refit(corrected, observations, start, values, options)
         best = (misfit, corrected, current)
-        step = np.abs((current.values - values) / scales).max()
-        values = current.values
-        converged = bool(step < _STEP_DONE)
-        if converged:
+        step, values = current.values - values, current.values
+        if converged := _small(step, current, scales):
             break
     assert best is not None
     return Correction(best[2], best[1], tuple(runs), converged)
+
+
+def _small(step: np.ndarray, found: Fit, scales: np.ndarray) -> bool:
+    limits = np.maximum(_STEP_DONE * scales, _NOISE_DONE * np.sqrt(np.diag(noise_covariance(found))))
+    return bool((np.abs(step) < limits).all())
 
 
 def _refit(
@@ -199,7 +203,5 @@ def _prior(start: Fit) -> Callable[[np.ndarray], float]:
 
 def parameter_shift(found: Fit, change: Sequence[float] | np.ndarray) -> Float[np.ndarray, " K"]:
     """How far a change of the whitened residuals [N] moves the fitted values, to first order."""
-    from physconvex.identify.uncertainty import noise_covariance
-
     gradient = found.jacobian.T @ (found.weights * np.asarray(change))
     return -noise_covariance(found) @ gradient

@@ -52,6 +52,9 @@ class Observations(Protocol):
     ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
         """The residuals, and their derivatives by K parameters where the positions have `tangents` [T, K, P, 3]."""
 
+    def in_frames(self, count: int) -> Observations:
+        """The first `count` frames alone; the points stay."""
+
 
 def _axes(count: int, width: int) -> np.ndarray:
     return np.tile(np.arange(width), count)
@@ -88,7 +91,8 @@ class MarkerObservations:
 
     @cached_property
     def _seen(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.nonzero(np.isfinite(self.positions).all(-1))
+        frames, points = np.nonzero(np.isfinite(self.positions).all(-1))
+        return frames, points
 
     @cached_property
     def frames(self) -> Int[np.ndarray, " N"]:
@@ -184,7 +188,8 @@ class PixelObservations:
 
     @cached_property
     def _seen(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.nonzero(np.isfinite(self.pixels).all(-1))
+        frames, points = np.nonzero(np.isfinite(self.pixels).all(-1))
+        return frames, points
 
     @cached_property
     def frames(self) -> Int[np.ndarray, " N"]:
@@ -277,6 +282,10 @@ class StackedObservations:
     def robust_scales(self) -> Float[np.ndarray, " N"]:
         """Huber's thresholds."""
         return np.concatenate([part.robust_scales for part in self.parts])
+
+    def in_frames(self, count: int) -> StackedObservations:
+        """The first `count` frames alone; the points stay."""
+        return StackedObservations(tuple(part.in_frames(count) for part in self.parts))
 
     def residuals(self, positions: Positions) -> Float[np.ndarray, " N"]:
         """(model − seen)/σ."""

@@ -25,13 +25,21 @@ def box_capture(tmp_path_factory) -> Capture:
     from physconvex.identify import ReducedModel, TwinOptions, base_twin
 
     box = box_mesh((0.3, 0.2, 0.1), (2, 1, 1), order=1)
-    tets = TetMesh(box.vertices + [0, 0, 0.012], box.tets)
+    tets = TetMesh(box.vertices + np.array([0, 0, 0.012]), box.tets)
     points = np.random.default_rng(0).uniform(size=(8, 3)) * [0.3, 0.2, 0.1] + [0, 0, 0.012]
     folder = tmp_path_factory.mktemp("captures")
     floor = Floor(np.zeros(3), np.array([0.1, 0.05, 1.0]), friction=0.3)
 
     def capture(name: str) -> Capture:
-        return Capture(folder / name, 48.0, FRAMES, FRAMES - 1, floor=floor, initial_velocity=np.array([0.2, 0, -0.5]))
+        return Capture(
+            folder / name,
+            48.0,
+            FRAMES,
+            FRAMES - 1,
+            floor=floor,
+            initial_velocity=np.array([0.2, 0, -0.5]),
+            initial_angular_velocity=np.zeros(3),
+        )
 
     empty = Tracks(points, np.zeros((FRAMES, 8, 3)), np.full((FRAMES, 8), 1e-4))
     save_capture(capture("first"), tets=tets, tracks=empty)

@@ -1,0 +1,231 @@
+"""How near refinement comes to the truth: |Δlog10 E|, |Δν| and coverage of the 90 % intervals, beside a constant guess.
+
+python benchmarks/refine_accuracy.py --cases 6          (goes on where it stopped)
+
+Truth: quadratic finite elements on a finer mesh of the same body, with half the time step of the model's. Two scenes: a
+bar clamped at one end that swings (no contact: the truth converges), and a block that is thrown onto a tilted, rough
+floor. Twenty markers on the surface, 1 mm of noise in each coordinate, 12 of 16 frames are fitted; damping is unknown,
+and for the block the initial velocity too. E is drawn log-uniform, ν uniform. The constant predictor says the middle of
+both ranges.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from inference.refining import Refinement, RefineOptions, refine
+from physconvex.capture import Boundary, Capture, Floor, Tracks, load_capture, save_capture
+from physconvex.fem import ElasticBody, Embedding, Pins, Plane, Scene, TetMesh, box_mesh, simulate, to_quadratic
+
+RESULT = Path(__file__).parent / "results" / "refine_accuracy.json"
+FPS, FRAMES, OBSERVED, MARKERS, NOISE = 48.0, 16, 12, 20, 1e-3
+MODULUS, RATIO, DAMPING = (4.3, 5.7), (0.2, 0.45), (5e-4, 2e-3)
+BAR, BLOCK = (0.3, 0.1, 0.1), (0.2, 0.15, 0.12)
+CELLS = {"bar": ((5, 2, 2), (8, 3, 3)), "block": ((3, 2, 2), (5, 4, 3))}  # of the model, of the truth
+FLOOR = Floor(np.zeros(3), np.array([0.12, 0.06, 1.0]), friction=0.4)
+OPTIONS = RefineOptions(weights=12, max_nodes=2000, start="scan")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One capture: truth, errors (fit less truth) of the reduced model alone and of the refinement, intervals."""
+
+    case: int
+    scene: str
+    log10_youngs_modulus: float
+    poisson_ratio: float
+    damping_time: float
+    reduced_log10_error: float
+    reduced_poisson_error: float
+    log10_error: float
+    poisson_error: float
+    log10_sigma: float
+    poisson_sigma: float
+    log10_model_error: float
+    poisson_model_error: float
+    covered_log10: bool | None
+    covered_poisson: bool | None
+    reduced_chi_square: float
+    observed_rms_mm: float
+    future_rms_mm: float
+    full_runs: int
+    converged: bool
+    process_seconds: float
+
+
+def turned(scene: str, cells: tuple[int, int, int], rng: np.random.Generator) -> TetMesh:
+    """The body where it starts; the block stands askew, 20 to 40 mm over the floor."""
+    mesh = box_mesh(BAR if scene == "bar" else BLOCK, cells, order=1)
+    if scene == "bar":
+        return mesh
+    axis = rng.normal(size=3)
+    axis *= np.radians(rng.uniform(5, 25)) / np.linalg.norm(axis)
+    x = Rotation.from_rotvec(axis).apply(mesh.vertices)
+    lowest = (x @ FLOOR.normal).min()
+    return TetMesh(x + FLOOR.normal * (rng.uniform(0.02, 0.04) - lowest), mesh.tets)
+
+
+def make_capture(folder: Path, case: int) -> dict[str, float]:
+    """Simulate the truth and write the capture; what is true is returned, and stored in `truth.json`."""
+    scene = ("bar", "block")[case % 2]
+    rng = np.random.default_rng([7, case])
+    truth = {
+        "log10_youngs_modulus": float(rng.uniform(*MODULUS)),
+        "poisson_ratio": float(rng.uniform(*RATIO)),
+        "damping_time": float(np.exp(rng.uniform(*np.log(DAMPING)))),
+    }
+    velocity = (0.0, 0.0, 0.0) if scene == "bar" else tuple(rng.uniform([-0.2, -0.2, -0.8], [0.2, 0.2, -0.4]))
+    pose = rng.integers(2**32)
+    coarse, fine = (turned(scene, cells, np.random.default_rng(pose)) for cells in CELLS[scene])
+    body_mesh = to_quadratic(fine)
+    body = ElasticBody(
+        body_mesh,
+        youngs_modulus=10 ** truth["log10_youngs_modulus"],
+        poisson_ratio=truth["poisson_ratio"],
+        density=1000.0,
+    )
+    held = np.flatnonzero(body_mesh.vertices[:, 0] < 1e-9) if scene == "bar" else None
+    floor = Plane(tuple(FLOOR.point), tuple(FLOOR.normal), friction=FLOOR.friction)
+    run = simulate(
+        Scene(
+            body,
+            obstacles=() if scene == "bar" else (floor,),
+            damping_time=truth["damping_time"],
+            pins=None if held is None else Pins(held),
+            initial_velocity=velocity,
+        ),
+        frames=FRAMES,
+        fps=FPS,
+        steps_per_frame=16,
+    )
+    surface = np.flatnonzero(body_mesh.node_areas > 0)
+    rest = body_mesh.vertices[rng.choice(surface, MARKERS, replace=False)]
+    moved = Embedding.of_points(body_mesh, rest).apply(run.positions)
+    capture = Capture(
+        folder,
+        FPS,
+        FRAMES,
+        OBSERVED,
+        floor=None if scene == "bar" else FLOOR,
+        initial_angular_velocity=np.zeros(3),
+    )
+    noisy = moved + rng.normal(scale=NOISE, size=moved.shape)
+    box = np.array([[-1e-6, -1, -1], [1e-6, 1, 1]])
+    save_capture(
+        capture,
+        tets=coarse,
+        tracks=Tracks(rest, noisy, np.full(noisy.shape[:2], NOISE)),
+        boundary=Boundary(clamped_box=box) if scene == "bar" else None,
+        truth=truth,
+    )
+    return truth
+
+
+def measure(root: Path, case: int) -> Row:
+    """Make a capture unless it is there, refine it, compare."""
+    folder = root / f"capture_{case:03d}"
+    if not folder.exists():
+        make_capture(folder, case)
+    truth = json.loads((folder / "truth.json").read_text())
+    clock = time.process_time()
+    found = refine(folder, out=root / f"refined_{case:03d}", options=OPTIONS)
+    return row_of(case, truth, found, time.process_time() - clock)
+
+
+def row_of(case: int, truth: dict[str, float], found: Refinement, seconds: float) -> Row:
+    """Compare a refinement with the truth."""
+    modulus, ratio = found["log10_youngs_modulus"], found["poisson_ratio"]
+    names = [e.name for e in found.estimates]
+    reduced = dict(zip(names, found.reduced_values, strict=True))
+    tracks = load_capture(found.path).tracks()
+    assert tracks is not None
+    distance = np.linalg.norm(found.motion.markers - tracks.positions, axis=-1)[:OBSERVED]
+
+    def covered(name: str) -> bool | None:
+        interval = found[name].interval
+        return None if interval is None else bool(interval[0] <= truth[name] <= interval[1])
+
+    return Row(
+        case=case,
+        scene=("bar", "block")[case % 2],
+        **truth,
+        reduced_log10_error=float(reduced["log10_youngs_modulus"] - truth["log10_youngs_modulus"]),
+        reduced_poisson_error=float(reduced["poisson_ratio"] - truth["poisson_ratio"]),
+        log10_error=modulus.value - truth["log10_youngs_modulus"],
+        poisson_error=ratio.value - truth["poisson_ratio"],
+        log10_sigma=modulus.sigma,
+        poisson_sigma=ratio.sigma,
+        log10_model_error=modulus.model_error,
+        poisson_model_error=ratio.model_error,
+        covered_log10=covered("log10_youngs_modulus"),
+        covered_poisson=covered("poisson_ratio"),
+        reduced_chi_square=found.reduced_chi_square,
+        observed_rms_mm=1e3 * float(np.sqrt((distance**2).mean())),
+        future_rms_mm=1e3 * found.future_rms,
+        full_runs=len(found.full_runs),
+        converged=found.converged,
+        process_seconds=round(seconds, 1),
+    )
+
+
+def summary(rows: list[Row]) -> dict[str, object]:
+    """Mean absolute errors of the refinement, the reduced model alone and the constant guess; coverage."""
+    if not rows:
+        return {}
+
+    def mean(name: str, chosen: list[Row]) -> float:
+        return float(np.mean([abs(getattr(row, name)) for row in chosen]))
+
+    out: dict[str, object] = {}
+    for scene in ("bar", "block", "all"):
+        chosen = [row for row in rows if scene in (row.scene, "all")]
+        if not chosen:
+            continue
+        covered = [c for row in chosen for c in (row.covered_log10, row.covered_poisson) if c is not None]
+        out[scene] = {
+            "captures": len(chosen),
+            "log10_error": mean("log10_error", chosen),
+            "poisson_error": mean("poisson_error", chosen),
+            "reduced_alone_log10_error": mean("reduced_log10_error", chosen),
+            "reduced_alone_poisson_error": mean("reduced_poisson_error", chosen),
+            "constant_log10_error": float(np.mean([abs(r.log10_youngs_modulus - np.mean(MODULUS)) for r in chosen])),
+            "constant_poisson_error": float(np.mean([abs(r.poisson_ratio - np.mean(RATIO)) for r in chosen])),
+            "coverage_90": float(np.mean(covered)) if covered else None,
+            "intervals": len(covered),
+            "process_seconds": float(np.mean([row.process_seconds for row in chosen])),
+        }
+    return out
+
+
+def main() -> None:
+    """Run the cases that are not there yet, and store the table after each."""
+    torch.set_num_threads(1)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--cases", type=int, default=6)
+    parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "refine_accuracy")
+    arguments = parser.parse_args()
+    rows: list[Row] = []
+    for case in range(arguments.cases):
+        kept = arguments.work / f"row_{case:03d}.json"
+        if not kept.exists():
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            kept.write_text(json.dumps(asdict(measure(arguments.work, case))))
+        rows.append(Row(**json.loads(kept.read_text())))
+        print(rows[-1], flush=True)
+        content = {"command": "python benchmarks/refine_accuracy.py", "summary": summary(rows)}
+        content |= {"rows": [asdict(row) for row in rows]}
+        RESULT.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    print(json.dumps(summary(rows), indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,158 @@
+"""What is fitted of a capture: its marker tracks, points followed in its videos, outlines of its masks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from inference.refining.motion import surface_of_capture
+from inference.refining.options import RefineOptions
+from inference.refining.stages import Stages
+from physconvex.camera import Camera
+from physconvex.capture import Capture
+from physconvex.errors import InputError
+from physconvex.identify import Fit, Observations, PixelObservations, StackedObservations, Twin, marker_observations
+from physconvex.identify.outlines import OutlineObservations
+from physconvex.identify.setup import start_motion
+from physconvex.identify.video_tracks import FollowOptions, Seeds, follow, follow_from_model, seed_points
+from physconvex.reduced import simulate
+
+__all__ = ["Observed", "observe"]
+
+Arrays = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """The stack of observations, and a line about each of its parts."""
+
+    observations: StackedObservations
+    sources: tuple[str, ...]
+    cameras: tuple[Camera, ...] = ()
+
+    @property
+    def can_be_anchored(self) -> bool:
+        """Whether points were followed in videos, which a fitted model helps to follow better."""
+        return bool(self.cameras)
+
+    def rms(self, residuals: np.ndarray) -> dict[str, float]:
+        """Root mean square residual by part, in standard deviations of its stated noise."""
+        pairs = zip(self.sources, self.observations.residual_slices, strict=True)
+        return {source: float(np.sqrt(np.mean(residuals[where] ** 2))) for source, where in pairs}
+
+    def anchored(self, capture: Capture, twin: Twin, found: Fit, stages: Stages) -> Observed:
+        """The same, with the points of the videos followed again from where the model puts them."""
+        arrays = stages.run("anchored", lambda: self._follow_again(capture, twin, found))
+        parts: list[Observations] = []
+        sources = list(self.sources)
+        for number, part in enumerate(self.observations.parts):
+            if isinstance(part, PixelObservations):
+                part = replace(part, pixels=arrays[part.camera.name])
+                sources[number] = _line(part)
+            parts.append(part)
+        return replace(self, observations=StackedObservations.of(parts), sources=tuple(sources))
+
+    def _follow_again(self, capture: Capture, twin: Twin, found: Fit) -> Arrays:
+        vertices, triangles = surface_of_capture(capture, twin)
+        run = simulate(twin.with_values(found.names, found.values).scene, **twin.timing(capture.observed_frames))
+        moved = run.positions(vertices)
+        out = {}
+        for part in self.observations.parts:
+            if isinstance(part, PixelObservations):
+                frames = capture.video(part.camera.name).frames[: capture.observed_frames]
+                predicted = run.positions(part.points)
+                out[part.camera.name] = follow_from_model(frames, part.camera, moved, triangles, predicted)
+        return out
+
+
+def observe(capture: Capture, twin: Twin, options: RefineOptions, stages: Stages) -> tuple[Observed, Twin]:
+    """What the options take of a capture, and the twin with the initial motion that the tracks show.
+
+    Raises:
+        InputError: there is nothing of that kind.
+    """
+    if capture.observed_frames < 2:
+        raise InputError(
+            f"{capture.folder}: observed_frames is {capture.observed_frames}; expected at least 2, since frame 0 is "
+            "the known state at t = 0"
+        )
+    tracked, filmed = _kinds(capture, options)
+    parts: list[Observations] = []
+    sources: list[str] = []
+    cameras: tuple[Camera, ...] = ()
+    if tracked:
+        markers = marker_observations(capture)
+        parts.append(markers)
+        sources.append(f"{len(markers.points)} markers")
+        twin = start_motion(twin, markers)
+    if filmed:
+        cameras = _cameras(capture, options)
+        seen = _video_parts(capture, twin, cameras, options, stages)
+        parts.extend(seen)
+        sources.extend(_line(part) for part in seen)
+    return Observed(StackedObservations.of(parts), tuple(sources), cameras), twin
+
+
+def _kinds(capture: Capture, options: RefineOptions) -> tuple[bool, bool]:
+    """Whether to take tracks, and videos."""
+    tracked, filmed = capture.tracks() is not None, bool(capture.cameras)
+    wanted = options.observations
+    if (wanted in ("tracks", "both") and not tracked) or (wanted in ("video", "both") and not filmed):
+        missing = "tracks.npz" if not tracked and wanted != "video" else "cameras in capture.json"
+        raise InputError(f"{capture.folder}: observations is {wanted!r}, but there is no {missing}")
+    if not tracked and not filmed:
+        raise InputError(
+            f"{capture.folder}: nothing was observed; expected tracks.npz (rest, positions, sigma) or cameras with "
+            "videos in capture.json"
+        )
+    return tracked and wanted != "video", filmed and (wanted in ("video", "both") or not tracked)
+
+
+def _cameras(capture: Capture, options: RefineOptions) -> tuple[Camera, ...]:
+    if options.cameras is None:
+        return capture.cameras
+    return tuple(capture.camera(name) for name in options.cameras)
+
+
+def _video_parts(
+    capture: Capture, twin: Twin, cameras: Sequence[Camera], options: RefineOptions, stages: Stages
+) -> list[Observations]:
+    """Points and outlines of each camera."""
+    vertices, triangles = surface_of_capture(capture, twin)
+    arrays = stages.run("points", lambda: _followed(capture, cameras, vertices, triangles))
+    parts: list[Observations] = []
+    sigma = FollowOptions().sigma
+    for camera in cameras:
+        pixels = arrays[f"{camera.name}/pixels"]
+        parts.append(PixelObservations(camera, arrays[f"{camera.name}/points"], pixels, _full(pixels, sigma)))
+        masks = capture.mask(camera.name) if options.outlines else None
+        if masks is not None:
+            seen = masks[: capture.observed_frames]
+            parts.append(OutlineObservations.of_masks(camera, seen, vertices, triangles))
+    return parts
+
+
+def _followed(capture: Capture, cameras: Sequence[Camera], vertices: np.ndarray, triangles: np.ndarray) -> Arrays:
+    out = {}
+    for camera in cameras:
+        frames = capture.video(camera.name).frames[: capture.observed_frames]
+        masks = capture.mask(camera.name)
+        mask = None if masks is None else masks[0] > 0
+        seeds: Seeds = seed_points(camera, frames[0], vertices, triangles, mask=mask)
+        out[f"{camera.name}/points"] = seeds.points
+        out[f"{camera.name}/pixels"] = follow(frames, seeds.pixels)
+    return out
+
+
+def _full(pixels: np.ndarray, sigma: float) -> np.ndarray:
+    return np.full(pixels.shape[:2], sigma)
+
+
+def _line(part: Observations) -> str:
+    if isinstance(part, PixelObservations):
+        lasting = int(np.isfinite(part.pixels[-1]).all(-1).sum())
+        return f"camera {part.camera.name}: {len(part.points)} points, {lasting} of them in the last observed frame"
+    assert isinstance(part, OutlineObservations)
+    return f"camera {part.camera.name}: {len(part.pixels)} outline points"

@@ -1,0 +1,67 @@
+"""What the user decides about a refinement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+from physconvex.errors import InputError
+
+__all__ = ["RefineOptions"]
+
+
+@dataclass(frozen=True)
+class RefineOptions:
+    """Settings of `refine`.
+
+    Attributes:
+        observations: "auto" takes marker tracks where there are some, else videos; "tracks", "video" or "both".
+        cameras: names of the cameras that are used; None: all.
+        weights: number of skinning weights M of the reduced model.
+        max_nodes: most nodes of the quadratic mesh of both models.
+        steps_per_frame: time steps per frame; None: at least 384 per second.
+        free: parameters beyond E, ν, the damping time and what the capture does not state of the initial motion.
+        fixed: parameters that stay, with their values; None: as the capture (or, for E and ν, the start) has it.
+        priors: mean and standard deviation by parameter.
+        initial: values to start at, by name, such as log10_youngs_modulus; with E among them nothing is scanned.
+        start: where the scan looks: "predict" around the network's prediction (videos), "scan" everywhere, "auto" the
+            first of the two that works.
+        correction: remove the reduced model's error with runs of the full one.
+        full_runs: most of these runs.
+        model_error: one run with a finer mesh and half the time step, to state what error is left.
+        outlines: use the masks of videos.
+        checkpoint: of the network.
+    """
+
+    observations: Literal["auto", "tracks", "video", "both"] = "auto"
+    cameras: tuple[str, ...] | None = None
+    weights: int = 20
+    max_nodes: int = 500
+    steps_per_frame: int | None = None
+    free: tuple[str, ...] = ()
+    fixed: Mapping[str, float | None] = field(default_factory=dict)
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    initial: Mapping[str, float] = field(default_factory=dict)
+    start: Literal["auto", "predict", "scan"] = "auto"
+    correction: bool = True
+    full_runs: int = 4
+    model_error: bool = True
+    outlines: bool = True
+    checkpoint: str = "default"
+
+    def __post_init__(self) -> None:
+        choices = {"observations": ("auto", "tracks", "video", "both"), "start": ("auto", "predict", "scan")}
+        for name, allowed in choices.items():
+            if getattr(self, name) not in allowed:
+                raise InputError(f"{name}: got {getattr(self, name)!r}; expected one of {', '.join(allowed)}")
+        for name, least in {"weights": 1, "max_nodes": 30, "full_runs": 1}.items():
+            if getattr(self, name) < least:
+                raise InputError(f"{name}: got {getattr(self, name)}; expected at least {least}")
+        if self.steps_per_frame is not None and self.steps_per_frame < 1:
+            raise InputError(f"steps_per_frame: got {self.steps_per_frame}; expected at least 1")
+
+    def as_json(self) -> dict[str, Any]:
+        """All settings, for the result's file."""
+        priors = {name: list(pair) for name, pair in self.priors.items()}
+        return asdict(self) | {"fixed": dict(self.fixed), "initial": dict(self.initial), "priors": priors}

@@ -1,0 +1,272 @@
+"""From a capture to a `Refinement`: observe, scan, search, correct, judge, roll out."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from inference.prediction import Prediction
+from inference.refining.estimates import estimates_of, judge
+from inference.refining.fits import arrays_of_correction, arrays_of_fit, arrays_of_scan, fit_of, runs_of, scan_of
+from inference.refining.motion import future_rms, motion_of
+from inference.refining.observing import Observed, observe
+from inference.refining.options import RefineOptions
+from inference.refining.result import Refinement
+from inference.refining.stages import Stages, key_of
+from inference.refining.starting import scan_range
+from physconvex.capture import Capture, load_capture
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.identify import (
+    Fit,
+    FitOptions,
+    FullModel,
+    Observations,
+    Parameter,
+    ReducedModel,
+    Twin,
+    TwinOptions,
+    base_twin,
+    correct,
+    default_parameters,
+    fit,
+    identifiability,
+    noise_covariance,
+    scan,
+)
+from physconvex.identify.setup import with_free_friction
+from physconvex.reduced import parameter_values
+
+__all__ = ["refine"]
+
+_CHEAP_WEIGHTS = 6
+
+
+def refine(
+    path: str | os.PathLike[str],
+    *,
+    out: str | os.PathLike[str] | None = None,
+    initial: Prediction | None = None,
+    options: RefineOptions | None = None,
+    on_stage: Callable[[str, bool], None] | None = None,
+) -> Refinement:
+    """Identify the material of one capture, and its motion beyond the observed frames.
+
+    Args:
+        path: capture folder (`capture.json`, see the docs) with a rest geometry and marker tracks, videos, or both.
+        out: folder for finished stages, so that a stopped refinement goes on; None keeps nothing. Result files are
+            written by `inference.refining.write_refinement`.
+        initial: a prediction to start at, in the place of a scan.
+        options: settings.
+        on_stage: told the name of each stage when it begins, and whether it was read again.
+
+    Raises:
+        InputError: something that is needed is missing or wrong; the message names it and the remedy.
+        ConvergenceError: no start was found at which the body can be simulated.
+    """
+    options = options or RefineOptions()
+    if initial is not None:
+        start = {"log10_youngs_modulus": math.log10(initial.youngs_modulus), "poisson_ratio": initial.poisson_ratio}
+        options = replace(options, initial={**start, **options.initial})
+    capture = load_capture(Path(path))
+    run = _Run(capture, options, Stages(None if out is None else Path(out), _key(capture, options), on_stage))
+    return run.refine()
+
+
+def _key(capture: Capture, options: RefineOptions) -> str:
+    return key_of(capture.folder, options.as_json())
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """What is fitted: the twin that holds the fixed values, the unknowns, what was seen of the observed frames."""
+
+    twin: Twin
+    parameters: tuple[Parameter, ...]
+    observed: Observed
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def seen(self) -> Observations:
+        return self.observed.observations
+
+    def reduced(self) -> ReducedModel:
+        return ReducedModel(self.twin, self.names, self.seen.points, self.frames)
+
+    def full(self) -> FullModel:
+        return FullModel(self.twin, self.names, self.seen.points, self.frames)
+
+    @property
+    def frames(self) -> int:
+        return int(self.seen.frames.max()) + 1
+
+    @property
+    def windows(self) -> tuple[int, ...]:
+        """Numbers of frames to be fitted one after the other.
+
+        A held body swings: over many periods the misfit has a minimum per period, over one it has one.
+        """
+        count = self.frames
+        if self.twin.clamp is None:
+            return (count,)
+        return tuple(dict.fromkeys(max(2, round(count * share)) for share in (0.25, 0.5, 1.0)))
+
+    def first(self, frames: int) -> _Problem:
+        """The first frames alone."""
+        part = replace(self.observed, observations=self.observed.observations.in_frames(frames))
+        return replace(self, observed=part)
+
+
+class _Run:
+    def __init__(self, capture: Capture, options: RefineOptions, stages: Stages) -> None:
+        self.capture, self.options, self.stages = capture, options, stages
+        self.warnings: list[str] = []
+
+    def refine(self) -> Refinement:
+        problem = self._problem()
+        start = self._reduced_fit(problem)
+        if problem.observed.can_be_anchored:
+            anchored = problem.observed.anchored(self.capture, problem.twin, start, self.stages)
+            problem = replace(problem, observed=anchored)
+            again = tuple(p.at(float(v)) for p, v in zip(problem.parameters, start.values, strict=True))
+            start = self._fit("reduced_again", problem, again)
+        final, runs, converged = self._corrected(problem, start)
+        return self._result(problem, start, final, runs, converged)
+
+    # -- set-up
+
+    def _problem(self) -> _Problem:
+        options = self.options
+        twin = base_twin(self.capture, self._twin_options(options.weights))
+        if "friction" in options.free:
+            twin = with_free_friction(twin)
+        held = {name: value for name, value in options.fixed.items() if value is not None}
+        observed, twin = observe(self.capture, twin, options, self.stages)
+        if held:
+            twin = twin.with_values(list(held), np.array(list(held.values())))
+        parameters = default_parameters(
+            twin, damping="damping_time" not in options.fixed, free=options.free, fixed=list(options.fixed),
+            priors=options.priors,
+        )  # fmt: skip
+        unknown = [name for name in options.initial if name not in [p.name for p in parameters]]
+        if unknown:
+            raise InputError(f"initial: {unknown} are not free; free are {[p.name for p in parameters]}")
+        started = tuple(p.at(options.initial.get(p.name, p.start)) for p in parameters)
+        return _Problem(twin, started, observed)
+
+    def _twin_options(self, weights: int) -> TwinOptions:
+        return TwinOptions(weights, self.options.max_nodes, self.options.steps_per_frame)
+
+    # -- stages
+
+    def _reduced_fit(self, problem: _Problem) -> Fit:
+        names = problem.names
+        if "log10_youngs_modulus" not in names or "log10_youngs_modulus" in self.options.initial:
+            return self._fit("reduced", problem, problem.parameters)
+        starts = scan_of(self.stages.run("scan", lambda: self._scan(problem)), problem.parameters)
+        return fit_of(self.stages.run("reduced", lambda: self._best(problem, starts)), problem.parameters)
+
+    def _cheap(self, problem: _Problem) -> Twin:
+        """Few weights and long steps, the same world: for the scan."""
+        options = self._twin_options(min(_CHEAP_WEIGHTS, self.options.weights))
+        twin = base_twin(self.capture, options, mesh=problem.twin.mesh)
+        own = problem.twin.scene
+        twin = twin.with_scene(
+            obstacles=own.obstacles,
+            initial_velocity=own.initial_velocity,
+            initial_angular_velocity=own.initial_angular_velocity,
+        )
+        held = {n: v for n, v in self.options.fixed.items() if v is not None}
+        if held:
+            twin = twin.with_values(list(held), np.array(list(held.values())))
+        return replace(twin, steps_per_frame=max(4, twin.steps_per_frame // 2))
+
+    def _scan(self, problem: _Problem) -> dict[str, np.ndarray]:
+        moduli, ratios, note = scan_range(self.capture, problem.twin, self.options)
+        if note:
+            self.warnings.append(note)
+        frames = problem.windows[0]
+        cheap = replace(problem, twin=self._cheap(problem)).first(frames)
+        found = scan(cheap.reduced(), cheap.seen, problem.parameters, moduli=moduli, ratios=ratios)
+        return arrays_of_scan(found)
+
+    def _best(self, problem: _Problem, starts: tuple[tuple[Parameter, ...], ...]) -> dict[str, np.ndarray]:
+        """A few cheap iterations from the two best starts, then the model itself from the better one."""
+        cheap = replace(problem, twin=self._cheap(problem))
+        trials = [trial for start in starts if (trial := self._grown(cheap, start)) is not None]
+        best = min(trials, key=lambda trial: trial.misfit) if trials else None
+        chosen = starts[0] if best is None else _from(problem.parameters, best)
+        return arrays_of_fit(fit(problem.reduced(), problem.seen, chosen))
+
+    def _grown(self, cheap: _Problem, start: tuple[Parameter, ...]) -> Fit | None:
+        """Fit longer and longer parts of the motion; None where the body cannot be simulated."""
+        found = None
+        for frames in cheap.windows:
+            part = cheap.first(frames)
+            try:
+                found = fit(part.reduced(), part.seen, start, options=FitOptions(max_iterations=6))
+            except ConvergenceError:
+                return None
+            start = _from(cheap.parameters, found)
+        return found
+
+    def _fit(self, name: str, problem: _Problem, start: tuple[Parameter, ...]) -> Fit:
+        arrays = self.stages.run(name, lambda: arrays_of_fit(fit(problem.reduced(), problem.seen, start)))
+        return fit_of(arrays, problem.parameters)
+
+    def _corrected(self, problem: _Problem, start: Fit) -> tuple[Fit, dict[str, np.ndarray], bool]:
+        if not self.options.correction:
+            return start, {}, start.converged
+
+        def compute() -> dict[str, np.ndarray]:
+            found = correct(problem.reduced(), problem.full(), problem.seen, start, max_runs=self.options.full_runs)
+            return arrays_of_correction(found)
+
+        arrays = self.stages.run("correction", compute)
+        final = fit_of(arrays, problem.parameters)
+        converged = bool(arrays["correction_converged"])
+        if not converged:
+            count = len(arrays["runs"])
+            self.warnings.append(f"The correction did not settle in {count} runs of the full model; allow more.")
+        return final, arrays, converged and final.converged
+
+    def _result(
+        self, problem: _Problem, start: Fit, final: Fit, arrays: dict[str, np.ndarray], converged: bool
+    ) -> Refinement:
+        judged = judge(problem.twin, final, problem.seen, self.options, self.stages, self.warnings)
+        final = judged.fit
+        motion = motion_of(self.capture, problem.twin, final, self.options, self.stages)
+        told = identifiability(final)
+        held = [n for n in dict.fromkeys(["log10_youngs_modulus", "poisson_ratio", *self.options.fixed])]
+        held = [n for n in held if n not in problem.names]
+        values = parameter_values(problem.twin.scene, held) if held else np.zeros(0)
+        return Refinement(
+            path=str(self.capture.folder),
+            estimates=estimates_of(final, judged.shift, told),
+            fixed=dict(zip(held, map(float, values), strict=True)),
+            covariance=noise_covariance(final),
+            reduced_chi_square=final.reduced_chi_square,
+            residual_rms=problem.observed.rms(problem.seen.residuals(final.positions)),
+            frame_errors=judged.frame_errors,
+            future_rms=future_rms(self.capture, motion),
+            identifiability=told,
+            history=final.history,
+            reduced_values=start.values,
+            full_runs=runs_of(arrays),
+            converged=converged,
+            motion=motion,
+            observed_frames=self.capture.observed_frames,
+            sources=problem.observed.sources,
+            warnings=tuple(dict.fromkeys(self.warnings)),
+        )
+
+
+def _from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Parameter, ...]:
+    return tuple(p.at(float(v)) for p, v in zip(parameters, found.values, strict=True))

@@ -1,0 +1,163 @@
+"""A capture of a dropped box, from the folder to the result files, by the console and from Python."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import physconvex
+from inference.refining import RefineOptions, refine
+from inference.refining.estimates import estimates_of
+from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
+from physconvex.errors import InputError
+from physconvex.fem import TetMesh, box_mesh
+from physconvex.identify import ReducedModel, TwinOptions, base_twin
+from physconvex.video import read_video
+
+FRAMES, OBSERVED, NOISE = 8, 6, 2e-4
+TRUTH = {"log10_youngs_modulus": np.log10(2e4), "poisson_ratio": 0.38, "initial_velocity_z": -0.5}
+SMALL = ["--weights", "3", "--steps-per-frame", "4", "--full-runs", "2", "--start", "scan", "--no-progress"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Tracks of the reduced model with three weights; the capture does not say how fast the box was thrown."""
+    root = tmp_path_factory.mktemp("refine")
+    box = box_mesh((0.3, 0.2, 0.1), (2, 1, 1), order=1)
+    tets = TetMesh(box.vertices + np.array([0, 0, 0.012]), box.tets)
+    rng = np.random.default_rng(0)
+    points = rng.uniform(size=(8, 3)) * [0.3, 0.2, 0.1] + [0, 0, 0.012]
+    floor = Floor(np.zeros(3), np.array([0.1, 0.05, 1.0]), friction=0.3)
+
+    def save(name, positions, truth=None):
+        capture = Capture(root / name, 48.0, FRAMES, OBSERVED, floor=floor, initial_angular_velocity=np.zeros(3))
+        tracks = Tracks(points, positions, np.full((FRAMES, 8), NOISE))
+        save_capture(capture, tets=tets, tracks=tracks, truth=truth)
+        return load_capture(root / name)
+
+    plain = save("plain", np.zeros((FRAMES, 8, 3)))
+    twin = base_twin(plain, TwinOptions(weights=3, steps_per_frame=4))
+    moved = ReducedModel(twin, tuple(TRUTH), points, FRAMES).positions(np.array(list(TRUTH.values())))
+    return save("seen", moved + rng.normal(scale=NOISE, size=moved.shape), truth={"youngs_modulus": 2e4}).folder
+
+
+def run(*arguments):
+    import typer
+
+    from inference.refining.command import refine as command
+
+    app = typer.Typer()
+    app.command()(command)
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture(scope="module")
+def alone(folder, tmp_path_factory):
+    """The reduced model alone, by the console."""
+    out = tmp_path_factory.mktemp("alone")
+    result = run(
+        folder, "--out", out, "--no-correction", "--no-model-error", "--fix", "damping_time=0", "--json", *SMALL
+    )
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout), out
+
+
+def test_the_truth_lies_in_the_intervals(alone):
+    told, _ = alone
+    for name, value in TRUTH.items():
+        entry = told["parameters"][name]
+        assert abs(entry["value"] - value) < 4 * entry["noise_sigma"]
+        assert entry["noise_sigma"] < 0.02
+    assert told["parameters"]["poisson_ratio"]["unit"] == "1"
+    assert told["youngs_modulus"]["value"] == pytest.approx(2e4, rel=0.1)
+    assert told["fixed"] == {"damping_time": {"value": 0.0, "unit": "s"}}
+    assert 0.6 < told["reduced_chi_square"] < 1.5
+    assert told["converged"] and told["motion_model"] == "reduced"
+
+
+def test_the_future_is_predicted_to_the_noise(alone):
+    told, _ = alone
+    assert told["future_rms_m"] < 2.5 * np.sqrt(3) * NOISE
+    assert (told["frames"], told["observed_frames"]) == (FRAMES, OBSERVED)
+
+
+def test_the_files_hold_what_they_say(alone, folder):
+    told, out = alone
+    assert json.loads((out / "refinement.json").read_text()) == told
+    assert json.loads((out / "run.json").read_text())["options"]["weights"] == 3
+    with np.load(out / "trajectory.npz") as arrays:
+        assert arrays["vertices"].shape[0] == FRAMES == len(arrays["times"])
+        handles, points, weights = arrays["handles"], arrays["weight_points"], arrays["weights"]
+        # φ(X) = X + Σ W_m Z_m [X; 1] at the nodes, of which the surface's vertices are some
+        homogeneous = np.hstack([points, np.ones((len(points), 1))])
+        full = np.hstack([np.ones((len(points), 1)), weights])
+        moved = points + np.einsum("nm,tmij,nj->tni", full, handles, homogeneous)
+        surface = arrays["vertices"]
+        gaps = np.linalg.norm(moved[0][:, None] - surface[0][None], axis=-1)
+        nodes = gaps.argmin(0)
+        assert gaps.min(0).max() < 1e-6
+        np.testing.assert_allclose(moved[:, nodes], surface, atol=1e-5)
+    assert read_video(out / "side_by_side.mp4").frames.shape[0] == FRAMES
+    assert (out / "fit.png").stat().st_size > 10_000
+
+
+def test_a_stopped_refinement_goes_on_and_another_setting_starts_anew(alone, folder):
+    told, out = alone
+    options = {
+        "weights": 3, "steps_per_frame": 4, "full_runs": 2, "start": "scan", "correction": False,
+        "model_error": False, "fixed": {"damping_time": 0.0},
+    }  # fmt: skip
+    (out / "stages" / "motion.npz").unlink()
+    stages = []
+    again = refine(folder, out=out, options=RefineOptions(**options), on_stage=lambda *a: stages.append(a))
+    assert stages == [("scan", True), ("reduced", True), ("motion", False)]
+    assert again.youngs_modulus == told["youngs_modulus"]["value"]
+    assert again["poisson_ratio"].value == told["parameters"]["poisson_ratio"]["value"]
+    (out / "stages" / "motion.npz").write_bytes(b"cut short")
+    refine(folder, out=out, options=RefineOptions(**options), on_stage=lambda *a: stages.append(a))
+    assert stages[-1] == ("motion", False)
+
+
+@pytest.mark.slow
+def test_correction_and_model_error_by_the_console(folder, tmp_path):
+    """The tracks are the reduced model's: the full one, taken for better, moves the values and says by how much."""
+    result = run(folder, "--out", tmp_path, "--fix", "damping_time=0", "--json", "--no-pictures", *SMALL)
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.stdout)
+    assert told["motion_model"] == "full" and 1 <= len(told["full_model_runs"]) <= 2
+    assert told["full_model_runs"][0]["rms_to_reduced_m"] > 1e-4
+    assert told["parameters"]["poisson_ratio"]["model_error"] is not None
+    assert told["reduced_model_alone"]["log10_youngs_modulus"] == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.05)
+
+
+def test_a_wrong_option_is_named(folder, tmp_path):
+    for arguments, message in (
+        (["--fix", "damping_time=soft"], "expected NAME=VALUE"),
+        (["--prior", "poisson_ratio=0.4"], "NAME=MEAN,SIGMA"),
+        (["--free", "colour"], "parameters: got"),
+        (["--observations", "video"], "no cameras"),
+        (["--observations", "all"], "expected one of"),
+    ):
+        result = run(folder, "--out", tmp_path / "x", *arguments, *SMALL)
+        assert isinstance(result.exception, InputError)
+        assert message in str(result.exception)
+
+
+def test_what_is_missing_is_named(folder, tmp_path):
+    small = RefineOptions(weights=3, steps_per_frame=4, start="scan")
+    for missing, message in (("tets.npz", "no rest geometry"), ("tracks.npz", "nothing was observed")):
+        copy = tmp_path / missing.split(".")[0]
+        shutil.copytree(folder, copy)
+        (copy / missing).unlink()
+        with pytest.raises(InputError, match=message):
+            refine(copy, options=small)
+    with pytest.raises(InputError, match="no such file"):
+        refine(tmp_path, options=small)
+
+
+def test_the_package_offers_it():
+    assert physconvex.refine is refine
+    assert physconvex.RefineOptions is RefineOptions
+    assert callable(estimates_of)
