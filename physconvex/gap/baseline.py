@@ -135,10 +135,23 @@ def _first_values(
     parameters = default_parameters(twin)
     gravity = float(np.linalg.norm(capture.gravity))
     moduli = scan_values(density=capture.density, gravity=gravity, size=twin.mesh.size)
-    model = ReducedModel(twin, tuple(p.name for p in parameters), observations.points, frames)
-    candidates = scan(model, observations, parameters, moduli=moduli, ratios=(0.35,))
-    best = fit(model, observations, candidates[0].parameters, options=FitOptions(max_iterations=8))
-    return tuple(p.at(float(v)) for p, v in zip(best.parameters, best.values, strict=True))
+    names = tuple(p.name for p in parameters)
+    windows = _windows(frames, held=twin.clamp is not None)
+    model = ReducedModel(twin, names, observations.points, windows[0])
+    seen = observations.in_frames(windows[0])
+    chosen = scan(model, seen, parameters, moduli=moduli, ratios=(0.35,))[0].parameters
+    for count in windows:  # a vibration that is off by a period pulls the wrong way: begin with few
+        model = ReducedModel(twin, names, observations.points, count)
+        found = fit(model, observations.in_frames(count), chosen, options=FitOptions(max_iterations=8))
+        chosen = tuple(p.at(float(v)) for p, v in zip(found.parameters, found.values, strict=True))
+    return chosen
+
+
+def _windows(frames: int, *, held: bool) -> tuple[int, ...]:
+    """Numbers of frames that are fitted one after the other; held bodies vibrate from the start."""
+    if not held:
+        return (frames,)
+    return tuple(sorted({max(4, frames // 4), max(4, frames // 2), frames}))
 
 
 def _steps(twin: Twin, values: dict[str, float]) -> int:

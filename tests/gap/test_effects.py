@@ -132,8 +132,9 @@ def test_uneven_stiffness_keeps_contact_and_mean(falling):
 def motion_of(points=5):
     times = np.arange(12) / 50.0
     rest = np.random.default_rng(1).normal(size=(points, 3))
-    positions = rest + np.array([1.0, 0, 0]) * times[:, None, None] - 4.9 * np.array([0, 0, 1]) * (times**2)[:, None, None]
-    velocities = np.broadcast_to(np.array([1.0, 0, 0]), positions.shape) - 9.8 * np.array([0, 0, 1]) * times[:, None, None]
+    t, along, down = times[:, None, None], np.array([1.0, 0, 0]), np.array([0, 0, -1.0])
+    positions = rest + along * t + 4.9 * down * t**2
+    velocities = np.broadcast_to(along, positions.shape) + 9.8 * down * t
     return Motion(rest, times, positions, velocities)
 
 
@@ -171,7 +172,7 @@ def test_own_effect(situation):
     push = Effect("magnet", "external", (Dose("pull", "m/s²", 0, 5, 0.1, lambda s: 0.2),), scene=lambda scene, d: scene)
     assert push in choose(extra=[push]) and push not in choose()
     assert [index for index, _ in push.trials(situation)] == [0]
-    with pytest.raises(InputError, match="unknown|got"):
+    with pytest.raises(InputError, match="no_such_effect"):
         choose(["no_such_effect"])
     with pytest.raises(InputError, match="acts on nothing"):
         Effect("ghost", "material", (Dose("x", "", 0, 1, 0.1, lambda s: 0.1),))
