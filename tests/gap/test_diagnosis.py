@@ -1,0 +1,89 @@
+"""A whole diagnosis, by the command, of a small capture made on another mesh with other steps."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+import trimesh
+
+from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
+from physconvex.cli import main
+from physconvex.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    """A block that falls on a rough floor, of which the capture says nothing."""
+    from physconvex.fem import ElasticBody, Embedding, Plane, Scene, box_mesh, simulate
+
+    mesh = box_mesh((0.2, 0.1, 0.1), (4, 2, 2), order=2)
+    body = ElasticBody(mesh, youngs_modulus=3e4, poisson_ratio=0.35)
+    floor = Plane(point=(0, 0, -0.02), friction=0.4)
+    run = simulate(Scene(body, obstacles=(floor,), initial_velocity=(1.0, 0, -0.5)), frames=12, fps=100.0,
+                   steps_per_frame=10)  # fmt: skip
+    surface = trimesh.creation.box(extents=(0.2, 0.1, 0.1)).apply_translation((0.1, 0.05, 0.05))
+    points, _ = trimesh.sample.sample_surface_even(surface, 25, seed=1)
+    positions = Embedding.of_points(mesh, points).apply(run.positions)
+    rng = np.random.default_rng(0)
+    noisy = positions + 1e-4 * rng.normal(size=positions.shape)
+    folder = tmp_path_factory.mktemp("gap") / "block"
+    save_capture(
+        Capture(folder, 100.0, 12, 8, floor=Floor(np.array([0, 0, -0.02]), np.array([0.0, 0, 1])),
+                initial_velocity=np.array([1.0, 0, -0.5]), initial_angular_velocity=np.zeros(3)),
+        mesh=surface, tracks=Tracks(points, noisy, np.full(noisy.shape[:2], 1e-4)),
+    )  # fmt: skip
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_command_names_friction(capture, tmp_path, monkeypatch):
+    from physconvex.gap import options
+
+    monkeypatch.setattr(options.GapOptions.__init__, "__defaults__", _fewer(options.GapOptions))
+    arguments = ["diagnose", str(capture), "--out", str(tmp_path / "out"), "--no-progress"]
+    effects = "friction,gravity_tilt,air_drag,damping"
+    with pytest.raises(SystemExit) as ended:
+        main([*arguments, "--effects", effects])
+    assert ended.value.code in (0, None)
+    content = json.loads((tmp_path / "out" / "report.json").read_text())
+    which, how_far = content["which"], content["how_far"]
+    assert which["verdict"] == "effect" and which["effects"][0]["name"] == "friction"
+    dose = which["effects"][0]["parameters"][0]
+    assert dose["unit"] == "" and dose["value"] == pytest.approx(0.4, rel=0.35)
+    assert how_far["shrinkage"] > 0.6 > (how_far["placebo"] or 0.0)
+    assert how_far["gap_after"] < how_far["gap_before"] and how_far["unit"] == "m"
+    assert {p["name"] for p in content["where"]["sources"]} == {
+        "noise", "discretisation", "dynamics explained", "unexplained",
+    }  # fmt: skip
+    assert len(content["where"]["frames"]) == 12 and content["provenance"]["fitted"] == list(range(8))
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert which["sentence"].split(" (")[0] in page
+    assert not re.findall(r"(?:src|href)=\"(?!data:|#)", page) and page.count("<svg") >= 5
+    body = trimesh.load(tmp_path / "out" / "body.ply")
+    assert body.is_watertight and np.ptp(body.visual.vertex_colors[:, :3], axis=0).max() > 20
+
+
+def _fewer(options):
+    """Its defaults, with a smaller mesh and fewer fits."""
+    from dataclasses import fields
+
+    changed = {"max_nodes": 100, "weights": 4, "candidates": 2, "iterations": 4}
+    return tuple(changed.get(f.name, f.default) for f in fields(options))
+
+
+def test_a_capture_without_tracks_is_refused(tmp_path):
+    folder = tmp_path / "empty"
+    save_capture(Capture(folder, 24.0, 12, 8), mesh=trimesh.creation.box())
+    from physconvex.gap import diagnose
+
+    with pytest.raises(InputError, match=r"tracks\.npz"):
+        diagnose(folder)
+
+
+def test_unknown_effects_are_refused(capture):
+    from physconvex.gap import diagnose
+
+    with pytest.raises(InputError, match="gremlins"):
+        diagnose(load_capture(capture), effects=["gremlins"])
