@@ -13,25 +13,26 @@ from physconvex.errors import InputError
 from physconvex.fem import simulate
 from physconvex.gap.effects import Motion, Situation
 from physconvex.gap.model import EffectModel, SecantModel
+from physconvex.gap.observing import Seen, components, in_metres, observe, widened
 from physconvex.gap.options import GapOptions
 from physconvex.identify import (
     Fit,
     FitOptions,
     MarkerObservations,
     Parameter,
+    PixelObservations,
     ReducedModel,
     Twin,
     TwinOptions,
     base_twin,
     default_parameters,
     fit,
-    marker_observations,
     scan,
     scan_values,
 )
 from physconvex.identify.setup import start_motion
 
-__all__ = ["Baseline", "Split", "fit_baseline", "rough_baseline", "split_frames", "weighted_observations"]
+__all__ = ["Baseline", "Split", "fit_baseline", "rough_baseline", "split_frames"]
 
 Report = Callable[[str], None]
 _STEPS_PER_WAVE = 8  # time steps in the time an elastic wave takes through the body
@@ -69,7 +70,7 @@ class Baseline:
     """
 
     capture: Capture
-    observations: MarkerObservations
+    observations: Seen
     split: Split
     model: EffectModel
     fit: Fit
@@ -87,6 +88,16 @@ class Baseline:
     def twin(self) -> Twin:
         """The twin with the fitted values."""
         return self.model.twin.with_values(self.model.base, self.fit.values)
+
+    @property
+    def components(self) -> int:
+        """Residuals per point and frame."""
+        return components(self.observations)
+
+    @property
+    def lengths(self) -> Float[np.ndarray, " N"]:
+        """Length that one standard deviation of each residual stands for [m], shape [N]."""
+        return in_metres(self.observations, self.motion)
 
     def rows(self, frames: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m"]:
         """Residuals of some frames."""
@@ -127,11 +138,11 @@ def _cheap(capture: Capture, options: GapOptions) -> Twin:
     return base_twin(capture, TwinOptions(weights=5, max_nodes=min(200, options.max_nodes), steps_per_frame=steps))
 
 
-def _first_values(
-    capture: Capture, observations: MarkerObservations, frames: int, options: GapOptions
-) -> tuple[Parameter, ...]:
+def _first_values(capture: Capture, observations: Seen, frames: int, options: GapOptions) -> tuple[Parameter, ...]:
     """Starts of the base parameters: rigid motion from the first frames, E from a scan."""
-    twin = start_motion(_cheap(capture, options), observations)
+    twin = _cheap(capture, options)
+    if isinstance(observations, MarkerObservations):
+        twin = start_motion(twin, observations)
     parameters = default_parameters(twin)
     gravity = float(np.linalg.norm(capture.gravity))
     moduli = scan_values(density=capture.density, gravity=gravity, size=twin.mesh.size)
@@ -162,8 +173,8 @@ def _steps(twin: Twin, values: dict[str, float]) -> int:
     return int(np.clip(wanted, twin.steps_per_frame, most))
 
 
-def _situation(twin: Twin, capture: Capture, peak_stress: float, touches: bool) -> Situation:
-    scene = twin.scene
+def _situation(twin: Twin, seen: Seen, peak_stress: float, touches: bool) -> Situation:
+    scene, capture = twin.scene, twin.capture
     return Situation(
         size=twin.mesh.size,
         youngs_modulus=float(np.mean(scene.body.youngs_modulus)),
@@ -178,6 +189,7 @@ def _situation(twin: Twin, capture: Capture, peak_stress: float, touches: bool) 
         states_spin=capture.initial_angular_velocity is not None or twin.clamp is not None,
         peak_stress=peak_stress,
         gravity=(float(capture.gravity[0]), float(capture.gravity[1]), float(capture.gravity[2])),
+        camera=seen.camera if isinstance(seen, PixelObservations) else None,
     )
 
 
@@ -193,7 +205,8 @@ def _stress_and_contact(model: EffectModel, values: np.ndarray) -> tuple[float, 
         peak = max(peak, float(np.quantile(mises, 0.99)))
         force[frame] = np.linalg.norm(contact.energy_and_gradient(x, run.times[frame])[1], axis=1).sum()
     embedding = model.embedding
-    return peak, force, Motion(model.points, run.times, embedding.apply(run.positions), embedding.apply(run.velocities))
+    positions, velocities = embedding.apply(run.positions), embedding.apply(run.velocities)
+    return peak, force, Motion(model.points, run.times, positions, velocities, model.camera)
 
 
 def rough_baseline(capture: Capture, options: GapOptions, report: Report) -> Baseline:
@@ -203,7 +216,7 @@ def rough_baseline(capture: Capture, options: GapOptions, report: Report) -> Bas
         InputError: no tracks, no rest geometry, or too few frames.
         ConvergenceError: the base model cannot be simulated.
     """
-    observations = marker_observations(capture, frames=capture.frames)
+    observations = observe(capture, _cheap(capture, options))
     split = split_frames(capture, observations.frames)
     count = int(split.fitted[-1]) + 1
     fitted = observations.in_frames(count)
@@ -219,12 +232,13 @@ def rough_baseline(capture: Capture, options: GapOptions, report: Report) -> Bas
     return _run_base(capture, observations, split, twin.with_values(names, rough.values), rough)
 
 
-def _run_base(capture: Capture, observations: MarkerObservations, split: Split, twin: Twin, found: Fit) -> Baseline:
+def _run_base(capture: Capture, observations: Seen, split: Split, twin: Twin, found: Fit) -> Baseline:
     """The full-order model at fitted values, all frames."""
-    situation = _situation(twin, capture, 1e3, bool(twin.scene.obstacles))
-    model = EffectModel(twin, found.names, observations.points, capture.frames, situation)
+    situation = _situation(twin, observations, 1e3, bool(twin.scene.obstacles))
+    points, camera = np.asarray(observations.points), situation.camera
+    model = EffectModel(twin, found.names, points, capture.frames, situation, camera=camera)
     peak, force, motion = _stress_and_contact(model, found.values)
-    situation = _situation(twin, capture, peak, bool((force > 0).any()))
+    situation = _situation(twin, observations, peak, bool((force > 0).any()))
     nothing = np.zeros((capture.frames, len(found.names), *motion.positions.shape[1:]))
     return Baseline(
         capture, observations, split, replace(model, situation=situation), found, motion, nothing, situation, force
@@ -255,7 +269,7 @@ def fit_baseline(
     report("derivatives of the base model")
     tangents = shorter.base_tangents(values, rough.motion.first(count))
     report("fit of the full-order base model")
-    weighted = weighted_observations(rough.observations, variance).in_frames(count)
+    weighted = widened(rough.observations, variance).in_frames(count)
     here = model.observed(rough.motion, values)
     secant = SecantModel(shorter, values, here[:count], tangents)
     stop = FitOptions(max_iterations=options.iterations + 2, relative_tolerance=1e-3, absolute_tolerance=0.05)
@@ -265,11 +279,3 @@ def fit_baseline(
     report("derivatives at the fit")
     tangents = replace(model, frames=count).base_tangents(best.values, found.motion.first(count))
     return replace(found, model=model, tangents=tangents)
-
-
-def weighted_observations(observations: MarkerObservations, variance: np.ndarray) -> MarkerObservations:
-    """The observations with their noise widened, residual by residual (the same for the three coordinates)."""
-    sigma = np.array(observations.sigma)
-    factor = np.sqrt(np.asarray(variance).reshape(-1, 3).mean(1))
-    sigma[observations.frames[::3], observations.point_indices[::3]] *= factor
-    return replace(observations, sigma=sigma)

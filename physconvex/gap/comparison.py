@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError
-from physconvex.gap.baseline import Baseline, Report, weighted_observations
+from physconvex.gap.baseline import Baseline, Report
 from physconvex.gap.effects import Effect
 from physconvex.gap.model import EffectModel, SecantModel
+from physconvex.gap.observing import widened
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screened, Screening
@@ -139,7 +140,7 @@ def fit_effects(
     count = int(base.split.fitted[-1]) + 1
     shorter = replace(model, frames=count)
     tangents = np.concatenate([base.tangents, *(_tangents(entry) for entry in chosen)], axis=1)[:count]
-    weighted = weighted_observations(base.observations, errors.variance).in_frames(count)
+    weighted = widened(base.observations, errors.variance).in_frames(count)
     try:
         here = shorter.positions(values)
     except ConvergenceError:

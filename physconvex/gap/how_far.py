@@ -48,10 +48,10 @@ def gap_squares(base: Baseline, positions: Float[np.ndarray, "T P 3"], frames: n
     rows = base.rows(frames)
     observations = base.observations
     at = observations.frames[rows]
-    squares = (base.residual(positions)[rows] * observations.sigma[at, observations.point_indices[rows]]) ** 2
+    squares = (base.residual(positions)[rows] * base.lengths[rows]) ** 2
     total = np.bincount(at, squares, minlength=base.model.frames)
     count = np.bincount(at, minlength=base.model.frames)
-    return np.asarray(3 * total[frames] / np.maximum(count[frames], 1))
+    return np.asarray(base.components * total[frames] / np.maximum(count[frames], 1))
 
 
 def _floor(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -59,10 +59,10 @@ def _floor(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> tuple[np.n
     rows = base.rows(frames)
     observations = base.observations
     at = observations.frames[rows]
-    noise = observations.sigma[at, observations.point_indices[rows]] ** 2
+    noise = base.lengths[rows] ** 2
     count = np.maximum(np.bincount(at, minlength=base.model.frames), 1)
     both = [
-        3 * np.bincount(at, square, minlength=base.model.frames)[frames] / count[frames]
+        base.components * np.bincount(at, square, minlength=base.model.frames)[frames] / count[frames]
         for square in (noise, noise * errors.expected[rows])
     ]
     return both[0], both[1]

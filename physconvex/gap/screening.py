@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -97,10 +97,7 @@ def screen(
         report(f"screening: {effect.label}")
         if effect.source == "numerical" and effect.name in directions and not directions[effect.name].any():
             continue
-        model = EffectModel(
-            base.model.twin, base.model.base, base.model.points, count, base.situation, (effect,),
-            directions=directions, correction=base.model.correction,
-        )  # fmt: skip
+        model = replace(base.model, frames=count, effects=(effect,), directions=directions)
         try:
             entries.append(_screened(base, model, effect, projector, residual, rows))
         except ConvergenceError:

@@ -107,18 +107,18 @@ def _part(name: str, squares: np.ndarray, options: GapOptions) -> Part:
 
 
 def _by_frame(base: Baseline, squares: np.ndarray) -> np.ndarray:
-    """Mean over the residuals of a frame of squares [N] in m², times three (a distance), shape [T]."""
+    """Mean over the residuals of a frame of squares [N] in m², times the coordinates (a distance), shape [T]."""
     count = base.model.frames
     frames = base.observations.frames
     seen = np.bincount(frames, minlength=count)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return 3 * np.bincount(frames, squares, minlength=count) / np.where(seen, seen, np.nan)
+        return base.components * np.bincount(frames, squares, minlength=count) / np.where(seen, seen, np.nan)
 
 
 def locate_gap(base: Baseline, errors: ErrorModel, best: Hypothesis, options: GapOptions) -> Where:
     """Decompose the gap of the base model."""
     observations, frames = base.observations, base.observations.frames
-    sigma = observations.sigma[frames, observations.point_indices]
+    sigma = base.lengths
     before = (base.residual(base.positions) * sigma) ** 2
     after = (base.residual(best.positions) * sigma) ** 2
     noise, expected = sigma**2, errors.expected * sigma**2
@@ -132,7 +132,7 @@ def locate_gap(base: Baseline, errors: ErrorModel, best: Hypothesis, options: Ga
     order = list(dict.fromkeys(phases))
     by_point = np.bincount(observations.point_indices, before, minlength=len(observations.points))
     seen = np.maximum(np.bincount(observations.point_indices, minlength=len(observations.points)), 1)
-    per_point = np.sqrt(3 * by_point / seen)
+    per_point = np.sqrt(base.components * by_point / seen)
     mesh = base.model.twin.mesh
     regions = _regions(base, before, options)
     return Where(
@@ -177,7 +177,9 @@ def _regions(base: Baseline, squares: np.ndarray, options: GapOptions) -> tuple[
             count = np.bincount(frames, minlength=base.model.frames)
             with np.errstate(invalid="ignore", divide="ignore"):
                 mean = (
-                    3 * np.bincount(frames, squares[rows], minlength=base.model.frames) / np.where(count, count, np.nan)
+                    base.components
+                    * np.bincount(frames, squares[rows], minlength=base.model.frames)
+                    / np.where(count, count, np.nan)
                 )
             out.append(_part(f"{name} third along {axis}", mean, options))
     return tuple(out)
