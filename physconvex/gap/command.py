@@ -21,6 +21,8 @@ def diagnose(
         str | None, typer.Option(help="Names of the effects to try, separated by commas. Default: all.")
     ] = None,
     without: Annotated[str | None, typer.Option(help="Names of effects to leave out.")] = None,
+    max_nodes: Annotated[int, typer.Option(help="Most nodes of the model's quadratic mesh.")] = 250,
+    candidates: Annotated[int, typer.Option(help="Effects that are fitted after screening.")] = 4,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print report.json to standard output, nothing else.")
     ] = False,
@@ -35,6 +37,9 @@ def diagnose(
     from tqdm import tqdm
 
     from physconvex.gap.diagnose import diagnose as run
+    from physconvex.gap.options import GapOptions
+
+    options = GapOptions(max_nodes=max_nodes, candidates=candidates)
 
     with tqdm(total=None, dynamic_ncols=True, disable=no_progress or as_json or not sys.stderr.isatty()) as bar:
 
@@ -42,7 +47,7 @@ def diagnose(
             bar.set_description(text)
             bar.update()
 
-        report = run(capture, effects=_names(effects), without=_names(without) or (), on_progress=show)
+        report = run(capture, effects=_names(effects), without=_names(without) or (), options=options, on_progress=show)
     report.save(out)
     if as_json:
         typer.echo(json.dumps(report.to_json(), default=lambda value: value.tolist()))

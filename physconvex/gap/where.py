@@ -117,7 +117,7 @@ def _by_frame(base: Baseline, squares: np.ndarray) -> np.ndarray:
 
 def locate_gap(base: Baseline, errors: ErrorModel, best: Hypothesis, options: GapOptions) -> Where:
     """Decompose the gap of the base model."""
-    observations, frames = base.observations, base.observations.frames
+    observations = base.observations
     sigma = base.lengths
     before = (base.residual(base.positions) * sigma) ** 2
     after = (base.residual(best.positions) * sigma) ** 2

@@ -6,9 +6,10 @@ import re
 import numpy as np
 import pytest
 import trimesh
+import typer
+from typer.testing import CliRunner
 
 from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
-from physconvex.cli import main
 from physconvex.errors import InputError
 
 
@@ -38,15 +39,15 @@ def capture(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_command_names_friction(capture, tmp_path, monkeypatch):
-    from physconvex.gap import options
+def test_command_names_friction(capture, tmp_path):
+    from physconvex.gap.command import diagnose
 
-    monkeypatch.setattr(options.GapOptions.__init__, "__defaults__", _fewer(options.GapOptions))
-    arguments = ["diagnose", str(capture), "--out", str(tmp_path / "out"), "--no-progress"]
-    effects = "friction,gravity_tilt,air_drag,damping"
-    with pytest.raises(SystemExit) as ended:
-        main([*arguments, "--effects", effects])
-    assert ended.value.code in (0, None)
+    app = typer.Typer()
+    app.command()(diagnose)
+    arguments = [str(capture), "--out", str(tmp_path / "out"), "--no-progress", "--max-nodes", "100"]
+    arguments += ["--candidates", "2", "--effects", "friction,gravity_tilt,air_drag,damping"]
+    ended = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert ended.exit_code == 0 and "friction" in ended.stdout
     content = json.loads((tmp_path / "out" / "report.json").read_text())
     which, how_far = content["which"], content["how_far"]
     assert which["verdict"] == "effect" and which["effects"][0]["name"] == "friction"
@@ -63,14 +64,6 @@ def test_command_names_friction(capture, tmp_path, monkeypatch):
     assert not re.findall(r"(?:src|href)=\"(?!data:|#)", page) and page.count("<svg") >= 5
     body = trimesh.load(tmp_path / "out" / "body.ply")
     assert body.is_watertight and np.ptp(body.visual.vertex_colors[:, :3], axis=0).max() > 20
-
-
-def _fewer(options):
-    """Its defaults, with a smaller mesh and fewer fits."""
-    from dataclasses import fields
-
-    changed = {"max_nodes": 100, "weights": 4, "candidates": 2, "iterations": 4}
-    return tuple(changed.get(f.name, f.default) for f in fields(options))
 
 
 def test_a_capture_without_tracks_is_refused(tmp_path):
