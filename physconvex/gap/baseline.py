@@ -132,10 +132,25 @@ def split_frames(capture: Capture, seen: Int[np.ndarray, " n"]) -> Split:
     return Split(first, rest[:half], rest[half:] if len(rest) > half else rest[-1:])
 
 
+def _twin(capture: Capture, weights: int, max_nodes: int, steps: int) -> Twin:
+    """The capture's twin on a mesh of so many nodes, or of up to four times as many if the boundary needs them.
+
+    Raises:
+        InputError: the capture lacks something.
+    """
+    for factor in (1, 2, 4):
+        chosen = TwinOptions(weights=weights, max_nodes=factor * max_nodes, steps_per_frame=steps)
+        try:
+            return base_twin(capture, chosen)
+        except InputError as error:
+            if factor == 4 or not str(error).startswith("boundary"):
+                raise
+    raise AssertionError("unreachable")
+
+
 def _cheap(capture: Capture, options: GapOptions) -> Twin:
     """For the scan over E."""
-    steps = max(4, int(np.ceil(192 / capture.fps)))
-    return base_twin(capture, TwinOptions(weights=5, max_nodes=min(200, options.max_nodes), steps_per_frame=steps))
+    return _twin(capture, 5, min(200, options.max_nodes), max(4, int(np.ceil(192 / capture.fps))))
 
 
 def _first_values(capture: Capture, observations: Seen, frames: int, options: GapOptions) -> tuple[Parameter, ...]:
@@ -223,7 +238,7 @@ def rough_baseline(capture: Capture, options: GapOptions, report: Report) -> Bas
     report("rough fit of the base model")
     starts = _first_values(capture, fitted, count, options)
     values = {p.name: p.start for p in starts}
-    twin = base_twin(capture, TwinOptions(weights=options.weights, max_nodes=options.max_nodes, steps_per_frame=6))
+    twin = _twin(capture, options.weights, options.max_nodes, 6)
     twin = replace(twin, steps_per_frame=_steps(twin, values))
     names = tuple(values)
     twin = twin.with_values(names, np.array(list(values.values())))
