@@ -2,8 +2,8 @@
 
 python benchmarks/gap_silicone_beam.py --out diagnosis_of_beam
 
-A plain elastic twin of the beam that is let go under its own weight, or with 102 g hung on its end, which the twin does not
-know of: where does it part from the recording, which effect explains it, how far does it shrink?
+A plain elastic twin of the beam that is let go under its own weight, or with 102 g hung on its end, which the twin
+does not know of: where does it part from the recording, which effect explains it, how far does it shrink?
 """
 
 from __future__ import annotations

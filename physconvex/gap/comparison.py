@@ -18,6 +18,8 @@ from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screened, Screening
 from physconvex.identify import Fit, FitOptions, fit, noise_covariance
 
+_LEFT = 2.0  # excess above which a second effect is looked for
+
 __all__ = ["Hypothesis", "base_hypothesis", "compare"]
 
 
@@ -33,6 +35,7 @@ class Hypothesis:
         positions: what it says is observed [m], all frames.
         fitted: mean square of the residuals in the fitted frames, in units of the error model's variance.
         selecting: the same in the frames that choose.
+        excess: mean square of the residuals in the fitted frames, over that of noise and numerical error.
         evidence: log-evidence up to a constant.
     """
 
@@ -43,6 +46,7 @@ class Hypothesis:
     positions: Float[np.ndarray, "T P 3"]
     fitted: float
     selecting: float
+    excess: float
     evidence: float
 
     @property
@@ -99,7 +103,9 @@ def _hypothesis(
     selecting = _mean_square(base, errors, positions, base.split.selecting)
     extra = sum(len(e.doses) for e in model.effects)
     evidence = _evidence(base, errors, fitted, selecting, extra)
-    return Hypothesis(model.effects, model, values, deviations, positions, fitted, selecting, evidence)
+    rows = base.rows(base.split.fitted)
+    excess = float(np.mean(base.residual(positions)[rows] ** 2 / errors.expected[rows]))
+    return Hypothesis(model.effects, model, values, deviations, positions, fitted, selecting, excess, evidence)
 
 
 def base_hypothesis(base: Baseline, errors: ErrorModel) -> Hypothesis:
@@ -146,6 +152,7 @@ def fit_effects(
     except ConvergenceError:
         values[len(base.fit.values) :] = 0.5 * (values + model.null_values())[len(base.fit.values) :]
         here = shorter.positions(values)
+    _add_shapes(shorter, values, here, tangents)
     secant = SecantModel(shorter, values, here, tangents)
     stop = FitOptions(max_iterations=options.iterations + 1, relative_tolerance=2e-3, absolute_tolerance=0.1)
     found = fit(secant, weighted, shorter.parameters(values), options=stop)
@@ -162,7 +169,7 @@ def _start(entry: Screened, multiple: float) -> np.ndarray:
     """Screened doses, at least a fifth of the trial dose so that the effect is there at all."""
     null, doses = entry.effect.null, entry.doses.copy()
     for index, dose in enumerate(entry.effect.doses):
-        if dose.shape:
+        if dose.shape or dose.threshold:
             continue
         trial = max(abs(t[index] - null[index]) for t in entry.trials)
         change = multiple * (doses[index] - null[index])
@@ -178,8 +185,21 @@ def _tangents(entry: Screened) -> np.ndarray:
     out = np.zeros((entry.signature.shape[1], len(null), *entry.signature.shape[2:]))
     screened = [i for i, dose in enumerate(entry.effect.doses) if not dose.shape]
     for index, trial, signature in zip(screened, entry.trials, entry.signature, strict=True):
-        out[:, index] = signature / (trial[index] - null[index])
+        out[:, index] = signature / entry.effect.doses[index].slope(float(trial[index]))
     return out
+
+
+def _add_shapes(model: EffectModel, values: np.ndarray, here: np.ndarray, tangents: np.ndarray) -> None:
+    """Derivatives by the doses that only shape an effect, which screening does not have, by differences."""
+    for effect, where in zip(model.effects, model.slices, strict=True):
+        for index, dose in enumerate(effect.doses):
+            if dose.shape:
+                changed = values.copy()
+                at, step = where.start + index, 2 * dose.smallest
+                if values[at] + step > dose.upper:
+                    step = -step
+                changed[at] += step
+                tangents[:, at] = (model.positions(changed) - here) / step
 
 
 def compare(
@@ -197,7 +217,7 @@ def compare(
                 report(f"fit: {entry.effect.label} failed")
     found.sort(key=lambda h: -h.evidence)
     best = found[0]
-    if best.effects and best.fitted > 1.0:  # something is left: is it a second effect?
+    if best.effects and best.excess > _LEFT:  # something is left: is it a second effect?
         others = [h for h in found[1:] if h.effects and h.names[0] != best.names[0]]
         for other in others[:2]:
             pair = [by_label[best.effects[0].label], by_label[other.effects[0].label]]

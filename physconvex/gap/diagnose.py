@@ -114,7 +114,10 @@ def _placebo(
         for entry in reversed(screening.one_per_name)
         if entry.effect.name not in best.names
         and entry.effect.source != "numerical"
-        and max(screening.similarity(entry, own) for own in screening.ranked if own.effect in best.effects) < 0.7
+        and max(
+            (screening.similarity(entry, own) for own in screening.ranked if own.effect in best.effects), default=0.0
+        )
+        < 0.7
     ]
     if not others:
         return None

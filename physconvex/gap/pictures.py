@@ -181,7 +181,7 @@ def forest(report: GapReport) -> Figure:
     axes.set_yticks(range(len(rows)), [row[0] for row in rows], fontsize=7)
     axes.invert_yaxis()
     axes.set_xscale("symlog", linthresh=3)
-    axes.set_xlabel("screened dose over its standard error, with 90 % interval (linear up to 3, then logarithmic)")
+    axes.set_xlabel("screened dose over its standard error, 90 % interval")
     _clean(axes)
     return figure
 

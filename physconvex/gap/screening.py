@@ -125,9 +125,7 @@ def _screened(
     found = score(projector, residual, in_residuals, signs)
     doses, errors = np.array(trials[0], copy=True), np.zeros(len(effect.doses))
     for amount, error, index, trial in zip(found.amounts, found.errors, screened, trials, strict=True):
-        dose, change = effect.doses[index], trial[index] - effect.null[index]
-        doses[index] = np.clip(effect.null[index] + amount * change, dose.lower, dose.upper)
-        errors[index] = error * abs(change)
+        doses[index], errors[index] = effect.doses[index].estimate(float(amount), float(error), float(trial[index]))
     weights = found.amounts if np.any(found.amounts) else np.ones(len(signature))
     profile = projector.apply(weights @ in_residuals)
     return Screened(effect, found, doses, errors, signature, np.array(trials), profile)

@@ -172,7 +172,9 @@ def decide(
     doses = "; ".join(f"{d.name} = {d.value:.3g} {d.unit}".strip() for e in named for d in e.doses)
     also = sorted({n for e in named for n in e.confused_with})
     caveat = f"; from this recording it may be confused with {', '.join(also)}" if also else ""
-    sentence = f"The gap is caused by {best.label} (probability {probability[best.label]:.0%}): {doses}{caveat}."
+    chance = min(probability[best.label], 0.99)
+    sure = f"probability {'above ' if probability[best.label] > 0.99 else ''}{chance:.0%}, not calibrated"
+    sentence = f"The gap is caused by {best.label} ({sure}): {doses}{caveat}."
     return Verdict("effect", sentence, (*named, *others), none, share, _caveats(base, best, after))
 
 

@@ -84,11 +84,10 @@ def phases_of(force: Float[np.ndarray, " T"], speed: Float[np.ndarray, " T"]) ->
 
 
 def block_bootstrap(values: np.ndarray, statistic_count: int, options: GapOptions) -> Float[np.ndarray, "B K"]:
-    """Means over resampled blocks of frames (moving blocks of T^(1/3) frames, at least two)."""
+    """Means over resampled blocks of frames (moving blocks of T^(1/3) frames, two if there are enough)."""
     rng = np.random.default_rng(options.seed)
     rows = np.asarray(values).reshape(len(values), statistic_count)
-    length = max(2, round(len(rows) ** (1 / 3)))
-    length = min(length, len(rows))
+    length = max(1, min(max(2, round(len(rows) ** (1 / 3))), len(rows) // 2))
     blocks = int(np.ceil(len(rows) / length))
     starts = rng.integers(0, len(rows) - length + 1, size=(options.bootstraps, blocks))
     index = (starts[:, :, None] + np.arange(length)).reshape(options.bootstraps, -1)[:, : len(rows)]

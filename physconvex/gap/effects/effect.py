@@ -77,6 +77,8 @@ class Dose:
             enough for the motion to stay near.
         null: value at which the effect is absent.
         shape: whether the dose only shapes the effect (a time constant, a direction) and is not screened by itself.
+        threshold: whether the effect sets in somewhere between `null` and the trial dose (the logarithm of a yield
+            stress), so that a weaker effect is a dose near the trial one and not a part of the way from `null`.
     """
 
     name: str
@@ -87,12 +89,32 @@ class Dose:
     trial: Callable[[Situation], float]
     null: float = 0.0
     shape: bool = False
+    threshold: bool = False
 
     def __post_init__(self) -> None:
         if not self.lower <= self.null <= self.upper:
             raise InputError(f"dose {self.name}: null {self.null:g} lies outside [{self.lower:g}, {self.upper:g}]")
         if not self.smallest > 0:
             raise InputError(f"dose {self.name}: smallest: got {self.smallest:g}; expected a number > 0")
+
+    def estimate(self, amount: float, error: float, trial: float) -> tuple[float, float]:
+        """Dose of which the trial one is a multiple 1/amount, and its standard error, by first order.
+
+        Args:
+            amount: multiple of the effect of the trial dose.
+            error: its standard error.
+            trial: the trial dose.
+        """
+        if self.threshold:  # the effect grows with the square of the distance beyond the threshold, say
+            share = max(amount, 0.02)
+            value = trial - self.sign * 0.5 * np.log10(1 / share)
+            return float(np.clip(value, self.lower, self.upper)), float(0.5 * error / share / np.log(10))
+        change = trial - self.null
+        return float(np.clip(self.null + amount * change, self.lower, self.upper)), error * abs(change)
+
+    def slope(self, trial: float) -> float:
+        """Change of the dose that undoes or adds the effect of the trial dose, for derivatives there."""
+        return 0.4 * self.sign if self.threshold else trial - self.null
 
     @property
     def sign(self) -> int:

@@ -66,7 +66,7 @@ def _yield_trial(situation: Situation) -> float:
 PLASTICITY = Effect(
     "plasticity",
     "material",
-    (Dose("log10_yield_stress", "log10 Pa", 0.0, _UNYIELDING, 0.1, _yield_trial, null=_UNYIELDING),),
+    (Dose("log10_yield_stress", "log10 Pa", 0.0, _UNYIELDING, 0.1, _yield_trial, null=_UNYIELDING, threshold=True),),
     scene=_yielding,
     description="strain beyond a yield stress stays",
     confusable=("viscoelasticity",),
