@@ -2,11 +2,14 @@
 
 import json
 import re
+import shutil
+import subprocess
 
 import numpy as np
 import pytest
 import trimesh
 import typer
+from PIL import Image
 from typer.testing import CliRunner
 
 from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
@@ -37,18 +40,24 @@ def capture(tmp_path_factory):
     return folder
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_command_names_friction(capture, tmp_path):
+@pytest.fixture(scope="module")
+def diagnosed(capture, tmp_path_factory):
+    """The command's output folder."""
     from physconvex.gap.command import diagnose
 
-    app = typer.Typer()
+    app, out = typer.Typer(), tmp_path_factory.mktemp("diagnosed")
     app.command()(diagnose)
-    arguments = [str(capture), "--out", str(tmp_path / "out"), "--no-progress", "--max-nodes", "100"]
+    arguments = [str(capture), "--out", str(out), "--no-progress", "--max-nodes", "100"]
     arguments += ["--candidates", "2", "--effects", "friction,gravity_tilt,air_drag,damping"]
     ended = CliRunner().invoke(app, arguments, catch_exceptions=False)
     assert ended.exit_code == 0 and "friction" in ended.stdout
-    content = json.loads((tmp_path / "out" / "report.json").read_text())
+    return out
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_command_names_friction(diagnosed):
+    content = json.loads((diagnosed / "report.json").read_text())
     which, how_far = content["which"], content["how_far"]
     assert which["verdict"] == "effect" and which["effects"][0]["name"] == "friction"
     dose = which["effects"][0]["parameters"][0]
@@ -59,11 +68,27 @@ def test_command_names_friction(capture, tmp_path):
         "noise", "discretisation", "dynamics explained", "unexplained",
     }  # fmt: skip
     assert len(content["where"]["frames"]) == 12 and content["provenance"]["fitted"] == list(range(8))
-    page = (tmp_path / "out" / "report.html").read_text()
+    page = (diagnosed / "report.html").read_text()
     assert which["sentence"].split(" (")[0] in page
     assert not re.findall(r"(?:src|href)=\"(?!data:|#)", page) and page.count("<svg") >= 5
-    body = trimesh.load(tmp_path / "out" / "body.ply")
+    body = trimesh.load(diagnosed / "body.ply")
     assert body.is_watertight and np.ptp(body.visual.vertex_colors[:, :3], axis=0).max() > 20
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Chromium")
+def test_page_opens_in_a_browser(diagnosed, tmp_path):
+    picture = tmp_path / "page.png"
+    subprocess.run(
+        ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--window-size=1000,3000",
+         f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={picture}", (diagnosed / "report.html").as_uri()],
+        check=True, capture_output=True, timeout=120,
+    )  # fmt: skip
+    pixels = np.asarray(Image.open(picture).convert("RGB"))
+    rows = (pixels < 200).any(-1).any(1)  # ink from top to bottom
+    assert rows[: len(rows) // 2].mean() > 0.3 and rows[len(rows) // 2 :].mean() > 0.3
+    assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 200
 
 
 def test_a_capture_without_tracks_is_refused(tmp_path):

@@ -168,6 +168,15 @@ def test_signs():
     assert effect("gravity_tilt").doses[0].sign == 0
 
 
+def test_dose_estimates():
+    linear, threshold = effect("damping").doses[0], effect("plasticity").doses[0]
+    assert linear.estimate(2.0, 0.5, 1e-3) == (2e-3, 5e-4)
+    assert linear.estimate(1e9, 1.0, 1e-3)[0] == linear.upper
+    assert threshold.estimate(1.0, 0.1, 4.0)[0] == pytest.approx(4.0)
+    assert threshold.estimate(0.25, 0.1, 4.0)[0] == pytest.approx(4.0 + np.log10(2))  # weaker: yields later
+    assert threshold.slope(4.0) < 0 < linear.slope(1e-3)
+
+
 def test_own_effect(situation):
     push = Effect("magnet", "external", (Dose("pull", "m/s²", 0, 5, 0.1, lambda s: 0.2),), scene=lambda scene, d: scene)
     assert push in choose(extra=[push]) and push not in choose()
