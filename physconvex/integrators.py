@@ -156,8 +156,23 @@ def _line_search(objective: Objective, at: _Trial, direction: np.ndarray, slope:
     return None
 
 
+def _careful(tolerance: float, rate: float) -> float:
+    """The last step that leaves the error of a slowly shrinking sequence where one that shrinks fourfold has it.
+
+    A rate of zero stands for one that is not known yet.
+    """
+    usual = _STALE_RATE / (1 - _STALE_RATE)
+    return min(1.0, usual * (1 / rate - 1) if rate > 0 else usual) * tolerance
+
+
 def minimise(
-    objective: Objective, x: np.ndarray, *, tolerance: float, max_iterations: int = 100, reuse: bool = True
+    objective: Objective,
+    x: np.ndarray,
+    *,
+    tolerance: float,
+    max_iterations: int = 100,
+    reuse: bool = True,
+    stale_rate: float = _STALE_RATE,
 ) -> Minimum:
     """Newton's method with line search; the factorisation is kept while it contracts well.
 
@@ -166,7 +181,9 @@ def minimise(
         x: starting point.
         tolerance: largest component of the last step, in the units of x.
         max_iterations: bound on the number of steps.
-        reuse: start with the objective's last factorisation, and keep it while steps shrink fourfold.
+        reuse: start with the objective's last factorisation, and keep it while steps shrink fast enough.
+        stale_rate: ratio of one step to the one before it above which a reused factorisation is renewed; where it is
+            above 1/4, the last step must be smaller than `tolerance`, so that the error left is the same.
 
     Raises:
         ConvergenceError: no finite value at the start, no descent possible, or the bound on steps reached.
@@ -182,13 +199,13 @@ def minimise(
     for iteration in range(1, max_iterations + 1):
         direction = -objective.solve(at.gradient)
         size = float(np.abs(direction).max(initial=0.0))
-        if not fresh and size > _STALE_RATE * previous and size > tolerance:
+        if not fresh and size > stale_rate * previous and size > tolerance:
             projected, fresh = _renew(objective, at.x, project=False), True
             projections += projected
             direction = -objective.solve(at.gradient)
             size = float(np.abs(direction).max(initial=0.0))
         slope = float((at.gradient * direction).sum())
-        if size <= tolerance:
+        if size <= (tolerance if stale_rate <= _STALE_RATE else _careful(tolerance, size / previous)):
             return Minimum(at.x + direction, iteration, size, projections)
         found = _line_search(objective, at, direction, slope, 12 if fresh else 2) if slope < 0 else None
         if found is not None:

@@ -13,6 +13,7 @@ from inference.refining.result import Estimate, interval_of
 from inference.refining.stages import Stages
 from physconvex.errors import ConvergenceError
 from physconvex.fem import TetMesh, tetrahedralize
+from physconvex.fem.mesh import refine as subdivided
 from physconvex.identify import (
     CorrectedModel,
     Fit,
@@ -31,7 +32,8 @@ from physconvex.identify import (
 
 __all__ = ["Judged", "estimates_of", "finer_mesh", "judge"]
 
-_FINER = 1.8  # nodes of the finer mesh over those of the twin
+_FINER = 1.8  # nodes of a mesh made anew over those of the twin
+_MOST_NODES = 4000  # of tetrahedra cut in eight
 
 
 def estimates_of(found: Fit, shift: Float[np.ndarray, " K"], told: Identifiability) -> tuple[Estimate, ...]:
@@ -57,13 +59,20 @@ def estimates_of(found: Fit, shift: Float[np.ndarray, " K"], told: Identifiabili
 
 
 def finer_mesh(twin: Twin) -> TetMesh | None:
-    """A finer quadratic mesh of the same surface, or None where none is found."""
-    mesh = twin.mesh
-    used, faces = np.unique(mesh.boundary_faces[:, :3], return_inverse=True)
-    surface = twin.capture.mesh()
-    pair = (mesh.vertices[used], faces.reshape(-1, 3))
-    if surface is not None:
-        pair = (np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces))
+    """A finer quadratic mesh of the same body, or None where none is found that is small enough.
+
+    Tetrahedra of the capture are cut in eight each, which keeps the geometry; a mesh that was made from the capture's
+    surface is made again with 1.8 times the nodes.
+    """
+    capture, mesh = twin.capture, twin.mesh
+    surface = capture.mesh()
+    tets = capture.tets()
+    if tets is not None and np.array_equal(mesh.vertices[: len(tets.vertices)], tets.vertices):
+        fine = subdivided(mesh)
+        return fine if len(fine.vertices) <= _MOST_NODES else None
+    if surface is None:
+        return None
+    pair = (np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces))
     try:
         return tetrahedralize(pair, max_nodes=int(_FINER * len(mesh.vertices)), order=2, method="auto")
     except ConvergenceError:
@@ -90,9 +99,9 @@ def judge(
 ) -> Judged:
     """Compare with a finer model, let frames count by what that changes, and fit once more.
 
-    With the correction the comparison is between the full model and one with a finer mesh and half the step, and the
-    last fit takes its residuals from the latter; without it, between the reduced model and the full one, and nothing is
-    fitted again.
+    With the correction the comparison is between the full model and one with a finer mesh (half the step, where there
+    is none), and the last fit takes its residuals from the latter; without it, between the reduced model and the full
+    one, and nothing is fitted again.
     """
     frames = int(seen.frames.max()) + 1
     unknown = Judged(found, np.full(len(found.values), np.nan), np.zeros(frames))
@@ -106,7 +115,8 @@ def judge(
             errors = frame_errors(seen, exact, found.positions)
             return {"shift": parameter_shift(found, change), "errors": errors, "meshed": np.array(1)}
         mesh = finer_mesh(twin)
-        fine = FullModel(twin, found.names, seen.points, frames, mesh, refinement=2).positions(found.values)
+        steps = 2 if mesh is None else 1
+        fine = FullModel(twin, found.names, seen.points, frames, mesh, refinement=steps).positions(found.values)
         errors = frame_errors(seen, fine, exact)
         last = _fit_again(twin, found, WeightedObservations.by_errors(seen, errors), fine)
         change = WeightedObservations.by_errors(seen, errors)
@@ -119,7 +129,9 @@ def judge(
         warnings.append(f"The model error is unknown: the finer model failed ({error}).")
         return unknown
     if not arrays["meshed"]:
-        warnings.append("No finer mesh was found: the model error is that of the time step alone.")
+        warnings.append(
+            "No finer mesh was tried (too many nodes, or none found): the model error is that of the time step alone."
+        )
     last = fit_of(arrays, found.parameters) if "values" in arrays else found
     return Judged(last, arrays["shift"], arrays["errors"])
 

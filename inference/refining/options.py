@@ -22,14 +22,14 @@ class RefineOptions:
         max_nodes: most nodes of the quadratic mesh of both models.
         steps_per_frame: time steps per frame; None: at least 384 per second.
         free: parameters beyond E, ν, the damping time and what the capture does not state of the initial motion.
-        fixed: parameters that stay, with their values; None: as the capture (or, for E and ν, the start) has it.
+        fixed: parameters that stay, with their values; None: as the capture has it (E and ν need a value).
         priors: mean and standard deviation by parameter.
         initial: values to start at, by name, such as log10_youngs_modulus; with E among them nothing is scanned.
         start: where the scan looks: "predict" around the network's prediction (videos), "scan" everywhere, "auto" the
             first of the two that works.
         correction: remove the reduced model's error with runs of the full one.
         full_runs: most of these runs.
-        model_error: one run with a finer mesh and half the time step, to state what error is left.
+        model_error: one run with a finer mesh, to state what error is left.
         outlines: use the masks of videos.
         checkpoint: of the network.
     """
@@ -58,6 +58,9 @@ class RefineOptions:
         for name, least in {"weights": 1, "max_nodes": 30, "full_runs": 1}.items():
             if getattr(self, name) < least:
                 raise InputError(f"{name}: got {getattr(self, name)}; expected at least {least}")
+        for name in ("log10_youngs_modulus", "poisson_ratio"):
+            if name in self.fixed and self.fixed[name] is None:
+                raise InputError(f"fixed: {name} needs a value, since no capture states it; give {name}=VALUE")
         if self.steps_per_frame is not None and self.steps_per_frame < 1:
             raise InputError(f"steps_per_frame: got {self.steps_per_frame}; expected at least 1")
 

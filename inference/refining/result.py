@@ -27,6 +27,7 @@ UNITS = {
     "initial_velocity": "m/s",
     "initial_angular_velocity": "rad/s",
     "initial_position": "m",
+    "initial_orientation": "rad",
 }
 
 
@@ -44,8 +45,7 @@ class Estimate:
         value: [unit].
         noise_sigma: standard deviation from the noise of the data; enlarged by the root of the reduced χ² where the
             residual is larger than the stated noise.
-        model_error: how far the value would move with the finer mesh and the shorter time step, signed; NaN where
-            that was not tried.
+        model_error: how far the finer model moved the value, to first order, signed; NaN where that was not tried.
         interval: 90 %, of noise and model error together; None at a bound.
         lower, upper: bounds.
         prior: mean and standard deviation, or None.

@@ -33,6 +33,7 @@ _VECTORS = {
     "initial_velocity": 0.1,
     "initial_angular_velocity": 0.3,
     "initial_position": 0.01,
+    "initial_orientation": 0.02,
 }
 
 

@@ -36,12 +36,15 @@ def simulate(
     frames: Annotated[int | None, typer.Option(help="Frames, the first at t = 0.")] = None,
     fps: Annotated[float | None, typer.Option(help="Frames per second [1/s].")] = None,
     ply: Annotated[bool, typer.Option(help="Write one PLY file per frame.")] = True,
+    glb: Annotated[bool, typer.Option(help="Write animation.glb, for any glTF viewer.")] = True,
+    video: Annotated[bool, typer.Option(help="Render video.mp4 (needs OpenGL, no display).")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")] = False,
     progress: Annotated[bool, typer.Option(help="Show a progress bar.")] = True,
 ) -> None:
     """Play an object: drop, push or shake a mesh of any material and write its motion.
 
-    Writes trajectory.npz, frames/*.ply and simulation.json (configuration, version, summary).
+    Writes trajectory.npz, frames/*.ply, animation.glb, video.mp4 (with --video) and simulation.json (configuration,
+    version, summary).
     """
     from tqdm import tqdm
 
@@ -68,7 +71,7 @@ def simulate(
     quiet = as_json or not progress or not sys.stderr.isatty()
     with tqdm(total=config.time.frames - 1, unit="frame", disable=quiet) as bar:
         played = play(surface, config, on_frame=lambda _: bar.update())
-    write_played(played, out, ply=ply)
+    write_played(played, out, ply=ply, glb=glb, video=video)
     summary = {"out": str(out), **summary_of(played)}
     if as_json:
         typer.echo(json.dumps(summary))

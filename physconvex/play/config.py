@@ -121,12 +121,12 @@ class BasisConfig(Frozen):
 
 
 class TimeConfig(Frozen):
-    """Frames, rate [1/s], time steps per frame, friction passes per step, Newton's last step relative to the size."""
+    """Frames, rate [1/s], time steps per frame, most friction passes per step, Newton's last step over the size."""
 
     frames: int = Field(default=24, ge=1)
     fps: Positive = 24.0
     steps_per_frame: int = Field(default=8, ge=1)
-    friction_passes: int = Field(default=2, ge=1)
+    friction_passes: int = Field(default=12, ge=1)
     tolerance: Positive = 1e-5
 
 

@@ -10,7 +10,10 @@ from typing import Any
 import numpy as np
 
 import physconvex
+from physconvex.play.animated_glb import write_animated_glb
+from physconvex.play.pictures import frames_of
 from physconvex.play.play import PlayedObject
+from physconvex.video import write_video
 
 __all__ = ["summary_of", "write_played"]
 
@@ -32,12 +35,16 @@ def summary_of(played: PlayedObject) -> dict[str, Any]:
     }
 
 
-def write_played(played: PlayedObject, folder: str | Path, *, ply: bool = True) -> None:
+def write_played(
+    played: PlayedObject, folder: str | Path, *, ply: bool = True, glb: bool = True, video: bool = False
+) -> None:
     """Write into a folder, which is made if need be.
 
     - trajectory.npz: times [T] s, rest [V, 3] m, faces [F, 3], positions [T, V, 3] m, and the handles
       Z_m(t) [T, M + 1, 3, 4] of the reduced body;
     - frames/000000.ply …: the surface at each frame (unless `ply` is false);
+    - animation.glb: the surface in motion, for any glTF viewer (unless `glb` is false);
+    - video.mp4: pictures of it over its floor (if `video` is true; needs OpenGL, no display);
     - simulation.json: version, resolved configuration, summary.
     """
     out = Path(folder)
@@ -52,6 +59,11 @@ def write_played(played: PlayedObject, folder: str | Path, *, ply: bool = True) 
     )
     if ply:
         _write_frames(played, out / "frames")
+    if glb:
+        times = played.trajectory.times
+        write_animated_glb(out / "animation.glb", times, played.positions, played.surface.faces)
+    if video:
+        write_video(out / "video.mp4", frames_of(played), fps=played.config.time.fps)
     record = {
         "version": physconvex.__version__,
         "configuration": played.config.model_dump(mode="json"),

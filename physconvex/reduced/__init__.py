@@ -22,6 +22,7 @@ from physconvex.reduced.neural_field import (
     train_neural_weights,
     untrained_neural_weights,
 )
+from physconvex.reduced.optimised_cubature import optimised_cubature
 from physconvex.reduced.parameters import PARAMETERS, parameter_values, with_parameters
 from physconvex.reduced.pins import Pins
 from physconvex.reduced.scene import ReducedScene
@@ -56,6 +57,7 @@ __all__ = [
     "WeightField",
     "Wind",
     "eigenmode_weights",
+    "optimised_cubature",
     "parameter_values",
     "predicted_weights",
     "rollout_positions",

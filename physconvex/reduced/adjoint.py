@@ -8,20 +8,22 @@ point by point.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from scipy.linalg import lu_factor, lu_solve
 
 from physconvex.errors import InputError
 from physconvex.integrators import extrapolate
 from physconvex.materials import lame_parameters
 from physconvex.reduced.body import viscous_stress
+from physconvex.reduced.density_gradient import DensityGradient
 from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.friction_tangents import FreezeTangent, friction_tangent
+from physconvex.reduced.rotation_vector import rotation_matrix
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.simulation import ReducedTrajectory, SolvedPass, StepRecord, simulate
 from physconvex.reduced.step_derivatives import StepDerivatives
@@ -41,8 +43,9 @@ class LossGradient:
         named: by the named parameters, shape [P].
         youngs_modulus: by E of each cell at fixed stiffness of contact and pins [1/Pa], shape [C].
         poisson_ratio: by ν of each cell, shape [C].
-        initial_coordinates: by y(0) [1/m], shape [R, 3].
+        initial_coordinates: by y(0), as `ReducedScene.start` gives it [1/m], shape [R, 3].
         initial_velocities: by ẏ(0) [s/m], shape [R, 3].
+        densities: what `density` is made of.
     """
 
     trajectory: ReducedTrajectory
@@ -52,6 +55,12 @@ class LossGradient:
     poisson_ratio: Float[np.ndarray, " C"]
     initial_coordinates: Float[np.ndarray, "R 3"]
     initial_velocities: Float[np.ndarray, "R 3"]
+    densities: DensityGradient = field(repr=False)
+
+    @cached_property
+    def density(self) -> Float[np.ndarray, " C"]:
+        """By ρ of each cell at the given mean velocity of the start [m³/kg], shape [C]."""
+        return self.densities.by_cell()
 
 
 class _Bar:
@@ -69,6 +78,8 @@ class _Sweep:
         self.derivatives = StepDerivatives(scene, names)
         self.equations = StepEquations(scene)
         self.named = np.zeros(len(names))
+        self.constant = self.body.space.affine(np.zeros((3, 3)), np.array([1.0, 0, 0]))[:, 0]  # of the function one
+        self.products = np.zeros_like(self.body.mass)
         self.anchors = np.zeros(scene.start.shape)  # derivatives by the coordinates that pins hold the body at
         cells = self.body.space.samples.interior.cells
         self.cells = torch.as_tensor(cells, device=self.body.device)
@@ -98,8 +109,7 @@ class _Sweep:
     def _back_solve(self, solved: SolvedPass, x_bar: np.ndarray) -> np.ndarray:
         """−H⁻¹ x̄: derivative of the loss by the gradient of the incremental potential."""
         self.equations.friction = solved.friction
-        factor = lu_factor(self.equations.hessian(solved.x), check_finite=False)
-        return -lu_solve(factor, x_bar.ravel(), check_finite=False).reshape(x_bar.shape)
+        return -self.equations.exact_solve(solved.x, x_bar[None])[0]
 
     def _back_gradient(
         self, record: StepRecord, number: int, guess: np.ndarray, force_bar: np.ndarray, bars: _StepBars
@@ -109,6 +119,8 @@ class _Sweep:
         state = body.deformation_gradient(guess)
         explicit = self.derivatives.explicit(self.equations, c, x, state)
         self.named += (explicit * force_bar).sum((1, 2))
+        pull = (x - c.target) / c.step**2 + scene.air_drag * c.velocity(x)
+        self.products += force_bar @ (pull - np.outer(self.constant, scene.uniform_acceleration(record.after.time))).T
         bars.target -= body.mass @ force_bar / c.step**2
         velocity_bar = scene.air_drag * (body.mass @ force_bar)
         if scene.wind is not None:
@@ -179,12 +191,20 @@ class _Sweep:
         # a rotating start turns its coordinates into velocities
         spin = np.asarray(self.scene.initial_angular_velocity, dtype=np.float64)
         positions = first.positions - np.cross(spin, first.velocities)
-        constant = self.body.space.affine(np.zeros((3, 3)), np.array([1.0, 0, 0]))[:, 0]
-        turned = -np.cross(spin, constant @ first.velocities)
-        positions = positions - np.outer(self.body.first_moments / self.body.total_mass, turned)
+        center = np.cross(spin, self.constant @ first.velocities)
+        positions = positions + np.outer(self.body.first_moments / self.body.total_mass, center)
         positions = positions + self.anchors
+        turn = rotation_matrix(np.asarray(self.scene.initial_orientation, dtype=np.float64))
+        center = center + (turn - np.eye(3)) @ (self.constant @ positions)  # R (I − R)ᵀ = R − I
         return LossGradient(
-            trajectory, loss, named, modulus.cpu().numpy(), ratio.cpu().numpy(), positions, first.velocities
+            trajectory,
+            loss,
+            named,
+            modulus.cpu().numpy(),
+            ratio.cpu().numpy(),
+            positions,
+            first.velocities,
+            DensityGradient(self.body, self.products, self.scene.start, center),
         )
 
 

@@ -13,8 +13,9 @@ from physconvex.errors import InputError
 from physconvex.inelastic import FlowRule, FlowStep
 from physconvex.materials import Law, get_law, lame_parameters, project_to_positive, strain_stiffness
 from physconvex.reduced.space import ReducedSpace
+from physconvex.reduced.volumetric import VolumetricSamples, is_volumetric
 
-__all__ = ["ReducedBody", "viscous_stress"]
+__all__ = ["ReducedBody", "function_by_function", "viscous_stress"]
 
 PerCell = float | Float[np.ndarray, " C"]
 _BLOCK = 4_000_000  # numbers in the largest temporary of the Hessian
@@ -85,6 +86,10 @@ class ReducedBody:
         self._weights = self._tensor(interior.weights)
         flat = space.interior_gradients.transpose(0, 2, 1).reshape(-1, space.dimension)
         self._gradients = self._tensor(np.ascontiguousarray(flat))  # [(Q, j), R]
+        self._quick: VolumetricSamples | None = None
+        if flow is None and self.device.type == "cpu" and is_volumetric(self.law):
+            constants = (t.numpy() for t in (self._weights, self.mu, self.lam))
+            self._quick = VolumetricSamples(self.law, flat.reshape(-1, 3, space.dimension), *constants)
         self.mass, self.first_moments = space.mass_matrix(self.density)
         self._virgin = None if flow is None else self.flow_step(self.unflowed(), self.space.rest, 0.0)
 
@@ -163,12 +168,16 @@ class ReducedBody:
 
     def gradient(self, y: Float[np.ndarray, "R 3"], *, response: FlowStep | None = None) -> Float[np.ndarray, "R 3"]:
         """Derivative of the energy with respect to the coordinates [N]."""
+        if self._quick is not None:
+            return self._quick.energy_and_gradient(y)[1]
         return self.forces_of(self._material("stress", self.deformation_gradient(y), response))
 
     def energy_and_gradient(
         self, y: Float[np.ndarray, "R 3"], *, response: FlowStep | None = None
     ) -> tuple[float, Float[np.ndarray, "R 3"]]:
         """Both of the above with one evaluation of F."""
+        if self._quick is not None:
+            return self._quick.energy_and_gradient(y)
         f = self.deformation_gradient(y)
         energy = float((self._weights * self._material("energy", f, response)).sum())
         return energy, self.forces_of(self._material("stress", f, response))
@@ -212,15 +221,28 @@ class ReducedBody:
             damping_ratio: damping time over the time step [-].
             response: as for the energy.
         """
-        tensor = self._material("hessian", self.deformation_gradient(y), response)
-        if project:
-            tensor = project_to_positive(tensor)
+        blocks = self.stiffness_blocks(y, project=project, response=response)
         if viscous_state is not None:
-            tensor = tensor + strain_stiffness(viscous_state, damping_ratio * self.mu, damping_ratio * self.lam)
-        return self._integrate(tensor)
+            blocks += self.viscous_blocks(viscous_state, damping_ratio)
+        return function_by_function(blocks)
+
+    def stiffness_blocks(
+        self, y: Float[np.ndarray, "R 3"], *, project: bool = False, response: FlowStep | None = None
+    ) -> Float[np.ndarray, "3 R 3 R"]:
+        """The stiffness matrix without viscosity [N/m], components first."""
+        if self._quick is not None and not project:
+            blocks = self._quick.hessian_blocks(y)
+            if blocks is not None:
+                return blocks
+        tensor = self._material("hessian", self.deformation_gradient(y), response)
+        return self._integrate(project_to_positive(tensor) if project else tensor)
+
+    def viscous_blocks(self, viscous_state: Tensor, damping_ratio: float) -> Float[np.ndarray, "3 R 3 R"]:
+        """Stiffness of the viscosity of a time step [N/m], components first; it does not depend on the coordinates."""
+        return self._integrate(strain_stiffness(viscous_state, damping_ratio * self.mu, damping_ratio * self.lam))
 
     def _integrate(self, tensor: Tensor) -> np.ndarray:
-        """Σ_q w ∂N_a/∂X_j A_ijkl ∂N_b/∂X_l, shape [3R, 3R]; A_ijkl = A_klij, so that i ≤ k is enough."""
+        """Σ_q w ∂N_a/∂X_j A_ijkl ∂N_b/∂X_l, shape [3, R, 3, R]; A_ijkl = A_klij, so that i ≤ k is enough."""
         size = self.space.dimension
         parts = torch.zeros(size, 6 * size, dtype=torch.float64, device=self.device)  # b, (pair, a)
         gradients = self._gradients.reshape(-1, 3, size)  # [Q, j, R]
@@ -243,10 +265,16 @@ class ReducedBody:
 
 
 def _from_pairs(parts: Tensor) -> Tensor:
-    """The symmetric [3R, 3R] matrix from its blocks (i, k), i ≤ k, given as [b, pair, a]."""
+    """The symmetric [3, R, 3, R] array from its blocks (i, k), i ≤ k, given as [b, pair, a]."""
     size = parts.shape[0]
-    out = torch.empty(size, 3, size, 3, dtype=parts.dtype, device=parts.device)
+    out = torch.empty(3, size, 3, size, dtype=parts.dtype, device=parts.device)
     for number, (i, k) in enumerate(_PAIRS):
-        out[:, i, :, k] = parts[:, number].mT
-        out[:, k, :, i] = parts[:, number]
-    return out.reshape(3 * size, 3 * size)
+        out[i, :, k] = parts[:, number].mT
+        out[k, :, i] = parts[:, number]
+    return out
+
+
+def function_by_function(blocks: Float[np.ndarray, "3 R 3 R"]) -> Float[np.ndarray, "N N"]:
+    """The matrix [3R, 3R], rows ordered by shape function, then component."""
+    size = 3 * blocks.shape[1]
+    return blocks.transpose(1, 0, 3, 2).reshape(size, size)

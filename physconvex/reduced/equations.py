@@ -2,33 +2,27 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg import lu_factor, lu_solve
+from scipy.linalg.lapack import dpotrf, dpotrs
 from torch import Tensor
 
-from physconvex.contact import Contact, Friction
+from physconvex.contact import Friction
 from physconvex.inelastic import FlowStep
 from physconvex.integrators import State, StepCoefficients
 from physconvex.linear_solvers import NotPositiveDefiniteError
+from physconvex.reduced.body import function_by_function
 from physconvex.reduced.scene import ReducedScene
+from physconvex.reduced.secants import Secants
+from physconvex.reduced.surface_contact import SurfaceContact, add_surface_blocks, contact_blocks
 
-__all__ = ["StepEquations", "contact_blocks"]
+__all__ = ["StepEquations"]
 
-
-def contact_blocks(contact: Contact, x: Float[np.ndarray, "S 3"], time: float) -> Float[np.ndarray, "S 3 3"]:
-    """Exact second derivatives of the contact energy [N/m], with the curvature of the obstacles."""
-    blocks = contact.hessian_blocks(x, time)
-    for obstacle in contact.obstacles:
-        bend = obstacle.curvature(x, time)
-        if not bend.any():
-            continue
-        bare = Contact((obstacle,), contact.areas, contact.stiffness, contact.smoothing, contact.slip_velocity)
-        _, pull = bare.energy_and_gradient(x, time)  # −A ψ' n
-        normals = obstacle.normals(x, time)
-        tangential = np.eye(3) - normals[:, :, None] * normals[:, None, :]
-        blocks += ((pull * normals).sum(1) * bend)[:, None, None] * tangential
-    return blocks
+_SECANTS = 8  # pairs of changes kept
+_ROUNDED = 1e-9  # share of the body's size below which a change is left out of them
 
 
 class StepEquations:
@@ -38,6 +32,7 @@ class StepEquations:
         self.scene, self.body = scene, scene.body
         self.contact = scene.contact()
         self.surface = scene.body.space.surface_values
+        self.touch = SurfaceContact(self.contact, self.surface)
         self.pins = scene.pin_springs()
         self.areas = scene.body.space.samples.surface_areas
         self.start = scene.start
@@ -45,11 +40,13 @@ class StepEquations:
         self.factorisations = 0
         self.rounding = 1e-15 * self.body.shear_scale
         self._factorised_step = np.nan
-        self._factor: tuple[np.ndarray, bool] | None = None
+        self._factor: np.ndarray | None = None
+        self.secants = Secants(_SECANTS, smallest=_ROUNDED * self.body.space.samples.size)
         self.coefficients: StepCoefficients | None = None
         self.forces = scene.external_forces(0.0)
         self.time = 0.0
         self.viscous: Tensor | None = None
+        self._viscous_stiffness: tuple[Tensor, np.ndarray] | None = None
         self.friction: tuple[Friction, ...] = ()
         self.undo = None if self.body.flow is None else self.body.unflowed()  # F_f⁻¹, stored from step to step
         self.response: FlowStep | None = None
@@ -63,7 +60,7 @@ class StepEquations:
         """
         self.coefficients, self.time, self._duration = coefficients, time, time - last.time
         self.forces = self.scene.external_forces(time)
-        if self.factorised and not np.isclose(coefficients.step, self._factorised_step):
+        if self.factorised and not math.isclose(coefficients.step, self._factorised_step, rel_tol=1e-9):
             self.factorised = False
         self.viscous = self.body.deformation_gradient(guess) if self.scene.damping_time > 0 else None
         self._freeze(last.positions, coefficients.velocity(guess), last.time)
@@ -84,6 +81,7 @@ class StepEquations:
         return None if self.undo is None else np.linalg.inv(self.undo.cpu().numpy())
 
     def _freeze(self, y: np.ndarray, velocity: np.ndarray, time: float) -> None:
+        self.secants.interrupt()
         self.friction = self.contact.freeze_friction(self.surface @ y, self.surface @ velocity, time)
         if self.undo is not None:
             self.response = self.body.flow_step(self.undo, y, self._duration)
@@ -93,9 +91,9 @@ class StepEquations:
     def evaluate(self, x: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
         """Incremental potential [J] and its derivative [N]."""
         energy, gradient = self.body.energy_and_gradient(x, response=self.response)
-        touch, push = self.contact.energy_and_gradient(self.surface @ x, self.time)
+        touch, push = self.touch.energy_and_gradient(x, self.time)
         energy += touch - float((self.forces * (x - self.start)).sum())
-        gradient = gradient + self.surface.T @ push - self.forces
+        gradient = gradient + push - self.forces
         if self.pins is not None:
             stretch, hold = self.pins.energy_and_gradient(x, self.time)
             energy, gradient = energy + stretch, gradient + hold
@@ -105,12 +103,12 @@ class StepEquations:
             loss, drag = self.dissipation(self.coefficients.velocity(x))
             energy += 0.5 * float((offset * pull).sum()) + self.coefficients.step * loss
             gradient = gradient + pull + drag
+        self.secants.note(x, gradient)
         return energy, gradient
 
     def dissipation(self, velocity: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
         """Rate potential [W] of friction, viscosity, drag and wind; generalised forces against the motion [N]."""
-        loss, rub = self.contact.friction_energy_and_gradient(self.friction, self.surface @ velocity)
-        force = self.surface.T @ rub
+        loss, force = self.touch.friction(self.friction, velocity)
         if self.viscous is not None:
             power, push = self.body.viscous_energy_and_gradient(self.viscous, velocity, self.scene.damping_time)
             loss, force = loss + power, force + push
@@ -126,40 +124,43 @@ class StepEquations:
 
     def hessian(self, x: Float[np.ndarray, "R 3"], *, project: bool = False) -> Float[np.ndarray, "N N"]:
         """Second derivative [N/m], N = 3 R; exact, or its positive definite approximation."""
+        return function_by_function(self._hessian_blocks(x, project=project))
+
+    def _hessian_blocks(self, x: np.ndarray, *, project: bool) -> Float[np.ndarray, "3 R 3 R"]:
+        """The same, components first."""
         step = np.inf if self.coefficients is None else self.coefficients.step
-        ratio = self.scene.damping_time / step
-        matrix = self.body.hessian(
-            x, project=project, viscous_state=self.viscous, damping_ratio=ratio, response=self.response
-        )
+        matrix = self.body.stiffness_blocks(x, project=project, response=self.response)
+        if self.viscous is not None:
+            matrix += self._viscous_blocks(self.viscous, self.scene.damping_time / step)
+        add_surface_blocks(matrix, self.surface, self._sample_blocks(x, step, project=project))
+        inertia = np.zeros_like(self.body.mass) if self.pins is None else self.pins.matrix
+        if np.isfinite(step):
+            inertia = inertia + (1 / step**2 + self.scene.air_drag / step) * self.body.mass
+        for i in range(3):
+            matrix[i, :, i] += inertia
+        return matrix
+
+    def _viscous_blocks(self, state: Tensor, ratio: float) -> np.ndarray:
+        """Stiffness of the viscosity, the same in the whole step."""
+        if self._viscous_stiffness is None or self._viscous_stiffness[0] is not state:
+            self._viscous_stiffness = state, self.body.viscous_blocks(state, ratio)
+        return self._viscous_stiffness[1]
+
+    def _sample_blocks(self, x: np.ndarray, step: float, *, project: bool) -> Float[np.ndarray, "S 3 3"]:
+        """Second derivatives by the positions of the surface samples."""
         at = self.surface @ x
         blocks = self.contact.hessian_blocks(at, self.time) if project else contact_blocks(self.contact, at, self.time)
         if self.friction:
             blocks = blocks + self.contact.friction_blocks(self.friction) / step
         if self.coefficients is not None and self.scene.wind is not None:
             blocks = blocks + self.wind_blocks(self.coefficients.velocity(x)) / step
-        self._add_surface(matrix, blocks)
-        if self.pins is not None:
-            matrix += np.kron(self.pins.matrix, np.eye(3))
-        if np.isfinite(step):
-            matrix += np.kron((1 / step**2 + self.scene.air_drag / step) * self.body.mass, np.eye(3))
-        return matrix
+        return blocks
 
     def wind_blocks(self, velocity: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "S 3 3"]:
         """Derivative of the force of the wind on the surface samples by their velocities [N·s/m]; zero without wind."""
         if self.scene.wind is None:
             return np.zeros((len(self.areas), 3, 3))
         return self.scene.wind.blocks(self.surface @ velocity, self.areas, self.time)
-
-    def _add_surface(self, matrix: np.ndarray, blocks: np.ndarray) -> None:
-        """Add Σ_s N_a(s) B_s N_b(s) over the samples whose block is not zero."""
-        touched = np.flatnonzero(blocks.any(axis=(1, 2)))
-        if not len(touched):
-            return
-        values, size = self.surface[touched], len(self.start)
-        by_component = matrix.reshape(size, 3, size, 3)
-        for i in range(3):
-            for k in range(3):
-                by_component[:, i, :, k] += values.T @ (blocks[touched, i, k, None] * values)
 
     def factorise(self, x: Float[np.ndarray, "R 3"], *, project: bool) -> None:
         """Cholesky factor of the Hessian at x.
@@ -169,15 +170,39 @@ class StepEquations:
         """
         self.factorised = False
         self._factor = None
-        try:
-            self._factor = cho_factor(self.hessian(x, project=project), lower=True, overwrite_a=True)
-        except (LinAlgError, ValueError) as error:  # ValueError: not finite
-            raise NotPositiveDefiniteError(f"the reduced Hessian has no Cholesky factor: {error}") from error
+        blocks = self._hessian_blocks(x, project=project)
+        square = blocks.reshape(self.start.size, self.start.size).T  # symmetric, and its columns contiguous
+        if not np.isfinite(square[0, 0]) or not np.isfinite(square).all():
+            raise NotPositiveDefiniteError("the reduced Hessian is not finite")
+        factor, failed = dpotrf(square, lower=1, clean=0, overwrite_a=1)
+        if failed:
+            raise NotPositiveDefiniteError(
+                f"the reduced Hessian has no Cholesky factor: minor {failed} is not positive"
+            )
+        self._factor = factor
+        self.secants.forget()
         self._factorised_step = np.nan if self.coefficients is None else self.coefficients.step
         self.factorisations += 1
         self.factorised = True
 
     def solve(self, rhs: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:
-        """Apply the inverse of the last factorised Hessian."""
+        """Apply the inverse of the last factorised Hessian, corrected by the gradients met since then."""
         assert self._factor is not None
-        return cho_solve(self._factor, rhs.reshape(-1), check_finite=False).reshape(rhs.shape)
+        return self.secants.solve(self._unfactor, rhs.reshape(-1)).reshape(rhs.shape)
+
+    def _unfactor(self, rhs: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
+        assert self._factor is not None
+        by_component = rhs.reshape(-1, 3).T.reshape(-1)
+        out, _ = dpotrs(self._factor, by_component, lower=1)
+        return out.reshape(3, -1).T.reshape(-1)
+
+    def exact_solve(self, x: Float[np.ndarray, "R 3"], rhs: Float[np.ndarray, "P R 3"]) -> Float[np.ndarray, "P R 3"]:
+        """Apply the inverse of the exact Hessian at x to P vectors; it may be indefinite."""
+        square = self._hessian_blocks(x, project=False).reshape(self.start.size, self.start.size).T
+        columns = np.ascontiguousarray(rhs.transpose(2, 1, 0)).reshape(self.start.size, -1)
+        factor, failed = dpotrf(square, lower=1, clean=0)
+        if failed:
+            solved = lu_solve(lu_factor(square, check_finite=False), columns, check_finite=False)
+        else:
+            solved, _ = dpotrs(factor, columns, lower=1)
+        return solved.reshape(3, len(self.start), -1).transpose(2, 1, 0).copy()

@@ -40,6 +40,9 @@ ParameterName = Literal[
     "initial_position_x",
     "initial_position_y",
     "initial_position_z",  # centre of mass [m]
+    "initial_orientation_x",
+    "initial_orientation_y",
+    "initial_orientation_z",  # rotation vector about the centre of mass [rad]
 ]
 PARAMETERS: tuple[str, ...] = get_args(ParameterName)
 _AXES = {"x": 0, "y": 1, "z": 2}
@@ -154,7 +157,7 @@ def _set(scene: ReducedScene, name: str, value: float) -> ReducedScene:
     stem, axis = axis_of(name)
     step = change * np.eye(3)[axis]
     if stem == "initial_position":
-        return replace(scene, initial_coordinates=scene.start + body.space.affine(np.zeros((3, 3)), step))
+        return replace(scene, initial_coordinates=scene.unturned + body.space.affine(np.zeros((3, 3)), step))
     if stem == "wind":
         wind = _wind(scene)
         return replace(scene, wind=replace(wind, velocity=wind.velocity_at(0.0) + step))
@@ -164,5 +167,7 @@ def _set(scene: ReducedScene, name: str, value: float) -> ReducedScene:
             return replace(scene, gravity=vector)
         case "initial_velocity":
             return replace(scene, initial_velocity=vector)
+        case "initial_orientation":
+            return replace(scene, initial_orientation=vector)
         case _:
             return replace(scene, initial_angular_velocity=vector)

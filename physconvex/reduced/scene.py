@@ -14,6 +14,7 @@ from physconvex.fem.scene import CONTACT_STIFFNESS_RATIO
 from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.pins import PIN_STIFFNESS_RATIO, Pins, PinSprings
 from physconvex.wind import Wind
+from physconvex.reduced.rotation_vector import rotation_matrix
 
 __all__ = ["ReducedScene"]
 
@@ -38,6 +39,7 @@ class ReducedScene:
         pins: points that are held or led along a path.
         loads: forces on the surface samples [N], shape [S, 3], constant or a function of time.
         initial_coordinates: state at t = 0 [m], shape [R, 3]; the rest state unless given, see `ReducedSpace.affine`.
+        initial_orientation: rotation vector [rad] that turns that state about its centre of mass.
         initial_velocity: of the centre of mass [m/s].
         initial_angular_velocity: about the centre of mass [rad/s].
         contact_stiffness: kc [Pa/m]; 50 × (largest E) / (size of the body) unless given.
@@ -65,9 +67,10 @@ class ReducedScene:
     contact_smoothing: float | None = None
     slip_velocity: float | None = None
     contact_damping: float = 0.0
+    initial_orientation: Vector = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for name in ("gravity", "initial_velocity", "initial_angular_velocity"):
+        for name in ("gravity", "initial_orientation", "initial_velocity", "initial_angular_velocity"):
             value = np.asarray(getattr(self, name), dtype=np.float64)
             if value.shape != (3,) or not np.isfinite(value).all():
                 raise InputError(f"{name}: got {getattr(self, name)!r}; expected three finite numbers")
@@ -85,9 +88,18 @@ class ReducedScene:
                 raise InputError(f"{name}: got shape {np.shape(value)}; expected {shape}")
 
     @property
+    def unturned(self) -> Float[np.ndarray, "R 3"]:
+        """Coordinates at t = 0 before the initial orientation turns them [m]."""
+        return self.body.rest if self.initial_coordinates is None else np.asarray(self.initial_coordinates)
+
+    @property
     def start(self) -> Float[np.ndarray, "R 3"]:
         """Coordinates at t = 0 [m]."""
-        return self.body.rest if self.initial_coordinates is None else np.asarray(self.initial_coordinates)
+        vector, y = np.asarray(self.initial_orientation, dtype=np.float64), self.unturned
+        if not vector.any():
+            return y
+        turn, center = rotation_matrix(vector), self.body.first_moments @ y / self.body.total_mass
+        return y @ turn.T + self.body.space.affine(np.zeros((3, 3)), center - turn @ center)
 
     def start_velocities(self) -> Float[np.ndarray, "R 3"]:
         """Velocities of the coordinates at t = 0 [m/s]: rigid motion about the centre of mass."""

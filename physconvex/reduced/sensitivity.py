@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import lu_factor, lu_solve
 
 from physconvex.integrators import State, StepCoefficients, bdf2, extrapolate, implicit_euler
 from physconvex.reduced.body import inner_viscous_stress
@@ -81,9 +80,7 @@ class _Tangents:
             residual = self._residual(equations, c, change, solved.x, guess, dguess)
             velocity, dvelocity = self._surface_velocities(c, change, solved.x)
             residual += equations.surface.T @ friction_tangent(equations.contact, frozen, velocity, dvelocity)
-            factor = lu_factor(equations.hessian(solved.x), check_finite=False)
-            columns = residual.reshape(len(residual), -1).T
-            dx = -lu_solve(factor, columns, check_finite=False).T.reshape(residual.shape)
+            dx = -equations.exact_solve(solved.x, residual)
             frozen = freeze(solved.x, c.velocity(solved.x), record.after.time, dx, change.velocity(dx))
         self.previous, self.state = self.state, State(record.after.time, dx, change.velocity(dx))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -30,6 +31,7 @@ from physconvex.reduced.space import ReducedSpace
 __all__ = ["ReducedTrajectory", "SolvedPass", "StepRecord", "simulate"]
 
 _MAX_HALVINGS = 8
+_STALE_RATE = 0.5  # secants make up for a factor that has grown old
 
 
 @dataclass(frozen=True)
@@ -138,14 +140,17 @@ class _Stepper:
         return record.after
 
     def _try(self, state: State, step: float) -> StepRecord:
-        history = self.previous if np.isclose(self.previous_step, step) else None
+        history = self.previous if math.isclose(self.previous_step, step, rel_tol=1e-9) else None
         guess = extrapolate(state, history, step)
         two_step = self.integrator == "bdf2" and history is not None
         coefficients = bdf2(state, history, step) if two_step and history else implicit_euler(state, step)
         self.equations.set_step(coefficients, state.time + step, guess, state)
         passes = [self._minimise(guess)]
+        enough = step * self.equations.contact.slip_velocity
         while len(passes) < self.friction_passes and self.equations.freeze_friction(passes[-1].x):
             passes.append(self._minimise(passes[-1].x))
+            if self._largest_change(passes[-1].x - passes[-2].x) <= enough:
+                break
         x = passes[-1].x
         if not np.isfinite(x).all():
             raise ConvergenceError("the new state is not finite")
@@ -153,8 +158,12 @@ class _Stepper:
         after = State(state.time + step, x, coefficients.velocity(x))
         return StepRecord(state, history, two_step, step, coefficients, self.equations.viscous, tuple(passes), after)
 
+    def _largest_change(self, change: np.ndarray) -> float:
+        """Largest component of a change of position of the surface samples [m]."""
+        return float(np.abs(self.equations.surface @ change).max(initial=0.0))
+
     def _minimise(self, start: np.ndarray) -> SolvedPass:
-        found: Minimum = minimise(self.equations, start, tolerance=self.tolerance)
+        found: Minimum = minimise(self.equations, start, tolerance=self.tolerance, stale_rate=_STALE_RATE)
         self.iterations += found.iterations
         self.projections += found.projections
         return SolvedPass(found.x, self.equations.friction)
@@ -176,8 +185,8 @@ def simulate(
     fps: float = 24.0,
     steps_per_frame: int = 16,
     integrator: IntegratorName = "bdf2",
-    tolerance: float = 1e-7,
-    friction_passes: int = 2,
+    tolerance: float = 3e-8,
+    friction_passes: int = 12,
     observer: Observer | None = None,
     on_frame: Callable[[int], None] | None = None,
 ) -> ReducedTrajectory:
@@ -190,7 +199,9 @@ def simulate(
         steps_per_frame: time steps between frames.
         integrator: "bdf2" (second order, first step implicit Euler) or "implicit_euler".
         tolerance: Newton's last step, relative to the body's size.
-        friction_passes: how often friction is linearised and solved in each step, and the pressure in sand taken.
+        friction_passes: how often friction is linearised and solved in each step at most, and the pressure in sand
+            taken; fewer are made where the surface's velocities no longer change by more than the scene's
+            `slip_velocity`. The full model's rule, see docs/decisions/001-frozen-friction.md.
         observer: called with the equations and the record of every converged step.
         on_frame: called with the number of every finished frame.
 

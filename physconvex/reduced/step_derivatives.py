@@ -15,6 +15,7 @@ from physconvex.reduced.body import viscous_stress
 from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.friction_tangents import FreezeTangent
 from physconvex.reduced.parameters import axis_of, check_parameters, mean_density
+from physconvex.reduced.rotation_vector import turning_rates
 from physconvex.reduced.scene import ReducedScene
 
 __all__ = ["StepDerivatives"]
@@ -63,6 +64,7 @@ class StepDerivatives:
             stiffening.add("log10_youngs_modulus")
         self.dlog_stiffness = np.array([_LN10 if name in stiffening else 0.0 for name in names])
         self.dfriction = np.array([float(name == "friction") for name in names])
+        self._moved = self.start().positions
         body, device = self.body, self.body.device
         cells = torch.as_tensor(body.space.samples.interior.cells, device=device)
         constants = (torch.as_tensor(c, device=device) for c in (body.youngs_modulus, body.poisson_ratio))
@@ -79,7 +81,11 @@ class StepDerivatives:
             if not stem.startswith("initial"):
                 continue
             unit = np.eye(3)[axis_of(name)[1]]
-            if stem == "initial_position":
+            if stem == "initial_orientation":
+                rate = turning_rates(np.asarray(scene.initial_orientation, dtype=np.float64)) @ unit
+                positions[i] = np.cross(rate, scene.start) - space.affine(np.zeros((3, 3)), np.cross(rate, center))
+                velocities[i] = np.cross(np.asarray(scene.initial_angular_velocity), positions[i])
+            elif stem == "initial_position":
                 positions[i] = space.affine(np.zeros((3, 3)), unit)
             elif stem == "initial_velocity":
                 velocities[i] = space.affine(np.zeros((3, 3)), unit)
@@ -113,16 +119,31 @@ class StepDerivatives:
             x: coordinates at which the gradient is taken [m].
             state: F* of the viscosity.
         """
-        rate = self.body.deformation_gradient(c.velocity(x))
+        viscous = self.scene.damping_time > 0 or "damping_time" in self.names
+        rate = self.body.deformation_gradient(c.velocity(x)) if viscous else None
         return np.stack([self._explicit(equations, name, c, x, state, rate) for name in self.names])
 
+    def _viscous_forces(
+        self, state: Tensor, rate: Tensor | None, mu: Tensor, lam: Tensor, time: float
+    ) -> Float[np.ndarray, "R 3"]:
+        """Forces of the viscosities time × (μ, λ) [N]; none without a rate."""
+        if rate is None or time == 0:
+            return np.zeros_like(self.scene.start)
+        return self.body.forces_of(viscous_stress(state, rate, time * mu, time * lam))
+
     def _explicit(
-        self, equations: StepEquations, name: str, c: StepCoefficients, x: np.ndarray, state: Tensor, rate: Tensor
+        self,
+        equations: StepEquations,
+        name: str,
+        c: StepCoefficients,
+        x: np.ndarray,
+        state: Tensor,
+        rate: Tensor | None,
     ) -> np.ndarray:
         body, scene, beta = self.body, self.scene, self.scene.damping_time
         match name:
             case "log10_youngs_modulus":
-                drag = body.forces_of(viscous_stress(state, rate, beta * body.mu, beta * body.lam))
+                drag = self._viscous_forces(state, rate, body.mu, body.lam, beta)
                 return _LN10 * (body.gradient(x) + drag + self._hold(equations, x)) + self._stiffening(
                     equations, name, x
                 )
@@ -130,13 +151,13 @@ class StepDerivatives:
                 return self._stiffening(equations, name, x)
             case "poisson_ratio":
                 stress = body.law.stress(body.deformation_gradient(x), self._dmu, self._dlam)
-                return body.forces_of(stress + viscous_stress(state, rate, beta * self._dmu, beta * self._dlam))
+                return body.forces_of(stress) + self._viscous_forces(state, rate, self._dmu, self._dlam, beta)
             case "density":
                 weight = body.first_moments[:, None] * scene.uniform_acceleration(equations.time)
                 pull = (x - c.target) / c.step**2 + scene.air_drag * c.velocity(x)
                 return (body.mass @ pull - weight) / mean_density(body)
             case "damping_time":
-                return body.forces_of(viscous_stress(state, rate, body.mu, body.lam))
+                return self._viscous_forces(state, rate, body.mu, body.lam, 1.0)
             case "air_drag":
                 return body.mass @ c.velocity(x)
             case "gravity_x" | "gravity_y" | "gravity_z":
@@ -144,8 +165,8 @@ class StepDerivatives:
             case "wind_x" | "wind_y" | "wind_z":
                 pushed = equations.wind_blocks(c.velocity(x)) @ np.eye(3)[axis_of(name)[1]]
                 return -(self.surface.T @ pushed)
-            case "initial_position_x" | "initial_position_y" | "initial_position_z":
-                return self._led(equations, name, x)
+        if name.startswith(("initial_position", "initial_orientation")):
+            return self._led(equations, name, x)
         return np.zeros_like(x)
 
     def _hold(self, equations: StepEquations, x: np.ndarray) -> np.ndarray:
@@ -159,7 +180,7 @@ class StepDerivatives:
         """Pins that hold the body where it starts go along with its start."""
         if equations.pins is None or equations.pins.motion is not None:
             return np.zeros_like(x)
-        return -np.outer(equations.pins.values.T @ equations.pins.weights, np.eye(3)[axis_of(name)[1]])
+        return -equations.pins.matrix @ self._moved[self.names.index(name)]
 
     def _stiffening(self, equations: StepEquations, name: str, x: np.ndarray) -> np.ndarray:
         _, push = self.contact.energy_and_gradient(self.surface @ x, equations.time)

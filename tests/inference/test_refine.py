@@ -137,6 +137,8 @@ def test_a_wrong_option_is_named(folder, tmp_path):
         (["--fix", "damping_time=soft"], "expected NAME=VALUE"),
         (["--prior", "poisson_ratio=0.4"], "NAME=MEAN,SIGMA"),
         (["--free", "colour"], "parameters: got"),
+        (["--fix", "poisson_ratio"], "needs a value"),
+        (["--initial", "air_drag=0.1"], "are not free"),
         (["--observations", "video"], "no cameras"),
         (["--observations", "all"], "expected one of"),
     ):

@@ -12,6 +12,7 @@ from physconvex.configuration import preset_names
 from physconvex.errors import InputError
 from physconvex.play import PlayConfig, load_play_config, play, read_surface
 from physconvex.play.command import simulate
+from physconvex.video import read_video
 
 QUICK = ["basis.max_nodes=80", "basis.modes=2", "time.frames=3", "time.steps_per_frame=4", "basis.mesher=lattice"]
 
@@ -34,7 +35,18 @@ def test_the_command_writes_trajectory_frames_and_summary(ball, tmp_path):
     out = tmp_path / "played"
     settings = [part for s in QUICK for part in ("--set", s)]
     result = invoke(
-        ball, "--out", str(out), "--preset", "soft", "--drop-height", "0.3", "--size", "0.4", "--json", *settings
+        ball,
+        "--out",
+        str(out),
+        "--preset",
+        "soft",
+        "--drop-height",
+        "0.3",
+        "--size",
+        "0.4",
+        "--json",
+        "--video",
+        *settings,
     )
     assert result.exit_code == 0, result.output
     summary = json.loads(result.stdout)
@@ -52,6 +64,8 @@ def test_the_command_writes_trajectory_frames_and_summary(ball, tmp_path):
     frames = sorted((out / "frames").iterdir())
     assert [f.name for f in frames] == ["000000.ply", "000001.ply", "000002.ply"]
     np.testing.assert_allclose(trimesh.load_mesh(frames[-1], process=False).vertices, positions[-1], atol=1e-6)
+    assert read_video(out / "video.mp4").frames.shape == (3, 448, 448, 3)
+    assert len(trimesh.load_mesh(out / "animation.glb", process=False).vertices) == len(rest)
     record = json.loads((out / "simulation.json").read_text())
     assert record["configuration"]["material"]["youngs_modulus"] == 8e3
     assert PlayConfig.model_validate(record["configuration"]) == load_play_config(

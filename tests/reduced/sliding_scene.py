@@ -21,6 +21,7 @@ def sliding(body: ReducedBody, seed: int = 0, **fields) -> ReducedScene:
         "slip_velocity": 0.3,
         "initial_velocity": (0.6, -0.2, -0.7),
         "initial_angular_velocity": tuple(rng.normal(size=3)),
+        "initial_orientation": (0.1, -0.2, 0.3),
         "initial_coordinates": body.rest + 0.001 * rng.normal(size=body.rest.shape),
     }
     return ReducedScene(body, **(defaults | fields))

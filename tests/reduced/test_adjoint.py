@@ -48,22 +48,26 @@ def test_fields_by_finite_differences(mixed_body):
         return (ends[0] - ends[1]) / (2 * step)
 
     cell = np.eye(len(body.youngs_modulus))[3]
-    for name, step in (("youngs_modulus", 0.1), ("poisson_ratio", 1e-5)):
+    for name, step in (("youngs_modulus", 0.1), ("poisson_ratio", 1e-5), ("density", 0.1)):
 
         def changed(s: float, name: str = name) -> ReducedScene:
             return replace(scene, body=body.with_material(**{name: getattr(body, name) + s * cell}))
 
         assert getattr(found, name)[3] == pytest.approx(difference(changed, step), rel=1e-4), name
     push = np.random.default_rng(2).normal(size=body.rest.shape)
-    expected = difference(lambda s: replace(scene, initial_coordinates=scene.start + s * push), 1e-7)
+    expected = difference(
+        lambda s: replace(scene, initial_coordinates=scene.start + s * push, initial_orientation=(0, 0, 0)), 1e-7
+    )
     assert (found.initial_coordinates * push).sum() == pytest.approx(expected, rel=1e-4)
 
 
 def test_sum_over_cells_is_the_derivative_of_the_whole(mixed_body):
     scene = sliding(mixed_body(1), seed=4, contact_stiffness=1e6)
-    found = simulate_with_adjoint(scene, quadratic_loss, parameters=["log10_youngs_modulus", "poisson_ratio"], **TIMING)
+    names = ["log10_youngs_modulus", "poisson_ratio", "density"]
+    found = simulate_with_adjoint(scene, quadratic_loss, parameters=names, **TIMING)
     whole = np.log(10) * (found.youngs_modulus * scene.body.youngs_modulus).sum()
-    np.testing.assert_allclose([whole, found.poisson_ratio.sum()], found.named, rtol=1e-8)
+    heavier = (found.density * scene.body.density).sum() / (scene.body.total_mass / scene.body.volume)
+    np.testing.assert_allclose([whole, found.poisson_ratio.sum(), heavier], found.named, rtol=1e-8)
 
 
 def test_a_derivative_of_the_wrong_shape_is_named(mixed_body):

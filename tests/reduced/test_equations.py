@@ -53,12 +53,16 @@ def test_gradient_and_hessian_of_the_incremental_potential(mixed_body, order, tw
     hessian = equations.hessian(y)
     equations.factorise(body.rest, project=True)
     at_rest = equations.hessian(body.rest, project=True)
-    for d in np.random.default_rng(9).normal(size=(4, *y.shape)):
+    directions = np.random.default_rng(9).normal(size=(4, *y.shape))
+    for d in directions:
+        np.testing.assert_allclose(equations.solve((at_rest @ d.ravel()).reshape(d.shape)), d, atol=1e-8)
+        solved = equations.exact_solve(y, (hessian @ d.ravel()).reshape(1, *d.shape))[0]
+        np.testing.assert_allclose(solved, d, atol=1e-8)
+    for d in directions:
         ahead, behind = equations.evaluate(y + STEP * d), equations.evaluate(y - STEP * d)
         assert (gradient * d).sum() == pytest.approx((ahead[0] - behind[0]) / (2 * STEP), rel=1e-5)
         change = (ahead[1] - behind[1]) / (2 * STEP)
         np.testing.assert_allclose(hessian @ d.ravel(), change.ravel(), atol=1e-6 * np.abs(change).max())
-        np.testing.assert_allclose(equations.solve((at_rest @ d.ravel()).reshape(d.shape)), d, atol=1e-8)
 
 
 def test_indefinite_hessian_is_refused_and_its_projection_is_not(mixed_body):

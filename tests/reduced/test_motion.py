@@ -203,3 +203,26 @@ def test_a_neural_field_works_without_a_mesh():
     run = simulate(ReducedScene(body, initial_velocity=(0, 0, 1.0)), frames=3, steps_per_frame=4)
     assert body.total_mass == pytest.approx(6.0)
     np.testing.assert_allclose(mean_velocity(body, run)[-1, 2], 1 - G / 12, rtol=1e-6)
+
+
+def test_friction_is_taken_anew_until_velocities_settle_and_then_meets_coulomb(space_of):
+    """The full model's rule: passes end below `slip_velocity`, after twelve at the latest; a sliding impact keeps μ."""
+    body = ReducedBody(space_of(), youngs_modulus=1e5, poisson_ratio=0.3)
+    floor = Plane(point=(0, 0, -0.01), friction=0.5)
+    scene = ReducedScene(body, obstacles=(floor,), initial_velocity=(2.0, 0, -1.0), gravity=(0, 0, 0))
+    slip, counts = scene.contact().slip_velocity, []
+
+    def watch(equations, record):
+        counts.append(len(record.passes))
+        changes = [
+            np.abs(equations.surface @ (b.x - a.x)).max() / record.step
+            for a, b in zip(record.passes, record.passes[1:], strict=False)
+        ]
+        assert all(change > slip for change in changes[:-1])
+        assert len(counts) == 0 or counts[-1] in (1, 12) or changes[-1] <= slip
+
+    run = simulate(scene, frames=3, fps=16, steps_per_frame=40, observer=watch)
+    assert max(counts) > 2 and counts[0] == 1  # in flight nothing is repeated
+    start, end = (body.first_moments @ run.velocities[k] for k in (0, -1))
+    assert end[2] > 0  # it has left the floor
+    assert (start[0] - end[0]) / (end[2] - start[2]) == pytest.approx(0.5, rel=0.03)

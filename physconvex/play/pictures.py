@@ -1,0 +1,85 @@
+"""Pictures of a played object over its floor, rendered by VTK without a display."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from physconvex.play.config import FloorConfig
+from physconvex.play.play import PlayedObject
+
+__all__ = ["floor_displacement", "frames_of"]
+
+_OBJECT, _LIGHT, _DARK = "#d8743c", "#e9e6df", "#c9c4b8"
+_TILES = 24  # tiles along the floor, twice as wide as what is seen of it
+
+
+def floor_displacement(floor: FloorConfig, time: float) -> Float[np.ndarray, " 3"]:
+    """How far the floor has moved since t = 0 [m]: with constant velocity, or as the integral of its sine."""
+    velocity = np.asarray(floor.velocity)
+    if floor.period is None:
+        return velocity * time
+    turns = 2 * np.pi / floor.period
+    return velocity * (1 - np.cos(turns * time)) / turns
+
+
+def _tile_size(played: PlayedObject) -> float:
+    """Edge of a floor tile [m]: about a third of the object."""
+    return float(np.ptp(played.positions[0], axis=0).max()) / 3
+
+
+def _floor(center: np.ndarray, tile: float, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices [P, 3], quads [F, 4] and their shade [F] of a chequered floor that has moved by `shift`."""
+    corner = np.floor((center[:2] - shift[:2]) / tile) - _TILES // 2
+    axis = np.arange(_TILES + 1)
+    x, y = np.meshgrid((corner[0] + axis) * tile + shift[0], (corner[1] + axis) * tile + shift[1], indexing="ij")
+    number = np.arange(x.size).reshape(x.shape)
+    quads = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1).reshape(-1, 4)
+    shade = (corner.sum() + axis[:-1, None] + axis[:-1]).ravel() % 2
+    return np.stack([x, y, np.full_like(x, shift[2])], axis=-1).reshape(-1, 3), quads, shade
+
+
+def frames_of(
+    played: PlayedObject, *, size: int = 448, show: list[int] | None = None
+) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
+    """RGB pictures, seen from a little above by a camera that stands still.
+
+    Args:
+        played: the object in motion.
+        size: width and height [px], even.
+        show: numbers of the frames; all unless given.
+    """
+    import pyvista
+
+    low, high = played.positions.min((0, 1)), played.positions.max((0, 1))
+    center, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+    plotter = pyvista.Plotter(off_screen=True, window_size=[size, size], lighting="three lights")
+    try:
+        plotter.set_background("white")
+        plotter.camera.position = tuple(center + 3.6 * reach * np.array([0.35, -0.9, 0.32]))
+        plotter.camera.focal_point, plotter.camera.up = tuple(center), (0.0, 0.0, 1.0)
+        plotter.camera.view_angle = 30.0
+        body = pyvista.PolyData.from_regular_faces(played.positions[0], played.surface.faces)
+        plotter.add_mesh(body, color=_OBJECT, smooth_shading=True, specular=0.2)
+        floor, tile = played.config.floor, _tile_size(played)
+        ground = None
+        for number in range(len(played.positions)) if show is None else show:
+            body.points = played.positions[number]
+            body.compute_normals(
+                inplace=True, split_vertices=False, auto_orient_normals=False, consistent_normals=False
+            )
+            if floor is not None:
+                shift = floor_displacement(floor, float(played.trajectory.times[number]))
+                points, quads, shade = _floor(center, tile, shift)
+                plotter.remove_actor(ground, render=False)
+                plane = pyvista.PolyData.from_regular_faces(points, quads)
+                plane.cell_data["shade"] = shade
+                ground = plotter.add_mesh(
+                    plane, scalars="shade", cmap=[_LIGHT, _DARK], show_scalar_bar=False, lighting=False
+                )
+            plotter.camera.clipping_range = (0.01 * reach, 100 * reach)
+            yield np.ascontiguousarray(plotter.screenshot(return_img=True))
+    finally:
+        plotter.close()

@@ -1,0 +1,85 @@
+"""From a made video of one camera, without tracks, to E; the mask's outline beside the followed points."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from inference.refining import RefineOptions, refine
+from physconvex.camera import look_at
+from physconvex.capture import Capture, Floor, save_capture
+from physconvex.errors import InputError
+from physconvex.fem import TetMesh, box_mesh
+from physconvex.identify import ReducedModel, TwinOptions, base_twin
+from physconvex.identify.raster import cast_camera_rays
+
+FRAMES, OBSERVED = 7, 6
+TRUTH = {"log10_youngs_modulus": np.log10(2e4), "poisson_ratio": 0.38, "damping_time": 1e-3}
+FEW = {"weights": 3, "steps_per_frame": 4, "correction": False, "model_error": False}
+
+
+def texture(points):
+    """Smooth colours fixed to the body."""
+    waves = np.random.default_rng(2).normal(scale=40.0, size=(3, 12, 3))
+    phases = np.random.default_rng(3).uniform(0, 6, size=(3, 12))
+    return 128 + 18 * np.stack([np.sin(points @ w.T + p).sum(-1) for w, p in zip(waves, phases, strict=True)], axis=-1)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A box that falls on a tilted floor, moved by the reduced model with three weights, before a plain background."""
+    root = tmp_path_factory.mktemp("video")
+    box = box_mesh((0.3, 0.2, 0.1), (2, 1, 1), order=1)
+    tets = TetMesh(box.vertices + np.array([0, 0, 0.012]), box.tets)
+    fine = box_mesh((0.3, 0.2, 0.1), (9, 6, 3), order=1)
+    used, faces = np.unique(fine.boundary_faces, return_inverse=True)
+    rest = fine.vertices[used] + np.array([0, 0, 0.012])
+    faces = faces.reshape(-1, 3)
+    camera = look_at((0.55, -1.0, 0.45), (0.15, 0.1, 0.02), width=192, height=128, vertical_field_of_view=0.42)
+    floor = Floor(np.zeros(3), np.array([0.1, 0.05, 1.0]), friction=0.3)
+
+    def capture(name):
+        velocity, spin = np.array([0.0, 0.0, -0.8]), np.zeros(3)
+        return Capture(
+            root / name, 48.0, FRAMES, OBSERVED, (camera,), floor=floor,
+            initial_velocity=velocity, initial_angular_velocity=spin,
+        )  # fmt: skip
+
+    save_capture(capture("plain"), tets=tets)
+    twin = base_twin(capture("plain"), TwinOptions(weights=3, steps_per_frame=4))
+    moved = ReducedModel(twin, tuple(TRUTH), rest, FRAMES).positions(np.array(list(TRUTH.values())))
+    images, masks = [], []
+    for x in moved:
+        hits = cast_camera_rays(camera, x, faces)
+        seen = hits.faces >= 0
+        picture = np.where(seen[..., None], texture(np.nan_to_num(hits.on(rest, faces))), 235)
+        images.append(picture.clip(0, 255).astype(np.uint8))
+        masks.append(seen)
+    save_capture(
+        capture("seen"),
+        tets=tets,
+        mesh=trimesh.Trimesh(rest, faces, process=False),
+        videos={"front": np.stack(images)},
+        masks={"front": np.stack(masks)},
+        crf=8,
+    )
+    return capture("seen").folder
+
+
+@pytest.mark.slow
+def test_one_camera_is_enough(folder, tmp_path):
+    stages = []
+    start = {"log10_youngs_modulus": 4.1, "poisson_ratio": 0.3}
+    options = RefineOptions(initial=start, **FEW)
+    found = refine(folder, out=tmp_path, options=options, on_stage=lambda name, _: stages.append(name))
+    assert stages == ["points", "reduced", "anchored", "reduced_again", "motion"]
+    assert found["log10_youngs_modulus"].value == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.05)
+    assert found["poisson_ratio"].value == pytest.approx(TRUTH["poisson_ratio"], abs=0.06)
+    assert len(found.sources) == 2 and "outline points" in found.sources[1]
+    assert np.isnan(found.future_rms)
+
+
+def test_a_camera_that_is_not_there_is_named(folder):
+    with pytest.raises(InputError, match="expected one of \\['front'\\]"):
+        refine(folder, options=RefineOptions(cameras=("side",), start="scan", **FEW))
+    with pytest.raises(InputError, match=r"tracks\.npz"):
+        refine(folder, options=RefineOptions(observations="tracks", start="scan", **FEW))
