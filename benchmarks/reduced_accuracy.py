@@ -18,6 +18,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -45,8 +46,8 @@ RESULT = Path(__file__).parent / "results" / "reduced_accuracy.json"
 SIZE, DROP, NODES = 0.2, 0.05, 700
 BODIES = ("cube", "bar", "meshes/spot", "meshes/koala_lowres", "gso/Dino_4", "gso/Android_Figure_Orange")
 NORMAL = np.array([0.15, 0.05, 1.0]) / np.linalg.norm([0.15, 0.05, 1.0])
-TIMING = {"frames": 24, "fps": 48.0, "steps_per_frame": 8}
-PAPER = {"frames": 12, "fps": 24.0, "steps_per_frame": 1, "integrator": "implicit_euler"}
+TIMING: dict[str, Any] = {"frames": 24, "fps": 48.0, "steps_per_frame": 8}
+PAPER: dict[str, Any] = {"frames": 12, "fps": 24.0, "steps_per_frame": 1, "integrator": "implicit_euler"}
 NAMES = ("log10_youngs_modulus", "poisson_ratio")
 ITERATIONS, LARGEST_STEP, SETTLED = 8, 0.15, 1e-3
 
@@ -146,7 +147,7 @@ def weights_of(case: Case, mesh: TetMesh, data: Path) -> WeightField:
 class Fit:
     """Levenberg–Marquardt from the truth."""
 
-    def __init__(self, scene: ReducedScene, mesh: TetMesh, observed: np.ndarray, timing: dict[str, object]) -> None:
+    def __init__(self, scene: ReducedScene, mesh: TetMesh, observed: np.ndarray, timing: dict[str, Any]) -> None:
         self.scene, self.points, self.observed, self.timing = scene, mesh.vertices, observed, timing
         self.values = parameter_values(scene, NAMES)
         self.last_step = np.inf

@@ -115,7 +115,9 @@ def draw(seed: int) -> tuple[Row, ReducedScene]:
     speed = np.sqrt(9.81 * size)
     scene = ReducedScene(
         body,
-        obstacles=(Plane(point=(lowest - 0.3 * size * rng.uniform()) * normal, normal=normal, friction=friction),),
+        obstacles=(
+            Plane(point=(lowest - 0.3 * size * rng.uniform()) * normal, normal=tuple(normal), friction=friction),
+        ),
         damping_time=float(rng.choice([0.0, 10 ** rng.uniform(-4, -2)])),
         initial_velocity=0.4 * speed * rng.normal(size=3),
         initial_angular_velocity=0.5 * speed / size * rng.normal(size=3),

@@ -1,6 +1,8 @@
 """Cost of the reduced model's parts on one core, in float64.
 
 python benchmarks/reduced_speed.py
+
+The rows that an earlier state of the code gave (`before` in the stored file) are kept beside the new ones.
 """
 
 from __future__ import annotations
@@ -8,7 +10,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,17 @@ import torch
 
 from physconvex.fem import ElasticBody, box_mesh
 from physconvex.integrators import State, implicit_euler
-from physconvex.reduced import BodySamples, Plane, ReducedBody, ReducedScene, ReducedSpace, eigenmode_weights, simulate
+from physconvex.reduced import (
+    BodySamples,
+    Plane,
+    ReducedBody,
+    ReducedScene,
+    ReducedSpace,
+    eigenmode_weights,
+    optimised_cubature,
+    simulate,
+    simulate_with_sensitivities,
+)
 from physconvex.reduced.equations import StepEquations
 
 RESULT = Path(__file__).parent / "results" / "reduced_speed.json"
@@ -24,67 +36,130 @@ RESULT = Path(__file__).parent / "results" / "reduced_speed.json"
 
 @dataclass(frozen=True)
 class Row:
-    """Processor times: set-up [s], one evaluation, one factorisation [ms], 24 frames of a drop, 16 steps each [s]."""
+    """Processor times.
+
+    Attributes:
+        weights: M.
+        functions: R.
+        cubature_points: Q.
+        cubature: "all" points of the tetrahedra, or "optimised".
+        set_up: [s].
+        energy_and_gradient, elastic_hessian: of the body [ms].
+        factorise, evaluate: of the equations of a step: Hessian with its factor; value and gradient [ms].
+        newton_iteration: one iteration with a fresh Hessian, its factor, the solve and the evaluation at its end [ms].
+        frames_24: 24 frames of a drop on a smooth floor, 16 steps each [s].
+        newton_iterations, factorisations: of these.
+        frames_24_rough: the same on a tilted floor of friction 0.3 [s].
+        sensitivities: rough floor with the derivatives by E, ν, friction [s].
+    """
 
     weights: int
     functions: int
     cubature_points: int
+    cubature: str
     set_up: float
     energy_and_gradient: float
     elastic_hessian: float
     factorise: float
     evaluate: float
+    newton_iteration: float
     frames_24: float
     newton_iterations: int
     factorisations: int
+    frames_24_rough: float
+    sensitivities: float
 
 
 def milliseconds(call: Callable[[], object], repeats: int) -> float:
     """Processor time of one call."""
     call()
-    clock = time.process_time()
-    for _ in range(repeats):
-        call()
-    return 1e3 * (time.process_time() - clock) / repeats
+    return 1e3 * seconds(lambda: [call() for _ in range(repeats)]) / repeats
 
 
-def measure(full: ElasticBody, count: int) -> Row:
-    """One number of weights."""
+def seconds(call: Callable[[], object]) -> float:
+    """Processor time of one call."""
     clock = time.process_time()
-    space = ReducedSpace(eigenmode_weights(full, count), BodySamples.of_mesh(full.mesh))
+    call()
+    return time.process_time() - clock
+
+
+def newton_iteration(equations: StepEquations, y: np.ndarray, gradient: np.ndarray) -> None:
+    """One iteration from y with a fresh Hessian: Hessian, factor, direction, value and gradient at its end."""
+    equations.factorise(y, project=False)
+    equations.evaluate(y - equations.solve(gradient))
+
+
+def measure(full: ElasticBody, count: int, points: int | None = None) -> Row:
+    """One number of weights, with all cubature points or so many optimised ones."""
+    clock = time.process_time()
+    samples = BodySamples.of_mesh(full.mesh)
+    space = ReducedSpace(eigenmode_weights(full, count), samples)
+    if points is not None:
+        chosen = optimised_cubature(ReducedBody(space), points, generator=np.random.default_rng(0))
+        space = ReducedSpace(space.field, replace(samples, interior=chosen))
     set_up = time.process_time() - clock
     body = ReducedBody(space, youngs_modulus=1e5)
     scene = ReducedScene(body, obstacles=(Plane(point=(0, 0, -0.1)),))
     y = body.rest + 1e-4 * np.random.default_rng(0).normal(size=body.rest.shape)
     equations, still = StepEquations(scene), State(0.0, y, np.zeros_like(y))
     equations.set_step(implicit_euler(still, 0.003), 0.003, y, still)
-    repeats = 20 if count < 40 else 4
-    times = [
+    gradient = equations.evaluate(y)[1]
+    repeats = 40 if count < 40 else 4
+    part, hessian, factor, value, iteration = (
         milliseconds(call, repeats)
         for call in (
             lambda: body.energy_and_gradient(y),
             lambda: body.hessian(y),
             lambda: equations.factorise(y, project=False),
             lambda: equations.evaluate(y),
+            lambda: newton_iteration(equations, y, gradient),
         )
-    ]
-    clock = time.process_time()
+    )
+    smooth = seconds(lambda: simulate(scene))
     cost = simulate(scene).statistics
-    seconds = time.process_time() - clock
+    rough = replace(scene, obstacles=(Plane(point=(0, 0, -0.1), normal=(0.1, 0.05, 1.0), friction=0.3),))
+    names = ["log10_youngs_modulus", "poisson_ratio", "friction"]
     return Row(
-        count, space.dimension, len(body.mu), set_up, *times, seconds, cost.newton_iterations, cost.factorisations
+        count,
+        space.dimension,
+        len(body.mu),
+        "all" if points is None else "optimised",
+        set_up,
+        part,
+        hessian,
+        factor,
+        value,
+        iteration,
+        smooth,
+        cost.newton_iterations,
+        cost.factorisations,
+        seconds(lambda: simulate(rough)),
+        seconds(lambda: simulate_with_sensitivities(rough, names)),
     )
 
 
 def main() -> None:
     """Run all settings and store the table."""
     torch.set_num_threads(1)
-    full = ElasticBody(box_mesh((0.3, 0.2, 0.2), (4, 3, 3)))
+    stored = json.loads(RESULT.read_text())
+    before = stored if isinstance(stored, list) else stored["before"]
     rows = []
-    for count in (4, 10, 20):
-        rows.append(measure(full, count))
+    for cells, count, points in (
+        ((4, 3, 3), 4, None),
+        ((4, 3, 3), 10, None),
+        ((4, 3, 3), 10, 300),
+        ((5, 3, 3), 10, None),
+        ((4, 3, 3), 20, None),
+        ((4, 3, 3), 20, 500),
+    ):
+        rows.append(measure(ElasticBody(box_mesh((0.3, 0.2, 0.2), cells)), count, points))
         print(rows[-1], flush=True)
-    RESULT.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n")
+    content = {
+        "command": "python benchmarks/reduced_speed.py",
+        "before": before,
+        "rows": [asdict(row) for row in rows],
+    }
+    RESULT.write_text(json.dumps(content, indent=1) + "\n")
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -55,7 +56,7 @@ def frames_of(
 
     low, high = played.positions.min((0, 1)), played.positions.max((0, 1))
     center, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
-    plotter = pyvista.Plotter(off_screen=True, window_size=[size, size], lighting="three lights")
+    plotter: Any = pyvista.Plotter(off_screen=True, window_size=[size, size], lighting="three lights")
     try:
         plotter.set_background("white")
         plotter.camera.position = tuple(center + 3.6 * reach * np.array([0.35, -0.9, 0.32]))

@@ -13,8 +13,8 @@ from physconvex.errors import InputError
 from physconvex.fem.scene import CONTACT_STIFFNESS_RATIO
 from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.pins import PIN_STIFFNESS_RATIO, Pins, PinSprings
-from physconvex.wind import Wind
 from physconvex.reduced.rotation_vector import rotation_matrix
+from physconvex.wind import Wind
 
 __all__ = ["ReducedScene"]
 

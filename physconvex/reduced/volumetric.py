@@ -100,18 +100,18 @@ class VolumetricSamples:
             return None
         size = self._size
         _, slope, curvature = self._part(j, self._mu, self._lam)
-        u = np.matmul(cofactor.transpose(2, 0, 1).copy(), self._gradients)  # [Q, i, R]
+        first = self._weights * curvature
+        convex = bool((first > 0).all())
+        scale = first if convex else np.ones_like(j)
+        cofactor *= np.sqrt(scale)
+        u = np.matmul(cofactor.transpose(2, 0, 1).copy(), self._gradients)  # √scale u_i, [Q, i, R]
         flat = u.reshape(len(j), 3 * size)
-        first = np.broadcast_to(self._weights * curvature, j.shape)
-        if (first >= 0).all():
-            scaled = flat * np.sqrt(first)[:, None]
-            out = scaled.T @ scaled  # numpy takes the symmetric product for this, at half the cost
-        else:
-            out = flat.T @ (flat * first[:, None])
+        # numpy takes the symmetric product for Aᵀ A, at half the cost
+        out = flat.T @ flat if convex else flat.T @ (flat * first[:, None])
         blocks = out.reshape(3, size, 3, size)
-        turned = u * (self._weights * slope / j)[:, None, None]
-        for i, k in ((0, 1), (0, 2), (1, 2)):
-            part = u[:, i].T @ turned[:, k]
+        turned = u[:, 1:] * (self._weights * slope / (j * scale))[:, None, None]
+        parts = u[:, 0].T @ turned.reshape(len(j), 2 * size)
+        for i, k, part in ((0, 1, parts[:, :size]), (0, 2, parts[:, size:]), (1, 2, u[:, 1].T @ turned[:, 1])):
             skew = part - part.T
             blocks[i, :, k] += skew
             blocks[k, :, i] -= skew
