@@ -41,6 +41,8 @@ class ForegroundResult:
     overlap_mean: float
     overlap_median: float
     share_below_0_7: float
+    size_spread_median: float
+    """Standard deviation within a clip of the root of the area found, over that of the true one."""
     not_found: int
     """Clips shown as a whole frame."""
     milliseconds_per_clip: float
@@ -59,12 +61,13 @@ def main() -> None:
 
 
 def _measure(clips: list[LabelledClip], data: Path, repeats: int) -> ForegroundResult:
-    overlaps, times, missing = [], [], 0
+    overlaps, spreads, times, missing = [], [], [], 0
     for clip in clips:
         frames, truth = clip.record.frames(), clip.record.mask()
         found = locate_foreground(frames)
         missing += found.source == "whole_frame"
         overlaps.append(_overlap(found.mask > 0, truth))
+        spreads.append(_size_spread(found.mask > 0, truth))
         times.append(min(_seconds(frames) for _ in range(repeats)))
     return ForegroundResult(
         command=f"python benchmarks/foreground.py --data data/{data.name}",
@@ -78,6 +81,7 @@ def _measure(clips: list[LabelledClip], data: Path, repeats: int) -> ForegroundR
         overlap_mean=float(np.mean(overlaps)),
         overlap_median=float(np.median(overlaps)),
         share_below_0_7=float(np.mean(np.array(overlaps) < POOR)),
+        size_spread_median=float(np.median(spreads)),
         not_found=int(missing),
         milliseconds_per_clip=1e3 * float(np.median(times)),
     )
@@ -86,6 +90,12 @@ def _measure(clips: list[LabelledClip], data: Path, repeats: int) -> ForegroundR
 def _overlap(found: np.ndarray, true: np.ndarray) -> float:
     union = (found | true).sum(axis=(1, 2))
     return float(np.mean((found & true).sum(axis=(1, 2))[union > 0] / union[union > 0]))
+
+
+def _size_spread(found: np.ndarray, true: np.ndarray) -> float:
+    areas = [mask.sum(axis=(1, 2)) for mask in (found, true)]
+    seen = areas[1] > 0
+    return float(np.std(np.sqrt(areas[0][seen] / areas[1][seen])))
 
 
 def _seconds(frames: np.ndarray) -> float:

@@ -4,9 +4,10 @@ from typing import TypeAlias
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Int32, Shaped, UInt8
+from jaxtyping import Bool, Float32, Shaped, UInt8, UInt16
 
 __all__ = [
+    "LARGEST_RATIO",
     "Picture",
     "Planes",
     "colour_codes",
@@ -20,7 +21,8 @@ Planes: TypeAlias = Float32[np.ndarray, "3 T H W"]  # brightness and two colour 
 Picture: TypeAlias = Float32[np.ndarray, "3 H W"]
 
 _SHADOW = (0.2, 0.96)  # a shadow's factor on the brightness
-_BINS = (12, 16, 16)  # of brightness and colour differences
+_LEVELS = 16  # of each colour, in histograms
+LARGEST_RATIO = 2.5  # of logarithms of likelihoods
 
 
 def colour_planes(frames: UInt8[np.ndarray, "T H W 3"]) -> Planes:
@@ -49,25 +51,23 @@ def difference(image: Picture, background: Picture) -> Float32[np.ndarray, "H W"
     return np.where(shadow & smooth, np.minimum(full, 1.5 * tint), full)
 
 
-def colour_codes(planes: Float32[np.ndarray, "3 *S"]) -> Int32[np.ndarray, "*S"]:
-    """Number of the colour bin of each pixel; colour differences beyond +-128 share the last bin."""
-    first = np.clip(planes[0] * (_BINS[0] / 256), 0, _BINS[0] - 1).astype(np.int32)
-    second = np.clip((planes[1] + 128) * (_BINS[1] / 256), 0, _BINS[1] - 1).astype(np.int32)
-    third = np.clip((planes[2] + 128) * (_BINS[2] / 256), 0, _BINS[2] - 1).astype(np.int32)
-    return (first * _BINS[1] + second) * _BINS[2] + third
+def colour_codes(frames: UInt8[np.ndarray, "*S 3"]) -> UInt16[np.ndarray, "*S"]:
+    """Number of the colour bin of each pixel: 16 levels of red, green and blue."""
+    level = (frames >> 4).astype(np.uint16)
+    return (level[..., 0] << 8) | (level[..., 1] << 4) | level[..., 2]
 
 
-def colour_ratio(codes: Int32[np.ndarray, "T H W"], masks: UInt8[np.ndarray, "T H W"]) -> Float32[np.ndarray, " B"]:
+def colour_ratio(codes: UInt16[np.ndarray, "T H W"], inside: Bool[np.ndarray, "T H W"]) -> Float32[np.ndarray, " B"]:
     """log of how much likelier each colour is on the object than around it, clipped to +-2.5."""
-    near = cv2.dilate(masks.max(axis=0), np.ones((25, 25), np.uint8)) > 0
-    inside = masks > 0
-    counts = [np.bincount(codes[part], minlength=int(np.prod(_BINS))) for part in (inside, ~inside & near)]
+    seen = np.asarray(inside.any(axis=0), np.uint8)
+    near = cv2.dilate(seen, np.ones((25, 25), np.uint8)) > 0
+    counts = [np.bincount(codes[part], minlength=_LEVELS**3) for part in (inside, ~inside & near)]
     shares = [_smooth(count.astype(np.float32)) / max(float(count.sum()), 1.0) + 2e-4 for count in counts]
-    return np.clip(np.log(shares[0] / shares[1]), -2.5, 2.5).astype(np.float32)
+    return np.clip(np.log(shares[0] / shares[1]), -LARGEST_RATIO, LARGEST_RATIO).astype(np.float32)
 
 
 def _smooth(counts: Float32[np.ndarray, " B"]) -> Float32[np.ndarray, " B"]:
-    cube = np.pad(counts.reshape(_BINS), 1)
+    cube = np.pad(counts.reshape(_LEVELS, _LEVELS, _LEVELS), 1)
     for axis in range(3):
         cube = 0.25 * np.roll(cube, 1, axis) + 0.5 * cube + 0.25 * np.roll(cube, -1, axis)
     return cube[1:-1, 1:-1, 1:-1].ravel()

@@ -9,7 +9,6 @@ from jaxtyping import Float32, UInt8
 
 from models.activity import moving_window
 from models.background import plain_background_masks
-from models.refinement import refined_coverage
 from models.shapes import link_masks
 from models.stabilise import stabilise
 from physconvex.errors import InputError
@@ -50,7 +49,7 @@ def locate_foreground(
     """Silhouette of the one object in a clip of a fixed camera.
 
     A given `mask` [T, H, W] (bool, or 8 bits and above 127) is taken, else `alpha`, else what moves before a
-    static background (`models.segmenter`, `models.refinement`), else what differs from a plain one, else the
+    static background (`models.segmenter`, `models.outline`), else what differs from a plain one, else the
     whole frame with confidence 0.
 
     Raises:
@@ -81,7 +80,8 @@ def _moving_silhouette(frames: UInt8[np.ndarray, "T H W 3"]) -> _Silhouette | No
     window = moving_window(steady.frames)
     if window is None:
         return None
-    from models.segmenter import object_coverage  # loads torch, which a clip that comes with a mask does not need
+    from models.outline import refined_coverage  # loads torch, which a clip that comes with a mask does not need
+    from models.segmenter import object_coverage
 
     part = np.ascontiguousarray(steady.frames[:, *window])
     coverage = np.zeros(frames.shape[:3], np.float32)

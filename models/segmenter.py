@@ -11,7 +11,6 @@ network"), which makes it fast on a processor.
 
 from __future__ import annotations
 
-import json
 import os
 from functools import cache
 from pathlib import Path
@@ -20,13 +19,12 @@ from typing import Literal
 import numpy as np
 import torch
 from jaxtyping import Float, Float32, UInt8
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from safetensors.torch import load_file, save
+from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
 from models.appearance import sort_pictures
-from physconvex.errors import InputError
+from models.finder_checkpoint import FinderConfig, load_finder_network
 
 __all__ = [
     "BUNDLED_SEGMENTER",
@@ -37,7 +35,6 @@ __all__ = [
     "load_segmenter",
     "object_coverage",
     "pad_pictures",
-    "save_segmenter",
 ]
 
 BUNDLED_SEGMENTER = Path(__file__).parent / "checkpoints" / "segmenter"
@@ -47,22 +44,16 @@ _MULTIPLE = 16  # of which padded pictures have edges: blocks of two, halved thr
 _REFERENCES = 3  # median, first, last
 
 
-class SegmenterConfig(BaseModel):
+class SegmenterConfig(FinderConfig):
     """All of a segmenter's checkpoint but its tensors."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     format: Literal["physconvex/segmenter/1"] = "physconvex/segmenter/1"
-    version: str = "0"
-    """Of physconvex, when it was written."""
     difference_channels: int = Field(default=4, ge=1)
     """Per picture that frames are compared with."""
     channels: tuple[int, int, int] = (32, 48, 64)
     """At a quarter, an eighth and a sixteenth of the resolution."""
     rim_channels: int = Field(default=8, ge=1)
     """At half the resolution, where outlines are made."""
-    metrics: dict[str, float] = Field(default_factory=dict)
-    """On validation data."""
 
 
 class SilhouetteSegmenter(nn.Module):
@@ -181,31 +172,5 @@ def load_segmenter(folder: str | os.PathLike[str] = BUNDLED_SEGMENTER) -> Silhou
     Raises:
         InputError: there is none, it is of another format, or its tensors do not fit its configuration.
     """
-    root = Path(folder)
-    try:
-        config = SegmenterConfig.model_validate(json.loads((root / "config.json").read_text(encoding="utf-8")))
-        network = SilhouetteSegmenter(config)
-        network.load_state_dict({k: v.float() for k, v in load_file(root / "model.safetensors").items()})
-    except (OSError, ValidationError, json.JSONDecodeError, RuntimeError) as error:
-        raise InputError(
-            f"segmenter: {root} cannot be read ({error}); expected a folder made by `physconvex train-segmenter`"
-        ) from error
-    return network.eval().to(memory_format=torch.channels_last)
-
-
-def save_segmenter(
-    folder: str | os.PathLike[str], network: SilhouetteSegmenter, config: SegmenterConfig, *, model_card: str
-) -> None:
-    """Write `model.safetensors` (float16), `config.json` and `model_card.md`; each appears whole or not at all."""
-    target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
-    tensors = {k: v.detach().half().cpu().contiguous() for k, v in network.state_dict().items()}
-    contents = {
-        "model.safetensors": save(tensors, metadata={"format": "pt"}),
-        "config.json": (json.dumps(config.model_dump(mode="json"), indent=1) + "\n").encode(),
-        "model_card.md": model_card.encode(),
-    }
-    for name, content in contents.items():
-        part = target / f"{name}.part"
-        part.write_bytes(content)
-        part.replace(target / name)
+    _, network = load_finder_network(folder, SegmenterConfig, SilhouetteSegmenter, name="segmenter")
+    return network.to(memory_format=torch.channels_last)

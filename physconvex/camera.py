@@ -45,7 +45,7 @@ class Camera:
     fl_y: float
     cx: float
     cy: float
-    transform_matrix: Float[np.ndarray, "4 4"]
+    transform_matrix: np.ndarray
     k1: float = 0.0
     k2: float = 0.0
 
@@ -83,15 +83,15 @@ class Camera:
         coordinates are NaN.
         """
         local = (np.asarray(points, dtype=np.float64) - self.position) @ self.rotation
-        depth = -local[..., 2]
+        depth = np.asarray(-local[..., 2])
         safe = np.where(depth > 0, depth, np.nan)
         x, y = local[..., 0] / safe, -local[..., 1] / safe
-        scale = self.distortion(x**2 + y**2)
+        scale = self.distortion(np.asarray(x**2 + y**2))
         return np.stack([self.fl_x * scale * x + self.cx, self.fl_y * scale * y + self.cy], axis=-1), depth
 
     def distortion(self, squared_radius: np.ndarray) -> np.ndarray:
         """Factor by which an undistorted radius on the plane z = −1 grows."""
-        return 1.0 + squared_radius * (self.k1 + squared_radius * self.k2)
+        return np.asarray(1.0 + squared_radius * (self.k1 + squared_radius * self.k2))
 
     def rays(
         self, pixels: Float[np.ndarray, "... 2"] | None = None

@@ -1,14 +1,15 @@
-"""The commands `physconvex train` and `physconvex train-segmenter`."""
+"""The commands `physconvex train`, `train-segmenter` and `train-outline`."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from tqdm import tqdm
 
-__all__ = ["train", "train_segmenter"]
+__all__ = ["train", "train_outline", "train_segmenter"]
 
 
 def train(
@@ -66,6 +67,32 @@ def train_segmenter(
     with _Bar() as bar:
         result = train_segmenter(config, data, out, report=bar.report)
     typer.echo(f"mean intersection over union on validation clips {result.overlap:.3f}, checkpoint in {out}")
+
+
+def train_outline(
+    data: Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")],
+    out: Annotated[Path, typer.Option(help="Folder of the checkpoint.")],
+    steps: Annotated[int | None, typer.Option(help="Optimiser steps.", min=1)] = None,
+    thinning: Annotated[int, typer.Option(help="Use every so many-th training clip.", min=1)] = 1,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    threads: Annotated[int | None, typer.Option(help="CPU threads of the network.", min=1)] = None,
+) -> None:
+    """Train the network that corrects the outline that the segmenter finds."""
+    import torch
+
+    from train.outline import OutlineTraining, train_outline
+
+    if threads is not None:
+        torch.set_num_threads(threads)
+    recipe = OutlineTraining(seed=seed, thinning=thinning)
+    if steps is not None:
+        recipe = replace(recipe, steps=steps)
+    with _Bar() as bar:
+        result = train_outline(recipe, data, out, report=bar.report)
+    typer.echo(
+        f"mean intersection over union on validation clips {result.overlap:.3f}, of the rough silhouettes "
+        f"{result.rough_overlap:.3f}, checkpoint in {out}"
+    )
 
 
 class _Bar:

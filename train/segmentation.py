@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 import physconvex
+from models.finder_checkpoint import save_finder_network
 from models.segmenter import (
     SegmenterConfig,
     SilhouetteSegmenter,
@@ -22,7 +23,6 @@ from models.segmenter import (
     load_segmenter,
     object_coverage,
     pad_pictures,
-    save_segmenter,
 )
 from train.records import Split, dataset_checksum, read_clips
 from train.segmentation_data import MaskedClip, SegmentationAugmentation, augmented, moving_part, read_masked_clips
@@ -78,7 +78,7 @@ def train_segmenter(
         update={"version": physconvex.__version__, "metrics": {"intersection_over_union": overlap}}
     )
     counts = (len(training), len(validation))
-    save_segmenter(out, network, stored, model_card=_model_card(config, data, counts, overlap))
+    save_finder_network(out, network, stored, model_card=_model_card(config, data, counts, overlap))
     return SegmentationResult(losses=tuple(losses), overlap=overlap)
 
 

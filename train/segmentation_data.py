@@ -7,13 +7,22 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, Int64, UInt8
 
 from models.activity import moving_window
 from models.stabilise import stabilise
 from train.records import LabelledClip
 
-__all__ = ["MaskedClip", "SegmentationAugmentation", "augmented", "moving_part", "read_masked_clips"]
+__all__ = [
+    "MaskedClip",
+    "SegmentationAugmentation",
+    "augmented",
+    "frame_order",
+    "moving_part",
+    "new_size",
+    "read_masked_clips",
+    "recoloured",
+]
 
 
 @dataclass(frozen=True)
@@ -67,11 +76,17 @@ def moving_part(clip: MaskedClip, *, margin: int = 8) -> MaskedClip:
 
 def augmented(clip: MaskedClip, options: SegmentationAugmentation, generator: np.random.Generator) -> MaskedClip:
     """Fewer frames, mirrored or not, of other colours and size, with noise."""
-    clip = _thinned(clip, options, generator)
+    order = frame_order(len(clip.frames), options, generator)
+    clip = MaskedClip(clip.frames[order], clip.mask[order])
     if generator.random() < 0.5:
         clip = MaskedClip(clip.frames[:, :, ::-1], clip.mask[:, :, ::-1])
     clip = MaskedClip(np.ascontiguousarray(clip.frames), np.ascontiguousarray(clip.mask))
     clip = _resized(moving_part(clip, margin=int(generator.integers(4, 17))), options, generator)
+    return recoloured(clip, options, generator)
+
+
+def recoloured(clip: MaskedClip, options: SegmentationAugmentation, generator: np.random.Generator) -> MaskedClip:
+    """The clip in other colours, or its own, with noise."""
     frames = clip.frames.astype(np.float32)
     if generator.random() < options.recoloured:
         frames = _recoloured(frames, clip.mask, generator, apart=generator.random() < options.apart)
@@ -80,25 +95,36 @@ def augmented(clip: MaskedClip, options: SegmentationAugmentation, generator: np
     return MaskedClip(np.clip(frames + 0.5, 0, 255).astype(np.uint8), clip.mask)
 
 
-def _thinned(clip: MaskedClip, options: SegmentationAugmentation, generator: np.random.Generator) -> MaskedClip:
-    count = min(int(generator.choice(options.lengths)), len(clip.frames))
-    stride = 2 if generator.random() < 0.4 and 2 * count <= len(clip.frames) else 1
-    start = int(generator.integers(0, len(clip.frames) - stride * (count - 1)))
+def frame_order(
+    total: int, options: SegmentationAugmentation, generator: np.random.Generator
+) -> Int64[np.ndarray, " T"]:
+    """Which frames of a clip are shown: fewer, at times every other, at times resting at the end or backwards."""
+    count = min(int(generator.choice(options.lengths)), total)
+    stride = 2 if generator.random() < 0.4 and 2 * count <= total else 1
+    start = int(generator.integers(0, total - stride * (count - 1)))
     order = start + stride * np.arange(count)
     if generator.random() < options.resting:
         order = np.minimum(order, order[generator.integers(1, count)])
     if generator.random() < options.backwards:
         order = order[::-1]
-    return MaskedClip(clip.frames[order], clip.mask[order])
+    return order
+
+
+def new_size(
+    height: int, width: int, options: SegmentationAugmentation, generator: np.random.Generator
+) -> tuple[int, int]:
+    """Width and height [px] of the frames shown; often the old ones."""
+    scale = min(float(np.exp(generator.uniform(*np.log(options.zoom)))), options.largest_side / max(height, width))
+    size = (max(16, round(width * scale)), max(16, round(height * scale)))
+    return (width, height) if generator.random() < 0.3 else size
 
 
 def _resized(clip: MaskedClip, options: SegmentationAugmentation, generator: np.random.Generator) -> MaskedClip:
     height, width = clip.mask.shape[1:]
-    scale = min(float(np.exp(generator.uniform(*np.log(options.zoom)))), options.largest_side / max(height, width))
-    size = (max(16, round(width * scale)), max(16, round(height * scale)))
-    if generator.random() < 0.3 or size == (width, height):
+    size = new_size(height, width, options, generator)
+    if size == (width, height):
         return clip
-    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    method = cv2.INTER_AREA if size[0] < width else cv2.INTER_LINEAR
     frames = np.stack([cv2.resize(frame, size, interpolation=method) for frame in clip.frames])
     masks = np.stack([cv2.resize(mask, size, interpolation=method) for mask in clip.mask])
     return MaskedClip(frames, ((masks > 127) * np.uint8(255)).astype(np.uint8))

@@ -1,13 +1,11 @@
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import torch
 
-from models.activity import moving_window
 from models.appearance import sort_pictures
-from models.refinement import refined_coverage
+from models.finder_checkpoint import save_finder_network
 from models.segmenter import (
     BUNDLED_SEGMENTER,
     SegmenterConfig,
@@ -17,38 +15,10 @@ from models.segmenter import (
     load_segmenter,
     object_coverage,
     pad_pictures,
-    save_segmenter,
 )
 from physconvex.errors import InputError
 
 SMALL = SegmenterConfig(difference_channels=2, channels=(4, 6, 8), rim_channels=4)
-
-
-def _moving_disc(*, height: int = 96, width: int = 112, count: int = 16) -> tuple[np.ndarray, np.ndarray]:
-    """A textured disc that falls before a textured background, and its masks."""
-    generator = np.random.default_rng(3)
-    coarse = generator.uniform(40, 200, (12, 14, 3)).astype(np.float32)
-    backdrop = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
-    pattern = cv2.resize(generator.uniform(0, 255, (10, 10, 3)).astype(np.float32), (width, height))
-    frames, masks = [], []
-    for k in range(count):
-        mask = np.zeros((height, width), np.uint8)
-        cv2.circle(mask, (width // 2, int(20 + 0.3 * k**2)), 14, 255, -1)
-        image = np.where(mask[..., None] > 0, 0.6 * pattern, backdrop) + 2 * generator.standard_normal(backdrop.shape)
-        frames.append(image.clip(0, 255).astype(np.uint8))
-        masks.append(mask > 0)
-    return np.stack(frames), np.stack(masks)
-
-
-def test_refined_coverage_is_that_of_a_moving_disc_before_a_texture() -> None:
-    frames, truth = _moving_disc()
-    window = moving_window(frames)
-    assert window is not None
-    found = np.zeros(truth.shape, bool)
-    part = frames[:, *window]
-    found[:, *window] = refined_coverage(part, object_coverage(part)) > 0.5
-    overlap = (found & truth).sum(axis=(1, 2)) / (found | truth).sum(axis=(1, 2))
-    assert overlap.mean() > 0.9
 
 
 @pytest.mark.parametrize("size", [(48, 64), (37, 91), (16, 5)])
@@ -103,7 +73,7 @@ def test_padding_repeats_the_border() -> None:
 
 def test_saved_segmenter_is_read_again(tmp_path: Path) -> None:
     network = SilhouetteSegmenter(SMALL).eval()
-    save_segmenter(tmp_path, network, SMALL, model_card="# card\n")
+    save_finder_network(tmp_path, network, SMALL, model_card="# card\n")
     frames = np.random.default_rng(0).integers(0, 255, (6, 32, 32, 3), dtype=np.uint8)
     loaded = load_segmenter(tmp_path)
     assert loaded.config == SMALL and not loaded.training
@@ -119,6 +89,6 @@ def test_bundled_segmenter_is_small_and_says_how_good_it_is() -> None:
 def test_missing_or_unfitting_checkpoints_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="segmenter: "):
         load_segmenter(tmp_path / "nowhere")
-    save_segmenter(tmp_path, SilhouetteSegmenter(SMALL), SegmenterConfig(), model_card="")
+    save_finder_network(tmp_path, SilhouetteSegmenter(SMALL), SegmenterConfig(), model_card="")
     with pytest.raises(InputError, match="train-segmenter"):
         load_segmenter(tmp_path)

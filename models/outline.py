@@ -1,0 +1,195 @@
+"""The object's outline: a small convolutional network that corrects a rough silhouette.
+
+It sees each frame beside the background that the object uncovers in the others (the median over the frames in which
+the rough silhouette is elsewhere), so that a shadow on the floor can be told from the object that throws it; how much
+likelier each pixel's colour is inside the rough silhouettes than around them; and what both look like over the whole
+clip. A U-Net (Ronneberger et al. 2015) over blocks of two by two pixels, as `models.segmenter`, whose silhouette it
+starts from.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Float32, Int, UInt8
+from torch import Tensor, nn
+from torch.nn import functional
+
+from models.appearance import LARGEST_RATIO, colour_codes, colour_ratio, sort_pictures
+from models.finder_checkpoint import FinderConfig, load_finder_network
+
+__all__ = [
+    "BUNDLED_OUTLINE",
+    "OutlineConfig",
+    "OutlineNetwork",
+    "UncoveredBackground",
+    "load_outline",
+    "near_object",
+    "outline_input",
+    "refined_coverage",
+    "uncovered_background",
+]
+
+BUNDLED_OUTLINE = Path(__file__).parent / "checkpoints" / "outline"
+
+_BLOCK = 2  # pixels that enter together, along each edge
+_MULTIPLE = 8  # of which padded pictures have edges: blocks of two, halved twice
+_CHANNELS = 9  # frame, frame - background, background known, likelihood of the colour, rough log odds
+_LARGEST_ODDS = 5.0
+_POSSIBLE = 0.3  # coverage
+_RIM = 5  # [px] edge of the square by which what is possible grows
+
+
+class OutlineConfig(FinderConfig):
+    """All of an outline network's checkpoint but its tensors."""
+
+    format: Literal["physconvex/outline/1"] = "physconvex/outline/1"
+    channels: tuple[int, int, int] = (16, 32, 48)
+    """At a half, a quarter and an eighth of the resolution."""
+
+
+@dataclass(frozen=True)
+class UncoveredBackground:
+    """What lies behind the object, and where at least two frames show it."""
+
+    picture: UInt8[np.ndarray, "H W 3"]
+    known: Bool[np.ndarray, "H W"]
+
+
+class OutlineNetwork(nn.Module):
+    """Logits of the object's coverage of each pixel."""
+
+    def __init__(self, config: OutlineConfig | None = None) -> None:
+        super().__init__()
+        self.config = config or OutlineConfig()
+        rim, middle, deep = self.config.channels
+        self.stem = nn.Conv2d(_CHANNELS * _BLOCK**2, rim, 1)
+        self.first = _convolution(rim, rim)
+        self.down = nn.ModuleList([_convolution(rim, middle, stride=2), _convolution(middle, deep, stride=2)])
+        self.inner = nn.ModuleList([_convolution(middle, middle), _convolution(deep, deep)])
+        self.context = nn.Linear(2 * deep, deep)
+        self.last = _convolution(deep, deep)
+        self.up = nn.ModuleList([nn.Conv2d(deep, middle, 1), nn.Conv2d(middle, rim, 1)])
+        self.merge = nn.ModuleList([_convolution(middle, middle), _convolution(rim, rim)])
+        self.out = nn.Conv2d(rim, _BLOCK**2, 1)
+
+    def forward(self, pixels: Float[Tensor, "T 36 h w"]) -> Float[Tensor, "T H W"]:
+        """`outline_input` of the frames of one clip -> logits, H = 2 h, W = 2 w."""
+        x = self.stem(pixels).relu_()
+        x = self.first(x).add_(x).relu_()
+        skips = []
+        for down, inner in zip(self.down, self.inner, strict=True):
+            skips.append(x)
+            x = down(x).relu_()
+            x = inner(x).add_(x).relu_()
+        x = (x + self._clip_context(x, pixels)).relu_()
+        x = self.last(x).add_(x).relu_()
+        for up, merge in zip(self.up, self.merge, strict=True):
+            x = functional.interpolate(up(x), scale_factor=2, mode="nearest").add_(skips.pop()).relu_()
+            x = merge(x).add_(x).relu_()
+        return functional.pixel_shuffle(self.out(x), _BLOCK)[:, 0]
+
+    def _clip_context(self, x: Float[Tensor, "T C h w"], pixels: Float[Tensor, "T 36 H W"]) -> Tensor:
+        """What the rough silhouette's inside and surroundings look like, mean over the clip."""
+        odds = pixels[:, -(_BLOCK**2) :].mean(dim=1, keepdim=True)
+        inside = functional.avg_pool2d(odds, 4).mul(_LARGEST_ODDS).sigmoid()
+        pooled = [(x * w).sum(dim=(0, 2, 3)) / (w.sum() + 1e-3) for w in (inside, 1 - inside)]
+        context: Tensor = self.context(torch.cat(pooled))[None, :, None, None]
+        return context
+
+
+def _convolution(inputs: int, outputs: int, *, stride: int = 1) -> nn.Conv2d:
+    return nn.Conv2d(inputs, outputs, 3, stride=stride, padding=1)
+
+
+def uncovered_background(
+    frames: UInt8[np.ndarray, "T H W 3"], covered: Bool[np.ndarray, "T H W"]
+) -> UncoveredBackground:
+    """What lies behind the object: per pixel and colour the median over the frames that do not show the object.
+
+    Args:
+        frames: of a camera that stands still.
+        covered: near or on the object.
+    """
+    count = (~covered).sum(axis=0)
+    ordered = sort_pictures([np.where(c[..., None], np.uint8(255), f) for f, c in zip(frames, covered, strict=True)])
+    middle = np.maximum(count - 1, 0) // 2
+    median = np.take_along_axis(ordered, middle[None, ..., None], axis=0)[0]
+    return UncoveredBackground(np.where(count[..., None] > 0, median, frames[0]), count >= 2)
+
+
+def outline_input(
+    frames: UInt8[np.ndarray, "T H W 3"],
+    coverage: Float32[np.ndarray, "T H W"],
+    *,
+    shown: Int[np.ndarray, " N"] | None = None,
+) -> Float32[Tensor, "N 36 h w"]:
+    """What the network reads: blocks of two by two pixels as channels; edges padded to multiples of 8.
+
+    Background and colours are those of the whole clip, the result that of the frames `shown` (all unless given).
+    """
+    background = uncovered_background(frames, near_object(coverage))
+    inside = coverage > 0.5
+    ratio = colour_ratio(colour_codes(frames), inside)
+    if shown is not None:
+        frames, coverage = frames[shown], coverage[shown]
+    height, width = frames.shape[1:3]
+    planes = np.empty((len(frames), _CHANNELS, height + -height % _MULTIPLE, width + -width % _MULTIPLE), np.float32)
+    inner = planes[..., :height, :width]
+    inner[:, :3] = frames.transpose(0, 3, 1, 2)
+    inner[:, 3:6] = inner[:, :3] - background.picture.transpose(2, 0, 1).astype(np.float32)
+    inner[:, :3] -= 128
+    inner[:, :6] *= 1 / 32
+    inner[:, 6] = background.known
+    inner[:, 7] = (ratio / LARGEST_RATIO)[colour_codes(frames)]
+    odds = np.log(coverage + 5e-3) - np.log(1.005 - coverage)
+    inner[:, 8] = odds * (1 / _LARGEST_ODDS)
+    planes[..., height:, :] = planes[..., height - 1 : height, :]
+    planes[..., width:] = planes[..., width - 1 : width]
+    return functional.pixel_unshuffle(torch.from_numpy(planes), _BLOCK)
+
+
+def near_object(coverage: Float32[np.ndarray, "T H W"]) -> Bool[np.ndarray, "T H W"]:
+    """Where the object may be, if that is roughly its coverage (0..1)."""
+    kernel = np.ones((_RIM, _RIM), np.uint8)
+    return np.stack([cv2.dilate((c > _POSSIBLE).astype(np.uint8), kernel) for c in coverage]) > 0
+
+
+def refined_coverage(
+    frames: UInt8[np.ndarray, "T H W 3"],
+    coverage: Float32[np.ndarray, "T H W"],
+    *,
+    network: OutlineNetwork | None = None,
+) -> Float32[np.ndarray, "T H W"]:
+    """How likely each pixel of each frame shows the object (0..1), from a rough silhouette (0..1).
+
+    The bundled network, read once per process, unless another is given.
+    """
+    corrected = network or _bundled_outline()
+    height, width = frames.shape[1:3]
+    with torch.inference_mode():
+        logits = corrected(outline_input(frames, coverage))
+        refined: Float32[np.ndarray, "T H W"] = logits[:, :height, :width].sigmoid().numpy()
+    return refined
+
+
+@cache
+def _bundled_outline() -> OutlineNetwork:
+    return load_outline()
+
+
+def load_outline(folder: str | os.PathLike[str] = BUNDLED_OUTLINE) -> OutlineNetwork:
+    """An outline network, the bundled one unless a folder is given, in float32 and evaluation mode.
+
+    Raises:
+        InputError: there is none, it is of another format, or its tensors do not fit its configuration.
+    """
+    _, network = load_finder_network(folder, OutlineConfig, OutlineNetwork, name="outline")
+    return network.to(memory_format=torch.channels_last)

@@ -1,0 +1,75 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from models.outline import OutlineConfig, load_outline
+from train.outline import OutlineResult, OutlineTraining, outline_loss, train_outline
+from train.outline_data import RoughClip, degraded, rearranged
+from train.segmentation_data import SegmentationAugmentation
+
+CONFIG = OutlineTraining(steps=40, batch=2, average=0.5, network=OutlineConfig(channels=(8, 8, 8)))
+
+
+@pytest.fixture(scope="module")
+def trained(tiny_data: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[OutlineResult, Path]:
+    out = tmp_path_factory.mktemp("outline")
+    return train_outline(CONFIG, [tiny_data], out), out
+
+
+def test_training_lowers_the_loss(trained: tuple[OutlineResult, Path]) -> None:
+    losses = trained[0].losses
+    assert len(losses) == CONFIG.steps
+    assert np.mean(losses[-10:]) < 0.8 * np.mean(losses[:10])
+
+
+def test_checkpoint_says_what_it_was_measured(trained: tuple[OutlineResult, Path]) -> None:
+    result, out = trained
+    metrics = load_outline(out).config.metrics
+    assert metrics == {"intersection_over_union": result.overlap, "before": result.rough_overlap}
+    card = (out / "model_card.md").read_text(encoding="utf-8")
+    assert f"{result.overlap:.3f}" in card and "SHA-256" in card
+
+
+def test_same_seed_gives_the_same_losses(trained: tuple[OutlineResult, Path], tiny_data: Path, tmp_path: Path) -> None:
+    assert train_outline(CONFIG, [tiny_data], tmp_path).losses == trained[0].losses
+
+
+def test_loss_prefers_the_truth() -> None:
+    truth = torch.zeros(2, 16, 16, dtype=torch.bool)
+    truth[:, 4:9, 5:12] = True
+    right = torch.where(truth, 8.0, -8.0)
+    assert outline_loss(right, truth) < 0.05
+    assert outline_loss(-right, truth) > outline_loss(torch.zeros(2, 16, 16), truth) > 1.0
+
+
+def _square(side: int = 20) -> RoughClip:
+    mask = np.zeros((8, 40, 48), np.uint8)
+    for k in range(8):
+        mask[k, 5 + k : 5 + k + side, 8 : 8 + side] = 255
+    return RoughClip(np.repeat(mask[..., None], 3, axis=3), mask, mask.copy())
+
+
+def test_degraded_clips_keep_frames_and_truth() -> None:
+    clip, changed = _square(), 0
+    for seed in range(12):
+        worse = degraded(clip, np.random.default_rng(seed))
+        np.testing.assert_array_equal(worse.frames, clip.frames)
+        np.testing.assert_array_equal(worse.mask, clip.mask)
+        changed += (worse.rough != worse.mask).any()
+    assert 4 <= changed <= 12
+    np.testing.assert_array_equal(clip.rough, clip.mask)
+    first, second = (degraded(clip, np.random.default_rng(5)) for _ in range(2))
+    np.testing.assert_array_equal(first.rough, second.rough)
+
+
+def test_rearranged_clips_keep_frames_truth_and_rough_silhouette_together() -> None:
+    sizes = set()
+    for seed in range(12):
+        clip = rearranged(_square(), SegmentationAugmentation(lengths=(4, 6)), np.random.default_rng(seed))
+        assert clip.frames.shape[:3] == clip.mask.shape == clip.rough.shape and len(clip.mask) in (4, 6)
+        assert ((clip.frames[..., 0] > 127) == (clip.mask > 127)).all()
+        assert ((clip.rough > 127) == (clip.mask > 127)).all()
+        sizes.add(clip.mask.shape[1:])
+    assert len(sizes) > 3
