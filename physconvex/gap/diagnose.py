@@ -83,6 +83,7 @@ def diagnose(
         _relative_gap(base, errors, best),
         1.0 - shrinkage[-1].shrinkage,
         options,
+        floor=shrinkage[-1].noise_floor / base.situation.size,
     )
     report("report")
     return GapReport(

@@ -18,6 +18,7 @@ VerdictName = Literal["none", "effect", "unknown", "inconclusive"]
 _CLEAR, _WEAK = 4.0, 1.5  # gain of log-evidence over the base model that makes a call, or leaves it open
 _ALIKE = 0.95  # cosine of signatures
 _LISTED = 0.02  # probability
+_BLIND = 0.1  # floor over size above which "none" would say nothing
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
 
 
@@ -121,6 +122,8 @@ def decide(
     after: float,
     remaining: float,
     options: GapOptions,
+    *,
+    floor: float = 0.0,
 ) -> Verdict:
     """The verdict.
 
@@ -131,6 +134,7 @@ def decide(
         after: the same with the best effects, held-out frames; one = nothing left above noise and numerical error.
         remaining: share of the held-out gap above the floor that the best effects leave, 0 to 1 and more.
         options: settings.
+        floor: numerical error and noise over the size of the body; a model that errs by a tenth of it tells nothing.
     """
     base = next(h for h in hypotheses if not h.effects)
     with_effects = [h for h in hypotheses if h.effects]
@@ -151,7 +155,14 @@ def decide(
         for effect in _named(h, probability, screening, options)
     ]
     share = 1.0 - remaining
-    if gain < _WEAK or not significant or before < _FLOOR:
+    none_found = gain < _WEAK or not significant or before < _FLOOR
+    if none_found and floor > _BLIND:
+        sentence = (
+            f"Inconclusive: the model's own numerical error and the noise ({floor:.0%} of the body's size) hide whatever "
+            "gap there is. Allow a finer mesh, or record a motion with less contact."
+        )
+        return Verdict("inconclusive", sentence, (), none, share, _caveats(base, best, after))
+    if none_found:
         sentence = (
             f"No gap above noise and numerical error: {best.label} would improve the fit by no more than chance "
             f"(probability of no effect {none:.0%})."

@@ -56,6 +56,12 @@ def test_no_gap_is_none():
     assert verdict.name == "none" and not verdict.effects
 
 
+def test_a_blind_model_does_not_say_none():
+    hypotheses = [hypothesis(0.5, "damping"), hypothesis(0.0)]
+    verdict = decide(hypotheses, screening(0.3), 1.0, 1.0, 0.9, OPTIONS, floor=0.3)
+    assert verdict.name == "inconclusive" and "numerical error" in verdict.sentence
+
+
 def test_significance_counts_the_whole_dictionary():
     hypotheses = [hypothesis(20.0, "damping"), hypothesis(0.0)]
     assert decide(hypotheses, screening(0.03), 30.0, 1.0, 0.0, OPTIONS).name == "none"
