@@ -158,8 +158,8 @@ def decide(
     none_found = gain < _WEAK or not significant or before < _FLOOR
     if none_found and floor > _BLIND:
         sentence = (
-            f"Inconclusive: the model's own numerical error and the noise ({floor:.0%} of the body's size) hide whatever "
-            "gap there is. Allow a finer mesh, or record a motion with less contact."
+            f"Inconclusive: the model's own numerical error and the noise ({floor:.0%} of the body's size) hide "
+            "whatever gap there is. Allow a finer mesh, or record a motion with less contact."
         )
         return Verdict("inconclusive", sentence, (), none, share, _caveats(base, best, after))
     if none_found:
