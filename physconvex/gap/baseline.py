@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from physconvex.capture import Capture
-from physconvex.errors import InputError
+from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import simulate
 from physconvex.gap.effects import Motion, Situation
 from physconvex.gap.model import EffectModel, SecantModel
@@ -36,6 +36,7 @@ __all__ = ["Baseline", "Split", "fit_baseline", "rough_baseline", "split_frames"
 
 Report = Callable[[str], None]
 _STEPS_PER_WAVE = 8  # time steps in the time an elastic wave takes through the body
+_STARTS = 3  # of the rough fit of a held body
 _MOST_STEPS = 1000  # of one roll-out
 
 
@@ -164,20 +165,31 @@ def _first_values(capture: Capture, observations: Seen, frames: int, options: Ga
     names = tuple(p.name for p in parameters)
     windows = _windows(frames, held=twin.clamp is not None)
     model = ReducedModel(twin, names, observations.points, windows[0])
-    seen = observations.in_frames(windows[0])
-    chosen = scan(model, seen, parameters, moduli=moduli, ratios=(0.35,))[0].parameters
-    for count in windows:  # a vibration that is off by a period pulls the wrong way: begin with few
-        model = ReducedModel(twin, names, observations.points, count)
-        found = fit(model, observations.in_frames(count), chosen, options=FitOptions(max_iterations=8))
-        chosen = tuple(p.at(float(v)) for p, v in zip(found.parameters, found.values, strict=True))
-    return chosen
+    candidates = scan(model, observations.in_frames(windows[0]), parameters, moduli=moduli, ratios=(0.35,))
+    tried = []
+    for candidate in candidates[: _STARTS if twin.clamp is not None else 1]:
+        chosen = candidate.parameters
+        try:
+            for count in windows:  # a vibration that is off by a period pulls the wrong way: begin with few
+                model = ReducedModel(twin, names, observations.points, count)
+                found = fit(model, observations.in_frames(count), chosen, options=FitOptions(max_iterations=8))
+                chosen = tuple(p.at(float(v)) for p, v in zip(found.parameters, found.values, strict=True))
+        except ConvergenceError:
+            continue
+        tried.append((found.misfit, chosen))
+    if not tried:
+        return candidates[0].parameters
+    return min(tried, key=lambda pair: pair[0])[1]
 
 
 def _windows(frames: int, *, held: bool) -> tuple[int, ...]:
-    """Numbers of frames that are fitted one after the other; held bodies vibrate from the start."""
+    """Numbers of frames that are fitted one after the other; held bodies vibrate from the start.
+
+    Fewer than ten frames may show no more than the first fall, which any soft body makes.
+    """
     if not held:
         return (frames,)
-    return tuple(sorted({max(4, frames // 4), max(4, frames // 2), frames}))
+    return tuple(sorted({min(frames, max(10, frames // 2)), frames}))
 
 
 def _steps(twin: Twin, values: dict[str, float]) -> int:
