@@ -10,8 +10,10 @@ from typing import Any
 from physconvex.errors import ConvergenceError, InputError, PhysconvexError
 
 _LAZY = {
+    "GapReport": "physconvex.gap",
     "PhysicsPredictor": "models",
     "Prediction": "inference",
+    "diagnose": "physconvex.gap",
     "RefineOptions": "inference",
     "Refinement": "inference",
     "predict": "inference",
@@ -22,6 +24,7 @@ _LAZY = {
 
 __all__ = [
     "ConvergenceError",
+    "GapReport",
     "InputError",
     "PhysconvexError",
     "PhysicsPredictor",
@@ -29,6 +32,7 @@ __all__ = [
     "RefineOptions",
     "Refinement",
     "__version__",
+    "diagnose",
     "predict",
     "predict_batch",
     "reconstruct",

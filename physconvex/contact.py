@@ -140,17 +140,26 @@ class Friction:
         weights: force over slip velocity [N·s/m], shape [C].
         normals: shape [C, 3].
         velocity: velocity of the obstacle [m/s], shape [3].
+        along_normal: a dashpot across the contact instead, which resists the normal velocity.
     """
 
     nodes: np.ndarray
     weights: np.ndarray
     normals: np.ndarray
     velocity: np.ndarray
+    along_normal: bool = False
 
     def slip(self, velocity: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "C 3"]:
-        """Tangential velocity relative to the obstacle [m/s]."""
+        """Tangential (or normal) velocity relative to the obstacle [m/s]."""
         relative = velocity[self.nodes] - self.velocity
-        return relative - (relative * self.normals).sum(1, keepdims=True) * self.normals
+        normal = (relative * self.normals).sum(1, keepdims=True) * self.normals
+        return normal if self.along_normal else relative - normal
+
+    @property
+    def projections(self) -> Float[np.ndarray, "C 3 3"]:
+        """What takes a velocity to `slip`."""
+        normal = self.normals[:, :, None] * self.normals[:, None, :]
+        return normal if self.along_normal else np.eye(3) - normal
 
 
 @dataclass(frozen=True)
@@ -163,6 +172,7 @@ class Contact:
         stiffness: kc [Pa/m].
         smoothing: ε [m].
         slip_velocity: v_s [m/s], below which friction ramps to zero.
+        damping: τ [s] of a dashpot kc ψ'' A τ beside the spring of nodes that move inwards; it costs bounce.
     """
 
     obstacles: tuple[Obstacle, ...]
@@ -170,6 +180,7 @@ class Contact:
     stiffness: float
     smoothing: float
     slip_velocity: float
+    damping: float = 0.0
     nodes: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
@@ -224,10 +235,12 @@ class Contact:
         """
         frozen = []
         for obstacle in self.obstacles:
-            if not obstacle.friction:
+            if not obstacle.friction and not self.damping:
                 continue
             nodes, depth = self._touching(obstacle, x, time)
-            if len(nodes):
+            if len(nodes) and self.damping:
+                frozen.append(self._dashpot(obstacle, nodes, depth, x, velocity, time))
+            if len(nodes) and obstacle.friction:
                 speed = obstacle.velocity_at(time)
                 part = Friction(nodes, np.zeros(len(nodes)), obstacle.normals(x[nodes], time), speed)
                 relative = np.linalg.norm(part.slip(velocity), axis=1) / self.slip_velocity
@@ -236,6 +249,15 @@ class Contact:
                 limits = obstacle.friction * self.areas[nodes] * self._hinge(depth)[1]
                 frozen.append(Friction(nodes, limits * ratio / self.slip_velocity, part.normals, speed))
         return tuple(frozen)
+
+    def _dashpot(
+        self, obstacle: Obstacle, nodes: np.ndarray, depth: np.ndarray, x: np.ndarray, v: np.ndarray, time: float
+    ) -> Friction:
+        """Normal damping of the nodes that move inwards, frozen like friction."""
+        speed, normals = obstacle.velocity_at(time), obstacle.normals(x[nodes], time)
+        inwards = ((v[nodes] - speed) * normals).sum(1) < 0
+        weights = self.damping * self.areas[nodes] * self._hinge(depth)[2] * inwards
+        return Friction(nodes, weights, normals, speed, along_normal=True)
 
     def friction_energy_and_gradient(
         self, frozen: tuple[Friction, ...], velocity: Float[np.ndarray, "V 3"]
@@ -252,6 +274,5 @@ class Contact:
         """Second derivative of the rate potential, diagonal blocks [N·s/m]."""
         blocks = np.zeros((len(self.areas), 3, 3))
         for part in frozen:
-            plane = np.eye(3) - part.normals[:, :, None] * part.normals[:, None, :]
-            blocks[part.nodes] += part.weights[:, None, None] * plane
+            blocks[part.nodes] += part.weights[:, None, None] * part.projections
         return blocks

@@ -8,9 +8,12 @@ from typing import Annotated, Literal
 import typer
 from tqdm import tqdm
 
+from physconvex.gap.blind.command import app as gap_app
+
 __all__ = ["app"]
 
 app = typer.Typer(no_args_is_help=True, help=__doc__)
+app.add_typer(gap_app, name="gap")
 
 Data = Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")]
 Out = Annotated[Path, typer.Option(help="Folder of the results (JSON and figure).")]

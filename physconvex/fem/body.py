@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,7 +14,8 @@ from torch import Tensor
 from physconvex.errors import InputError
 from physconvex.fem.elements import QUADRATURE, shape_gradients, shape_values
 from physconvex.fem.mesh import TetMesh
-from physconvex.materials import get_law, lame_parameters, project_to_positive, strain_stiffness
+from physconvex.inelastic import FlowRule, FlowStep
+from physconvex.materials import Law, get_law, lame_parameters, project_to_positive, strain_stiffness
 
 __all__ = ["ElasticBody"]
 
@@ -25,10 +27,11 @@ class ElasticBody:
 
     Args:
         mesh: linear or quadratic mesh, rest state.
-        law: name of the elastic law, see `physconvex.materials`.
+        law: the elastic law or its name, see `physconvex.materials` and `physconvex.elastic_terms`.
         youngs_modulus: E [Pa], scalar or [E].
         poisson_ratio: ν [-], scalar or [E], in (-1, 0.5).
         density: ρ [kg/m³], scalar or [E].
+        flow: how the material flows, see `physconvex.inelastic`; purely elastic unless given.
         device: where element arithmetic runs (the sparse solve stays on the CPU).
 
     Raises:
@@ -39,14 +42,16 @@ class ElasticBody:
         self,
         mesh: TetMesh,
         *,
-        law: str = "neo_hookean",
+        law: str | Law = "neo_hookean",
         youngs_modulus: PerElement = 1e5,
         poisson_ratio: PerElement = 0.4,
         density: PerElement = 1000.0,
+        flow: FlowRule | None = None,
         device: str | torch.device = "cpu",
     ) -> None:
         self.mesh = mesh
-        self.law = get_law(law)
+        self.law = get_law(law) if isinstance(law, str) else law
+        self.flow = flow
         self.device = torch.device(device)
         self.youngs_modulus = self._per_element("youngs_modulus", youngs_modulus, 0.0, np.inf)
         self.poisson_ratio = self._per_element("poisson_ratio", poisson_ratio, -1.0, 0.5)
@@ -119,21 +124,49 @@ class ElasticBody:
 
     def energy(self, x: Float[np.ndarray, "V 3"]) -> float:
         """Elastic energy [J] at node positions x [m]."""
-        return float((self._weights * self.law.energy(self.deformation_gradient(x), self._mu, self._lam)).sum())
+        return self.energy_and_gradient(x)[0]
 
     def gradient(self, x: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
         """Derivative of the elastic energy with respect to the node positions [N] (minus the elastic force)."""
-        return self._scatter(self.law.stress(self.deformation_gradient(x), self._mu, self._lam))
+        return self.energy_and_gradient(x)[1]
 
-    def energy_and_gradient(self, x: Float[np.ndarray, "V 3"]) -> tuple[float, Float[np.ndarray, "V 3"]]:
-        """Both of the above with one evaluation of F."""
+    def energy_and_gradient(
+        self, x: Float[np.ndarray, "V 3"], *, response: FlowStep | None = None
+    ) -> tuple[float, Float[np.ndarray, "V 3"]]:
+        """Both of the above with one evaluation of F.
+
+        Args:
+            x: node positions [m].
+            response: of the flow during a time step, for a body that flows; at once and from rest unless given.
+        """
         f = self.deformation_gradient(x)
-        energy = float((self._weights * self.law.energy(f, self._mu, self._lam)).sum())
-        return energy, self._scatter(self.law.stress(f, self._mu, self._lam))
+        energy = float((self._weights * self._material("energy", f, response)).sum())
+        return energy, self._scatter(self._material("stress", f, response))
+
+    def _material(self, of: Literal["energy", "stress", "hessian"], f: Tensor, response: FlowStep | None) -> Tensor:
+        """Energy density, stress or Hessian of what acts at the quadrature points: the law, what flows, or both."""
+        parts: list[Tensor] = []
+        if self.flow is None or self.flow.beside_law:
+            parts.append(getattr(self.law, of)(f, self._mu, self._lam))
+        if self.flow is not None:
+            parts.append(getattr(response or self.flow_step(self.unflowed(), self.mesh.vertices, 0.0), of)(f))
+        return sum(parts[1:], parts[0])
+
+    # -- flow
+
+    def unflowed(self) -> Tensor:
+        """F_f⁻¹ of a body that has not flowed, shape [E, Q, 3, 3]."""
+        return torch.eye(3, dtype=torch.float64, device=self.device).expand(*self._weights.shape, 3, 3)
+
+    def flow_step(self, undo: Tensor, x: Float[np.ndarray, "V 3"], step: float) -> FlowStep:
+        """Response of the flowing part during a step [s], from F_f⁻¹ at its start; what is lagged is taken at x [m]."""
+        assert self.flow is not None
+        mu, lam = (constant.expand(self._weights.shape) for constant in (self._mu, self._lam))
+        return self.flow.during(undo, self.deformation_gradient(x), mu, lam, step)
 
     def stress(self, x: Float[np.ndarray, "V 3"]) -> Tensor:
         """First Piola–Kirchhoff stress at the quadrature points [Pa], shape [E, Q, 3, 3]."""
-        return self.law.stress(self.deformation_gradient(x), self._mu, self._lam)
+        return self._material("stress", self.deformation_gradient(x), None)
 
     def element_hessians(
         self,
@@ -142,6 +175,7 @@ class ElasticBody:
         project: bool = False,
         viscous_state: Tensor | None = None,
         damping_ratio: float = 0.0,
+        response: FlowStep | None = None,
     ) -> Float[np.ndarray, "E m m"]:
         """Element stiffness matrices [N/m], m = 3 × nodes, degrees of freedom ordered node by node.
 
@@ -150,8 +184,9 @@ class ElasticBody:
             project: set negative eigenvalues of ∂P/∂F to zero first.
             viscous_state: F* of a time step with Kelvin–Voigt viscosity, whose stiffness is then added.
             damping_ratio: damping time over the time step [-].
+            response: as for the energy.
         """
-        hessian = self.law.hessian(self.deformation_gradient(x), self._mu, self._lam)
+        hessian = self._material("hessian", self.deformation_gradient(x), response)
         if project:
             hessian = project_to_positive(hessian)
         if viscous_state is not None:

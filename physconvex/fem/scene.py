@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from physconvex.contact import Contact, Obstacle
 from physconvex.errors import InputError
 from physconvex.fem.body import ElasticBody
+from physconvex.wind import Wind
 
 __all__ = ["Loads", "Pins", "Scene"]
 
@@ -78,6 +79,7 @@ class Scene:
         gravity: acceleration [m/s²].
         damping_time: Kelvin–Voigt time β [s]: viscosities are β μ and β λ (stiffness-proportional Rayleigh).
         air_drag: mass-proportional damping α [1/s] (force −α m v).
+        wind: moving or still air around the body.
         pins: nodes with prescribed motion.
         loads: forces on the nodes [N], shape [V, 3], constant or a function of time.
         initial_positions: state at t = 0 [m], shape [V, 3]; the rest state unless given.
@@ -86,6 +88,7 @@ class Scene:
         contact_stiffness: kc [Pa/m]; 50 × (largest E) / (size of the body) unless given.
         contact_smoothing: depth over which contact sets in [m]; 5e-4 of the body's size unless given.
         slip_velocity: speed below which friction ramps to zero [m/s]; 2e-3 √(9.81 × size) unless given.
+        contact_damping: τ [s] of a dashpot beside the contact's spring while a node moves inwards: pressure kc τ v.
     """
 
     body: ElasticBody
@@ -93,6 +96,7 @@ class Scene:
     gravity: Vector = (0.0, 0.0, -9.81)
     damping_time: float = 0.0
     air_drag: float = 0.0
+    wind: Wind | None = None
     pins: Pins | None = None
     loads: Loads | None = None
     initial_positions: Float[np.ndarray, "V 3"] | None = None
@@ -101,13 +105,14 @@ class Scene:
     contact_stiffness: float | None = None
     contact_smoothing: float | None = None
     slip_velocity: float | None = None
+    contact_damping: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("gravity", "initial_velocity", "initial_angular_velocity"):
             value = np.asarray(getattr(self, name), dtype=np.float64)
             if value.shape != (3,) or not np.isfinite(value).all():
                 raise InputError(f"{name}: got {getattr(self, name)!r}; expected three finite numbers")
-        for name in ("damping_time", "air_drag"):
+        for name in ("damping_time", "air_drag", "contact_damping"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise InputError(f"{name}: got {getattr(self, name)}; expected a finite number ≥ 0")
         shape = self.body.mesh.vertices.shape
@@ -153,6 +158,7 @@ class Scene:
             stiffness=stiffness if self.contact_stiffness is None else self.contact_stiffness,
             smoothing=5e-4 * size if self.contact_smoothing is None else self.contact_smoothing,
             slip_velocity=2e-3 * np.sqrt(9.81 * size) if self.slip_velocity is None else self.slip_velocity,
+            damping=self.contact_damping,
         )
 
     def external_forces(self, time: float) -> Float[np.ndarray, "V 3"]:

@@ -13,6 +13,7 @@ from physconvex.contact import Friction
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem.assembly import Assembler
 from physconvex.fem.scene import Scene
+from physconvex.inelastic import FlowStep
 from physconvex.integrators import (
     IntegratorName,
     Minimum,
@@ -79,6 +80,9 @@ class _Equations:
         self.time = 0.0
         self.viscous: Tensor | None = None
         self.friction: tuple[Friction, ...] = ()
+        self.undo = None if self.body.flow is None else self.body.unflowed()  # F_f⁻¹, stored from step to step
+        self.response: FlowStep | None = None
+        self._duration = 0.0
 
     def _assemble_mass(self) -> np.ndarray:
         pattern = self.assembler.pattern.tocoo()
@@ -95,21 +99,31 @@ class _Equations:
         Viscosity is frozen at the guess. Friction takes its normal forces from the last state: the guess flies on
         freely and would lie far too deep in an obstacle at impact, where friction would then stop the body.
         """
-        self.coefficients, self.time = coefficients, time
+        self.coefficients, self.time, self._duration = coefficients, time, time - last.time
         self.forces = self.scene.external_forces(time)
         if self.factorised and not np.isclose(coefficients.step, self._factorised_step):
             self.factorised = False
         self.viscous = self.body.viscous_state(guess) if self.scene.damping_time > 0 else None
-        self.friction = self.contact.freeze_friction(last.positions, coefficients.velocity(guess), last.time)
+        self._freeze(last.positions, coefficients.velocity(guess), last.time)
 
     def freeze_friction(self, x: np.ndarray) -> bool:
-        """Linearise friction at positions x; tells whether there is any."""
+        """Take anew at positions x what a solve holds fixed, friction and sand's pressure; tells if there is any."""
         assert self.coefficients is not None
-        self.friction = self.contact.freeze_friction(x, self.coefficients.velocity(x), self.time)
-        return bool(self.friction)
+        self._freeze(x, self.coefficients.velocity(x), self.time)
+        return bool(self.friction) or (self.body.flow is not None and self.body.flow.lagged)
+
+    def commit(self, x: np.ndarray) -> None:
+        """Store what has flowed by the end of a step at positions x."""
+        if self.response is not None:
+            self.undo = self.response.flowed(self.body.deformation_gradient(x))
+
+    def _freeze(self, x: np.ndarray, velocity: np.ndarray, time: float) -> None:
+        self.friction = self.contact.freeze_friction(x, velocity, time)
+        if self.undo is not None:
+            self.response = self.body.flow_step(self.undo, x, self._duration)
 
     def evaluate(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        energy, gradient = self.body.energy_and_gradient(x)
+        energy, gradient = self.body.energy_and_gradient(x, response=self.response)
         touch, push = self.contact.energy_and_gradient(x, self.time)
         energy += touch - float((self.forces * (x - self.scene.start)).sum())
         gradient = gradient + push - self.forces
@@ -131,6 +145,9 @@ class _Equations:
         if self.viscous is not None:
             power, push = self.body.viscous_energy_and_gradient(self.viscous, velocity, self.scene.damping_time)
             loss, force = loss + power, force + push
+        if self.scene.wind is not None:
+            power, blow = self.scene.wind.energy_and_gradient(velocity, self.contact.areas, self.time)
+            loss, force = loss + power, force + blow
         if self.scene.air_drag > 0:
             momentum = self.scene.air_drag * (self.body.mass @ velocity)
             loss, force = loss + 0.5 * float((velocity * momentum).sum()), force + momentum
@@ -140,13 +157,18 @@ class _Equations:
         self.factorised = False
         step = np.inf if self.coefficients is None else self.coefficients.step
         ratio = self.scene.damping_time / step
-        local = self.body.element_hessians(x, project=project, viscous_state=self.viscous, damping_ratio=ratio)
+        local = self.body.element_hessians(
+            x, project=project, viscous_state=self.viscous, damping_ratio=ratio, response=self.response
+        )
         blocks = self.contact.hessian_blocks(x, self.time)
         inertia = 0.0
         if self.coefficients is not None:
             inertia = 1 / step**2 + self.scene.air_drag / step
             if self.friction:
                 blocks += self.contact.friction_blocks(self.friction) / step
+            if self.scene.wind is not None:
+                velocity = self.coefficients.velocity(x)
+                blocks += self.scene.wind.blocks(velocity, self.contact.areas, self.time) / step
             self._factorised_step = step
         data = self.assembler.elements(local) + self.assembler.blocks(blocks) + inertia * self._mass_data
         self.solver.factorise(data)
@@ -182,6 +204,7 @@ class _Stepper:
             middle = self.advance(state, step / 2, depth + 1)
             return self.advance(middle, step / 2, depth + 1)
         self.previous, self.previous_step = state, step
+        self.equations.commit(new.positions)
         return new
 
     def _try(self, state: State, step: float) -> State:

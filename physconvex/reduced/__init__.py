@@ -29,7 +29,7 @@ from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.sensitivity import SensitiveTrajectory, simulate_with_sensitivities
 from physconvex.reduced.simulation import ReducedTrajectory, simulate
 from physconvex.reduced.space import ReducedSpace
-from physconvex.reduced.wind import Wind
+from physconvex.wind import Wind
 
 __all__ = [
     "PARAMETERS",

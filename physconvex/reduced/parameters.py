@@ -13,7 +13,7 @@ from physconvex.contact import Obstacle
 from physconvex.errors import InputError
 from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.scene import ReducedScene
-from physconvex.reduced.wind import Wind
+from physconvex.wind import Wind
 
 __all__ = ["PARAMETERS", "ParameterName", "check_parameters", "parameter_values", "with_parameters"]
 

@@ -14,7 +14,7 @@ from physconvex.fem.scene import CONTACT_STIFFNESS_RATIO
 from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.pins import PIN_STIFFNESS_RATIO, Pins, PinSprings
 from physconvex.reduced.rotation_vector import rotation_matrix
-from physconvex.reduced.wind import Wind
+from physconvex.wind import Wind
 
 __all__ = ["ReducedScene"]
 
@@ -45,6 +45,7 @@ class ReducedScene:
         contact_stiffness: kc [Pa/m]; 50 × (largest E) / (size of the body) unless given.
         contact_smoothing: depth over which contact sets in [m]; 5e-4 of the body's size unless given.
         slip_velocity: speed below which friction ramps to zero [m/s]; 2e-3 √(9.81 × size) unless given.
+        contact_damping: τ [s] of a dashpot beside the contact's spring while a point moves inwards: pressure kc τ v.
 
     Raises:
         InputError: a value out of its range or of the wrong shape.
@@ -65,6 +66,7 @@ class ReducedScene:
     contact_stiffness: float | None = None
     contact_smoothing: float | None = None
     slip_velocity: float | None = None
+    contact_damping: float = 0.0
     initial_orientation: Vector = (0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
@@ -72,7 +74,7 @@ class ReducedScene:
             value = np.asarray(getattr(self, name), dtype=np.float64)
             if value.shape != (3,) or not np.isfinite(value).all():
                 raise InputError(f"{name}: got {getattr(self, name)!r}; expected three finite numbers")
-        for name in ("damping_time", "air_drag"):
+        for name in ("damping_time", "air_drag", "contact_damping"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise InputError(f"{name}: got {getattr(self, name)}; expected a finite number ≥ 0")
         self.uniform_acceleration(0.0)
@@ -118,6 +120,7 @@ class ReducedScene:
             stiffness=stiffness if self.contact_stiffness is None else self.contact_stiffness,
             smoothing=5e-4 * size if self.contact_smoothing is None else self.contact_smoothing,
             slip_velocity=2e-3 * np.sqrt(9.81 * size) if self.slip_velocity is None else self.slip_velocity,
+            damping=self.contact_damping,
         )
 
     def pin_springs(self) -> PinSprings | None:

@@ -51,6 +51,11 @@ class StepDerivatives:
                 f"scene: its body flows ({scene.body.flow}); derivatives of roll-outs exist for elastic and "
                 "Kelvin–Voigt bodies only: leave out `flow`, or take finite differences of `simulate`"
             )
+        if scene.contact_damping > 0:
+            raise InputError(
+                f"scene: its contact_damping is {scene.contact_damping:g} s; derivatives of roll-outs exist without "
+                "it: set it to zero, or take finite differences of `simulate`"
+            )
         self.scene, self.body, self.names = scene, scene.body, tuple(names)
         self.surface = scene.body.space.surface_values
         self.contact = scene.contact()

@@ -75,7 +75,8 @@ class SurfaceContact:
         total, gradient = 0.0, np.zeros_like(velocity)
         for part, rows in zip(frozen, self._rows, strict=True):
             relative = rows @ velocity - part.velocity
-            slip = relative - (relative * part.normals).sum(1, keepdims=True) * part.normals
+            normal = (relative * part.normals).sum(1, keepdims=True) * part.normals
+            slip = normal if part.along_normal else relative - normal
             force = part.weights[:, None] * slip
             total += 0.5 * float((force * slip).sum())
             gradient += rows.T @ force

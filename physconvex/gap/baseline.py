@@ -1,0 +1,308 @@
+"""The base fit of a capture: twin, what was seen, what is fitted and what is held out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from physconvex.capture import Capture
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.fem import simulate
+from physconvex.gap.effects import Motion, Situation
+from physconvex.gap.model import EffectModel, SecantModel
+from physconvex.gap.observing import Seen, components, in_metres, observe, widened
+from physconvex.gap.options import GapOptions
+from physconvex.identify import (
+    Fit,
+    FitOptions,
+    MarkerObservations,
+    Parameter,
+    PixelObservations,
+    ReducedModel,
+    Twin,
+    TwinOptions,
+    base_twin,
+    default_parameters,
+    fit,
+    scan,
+    scan_values,
+)
+from physconvex.identify.setup import start_motion
+
+__all__ = ["Baseline", "Split", "fit_baseline", "rough_baseline", "split_frames"]
+
+Report = Callable[[str], None]
+_STEPS_PER_WAVE = 8  # time steps in the time an elastic wave takes through the body
+_STARTS = 3  # of the rough fit of a held body
+_MOST_STEPS = 1000  # of one roll-out
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Frames that are fitted, that choose between effects, and that the shrinkage is reported on."""
+
+    fitted: Int[np.ndarray, " f"]
+    selecting: Int[np.ndarray, " s"]
+    reporting: Int[np.ndarray, " r"]
+
+    @property
+    def held_out(self) -> Int[np.ndarray, " h"]:
+        """Frames that no fit sees."""
+        return np.concatenate([self.selecting, self.reporting])
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """The base model at its best.
+
+    Attributes:
+        capture: the capture.
+        observations: what was seen in all frames.
+        split: how the frames are used.
+        model: full-order values, reduced derivatives, no effect.
+        fit: of the model to the fitted frames.
+        motion: of the observed points at the fit, all frames.
+        tangents: of the observed points by the base parameters, up to the last fitted frame, shape [f, K, P, 3].
+        situation: of the capture.
+        contact_force: total normal force at each frame [N], shape [T].
+    """
+
+    capture: Capture
+    observations: Seen
+    split: Split
+    model: EffectModel
+    fit: Fit
+    motion: Motion
+    tangents: Float[np.ndarray, "f K P 3"]
+    situation: Situation
+    contact_force: Float[np.ndarray, " T"]
+
+    @property
+    def positions(self) -> Float[np.ndarray, "T P 3"]:
+        """What the base model says is observed [m]."""
+        return self.model.observed(self.motion, self.fit.values)
+
+    @property
+    def twin(self) -> Twin:
+        """The twin with the fitted values."""
+        return self.model.twin.with_values(self.model.base, self.fit.values)
+
+    @property
+    def components(self) -> int:
+        """Residuals per point and frame."""
+        return components(self.observations)
+
+    @property
+    def lengths(self) -> Float[np.ndarray, " N"]:
+        """Length that one standard deviation of each residual stands for [m], shape [N]."""
+        return in_metres(self.observations, self.motion)
+
+    def rows(self, frames: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m"]:
+        """Residuals of some frames."""
+        return np.flatnonzero(np.isin(self.observations.frames, frames))
+
+    def residual(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
+        """Seen − model, in units of the stated noise, all frames."""
+        return -self.observations.residuals(positions)
+
+    def change(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
+        """What the residual gains where the base motion moves to `positions`, in all frames or the first ones."""
+        if len(positions) < self.model.frames:
+            positions = np.concatenate([positions, self.positions[len(positions) :]])
+        return self.observations.residuals(positions) - self.observations.residuals(self.positions)
+
+
+def split_frames(capture: Capture, seen: Int[np.ndarray, " n"]) -> Split:
+    """Fitted: the observed frames, or the first two thirds where all are; the rest selects and reports, half each.
+
+    Raises:
+        InputError: fewer than six frames are seen.
+    """
+    frames = np.unique(seen)
+    if len(frames) < 6:
+        raise InputError(f"{capture.folder}: points are seen in {len(frames)} frames; a diagnosis needs at least 6")
+    first = frames[frames < capture.observed_frames]
+    rest = frames[frames >= capture.observed_frames]
+    if len(rest) < 2 or len(first) < 4:
+        cut = max(4, (2 * len(frames)) // 3)
+        first, rest = frames[:cut], frames[cut:]
+    half = (len(rest) + 1) // 2
+    return Split(first, rest[:half], rest[half:] if len(rest) > half else rest[-1:])
+
+
+def _twin(capture: Capture, weights: int, max_nodes: int, steps: int) -> Twin:
+    """The capture's twin on a mesh of so many nodes, or of up to four times as many if the boundary needs them.
+
+    Raises:
+        InputError: the capture lacks something.
+    """
+    for factor in (1, 2, 4):
+        chosen = TwinOptions(weights=weights, max_nodes=factor * max_nodes, steps_per_frame=steps)
+        try:
+            return base_twin(capture, chosen)
+        except InputError as error:
+            if factor == 4 or not str(error).startswith("boundary"):
+                raise
+    raise AssertionError("unreachable")
+
+
+def _cheap(capture: Capture, options: GapOptions) -> Twin:
+    """For the scan over E."""
+    return _twin(capture, 5, min(200, options.max_nodes), max(4, int(np.ceil(192 / capture.fps))))
+
+
+def _first_values(capture: Capture, observations: Seen, frames: int, options: GapOptions) -> tuple[Parameter, ...]:
+    """Starts of the base parameters: rigid motion from the first frames, E from a scan."""
+    twin = _cheap(capture, options)
+    if isinstance(observations, MarkerObservations):
+        twin = start_motion(twin, observations)
+    parameters = default_parameters(twin)
+    gravity = float(np.linalg.norm(capture.gravity))
+    moduli = scan_values(density=capture.density, gravity=gravity, size=twin.mesh.size)
+    names = tuple(p.name for p in parameters)
+    windows = _windows(frames, held=twin.clamp is not None)
+    model = ReducedModel(twin, names, observations.points, windows[0])
+    candidates = scan(model, observations.in_frames(windows[0]), parameters, moduli=moduli, ratios=(0.35,))
+    tried = []
+    for candidate in candidates[: _STARTS if twin.clamp is not None else 1]:
+        chosen = candidate.parameters
+        try:
+            for count in windows:  # a vibration that is off by a period pulls the wrong way: begin with few
+                model = ReducedModel(twin, names, observations.points, count)
+                found = fit(model, observations.in_frames(count), chosen, options=FitOptions(max_iterations=8))
+                chosen = tuple(p.at(float(v)) for p, v in zip(found.parameters, found.values, strict=True))
+        except ConvergenceError:
+            continue
+        tried.append((found.misfit, chosen))
+    if not tried:
+        return candidates[0].parameters
+    return min(tried, key=lambda pair: pair[0])[1]
+
+
+def _windows(frames: int, *, held: bool) -> tuple[int, ...]:
+    """Numbers of frames that are fitted one after the other; held bodies vibrate from the start.
+
+    Fewer than ten frames may show no more than the first fall, which any soft body makes.
+    """
+    if not held:
+        return (frames,)
+    return tuple(sorted({min(frames, max(10, frames // 2)), frames}))
+
+
+def _steps(twin: Twin, values: dict[str, float]) -> int:
+    """Time steps per frame that resolve the body's vibrations, within what can be afforded."""
+    wave = twin.mesh.size * np.sqrt(twin.capture.density / 10 ** values["log10_youngs_modulus"])
+    wanted = int(np.ceil(_STEPS_PER_WAVE / (wave * twin.fps)))
+    most = max(twin.steps_per_frame, _MOST_STEPS // twin.capture.frames)
+    return int(np.clip(wanted, twin.steps_per_frame, most))
+
+
+def _situation(twin: Twin, seen: Seen, peak_stress: float, touches: bool) -> Situation:
+    scene, capture = twin.scene, twin.capture
+    return Situation(
+        size=twin.mesh.size,
+        youngs_modulus=float(np.mean(scene.body.youngs_modulus)),
+        density=capture.density,
+        fps=capture.fps,
+        frames=capture.frames,
+        floor=bool(scene.obstacles),
+        clamped=twin.clamp is not None,
+        touches=touches,
+        friction=max((o.friction for o in scene.obstacles), default=0.0),
+        states_velocity=capture.initial_velocity is not None or twin.clamp is not None,
+        states_spin=capture.initial_angular_velocity is not None or twin.clamp is not None,
+        peak_stress=peak_stress,
+        gravity=(float(capture.gravity[0]), float(capture.gravity[1]), float(capture.gravity[2])),
+        camera=seen.camera if isinstance(seen, PixelObservations) else None,
+    )
+
+
+def _stress_and_contact(model: EffectModel, values: np.ndarray) -> tuple[float, np.ndarray, Motion]:
+    """Peak von Mises stress [Pa] (99th percentile), normal force per frame [N], and the motion of the points."""
+    scene = model.full_scene(values)
+    run = simulate(scene, **model.twin.timing(model.frames))
+    contact, peak, force = scene.contact(), 0.0, np.zeros(len(run.times))
+    for frame, x in enumerate(run.positions):
+        stress = scene.body.stress(x).cpu().numpy()
+        deviator = stress - np.trace(stress, axis1=-2, axis2=-1)[..., None, None] / 3 * np.eye(3)
+        mises = np.sqrt(1.5 * (deviator**2).sum((-1, -2)))
+        peak = max(peak, float(np.quantile(mises, 0.99)))
+        force[frame] = np.linalg.norm(contact.energy_and_gradient(x, run.times[frame])[1], axis=1).sum()
+    embedding = model.embedding
+    positions, velocities = embedding.apply(run.positions), embedding.apply(run.velocities)
+    return peak, force, Motion(model.points, run.times, positions, velocities, model.camera)
+
+
+def rough_baseline(capture: Capture, options: GapOptions, report: Report) -> Baseline:
+    """Fit what the capture leaves free of the reduced base model, and run the full-order one there.
+
+    Raises:
+        InputError: no tracks, no rest geometry, or too few frames.
+        ConvergenceError: the base model cannot be simulated.
+    """
+    observations = observe(capture, _cheap(capture, options))
+    split = split_frames(capture, observations.frames)
+    count = int(split.fitted[-1]) + 1
+    fitted = observations.in_frames(count)
+    report("rough fit of the base model")
+    starts = _first_values(capture, fitted, count, options)
+    values = {p.name: p.start for p in starts}
+    twin = _twin(capture, options.weights, options.max_nodes, 6)
+    twin = replace(twin, steps_per_frame=_steps(twin, values))
+    names = tuple(values)
+    twin = twin.with_values(names, np.array(list(values.values())))
+    report("fit of the reduced base model")
+    rough = fit(ReducedModel(twin, names, fitted.points, count), fitted, starts, options=FitOptions(max_iterations=6))
+    return _run_base(capture, observations, split, twin.with_values(names, rough.values), rough)
+
+
+def _run_base(capture: Capture, observations: Seen, split: Split, twin: Twin, found: Fit) -> Baseline:
+    """The full-order model at fitted values, all frames."""
+    situation = _situation(twin, observations, 1e3, bool(twin.scene.obstacles))
+    points, camera = np.asarray(observations.points), situation.camera
+    model = EffectModel(twin, found.names, points, capture.frames, situation, camera=camera)
+    peak, force, motion = _stress_and_contact(model, found.values)
+    situation = _situation(twin, observations, peak, bool((force > 0).any()))
+    nothing = np.zeros((capture.frames, len(found.names), *motion.positions.shape[1:]))
+    return Baseline(
+        capture, observations, split, replace(model, situation=situation), found, motion, nothing, situation, force
+    )
+
+
+def fit_baseline(
+    rough: Baseline,
+    correction: Float[np.ndarray, "T P 3"],
+    variance: Float[np.ndarray, " N"],
+    options: GapOptions,
+    report: Report,
+) -> Baseline:
+    """Fit the full-order base model to the fitted frames, with what a finer model would change added.
+
+    Args:
+        rough: where to begin.
+        correction: see `EffectModel`.
+        variance: of the residuals in units of the stated noise, all frames: frames that the model cannot tell count
+            less.
+        options: settings.
+        report: told what is done.
+    """
+    split, names = rough.split, rough.model.base
+    count = int(split.fitted[-1]) + 1
+    model = replace(rough.model, correction=correction)
+    shorter, values = replace(model, frames=count), rough.fit.values
+    report("derivatives of the base model")
+    tangents = shorter.base_tangents(values, rough.motion.first(count))
+    report("fit of the full-order base model")
+    weighted = widened(rough.observations, variance).in_frames(count)
+    here = model.observed(rough.motion, values)
+    secant = SecantModel(shorter, values, here[:count], tangents)
+    stop = FitOptions(max_iterations=options.iterations + 2, relative_tolerance=1e-3, absolute_tolerance=0.05)
+    best = fit(secant, weighted, shorter.parameters(values), options=stop)
+    found = _run_base(rough.capture, rough.observations, split, model.twin.with_values(names, best.values), best)
+    model = replace(found.model, correction=correction)
+    report("derivatives at the fit")
+    tangents = replace(model, frames=count).base_tangents(best.values, found.motion.first(count))
+    return replace(found, model=model, tangents=tangents)

@@ -1,0 +1,5 @@
+"""Blind tests of the diagnosis: captures with sealed labels, answers, score."""
+
+from physconvex.gap.blind.bank import BankScore, diagnose_bank, generate_bank, score_bank
+
+__all__ = ["BankScore", "diagnose_bank", "generate_bank", "score_bank"]

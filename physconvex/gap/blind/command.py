@@ -1,0 +1,73 @@
+"""The commands `physconvex evaluate gap`: captures with sealed labels, blind diagnosis, score."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["app"]
+
+app = typer.Typer(no_args_is_help=True, help=__doc__)
+
+
+@app.command()
+def generate(
+    out: Annotated[Path, typer.Option(help="New folder of the captures.")],
+    seal: Annotated[Path, typer.Option(help="New file of the labels; keep it from whoever diagnoses.")],
+    count: Annotated[int, typer.Option(help="Number of captures.")] = 16,
+    seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
+    effects: Annotated[str | None, typer.Option(help="Names to draw from, separated by commas.")] = None,
+    effect_free: Annotated[float, typer.Option(help="Share of captures without an effect.")] = 0.25,
+) -> None:
+    """Simulate marker captures with hidden effects on the full-order model; publish the labels' hash only."""
+    from tqdm import tqdm
+
+    from physconvex.gap.blind.bank import generate_bank
+    from physconvex.gap.blind.cases import BLIND_EFFECTS
+
+    names = BLIND_EFFECTS if effects is None else tuple(n.strip() for n in effects.split(","))
+    with tqdm(total=count, dynamic_ncols=True) as bar:
+        generate_bank(
+            out, seal, count=count, seed=seed, effects=names, effect_free=effect_free,
+            report=lambda name: (bar.set_description(name), bar.update())[0],
+        )  # fmt: skip
+    typer.echo(f"{count} captures in {out}; labels in {seal}")
+
+
+@app.command()
+def diagnose(
+    captures: Annotated[Path, typer.Option(help="Folder of the captures.")],
+    out: Annotated[Path, typer.Option(help="Folder of the reports and of answers.json.")],
+) -> None:
+    """Diagnose every capture with the default settings; goes on where it stopped."""
+    from tqdm import tqdm
+
+    from physconvex.gap.blind.bank import diagnose_bank
+
+    with tqdm(dynamic_ncols=True) as bar:
+        path = diagnose_bank(captures, out, report=lambda name: (bar.set_description(name), bar.update())[0])
+    typer.echo(f"answers and their hash in {path}")
+
+
+@app.command()
+def score(
+    captures: Annotated[Path, typer.Option(help="Folder of the captures.")],
+    seal: Annotated[Path, typer.Option(help="File of the labels.")],
+    answers: Annotated[Path, typer.Option(help="answers.json.")],
+    out: Annotated[Path, typer.Option(help="File of the result (JSON).")] = Path("gap_score.json"),
+) -> None:
+    """Open the seal and score the answers."""
+    from physconvex.gap.blind.bank import score_bank
+
+    result = score_bank(captures, seal, answers)
+    out.write_text(json.dumps(asdict(result), indent=1) + "\n", encoding="utf-8")
+    for name in ("captures", "errors", "with_effect", "top_1", "top_2", "top_1_merged", "called", "effect_free",
+                 "false_alarms", "median_shrinkage"):  # fmt: skip
+        value = getattr(result, name)
+        typer.echo(f"{name:18s} {value:.2f}" if isinstance(value, float) else f"{name:18s} {value}")
+    for row in result.rows:
+        typer.echo(f"{row['capture']}  truth {row['truth']}  verdict {row['verdict']}  first {row.get('first')}")

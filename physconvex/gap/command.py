@@ -1,0 +1,67 @@
+"""The command `physconvex diagnose`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+__all__ = ["diagnose"]
+
+
+def diagnose(
+    capture: Annotated[
+        Path, typer.Argument(help="Capture folder (capture.json) with marker tracks.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option(help="Folder of the report.")] = Path("diagnosis"),
+    effects: Annotated[
+        str | None, typer.Option(help="Names of the effects to try, separated by commas. Default: all.")
+    ] = None,
+    without: Annotated[str | None, typer.Option(help="Names of effects to leave out.")] = None,
+    max_nodes: Annotated[int, typer.Option(help="Most nodes of the model's quadratic mesh.")] = 250,
+    candidates: Annotated[int, typer.Option(help="Effects that are fitted after screening.")] = 4,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print report.json to standard output, nothing else.")
+    ] = False,
+    no_progress: Annotated[bool, typer.Option("--no-progress", help="No progress bar.")] = False,
+) -> None:
+    """Find where the sim-to-real gap of a capture lies, which effect causes it, and how far it shrinks.
+
+    Writes report.json, report.html (open it in a browser) and body.ply into OUT.
+
+    Exit code: 0 diagnosed, 1 the base model could not be simulated, 2 wrong usage or a capture that lacks something.
+    """
+    from tqdm import tqdm
+
+    from physconvex.gap.diagnose import diagnose as run
+    from physconvex.gap.options import GapOptions
+
+    options = GapOptions(max_nodes=max_nodes, candidates=candidates)
+
+    with tqdm(total=None, dynamic_ncols=True, disable=no_progress or as_json or not sys.stderr.isatty()) as bar:
+
+        def show(text: str) -> None:
+            bar.set_description(text)
+            bar.update()
+
+        report = run(capture, effects=_names(effects), without=_names(without) or (), options=options, on_progress=show)
+    report.save(out)
+    if as_json:
+        typer.echo(json.dumps(report.to_json(), default=lambda value: value.tolist()))
+        return
+    typer.echo(report.verdict.sentence)
+    for caveat in report.verdict.caveats:
+        typer.echo(f"  {caveat}")
+    main = report.how_far[0]
+    typer.echo(
+        f"Gap on {main.data}: {1e3 * main.gap_before:.3g} mm before, {1e3 * main.gap_after:.3g} mm after "
+        f"(floor {1e3 * main.noise_floor:.3g} mm)."
+    )
+    typer.echo(f"Report: {out / 'report.html'}")
+
+
+def _names(text: str | None) -> list[str] | None:
+    return None if text is None else [name.strip() for name in text.split(",") if name.strip()]

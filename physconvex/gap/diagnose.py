@@ -1,0 +1,159 @@
+"""The whole diagnosis of one capture."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import physconvex
+from physconvex.capture import Capture, load_capture
+from physconvex.errors import ConvergenceError
+from physconvex.gap.advice import next_experiment
+from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
+from physconvex.gap.comparison import Hypothesis, base_hypothesis, compare, fit_effects
+from physconvex.gap.effects import Effect, choose
+from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
+from physconvex.gap.numerics import Numerics, correction_of, error_model, numerical_differences
+from physconvex.gap.options import GapOptions
+from physconvex.gap.report import GapReport, Provenance
+from physconvex.gap.score import ErrorModel
+from physconvex.gap.screening import Screening, screen
+from physconvex.gap.verdict import decide
+from physconvex.gap.where import locate_gap
+
+__all__ = ["diagnose"]
+
+Report = Callable[[str], None]
+
+
+def diagnose(
+    capture: Capture | Path | str,
+    *,
+    effects: Sequence[str] | None = None,
+    without: Iterable[str] = (),
+    extra: Iterable[Effect] = (),
+    options: GapOptions | None = None,
+    on_progress: Report | None = None,
+) -> GapReport:
+    """Where the gap between a capture and its base model lies, which effect causes it, and how far it shrinks.
+
+    The base model is what `capture.json` states, with E, ν and the unstated initial motion fitted.
+
+    Args:
+        capture: a capture folder with marker tracks and rest geometry.
+        effects: names of the effects to try; all unless given.
+        without: names to leave out.
+        extra: effects of one's own.
+        options: settings; the defaults are those that blind tests run with.
+        on_progress: told what is done.
+
+    Raises:
+        InputError: the capture lacks something, or an effect's name is unknown; the message says what.
+        ConvergenceError: the base model cannot be simulated.
+    """
+    begun, options = time.monotonic(), options or GapOptions()
+    capture = capture if isinstance(capture, Capture) else load_capture(capture)
+    dictionary = choose(effects, without=without, extra=extra)
+    report: Report = on_progress or (lambda _: None)
+    rough = rough_baseline(capture, options, report)
+    numerics = numerical_differences(rough, options, report)
+    rough_errors = error_model(rough, numerics, options)
+    base = fit_baseline(rough, correction_of(numerics), rough_errors.variance, options, report)
+    directions = {
+        "time_step": numerics.implicit_euler,
+        "mesh_resolution": numerics.mesh,
+        "reduction": numerics.reduction,
+    }
+    base = replace(base, model=replace(base.model, directions=directions))
+    errors = error_model(base, numerics, options)
+    screening = screen(base, errors, numerics, dictionary, report)
+    hypotheses = compare(base, errors, screening, options, report)
+    best = next((h for h in hypotheses if h.effects), hypotheses[0])
+    report("placebo")
+    placebo = _placebo(base, errors, screening, best, options)
+    shrinkage = _shrinkages(base, errors, best, placebo, options)
+    verdict = decide(
+        hypotheses,
+        screening,
+        _relative_gap(base, errors, base_hypothesis(base, errors)),
+        _relative_gap(base, errors, best),
+        1.0 - shrinkage[-1].shrinkage,
+        options,
+        floor=shrinkage[-1].noise_floor / base.situation.size,
+    )
+    report("report")
+    return GapReport(
+        where=locate_gap(base, errors, best, options),
+        verdict=verdict,
+        how_far=shrinkage,
+        base=base,
+        best=best,
+        hypotheses=tuple(hypotheses),
+        screening=screening,
+        next_experiment=next_experiment(verdict, base.situation),
+        provenance=_provenance(base, numerics, screening, time.monotonic() - begun),
+        options=options,
+    )
+
+
+def _relative_gap(base: Baseline, errors: ErrorModel, hypothesis: Hypothesis) -> float:
+    """Mean square of the residual over its expected square, all frames."""
+    residual = base.residual(hypothesis.positions)
+    return float(np.mean(residual**2 / errors.expected))
+
+
+def _placebo(
+    base: Baseline, errors: ErrorModel, screening: Screening, best: Hypothesis, options: GapOptions
+) -> Hypothesis | None:
+    """A fit of the effect that the residual asks for least, of those that can be seen at all."""
+    others = [
+        entry
+        for entry in reversed(screening.one_per_name)
+        if entry.effect.name not in best.names
+        and entry.effect.source != "numerical"
+        and max(
+            (screening.similarity(entry, own) for own in screening.ranked if own.effect in best.effects), default=0.0
+        )
+        < 0.7
+    ]
+    if not others:
+        return None
+    try:
+        return fit_effects(base, errors, others[:1], options)
+    except ConvergenceError:
+        return None
+
+
+def _shrinkages(
+    base: Baseline, errors: ErrorModel, best: Hypothesis, placebo: Hypothesis | None, options: GapOptions
+) -> tuple[HowFar, ...]:
+    """On the frames that served nothing else, then on all held-out frames."""
+    split = base.split
+    pairs = [(split.reporting, "held-out frames that chose nothing"), (split.held_out, "all held-out frames")]
+    return tuple(
+        shrinkage_on(
+            base, errors, best, placebo, np.unique(frames), f"{data}, {frames.min()} to {frames.max()}", options
+        )
+        for frames, data in pairs
+        if len(gap_squares(base, base.positions, frames))
+    )
+
+
+def _provenance(base: Baseline, numerics: Numerics, screening: Screening, seconds: float) -> Provenance:
+    split, steps = base.split, base.model.twin.steps_per_frame
+    return Provenance(
+        capture=base.capture.folder.resolve().name,
+        version=physconvex.__version__,
+        nodes=len(base.model.twin.mesh.vertices),
+        steps_per_frame=steps,
+        numerical_viscosity=base.situation.youngs_modulus / (base.capture.fps * steps),
+        fitted=tuple(int(f) for f in split.fitted),
+        selecting=tuple(int(f) for f in split.selecting),
+        reporting=tuple(int(f) for f in split.reporting),
+        simulations_failed=(*numerics.failed, *screening.failed),
+        seconds=seconds,
+    )

@@ -1,0 +1,16 @@
+"""Named effects that a base model may lack, each with its doses and its place in the simulators."""
+
+from physconvex.gap.effects.catalogue import DEFAULT_EFFECTS, EFFECT_NAMES, applicable, choose
+from physconvex.gap.effects.effect import Dose, Effect, Motion, Situation, Source
+
+__all__ = [
+    "DEFAULT_EFFECTS",
+    "EFFECT_NAMES",
+    "Dose",
+    "Effect",
+    "Motion",
+    "Situation",
+    "Source",
+    "applicable",
+    "choose",
+]

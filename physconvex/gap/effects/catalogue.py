@@ -1,0 +1,41 @@
+"""The dictionary of effects that a diagnosis chooses from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from physconvex.errors import InputError
+from physconvex.gap.effects.declared import DECLARED_EFFECTS
+from physconvex.gap.effects.effect import Effect, Situation
+from physconvex.gap.effects.material import MATERIAL_EFFECTS
+from physconvex.gap.effects.observation import OBSERVATION_EFFECTS
+from physconvex.gap.effects.world import WORLD_EFFECTS
+
+__all__ = ["DEFAULT_EFFECTS", "EFFECT_NAMES", "applicable", "choose"]
+
+DEFAULT_EFFECTS: tuple[Effect, ...] = (*MATERIAL_EFFECTS, *WORLD_EFFECTS, *OBSERVATION_EFFECTS, *DECLARED_EFFECTS)
+EFFECT_NAMES: tuple[str, ...] = tuple(dict.fromkeys(effect.name for effect in DEFAULT_EFFECTS))
+
+
+def choose(
+    names: Sequence[str] | None = None, *, without: Iterable[str] = (), extra: Iterable[Effect] = ()
+) -> tuple[Effect, ...]:
+    """The effects of these names (all unless given), but for some, and with some of one's own.
+
+    Raises:
+        InputError: a name that no effect has.
+    """
+    known = (*DEFAULT_EFFECTS, *extra)
+    left_out = set(without)
+    wanted = {effect.name for effect in known} if names is None else set(names)
+    unknown = (wanted | left_out) - {effect.name for effect in known}
+    if unknown:
+        raise InputError(
+            f"effects: got {sorted(unknown)}; expected names among {', '.join(sorted({e.name for e in known}))}"
+        )
+    return tuple(effect for effect in known if effect.name in wanted - left_out)
+
+
+def applicable(effects: Iterable[Effect], situation: Situation) -> tuple[Effect, ...]:
+    """Those that can be tried in a situation: gauges never are."""
+    return tuple(effect for effect in effects if effect.source != "gauge" and effect.applies(situation))

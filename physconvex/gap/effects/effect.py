@@ -1,0 +1,200 @@
+"""What an effect is: a named deviation from the base model, with the doses it takes and where they enter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.camera import Camera
+from physconvex.errors import InputError
+from physconvex.fem import Scene
+from physconvex.reduced import ReducedScene
+
+__all__ = ["SOURCES", "AnyScene", "Dose", "Effect", "Motion", "Situation", "Source"]
+
+AnyScene = ReducedScene | Scene
+Source = Literal["material", "contact", "external", "initial state", "observation", "numerical", "gauge"]
+SOURCES: tuple[Source, ...] = (
+    "material", "contact", "external", "initial state", "observation", "numerical", "gauge",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What an effect may ask about the capture before it is tried.
+
+    Attributes:
+        size: largest edge of the body [m].
+        youngs_modulus: E of the base fit [Pa].
+        density: [kg/m³].
+        fps: frames per second.
+        frames: number of frames.
+        floor: whether there is an obstacle to touch.
+        clamped: whether part of the body is held.
+        touches: whether the base model touches the floor within the frames.
+        friction: stated coefficient of the floor.
+        states_velocity, states_spin: whether the capture states the initial motion (else it is estimated freely).
+        peak_stress: largest von Mises stress of the base run [Pa].
+        gravity: [m/s²].
+        camera: the camera whose pixels are compared; None for markers in space.
+    """
+
+    size: float
+    youngs_modulus: float
+    density: float
+    fps: float
+    frames: int
+    floor: bool = False
+    clamped: bool = False
+    touches: bool = False
+    friction: float = 0.0
+    states_velocity: bool = True
+    states_spin: bool = True
+    peak_stress: float = 1e3
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    camera: Camera | None = None
+
+    @property
+    def wave_time(self) -> float:
+        """Time an elastic wave takes through the body, L √(ρ/E) [s]: the scale of its vibrations."""
+        return float(self.size * np.sqrt(self.density / self.youngs_modulus))
+
+
+@dataclass(frozen=True)
+class Dose:
+    """One number by which an effect is measured.
+
+    Attributes:
+        name: what it is.
+        unit: SI unit, "" for a pure number.
+        lower, upper: bounds.
+        smallest: smallest deviation from `null` that is of interest, in the unit.
+        trial: deviation from `null` with which it is screened, from the situation; large enough to be seen, small
+            enough for the motion to stay near.
+        null: value at which the effect is absent.
+        shape: whether the dose only shapes the effect (a time constant, a direction) and is not screened by itself.
+        threshold: whether the effect sets in somewhere between `null` and the trial dose (the logarithm of a yield
+            stress), so that a weaker effect is a dose near the trial one and not a part of the way from `null`.
+    """
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    smallest: float
+    trial: Callable[[Situation], float]
+    null: float = 0.0
+    shape: bool = False
+    threshold: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.lower <= self.null <= self.upper:
+            raise InputError(f"dose {self.name}: null {self.null:g} lies outside [{self.lower:g}, {self.upper:g}]")
+        if not self.smallest > 0:
+            raise InputError(f"dose {self.name}: smallest: got {self.smallest:g}; expected a number > 0")
+
+    def estimate(self, amount: float, error: float, trial: float) -> tuple[float, float]:
+        """Dose of which the trial one is a multiple 1/amount, and its standard error, by first order.
+
+        Args:
+            amount: multiple of the effect of the trial dose.
+            error: its standard error.
+            trial: the trial dose.
+        """
+        if self.threshold:  # the effect grows with the square of the distance beyond the threshold, say
+            share = max(amount, 0.02)
+            value = trial - self.sign * 0.5 * np.log10(1 / share)
+            return float(np.clip(value, self.lower, self.upper)), float(0.5 * error / share / np.log(10))
+        change = trial - self.null
+        return float(np.clip(self.null + amount * change, self.lower, self.upper)), error * abs(change)
+
+    def slope(self, trial: float) -> float:
+        """Change of the dose that undoes or adds the effect of the trial dose, for derivatives there."""
+        return 0.4 * self.sign if self.threshold else trial - self.null
+
+    @property
+    def sign(self) -> int:
+        """+1, −1 where physics allows deviations to one side only, else 0."""
+        return int(self.lower >= self.null) - int(self.upper <= self.null)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Simulated points on their way to the observation: rest [P, 3], times [T], positions and velocities [T, P, 3]."""
+
+    rest: Float[np.ndarray, "P 3"]
+    times: Float[np.ndarray, " T"]
+    positions: Float[np.ndarray, "T P 3"]
+    velocities: Float[np.ndarray, "T P 3"]
+    camera: Camera | None = None
+
+    def first(self, count: int) -> Motion:
+        """Its first frames."""
+        return Motion(self.rest, self.times[:count], self.positions[:count], self.velocities[:count], self.camera)
+
+
+def _always(situation: Situation) -> bool:
+    return True
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A deviation from the base model that may explain a gap.
+
+    Attributes:
+        name: of the effect (the same for its variants).
+        source: what kind of cause it is.
+        doses: the numbers that measure it.
+        scene: puts doses [D] into a reduced or a full-order scene; None where it acts on the observation alone.
+        observe: puts doses into what is observed: from a `Motion` to positions [T, P, 3]; None where it does not.
+        applies: whether the effect makes sense in a situation.
+        variant: distinguishes forms of one effect.
+        description: one line for people.
+        confusable: effects that look alike from kinematics, declared beforehand.
+
+    Raises:
+        InputError: no dose, or an effect that does nothing.
+    """
+
+    name: str
+    source: Source
+    doses: tuple[Dose, ...]
+    scene: Callable[[AnyScene, Float[np.ndarray, " D"]], AnyScene] | None = None
+    observe: Callable[[Motion, Float[np.ndarray, " D"]], Float[np.ndarray, "T P 3"]] | None = None
+    applies: Callable[[Situation], bool] = _always
+    variant: str = ""
+    description: str = ""
+    confusable: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        if not self.doses:
+            raise InputError(f"effect {self.name}: got no dose; expected at least one number that measures it")
+        if self.source not in SOURCES:
+            raise InputError(f"effect {self.name}: source: got {self.source!r}; expected one of {', '.join(SOURCES)}")
+        if self.source not in ("gauge", "numerical") and self.scene is None and self.observe is None:
+            raise InputError(f"effect {self.name}: acts on nothing; give it `scene` or `observe`")
+
+    @property
+    def label(self) -> str:
+        """Name and variant."""
+        return f"{self.name} ({self.variant})" if self.variant else self.name
+
+    @property
+    def null(self) -> Float[np.ndarray, " D"]:
+        """Doses at which it is absent."""
+        return np.array([dose.null for dose in self.doses])
+
+    def trials(self, situation: Situation) -> list[tuple[int, Float[np.ndarray, " D"]]]:
+        """Doses to screen with: index of the screened dose and the whole dose vector, one per dose that is no shape."""
+        base = np.array([d.null + d.trial(situation) if d.shape else d.null for d in self.doses])
+        out = []
+        for index, dose in enumerate(self.doses):
+            if not dose.shape:
+                vector = base.copy()
+                vector[index] = np.clip(dose.null + dose.trial(situation), dose.lower, dose.upper)
+                out.append((index, vector))
+        return out

@@ -1,0 +1,170 @@
+"""Effects of the material."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.elastic_terms import with_fibres, with_strain_stiffening
+from physconvex.gap.effects.effect import AnyScene, Dose, Effect, Situation
+from physconvex.gap.effects.scenes import with_fields, with_material
+from physconvex.inelastic import Plasticine, StandardLinearSolid
+from physconvex.materials import Law, get_law
+
+__all__ = ["MATERIAL_EFFECTS"]
+
+Doses = Float[np.ndarray, " D"]
+_UNYIELDING = 9.0  # log10 of a yield stress [Pa] that nothing here reaches
+
+
+def _damping(scene: AnyScene, doses: Doses) -> AnyScene:
+    return with_fields(scene, damping_time=scene.damping_time + float(doses[0]))
+
+
+DAMPING = Effect(
+    "damping",
+    "material",
+    (Dose("damping_time", "s", 0.0, 0.2, 1e-4, lambda s: 0.05 * s.wave_time),),
+    scene=_damping,
+    description="viscosity in proportion to stiffness (Kelvin–Voigt): every strain rate costs energy",
+    confusable=("viscoelasticity", "time_step", "restitution"),
+)
+
+
+def _relaxing(scene: AnyScene, doses: Doses) -> AnyScene:
+    if doses[0] <= 0:
+        return scene
+    return with_material(scene, flow=StandardLinearSolid(float(doses[0]), float(10 ** doses[1])))
+
+
+def _viscoelasticity(variant: str, periods: float) -> Effect:
+    return Effect(
+        "viscoelasticity",
+        "material",
+        (
+            Dose("modulus_ratio", "", 0.0, 5.0, 0.05, lambda s: 0.3),
+            Dose("log10_relaxation_time", "log10 s", -5.0, 2.0, 0.1, lambda s: float(np.log10(periods * s.wave_time)),
+                 shape=True),
+        ),
+        scene=_relaxing,
+        variant=variant,
+        description="standard linear solid: stiffer in fast motion than in slow, with a relaxation time",
+        confusable=("damping",),
+    )  # fmt: skip
+
+
+def _yielding(scene: AnyScene, doses: Doses) -> AnyScene:
+    if doses[0] >= _UNYIELDING - 0.5:
+        return scene
+    return with_material(scene, flow=Plasticine(float(10 ** doses[0])))
+
+
+def _yield_trial(situation: Situation) -> float:
+    return float(np.log10(0.4 * max(situation.peak_stress, 1e-3 * situation.youngs_modulus))) - _UNYIELDING
+
+
+PLASTICITY = Effect(
+    "plasticity",
+    "material",
+    (Dose("log10_yield_stress", "log10 Pa", 0.0, _UNYIELDING, 0.1, _yield_trial, null=_UNYIELDING, threshold=True),),
+    scene=_yielding,
+    description="strain beyond a yield stress stays",
+    confusable=("viscoelasticity",),
+)
+
+
+def _uneven(scene: AnyScene, doses: Doses) -> AnyScene:
+    def factor(x: np.ndarray) -> np.ndarray:
+        core = 1 - np.minimum((x**2).sum(1), 2.0)
+        return np.asarray(10 ** (x @ doses[:3] + core * doses[3]))
+
+    return with_material(scene, modulus=factor)
+
+
+HETEROGENEITY = Effect(
+    "heterogeneity",
+    "material",
+    tuple(
+        Dose(f"log10_modulus_{where}", "decades", -1.0, 1.0, 0.05, lambda s: 0.1)
+        for where in ("along_x", "along_y", "along_z", "in_the_core")
+    ),
+    scene=_uneven,
+    description="E varies over the body: along an axis, or between core and rim",
+    confusable=("anisotropy",),
+)
+
+
+def _with_fibres(axis: int) -> Effect:
+    def scene(scene: AnyScene, doses: Doses) -> AnyScene:
+        if doses[0] <= 0:
+            return scene
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        direction = np.zeros(3)
+        direction[axis], direction[first], direction[second] = 1.0, np.tan(doses[1]), np.tan(doses[2])
+        return with_material(scene, law=lambda law: with_fibres(law, direction, float(doses[0])))
+
+    return Effect(
+        "anisotropy",
+        "material",
+        (
+            Dose("modulus_ratio", "", 0.0, 20.0, 0.1, lambda s: 0.5),
+            Dose("angle_1", "rad", -0.9, 0.9, 0.1, lambda s: 0.0, shape=True),
+            Dose("angle_2", "rad", -0.9, 0.9, 0.1, lambda s: 0.0, shape=True),
+        ),
+        scene=scene,
+        variant="xyz"[axis],
+        description="fibres stiffen one direction",
+        confusable=("heterogeneity", "nonlinear_elasticity"),
+    )
+
+
+def _stiffening(scene: AnyScene, doses: Doses) -> AnyScene:
+    if doses[0] <= 0:
+        return scene
+    return with_material(scene, law=lambda law: with_strain_stiffening(law, float(doses[0])))
+
+
+def mixed_law(law: Law, other: Law, share: float) -> Law:
+    """(1 − share) of one law and a share of another."""
+    return Law(
+        f"{law.name}~{other.name}",
+        lambda f, mu, lam: (1 - share) * law.energy(f, mu, lam) + share * other.energy(f, mu, lam),
+        lambda f, mu, lam: (1 - share) * law.stress(f, mu, lam) + share * other.stress(f, mu, lam),
+        lambda f, mu, lam: (1 - share) * law.hessian(f, mu, lam) + share * other.hessian(f, mu, lam),
+    )
+
+
+def _other_law(scene: AnyScene, doses: Doses) -> AnyScene:
+    return with_material(scene, law=lambda law: mixed_law(law, get_law("corotated"), float(doses[0])))
+
+
+_CONFUSED = ("anisotropy", "contact_stiffness")
+STIFFENING = Effect(
+    "nonlinear_elasticity",
+    "material",
+    (Dose("stiffening_rate", "", 0.0, 50.0, 0.1, lambda s: 0.5),),
+    scene=_stiffening,
+    variant="stiffening",
+    description="shear stiffness grows with strain (Yeoh's second term)",
+    confusable=_CONFUSED,
+)
+OTHER_LAW = Effect(
+    "nonlinear_elasticity",
+    "material",
+    (Dose("corotated_share", "", -0.5, 1.0, 0.2, lambda s: 0.3),),
+    scene=_other_law,
+    variant="law",
+    description="another elastic law at large strain: on the way from the base law to the corotated one",
+    confusable=_CONFUSED,
+)
+
+MATERIAL_EFFECTS: tuple[Effect, ...] = (
+    DAMPING,
+    _viscoelasticity("fast", 0.05),
+    _viscoelasticity("slow", 0.5),
+    PLASTICITY,
+    HETEROGENEITY,
+    *(_with_fibres(axis) for axis in range(3)),
+    STIFFENING,
+    OTHER_LAW,
+)

@@ -1,0 +1,152 @@
+"""Effects of the observation: cameras, markers, clocks. They act on simulated positions before these are compared.
+
+A camera's errors are written as motions of the points that look the same to it: what it sees of x' = A(x) through the
+stated camera is what the true camera sees of x.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import CubicHermiteSpline
+
+from physconvex.gap.effects.effect import Dose, Effect, Motion, Situation
+from physconvex.gap.effects.world import rotation_vector_matrix
+
+__all__ = ["OBSERVATION_EFFECTS", "at_times"]
+
+Doses = Float[np.ndarray, " D"]
+Positions = Float[np.ndarray, "T P 3"]
+
+
+def at_times(motion: Motion, times: np.ndarray) -> Positions:
+    """Positions at other times [s], one per frame [T] or per frame and point [T, P]; straight on beyond the ends."""
+    inside = np.clip(times, motion.times[0], motion.times[-1])
+    if inside.ndim == 1:
+        spline = CubicHermiteSpline(motion.times, motion.positions, motion.velocities, axis=0)
+        beyond = (times - inside)[:, None, None]
+        return np.asarray(spline(inside) + beyond * spline(inside, 1))
+    out = np.empty_like(motion.positions)
+    for p in range(out.shape[1]):
+        spline = CubicHermiteSpline(motion.times, motion.positions[:, p], motion.velocities[:, p], axis=0)
+        out[:, p] = spline(inside[:, p]) + (times[:, p] - inside[:, p])[:, None] * spline(inside[:, p], 1)
+    return out
+
+
+def _late(motion: Motion, doses: Doses) -> Positions:
+    return at_times(motion, motion.times + doses[0])
+
+
+TIME_OFFSET = Effect(
+    "time_offset",
+    "observation",
+    (Dose("offset", "s", -0.2, 0.2, 5e-4, lambda s: 0.1 / s.fps),),
+    observe=_late,
+    description="the recording starts later (or earlier) than the motion",
+    confusable=("initial_velocity",),
+)
+
+
+def _fast(motion: Motion, doses: Doses) -> Positions:
+    return at_times(motion, motion.times * (1 + doses[0]))
+
+
+TIME_SCALE = Effect(
+    "time_scale",
+    "observation",
+    (Dose("relative_error", "", -0.5, 0.5, 2e-3, lambda s: 0.01),),
+    observe=_fast,
+    description="the stated frame rate is wrong; within one flight the same as another gravity or size",
+    confusable=("air_drag", "focal_length"),
+)
+
+
+def _moved(motion: Motion, doses: Doses) -> Positions:
+    pivot = motion.rest.mean(0) if motion.camera is None else motion.camera.position
+    turn = rotation_vector_matrix(np.radians(doses[:3]))
+    return np.asarray((motion.positions - pivot) @ turn.T + pivot + doses[3:])
+
+
+CAMERA_POSE = Effect(
+    "camera_pose",
+    "observation",
+    tuple(Dose(f"turn_{axis}", "deg", -20.0, 20.0, 0.05, lambda s: 0.5) for axis in "xyz")
+    + tuple(Dose(f"shift_{axis}", "m", -2.0, 2.0, 5e-4, lambda s: 0.01 * s.size) for axis in "xyz"),
+    observe=_moved,
+    description="the frame of the camera, or of the marker system, is turned or shifted; seen at frame 0 already",
+    confusable=("gravity_tilt",),
+)
+
+
+def _local(motion: Motion) -> np.ndarray:
+    assert motion.camera is not None
+    return np.asarray((motion.positions - motion.camera.position) @ motion.camera.rotation)
+
+
+def _world(motion: Motion, local: np.ndarray) -> np.ndarray:
+    assert motion.camera is not None
+    return np.asarray(local @ motion.camera.rotation.T + motion.camera.position)
+
+
+def _zoomed(motion: Motion, doses: Doses) -> Positions:
+    return _world(motion, _local(motion) * np.array([1 + doses[0], 1 + doses[0], 1.0]))
+
+
+def _seen_by_camera(situation: Situation) -> bool:
+    return situation.camera is not None
+
+
+FOCAL_LENGTH = Effect(
+    "focal_length",
+    "observation",
+    (Dose("relative_error", "", -0.5, 0.5, 2e-3, lambda s: 0.01),),
+    observe=_zoomed,
+    applies=_seen_by_camera,
+    description="the camera's focal length is wrong: everything is seen too large or too small",
+    confusable=("time_scale", "camera_pose"),
+)
+
+
+def _bent(motion: Motion, doses: Doses) -> Positions:
+    local = _local(motion)
+    square = (local[..., :2] ** 2).sum(-1, keepdims=True) / local[..., 2:] ** 2
+    return _world(motion, local * np.concatenate([np.repeat(1 + doses[0] * square, 2, -1), np.ones_like(square)], -1))
+
+
+LENS_DISTORTION = Effect(
+    "lens_distortion",
+    "observation",
+    (Dose("k1", "", -0.5, 0.5, 0.01, lambda s: 0.05),),
+    observe=_bent,
+    applies=_seen_by_camera,
+    description="the lens bends straight lines",
+    confusable=("focal_length",),
+)
+
+
+def _rolled(motion: Motion, doses: Doses) -> Positions:
+    camera = motion.camera
+    assert camera is not None
+    pixels, _ = camera.project(motion.positions.reshape(-1, 3))
+    rows = np.nan_to_num(pixels[:, 1], nan=0.5 * camera.h).reshape(motion.positions.shape[:2]) / camera.h
+    return at_times(motion, motion.times[:, None] + doses[0] * (rows - 0.5))
+
+
+ROLLING_SHUTTER = Effect(
+    "rolling_shutter",
+    "observation",
+    (Dose("read_out_time", "s", -0.1, 0.1, 1e-3, lambda s: 0.2 / s.fps),),
+    observe=_rolled,
+    applies=_seen_by_camera,
+    description="rows of the image are exposed one after the other",
+    confusable=("initial_spin", "time_offset"),
+)
+
+OBSERVATION_EFFECTS: tuple[Effect, ...] = (
+    TIME_OFFSET,
+    TIME_SCALE,
+    CAMERA_POSE,
+    FOCAL_LENGTH,
+    LENS_DISTORTION,
+    ROLLING_SHUTTER,
+)

@@ -1,0 +1,77 @@
+"""Changes of reduced and full-order scenes alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.errors import InputError
+from physconvex.fem import ElasticBody
+from physconvex.gap.effects.effect import AnyScene
+from physconvex.inelastic import FlowRule
+from physconvex.materials import Law
+from physconvex.reduced import ReducedBody, ReducedScene
+
+__all__ = ["cell_coordinates", "with_fields", "with_material"]
+
+
+def with_fields(scene: AnyScene, **changes: Any) -> AnyScene:
+    """The scene with fields replaced that both kinds have."""
+    return replace(scene, **changes)
+
+
+def cell_coordinates(scene: AnyScene) -> Float[np.ndarray, "C 3"]:
+    """Centres of the cells, scaled so that the bounding box of the body is [-1, 1]³."""
+    if isinstance(scene, ReducedScene):
+        interior = scene.body.space.samples.interior
+        weights = np.bincount(interior.cells, interior.weights)
+        moments = [np.bincount(interior.cells, interior.weights * x) / weights for x in interior.points.T]
+        centres = np.stack(moments, axis=1)
+        box = scene.body.space.samples.surface_points
+    else:
+        mesh = scene.body.mesh
+        centres, box = mesh.vertices[mesh.corner_tets].mean(1), mesh.vertices
+    low, high = box.min(0), box.max(0)
+    return 2 * (centres - low) / (high - low) - 1
+
+
+def with_material(
+    scene: AnyScene,
+    *,
+    law: Callable[[Law], Law] | None = None,
+    flow: FlowRule | None = None,
+    modulus: Callable[[Float[np.ndarray, "C 3"]], Float[np.ndarray, " C"]] | None = None,
+) -> AnyScene:
+    """The scene with another material; contact (and pins) keep the stiffness they had.
+
+    Args:
+        scene: reduced or full-order.
+        law: makes the new elastic law out of the present one.
+        flow: how the material flows.
+        modulus: factor on E from the cells' scaled coordinates.
+    """
+    body, stiffness = scene.body, scene.contact().stiffness
+    if flow is not None and body.flow is not None:
+        raise InputError(f"flow: the body flows already ({body.flow}); one way of flowing at a time")
+    factor: float | np.ndarray = 1.0 if modulus is None else modulus(cell_coordinates(scene))
+    constants: dict[str, Any] = {
+        "law": body.law if law is None else law(body.law),
+        "youngs_modulus": body.youngs_modulus * factor,
+        "poisson_ratio": body.poisson_ratio,
+        "density": body.density,
+        "flow": body.flow if flow is None else flow,
+    }
+    if isinstance(scene, ReducedScene):
+        assert isinstance(body, ReducedBody)
+        pins = scene.pins
+        if pins is not None and pins.stiffness is None:
+            springs = scene.pin_springs()
+            assert springs is not None
+            pins = replace(pins, stiffness=float(springs.weights[0] / np.asarray(pins.areas)[0]))
+        return replace(scene, body=ReducedBody(body.space, **constants), contact_stiffness=stiffness, pins=pins)
+    assert isinstance(body, ElasticBody)
+    return replace(scene, body=ElasticBody(body.mesh, **constants), contact_stiffness=stiffness)

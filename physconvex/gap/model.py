@@ -1,0 +1,239 @@
+"""A twin with effects: positions of points by base parameters and doses, from the full-order model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.camera import Camera
+from physconvex.errors import ConvergenceError
+from physconvex.fem import Embedding, TetMesh
+from physconvex.fem import Scene as FullScene
+from physconvex.fem import simulate as simulate_full
+from physconvex.gap.effects import Effect, Motion, Situation
+from physconvex.identify import Parameter, Twin
+from physconvex.identify.parameters import default_parameter
+from physconvex.reduced import ReducedScene, parameter_values, simulate
+
+__all__ = ["DoseParameter", "EffectModel", "SecantModel"]
+
+Positions = Float[np.ndarray, "T P 3"]
+Vector = Float[np.ndarray, " K"]
+_BASE_STEP = 0.1  # of a typical step, for differences
+
+
+class DoseParameter(Parameter):
+    """An unknown that is a dose: its name is free."""
+
+    def __post_init__(self) -> None:
+        assert self.lower <= self.start <= self.upper and self.step > 0
+
+
+@dataclass(frozen=True, eq=False)
+class EffectModel:
+    """Base parameters and doses → positions of the observed points.
+
+    Attributes:
+        twin: the base model.
+        base: names of the free base parameters.
+        points: rest positions of the points [m], shape [P, 3].
+        frames: number of frames T.
+        situation: for the sizes of finite doses.
+        effects: what is added.
+        camera: the camera that looks, for effects of the observation.
+        directions: of effects that are differences of runs (numerical ones), by name, shape [T, P, 3].
+        correction: added to every motion, shape [T, P, 3]: what a finer model would change.
+        mesh: another mesh for the full-order model.
+        refinement: factor on its time steps.
+        integrator: of the full-order model.
+    """
+
+    twin: Twin
+    base: tuple[str, ...]
+    points: Float[np.ndarray, "P 3"]
+    frames: int
+    situation: Situation
+    effects: tuple[Effect, ...] = ()
+    camera: Camera | None = None
+    directions: Mapping[str, Positions] = field(default_factory=dict)
+    correction: Positions | None = None
+    mesh: TetMesh | None = None
+    refinement: int = 1
+    integrator: str = "bdf2"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters: base ones, then `effect.dose`."""
+        return self.base + tuple(f"{e.label}.{d.name}" for e in self.effects for d in e.doses)
+
+    @property
+    def slices(self) -> tuple[slice, ...]:
+        """Where the doses of each effect are among the values."""
+        ends = np.cumsum([len(self.base), *(len(e.doses) for e in self.effects)])
+        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+
+    def parameters(self, values: Vector) -> tuple[Parameter, ...]:
+        """The unknowns, starting at `values`."""
+        out: list[Parameter] = [
+            default_parameter(name).at(float(value)) for name, value in zip(self.base, values, strict=False)
+        ]
+        for effect, where in zip(self.effects, self.slices, strict=True):
+            for dose, value, name in zip(effect.doses, values[where], self.names[where], strict=True):
+                step = 2 * dose.smallest if dose.shape else max(abs(dose.trial(self.situation)), dose.smallest)
+                start = float(np.clip(value, dose.lower, dose.upper))
+                out.append(DoseParameter(name, start, dose.lower, dose.upper, step))
+        return tuple(out)
+
+    def null_values(self) -> Vector:
+        """The twin's base parameters, and doses at which the effects are absent."""
+        return np.concatenate([parameter_values(self.twin.scene, self.base), *(e.null for e in self.effects)])
+
+    # -- scenes
+
+    def _in_scene(self, scene: Any, values: Vector) -> Any:
+        for effect, where in zip(self.effects, self.slices, strict=True):
+            if effect.scene is not None:
+                scene = effect.scene(scene, values[where])
+        return scene
+
+    def _based(self, values: Vector) -> Twin:
+        return self.twin.with_values(self.base, values[: len(self.base)])
+
+    def full_scene(self, values: Vector) -> FullScene:
+        """Full-order scene with the effects."""
+        return self._in_scene(self._based(values).full_scene(self.mesh), values)
+
+    def reduced_scene(self, values: Vector) -> ReducedScene:
+        """Reduced scene with the effects."""
+        return self._in_scene(self._based(values).scene, values)
+
+    # -- motions
+
+    @cached_property
+    def embedding(self) -> Embedding:
+        """The points in the full-order mesh."""
+        return Embedding.of_points(self.twin.mesh if self.mesh is None else self.mesh, self.points)
+
+    def _motion(self, times: np.ndarray, positions: np.ndarray, velocities: np.ndarray) -> Motion:
+        return Motion(self.points, times, positions, velocities, self.camera)
+
+    def motion(self, values: Vector) -> Motion:
+        """Motion of the points by the full-order model, before correction and observation."""
+        timing = self.twin.timing(self.frames)
+        timing["steps_per_frame"] *= self.refinement
+        run = simulate_full(self.full_scene(values), integrator=self.integrator, **timing)  # type: ignore[arg-type]
+        return self._motion(run.times, self.embedding.apply(run.positions), self.embedding.apply(run.velocities))
+
+    def reduced_motion(self, values: Vector) -> Motion:
+        """The same by the reduced model."""
+        run = simulate(self.reduced_scene(values), **self.twin.timing(self.frames))
+        shapes = self.twin.scene.body.space.shape_values(self.points)
+        return self._motion(run.times, shapes @ run.coordinates, shapes @ run.velocities)
+
+    def observed(self, motion: Motion, values: Vector) -> Positions:
+        """What is observed of a motion: corrected, observation effects applied, numerical directions added."""
+        positions = motion.positions
+        if self.correction is not None:
+            positions = positions + self.correction[: self.frames]
+        for effect, where in zip(self.effects, self.slices, strict=True):
+            if effect.observe is not None:
+                moved = Motion(motion.rest, motion.times, positions, motion.velocities, self.camera)
+                positions = effect.observe(moved, values[where])
+            if effect.name in self.directions:
+                positions = positions + float(values[where][0]) * self.directions[effect.name][: self.frames]
+        return positions
+
+    def positions(self, values: Vector) -> Positions:
+        """Observed positions [m]."""
+        return self.observed(self.motion(values), values)
+
+    # -- differences
+
+    def base_tangents(self, values: Vector, motion: Motion) -> Float[np.ndarray, "T K P 3"]:
+        """Derivatives by the base parameters, by differences of full-order runs.
+
+        Args:
+            values: where.
+            motion: the motion there.
+        """
+        here, columns = self.observed(motion, values), []
+        for index, parameter in enumerate(self.parameters(values)[: len(self.base)]):
+            step = _BASE_STEP * parameter.step
+            if not parameter.lower <= values[index] + step <= parameter.upper:
+                step = -step
+            changed = values.copy()
+            changed[index] += step
+            columns.append((self.positions(changed) - here) / step)
+        shape = (len(here), 0, *here.shape[1:])
+        return np.stack(columns, axis=1) if columns else np.zeros(shape)
+
+    def signature(self, changed: Vector, values: Vector, motion: Motion) -> Positions:
+        """What a change of the doses does to the observed positions [m].
+
+        Args:
+            changed: values with a finite dose.
+            values: values without.
+            motion: the motion without.
+
+        Raises:
+            ConvergenceError: the body with that dose cannot be simulated.
+        """
+        moves = any(
+            effect.scene is not None and not np.array_equal(changed[where], values[where])
+            for effect, where in zip(self.effects, self.slices, strict=True)
+        )
+        moved = self.motion(changed) if moves else motion
+        return self.observed(moved, changed) - self.observed(motion, values)
+
+    def with_effects(self, *effects: Effect) -> EffectModel:
+        """The same twin with other effects."""
+        return replace(self, effects=effects)
+
+
+class SecantModel:
+    """A model whose derivatives are carried along by Broyden's update: one run per linearisation.
+
+    Args:
+        model: gives positions.
+        values: where the derivatives were taken, shape [K].
+        positions: there, shape [T, P, 3].
+        tangents: the derivatives, shape [T, K, P, 3].
+    """
+
+    def __init__(self, model: EffectModel, values: Vector, positions: Positions, tangents: np.ndarray) -> None:
+        self.model = model
+        self._last, self._tangents = (values.copy(), positions), tangents
+        self._scales = np.array([p.step for p in model.parameters(values)])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.model.names
+
+    def positions(self, values: Vector) -> Positions:
+        """Observed positions [m]."""
+        return self.model.positions(values)
+
+    def linearise(self, values: Vector) -> tuple[Positions, Float[np.ndarray, "T K P 3"]]:
+        """Positions, and the derivatives updated by what the last step showed.
+
+        Raises:
+            ConvergenceError: the model cannot be run there.
+        """
+        old, before = self._last
+        if np.array_equal(values, old):
+            return before, self._tangents
+        positions = self.model.positions(values)
+        if not np.isfinite(positions).all():
+            raise ConvergenceError("the motion is not finite")
+        step = (values - old) / self._scales
+        missed = positions - before - np.einsum("tkpi,k->tpi", self._tangents, values - old)
+        change = missed[:, None] * (step / self._scales / float(step @ step))[None, :, None, None]
+        self._tangents, self._last = self._tangents + change, (values.copy(), positions)
+        return positions, self._tangents

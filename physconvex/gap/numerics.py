@@ -1,0 +1,129 @@
+"""How far the model can be trusted: differences between its own runs with other steps, meshes and contact.
+
+None of these runs holds an effect. What they differ by is what any effect-free capture may differ by from the model
+(simulated by another program, or real), so they serve as the null of the scores and as the floor of the gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.fem import TetMesh, refine, simulate, tetrahedralize
+from physconvex.gap.baseline import Baseline, Report
+from physconvex.gap.options import GapOptions
+from physconvex.gap.score import ErrorModel
+from physconvex.identify import mesh_of_capture
+
+__all__ = ["Numerics", "correction_of", "error_model", "numerical_differences"]
+
+Positions = Float[np.ndarray, "T P 3"]
+_LASTING = 2.0  # frames for which a numerical error stays much the same
+
+
+@dataclass(frozen=True, eq=False)
+class Numerics:
+    """Differences of effect-free runs to the base run, at the observed points.
+
+    Attributes:
+        steps: with half the time step, [T, P, 3] m.
+        mesh: with another mesh.
+        contact: with a contact twice as stiff; zero where nothing touches.
+        implicit_euler: first-order steps instead of second-order ones.
+        reduction: the reduced model.
+        failed: names of runs that did not converge (their differences are zero).
+    """
+
+    steps: Positions
+    mesh: Positions
+    contact: Positions
+    implicit_euler: Positions
+    reduction: Positions
+    failed: tuple[str, ...] = ()
+
+    @property
+    def null(self) -> tuple[Positions, ...]:
+        """Differences that effect-free captures may show."""
+        return (self.steps, self.mesh, self.contact)
+
+
+def numerical_differences(base: Baseline, options: GapOptions, report: Report) -> Numerics:
+    """Run the base model again in other ways."""
+    here, values, model = base.motion.positions, base.fit.values, base.model
+    failed: list[str] = []
+
+    def difference(name: str, run: Callable[[], Positions]) -> Positions:
+        report(f"numerical error: {name}")
+        try:
+            return np.asarray(run() - here)
+        except (ConvergenceError, InputError):
+            failed.append(name)
+            return np.zeros_like(here)
+
+    def stiffer() -> Positions:
+        scene = model.full_scene(values)
+        scene = replace(scene, contact_stiffness=2 * scene.contact().stiffness)
+        return np.asarray(model.embedding.apply(simulate(scene, **model.twin.timing(model.frames)).positions))
+
+    zero = np.zeros_like(here)
+    return Numerics(
+        steps=difference("half the time step", lambda: replace(model, refinement=2).motion(values).positions),
+        mesh=difference(
+            "another mesh", lambda: replace(model, mesh=_other_mesh(base, options)).motion(values).positions
+        ),
+        contact=difference("stiffer contact", stiffer) if base.situation.touches else zero,
+        implicit_euler=difference(
+            "implicit Euler", lambda: replace(model, integrator="implicit_euler").motion(values).positions
+        ),
+        reduction=difference("the reduced model", lambda: model.reduced_motion(values).positions),
+        failed=tuple(failed),
+    )
+
+
+def _other_mesh(base: Baseline, options: GapOptions) -> TetMesh:
+    """A finer mesh, so that its error is the smaller one: of a held body every element split, else meshed anew.
+
+    A held body is split since another mesh would be held in other places, which moves it more than its resolution does.
+    """
+    own = base.model.twin.mesh
+    if base.situation.clamped:
+        return refine(own)
+    wanted = int(2.5 * max(len(own.vertices), options.max_nodes // 2))
+    mesh = mesh_of_capture(base.capture, max_nodes=wanted)
+    if len(mesh.vertices) > 1.3 * len(own.vertices):
+        return mesh
+    used, faces = np.unique(own.boundary_faces[:, :3], return_inverse=True)
+    return tetrahedralize((own.vertices[used], faces.reshape(-1, 3)), max_nodes=wanted, order=2, method="auto")
+
+
+def correction_of(numerics: Numerics) -> Positions:
+    """What a finer mesh and finer steps change: added to every run of the model."""
+    return numerics.mesh + numerics.steps
+
+
+def error_model(base: Baseline, numerics: Numerics, options: GapOptions) -> ErrorModel:
+    """V of `physconvex.gap.score`: noise, the size of numerical differences in each frame, and their shapes."""
+    here = base.positions
+    directions = np.stack([base.change(here + d) for d in numerics.null])
+    frames = base.observations.frames
+    total = np.bincount(frames, (directions**2).sum(0), minlength=base.model.frames)
+    count = np.maximum(np.bincount(frames, minlength=base.model.frames), 1)
+    size = np.maximum.accumulate(total / count)  # an error made at impact stays
+    travelled = np.linalg.norm(base.motion.positions - base.motion.rest, axis=-1).mean(1)
+    floor = base.change(here + (options.discretisation * travelled)[:, None, None] / np.sqrt(3)) ** 2
+    numerical = options.error_scale**2 * size[frames] + floor
+    return ErrorModel(1.0 + _correlated(count)[frames] * numerical, directions, 1.0 + numerical)
+
+
+def _correlated(count: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
+    """How much less the residuals of a frame tell than so many independent ones.
+
+    Numerical errors are smooth fields that last: as good as affine in space (twelve numbers) and the same for some
+    frames, so that n residuals hold about 12/_LASTING independent ones. Widening their variance by the ratio leaves a
+    smooth signature with the significance it deserves.
+    """
+    return np.maximum(_LASTING * count / 12.0, 1.0)

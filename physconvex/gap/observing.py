@@ -1,0 +1,75 @@
+"""What a diagnosis compares: marker tracks, or points followed in the video of one camera, in all frames."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.capture import Capture
+from physconvex.errors import InputError
+from physconvex.gap.effects import Motion
+from physconvex.identify import MarkerObservations, PixelObservations, Twin, marker_observations
+from physconvex.identify.video_tracks import follow, seed_points
+
+__all__ = ["Seen", "in_metres", "observe", "widened"]
+
+Seen = MarkerObservations | PixelObservations
+# of a followed point [pixels]: the flow drifts by more than a single step's error, and by the same amount for a while
+PIXEL_SIGMA = 1.0
+
+
+def observe(capture: Capture, twin: Twin) -> Seen:
+    """Marker tracks if there are some, else points of the first camera's video.
+
+    Raises:
+        InputError: nothing was seen that can be compared.
+    """
+    if capture.tracks() is not None:
+        return marker_observations(capture, frames=capture.frames)
+    if not capture.cameras:
+        raise InputError(
+            f"{capture.folder}: no tracks.npz and no cameras; expected marker tracks (rest, positions, sigma) or a "
+            "camera in capture.json with its video"
+        )
+    camera = capture.cameras[0]
+    frames = capture.video(camera.name).frames
+    masks = capture.mask(camera.name)
+    used, triangles = np.unique(twin.mesh.boundary_faces[:, :3], return_inverse=True)
+    vertices, triangles = twin.mesh.vertices[used], triangles.reshape(-1, 3)
+    surface = capture.mesh()
+    if surface is not None:
+        vertices, triangles = np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces)
+    seeds = seed_points(camera, frames[0], vertices, triangles, mask=None if masks is None else masks[0] > 0)
+    if len(seeds.points) < 6:
+        raise InputError(
+            f"{capture.folder}: camera {camera.name!r}: {len(seeds.points)} points to follow in its first image; "
+            "expected at least 6: a textured body, sharp and well lit"
+        )
+    pixels = follow(frames, seeds.pixels)
+    return PixelObservations(camera, seeds.points, pixels, np.full(pixels.shape[:2], PIXEL_SIGMA))
+
+
+def components(seen: Seen) -> int:
+    """Residuals per point and frame."""
+    return 3 if isinstance(seen, MarkerObservations) else 2
+
+
+def widened(seen: Seen, variance: Float[np.ndarray, " N"]) -> Seen:
+    """The observations with their noise widened, residual by residual (the same for the coordinates of a point)."""
+    width = components(seen)
+    sigma = np.array(seen.sigma)
+    factor = np.sqrt(np.asarray(variance).reshape(-1, width).mean(1))
+    sigma[seen.frames[::width], seen.point_indices[::width]] *= factor
+    return replace(seen, sigma=sigma)
+
+
+def in_metres(seen: Seen, motion: Motion) -> Float[np.ndarray, " N"]:
+    """Length that one standard deviation of each residual stands for [m]; of pixels, at the depth of the point."""
+    sigma = np.asarray(seen.sigma)[seen.frames, seen.point_indices]
+    if isinstance(seen, MarkerObservations):
+        return sigma
+    camera = seen.camera
+    local = (motion.positions[seen.frames, seen.point_indices] - camera.position) @ camera.rotation
+    return np.asarray(sigma * np.abs(local[:, 2]) / np.sqrt(camera.fl_x * camera.fl_y))

@@ -1,0 +1,51 @@
+"""Settings of a diagnosis. The defaults are frozen: blind tests run with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from physconvex.errors import InputError
+
+__all__ = ["GapOptions"]
+
+
+@dataclass(frozen=True)
+class GapOptions:
+    """How thoroughly a capture is diagnosed.
+
+    Attributes:
+        max_nodes: most nodes of the model's quadratic mesh.
+        weights: skinning weights of the reduced model of the rough fit.
+        candidates: effects that are fitted after screening.
+        starts: start doses of each, in multiples of the screened estimate.
+        iterations: linearisations of each fit.
+        error_scale: κ, how much numerical differences widen the noise.
+        discretisation: numerical error that any model of finite size is credited with, relative to the distance the
+            points have moved; only where the differences of runs say less.
+        significance: chance of calling an effect where there is none, over the whole dictionary.
+        explained: least share of the held-out gap that a named effect must remove; below it the verdict is "unknown".
+        confidence: of intervals.
+        bootstraps: resamples of blocks of frames.
+        seed: of the resamples.
+    """
+
+    max_nodes: int = 250
+    weights: int = 8
+    candidates: int = 4
+    starts: tuple[float, ...] = (1.0,)
+    iterations: int = 6
+    error_scale: float = 1.0
+    discretisation: float = 2e-3
+    significance: float = 0.05
+    explained: float = 0.5
+    confidence: float = 0.9
+    bootstraps: int = 400
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("max_nodes", "weights", "candidates", "iterations", "bootstraps"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name}: got {getattr(self, name)}; expected at least 1")
+        for name in ("significance", "explained", "confidence"):
+            if not 0 < getattr(self, name) < 1:
+                raise InputError(f"{name}: got {getattr(self, name)}; expected between 0 and 1")

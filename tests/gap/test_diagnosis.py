@@ -1,0 +1,107 @@
+"""A whole diagnosis, by the command, of a small capture made on another mesh with other steps."""
+
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+import trimesh
+import typer
+from PIL import Image
+from typer.testing import CliRunner
+
+from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
+from physconvex.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    """A block that falls on a rough floor, of which the capture says nothing."""
+    from physconvex.fem import ElasticBody, Embedding, Plane, Scene, box_mesh, simulate
+
+    mesh = box_mesh((0.2, 0.1, 0.1), (4, 2, 2), order=2)
+    body = ElasticBody(mesh, youngs_modulus=3e4, poisson_ratio=0.35)
+    floor = Plane(point=(0, 0, -0.02), friction=0.4)
+    run = simulate(Scene(body, obstacles=(floor,), initial_velocity=(1.0, 0, -0.5)), frames=12, fps=100.0,
+                   steps_per_frame=10)  # fmt: skip
+    surface = trimesh.creation.box(extents=(0.2, 0.1, 0.1)).apply_translation((0.1, 0.05, 0.05))
+    points, _ = trimesh.sample.sample_surface_even(surface, 25, seed=1)
+    positions = Embedding.of_points(mesh, points).apply(run.positions)
+    rng = np.random.default_rng(0)
+    noisy = positions + 1e-4 * rng.normal(size=positions.shape)
+    folder = tmp_path_factory.mktemp("gap") / "block"
+    save_capture(
+        Capture(folder, 100.0, 12, 8, floor=Floor(np.array([0, 0, -0.02]), np.array([0.0, 0, 1])),
+                initial_velocity=np.array([1.0, 0, -0.5]), initial_angular_velocity=np.zeros(3)),
+        mesh=surface, tracks=Tracks(points, noisy, np.full(noisy.shape[:2], 1e-4)),
+    )  # fmt: skip
+    return folder
+
+
+@pytest.fixture(scope="module")
+def diagnosed(capture, tmp_path_factory):
+    """The command's output folder."""
+    from physconvex.gap.command import diagnose
+
+    app, out = typer.Typer(), tmp_path_factory.mktemp("diagnosed")
+    app.command()(diagnose)
+    arguments = [str(capture), "--out", str(out), "--no-progress", "--max-nodes", "100"]
+    arguments += ["--candidates", "2", "--effects", "friction,gravity_tilt,air_drag,damping"]
+    ended = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert ended.exit_code == 0 and "friction" in ended.stdout
+    return out
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_command_names_friction(diagnosed):
+    content = json.loads((diagnosed / "report.json").read_text())
+    which, how_far = content["which"], content["how_far"]
+    assert which["verdict"] == "effect" and which["effects"][0]["name"] == "friction"
+    dose = which["effects"][0]["parameters"][0]
+    assert dose["unit"] == "" and dose["value"] == pytest.approx(0.4, rel=0.35)
+    assert how_far["shrinkage"] > 0.6 > (how_far["placebo"] or 0.0)
+    assert how_far["gap_after"] < how_far["gap_before"] and how_far["unit"] == "m"
+    assert {p["name"] for p in content["where"]["sources"]} == {
+        "noise", "discretisation", "dynamics explained", "unexplained",
+    }  # fmt: skip
+    assert len(content["where"]["frames"]) == 12 and content["provenance"]["fitted"] == list(range(8))
+    page = (diagnosed / "report.html").read_text()
+    assert which["sentence"].split(" (")[0] in page
+    assert not re.findall(r"(?:src|href)=\"(?!data:|#)", page) and page.count("<svg") >= 5
+    body = trimesh.load(diagnosed / "body.ply")
+    assert body.is_watertight and np.ptp(body.visual.vertex_colors[:, :3], axis=0).max() > 20
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Chromium")
+def test_page_opens_in_a_browser(diagnosed, tmp_path):
+    picture = tmp_path / "page.png"
+    subprocess.run(
+        ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--window-size=1000,3000",
+         f"--user-data-dir={tmp_path / 'profile'}", f"--screenshot={picture}", (diagnosed / "report.html").as_uri()],
+        check=True, capture_output=True, timeout=120,
+    )  # fmt: skip
+    pixels = np.asarray(Image.open(picture).convert("RGB"))
+    rows = (pixels < 200).any(-1).any(1)  # ink from top to bottom
+    assert rows[: len(rows) // 2].mean() > 0.3 and rows[len(rows) // 2 :].mean() > 0.3
+    assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 200
+
+
+def test_a_capture_without_tracks_is_refused(tmp_path):
+    folder = tmp_path / "empty"
+    save_capture(Capture(folder, 24.0, 12, 8), mesh=trimesh.creation.box())
+    from physconvex.gap import diagnose
+
+    with pytest.raises(InputError, match=r"tracks\.npz"):
+        diagnose(folder)
+
+
+def test_unknown_effects_are_refused(capture):
+    from physconvex.gap import diagnose
+
+    with pytest.raises(InputError, match="gremlins"):
+        diagnose(load_capture(capture), effects=["gremlins"])

@@ -1,0 +1,187 @@
+"""Each effect does what its name says, in the full-order and in the reduced model."""
+
+import numpy as np
+import pytest
+
+from physconvex.errors import InputError
+from physconvex.fem import simulate as simulate_full
+from physconvex.gap.effects import DEFAULT_EFFECTS, EFFECT_NAMES, Dose, Effect, Motion, applicable, choose
+from physconvex.gap.effects.observation import at_times
+from physconvex.reduced import simulate as simulate_reduced
+
+NAMES = (
+    "damping air_drag friction restitution gravity_tilt initial_velocity initial_spin plasticity viscoelasticity "
+    "heterogeneity anisotropy nonlinear_elasticity wind camera_pose focal_length lens_distortion rolling_shutter "
+    "motion_blur exposure time_scale time_offset reduction time_step mesh_resolution contact_stiffness"
+).split()
+TIMING = {"frames": 13, "fps": 120.0, "steps_per_frame": 4}
+SPAN = 12 / 120
+
+
+def effect(label):
+    return next(e for e in DEFAULT_EFFECTS if e.label == label)
+
+
+def run(scene):
+    """Centre of mass [T, 3], its velocity, and heights and lengths of the body, by either model."""
+    if hasattr(scene.body, "mesh"):
+        motion, masses = simulate_full(scene, **TIMING), scene.body.node_masses
+        points, velocities = motion.positions, motion.velocities
+        weights = masses / masses.sum()
+        return weights @ points, weights @ velocities, np.ptp(points, axis=1)
+    motion, rest = simulate_reduced(scene, **TIMING), scene.body.space.samples.surface_points
+    points = motion.positions(rest)
+    weights = scene.body.first_moments / scene.body.total_mass
+    return weights @ motion.coordinates, weights @ motion.velocities, np.ptp(points, axis=1)
+
+
+@pytest.fixture(scope="module", params=["full", "reduced"])
+def scene(request, falling, falling_reduced):
+    return falling if request.param == "full" else falling_reduced
+
+
+@pytest.fixture(scope="module")
+def plain(scene):
+    return run(scene)
+
+
+def test_every_name_is_there():
+    assert set(NAMES) <= set(EFFECT_NAMES)
+    assert all(e.source == "gauge" for e in DEFAULT_EFFECTS if e.name in ("density", "scale"))
+
+
+def test_gauges_are_never_tried(situation):
+    assert not {"density", "scale"} & {e.name for e in applicable(DEFAULT_EFFECTS, situation)}
+
+
+def test_absent_at_the_null_dose(scene, plain):
+    for one in DEFAULT_EFFECTS:
+        if one.scene is not None and one.name in ("friction", "anisotropy", "plasticity", "wind", "viscoelasticity"):
+            assert one.scene(scene, one.null) is scene or one.name == "friction"
+    still = run(effect("friction").scene(scene, np.zeros(1)))
+    np.testing.assert_allclose(still[0], plain[0], atol=1e-9)
+
+
+def changed(scene, label, *doses):
+    return run(effect(label).scene(scene, np.array(doses)))
+
+
+def test_friction_slows_sliding(scene, plain):
+    rough = changed(scene, "friction", 0.3)
+    assert rough[1][-1, 0] < plain[1][-1, 0] - 0.05
+    assert rough[1][-1, 0] > -0.1
+
+
+def test_tilt_wind_velocity_push_to_their_side(scene, plain):
+    tilted = changed(scene, "gravity_tilt", 5.0, 0.0)
+    sideways = tilted[1][-1] - plain[1][-1]
+    assert np.hypot(*sideways[:2]) > 0.05
+    windy = changed(scene, "wind", 0.0, 15.0)
+    assert windy[1][-1, 1] > plain[1][-1, 1] + 0.003
+    pushed = changed(scene, "initial_velocity", 0.0, 0.2, 0.0)
+    assert pushed[0][-1, 1] - plain[0][-1, 1] == pytest.approx(0.2 * SPAN, rel=0.02)
+
+
+def test_spin_turns(falling):
+    spun = effect("initial_spin").scene(falling, np.array([0.0, 0.0, 2.0]))
+    velocity = spun.start_velocities() - falling.start_velocities()
+    end = falling.start[:, 0].argmax()
+    assert velocity[end, 1] == pytest.approx(2.0 * (falling.start[end, 0] - falling.start[:, 0].mean()), rel=0.1)
+
+
+def test_drag_slows_flight(scene):
+    high = effect("initial_velocity").scene(scene, np.array([0.0, 0.0, 4.0]))  # flies up: no contact
+    free = run(high)
+    for label, dose in (("air_drag (linear)", 1.0), ("air_drag (quadratic)", 40.0)):
+        slowed = run(effect(label).scene(high, np.array([dose])))
+        assert slowed[1][-1, 2] < free[1][-1, 2] - 0.05
+        assert 0 < slowed[1][-1, 0] < free[1][-1, 0]
+
+
+def test_dissipation_lowers_the_rebound(scene, plain):
+    rebound = plain[1][:, 2].max()
+    assert rebound > 0.5
+    for label, doses in (
+        ("damping", (3e-3,)),
+        ("restitution", (0.02,)),
+        ("plasticity", (3.0,)),
+        ("viscoelasticity (fast)", (1.0, -2.2)),
+    ):
+        assert changed(scene, label, *doses)[1][:, 2].max() < rebound - 0.02, label
+
+
+def test_stiffening_shortens_the_squeeze(scene, plain):
+    squeezed = plain[2][:, 2].min()
+    for label, doses in (("nonlinear_elasticity (stiffening)", (5.0,)), ("anisotropy (z)", (3.0, 0.0, 0.0))):
+        assert changed(scene, label, *doses)[2][:, 2].min() > squeezed + 5e-4, label
+
+
+def test_soft_contact_sinks_deeper(scene, plain):
+    soft = changed(scene, "contact_stiffness", -1.5)
+    assert soft[0][:, 2].min() < plain[0][:, 2].min() - 5e-4
+
+
+def test_uneven_stiffness_keeps_contact_and_mean(falling):
+    uneven = effect("heterogeneity").scene(falling, np.array([0.3, 0.0, 0.0, 0.0]))
+    centres = falling.body.mesh.vertices[falling.body.mesh.corner_tets].mean(1)
+    ratio = uneven.body.youngs_modulus / falling.body.youngs_modulus
+    assert ratio[centres[:, 0].argmax()] > 1.1 and ratio[centres[:, 0].argmin()] < 0.9
+    assert uneven.contact().stiffness == falling.contact().stiffness
+
+
+def motion_of(points=5):
+    times = np.arange(12) / 50.0
+    rest = np.random.default_rng(1).normal(size=(points, 3))
+    t, along, down = times[:, None, None], np.array([1.0, 0, 0]), np.array([0, 0, -1.0])
+    positions = rest + along * t + 4.9 * down * t**2
+    velocities = np.broadcast_to(along, positions.shape) + 9.8 * down * t
+    return Motion(rest, times, positions, velocities)
+
+
+def test_clocks():
+    motion = motion_of()
+    late = effect("time_offset").observe(motion, np.array([0.004]))
+    expected = motion.positions + 0.004 * motion.velocities - 4.9 * np.array([0, 0, 0.004**2])
+    np.testing.assert_allclose(late[:-1], expected[:-1], atol=1e-12)
+    fast = effect("time_scale").observe(motion, np.array([0.01]))
+    np.testing.assert_allclose(fast[:, :, 0] - motion.rest[:, 0], 1.01 * motion.times[:, None] * np.ones(5), atol=1e-12)
+
+
+def test_times_of_single_points():
+    motion = motion_of()
+    times = motion.times[:, None] + np.linspace(0, 0.002, 5)
+    moved = at_times(motion, times)
+    np.testing.assert_allclose(moved[3, :, 0] - motion.rest[:, 0], times[3], atol=1e-12)
+
+
+def test_pose_is_rigid():
+    motion = motion_of()
+    turned = effect("camera_pose").observe(motion, np.array([1.0, 2.0, 3.0, 0.1, 0.0, 0.0]))
+    distance = np.linalg.norm(motion.positions[:, 0] - motion.positions[:, 1], axis=-1)
+    np.testing.assert_allclose(np.linalg.norm(turned[:, 0] - turned[:, 1], axis=-1), distance, atol=1e-12)
+    assert np.abs(turned - motion.positions).max() > 0.05
+
+
+def test_signs():
+    assert effect("damping").doses[0].sign == 1
+    assert effect("plasticity").doses[0].sign == -1  # it can only yield sooner
+    assert effect("gravity_tilt").doses[0].sign == 0
+
+
+def test_dose_estimates():
+    linear, threshold = effect("damping").doses[0], effect("plasticity").doses[0]
+    assert linear.estimate(2.0, 0.5, 1e-3) == (2e-3, 5e-4)
+    assert linear.estimate(1e9, 1.0, 1e-3)[0] == linear.upper
+    assert threshold.estimate(1.0, 0.1, 4.0)[0] == pytest.approx(4.0)
+    assert threshold.estimate(0.25, 0.1, 4.0)[0] == pytest.approx(4.0 + np.log10(2))  # weaker: yields later
+    assert threshold.slope(4.0) < 0 < linear.slope(1e-3)
+
+
+def test_own_effect(situation):
+    push = Effect("magnet", "external", (Dose("pull", "m/s²", 0, 5, 0.1, lambda s: 0.2),), scene=lambda scene, d: scene)
+    assert push in choose(extra=[push]) and push not in choose()
+    assert [index for index, _ in push.trials(situation)] == [0]
+    with pytest.raises(InputError, match="no_such_effect"):
+        choose(["no_such_effect"])
+    with pytest.raises(InputError, match="acts on nothing"):
+        Effect("ghost", "material", (Dose("x", "", 0, 1, 0.1, lambda s: 0.1),))

@@ -1,0 +1,95 @@
+"""The verdict from the evidence of made-up hypotheses."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from physconvex.gap import DEFAULT_EFFECTS, GapOptions
+from physconvex.gap.verdict import decide, probabilities
+
+OPTIONS = GapOptions()
+
+
+def effect(name):
+    return next(e for e in DEFAULT_EFFECTS if e.name == name)
+
+
+def hypothesis(evidence, *names, log10_modulus=5.0):
+    effects = tuple(effect(n) for n in names)
+    values = [np.full(len(e.doses), 0.1) for e in effects]
+    return SimpleNamespace(
+        effects=effects,
+        names=tuple(e.name for e in effects),
+        label=" + ".join(e.label for e in effects) or "base model",
+        evidence=evidence,
+        values=np.array([log10_modulus]),
+        model=SimpleNamespace(base=("log10_youngs_modulus",)),
+        doses=lambda one: (values[effects.index(one)], 0.1 * values[effects.index(one)]),
+    )
+
+
+def screening(p_value=1e-6, alike=0.1):
+    ranked = tuple(
+        SimpleNamespace(effect=effect(n), score=SimpleNamespace(p_value=p_value))
+        for n in ("damping", "wind", "friction")
+    )
+    return SimpleNamespace(ranked=ranked, one_per_name=ranked, similarity=lambda a, b: alike)
+
+
+def test_probabilities_add_to_one_and_keep_the_best_variant():
+    found = probabilities([hypothesis(3.0, "damping"), hypothesis(1.0, "damping"), hypothesis(0.0)])
+    assert sum(found.values()) == pytest.approx(1) and len(found) == 2
+    assert found["damping"] == pytest.approx(np.exp(3) / (1 + np.exp(3)))
+
+
+def test_a_clear_effect_is_named_with_its_dose():
+    verdict = decide([hypothesis(20.0, "damping"), hypothesis(0.0)], screening(), 30.0, 1.0, 0.05, OPTIONS)
+    assert verdict.name == "effect" and "damping" in verdict.sentence
+    dose = verdict.effects[0].doses[0]
+    assert dose.lower < dose.value < dose.upper and dose.unit == "s"
+    assert verdict.effects[0].probability > 0.99
+
+
+def test_no_gap_is_none():
+    verdict = decide([hypothesis(0.5, "damping"), hypothesis(0.0)], screening(0.3), 1.0, 1.0, 0.9, OPTIONS)
+    assert verdict.name == "none" and not verdict.effects
+
+
+def test_a_blind_model_does_not_say_none():
+    hypotheses = [hypothesis(0.5, "damping"), hypothesis(0.0)]
+    verdict = decide(hypotheses, screening(0.3), 1.0, 1.0, 0.9, OPTIONS, floor=0.3)
+    assert verdict.name == "inconclusive" and "numerical error" in verdict.sentence
+
+
+def test_significance_counts_the_whole_dictionary():
+    hypotheses = [hypothesis(20.0, "damping"), hypothesis(0.0)]
+    assert decide(hypotheses, screening(0.03), 30.0, 1.0, 0.0, OPTIONS).name == "none"
+
+
+def test_a_gap_that_nothing_explains_is_unknown():
+    verdict = decide([hypothesis(20.0, "damping"), hypothesis(0.0)], screening(), 30.0, 25.0, 0.8, OPTIONS)
+    assert verdict.name == "unknown" and "none of the known effects" in verdict.sentence
+
+
+def test_a_weak_case_is_inconclusive():
+    verdict = decide([hypothesis(2.5, "damping"), hypothesis(0.0)], screening(), 30.0, 1.0, 0.1, OPTIONS)
+    assert verdict.name == "inconclusive" and verdict.none_probability > 0.05
+
+
+def test_rivals_and_look_alikes_are_told():
+    rival = decide(
+        [hypothesis(20.0, "damping"), hypothesis(19.5, "wind"), hypothesis(0.0)], screening(), 30.0, 1.0, 0.1, OPTIONS
+    )
+    assert rival.effects[0].confused_with == ("wind",) and [e.name for e in rival.effects] == ["damping", "wind"]
+    alike = decide([hypothesis(20.0, "damping"), hypothesis(0.0)], screening(alike=0.99), 30.0, 1.0, 0.1, OPTIONS)
+    assert set(alike.effects[0].confused_with) == {"wind", "friction"}
+
+
+def test_absorbed_modulus_is_a_caveat():
+    moved = decide(
+        [hypothesis(20.0, "damping", log10_modulus=5.2), hypothesis(0.0)], screening(), 30.0, 1.0, 0.1, OPTIONS
+    )
+    assert any("absorbed" in c for c in moved.caveats)
+    still = decide([hypothesis(20.0, "damping"), hypothesis(0.0)], screening(), 30.0, 1.0, 0.1, OPTIONS)
+    assert not any("absorbed" in c for c in still.caveats)
