@@ -1,5 +1,7 @@
 """Each effect does what its name says, in the full-order and in the reduced model."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -114,6 +116,20 @@ def test_stiffening_shortens_the_squeeze(scene, plain):
     squeezed = plain[2][:, 2].min()
     for label, doses in (("nonlinear_elasticity (stiffening)", (5.0,)), ("anisotropy (z)", (3.0, 0.0, 0.0))):
         assert changed(scene, label, *doses)[2][:, 2].min() > squeezed + 5e-4, label
+
+
+def test_attached_mass_is_at_its_end(scene):
+    loaded = effect("attached_mass (+x)").scene(scene, np.array([0.5]))
+    assert loaded.body.total_mass == pytest.approx(1.5 * scene.body.total_mass, rel=1e-9)
+    flown = [run(effect("initial_velocity").scene(s, np.array([0.0, 0.0, 4.0])))[0] for s in (scene, loaded)]
+    shift = flown[1][0] - flown[0][0]  # of the centre of mass, at the start
+    assert 0.02 < shift[0] < 0.1 / 3 + 1e-3 and np.abs(shift[1:]).max() < 0.004  # uneven tetrahedra
+    np.testing.assert_allclose(flown[1][-1] - flown[0][-1], shift, atol=2e-3)  # falls as fast
+
+
+def test_attached_mass_is_for_held_bodies(situation):
+    assert "attached_mass" not in {e.name for e in applicable(DEFAULT_EFFECTS, situation)}
+    assert "attached_mass" in {e.name for e in applicable(DEFAULT_EFFECTS, replace(situation, clamped=True))}
 
 
 def test_soft_contact_sinks_deeper(scene, plain):

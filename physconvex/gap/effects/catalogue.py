@@ -7,13 +7,16 @@ from collections.abc import Iterable, Sequence
 from physconvex.errors import InputError
 from physconvex.gap.effects.declared import DECLARED_EFFECTS
 from physconvex.gap.effects.effect import Effect, Situation
+from physconvex.gap.effects.load import LOAD_EFFECTS
 from physconvex.gap.effects.material import MATERIAL_EFFECTS
 from physconvex.gap.effects.observation import OBSERVATION_EFFECTS
 from physconvex.gap.effects.world import WORLD_EFFECTS
 
 __all__ = ["DEFAULT_EFFECTS", "EFFECT_NAMES", "applicable", "choose"]
 
-DEFAULT_EFFECTS: tuple[Effect, ...] = (*MATERIAL_EFFECTS, *WORLD_EFFECTS, *OBSERVATION_EFFECTS, *DECLARED_EFFECTS)
+DEFAULT_EFFECTS: tuple[Effect, ...] = (
+    *MATERIAL_EFFECTS, *WORLD_EFFECTS, *LOAD_EFFECTS, *OBSERVATION_EFFECTS, *DECLARED_EFFECTS,
+)  # fmt: skip
 EFFECT_NAMES: tuple[str, ...] = tuple(dict.fromkeys(effect.name for effect in DEFAULT_EFFECTS))
 
 

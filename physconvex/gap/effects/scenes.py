@@ -16,7 +16,7 @@ from physconvex.inelastic import FlowRule
 from physconvex.materials import Law
 from physconvex.reduced import ReducedBody, ReducedScene
 
-__all__ = ["cell_coordinates", "with_fields", "with_material"]
+__all__ = ["cell_coordinates", "cell_masses", "with_fields", "with_material"]
 
 
 def with_fields(scene: AnyScene, **changes: Any) -> AnyScene:
@@ -39,12 +39,24 @@ def cell_coordinates(scene: AnyScene) -> Float[np.ndarray, "C 3"]:
     return 2 * (centres - low) / (high - low) - 1
 
 
+def cell_masses(scene: AnyScene) -> Float[np.ndarray, " C"]:
+    """Mass of each cell [kg]."""
+    if isinstance(scene, ReducedScene):
+        samples = scene.body.space.samples.mass
+        return np.bincount(samples.cells, samples.weights * scene.body.density[samples.cells], samples.cell_count)
+    mesh = scene.body.mesh
+    corners = mesh.vertices[mesh.corner_tets]
+    volumes = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6
+    return np.asarray(volumes * scene.body.density)
+
+
 def with_material(
     scene: AnyScene,
     *,
     law: Callable[[Law], Law] | None = None,
     flow: FlowRule | None = None,
     modulus: Callable[[Float[np.ndarray, "C 3"]], Float[np.ndarray, " C"]] | None = None,
+    density: Callable[[Float[np.ndarray, "C 3"], Float[np.ndarray, " C"]], Float[np.ndarray, " C"]] | None = None,
 ) -> AnyScene:
     """The scene with another material; contact (and pins) keep the stiffness they had.
 
@@ -53,16 +65,18 @@ def with_material(
         law: makes the new elastic law out of the present one.
         flow: how the material flows.
         modulus: factor on E from the cells' scaled coordinates.
+        density: factor on the density from the cells' scaled coordinates and masses [kg].
     """
     body, stiffness = scene.body, scene.contact().stiffness
     if flow is not None and body.flow is not None:
         raise InputError(f"flow: the body flows already ({body.flow}); one way of flowing at a time")
     factor: float | np.ndarray = 1.0 if modulus is None else modulus(cell_coordinates(scene))
+    heavier = 1.0 if density is None else density(cell_coordinates(scene), cell_masses(scene))
     constants: dict[str, Any] = {
         "law": body.law if law is None else law(body.law),
         "youngs_modulus": body.youngs_modulus * factor,
         "poisson_ratio": body.poisson_ratio,
-        "density": body.density,
+        "density": body.density * heavier,
         "flow": body.flow if flow is None else flow,
     }
     if isinstance(scene, ReducedScene):
