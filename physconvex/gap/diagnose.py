@@ -84,6 +84,7 @@ def diagnose(
         1.0 - shrinkage[-1].shrinkage,
         options,
         floor=shrinkage[-1].noise_floor / base.situation.size,
+        placebo=shrinkage[-1].placebo,
     )
     report("report")
     return GapReport(

@@ -18,6 +18,7 @@ VerdictName = Literal["none", "effect", "unknown", "inconclusive"]
 _CLEAR, _WEAK = 4.0, 1.5  # gain of log-evidence over the base model that makes a call, or leaves it open
 _ALIKE = 0.95  # cosine of signatures
 _LISTED = 0.02  # probability
+_PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
 _BLIND = 0.1  # floor over size above which "none" would say nothing
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
 
@@ -124,6 +125,7 @@ def decide(
     options: GapOptions,
     *,
     floor: float = 0.0,
+    placebo: float = float("nan"),
 ) -> Verdict:
     """The verdict.
 
@@ -135,6 +137,7 @@ def decide(
         remaining: share of the held-out gap above the floor that the best effects leave, 0 to 1 and more.
         options: settings.
         floor: numerical error and noise over the size of the body; a model that errs by a tenth of it tells nothing.
+        placebo: share of the held-out gap that an effect removes which screening ranked last; NaN where none was tried.
     """
     base = next(h for h in hypotheses if not h.effects)
     with_effects = [h for h in hypotheses if h.effects]
@@ -180,6 +183,12 @@ def decide(
             f"{max(share, 0):.0%} of it on frames that were not fitted."
         )
         return Verdict("unknown", sentence, (*named, *others), none, share, _caveats(base, best, after))
+    if placebo > _PLACEBO * share:
+        sentence = (
+            f"Inconclusive: {best.label} fits best and removes {share:.0%} of the gap on frames that were not fitted, "
+            f"but an effect that the recording does not ask for removes {placebo:.0%} as well."
+        )
+        return Verdict("inconclusive", sentence, (*named, *others), none, share, _caveats(base, best, after))
     doses = "; ".join(f"{d.name} = {d.value:.3g} {d.unit}".strip() for e in named for d in e.doses)
     also = sorted({n for e in named for n in e.confused_with})
     caveat = f"; from this recording it may be confused with {', '.join(also)}" if also else ""

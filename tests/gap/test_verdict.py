@@ -72,6 +72,13 @@ def test_a_gap_that_nothing_explains_is_unknown():
     assert verdict.name == "unknown" and "none of the known effects" in verdict.sentence
 
 
+def test_an_effect_no_better_than_a_placebo_is_not_named():
+    hypotheses = [hypothesis(20.0, "damping"), hypothesis(0.0)]
+    verdict = decide(hypotheses, screening(), 30.0, 1.0, 0.05, OPTIONS, placebo=0.86)
+    assert verdict.name == "inconclusive" and "86%" in verdict.sentence
+    assert decide(hypotheses, screening(), 30.0, 1.0, 0.05, OPTIONS, placebo=0.1).name == "effect"
+
+
 def test_a_weak_case_is_inconclusive():
     verdict = decide([hypothesis(2.5, "damping"), hypothesis(0.0)], screening(), 30.0, 1.0, 0.1, OPTIONS)
     assert verdict.name == "inconclusive" and verdict.none_probability > 0.05
