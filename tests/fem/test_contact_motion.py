@@ -59,6 +59,7 @@ def test_resting_body_sinks_in_by_its_weight(order, normal):
     assert (depth[~bottom] < 0).all()
 
 
+@pytest.mark.slow
 def test_penetration_does_not_depend_on_the_mesh():
     depths, excess = [], []
     for mesh in (coarse := box_mesh(SLAB, (2, 2, 1), order=1), refine(coarse), refine(refine(coarse))):
@@ -86,6 +87,7 @@ def on_a_slope(angle: float, friction: float, **fields) -> Scene:
     return Scene(slab(), gravity=gravity, obstacles=(Plane(friction=friction),), damping_time=2e-3, **fields)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [10, 20, 25])
 def test_sticks_below_the_friction_angle(angle):
     # "sticking" creeps at the velocity where the smoothed law 2y − y² balances tan(angle)/μ
@@ -166,6 +168,7 @@ def energy(scene: Scene, run: Trajectory) -> np.ndarray:
     return np.array(total)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("obstacle", [Plane(point=(0, 0, -0.1)), Sphere(center=(0.1, 0.1, -0.4), radius=0.3)])
 def test_elastic_bounce_gains_no_energy(obstacle):
     scene = Scene(slab(youngs_modulus=1e5), obstacles=(obstacle,))
@@ -179,6 +182,7 @@ def test_elastic_bounce_gains_no_energy(obstacle):
     assert total[-1] < total[0] + 1e-3 * scale
 
 
+@pytest.mark.slow
 def test_bounce_conserves_energy_as_steps_shrink():
     losses = []
     for steps in (8, 16, 32):
@@ -199,6 +203,7 @@ def test_smooth_plane_leaves_tangential_momentum_alone():
     np.testing.assert_allclose(speed[:, :2], np.broadcast_to([1.0, 0.5], (5, 2)), atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("friction", "modulus", "passes", "tolerance"),
     [(0.2, 1e5, 12, 0.01), (0.2, 1e5, 2, 0.05), (0.2, 1e6, 12, 0.03), (0.5, 1e5, 12, 0.01), (0.5, 1e6, 12, 0.01)],

@@ -111,6 +111,7 @@ def test_fitting_draws_a_cube_to_a_larger_ball_without_flat_elements():
     assert mean_ratios(fitted.vertices, fitted.tets).min() > 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("body", "euler"), [(ball, 2), (torus, 0), (stool, 2)])
 def test_meshes_keep_volume_topology_limbs_and_budget(body, euler):
     mesh = tetrahedralize_implicit(body, UNIT, max_nodes=600)

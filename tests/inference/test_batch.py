@@ -80,6 +80,7 @@ def test_iter_predictions_yields_each_clip_once(folder: Path) -> None:
     assert all(name.startswith("clip-reader") for name in predictor.threads), "reading is off the main thread"
 
 
+@pytest.mark.slow
 def test_leaving_the_iteration_early_stops_the_readers(folder: Path) -> None:
     import threading
 
@@ -152,6 +153,7 @@ def test_one_clip_that_breaks_the_network_fails_alone(tmp_path: Path, make_clip:
     assert any("Traceback" in entry["details"] for entry in entries)
 
 
+@pytest.mark.slow
 def test_a_crash_of_the_reading_process_fails_one_clip(
     tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -209,6 +211,7 @@ predict_batch(sys.argv[1], out=sys.argv[2], predictor=predictor, batch_size=1, p
 """
 
 
+@pytest.mark.slow
 def test_nothing_finished_is_lost_on_a_kill(tmp_path: Path, folder: Path) -> None:
     out = tmp_path / "out"
     process = subprocess.Popen([sys.executable, "-c", _KILLED, str(folder), str(out)])

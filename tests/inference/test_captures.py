@@ -59,6 +59,7 @@ def test_the_mask_of_a_capture_is_used(tmp_path: Path, ball: np.ndarray) -> None
     assert predict(folder, predictor=PredictorDouble()).foreground == "mask"
 
 
+@pytest.mark.slow
 def test_captures_in_a_batch(tmp_path: Path, ball: np.ndarray) -> None:
     write_capture(tmp_path / "clips" / "one", ball)
     write_capture(tmp_path / "clips" / "moon", ball, gravity=[0, 0, -1.62])

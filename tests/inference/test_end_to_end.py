@@ -37,6 +37,7 @@ def folder(tmp_path: Path, make_clip: MakeClip) -> Path:
     return tmp_path / "clips"
 
 
+@pytest.mark.slow
 def test_batch_equals_single_predictions(tmp_path: Path, folder: Path, checkpoint: Path) -> None:
     summary = predict_batch(folder, out=tmp_path / "out", checkpoint=checkpoint, object_size=0.1)
     assert (summary.predicted, summary.failed) == (5, 0)
@@ -62,6 +63,7 @@ def test_scale_of_time_and_size(folder: Path, checkpoint: Path) -> None:
     assert large.poisson_ratio == pytest.approx(small.poisson_ratio, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_iter_predictions_leaves_torch_as_it_was(folder: Path, checkpoint: Path) -> None:
     threads = torch.get_num_threads()
     results = list(iter_predictions(folder, checkpoint=checkpoint))

@@ -97,6 +97,7 @@ def test_training_is_repeatable_and_leaves_the_global_generator_alone(samples):
     assert torch.equal(before, torch.get_rng_state())
 
 
+@pytest.mark.slow
 def test_a_stiff_half_moves_as_one():
     """Weights vary less where the body is stiff."""
     mesh = box_mesh((0.2, 0.1, 0.1), (4, 2, 2))
@@ -125,6 +126,7 @@ def drop_distance(mesh, modulus, fields) -> list[float]:
     return found
 
 
+@pytest.mark.slow
 def test_a_dropped_cube_comes_nearer_to_the_full_model_than_with_random_waves():
     """Waves of 8 cm and less."""
 

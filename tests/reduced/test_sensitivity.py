@@ -54,6 +54,7 @@ def touches(scene: ReducedScene, run) -> np.ndarray:
     )
 
 
+@pytest.mark.slow
 def test_every_parameter_through_contact_and_friction(mixed_body):
     scene, timing = sliding(mixed_body(2)), TIMING | {"frames": 3}
     assert touches(scene, simulate(scene, **timing)).all()
@@ -78,6 +79,7 @@ def test_constants_of_regions(mixed_body):
         ReducedBody(body.space, regions=cells + 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["corotated", "neo_hookean_log", "stvk"])
 def test_material_of_other_laws(mixed_body, law):
     scene = sliding(mixed_body(1, law), seed=1)
