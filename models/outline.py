@@ -137,9 +137,10 @@ def outline_input(
     """
     background = uncovered_background(frames, near_object(coverage))
     inside = coverage > 0.5
-    ratio = colour_ratio(colour_codes(frames), inside)
+    codes = colour_codes(frames)
+    ratio = colour_ratio(codes, inside)
     if shown is not None:
-        frames, coverage = frames[shown], coverage[shown]
+        frames, coverage, codes = frames[shown], coverage[shown], codes[shown]
     height, width = frames.shape[1:3]
     planes = np.empty((len(frames), _CHANNELS, height + -height % _MULTIPLE, width + -width % _MULTIPLE), np.float32)
     inner = planes[..., :height, :width]
@@ -148,7 +149,7 @@ def outline_input(
     inner[:, :3] -= 128
     inner[:, :6] *= 1 / 32
     inner[:, 6] = background.known
-    inner[:, 7] = (ratio / LARGEST_RATIO)[colour_codes(frames)]
+    inner[:, 7] = (ratio / LARGEST_RATIO)[codes]
     odds = np.log(coverage + 5e-3) - np.log(1.005 - coverage)
     inner[:, 8] = odds * (1 / _LARGEST_ODDS)
     planes[..., height:, :] = planes[..., height - 1 : height, :]

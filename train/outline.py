@@ -8,21 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, UInt8
-from timm.utils import ModelEmaV3
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
 import physconvex
 from models.finder_checkpoint import save_finder_network
 from models.outline import OutlineConfig, OutlineNetwork, load_outline, outline_input, refined_coverage
+from train.finder_loop import Report, overlap_of_frames, train_finder_network
 from train.outline_data import RoughClip, degraded, read_rough_clips, rearranged
 from train.records import Split, dataset_checksum, read_clips
 from train.segmentation_data import MaskedClip, SegmentationAugmentation, recoloured
 
 __all__ = ["OutlineResult", "OutlineTraining", "outline_loss", "train_outline"]
-
-Report = Callable[[str, int, int], None]
 
 _LEAST_AREA = 50.0  # [px]; errors count against the object's area and this
 
@@ -90,33 +88,14 @@ def _read(data: Sequence[Path | str], split: Split, thinning: int, say: Report) 
 
 
 def _train(config: OutlineTraining, clips: Sequence[RoughClip], say: Report) -> tuple[OutlineNetwork, list[float]]:
-    with torch.random.fork_rng():
-        torch.manual_seed(config.seed)
-        network = OutlineNetwork(config.network) if config.start is None else load_outline(config.start).train()
-    network = network.to(memory_format=torch.channels_last)
-    average = ModelEmaV3(network, decay=config.average, use_warmup=True)
-    optimizer = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, config.learning_rate, total_steps=config.steps, pct_start=0.1
-    )
-    losses = []
-    for step in range(config.steps):
-        generator = np.random.default_rng((config.seed, step))
-        optimizer.zero_grad()
-        total = 0.0
+    def build() -> OutlineNetwork:
+        return OutlineNetwork(config.network) if config.start is None else load_outline(config.start).train()
+
+    def losses(network: OutlineNetwork, generator: np.random.Generator) -> Iterator[Tensor]:
         for pixels, truth in _examples(clips, config, generator):
-            loss = outline_loss(network(pixels)[:, : truth.shape[1], : truth.shape[2]], truth) / config.batch
-            loss.backward()
-            total += float(loss.detach())
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-        optimizer.step()
-        schedule.step()
-        average.update(network, step=step)
-        losses.append(total)
-        say(f"training, loss {np.mean(losses[-50:]):.3f}", step + 1, config.steps)
-    trained = average.module
-    assert isinstance(trained, OutlineNetwork)
-    return trained.eval(), losses
+            yield outline_loss(network(pixels)[:, : truth.shape[1], : truth.shape[2]], truth)
+
+    return train_finder_network(config, build, losses, say)
 
 
 def _examples(
@@ -145,13 +124,7 @@ def outline_loss(logits: Float[Tensor, "T H W"], truth: Bool[Tensor, "T H W"]) -
 
 def _mean_overlap(clips: Sequence[RoughClip], find: Callable[[RoughClip], np.ndarray]) -> float:
     """Intersection over union, mean over frames in which the object is seen."""
-    return float(np.mean([_overlap(find(clip) > 0.5, clip.mask) for clip in clips]))
-
-
-def _overlap(found: Bool[np.ndarray, "T H W"], mask: UInt8[np.ndarray, "T H W"]) -> float:
-    true = mask > 127
-    union = (found | true).sum(axis=(1, 2))
-    return float(np.mean((found & true).sum(axis=(1, 2))[union > 0] / union[union > 0]))
+    return float(np.mean([overlap_of_frames(find(clip) > 0.5, clip.mask > 127) for clip in clips]))
 
 
 def _model_card(

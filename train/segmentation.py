@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
-from timm.utils import ModelEmaV3
 from torch import Tensor
 from torch.nn import functional
 
@@ -24,12 +23,11 @@ from models.segmenter import (
     object_coverage,
     pad_pictures,
 )
+from train.finder_loop import Report, overlap_of_frames, train_finder_network
 from train.records import Split, dataset_checksum, read_clips
 from train.segmentation_data import MaskedClip, SegmentationAugmentation, augmented, moving_part, read_masked_clips
 
 __all__ = ["SegmentationConfig", "SegmentationResult", "mean_overlap", "segmentation_loss", "train_segmenter"]
-
-Report = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,34 +88,14 @@ def _read(data: Sequence[Path | str], split: Split, say: Report) -> list[MaskedC
 def _train(
     config: SegmentationConfig, clips: Sequence[MaskedClip], say: Report
 ) -> tuple[SilhouetteSegmenter, list[float]]:
-    with torch.random.fork_rng():
-        torch.manual_seed(config.seed)
-        network = SilhouetteSegmenter(config.network) if config.start is None else load_segmenter(config.start).train()
-    network = network.to(memory_format=torch.channels_last)
-    average = ModelEmaV3(network, decay=config.average, use_warmup=True)
-    optimizer = torch.optim.AdamW(network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, config.learning_rate, total_steps=config.steps, pct_start=0.1
-    )
-    losses = []
-    for step in range(config.steps):
-        generator = np.random.default_rng((config.seed, step))
-        optimizer.zero_grad()
-        total = 0.0
+    def build() -> SilhouetteSegmenter:
+        return SilhouetteSegmenter(config.network) if config.start is None else load_segmenter(config.start).train()
+
+    def losses(network: SilhouetteSegmenter, generator: np.random.Generator) -> Iterator[Tensor]:
         for index in generator.integers(0, len(clips), config.batch):
-            example = augmented(clips[index], config.augmentation, generator)
-            loss = _clip_loss(network, example) / config.batch
-            loss.backward()
-            total += float(loss.detach())
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-        optimizer.step()
-        schedule.step()
-        average.update(network, step=step)
-        losses.append(total)
-        say(f"training, loss {np.mean(losses[-50:]):.3f}", step + 1, config.steps)
-    trained = average.module
-    assert isinstance(trained, SilhouetteSegmenter)
-    return trained.eval(), losses
+            yield _clip_loss(network, augmented(clips[index], config.augmentation, generator))
+
+    return train_finder_network(config, build, losses, say)
 
 
 def _clip_loss(network: SilhouetteSegmenter, clip: MaskedClip) -> Tensor:
@@ -142,9 +120,7 @@ def mean_overlap(network: SilhouetteSegmenter, clips: Sequence[MaskedClip]) -> f
     values = []
     for clip in clips:
         part = moving_part(clip)
-        found, true = object_coverage(part.frames, segmenter=network) > 0.5, part.mask > 127
-        union = (found | true).sum(axis=(1, 2))
-        values.append(float(np.mean((found & true).sum(axis=(1, 2))[union > 0] / union[union > 0])))
+        values.append(overlap_of_frames(object_coverage(part.frames, segmenter=network) > 0.5, part.mask > 127))
     return float(np.mean(values))
 
 

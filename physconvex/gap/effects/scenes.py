@@ -44,10 +44,7 @@ def cell_masses(scene: AnyScene) -> Float[np.ndarray, " C"]:
     if isinstance(scene, ReducedScene):
         samples = scene.body.space.samples.mass
         return np.bincount(samples.cells, samples.weights * scene.body.density[samples.cells], samples.cell_count)
-    mesh = scene.body.mesh
-    corners = mesh.vertices[mesh.corner_tets]
-    volumes = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6
-    return np.asarray(volumes * scene.body.density)
+    return np.asarray(scene.body.mesh.element_volumes * scene.body.density)
 
 
 def with_material(
