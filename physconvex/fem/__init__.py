@@ -7,7 +7,7 @@ from physconvex.fem.implicit_meshing import tetrahedralize_implicit
 from physconvex.fem.loads import surface_load
 from physconvex.fem.mesh import TetMesh, box_mesh, refine, to_quadratic
 from physconvex.fem.meshing import tetrahedralize
-from physconvex.fem.modes import skinning_eigenmodes, vibration_modes
+from physconvex.fem.modes import skinning_eigenmodes, skinning_responses, vibration_modes
 from physconvex.fem.quality import mesh_quality
 from physconvex.fem.scene import Pins, Scene
 from physconvex.fem.simulation import SolveStatistics, Trajectory, simulate, solve_static
@@ -28,6 +28,7 @@ __all__ = [
     "sample_interior",
     "simulate",
     "skinning_eigenmodes",
+    "skinning_responses",
     "solve_static",
     "surface_load",
     "tetrahedralize",

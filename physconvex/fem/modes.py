@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float
-from scipy.sparse.linalg import eigsh
+from scipy.sparse.linalg import eigsh, splu
 
 from physconvex.errors import InputError
 from physconvex.fem.assembly import Assembler
 from physconvex.fem.body import ElasticBody
 
-__all__ = ["skinning_eigenmodes", "vibration_modes"]
+__all__ = ["skinning_eigenmodes", "skinning_responses", "vibration_modes"]
 
 
 def _smallest(stiffness: sp.csr_matrix, mass: sp.csr_matrix, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -44,6 +44,17 @@ def vibration_modes(
     return np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi), shapes
 
 
+def _weighted_laplacian(body: ElasticBody) -> sp.csr_matrix:
+    """Matrix of ∫ E ∇w · ∇w at the nodes [N/m]."""
+    gradients = body._gradients.cpu().numpy()
+    weights = body._weights.cpu().numpy() * body.youngs_modulus[:, None]
+    local = np.einsum("eq,eqai,eqbi->eab", weights, gradients, gradients)
+    tets, size = body.mesh.tets, len(body.mesh.vertices)
+    n = tets.shape[1]
+    rows, columns = np.repeat(tets, n, axis=1).ravel(), np.tile(tets, n).ravel()
+    return sp.coo_matrix((local.ravel(), (rows, columns)), shape=(size, size)).tocsr()
+
+
 def skinning_eigenmodes(body: ElasticBody, count: int) -> tuple[Float[np.ndarray, "V K"], Float[np.ndarray, " K"]]:
     """Scalar modes of the stiffness-weighted Laplacian, the constant mode left out.
 
@@ -54,14 +65,30 @@ def skinning_eigenmodes(body: ElasticBody, count: int) -> tuple[Float[np.ndarray
     Returns:
         weights [V, K] at the nodes, normalised to ∫ ρ w² = total mass, and the eigenvalues [1/s²].
     """
-    gradients = body._gradients.cpu().numpy()
-    weights = body._weights.cpu().numpy() * body.youngs_modulus[:, None]
-    local = np.einsum("eq,eqai,eqbi->eab", weights, gradients, gradients)
-    tets, size = body.mesh.tets, len(body.mesh.vertices)
-    n = tets.shape[1]
-    rows, columns = np.repeat(tets, n, axis=1).ravel(), np.tile(tets, n).ravel()
-    stiffness = sp.coo_matrix((local.ravel(), (rows, columns)), shape=(size, size)).tocsr()
-    values, vectors = _smallest(stiffness, body.mass, count + 1)
+    values, vectors = _smallest(_weighted_laplacian(body), body.mass, count + 1)
     vectors = vectors[:, 1:] * np.sqrt(body.total_mass)
     signs = np.sign(vectors[np.abs(vectors).argmax(0), np.arange(count)])
     return vectors * signs, values[1:]
+
+
+def skinning_responses(body: ElasticBody, loads: Float[np.ndarray, "V K"]) -> Float[np.ndarray, "V K"]:
+    """Static answers of the scalar problem of `skinning_eigenmodes` to loads on a free body.
+
+    Solves −∇·(E ∇w) = load − ρ ∫load / mass with ∫ ρ w = 0: the attachment modes with inertia relief of component mode
+    synthesis (Craig & Kurdila 2006, §17.3), for the weights instead of the displacements.
+
+    Args:
+        body: mesh, stiffness and density.
+        loads: at the nodes, any unit.
+
+    Returns:
+        answers at the nodes, normalised to ∫ ρ w² = total mass.
+    """
+    stiffness, ones = _weighted_laplacian(body), np.ones(len(body.mesh.vertices))
+    share = body.mass @ ones
+    total = share.sum()
+    balanced = loads - np.outer(share, loads.sum(0)) / total
+    shift = 1e-8 * stiffness.diagonal().sum() / body.mass.diagonal().sum()  # takes the free constant away
+    answers = splu((stiffness + shift * body.mass).tocsc()).solve(balanced)
+    answers = answers - share @ answers / total
+    return answers * np.sqrt(total / np.einsum("vk,vk->k", answers, body.mass @ answers))

@@ -14,6 +14,7 @@ from physconvex.reduced.basis import (
     sample_basis,
 )
 from physconvex.reduced.body import ReducedBody
+from physconvex.reduced.contact_modes import contact_weights
 from physconvex.reduced.cubature import BodySamples, Cubature, tet_cubature
 from physconvex.reduced.given_fields import ArrayWeights, StackedWeights, predicted_weights, snapshot_weights
 from physconvex.reduced.neural_field import (
@@ -27,8 +28,11 @@ from physconvex.reduced.parameters import PARAMETERS, parameter_values, with_par
 from physconvex.reduced.pins import Pins
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.sensitivity import SensitiveTrajectory, simulate_with_sensitivities
+from physconvex.reduced.shell import Shell
 from physconvex.reduced.simulation import ReducedTrajectory, simulate
 from physconvex.reduced.space import ReducedSpace
+from physconvex.reduced.world import ReducedWorld
+from physconvex.reduced.world_simulation import WorldTrajectory, simulate_world
 from physconvex.wind import Wind
 
 __all__ = [
@@ -48,14 +52,18 @@ __all__ = [
     "ReducedScene",
     "ReducedSpace",
     "ReducedTrajectory",
+    "ReducedWorld",
     "Sand",
     "SensitiveTrajectory",
+    "Shell",
     "SkinningBasis",
     "Sphere",
     "StackedWeights",
     "StandardLinearSolid",
     "WeightField",
     "Wind",
+    "WorldTrajectory",
+    "contact_weights",
     "eigenmode_weights",
     "optimised_cubature",
     "parameter_values",
@@ -65,6 +73,7 @@ __all__ = [
     "simulate",
     "simulate_with_adjoint",
     "simulate_with_sensitivities",
+    "simulate_world",
     "snapshot_weights",
     "tet_cubature",
     "train_neural_weights",

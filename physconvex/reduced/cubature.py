@@ -13,6 +13,7 @@ from physconvex.errors import InputError
 from physconvex.fem.elements import QUADRATURE
 from physconvex.fem.mesh import TetMesh
 from physconvex.fem.meshing import Surface, tetrahedralize
+from physconvex.reduced.shell import Shell
 
 __all__ = ["BodySamples", "Cubature", "tet_cubature"]
 
@@ -92,12 +93,14 @@ class BodySamples:
         mass: for mass and volume, of a higher degree.
         surface_points: where contact and loads act, rest positions [m], shape [S, 3].
         surface_areas: boundary area each of them carries [m²], shape [S].
+        shell: triangles that points of other bodies may not cross; without, no other body can touch this one.
     """
 
     interior: Cubature
     mass: Cubature
     surface_points: Float[np.ndarray, "S 3"]
     surface_areas: Float[np.ndarray, " S"]
+    shell: Shell | None = None
 
     def __post_init__(self) -> None:
         points, areas = np.asarray(self.surface_points), np.asarray(self.surface_areas)
@@ -127,6 +130,7 @@ class BodySamples:
             mass=tet_cubature(mesh, degree=MASS_DEGREE),
             surface_points=mesh.vertices[boundary],
             surface_areas=mesh.node_areas[boundary],
+            shell=Shell.of_mesh(mesh),
         )
 
     @classmethod

@@ -6,29 +6,23 @@ import math
 
 import numpy as np
 from jaxtyping import Float
-from scipy.linalg import lu_factor, lu_solve
-from scipy.linalg.lapack import dpotrf, dpotrs
 from torch import Tensor
 
 from physconvex.contact import Friction
 from physconvex.inelastic import FlowStep
 from physconvex.integrators import State, StepCoefficients
-from physconvex.linear_solvers import NotPositiveDefiniteError
-from physconvex.reduced.body import function_by_function
+from physconvex.reduced.dense_newton import DenseNewton
 from physconvex.reduced.scene import ReducedScene
-from physconvex.reduced.secants import Secants
 from physconvex.reduced.surface_contact import SurfaceContact, add_surface_blocks, contact_blocks
 
 __all__ = ["StepEquations"]
 
-_SECANTS = 8  # pairs of changes kept
-_ROUNDED = 1e-9  # share of the body's size below which a change is left out of them
 
-
-class StepEquations:
+class StepEquations(DenseNewton):
     """Incremental potential of one time step in the reduced coordinates, an `Objective` with a dense Hessian."""
 
     def __init__(self, scene: ReducedScene) -> None:
+        super().__init__(scene.body.space.samples.size)
         self.scene, self.body = scene, scene.body
         self.contact = scene.contact()
         self.surface = scene.body.space.surface_values
@@ -36,13 +30,7 @@ class StepEquations:
         self.pins = scene.pin_springs()
         self.areas = scene.body.space.samples.surface_areas
         self.start = scene.start
-        self.factorised = False
-        self.factorisations = 0
         self.rounding = 1e-15 * self.body.shear_scale
-        self._factorised_step = np.nan
-        self._factor: np.ndarray | None = None
-        self.secants = Secants(_SECANTS, smallest=_ROUNDED * self.body.space.samples.size)
-        self.coefficients: StepCoefficients | None = None
         self.forces = scene.external_forces(0.0)
         self.time = 0.0
         self.viscous: Tensor | None = None
@@ -75,6 +63,10 @@ class StepEquations:
         """Store what has flowed by the end of a step at coordinates x."""
         if self.response is not None:
             self.undo = self.response.flowed(self.body.deformation_gradient(x))
+
+    def settled(self, change: Float[np.ndarray, "R 3"], step: float) -> bool:
+        """Whether the surface's velocities have changed by no more than the slip velocity with this change [m]."""
+        return float(np.abs(self.surface @ change).max(initial=0.0)) <= step * self.contact.slip_velocity
 
     def flowed(self) -> Float[np.ndarray, "Q 3 3"] | None:
         """F_f at the interior samples; None for an elastic body."""
@@ -122,12 +114,8 @@ class StepEquations:
 
     # -- Hessian
 
-    def hessian(self, x: Float[np.ndarray, "R 3"], *, project: bool = False) -> Float[np.ndarray, "N N"]:
-        """Second derivative [N/m], N = 3 R; exact, or its positive definite approximation."""
-        return function_by_function(self._hessian_blocks(x, project=project))
-
-    def _hessian_blocks(self, x: np.ndarray, *, project: bool) -> Float[np.ndarray, "3 R 3 R"]:
-        """The same, components first."""
+    def hessian_blocks(self, x: Float[np.ndarray, "R 3"], *, project: bool) -> Float[np.ndarray, "3 R 3 R"]:
+        """Second derivative [N/m], components first; exact, or its positive definite approximation."""
         step = np.inf if self.coefficients is None else self.coefficients.step
         matrix = self.body.stiffness_blocks(x, project=project, response=self.response)
         if self.viscous is not None:
@@ -161,48 +149,3 @@ class StepEquations:
         if self.scene.wind is None:
             return np.zeros((len(self.areas), 3, 3))
         return self.scene.wind.blocks(self.surface @ velocity, self.areas, self.time)
-
-    def factorise(self, x: Float[np.ndarray, "R 3"], *, project: bool) -> None:
-        """Cholesky factor of the Hessian at x.
-
-        Raises:
-            NotPositiveDefiniteError: it is not positive definite.
-        """
-        self.factorised = False
-        self._factor = None
-        blocks = self._hessian_blocks(x, project=project)
-        square = blocks.reshape(self.start.size, self.start.size).T  # symmetric, and its columns contiguous
-        if not np.isfinite(square[0, 0]) or not np.isfinite(square).all():
-            raise NotPositiveDefiniteError("the reduced Hessian is not finite")
-        factor, failed = dpotrf(square, lower=1, clean=0, overwrite_a=1)
-        if failed:
-            raise NotPositiveDefiniteError(
-                f"the reduced Hessian has no Cholesky factor: minor {failed} is not positive"
-            )
-        self._factor = factor
-        self.secants.forget()
-        self._factorised_step = np.nan if self.coefficients is None else self.coefficients.step
-        self.factorisations += 1
-        self.factorised = True
-
-    def solve(self, rhs: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:
-        """Apply the inverse of the last factorised Hessian, corrected by the gradients met since then."""
-        assert self._factor is not None
-        return self.secants.solve(self._unfactor, rhs.reshape(-1)).reshape(rhs.shape)
-
-    def _unfactor(self, rhs: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
-        assert self._factor is not None
-        by_component = rhs.reshape(-1, 3).T.reshape(-1)
-        out, _ = dpotrs(self._factor, by_component, lower=1)
-        return out.reshape(3, -1).T.reshape(-1)
-
-    def exact_solve(self, x: Float[np.ndarray, "R 3"], rhs: Float[np.ndarray, "P R 3"]) -> Float[np.ndarray, "P R 3"]:
-        """Apply the inverse of the exact Hessian at x to P vectors; it may be indefinite."""
-        square = self._hessian_blocks(x, project=False).reshape(self.start.size, self.start.size).T
-        columns = np.ascontiguousarray(rhs.transpose(2, 1, 0)).reshape(self.start.size, -1)
-        factor, failed = dpotrf(square, lower=1, clean=0)
-        if failed:
-            solved = lu_solve(lu_factor(square, check_finite=False), columns, check_finite=False)
-        else:
-            solved, _ = dpotrs(factor, columns, lower=1)
-        return solved.reshape(3, len(self.start), -1).transpose(2, 1, 0).copy()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -27,8 +28,9 @@ from physconvex.integrators import (
 from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.space import ReducedSpace
+from physconvex.reduced.world_equations import WorldEquations
 
-__all__ = ["ReducedTrajectory", "SolvedPass", "StepRecord", "simulate"]
+__all__ = ["ReducedTrajectory", "SolvedPass", "StepRecord", "Stepper", "simulate"]
 
 _MAX_HALVINGS = 8
 _STALE_RATE = 0.5  # secants make up for a factor that has grown old
@@ -101,22 +103,30 @@ class StepRecord:
 
 
 Observer = Callable[[StepEquations, StepRecord], None]
+Equations = TypeVar("Equations", StepEquations, WorldEquations)
 
 
-class _Stepper:
-    """Advances a state; a step that does not converge is cut in two."""
+class Stepper(Generic[Equations]):
+    """Advances a state; a step that does not converge is cut in two.
+
+    Args:
+        equations: of the steps.
+        integrator, friction_passes: see `simulate`.
+        tolerance: Newton's last step [m].
+        observer: called with the equations and the record of every converged step.
+    """
 
     def __init__(
         self,
-        scene: ReducedScene,
+        equations: Equations,
         integrator: IntegratorName,
         tolerance: float,
         friction_passes: int,
-        observer: Observer | None,
+        observer: Callable[[Equations, StepRecord], None] | None = None,
     ) -> None:
-        self.integrator, self.friction_passes, self.observer = integrator, friction_passes, observer
-        self.tolerance = tolerance * scene.body.space.samples.size
-        self.equations = StepEquations(scene)
+        self.integrator, self.friction_passes, self.tolerance = integrator, friction_passes, tolerance
+        self.observer: Callable[[Equations, StepRecord], None] | None = observer
+        self.equations: Equations = equations
         self.previous: State | None = None
         self.previous_step = np.nan
         self.steps = self.iterations = self.halved = self.projections = 0
@@ -146,10 +156,9 @@ class _Stepper:
         coefficients = bdf2(state, history, step) if two_step and history else implicit_euler(state, step)
         self.equations.set_step(coefficients, state.time + step, guess, state)
         passes = [self._minimise(guess)]
-        enough = step * self.equations.contact.slip_velocity
         while len(passes) < self.friction_passes and self.equations.freeze_friction(passes[-1].x):
             passes.append(self._minimise(passes[-1].x))
-            if self._largest_change(passes[-1].x - passes[-2].x) <= enough:
+            if self.equations.settled(passes[-1].x - passes[-2].x, step):
                 break
         x = passes[-1].x
         if not np.isfinite(x).all():
@@ -157,10 +166,6 @@ class _Stepper:
         self.steps += 1
         after = State(state.time + step, x, coefficients.velocity(x))
         return StepRecord(state, history, two_step, step, coefficients, self.equations.viscous, tuple(passes), after)
-
-    def _largest_change(self, change: np.ndarray) -> float:
-        """Largest component of a change of position of the surface samples [m]."""
-        return float(np.abs(self.equations.surface @ change).max(initial=0.0))
 
     def _minimise(self, start: np.ndarray) -> SolvedPass:
         found: Minimum = minimise(self.equations, start, tolerance=self.tolerance, stale_rate=_STALE_RATE)
@@ -210,7 +215,8 @@ def simulate(
         ConvergenceError: a step failed even after eight halvings.
     """
     check_stepping(frames, fps, steps_per_frame, integrator, friction_passes)
-    stepper = _Stepper(scene, integrator, tolerance, friction_passes, observer)
+    size = scene.body.space.samples.size
+    stepper = Stepper(StepEquations(scene), integrator, tolerance * size, friction_passes, observer)
     states = [State(0.0, scene.start.copy(), scene.start_velocities())]
     state, flows = states[0], [stepper.equations.flowed()]
     for frame in range(1, frames):

@@ -1,0 +1,192 @@
+"""Contact between two bodies: sampled points of the one that lie inside the triangles that bound the other.
+
+A point x of body A that stands for the area A_s and lies inside body B, p deep under the nearest point q of its
+shell, has the energy ½ A_s ψ(p) with the hinge of `physconvex.contact`; the other half comes from B's points inside A.
+q = Σ_k b_k x_k(B), so that x − q is linear in the coordinates of both bodies as long as q stays at one place of the
+shell, and, since q is nearest, the derivative of p is that at fixed q: force and reaction are equal, opposite, and on
+one line, which keeps momentum and angular momentum. The Hessian leaves out how the normal turns (ψ' over the
+curvature of the distance), and is thereby positive.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from physconvex.contact import Contact
+from physconvex.reduced.shell import nearest_on_triangles
+
+__all__ = ["FrozenPairs", "PairContact", "Touch"]
+
+_TIE = 1e-9  # relative difference of distances below which triangles count as equally near
+
+
+@dataclass(frozen=True)
+class Touch:
+    """Points of a body inside another one.
+
+    Attributes:
+        samples: which, shape [C].
+        corners: vertices of the shell's triangle that is nearest to each, shape [C, 3].
+        shares: barycentric coordinates of the nearest point, shape [C, 3].
+        depth: p [m], shape [C].
+        normals: outwards from the shell, shape [C, 3].
+    """
+
+    samples: Int[np.ndarray, " C"]
+    corners: Int[np.ndarray, "C 3"]
+    shares: Float[np.ndarray, "C 3"]
+    depth: Float[np.ndarray, " C"]
+    normals: Float[np.ndarray, "C 3"]
+
+
+@dataclass(frozen=True)
+class FrozenPairs:
+    """Friction between the bodies, frozen to a linear drag for one solve.
+
+    Attributes:
+        rows: x − q as a function of both bodies' coordinates, shape [C, R_A + R_B].
+        weights: force over slip velocity [N·s/m], shape [C].
+        normals: shape [C, 3].
+    """
+
+    rows: Float[np.ndarray, "C R"]
+    weights: Float[np.ndarray, " C"]
+    normals: Float[np.ndarray, "C 3"]
+
+    def slip(self, velocity: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "C 3"]:
+        """Tangential velocity of the points along the shell [m/s]."""
+        relative = self.rows @ velocity
+        return relative - (relative * self.normals).sum(1, keepdims=True) * self.normals
+
+    def energy_and_gradient(self, velocity: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
+        """Rate potential [W] and its derivative by the velocities of the coordinates [N]."""
+        slip = self.slip(velocity)
+        force = self.weights[:, None] * slip
+        return 0.5 * float((force * slip).sum()), self.rows.T @ force
+
+    @property
+    def blocks(self) -> Float[np.ndarray, "C 3 3"]:
+        """Derivative of the force by the relative velocity [N·s/m]."""
+        return self.weights[:, None, None] * (np.eye(3) - self.normals[:, :, None] * self.normals[:, None, :])
+
+
+class PairContact:
+    """Points of one body against the shell of another one; the coordinates of both follow each other, [R_A + R_B, 3].
+
+    Args:
+        law: hinge, slip velocity, and the areas of the points.
+        friction: Coulomb coefficient [-].
+        samples: shape functions of A at its points, shape [S, R_A].
+        shell: shape functions of B at the vertices of its shell, shape [V, R_B].
+        faces: of the shell, shape [F, 3].
+        reach: distance the bodies may come nearer by before the triangles near a point are looked up again [m].
+    """
+
+    def __init__(
+        self,
+        law: Contact,
+        friction: float,
+        samples: Float[np.ndarray, "S R"],
+        shell: Float[np.ndarray, "V R"],
+        faces: Int[np.ndarray, "F 3"],
+        *,
+        reach: float,
+    ) -> None:
+        self.law, self.coefficient, self.faces, self.reach = law, friction, faces, reach
+        self.samples, self.shell = samples, shell
+        self._split = samples.shape[1]
+        self._seen: tuple[np.ndarray, np.ndarray] | None = None
+        self._near = np.zeros(0, dtype=np.int64)  # points
+        self._lists = np.zeros((0, 1), dtype=np.int64)  # faces near each of them
+
+    # -- geometry
+
+    def touching(self, y: Float[np.ndarray, "R 3"]) -> Touch:
+        """The points of A that lie inside B."""
+        points, vertices = self.samples @ y[: self._split], self.shell @ y[self._split :]
+        if self._seen is None or self._moved(points, vertices) > 0.5 * self.reach:
+            self._look(points, vertices)
+        if not len(self._near):
+            return self._touch(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), points, vertices)
+        corners = vertices[self.faces[self._lists]]  # [N, K, 3, 3]
+        here = np.broadcast_to(points[self._near, None], (*corners.shape[:-2], 3))
+        offset = here - np.einsum("nkc,nkci->nki", nearest_on_triangles(here, corners), corners)
+        square = (offset**2).sum(-1)
+        near = square <= square.min(1, keepdims=True) * (1 + _TIE) + 1e-300
+        # of triangles that meet at the nearest point, the one whose plane is farthest tells the side
+        normals = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
+        height = (offset * normals).sum(-1) / np.maximum(np.linalg.norm(normals, axis=-1), 1e-300)
+        chosen = np.where(near, np.abs(height), -1.0).argmax(1)
+        rows = np.arange(len(chosen))
+        inside = height[rows, chosen] < 0
+        return self._touch(self._near[inside], self._lists[rows, chosen][inside], points, vertices)
+
+    def _touch(self, samples: np.ndarray, faces: np.ndarray, points: np.ndarray, vertices: np.ndarray) -> Touch:
+        nodes = self.faces[faces]
+        corners = vertices[nodes]
+        shares = nearest_on_triangles(points[samples], corners)
+        outward = np.einsum("nc,nci->ni", shares, corners) - points[samples]
+        depth = np.linalg.norm(outward, axis=1)
+        return Touch(samples, nodes, shares, depth, outward / np.maximum(depth, 1e-300)[:, None])
+
+    def _moved(self, points: np.ndarray, vertices: np.ndarray) -> float:
+        """How far points and shell may have come nearer to each other since the triangles were looked up [m]."""
+        assert self._seen is not None
+        drift = (points - self._seen[0]).mean(0)  # a common one changes no distance
+        return sum(
+            float(np.linalg.norm(now - then - drift, axis=1).max(initial=0.0))
+            for now, then in zip((points, vertices), self._seen, strict=True)
+        )
+
+    def _look(self, points: np.ndarray, vertices: np.ndarray) -> None:
+        """Points that may come to lie inside, and every triangle that may then be the nearest one."""
+        self._seen = (points, vertices)
+        low, high = vertices.min(0) - self.reach, vertices.max(0) + self.reach
+        self._near = np.flatnonzero(((points > low) & (points < high)).all(1))
+        corners = vertices[self.faces]
+        centres = corners.mean(1)
+        radii = np.linalg.norm(corners - centres[:, None], axis=2).max(1)
+        lists = []
+        for point in points[self._near]:
+            distance = np.linalg.norm(centres - point, axis=1)
+            lists.append(np.flatnonzero(distance - radii <= (distance + radii).min() + self.reach))
+        width = max(map(len, lists), default=1)
+        self._lists = np.array([np.pad(some, (0, width - len(some)), mode="edge") for some in lists]).reshape(-1, width)
+
+    def rows(self, touch: Touch) -> Float[np.ndarray, "C R"]:
+        """x − q as a function of both bodies' coordinates."""
+        nearest = np.einsum("nc,ncr->nr", touch.shares, self.shell[touch.corners])
+        return np.hstack([self.samples[touch.samples], -nearest])
+
+    # -- energy
+
+    def energy_and_gradient(self, y: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
+        """Energy [J] and its derivative by the coordinates of both bodies [N]."""
+        touch = self.touching(y)
+        if not len(touch.samples):
+            return 0.0, np.zeros_like(y)
+        energy, slope, _ = self.law._hinge(touch.depth)
+        areas = 0.5 * self.law.areas[touch.samples]
+        return float(areas @ energy), -(self.rows(touch).T @ ((areas * slope)[:, None] * touch.normals))
+
+    def stiffness(self, y: Float[np.ndarray, "R 3"]) -> tuple[Float[np.ndarray, "C R"], Float[np.ndarray, "C 3 3"]]:
+        """Rows and blocks of the positive Hessian Σ_c rowᵀ block row [N/m]."""
+        touch = self.touching(y)
+        curvature = 0.5 * self.law.areas[touch.samples] * self.law._hinge(touch.depth)[2]
+        return self.rows(touch), curvature[:, None, None] * touch.normals[:, :, None] * touch.normals[:, None, :]
+
+    def freeze(self, y: Float[np.ndarray, "R 3"], velocity: Float[np.ndarray, "R 3"]) -> FrozenPairs | None:
+        """Friction linearised at coordinates [m] and velocities [m/s], as in `Contact.freeze_friction`."""
+        if not self.coefficient:
+            return None
+        touch = self.touching(y)
+        if not len(touch.samples):
+            return None
+        bare = FrozenPairs(self.rows(touch), np.zeros(len(touch.samples)), touch.normals)
+        speed = np.linalg.norm(bare.slip(velocity), axis=1) / self.law.slip_velocity
+        ratio = np.where(speed < 1, 2 - speed, 1 / np.maximum(speed, 1.0))  # f₁(s)/s
+        limits = 0.5 * self.coefficient * self.law.areas[touch.samples] * self.law._hinge(touch.depth)[1]
+        return FrozenPairs(bare.rows, limits * ratio / self.law.slip_velocity, touch.normals)

@@ -1,0 +1,90 @@
+"""The triangles that bound a body: what points of other bodies may not cross."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from physconvex.errors import InputError
+from physconvex.fem.mesh import TetMesh
+
+__all__ = ["Shell", "nearest_on_triangles"]
+
+_QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])  # of a quadratic face
+
+
+@dataclass(frozen=True)
+class Shell:
+    """A closed surface of triangles, counter-clockwise from outside.
+
+    Attributes:
+        points: rest positions of the vertices [m], shape [V, 3].
+        faces: shape [F, 3].
+
+    Raises:
+        InputError: wrong shapes, indices out of range, or a surface that is open or turned inside out.
+    """
+
+    points: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
+
+    def __post_init__(self) -> None:
+        points, faces = np.asarray(self.points, dtype=np.float64), np.asarray(self.faces, dtype=np.int64)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise InputError(f"shell.points: got shape {points.shape}; expected finite [V, 3] in metres")
+        if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces) or faces.min() < 0 or faces.max() >= len(points):
+            raise InputError(
+                f"shell.faces: got shape {faces.shape}; expected [F, 3], indices of {len(points)} vertices"
+            )
+        corners = points[faces] - points.mean(0)
+        volume = float(np.linalg.det(corners).sum()) / 6
+        if not volume > 0:
+            raise InputError(f"shell: its faces enclose {volume:.3g} m³; expected a closed surface, normals outwards")
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "faces", faces)
+
+    @classmethod
+    def of_mesh(cls, mesh: TetMesh) -> Shell:
+        """The boundary of a tetrahedral mesh; every face of a quadratic one is cut in four."""
+        faces = mesh.boundary_faces
+        if mesh.order == 2:
+            faces = faces[:, _QUARTERS].reshape(-1, 3)
+        used, faces = np.unique(faces, return_inverse=True)
+        return cls(mesh.vertices[used], faces.reshape(-1, 3))
+
+
+def nearest_on_triangles(
+    points: Float[np.ndarray, "*B 3"], corners: Float[np.ndarray, "*B 3 3"]
+) -> Float[np.ndarray, "*B 3"]:
+    """Barycentric coordinates of the point of each triangle that is nearest to its point.
+
+    Inside where the foot of the perpendicular is inside, else on the nearest of the three edges.
+    """
+    origin, u, v = corners[..., 0, :], corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :]
+    offset = points - origin
+    uu, uv, vv, pu, pv = (
+        np.einsum("...i,...i->...", a, b) for a, b in ((u, u), (u, v), (v, v), (offset, u), (offset, v))
+    )
+    area = np.maximum(uu * vv - uv * uv, 1e-300)
+    b, c = (vv * pu - uv * pv) / area, (uu * pv - uv * pu) / area
+    best = np.stack([1 - b - c, b, c], axis=-1)
+    outside = (best < 0).any(-1)
+    if not outside.any():
+        return best
+    some, tips = points[outside], corners[outside]
+    ends = np.roll(tips, -1, axis=-2)
+    edges = ends - tips
+    share = np.einsum("nei,nei->ne", some[:, None] - tips, edges) / np.maximum(
+        np.einsum("nei,nei->ne", edges, edges), 1e-300
+    )
+    share = share.clip(0.0, 1.0)
+    distance = np.linalg.norm(tips + share[..., None] * edges - some[:, None], axis=-1)
+    edge = distance.argmin(1)
+    rows = np.arange(len(some))
+    clamped = np.zeros_like(some)
+    clamped[rows, edge] = 1 - share[rows, edge]
+    clamped[rows, (edge + 1) % 3] = share[rows, edge]
+    best[outside] = clamped
+    return best

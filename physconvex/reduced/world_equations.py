@@ -1,0 +1,112 @@
+"""The function that one time step of several bodies minimises: one Newton over the coordinates of all of them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.contact import Friction
+from physconvex.integrators import State, StepCoefficients
+from physconvex.reduced.dense_newton import DenseNewton
+from physconvex.reduced.equations import StepEquations
+from physconvex.reduced.pair_contact import FrozenPairs, PairContact
+from physconvex.reduced.surface_contact import add_surface_blocks
+from physconvex.reduced.world import ReducedWorld
+
+__all__ = ["WorldEquations"]
+
+
+class _Pair:
+    """A pair's contact and its place among the coordinates of all bodies."""
+
+    def __init__(self, contact: PairContact, first: slice, second: slice) -> None:
+        self.contact = contact
+        self.where = np.r_[first, second]
+        self.frozen: FrozenPairs | None = None
+
+
+class WorldEquations(DenseNewton):
+    """Incremental potential of one time step; coordinates of all bodies below each other, [R_1 + R_2 + …, 3]."""
+
+    viscous = None  # a step's record holds no viscosity: it stays in the equations of each body
+    friction: tuple[Friction, ...] = ()
+
+    def __init__(self, world: ReducedWorld) -> None:
+        super().__init__(world.size)
+        self.world, self.slices = world, world.slices
+        self.bodies = [StepEquations(scene) for scene in world.scenes]
+        self.pairs = [_Pair(contact, self.slices[a], self.slices[b]) for a, b, contact in world.pairs()]
+        self.rounding = max(body.rounding for body in self.bodies)
+
+    def _parts(self, x: np.ndarray) -> list[tuple[StepEquations, np.ndarray]]:
+        return [(body, x[where]) for body, where in zip(self.bodies, self.slices, strict=True)]
+
+    # -- what a step holds fixed
+
+    def set_step(self, coefficients: StepCoefficients, time: float, guess: np.ndarray, last: State) -> None:
+        """Fix everything that is constant during one time step, as `StepEquations` does for one body."""
+        self.coefficients = coefficients
+        if self.factorised and not math.isclose(coefficients.step, self._factorised_step, rel_tol=1e-9):
+            self.factorised = False
+        for body, where in zip(self.bodies, self.slices, strict=True):
+            own = StepCoefficients(coefficients.step, coefficients.target[where], coefficients.base[where])
+            state = State(last.time, last.positions[where], last.velocities[where])
+            body.set_step(own, time, guess[where], state)
+        self._freeze(last.positions, coefficients.velocity(guess))
+
+    def freeze_friction(self, y: Float[np.ndarray, "R 3"]) -> bool:
+        """Take friction anew at coordinates y; tells if there is anything that was frozen."""
+        assert self.coefficients is not None
+        own = [body.freeze_friction(part) for body, part in self._parts(y)]
+        self._freeze(y, self.coefficients.velocity(y))
+        return any(own) or any(pair.frozen is not None for pair in self.pairs)
+
+    def _freeze(self, y: np.ndarray, velocity: np.ndarray) -> None:
+        self.secants.interrupt()
+        for pair in self.pairs:
+            pair.frozen = pair.contact.freeze(y[pair.where], velocity[pair.where])
+
+    def settled(self, change: Float[np.ndarray, "R 3"], step: float) -> bool:
+        """Whether the velocities of all surfaces have changed by no more than their slip velocities."""
+        return all(body.settled(part, step) for body, part in self._parts(change))
+
+    def commit(self, x: Float[np.ndarray, "R 3"]) -> None:
+        """Store what has flowed by the end of a step at coordinates x."""
+        for body, part in self._parts(x):
+            body.commit(part)
+
+    # -- value, gradient, Hessian
+
+    def evaluate(self, x: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
+        """Incremental potential [J] and its derivative [N]."""
+        found = [body.evaluate(part) for body, part in self._parts(x)]
+        energy, gradient = sum(value for value, _ in found), np.concatenate([slope for _, slope in found])
+        for pair in self.pairs:
+            touch, push = pair.contact.energy_and_gradient(x[pair.where])
+            energy, gradient[pair.where] = energy + touch, gradient[pair.where] + push
+            if pair.frozen is not None and self.coefficients is not None:
+                loss, drag = pair.frozen.energy_and_gradient(self.coefficients.velocity(x)[pair.where])
+                energy += self.coefficients.step * loss
+                gradient[pair.where] += drag
+        self.secants.note(x, gradient)
+        return energy, gradient
+
+    def hessian_blocks(self, x: Float[np.ndarray, "R 3"], *, project: bool) -> Float[np.ndarray, "3 R 3 R"]:
+        """Second derivative [N/m], components first; of the contact between bodies always the positive part."""
+        matrix = np.zeros((3, len(x), 3, len(x)))
+        for body, where in zip(self.bodies, self.slices, strict=True):
+            matrix[:, where, :, where] = body.hessian_blocks(x[where], project=project)
+        for pair in self.pairs:
+            self._add(matrix, pair, *pair.contact.stiffness(x[pair.where]))
+            if pair.frozen is not None and self.coefficients is not None:
+                self._add(matrix, pair, pair.frozen.rows, pair.frozen.blocks / self.coefficients.step)
+        return matrix
+
+    @staticmethod
+    def _add(matrix: np.ndarray, pair: _Pair, rows: np.ndarray, blocks: np.ndarray) -> None:
+        if len(rows):
+            wide = np.zeros((len(rows), matrix.shape[1]))
+            wide[:, pair.where] = rows
+            add_surface_blocks(matrix, wide, blocks)
