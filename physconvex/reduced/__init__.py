@@ -14,6 +14,7 @@ from physconvex.reduced.basis import (
     sample_basis,
 )
 from physconvex.reduced.body import ReducedBody
+from physconvex.reduced.candidates import Candidates, CandidateTrajectories, simulate_candidates
 from physconvex.reduced.contact_modes import contact_weights
 from physconvex.reduced.cubature import BodySamples, Cubature, tet_cubature
 from physconvex.reduced.given_fields import ArrayWeights, StackedWeights, predicted_weights, snapshot_weights
@@ -40,6 +41,8 @@ __all__ = [
     "ArrayWeights",
     "BodySamples",
     "CallableWeights",
+    "CandidateTrajectories",
+    "Candidates",
     "Cubature",
     "LossGradient",
     "NeuralFieldOptions",
@@ -71,6 +74,7 @@ __all__ = [
     "rollout_positions",
     "sample_basis",
     "simulate",
+    "simulate_candidates",
     "simulate_with_adjoint",
     "simulate_with_sensitivities",
     "simulate_world",
