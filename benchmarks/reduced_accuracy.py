@@ -2,9 +2,9 @@
 
 python benchmarks/reduced_accuracy.py --data DATA --minutes 15
 
-Bodies of 0.2 m dropped from 5 cm on a tilted floor, 24 frames at 48 per second; both models on the same quadratic mesh,
-with the same steps and contact, so that a row shows the reduction alone (the "paper" rows: M = 10 neural field and also
-implicit Euler with one step per 1/24 s). DATA holds the folders meshes/ and gso/ with NAME/model.obj; bodies that are
+Bodies of 0.2 m dropped from 5 cm on a tilted floor, or stretched and let go in free space, 24 frames at 48 per second;
+both models on the same quadratic mesh, with the same steps and contact, so that a row shows the reduction alone (the
+"paper" rows: M = 10 neural field and also implicit Euler with one step per 1/24 s). DATA holds the folders meshes/ and gso/ with NAME/model.obj; bodies that are
 not there are left out. Rows are stored as they are made, in the order of `cases`; a run goes on where the last one
 ended. The full model's motions are kept in the cache folder. `--only BODY` picks bodies.
 """
@@ -33,6 +33,7 @@ from physconvex.reduced import (
     ReducedScene,
     ReducedSpace,
     WeightField,
+    contact_weights,
     eigenmode_weights,
     parameter_values,
     simulate_with_sensitivities,
@@ -55,19 +56,25 @@ BODIES = (
 NORMAL = np.array([0.15, 0.05, 1.0]) / np.linalg.norm([0.15, 0.05, 1.0])
 TIMING: dict[str, Any] = {"frames": 24, "fps": 48.0, "steps_per_frame": 8}
 PAPER: dict[str, Any] = {"frames": 12, "fps": 24.0, "steps_per_frame": 1, "integrator": "implicit_euler"}
+PULL = np.array([[1.25, 0.15, 0.0], [0.0, 0.9, 0.1], [0.1, 0.0, 0.95]])
 NAMES = ("log10_youngs_modulus", "poisson_ratio")
 ITERATIONS, LARGEST_STEP, SETTLED = 8, 0.15, 1e-3
 
 
 @dataclass(frozen=True)
 class Case:
-    """One setting: body, E [Pa], ν, basis (eigenmodes, neural, snapshots, or paper) and number of weights."""
+    """One setting: body, E [Pa], ν, basis and number of weights, and what happens to the body.
+
+    basis: eigenmodes, contact (a third of them eigenmodes, the others answers to loads on patches, interpolated at the
+    nodes), neural, snapshots, or paper. scene: "drop", or "release" (stretched, sheared, and let go in free space: no contact).
+    """
 
     body: str
     youngs_modulus: float
     poisson_ratio: float
     basis: str
     weights: int
+    scene: str = "drop"
 
 
 @dataclass(frozen=True)
@@ -92,7 +99,15 @@ class Row:
 def cases(bodies: list[str]) -> Iterator[Case]:
     """The most telling first."""
     grid = [(e, nu) for nu in (0.3, 0.45) for e in (3e5, 3e4, 3e6)]
-    first = [("eigenmodes", 10), ("paper", 10), ("eigenmodes", 20)]
+    for modulus, ratio in ((3e5, 0.3), (3e5, 0.45), (3e4, 0.3), (3e4, 0.45)):
+        for body in bodies:
+            yield Case(body, modulus, ratio, "contact", 30)
+        for body in bodies[:3]:
+            for basis, count in (("eigenmodes", 10), ("contact", 30)):
+                yield Case(body, modulus, ratio, basis, count, "release")
+        for body in bodies[:3]:
+            yield Case(body, modulus, ratio, "contact", 60)
+    first = [("eigenmodes", 10), ("paper", 10), ("eigenmodes", 20), ("contact", 40)]
     rest = [("neural", 10), ("eigenmodes", 40), ("eigenmodes", 4), ("snapshots", 10)]
     last = [("eigenmodes", m) for m in (8, 12)] + [(b, m) for b in ("neural", "snapshots") for m in (4, 8, 12, 20, 40)]
     for stage in (first, rest, last):
@@ -135,15 +150,29 @@ def floor_under(mesh: TetMesh) -> Plane:
     return Plane(point=((mesh.vertices @ NORMAL).min() - DROP) * NORMAL, normal=NORMAL)
 
 
-def full_motion(name: str, mesh: TetMesh, modulus: float, ratio: float) -> np.ndarray:
+def full_motion(name: str, mesh: TetMesh, modulus: float, ratio: float, scene: str = "drop") -> np.ndarray:
     """Positions of the nodes at the frames [m], shape [T, V, 3]."""
-    key = f"{name.replace('/', '-')}-{len(mesh.vertices)}-{modulus:.3g}-{ratio:.3g}.npy"
-    path = cache_folder() / "reduced_accuracy" / key
+    key = f"{name.replace('/', '-')}-{len(mesh.vertices)}-{modulus:.3g}-{ratio:.3g}"
+    path = cache_folder() / "reduced_accuracy" / f"{key}{'' if scene == 'drop' else '-' + scene}.npy"
     if not path.is_file():
         body = ElasticBody(mesh, youngs_modulus=modulus, poisson_ratio=ratio)
+        full = Scene(body, obstacles=(floor_under(mesh),))
+        if scene == "release":
+            full = Scene(body, gravity=(0, 0, 0), initial_positions=mesh.vertices @ PULL.T)
         path.parent.mkdir(parents=True, exist_ok=True)
-        np.save(path, simulate_full(Scene(body, obstacles=(floor_under(mesh),)), **TIMING).positions)
+        np.save(path, simulate_full(full, **TIMING).positions)
     return np.load(path)
+
+
+def reduced_scene(case: Case, mesh: TetMesh, data: Path) -> ReducedScene:
+    """The reduced body of a case and what happens to it."""
+    samples = BodySamples.of_mesh(mesh)
+    space = ReducedSpace(weights_of(case, mesh, data), samples, interpolated=case.basis == "contact")
+    body = ReducedBody(space, youngs_modulus=case.youngs_modulus, poisson_ratio=case.poisson_ratio)
+    if case.scene == "release":
+        return ReducedScene(body, gravity=(0, 0, 0), initial_coordinates=space.affine(PULL, np.zeros(3)))
+    stiffness = 50 * case.youngs_modulus / mesh.size
+    return ReducedScene(body, obstacles=(floor_under(mesh),), contact_stiffness=stiffness)
 
 
 @cache
@@ -157,6 +186,8 @@ def weights_of(case: Case, mesh: TetMesh, data: Path) -> WeightField:
     """The basis of a case; snapshots come from a body half as stiff."""
     if case.basis == "eigenmodes":
         return eigenmode_weights(ElasticBody(mesh), case.weights)
+    if case.basis == "contact":
+        return contact_weights(ElasticBody(mesh), case.weights - case.weights // 3, eigenmodes=case.weights // 3)
     if case.basis == "snapshots":
         softer = full_motion(case.body, mesh, case.youngs_modulus / 2, case.poisson_ratio)
         return snapshot_weights(ElasticBody(mesh), [softer - mesh.vertices], case.weights)
@@ -208,15 +239,11 @@ def measure(case: Case, data: Path) -> Row:
     """One row."""
     clock = time.process_time()
     mesh = mesh_of(case.body, data)
-    observed = full_motion(case.body, mesh, case.youngs_modulus, case.poisson_ratio)
+    observed = full_motion(case.body, mesh, case.youngs_modulus, case.poisson_ratio, case.scene)
     paper = case.basis == "paper"
     observed = observed[::2] if paper else observed
     motion = rms((observed - mesh.vertices).ravel())
-    space = ReducedSpace(weights_of(case, mesh, data), BodySamples.of_mesh(mesh))
-    body = ReducedBody(space, youngs_modulus=case.youngs_modulus, poisson_ratio=case.poisson_ratio)
-    stiffness = 50 * case.youngs_modulus / mesh.size
-    scene = ReducedScene(body, obstacles=(floor_under(mesh),), contact_stiffness=stiffness)
-    fit, failure = Fit(scene, mesh, observed, PAPER if paper else TIMING), ""
+    fit, failure = Fit(reduced_scene(case, mesh, data), mesh, observed, PAPER if paper else TIMING), ""
     truth = fit.values
     try:
         fit.run()

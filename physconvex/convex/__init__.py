@@ -5,11 +5,19 @@ from physconvex.convex.halfspaces import HalfSpaces, half_spaces, hull_faces, oc
 from physconvex.convex.halving import halve
 from physconvex.convex.merging import merge
 from physconvex.convex.mesh import hull_mesh, write_glb
-from physconvex.convex.motion import BoundField, DeformationMap, advect, affine_map, bind_to_space, bind_to_tets
+from physconvex.convex.motion import (
+    BoundField,
+    DeformationMap,
+    advect,
+    affine_map,
+    bind_to_space,
+    bind_to_tets,
+    space_map,
+)
 from physconvex.convex.parameters import FreeParameters
 from physconvex.convex.ply import read_ply, write_ply
 from physconvex.convex.rotation import polar_rotation, rotate_harmonics
-from physconvex.convex.solidity import hull_volumes, inside_union, union_occupancy
+from physconvex.convex.solidity import hull_volumes, inside_union, union_occupancy, union_volume
 from physconvex.convex.spherical_harmonics import coefficients_of_colour, harmonic_basis, view_colours
 from physconvex.convex.splitting import Division, non_affinity, split, split_until_affine
 from physconvex.convex.surface_motion import move_half_spaces, points_of_half_spaces
@@ -41,10 +49,12 @@ __all__ = [
     "polar_rotation",
     "read_ply",
     "rotate_harmonics",
+    "space_map",
     "split",
     "split_until_affine",
     "support",
     "union_occupancy",
+    "union_volume",
     "view_colours",
     "write_glb",
     "write_ply",

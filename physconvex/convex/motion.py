@@ -20,7 +20,7 @@ from physconvex.fem.embedding import Embedding, locate
 from physconvex.fem.mesh import TetMesh
 from physconvex.reduced.space import ReducedSpace
 
-__all__ = ["BoundField", "DeformationMap", "advect", "affine_map", "bind_to_space", "bind_to_tets"]
+__all__ = ["BoundField", "DeformationMap", "advect", "affine_map", "bind_to_space", "bind_to_tets", "space_map"]
 
 DeformationMap = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Rest positions X [P, 3] to positions x [P, 3], both in metres, and gradients ∂x_i/∂X_j [P, 3, 3]."""
@@ -114,6 +114,17 @@ def bind_to_space(field: ConvexField, space: ReducedSpace) -> BoundField:
     gradients = np.swapaxes(space.shape_gradients(_numbers(field.centres)), 1, 2)  # [N, 3, R]
     values = space.shape_values(_numbers(field.points).reshape(-1, 3))
     return BoundField(field, values, gradients.reshape(-1, gradients.shape[2]))
+
+
+def space_map(space: ReducedSpace, coordinates: Float[np.ndarray, "R 3"]) -> DeformationMap:
+    """The deformation of a reduced body at coordinates y [m]: x = Σ_a N_a(X) y_a with its gradient."""
+
+    def deform(points: Tensor) -> tuple[Tensor, Tensor]:
+        rest = _numbers(points)
+        gradients = np.einsum("pri,rk->pki", space.shape_gradients(rest), coordinates)
+        return torch.as_tensor(space.shape_values(rest) @ coordinates).to(points), torch.as_tensor(gradients).to(points)
+
+    return deform
 
 
 def _numbers(tensor: Tensor) -> np.ndarray:

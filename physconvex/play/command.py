@@ -13,7 +13,14 @@ __all__ = ["simulate"]
 
 
 def simulate(
-    mesh: Annotated[Path, typer.Argument(help="Mesh file of a closed surface, z up (glTF: y up).", show_default=False)],
+    assets: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Mesh file of a closed surface, z up (glTF: y up); PLY file of a convex field; or folder of "
+            "`physconvex refine`. Several are played together, each dropped on the one before it.",
+            show_default=False,
+        ),
+    ],
     out: Annotated[Path, typer.Option(help="Folder of the results; it is made.")] = Path("simulation"),
     preset: Annotated[
         str | None,
@@ -21,7 +28,11 @@ def simulate(
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", help="Override, as material.youngs_modulus=3.0e4 or floor.velocity=[1,0,0]; repeatable."),
+        typer.Option(
+            "--set",
+            help="Override, as material.youngs_modulus=3.0e4 or floor.velocity=[1,0,0]; for the second asset alone as "
+            "2:material.density=500; repeatable.",
+        ),
     ] = None,
     youngs_modulus: Annotated[float | None, typer.Option(help="E [Pa].")] = None,
     poisson_ratio: Annotated[float | None, typer.Option(help="ν.")] = None,
@@ -31,7 +42,7 @@ def simulate(
     orientation: Annotated[
         tuple[float, float, float] | None, typer.Option(help="Turns about x, then y, then z [degrees].")
     ] = None,
-    basis: Annotated[str | None, typer.Option(help="Skinning weights: eigenmodes or neural.")] = None,
+    basis: Annotated[str | None, typer.Option(help="Skinning weights: eigenmodes, contact or neural.")] = None,
     modes: Annotated[int | None, typer.Option(help="Number of skinning weights beside the constant one.")] = None,
     frames: Annotated[int | None, typer.Option(help="Frames, the first at t = 0.")] = None,
     fps: Annotated[float | None, typer.Option(help="Frames per second [1/s].")] = None,
@@ -41,16 +52,16 @@ def simulate(
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")] = False,
     progress: Annotated[bool, typer.Option(help="Show a progress bar.")] = True,
 ) -> None:
-    """Play an object: drop, push or shake a mesh of any material and write its motion.
+    """Play objects: drop, push or shake bodies of any material, one or several, and write their motion.
 
     Writes trajectory.npz, frames/*.ply, animation.glb, video.mp4 (with --video) and simulation.json (configuration,
     version, summary).
     """
     from tqdm import tqdm
 
-    from physconvex.play.config import load_play_config
-    from physconvex.play.play import play
-    from physconvex.play.surface import read_surface
+    from physconvex.play.assets import read_asset
+    from physconvex.play.config import load_play_config, overrides_of
+    from physconvex.play.play import play_together
     from physconvex.play.writing import summary_of, write_played
 
     chosen = {
@@ -66,11 +77,16 @@ def simulate(
         "time.fps": fps,
     }
     overrides = [f"{name}={json.dumps(value)}" for name, value in chosen.items() if value is not None]
-    config = load_play_config(preset, overrides=[*overrides, *(settings or [])])
-    surface = read_surface(mesh)
+    objects = [read_asset(path) for path in assets]
+    configs = [
+        load_play_config(
+            preset, overrides=[*overrides, *overrides_of(k, len(assets), settings or [])], found=asset.settings
+        )
+        for k, asset in enumerate(objects, start=1)
+    ]
     quiet = as_json or not progress or not sys.stderr.isatty()
-    with tqdm(total=config.time.frames - 1, unit="frame", disable=quiet) as bar:
-        played = play(surface, config, on_frame=lambda _: bar.update())
+    with tqdm(total=configs[0].time.frames - 1, unit="frame", disable=quiet) as bar:
+        played = play_together(objects, configs, on_frame=lambda _: bar.update())
     write_played(played, out, ply=ply, glb=glb, video=video)
     summary = {"out": str(out), **summary_of(played)}
     if as_json:

@@ -5,9 +5,9 @@ Units are SI; names that end in `_deg` are degrees.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -17,6 +17,7 @@ from physconvex.materials import LawName
 
 __all__ = [
     "BasisConfig",
+    "ContactConfig",
     "FloorConfig",
     "ForceConfig",
     "MaterialConfig",
@@ -24,6 +25,7 @@ __all__ = [
     "PlayConfig",
     "TimeConfig",
     "load_play_config",
+    "overrides_of",
 ]
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -41,10 +43,12 @@ class Frozen(BaseModel):
 
 class ObjectConfig(Frozen):
     """How the object starts: size (largest edge [m], that of the file if null), orientation (turns about x, then y,
-    then z), height of its lowest point over the floor [m], velocity [m/s], spin [rad/s]."""
+    then z), horizontal position of its middle [m], height of its lowest point over the floor or over the object before
+    it [m], velocity [m/s], spin [rad/s]."""
 
     size: Positive | None = None
     orientation_deg: Vector = (0.0, 0.0, 0.0)
+    position: tuple[Finite, Finite] = (0.0, 0.0)
     drop_height: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.5
     velocity: Vector = (0.0, 0.0, 0.0)
     angular_velocity: Vector = (0.0, 0.0, 0.0)
@@ -99,6 +103,12 @@ class FloorConfig(Frozen):
     period: Positive | None = None
 
 
+class ContactConfig(Frozen):
+    """Friction coefficient between objects."""
+
+    friction: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.5
+
+
 class ForceConfig(Frozen):
     """Gravity [m/s²], a steady push (acceleration [m/s²]), wind [m/s] (null: no air at all), drag coefficient."""
 
@@ -110,9 +120,10 @@ class ForceConfig(Frozen):
 
 class BasisConfig(Frozen):
     """Skinning weights: their kind and number M, seed of the neural field; most nodes of the background mesh, its
-    mesher, and most vertices of the surface that touch the floor."""
+    mesher, and most vertices of the surface that touch the floor. `contact`: a third of the weights are eigenmodes, the
+    others answer to loads on patches of the surface."""
 
-    kind: Literal["eigenmodes", "neural"] = "eigenmodes"
+    kind: Literal["eigenmodes", "contact", "neural"] = "eigenmodes"
     modes: int = Field(default=10, ge=1, le=64)
     seed: int = Field(default=0, ge=0)
     max_nodes: int = Field(default=500, ge=20)
@@ -136,21 +147,51 @@ class PlayConfig(Frozen):
     object: ObjectConfig = ObjectConfig()
     material: MaterialConfig = MaterialConfig()
     floor: FloorConfig | None = FloorConfig()
+    contact: ContactConfig = ContactConfig()
     forces: ForceConfig = ForceConfig()
     basis: BasisConfig = BasisConfig()
     time: TimeConfig = TimeConfig()
 
 
-def load_play_config(source: str | Path | None = None, *, overrides: Sequence[str] = ()) -> PlayConfig:
+def load_play_config(
+    source: str | Path | None = None, *, overrides: Sequence[str] = (), found: Mapping[str, Any] | None = None
+) -> PlayConfig:
     """Configuration from a preset name, a YAML file, or the defaults, with `section.name=value` overrides.
+
+    Args:
+        source: preset, file, or None.
+        overrides: set over it.
+        found: sections that the asset itself brings, such as a refined material; `source` and `overrides` go over it.
 
     Raises:
         InputError: no such file or preset, bad YAML, an unknown name or a value out of range.
     """
     expected = "sections such as `material:`"
     tree = {} if source is None else read_tree(source, "physconvex.play", argument="preset", expected=expected)
+    for section, values in (found or {}).items():
+        if isinstance(tree.setdefault(section, {}), dict):
+            tree[section] = {**values, **tree[section]}
     for override in overrides:
         if "." not in override.partition("=")[0]:
             raise InputError(f"--set: got {override!r}; expected section.name=value, as {_EXAMPLE}")
         set_value(tree, override, example=_EXAMPLE)
     return validated(PlayConfig, tree, argument="configuration")
+
+
+def overrides_of(number: int, count: int, overrides: Sequence[str]) -> list[str]:
+    """The overrides for object `number` of `count`: those for all, and those that begin with its number, from 1, and a
+    colon, as `2:material.density=500`.
+
+    Raises:
+        InputError: the number of no object.
+    """
+    mine = []
+    for override in overrides:
+        owner, colon, rest = override.partition(":")
+        if not colon or not owner.strip().isdigit():
+            mine.append(override)
+        elif not 1 <= int(owner) <= count:
+            raise InputError(f"--set: got {override!r}, for object {owner} of {count}; expected 1 to {count}")
+        elif int(owner) == number:
+            mine.append(rest)
+    return mine

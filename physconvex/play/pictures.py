@@ -13,7 +13,8 @@ from physconvex.play.play import PlayedObject
 
 __all__ = ["floor_displacement", "frames_of"]
 
-_OBJECT, _LIGHT, _DARK = "#d8743c", "#e9e6df", "#c9c4b8"
+_OBJECTS = ("#d8743c", "#3c7ad8", "#4f9d69", "#b5539c", "#d8b13c")
+_LIGHT, _DARK = "#e9e6df", "#c9c4b8"
 _TILES = 24  # tiles along the floor, twice as wide as what is seen of it
 
 
@@ -42,6 +43,12 @@ def _floor(center: np.ndarray, tile: float, shift: np.ndarray) -> tuple[np.ndarr
     return np.stack([x, y, np.full_like(x, shift[2])], axis=-1).reshape(-1, 3), quads, shade
 
 
+def _colours(played: PlayedObject) -> UInt8[np.ndarray, "V 3"]:
+    """Colour of each vertex by its object."""
+    palette = np.array([[int(code[k : k + 2], 16) for k in (1, 3, 5)] for code in _OBJECTS], dtype=np.uint8)
+    return palette[played.owners % len(palette)]
+
+
 def frames_of(
     played: PlayedObject, *, size: int = 448, show: list[int] | None = None
 ) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
@@ -63,7 +70,8 @@ def frames_of(
         plotter.camera.focal_point, plotter.camera.up = tuple(center), (0.0, 0.0, 1.0)
         plotter.camera.view_angle = 30.0
         body = pyvista.PolyData.from_regular_faces(played.positions[0], played.surface.faces)
-        plotter.add_mesh(body, color=_OBJECT, smooth_shading=True, specular=0.2)
+        body.point_data["colour"] = _colours(played)
+        plotter.add_mesh(body, scalars="colour", rgb=True, smooth_shading=True, specular=0.2)
         floor, tile = played.config.floor, _tile_size(played)
         ground = None
         for number in range(len(played.positions)) if show is None else show:

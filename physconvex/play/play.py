@@ -1,19 +1,22 @@
-"""From a surface and a configuration to its motion."""
+"""From surfaces and configurations to their motion."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from physconvex.contact import Plane
+from physconvex.convex import ConvexField, advect, affine_map, union_volume
 from physconvex.elastic_terms import with_fibres, with_strain_stiffening
 from physconvex.fem import ElasticBody, TetMesh, tetrahedralize
+from physconvex.fem.mesh_volume import enclosed_volume, with_volume
 from physconvex.inelastic import FlowRule, Plasticine, Sand, StandardLinearSolid
 from physconvex.materials import Law, get_law
+from physconvex.play.assets import Asset
 from physconvex.play.config import FloorConfig, MaterialConfig, PlayConfig
 from physconvex.play.surface import RestSurface
 from physconvex.reduced import (
@@ -22,44 +25,79 @@ from physconvex.reduced import (
     ReducedScene,
     ReducedSpace,
     ReducedTrajectory,
+    ReducedWorld,
+    Shell,
     WeightField,
     Wind,
+    contact_weights,
     eigenmode_weights,
     simulate,
+    simulate_world,
     train_neural_weights,
 )
 
-__all__ = ["PlayedObject", "play"]
+__all__ = ["PlayedObject", "play", "play_together"]
 
 
 @dataclass(frozen=True)
 class PlayedObject:
-    """A surface in motion.
+    """One or several surfaces in motion.
 
     Attributes:
-        config: what was played.
-        surface: the surface where it starts.
-        positions: of its vertices at the frames [m], shape [T, V, 3].
-        trajectory: of the reduced body.
-        mass: of the body [kg].
-        volume: of the body [m³].
+        config: what was played; that of the first object where there are several.
+        surface: the surfaces where they start, one after the other.
+        positions: of their vertices at the frames [m], shape [T, V, 3].
+        trajectories: of the reduced bodies.
+        owners: number of the object that each vertex belongs to, shape [V].
+        masses: of the bodies [kg].
+        volumes: of the bodies [m³].
+        convexes: the convex field of each object that has one, where it starts.
     """
 
     config: PlayConfig
     surface: RestSurface
     positions: Float[np.ndarray, "T V 3"]
-    trajectory: ReducedTrajectory
-    mass: float
-    volume: float
+    trajectories: tuple[ReducedTrajectory, ...]
+    owners: Int[np.ndarray, " V"]
+    masses: tuple[float, ...]
+    volumes: tuple[float, ...]
+    convexes: tuple[ConvexField | None, ...]
+
+    @property
+    def trajectory(self) -> ReducedTrajectory:
+        """That of the first body."""
+        return self.trajectories[0]
+
+    @property
+    def mass(self) -> float:
+        """Of all bodies [kg]."""
+        return sum(self.masses)
+
+    @property
+    def volume(self) -> float:
+        """Of all bodies [m³]."""
+        return sum(self.volumes)
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """An object where it starts, and its scene."""
+
+    surface: RestSurface
+    convexes: ConvexField | None
+    scene: ReducedScene
 
 
 def play(
-    surface: RestSurface, config: PlayConfig | None = None, *, on_frame: Callable[[int], None] | None = None
+    surface: RestSurface | Asset,
+    config: PlayConfig | None = None,
+    *,
+    on_frame: Callable[[int], None] | None = None,
 ) -> PlayedObject:
-    """Simulate a surface as a solid reduced body.
+    """Simulate a surface, or a convex field, as a solid reduced body.
 
     Args:
-        surface: closed surface as it comes from a file; `config.object` sizes and places it.
+        surface: closed surface as it comes from a file, or any asset; `config.object` sizes and places it.
         config: everything else; the defaults drop an elastic body.
         on_frame: called with the number of every finished frame.
 
@@ -67,25 +105,85 @@ def play(
         InputError: the surface has no inside, or too many modes for its mesh.
         ConvergenceError: a time step failed.
     """
-    config = PlayConfig() if config is None else config
-    placed, material = surface.placed(config.object), config.material
-    mesh = tetrahedralize(
-        (placed.vertices, placed.faces), order=2, method=config.basis.mesher, max_nodes=config.basis.max_nodes
+    return play_together([surface], [PlayConfig() if config is None else config], on_frame=on_frame)
+
+
+def play_together(
+    assets: Sequence[RestSurface | Asset],
+    configs: Sequence[PlayConfig],
+    *,
+    on_frame: Callable[[int], None] | None = None,
+) -> PlayedObject:
+    """Simulate several objects in one scene; each falls from its `drop_height` over the one before it.
+
+    Args:
+        assets: surfaces, or assets.
+        configs: one per asset; floor, forces, friction between objects and time are those of the first.
+        on_frame: called with the number of every finished frame.
+
+    Raises:
+        InputError, ConvergenceError: as `play`.
+    """
+    first, ground, prepared = configs[0], 0.0, []
+    for asset, config in zip(assets, configs, strict=True):
+        shared = config.model_copy(update={"floor": first.floor, "forces": first.forces})
+        prepared.append(_prepare(Asset(asset) if isinstance(asset, RestSurface) else asset, shared, ground))
+        ground = float(prepared[-1].surface.vertices[:, 2].max())
+    options = first.time.model_dump()
+    scenes = tuple(one.scene for one in prepared)
+    if len(prepared) == 1:
+        runs: tuple[ReducedTrajectory, ...] = (simulate(scenes[0], on_frame=on_frame, **options),)
+    else:
+        world = ReducedWorld(scenes, friction=first.contact.friction)
+        runs = simulate_world(world, on_frame=on_frame, **options).bodies
+    counts = [len(one.surface.vertices) for one in prepared]
+    starts = np.cumsum([0, *counts[:-1]])
+    return PlayedObject(
+        first,
+        RestSurface(
+            np.concatenate([one.surface.vertices for one in prepared]),
+            np.concatenate([one.surface.faces + start for one, start in zip(prepared, starts, strict=True)]),
+        ),
+        np.concatenate([run.positions(one.surface.vertices) for run, one in zip(runs, prepared, strict=True)], axis=1),
+        runs,
+        np.repeat(np.arange(len(counts)), counts),
+        tuple(one.scene.body.total_mass for one in prepared),
+        tuple(one.scene.body.volume for one in prepared),
+        tuple(one.convexes for one in prepared),
     )
-    points, areas = placed.contact_points(config.basis.contact_points)
-    # the surface itself touches, not the nodes of the coarse mesh behind it
-    samples = replace(BodySamples.of_mesh(mesh), surface_points=points, surface_areas=areas)
+
+
+def _prepare(asset: Asset, config: PlayConfig, ground: float) -> _Prepared:
+    """Place an object and make its body."""
+    linear, shift = asset.surface.placement(config.object, ground=ground)
+    placed, material = asset.surface.moved(linear, shift), config.material
+    convexes = asset.convexes
+    if convexes is not None:
+        kind = convexes.points
+        convexes = advect(convexes, affine_map(torch.as_tensor(linear).to(kind), torch.as_tensor(shift).to(kind)))
+    mesh = tetrahedralize(
+        (placed.vertices, placed.faces),
+        order=2,
+        method="ftetwild" if convexes is not None and config.basis.mesher == "auto" else config.basis.mesher,
+        max_nodes=config.basis.max_nodes,
+        match_volume=convexes is None,  # hulls overlap: their volumes do not add up
+    )
+    mesh = mesh if convexes is None else with_volume(mesh, union_volume(convexes))
+    samples = BodySamples.of_mesh(mesh)
+    if convexes is None:  # the surface itself touches, not the nodes of the coarse mesh behind it
+        points, areas = placed.contact_points(config.basis.contact_points)
+        closed = enclosed_volume(placed.vertices, placed.faces) is not None
+        shell = Shell(placed.vertices, placed.faces) if closed else samples.shell
+        samples = replace(samples, surface_points=points, surface_areas=areas, shell=shell)
     body = ReducedBody(
-        ReducedSpace(_field(config, mesh, samples), samples),
+        ReducedSpace(_field(config, mesh, samples), samples, interpolated=config.basis.kind == "contact"),
         law=_law(material),
         flow=_flow(material),
         youngs_modulus=material.youngs_modulus,
         poisson_ratio=material.poisson_ratio,
         density=material.density,
     )
-    run = simulate(_scene(body, config), on_frame=on_frame, **config.time.model_dump())
-    positions = run.positions(placed.vertices)
-    return PlayedObject(config, placed, positions, run, body.total_mass, body.volume)
+    return _Prepared(placed, convexes, _scene(body, config))
 
 
 def _field(config: PlayConfig, mesh: TetMesh, samples: BodySamples) -> WeightField:
@@ -93,6 +191,9 @@ def _field(config: PlayConfig, mesh: TetMesh, samples: BodySamples) -> WeightFie
     basis = config.basis
     if basis.kind == "eigenmodes":
         return eigenmode_weights(ElasticBody(mesh), basis.modes)
+    if basis.kind == "contact":
+        smooth = basis.modes // 3
+        return contact_weights(ElasticBody(mesh), basis.modes - smooth, eigenmodes=smooth)
     generator = torch.Generator().manual_seed(basis.seed)
     return train_neural_weights(samples, basis.modes, generator=generator, poisson_ratio=config.material.poisson_ratio)
 

@@ -28,14 +28,26 @@ class RestSurface:
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
 
+    def placement(self, config: ObjectConfig, *, ground: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """The map x = linear X + shift that gives it its size, turns it, and puts its lowest point over the ground.
+
+        Args:
+            config: size, turns, height, place.
+            ground: height above which `drop_height` counts [m].
+        """
+        middle = 0.5 * (self.vertices.min(0) + self.vertices.max(0))
+        scale = 1.0 if config.size is None else config.size / np.ptp(self.vertices, axis=0).max()
+        linear = scale * Rotation.from_euler("xyz", config.orientation_deg, degrees=True).as_matrix()
+        lowest = float(((self.vertices - middle) @ linear.T)[:, 2].min())
+        return linear, np.array([*config.position, ground + config.drop_height - lowest]) - linear @ middle
+
+    def moved(self, linear: Float[np.ndarray, "3 3"], shift: Float[np.ndarray, " 3"]) -> RestSurface:
+        """The surface after x = linear X + shift."""
+        return RestSurface(self.vertices @ linear.T + shift, self.faces)
+
     def placed(self, config: ObjectConfig) -> RestSurface:
-        """Scaled to its size, turned, and put with its lowest point over the origin's floor."""
-        vertices = self.vertices - 0.5 * (self.vertices.min(0) + self.vertices.max(0))
-        if config.size is not None:
-            vertices = vertices * (config.size / np.ptp(vertices, axis=0).max())
-        vertices = Rotation.from_euler("xyz", config.orientation_deg, degrees=True).apply(vertices)
-        vertices[:, 2] += config.drop_height - vertices[:, 2].min()
-        return RestSurface(vertices, self.faces)
+        """The surface where it starts."""
+        return self.moved(*self.placement(config))
 
     def contact_points(self, limit: int) -> tuple[Float[np.ndarray, "S 3"], Float[np.ndarray, " S"]]:
         """Points that touch obstacles [m] and the area each stands for [m²]: the vertices, or `limit` of them.

@@ -11,6 +11,7 @@ import numpy as np
 
 import physconvex
 from physconvex.play.animated_glb import write_animated_glb
+from physconvex.play.fields import frames_of_field, write_fields
 from physconvex.play.pictures import frames_of
 from physconvex.play.play import PlayedObject
 from physconvex.video import write_video
@@ -24,6 +25,7 @@ def summary_of(played: PlayedObject) -> dict[str, Any]:
     start, end = (float(np.ptp(heights[k])) for k in (0, -1))
     return {
         "frames": len(played.positions),
+        "objects": len(played.trajectories),
         "vertices": len(played.surface.vertices),
         "mass_kg": played.mass,
         "volume_m3": played.volume,
@@ -40,8 +42,9 @@ def write_played(
 ) -> None:
     """Write into a folder, which is made if need be.
 
-    - trajectory.npz: times [T] s, rest [V, 3] m, faces [F, 3], positions [T, V, 3] m, and the handles
-      Z_m(t) [T, M + 1, 3, 4] of the reduced body;
+    - trajectory.npz: times [T] s, rest [V, 3] m, faces [F, 3], positions [T, V, 3] m, owners [V] (the object of each
+      vertex), and the handles Z_m(t) [T, M + 1, 3, 4] of the reduced body, `handles_0`, `handles_1` … of several;
+    - convexes/000000.ply … and half_spaces.npz: a convex field at each frame, vertices and half-spaces;
     - frames/000000.ply …: the surface at each frame (unless `ply` is false);
     - animation.glb: the surface in motion, for any glTF viewer (unless `glb` is false);
     - video.mp4: pictures of it over its floor (if `video` is true; needs OpenGL, no display);
@@ -49,21 +52,29 @@ def write_played(
     """
     out = Path(folder)
     out.mkdir(parents=True, exist_ok=True)
+    several = len(played.trajectories) > 1
+    handles: dict[str, Any] = {
+        f"handles_{k}" if several else "handles": run.handles() for k, run in enumerate(played.trajectories)
+    }
     np.savez_compressed(
         out / "trajectory.npz",
         times=played.trajectory.times,
         rest=played.surface.vertices,
         faces=played.surface.faces,
         positions=played.positions,
-        handles=played.trajectory.handles(),
+        owners=played.owners,
+        **handles,
     )
+    write_fields(played, out)
     if ply:
         _write_frames(played, out / "frames")
     if glb:
         times = played.trajectory.times
         write_animated_glb(out / "animation.glb", times, played.positions, played.surface.faces)
     if video:
-        write_video(out / "video.mp4", frames_of(played), fps=played.config.time.fps)
+        alone = len(played.convexes) == 1 and played.convexes[0] is not None
+        pictures = frames_of_field(played) if alone else frames_of(played)
+        write_video(out / "video.mp4", pictures, fps=played.config.time.fps)
     record = {
         "version": physconvex.__version__,
         "configuration": played.config.model_dump(mode="json"),

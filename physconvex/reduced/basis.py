@@ -26,9 +26,11 @@ from physconvex.fem.modes import skinning_eigenmodes
 __all__ = [
     "MAX_WEIGHTS",
     "CallableWeights",
+    "NodalFunctions",
     "NodalWeights",
     "SkinningBasis",
     "WeightField",
+    "checked_points",
     "eigenmode_weights",
     "sample_basis",
 ]
@@ -70,15 +72,15 @@ def _check_count(count: int) -> None:
 
 
 @dataclass(frozen=True)
-class NodalWeights:
-    """Weights interpolated from the nodes of a tetrahedral mesh by its own shape functions.
+class NodalFunctions:
+    """Functions interpolated from the nodes of a tetrahedral mesh by its own shape functions.
 
     The gradient is that of the interpolation within the element (constant in linear, linear in quadratic elements).
     Points outside the mesh take the first-order continuation from the nearest point of it.
 
     Attributes:
         mesh: background mesh, rest state.
-        nodal_values: W_m at the nodes, shape [V, M].
+        nodal_values: at the nodes, shape [V, M].
 
     Raises:
         InputError: `nodal_values` has a wrong shape, or is not finite.
@@ -94,12 +96,11 @@ class NodalWeights:
                 f"nodal_values: got shape {values.shape}; expected finite [{len(self.mesh.vertices)}, M], "
                 "one row per node of the mesh"
             )
-        _check_count(values.shape[1])
         object.__setattr__(self, "nodal_values", values)
 
     @property
     def count(self) -> int:
-        """M, the number of weights beside the constant one."""
+        """M, the number of functions."""
         return self.nodal_values.shape[1]
 
     @cached_property
@@ -126,6 +127,15 @@ class NodalWeights:
         values = np.einsum("pn,pnm->pm", shapes, nodal)
         by_barycentric = np.einsum("pnb,pnm->pmb", slopes, nodal)
         return values, by_barycentric @ self._barycentric_gradients[elements]
+
+
+@dataclass(frozen=True)
+class NodalWeights(NodalFunctions):
+    """Weights interpolated from the nodes of a tetrahedral mesh, at most 64; a `WeightField`."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_count(self.count)
 
 
 def eigenmode_weights(body: ElasticBody, count: int) -> NodalWeights:
@@ -182,11 +192,17 @@ class CallableWeights:
         return torch.zeros_like(x) if slope is None else slope
 
 
-def sample_basis(field: WeightField, points: Float[np.ndarray, "P 3"]) -> SkinningBasis:
-    """Constant weight and weights of a field at rest positions [m]."""
+def checked_points(points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3"]:
+    """Rest positions [m] as float64, or an InputError."""
     points = np.asarray(points, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise InputError(f"points: got shape {points.shape}; expected finite [P, 3] in metres")
+    return points
+
+
+def sample_basis(field: WeightField, points: Float[np.ndarray, "P 3"]) -> SkinningBasis:
+    """Constant weight and weights of a field at rest positions [m]."""
+    points = checked_points(points)
     values, gradients = field.at(points)
     ones, zeros = np.ones((len(points), 1)), np.zeros((len(points), 1, 3))
     return SkinningBasis(points, np.hstack([ones, values]), np.concatenate([zeros, gradients], axis=1))

@@ -5,6 +5,11 @@ coordinates, so that φ = Σ_a N_a(X) y_a with y_a ∈ R³: the reduced body is 
 Products of weights with X are nearly dependent (the first mode of a bar is almost X itself); the N_a are therefore
 made orthogonal in order, ∫ N_a N_b dV = V δ_ab, which leaves coordinates y in metres of rms displacement, and
 functions that add nothing are left out. The constant weight comes first: affine motions are kept exactly.
+
+A weight that varies within an element times ξ is of a higher degree than the element, and the points that integrate the
+element's own energy exactly see too little of that of the product: rough weights make a body too soft. Interpolated at
+the nodes of the weights' mesh, the products lie in the space of the full model on that mesh, are integrated as exactly
+as there, and tend to it from the stiff side; φ then is the formula's at the nodes.
 """
 
 from __future__ import annotations
@@ -13,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.errors import InputError
-from physconvex.reduced.basis import SkinningBasis, WeightField, sample_basis
+from physconvex.reduced.basis import NodalFunctions, NodalWeights, WeightField, checked_points, sample_basis
 from physconvex.reduced.cubature import BodySamples, Cubature
 
 __all__ = ["ReducedSpace"]
@@ -41,6 +46,7 @@ class ReducedSpace:
     Args:
         field: skinning weights.
         samples: where the body is sampled.
+        interpolated: whether the products W_m ξ_k are interpolated at the nodes of the weights' mesh (see above).
 
     Attributes:
         interior_gradients: ∂N_a/∂X at the interior samples [1/m], shape [Q, R, 3].
@@ -49,14 +55,18 @@ class ReducedSpace:
         rest: coordinates of the rest state [m], shape [R, 3].
 
     Raises:
-        InputError: the samples are too few or too flat to tell affine motions apart.
+        InputError: the samples are too few or too flat to tell affine motions apart; `interpolated` weights without a
+            mesh.
     """
 
-    def __init__(self, field: WeightField, samples: BodySamples) -> None:
+    def __init__(self, field: WeightField, samples: BodySamples, *, interpolated: bool = False) -> None:
         self.field, self.samples = field, samples
+        self._nodal: NodalFunctions | None = None
         mass = samples.mass
         self._center = mass.weights @ mass.points / mass.volume
         self._length = samples.size
+        if interpolated:
+            self._nodal = self._products(field)
         self._gram, integrals = self._moments(np.ones(mass.cell_count))
         self._transform = _ordered_orthogonal(self._gram, mass.volume)
         if self.dimension < 4 or not np.all(self._transform[:4, :4].diagonal() > 0):  # an affine function was dropped
@@ -73,12 +83,31 @@ class ReducedSpace:
 
     # -- raw functions W_m [ξ; 1]_k, ordered by m, then k
 
-    def _raw_values(self, basis: SkinningBasis) -> np.ndarray:
-        xi = (basis.points - self._center) / self._length
-        homogeneous = np.hstack([xi, np.ones((len(xi), 1))])
-        return (basis.values[:, :, None] * homogeneous[:, None, :]).reshape(len(xi), 4 * basis.values.shape[1])
+    def _products(self, field: WeightField) -> NodalFunctions:
+        """The raw functions at the nodes."""
+        if not isinstance(field, NodalWeights):
+            raise InputError(
+                f"interpolated: got weights of the kind {type(field).__name__}; expected weights at the nodes of a "
+                "mesh, such as `eigenmode_weights` and `contact_weights` give"
+            )
+        nodes = field.mesh.vertices
+        weights = np.hstack([np.ones((len(nodes), 1)), field.nodal_values])
+        return NodalFunctions(field.mesh, self._times_position(nodes, weights))
 
-    def _raw_gradients(self, basis: SkinningBasis) -> np.ndarray:
+    def _times_position(self, points: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        homogeneous = np.hstack([(points - self._center) / self._length, np.ones((len(points), 1))])
+        return (weights[:, :, None] * homogeneous[:, None, :]).reshape(len(points), 4 * weights.shape[1])
+
+    def _raw_values(self, points: np.ndarray) -> np.ndarray:
+        if self._nodal is not None:
+            return self._nodal.at(checked_points(points))[0]
+        basis = sample_basis(self.field, points)
+        return self._times_position(basis.points, basis.values)
+
+    def _raw_gradients(self, points: np.ndarray) -> np.ndarray:
+        if self._nodal is not None:
+            return self._nodal.at(checked_points(points))[1]
+        basis = sample_basis(self.field, points)
         xi = (basis.points - self._center) / self._length
         homogeneous = np.hstack([xi, np.ones((len(xi), 1))])
         slopes = np.vstack([np.eye(3) / self._length, np.zeros((1, 3))])
@@ -92,7 +121,7 @@ class ReducedSpace:
         size = 4 * (self.field.count + 1)
         gram, integrals = np.zeros((size, size)), np.zeros(size)
         for rows in np.array_split(np.arange(len(mass.points)), 1 + len(mass.points) // _BLOCK):
-            values = self._raw_values(sample_basis(self.field, mass.points[rows]))
+            values = self._raw_values(mass.points[rows])
             weighted = values * (mass.weights[rows] * density[mass.cells[rows]])[:, None]
             gram += values.T @ weighted
             integrals += weighted.sum(0)
@@ -102,11 +131,11 @@ class ReducedSpace:
 
     def shape_values(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P R"]:
         """N_a at rest positions [m]: positions of the points are `shape_values(points) @ y`."""
-        return self._raw_values(sample_basis(self.field, points)) @ self._transform
+        return self._raw_values(points) @ self._transform
 
     def shape_gradients(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P R 3"]:
         """∂N_a/∂X at rest positions [1/m]."""
-        raw = self._raw_gradients(sample_basis(self.field, points))
+        raw = self._raw_gradients(points)
         return np.einsum("pdi,dr->pri", raw, self._transform)
 
     def mass_matrix(self, density: Float[np.ndarray, " C"]) -> tuple[Float[np.ndarray, "R R"], Float[np.ndarray, " R"]]:

@@ -1,0 +1,122 @@
+"""What can be played beside one mesh: several objects, convex fields, refined captures."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from typer import Typer
+from typer.testing import CliRunner
+
+from physconvex.convex import ConvexField, half_spaces, read_ply, write_ply
+from physconvex.errors import InputError
+from physconvex.play import load_play_config, overrides_of, play, play_together, read_asset, read_surface
+from physconvex.play.command import simulate
+from physconvex.video import read_video
+
+QUICK = ["basis.max_nodes=80", "basis.modes=2", "time.frames=3", "time.steps_per_frame=4"]
+
+app = Typer()
+app.command()(simulate)
+
+
+@pytest.fixture
+def cubes(tmp_path) -> list[str]:
+    paths = []
+    for name, edge in (("lower", 0.2), ("upper", 0.1)):
+        paths.append(str(tmp_path / f"{name}.obj"))
+        trimesh.creation.box((edge,) * 3).subdivide().export(paths[-1])
+    return paths
+
+
+@pytest.fixture
+def field_file(tmp_path) -> str:
+    corners = torch.tensor([[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.1)])
+    points = torch.stack([corners, corners + torch.tensor([0.15, 0.0, 0.0])])
+    two = torch.ones(2)
+    field = ConvexField(points, 200 * two, 2 * two, 0.9 * two, torch.zeros(2, 4, 3))
+    write_ply(field, tmp_path / "field.ply")
+    return str(tmp_path / "field.ply")
+
+
+def settings(*more: str) -> list[str]:
+    return [part for s in (*QUICK, *more) for part in ("--set", s)]
+
+
+def test_several_objects_land_on_each_other(cubes, tmp_path):
+    out = tmp_path / "played"
+    low = settings("object.drop_height=0.005", "2:material.density=500", "time.frames=5", "basis.mesher=lattice")
+    result = CliRunner().invoke(app, [*cubes, "--out", str(out), "--json", *low])
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)
+    assert summary["objects"] == 2 and summary["mass_kg"] == pytest.approx(8.0 + 0.5, rel=1e-3)
+    with np.load(out / "trajectory.npz") as arrays:
+        positions, owners = arrays["positions"], arrays["owners"]
+        assert arrays["handles_0"].shape == arrays["handles_1"].shape == (5, 3, 3, 4)
+    rest = [positions[0, owners == k, 2] for k in (0, 1)]
+    assert rest[0].min() == pytest.approx(0.005) and rest[1].min() == pytest.approx(rest[0].max() + 0.005)
+    end = [positions[-1, owners == k, 2].mean() for k in (0, 1)]
+    assert end[0] == pytest.approx(0.1, abs=0.01)
+    assert end[1] == pytest.approx(0.25, abs=0.01)  # free fall would have taken it 0.13 m down
+
+
+def test_a_convex_field_moves_with_its_body(field_file, tmp_path):
+    out = tmp_path / "played"
+    turn = settings(
+        "object.drop_height=0.02",
+        "object.size=0.5",
+        "object.angular_velocity=[0,2,0]",
+        "time.frames=4",
+        "basis.max_nodes=200",
+    )
+    result = CliRunner().invoke(app, [field_file, "--out", str(out), "--video", "--json", *turn])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["mass_kg"] == pytest.approx(1000 * 0.5 * (4 / 7 * 0.5) ** 2, rel=0.01)
+    fields = [read_ply(path) for path in sorted((out / "convexes").iterdir())]
+    assert len(fields) == 4 and read_video(out / "video.mp4").frames.std() > 5
+    with np.load(out / "half_spaces.npz") as arrays:
+        normals, offsets = arrays["normals"], arrays["offsets"]
+    moved = (fields[-1].centres - fields[0].centres).norm(dim=1)
+    assert (moved > 0.02).all()
+    for frame in (0, 3):
+        # every plane carries its face: no vertex lies far outside, and some lie on it
+        gap = np.einsum("nhi,nki->nhk", normals[frame], fields[frame].points.numpy()) - offsets[frame][..., None]
+        assert np.nanmax(np.where(np.isfinite(gap), gap, np.nan)) < 0.01
+        assert np.abs(np.where(np.isfinite(gap), gap, 1.0)).min(axis=2).max() < 0.01 or frame == 0
+    expected = half_spaces(fields[0])
+    np.testing.assert_allclose(np.sort(offsets[0]), np.sort(expected.offsets.numpy()), atol=1e-5)
+
+
+def test_a_refinement_brings_its_surface_and_material(cubes, tmp_path):
+    surface, folder = read_surface(cubes[0]), tmp_path / "refined"
+    folder.mkdir()
+    np.savez(folder / "trajectory.npz", vertices=np.stack([surface.vertices + 1.0] * 2), faces=surface.faces)
+    found = {
+        "youngs_modulus": {"value": 2.5e4},
+        "parameters": {"poisson_ratio": {"value": 0.31}, "log10_youngs_modulus": {"value": 4.4}},
+        "fixed": {"damping_time": {"value": 0.0, "unit": "s"}},
+    }
+    (folder / "refinement.json").write_text(json.dumps(found))
+    asset = read_asset(folder)
+    config = load_play_config(overrides=[*QUICK, "basis.mesher=lattice"], found=asset.settings)
+    material = config.material
+    assert (material.youngs_modulus, material.poisson_ratio, material.damping_time) == (2.5e4, 0.31, 0.0)
+    assert play(asset, config).mass == pytest.approx(8.0, rel=1e-3)
+    assert load_play_config("stiff", found=asset.settings).material.youngs_modulus == 1e7
+    with pytest.raises(InputError, match=r"expected a folder of `physconvex refine`"):
+        read_asset(tmp_path)
+
+
+def test_overrides_by_number():
+    given = ["time.frames=3", "2:material.density=5", "1:object.size=2"]
+    assert overrides_of(1, 2, given) == ["time.frames=3", "object.size=2"]
+    assert overrides_of(2, 2, given) == ["time.frames=3", "material.density=5"]
+    with pytest.raises(InputError, match="object 2 of 1"):
+        overrides_of(1, 1, given)
+
+
+def test_contact_weights_can_be_chosen(cubes):
+    config = load_play_config(overrides=[*QUICK, "basis.mesher=lattice", "basis.kind=contact", "basis.modes=6"])
+    played = play_together([read_surface(cubes[1])], [config])
+    assert played.trajectory.handles().shape[1] == 7 and np.isfinite(played.positions).all()
