@@ -75,6 +75,11 @@ class _Sweep:
 
     def __init__(self, scene: ReducedScene, names: Sequence[str]) -> None:
         self.scene, self.body = scene, scene.body
+        if scene.body.flow is not None:
+            raise InputError(
+                f"scene: its body flows ({scene.body.flow}); the adjoint exists for elastic and Kelvin–Voigt bodies: "
+                "leave out `flow`, or take `simulate_with_sensitivities`"
+            )
         self.derivatives = StepDerivatives(scene, names)
         self.equations = StepEquations(scene)
         self.named = np.zeros(len(names))

@@ -116,6 +116,19 @@ class ReducedBody:
             regions=self.regions,
         )
 
+    def with_flow(self, flow: FlowRule | None) -> ReducedBody:
+        """The same body with another flow rule; the space is shared."""
+        return ReducedBody(
+            self.space,
+            law=self.law,
+            youngs_modulus=self.youngs_modulus,
+            poisson_ratio=self.poisson_ratio,
+            density=self.density,
+            flow=flow,
+            device=self.device,
+            regions=self.regions,
+        )
+
     # -- set-up
 
     def _tensor(self, array: np.ndarray) -> Tensor:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +15,7 @@ from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.scene import ReducedScene
 from physconvex.wind import Wind
 
-__all__ = ["PARAMETERS", "ParameterName", "check_parameters", "parameter_values", "with_parameters"]
+__all__ = ["FLOW_PARAMETERS", "PARAMETERS", "ParameterName", "check_parameters", "parameter_values", "with_parameters"]
 
 ParameterName = Literal[
     "log10_youngs_modulus",  # log10 of the mean E [Pa]; bodies of several materials are scaled as a whole
@@ -46,6 +46,7 @@ ParameterName = Literal[
 ]
 PARAMETERS: tuple[str, ...] = get_args(ParameterName)
 REGIONAL = ("log10_youngs_modulus", "poisson_ratio", "density")  # also per region of the body, as `density[0]`
+FLOW_PARAMETERS = ("yield_stress", "friction_angle", "modulus_ratio", "relaxation_time")  # of a flow rule that has them
 _AXES = {"x": 0, "y": 1, "z": 2}
 
 
@@ -78,8 +79,13 @@ def region_of(name: str) -> tuple[str, int | None]:
 def _is_known(body: ReducedBody, name: str) -> bool:
     stem, region = region_of(name)
     if region is None:
-        return name in PARAMETERS
+        return name in PARAMETERS or _flows_by(body, name)
     return stem in REGIONAL and body.regions is not None and region <= int(body.regions.max())
+
+
+def _flows_by(body: ReducedBody, name: str) -> bool:
+    """Whether a name is a constant of the body's flow rule."""
+    return name in FLOW_PARAMETERS and body.flow is not None and hasattr(body.flow, name)
 
 
 def cells_of(body: ReducedBody, region: int | None) -> Float[np.ndarray, " C"]:
@@ -140,6 +146,8 @@ def _read(scene: ReducedScene, name: str) -> float:
             return float(np.mean(_rough(scene)))
         case "log10_contact_stiffness":
             return float(np.log10(scene.contact().stiffness))
+    if _flows_by(body, name):
+        return float(getattr(body.flow, name))
     stem, axis = axis_of(name)
     if stem == "initial_position":
         return float((body.first_moments @ scene.start / body.total_mass)[axis])
@@ -155,9 +163,8 @@ def with_parameters(scene: ReducedScene, names: Sequence[str], values: Float[np.
         InputError: unknown names, or values out of range.
     """
     check_parameters(scene, names)
-    for name, value in sorted(
-        zip(names, values, strict=True), key=lambda pair: PARAMETERS.index(region_of(pair[0])[0])
-    ):
+    order = [*PARAMETERS, *FLOW_PARAMETERS]
+    for name, value in sorted(zip(names, values, strict=True), key=lambda pair: order.index(region_of(pair[0])[0])):
         scene = _set(scene, name, float(value))
     return scene
 
@@ -186,6 +193,9 @@ def _set(scene: ReducedScene, name: str, value: float) -> ReducedScene:
             return replace(scene, obstacles=tuple(_rougher(o, change) if o.friction else o for o in scene.obstacles))
         case "log10_contact_stiffness":
             return replace(scene, contact_stiffness=10**value)
+    if _flows_by(body, name):
+        flow: Any = body.flow
+        return replace(scene, body=body.with_flow(replace(flow, **{name: value})))
     stem, axis = axis_of(name)
     step = change * np.eye(3)[axis]
     if stem == "initial_position":

@@ -21,6 +21,7 @@ from jaxtyping import Float
 from physconvex.integrators import State, StepCoefficients, bdf2, extrapolate, implicit_euler
 from physconvex.reduced.body import inner_viscous_stress
 from physconvex.reduced.equations import StepEquations
+from physconvex.reduced.flow_tangents import FlowTangents
 from physconvex.reduced.friction_tangents import friction_tangent
 from physconvex.reduced.parameters import parameter_values
 from physconvex.reduced.scene import ReducedScene
@@ -61,6 +62,9 @@ class _Tangents:
         self.scene, self.body = scene, scene.body
         self.state = self.derivatives.start()
         self.previous: State | None = None
+        self.flow = None
+        if scene.body.flow is not None:
+            self.flow = FlowTangents(scene.body, *self.derivatives.lame_tangents(), names)
 
     def observe(self, equations: StepEquations, record: StepRecord) -> None:
         """Advance over one converged step."""
@@ -74,14 +78,22 @@ class _Tangents:
         dguess = extrapolate(self.state, history, record.step)
         before = record.before
         frozen = freeze(before.positions, c.velocity(guess), before.time, self.state.positions, change.velocity(dguess))
-        dx = dguess
-        for solved in record.passes:
+        dx, lagged, dlagged = dguess, before.positions, self.state.positions
+        undo = None if equations.response is None else equations.response.undo
+        for number, solved in enumerate(record.passes):
+            if number:
+                lagged, dlagged = record.passes[number - 1].x, dx
             equations.friction = solved.friction
             residual = self._residual(equations, c, change, solved.x, guess, dguess)
+            if self.flow is not None and undo is not None:
+                equations.response = self.body.flow_step(undo, lagged, record.step)
+                residual += self.flow.forces(undo, record.step, solved.x, lagged, dlagged)
             velocity, dvelocity = self._surface_velocities(c, change, solved.x)
             residual += equations.surface.T @ friction_tangent(equations.contact, frozen, velocity, dvelocity)
             dx = -equations.exact_solve(solved.x, residual)
             frozen = freeze(solved.x, c.velocity(solved.x), record.after.time, dx, change.velocity(dx))
+        if self.flow is not None and undo is not None:
+            self.flow.advance(undo, record.step, record.passes[-1].x, dx, lagged, dlagged)
         self.previous, self.state = self.state, State(record.after.time, dx, change.velocity(dx))
 
     def _surface_velocities(
@@ -121,7 +133,7 @@ class _Tangents:
 def simulate_with_sensitivities(
     scene: ReducedScene, parameters: Sequence[str], *, frames: int = 24, **options: Any
 ) -> SensitiveTrajectory:
-    """Roll out and differentiate by the named parameters (`physconvex.reduced.PARAMETERS`).
+    """Roll out and differentiate by the named parameters (`physconvex.reduced.PARAMETERS`, and the flow rule's).
 
     One exact Hessian per solve is factorised beyond what the roll-out needs, and back-substituted once per parameter.
     The step size is not differentiated: where steps were halved, the derivative is that of the halved steps.

@@ -46,11 +46,6 @@ class StepDerivatives:
 
     def __init__(self, scene: ReducedScene, names: Sequence[str]) -> None:
         check_parameters(scene, names)
-        if scene.body.flow is not None:
-            raise InputError(
-                f"scene: its body flows ({scene.body.flow}); derivatives of roll-outs exist for elastic and "
-                "Kelvin–Voigt bodies only: leave out `flow`, or take finite differences of `simulate`"
-            )
         if scene.contact_damping > 0:
             raise InputError(
                 f"scene: its contact_damping is {scene.contact_damping:g} s; derivatives of roll-outs exist without "
@@ -70,6 +65,7 @@ class StepDerivatives:
         cells = torch.as_tensor(body.space.samples.interior.cells, device=device)
         constants = (torch.as_tensor(c, device=device) for c in (body.youngs_modulus, body.poisson_ratio))
         self._dmu, self._dlam = (slope[cells] for slope in _lame_slopes(*constants))
+        self.elastic = body.flow is None or body.flow.beside_law  # whether the body's elastic law acts
 
     def _stiffest(self, name: str) -> bool:
         """Whether a parameter is the E that default stiffnesses follow: the largest one."""
@@ -174,7 +170,8 @@ class StepDerivatives:
         match stem:
             case "log10_youngs_modulus":
                 mu, lam = self._within(region, body.mu, body.lam)
-                force = body.gradient(x) if region is None else self._elastic_forces(x, mu, lam)
+                plain = region is None and body.flow is None
+                force = body.gradient(x) if plain else self._elastic_forces(x, mu, lam)
                 force = force + self._viscous_forces(state, rate, mu, lam, beta)
                 if self._stiffest(name):
                     force += self._hold(equations, x)
@@ -203,7 +200,22 @@ class StepDerivatives:
 
     def _elastic_forces(self, x: np.ndarray, mu: Tensor, lam: Tensor) -> Float[np.ndarray, "R 3"]:
         """Forces of the law with other constants [N]."""
+        if not self.elastic:
+            return np.zeros_like(x)
         return self.body.forces_of(self.body.law.stress(self.body.deformation_gradient(x), mu, lam))
+
+    def lame_tangents(self) -> tuple[Tensor, Tensor]:
+        """Derivatives of μ and λ at the samples [Pa], both of shape [P, Q]."""
+        none, found = torch.zeros_like(self.body.mu), []
+        for name in self.names:
+            stem, region = region_of(name)
+            if stem == "log10_youngs_modulus":
+                found.append(self._within(region, _LN10 * self.body.mu, _LN10 * self.body.lam))
+            elif stem == "poisson_ratio":
+                found.append(self._within(region, self._dmu, self._dlam))
+            else:
+                found.append((none, none))
+        return torch.stack([mu for mu, _ in found]), torch.stack([lam for _, lam in found])
 
     def _within(self, region: int | None, mu: Tensor, lam: Tensor) -> tuple[Tensor, Tensor]:
         """Constants of the samples of a region, zero elsewhere."""

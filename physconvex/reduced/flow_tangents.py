@@ -1,0 +1,123 @@
+"""Forward sensitivities of what flows: how the stored deformation, and the stress that it leaves, move with parameters.
+
+The response of a time step is a function of F at each sample, of what has flowed before, of μ and λ, of the state at
+which sand takes its pressure, and of the constants of the flow rule. Its derivative along the tangents of all of them
+is taken by central differences, sample by sample; nothing else is differenced. Where a sample begins to yield the
+response has a kink, as that of a contact has, and the derivative is that of one of its sides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from physconvex.inelastic import FlowRule, FlowStep
+from physconvex.reduced.body import ReducedBody
+
+__all__ = ["FlowTangents"]
+
+_DIFFERENCE = 1e-6  # change of strains, and relative change of constants
+
+
+@dataclass(frozen=True)
+class _Along:
+    """One parameter's tangents of what the response depends on."""
+
+    undo: Tensor
+    state: Tensor
+    mu: Tensor
+    lam: Tensor
+    rule: dict[str, float]
+
+
+class FlowTangents:
+    """Derivatives of the flow by P parameters, carried along step by step.
+
+    Args:
+        body: a body that flows.
+        dmu, dlam: derivatives of the Lamé constants at the samples [Pa], shape [P, Q].
+        names: of the parameters; those of the flow rule (`yield_stress`, …) act on it.
+    """
+
+    def __init__(self, body: ReducedBody, dmu: Tensor, dlam: Tensor, names: Sequence[str]) -> None:
+        assert body.flow is not None
+        self.body, self.rule, self.dmu, self.dlam = body, body.flow, dmu, dlam
+        self.names = [name if hasattr(body.flow, name) else "" for name in names]
+        self.dundo = torch.zeros(len(names), len(body.mu), 3, 3, dtype=torch.float64, device=body.device)
+
+    def forces(
+        self, undo: Tensor, step: float, x: np.ndarray, lagged: np.ndarray, dlagged: Float[np.ndarray, "P R 3"]
+    ) -> Float[np.ndarray, "P R 3"]:
+        """Derivatives of the flow's generalised forces at fixed coordinates x [N]."""
+        f = self.body.deformation_gradient(x)
+        none = torch.zeros_like(f)
+        found = [
+            self._along(k, undo, step, f, none, lagged, dlagged[k], lambda response, at: response.stress(at))
+            for k in range(len(self.names))
+        ]
+        return self.body.forces_of(torch.stack(found))
+
+    def advance(
+        self,
+        undo: Tensor,
+        step: float,
+        x: np.ndarray,
+        dx: Float[np.ndarray, "P R 3"],
+        lagged: np.ndarray,
+        dlagged: Float[np.ndarray, "P R 3"],
+    ) -> None:
+        """Move on over a step that has ended at coordinates x, which move by dx."""
+        f, df = self.body.deformation_gradient(x), self.body.deformation_gradient(dx)
+        self.dundo = torch.stack(
+            [
+                self._along(k, undo, step, f, df[k], lagged, dlagged[k], lambda response, at: response.flowed(at))
+                for k in range(len(self.names))
+            ]
+        )
+
+    def _along(
+        self,
+        k: int,
+        undo: Tensor,
+        step: float,
+        f: Tensor,
+        df: Tensor,
+        lagged: np.ndarray,
+        dlagged: np.ndarray,
+        of: Callable[[FlowStep, Tensor], Tensor],
+    ) -> Tensor:
+        """Derivative of something of the response along the tangents of parameter k."""
+        body = self.body
+        state, dstate = body.deformation_gradient(lagged), body.deformation_gradient(dlagged)
+        along = _Along(self.dundo[k], dstate, self.dmu[k], self.dlam[k], self._rule_change(k))
+        largest = max(
+            *(float(t.abs().max()) for t in (along.undo, along.state, along.mu / body.mu, along.lam / body.lam, df)),
+            *(abs(change / float(getattr(self.rule, name))) for name, change in along.rule.items()),
+            0.0,
+        )
+        if not largest > 0:
+            return torch.zeros_like(f)
+        length = _DIFFERENCE / largest
+
+        def at(sign: float) -> Tensor:
+            h = sign * length
+            rule: FlowRule = self._moved_rule({name: h * change for name, change in along.rule.items()})
+            response = rule.during(
+                undo + h * along.undo, state + h * along.state, body.mu + h * along.mu, body.lam + h * along.lam, step
+            )
+            return of(response, f + h * df)
+
+        return (at(1.0) - at(-1.0)) / (2 * length)
+
+    def _rule_change(self, k: int) -> dict[str, float]:
+        return {self.names[k]: 1.0} if self.names[k] else {}
+
+    def _moved_rule(self, changes: dict[str, float]) -> FlowRule:
+        rule: Any = self.rule
+        return replace(rule, **{name: getattr(rule, name) + change for name, change in changes.items()})
