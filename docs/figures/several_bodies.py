@@ -22,18 +22,18 @@ from physconvex.play.writing import summary_of
 
 TARGET = Path(__file__).parents[1] / "images" / "several_bodies.png"
 RESULT = Path(__file__).parents[1] / "results" / "several_bodies.json"
-COMMON = ("basis.modes=10", "basis.max_nodes=300", "object.drop_height=0.1", "time.frames=25")
+COMMON = ("basis.modes=8", "basis.max_nodes=300", "object.drop_height=0.1", "time.frames=19")
 OBJECTS = {
-    "box": ("object.size=0.5", "material.youngs_modulus=3.0e4", "object.drop_height=0.02"),
-    "knot": ("object.size=0.4", "material.youngs_modulus=5.0e5", "object.orientation_deg=[70,15,0]"),
-    "ball": ("object.size=0.25", "material.youngs_modulus=1.0e5", "object.position=[-0.05,0]"),
+    "box": ("object.size=0.6", "material.youngs_modulus=5.0e4", "object.drop_height=0.02"),
+    "knot": ("object.size=0.4", "material.youngs_modulus=2.0e5", "material.damping_time=5.0e-3"),
+    "ball": ("object.size=0.25", "material.youngs_modulus=3.0e4", "material.density=500"),
 }
-SHOWN = (0, 8, 16, 24)
+SHOWN = (0, 5, 10, 18)
 
 
 def surfaces() -> list[RestSurface]:
     """A box, a ring with a ball on it, a ball."""
-    box = trimesh.creation.box((0.5, 0.4, 0.25)).subdivide().subdivide()
+    box = trimesh.creation.box((0.6, 0.5, 0.2)).subdivide().subdivide()
     ball = trimesh.creation.icosphere(subdivisions=3)
     return [
         RestSurface(np.asarray(box.vertices), np.asarray(box.faces)),

@@ -43,10 +43,28 @@ def _floor(center: np.ndarray, tile: float, shift: np.ndarray) -> tuple[np.ndarr
     return np.stack([x, y, np.full_like(x, shift[2])], axis=-1).reshape(-1, 3), quads, shade
 
 
-def _colours(played: PlayedObject) -> UInt8[np.ndarray, "V 3"]:
-    """Colour of each vertex by its object."""
-    palette = np.array([[int(code[k : k + 2], 16) for k in (1, 3, 5)] for code in _OBJECTS], dtype=np.uint8)
-    return palette[played.owners % len(palette)]
+class _Bodies:
+    """The objects' surfaces in a picture, each in its colour."""
+
+    def __init__(self, plotter: Any, played: PlayedObject) -> None:
+        import pyvista
+
+        self.played = played
+        self.parts = []
+        for number in range(len(played.trajectories)):
+            rows = np.flatnonzero(played.owners == number)
+            faces = played.surface.faces[(played.owners[played.surface.faces] == number).all(1)] - rows[0]
+            part = pyvista.PolyData.from_regular_faces(played.positions[0][rows], faces)
+            plotter.add_mesh(part, color=_OBJECTS[number % len(_OBJECTS)], smooth_shading=True, specular=0.2)
+            self.parts.append((rows, part))
+
+    def show(self, frame: int) -> None:
+        """Move them to where they are at a frame."""
+        for rows, part in self.parts:
+            part.points = self.played.positions[frame][rows]
+            part.compute_normals(
+                inplace=True, split_vertices=False, auto_orient_normals=False, consistent_normals=False
+            )
 
 
 def frames_of(
@@ -69,16 +87,11 @@ def frames_of(
         plotter.camera.position = tuple(center + 3.6 * reach * np.array([0.35, -0.9, 0.32]))
         plotter.camera.focal_point, plotter.camera.up = tuple(center), (0.0, 0.0, 1.0)
         plotter.camera.view_angle = 30.0
-        body = pyvista.PolyData.from_regular_faces(played.positions[0], played.surface.faces)
-        body.point_data["colour"] = _colours(played)
-        plotter.add_mesh(body, scalars="colour", rgb=True, smooth_shading=True, specular=0.2)
+        bodies = _Bodies(plotter, played)
         floor, tile = played.config.floor, _tile_size(played)
         ground = None
         for number in range(len(played.positions)) if show is None else show:
-            body.points = played.positions[number]
-            body.compute_normals(
-                inplace=True, split_vertices=False, auto_orient_normals=False, consistent_normals=False
-            )
+            bodies.show(number)
             if floor is not None:
                 shift = floor_displacement(floor, float(played.trajectory.times[number]))
                 points, quads, shade = _floor(center, tile, shift)

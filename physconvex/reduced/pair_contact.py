@@ -111,18 +111,26 @@ class PairContact:
             self._look(points, vertices)
         if not len(self._near):
             return self._touch(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), points, vertices)
-        corners = vertices[self.faces[self._lists]]  # [N, K, 3, 3]
-        here = np.broadcast_to(points[self._near, None], (*corners.shape[:-2], 3))
+        faces, height, _ = self._nearest(points[self._near], self._lists, vertices)
+        inside = height < 0
+        return self._touch(self._near[inside], faces[inside], points, vertices)
+
+    def _nearest(
+        self, points: np.ndarray, lists: np.ndarray, vertices: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The nearest triangle of each point's list, the point's height over its plane, and the distance [m]."""
+        corners = vertices[self.faces[lists]]  # [N, K, 3, 3]
+        here = np.broadcast_to(points[:, None], (*corners.shape[:-2], 3))
         offset = here - np.einsum("nkc,nkci->nki", nearest_on_triangles(here, corners), corners)
         square = (offset**2).sum(-1)
-        near = square <= square.min(1, keepdims=True) * (1 + _TIE) + 1e-300
+        least = square.min(1, keepdims=True)
+        near = square <= least * (1 + _TIE) + 1e-300
         # of triangles that meet at the nearest point, the one whose plane is farthest tells the side
         normals = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
         height = (offset * normals).sum(-1) / np.maximum(np.linalg.norm(normals, axis=-1), 1e-300)
         chosen = np.where(near, np.abs(height), -1.0).argmax(1)
         rows = np.arange(len(chosen))
-        inside = height[rows, chosen] < 0
-        return self._touch(self._near[inside], self._lists[rows, chosen][inside], points, vertices)
+        return lists[rows, chosen], height[rows, chosen], np.sqrt(least[:, 0])
 
     def _touch(self, samples: np.ndarray, faces: np.ndarray, points: np.ndarray, vertices: np.ndarray) -> Touch:
         nodes = self.faces[faces]
@@ -155,6 +163,10 @@ class PairContact:
             lists.append(np.flatnonzero(distance - radii <= (distance + radii).min() + self.reach))
         width = max(map(len, lists), default=1)
         self._lists = np.array([np.pad(some, (0, width - len(some)), mode="edge") for some in lists]).reshape(-1, width)
+        if len(self._near):  # what is outside, and farther than the bodies may come nearer, cannot touch
+            _, height, distance = self._nearest(points[self._near], self._lists, vertices)
+            keep = (height < 0) | (distance <= self.reach)
+            self._near, self._lists = self._near[keep], self._lists[keep]
 
     def rows(self, touch: Touch) -> Float[np.ndarray, "C R"]:
         """x − q as a function of both bodies' coordinates."""
