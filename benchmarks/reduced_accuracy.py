@@ -4,9 +4,10 @@ python benchmarks/reduced_accuracy.py --data DATA --minutes 15
 
 Bodies of 0.2 m dropped from 5 cm on a tilted floor, or stretched and let go in free space, 24 frames at 48 per second;
 both models on the same quadratic mesh, with the same steps and contact, so that a row shows the reduction alone (the
-"paper" rows: M = 10 neural field and also implicit Euler with one step per 1/24 s). DATA holds the folders meshes/ and gso/ with NAME/model.obj; bodies that are
-not there are left out. Rows are stored as they are made, in the order of `cases`; a run goes on where the last one
-ended. The full model's motions are kept in the cache folder. `--only BODY` picks bodies.
+"paper" rows: M = 10 neural field and also implicit Euler with one step per 1/24 s). DATA holds the folders meshes/ and
+gso/ with NAME/model.obj; bodies that are not there are left out. Rows are stored as they are made, in the order of
+`cases`; a run goes on where the last one ended. The full model's motions are kept in the cache folder. `--only BODY`
+picks bodies.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ class Case:
     """One setting: body, E [Pa], ν, basis and number of weights, and what happens to the body.
 
     basis: eigenmodes, contact (a third of them eigenmodes, the others answers to loads on patches, interpolated at the
-    nodes), neural, snapshots, or paper. scene: "drop", or "release" (stretched, sheared, and let go in free space: no contact).
+    nodes), neural, snapshots, or paper. scene: "drop", or "release" (stretched, sheared, let go in free space).
     """
 
     body: str

@@ -1,17 +1,20 @@
 """Cost of the reduced model's parts on one core, in float64.
 
 python benchmarks/reduced_speed.py
+python benchmarks/reduced_speed.py --candidates 1 16 64 256      (only these rows; --device cuda)
 
 The rows that an earlier state of the code gave (`before` in the stored file) are kept beside the new ones.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,6 +23,8 @@ from physconvex.fem import ElasticBody, box_mesh
 from physconvex.integrators import State, implicit_euler
 from physconvex.reduced import (
     BodySamples,
+    Candidates,
+    CandidateTrajectories,
     Plane,
     ReducedBody,
     ReducedScene,
@@ -27,6 +32,7 @@ from physconvex.reduced import (
     eigenmode_weights,
     optimised_cubature,
     simulate,
+    simulate_candidates,
     simulate_with_sensitivities,
 )
 from physconvex.reduced.equations import StepEquations
@@ -138,9 +144,91 @@ def measure(full: ElasticBody, count: int, points: int | None = None) -> Row:
     )
 
 
+@dataclass(frozen=True)
+class CandidateRow:
+    """So many candidates at once: 24 frames of 8 steps, M = 10, all 864 points, smooth floor.
+
+    Attributes:
+        device: "cpu" (one thread) or the name of the GPU.
+        candidates: B.
+        seconds: of the roll-out, processor time on the CPU, wall time on a GPU.
+        per_candidate: seconds over B.
+        alone: the same by `simulate`, one after the other, per candidate [s]; processor time.
+        newton_iterations, factorisations: mean over the candidates.
+        largest_difference: of the coordinates from those by `simulate` [m], over the first four candidates.
+    """
+
+    device: str
+    candidates: int
+    seconds: float
+    per_candidate: float
+    alone: float
+    newton_iterations: float
+    factorisations: float
+    largest_difference: float
+
+
+def measure_candidates(count: int, device: str) -> CandidateRow:
+    """One number of candidates: E from 10 kPa to 1 MPa, ν from .2 to .45."""
+    full = ElasticBody(box_mesh((0.3, 0.2, 0.2), (4, 3, 3)))
+    body = ReducedBody(ReducedSpace(eigenmode_weights(full, 10), BodySamples.of_mesh(full.mesh)))
+    scene = ReducedScene(body, obstacles=(Plane(point=(0, 0, -0.1)),))
+    rng = np.random.default_rng(0)
+    moduli, ratios = 10 ** rng.uniform(4, 6, count), rng.uniform(0.2, 0.45, count)
+    timing: dict[str, Any] = {"frames": 24, "steps_per_frame": 8}
+
+    def run() -> CandidateTrajectories:
+        found = simulate_candidates(scene, Candidates(moduli, ratios), device=device, **timing)
+        if device != "cpu":
+            torch.cuda.synchronize()
+        return found
+
+    if device != "cpu":
+        run()
+    clock, wall = time.process_time(), time.perf_counter()
+    found = run()
+    spent = time.process_time() - clock if device == "cpu" else time.perf_counter() - wall
+    some = list(zip(moduli[:4], ratios[:4], strict=True))
+    clock = time.process_time()
+    singles = [
+        simulate(replace(scene, body=body.with_material(youngs_modulus=e, poisson_ratio=nu)), **timing).coordinates
+        for e, nu in some
+    ]
+    alone = (time.process_time() - clock) / len(some)
+    difference = np.abs(found.coordinates[: len(some)].cpu().numpy() - np.stack(singles)).max()
+    return CandidateRow(
+        device if device == "cpu" else torch.cuda.get_device_name(),
+        count,
+        spent,
+        spent / count,
+        alone,
+        float(found.iterations.mean()),
+        float(found.factorisations.mean()),
+        float(difference),
+    )
+
+
+def store_candidates(counts: list[int], device: str) -> None:
+    """Measure and keep beside the other rows."""
+    for count in counts:
+        row = measure_candidates(count, device)
+        print(row, flush=True)
+        stored = json.loads(RESULT.read_text())
+        others = [r for r in stored.get("candidates", []) if (r["device"], r["candidates"]) != (row.device, count)]
+        stored["candidates"] = sorted([*others, asdict(row)], key=lambda r: (r["device"], r["candidates"]))
+        RESULT.write_text(json.dumps(stored, indent=1) + "\n")
+
+
 def main() -> None:
     """Run all settings and store the table."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--candidates", type=int, nargs="+", help="measure so many candidates at once, nothing else")
+    parser.add_argument("--device", default="cpu", help="of the candidates")
+    options = parser.parse_args()
     torch.set_num_threads(1)
+    if options.candidates:
+        store_candidates(options.candidates, options.device)
+        return
     stored = json.loads(RESULT.read_text())
     before = stored if isinstance(stored, list) else stored["before"]
     rows = []
@@ -158,6 +246,7 @@ def main() -> None:
         "command": "python benchmarks/reduced_speed.py",
         "before": before,
         "rows": [asdict(row) for row in rows],
+        "candidates": stored.get("candidates", []) if isinstance(stored, dict) else [],
     }
     RESULT.write_text(json.dumps(content, indent=1) + "\n")
 

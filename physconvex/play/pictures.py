@@ -55,16 +55,20 @@ class _Bodies:
             rows = np.flatnonzero(played.owners == number)
             faces = played.surface.faces[(played.owners[played.surface.faces] == number).all(1)] - rows[0]
             part = pyvista.PolyData.from_regular_faces(played.positions[0][rows], faces)
-            plotter.add_mesh(part, color=_OBJECTS[number % len(_OBJECTS)], smooth_shading=True, specular=0.2)
+            self._shade(part)  # here and not by `smooth_shading`, which shades a copy that then keeps its normals
+            actor = plotter.add_mesh(part, color=_OBJECTS[number % len(_OBJECTS)], specular=0.2)
+            actor.prop.interpolation = "phong"
             self.parts.append((rows, part))
 
     def show(self, frame: int) -> None:
         """Move them to where they are at a frame."""
         for rows, part in self.parts:
             part.points = self.played.positions[frame][rows]
-            part.compute_normals(
-                inplace=True, split_vertices=False, auto_orient_normals=False, consistent_normals=False
-            )
+            self._shade(part)
+
+    @staticmethod
+    def _shade(part: Any) -> None:
+        part.compute_normals(inplace=True, split_vertices=False, auto_orient_normals=False, consistent_normals=False)
 
 
 def frames_of(

@@ -105,7 +105,7 @@ class CandidateEquations:
 
     def tensor(self, array: np.ndarray) -> Tensor:
         """An array on the device."""
-        return torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float64, device=self.device)
+        return torch.tensor(np.ascontiguousarray(array), dtype=torch.float64, device=self.device)
 
     # -- a step
 
