@@ -55,7 +55,7 @@ class _Bodies:
             rows = np.flatnonzero(played.owners == number)
             faces = played.surface.faces[(played.owners[played.surface.faces] == number).all(1)] - rows[0]
             part = pyvista.PolyData.from_regular_faces(played.positions[0][rows], faces)
-            self._shade(part)  # here and not by `smooth_shading`, which shades a copy that then keeps its normals
+            self._shade(part)
             actor = plotter.add_mesh(part, color=_OBJECTS[number % len(_OBJECTS)], specular=0.2)
             actor.prop.interpolation = "phong"
             self.parts.append((rows, part))
@@ -68,6 +68,7 @@ class _Bodies:
 
     @staticmethod
     def _shade(part: Any) -> None:
+        part.clear_data()  # VTK leaves normals as they are where there are some
         part.compute_normals(inplace=True, split_vertices=False, auto_orient_normals=False, consistent_normals=False)
 
 

@@ -15,7 +15,9 @@ from torch import Tensor
 from physconvex.contact import Contact, Plane
 from physconvex.materials import lame_parameters, project_to_positive, strain_stiffness
 from physconvex.reduced.body import viscous_stress
+from physconvex.reduced.candidate_volumetric import volumetric_blocks, volumetric_energy_and_gradient
 from physconvex.reduced.scene import ReducedScene
+from physconvex.reduced.volumetric import is_volumetric
 
 __all__ = ["CandidateEquations", "CandidateValues", "FrozenFriction", "Step"]
 
@@ -96,6 +98,9 @@ class CandidateEquations:
         self.surface, self.areas = self.tensor(space.surface_values), self.tensor(self.contact.areas)
         self.mass, self.moments = self.tensor(scene.body.mass), self.tensor(scene.body.first_moments)
         self.eye = torch.eye(3, dtype=torch.float64, device=device)
+        self.quick = is_volumetric(self.law)
+        self.by_function = self.gradients.permute(2, 1, 0).reshape(self.size, -1).contiguous()  # [R, (j, Q)]
+        self.laplacian = self.flat.mT @ (self.weights.repeat_interleave(3)[:, None] * self.flat)
         self.damped = bool((damping_time > 0).any())
         self.rough = bool((friction > 0).any())
         self.frozen: list[FrozenFriction] = []
@@ -170,22 +175,27 @@ class CandidateEquations:
     def evaluate(self, y: Tensor, on: Tensor) -> tuple[Tensor, Tensor]:
         """Incremental potentials [J], shape [b], and their derivatives [N], shape [b, R, 3]."""
         assert self.now is not None
-        step, f = self.now.step, self.deformation_gradient(y)
-        mu, lam = self.mu[on, None], self.lam[on, None]
-        v = self.now.velocity(y, on)
-        energy = (self.weights * self.law.energy(f, mu, lam)).sum(-1) - (self.forces * y).sum((-1, -2))
-        stress = self.law.stress(f, mu, lam)
+        step, v = self.now.step, self.now.velocity(y, on)
+        energy, gradient = self._material(y, on)
         if self.damped:
             rate, beta = self.deformation_gradient(v), self.damping_time[on, None]
-            drag = viscous_stress(self.viscous[on], rate, beta * mu, beta * lam)
+            drag = viscous_stress(self.viscous[on], rate, beta * self.mu[on, None], beta * self.lam[on, None])
             energy = energy + 0.5 * step * (self.weights * (drag * rate).sum((-1, -2))).sum(-1)
-            stress = stress + drag
-        gradient = self._forces_of(stress) - self.forces
+            gradient = gradient + self._forces_of(drag)
+        energy, gradient = energy - (self.forces * y).sum((-1, -2)), gradient - self.forces
         offset = y - self.now.target[on]
         pull, momentum = self.mass @ offset / step**2, self.scene.air_drag * (self.mass @ v)
         energy = energy + 0.5 * (offset * pull).sum((-1, -2)) + 0.5 * step * (v * momentum).sum((-1, -2))
         touch, push = self._surface(y, v, on)
         return energy + touch, gradient + pull + momentum + push
+
+    def _material(self, y: Tensor, on: Tensor) -> tuple[Tensor, Tensor]:
+        """Elastic energies and their derivatives."""
+        mu, lam = self.mu[on, None], self.lam[on, None]
+        if self.quick:
+            return volumetric_energy_and_gradient(self.law, y, mu, lam, self.weights, self.by_function)
+        f = self.deformation_gradient(y)
+        return (self.weights * self.law.energy(f, mu, lam)).sum(-1), self._forces_of(self.law.stress(f, mu, lam))
 
     def _surface(self, y: Tensor, v: Tensor, on: Tensor) -> tuple[Tensor, Tensor]:
         """Contact and frozen friction."""
@@ -237,7 +247,14 @@ class CandidateEquations:
         """Elasticity and viscosity, [b, 3, R, 3, R]."""
         assert self.now is not None
         mu, lam = self.mu[on, None], self.lam[on, None]
-        tensor = self.law.hessian(self.deformation_gradient(y), mu, lam)
+        f = self.deformation_gradient(y)
+        if self.quick and not project and not self.damped:
+            blocks = volumetric_blocks(self.law, f, mu, lam, self.weights, self.gradients)
+            if blocks is not None:
+                for i in range(3):
+                    blocks[:, i, :, i] += self.mu[on, None, None] * self.laplacian
+                return blocks
+        tensor = self.law.hessian(f, mu, lam)
         tensor = project_to_positive(tensor) if project else tensor
         if self.damped:
             ratio = self.damping_time[on, None] / self.now.step
