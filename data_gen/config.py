@@ -130,7 +130,7 @@ class SolverConfig(Frozen):
     target_nodes: int = Field(default=1000, ge=20)
     steps_per_frame: int = Field(default=24, ge=1)
     friction_passes: int = Field(default=12, ge=1)
-    tolerance: float = Field(default=5e-5, gt=0)
+    tolerance: float = Field(default=1e-6, gt=0)
     max_attempts: int = Field(default=6, ge=1)
 
 
