@@ -31,7 +31,7 @@ class Embedding:
         nodes: the nodes the weights belong to, shape [P, 4] or [P, 10].
         node_count: nodes of the mesh.
         max_distance: how far the outermost point lies outside the mesh [m] (0 if all are inside). Such points
-            move with the first-order continuation of the mesh's motion from its nearest point.
+            move with the nearest point of the mesh, and with the mean deformation gradient of its element about it.
     """
 
     elements: Int[np.ndarray, " P"]
@@ -120,14 +120,16 @@ def sample_interior(
 def _continued_shape_values(
     barycentric: np.ndarray, anchors: np.ndarray, outside: np.ndarray, order: int
 ) -> np.ndarray:
-    """Shape functions [P, n] at points inside, outside their first-order expansion about the anchors.
+    """Shape functions [P, n] at points inside; outside continued about the anchors by the element's mean gradient.
 
     A quadratic element continued as it is would throw far points away: its shape functions grow with the square
-    of the distance. The expansion still reproduces every affine map, and joins the element's own map at its surface.
+    of the distance, and its gradient varies most at its surface. Its mean gradient, which is that at its centre, still
+    reproduces every affine map, and the result joins the element's own map at its surface.
     """
     values = shape_values(anchors, order)
     away = (barycentric - anchors)[outside]
-    values[outside] += np.einsum("pnk,pk->pn", shape_gradients(anchors[outside], order), away)
+    centre = np.full((1, barycentric.shape[1]), 1 / barycentric.shape[1])
+    values[outside] += away @ shape_gradients(centre, order)[0].T
     return values
 
 
