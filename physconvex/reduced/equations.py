@@ -66,7 +66,7 @@ class StepEquations(DenseNewton):
 
     def settled(self, change: Float[np.ndarray, "R 3"], step: float) -> bool:
         """Whether the surface's velocities have changed by no more than the slip velocity with this change [m]."""
-        return float(np.abs(self.surface @ change).max(initial=0.0)) <= step * self.contact.slip_velocity
+        return bool(np.abs(self.surface @ change).max(initial=0.0) <= step * self.contact.slip_velocity)
 
     def flowed(self) -> Float[np.ndarray, "Q 3 3"] | None:
         """F_f at the interior samples; None for an elastic body."""

@@ -118,7 +118,7 @@ def test_hessian_of_touching_bodies_against_differences_without_the_turning_norm
     y = np.concatenate([scene.start for scene in world.scenes])
     direction = np.concatenate(
         [
-            s.body.space.affine(np.diag([0, 0, a]), np.array([0, 0, b]))
+            s.body.space.affine(np.diag([0.0, 0.0, a]), np.array([0.0, 0.0, b]))
             for s, a, b in zip(world.scenes, (1, 0.3), (0, 1), strict=True)
         ]
     )
