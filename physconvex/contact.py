@@ -23,8 +23,10 @@ from physconvex.travel import Travel, Velocity
 
 __all__ = ["Contact", "Friction", "Obstacle", "Plane", "Sphere"]
 
+Vector = Sequence[float] | Float[np.ndarray, " 3"]
 
-def _vector(name: str, value: Sequence[float]) -> np.ndarray:
+
+def _vector(name: str, value: Vector) -> np.ndarray:
     array = np.asarray(value, dtype=np.float64)
     if array.shape != (3,) or not np.isfinite(array).all():
         raise InputError(f"{name}: got {value!r}; expected three finite numbers")
@@ -56,8 +58,8 @@ class Plane:
             conveyor belt.
     """
 
-    point: Sequence[float] = (0.0, 0.0, 0.0)
-    normal: Sequence[float] = (0.0, 0.0, 1.0)
+    point: Vector = (0.0, 0.0, 0.0)
+    normal: Vector = (0.0, 0.0, 1.0)
     friction: float = 0.0
     velocity: Velocity = (0.0, 0.0, 0.0)
     _travel: Travel = field(init=False, repr=False, compare=False)
@@ -93,7 +95,7 @@ class Plane:
 class Sphere:
     """Solid sphere that bodies may not enter: `center` [m] at t = 0, `radius` [m], `velocity` [m/s] or a function."""
 
-    center: Sequence[float]
+    center: Vector
     radius: float
     friction: float = 0.0
     velocity: Velocity = (0.0, 0.0, 0.0)
