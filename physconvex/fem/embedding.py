@@ -14,7 +14,7 @@ from physconvex.errors import InputError
 from physconvex.fem.elements import shape_gradients, shape_values
 from physconvex.fem.mesh import FACE_CORNERS, TetMesh
 
-__all__ = ["Embedding", "locate", "sample_interior"]
+__all__ = ["Embedding", "locate", "nearest_on_triangles", "sample_interior"]
 
 # Elements tried per point (nearest centres first), most point-element pairs handled at once, and how far outside
 # (in barycentric coordinates) still counts as inside.
@@ -196,7 +196,7 @@ def _nearest_element(
     triangles = mesh.vertices[faces]
     count = min(2 * CANDIDATES, len(faces))
     near = cKDTree(triangles.mean(axis=1)).query(points, k=[*range(1, count + 1)])[1]
-    feet = _nearest_on_triangles(triangles[near], points[:, None])
+    feet = nearest_on_triangles(triangles[near], points[:, None])
     gaps = np.linalg.norm(points[:, None] - feet, axis=-1)
     row, closest = np.arange(len(points)), gaps.argmin(axis=1)
     depth = _barycentric(corners, inverse, owner[near], points[:, None]).min(axis=2)
@@ -213,7 +213,7 @@ def _boundary_faces_with_owner(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
     return single // 4, faces[single]
 
 
-def _nearest_on_triangles(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+def nearest_on_triangles(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points of `triangles` [..., 3, 3] nearest to `points` [..., 3]."""
     normal = np.cross(triangles[..., 1, :] - triangles[..., 0, :], triangles[..., 2, :] - triangles[..., 0, :])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
