@@ -54,7 +54,10 @@ def refine(
     weights: Annotated[int, typer.Option(help="Number of skinning weights.")] = 20,
     max_nodes: Annotated[int, typer.Option(help="Most nodes of the quadratic mesh.")] = 500,
     steps_per_frame: Annotated[int | None, typer.Option(help="Time steps per frame. Default: 384 per second.")] = None,
-    full_runs: Annotated[int, typer.Option(help="Most runs of the full model in the correction.")] = 5,
+    full_runs: Annotated[int, typer.Option(help="Most linearisations of the full model in the correction.")] = 8,
+    jacobian: Annotated[
+        str, typer.Option(help="Derivatives of the correction: of the full or reduced model.")
+    ] = "full",
     correction: Annotated[bool, typer.Option(help="Remove the reduced model's error with the full model.")] = True,
     model_error: Annotated[bool, typer.Option(help="State the error that a finer model would remove.")] = True,
     outlines: Annotated[bool, typer.Option(help="Use the masks of videos.")] = True,
@@ -85,6 +88,7 @@ def refine(
         start=start,  # type: ignore[arg-type]
         correction=correction,
         full_runs=full_runs,
+        jacobian=jacobian,  # type: ignore[arg-type]
         model_error=model_error,
         outlines=outlines,
         checkpoint=checkpoint,
@@ -141,7 +145,7 @@ def _print(found: Any, out: Path) -> None:
         interval = "at its bound" if e.interval is None else f"{e.interval[0]:.5g} … {e.interval[1]:.5g}"
         unit = unit_of(e.name)
         name = e.name if unit == "1" else f"{e.name} \\[{unit}]"
-        table.add_row(name, f"{e.value:.5g}", interval, f"{e.noise_sigma:.2g}", f"{e.model_error:+.2g}")
+        table.add_row(name, f"{e.value:.5g}", interval, f"{e.noise_sigma:.2g}", f"{e.model_error:.2g}")
     console.print(table)
     console.print(f"Young's modulus {found.youngs_modulus:.4g} Pa, Poisson's ratio {found.poisson_ratio:.4f}")
     for sentence in (*found.identifiability.sentences, *found.warnings):

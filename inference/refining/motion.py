@@ -8,7 +8,7 @@ from inference.refining.options import RefineOptions
 from inference.refining.result import RefinedMotion
 from inference.refining.stages import Stages
 from physconvex.capture import Capture
-from physconvex.fem.embedding import Embedding
+from physconvex.fem import TetMesh
 from physconvex.identify import Fit, FullModel, Twin
 from physconvex.reduced import simulate
 
@@ -24,8 +24,15 @@ def surface_of_capture(capture: Capture, twin: Twin) -> tuple[np.ndarray, np.nda
     return twin.mesh.vertices[used], faces.reshape(-1, 3)
 
 
-def motion_of(capture: Capture, twin: Twin, found: Fit, options: RefineOptions, stages: Stages) -> RefinedMotion:
-    """Roll the fitted model out over all frames: the full one where the correction is on, else the reduced one."""
+def motion_of(
+    capture: Capture, twin: Twin, found: Fit, options: RefineOptions, stages: Stages, *, mesh: TetMesh | None = None
+) -> RefinedMotion:
+    """Roll the fitted model out over all frames: the full one where the correction is on, else the reduced one.
+
+    Args:
+        capture, twin, found, options, stages: of the refinement.
+        mesh: of the full model, if it is not the twin's.
+    """
     vertices, faces = surface_of_capture(capture, twin)
     tracks = capture.tracks()
     markers = np.zeros((0, 3)) if tracks is None else tracks.rest
@@ -35,8 +42,7 @@ def motion_of(capture: Capture, twin: Twin, found: Fit, options: RefineOptions, 
         run = simulate(scene, **twin.timing())
         points = np.concatenate([vertices, markers])
         if options.correction:
-            nodes = FullModel(twin, found.names, points, capture.frames).node_positions(found.values)
-            moved = Embedding.of_points(twin.mesh, points).apply(nodes)
+            moved = FullModel(twin, found.names, points, capture.frames, mesh).positions(found.values)
         else:
             moved = run.positions(points)
         return {"moved": moved, "handles": run.handles()}

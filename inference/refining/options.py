@@ -28,8 +28,9 @@ class RefineOptions:
         start: where the scan looks: "predict" around the network's prediction (videos), "scan" everywhere, "auto" the
             first of the two that works.
         correction: remove the reduced model's error with runs of the full one.
-        full_runs: most of these runs.
-        model_error: one run with a finer mesh, to state what error is left.
+        full_runs: most linearisations (with `jacobian` "reduced": most runs) of the full model.
+        jacobian: of the correction: "full", the full model's own derivatives, or "reduced", the reduced model's.
+        model_error: runs with a finer mesh and a shorter step, whose difference is added, and the error left stated.
         outlines: use the masks of videos.
         checkpoint: of the network.
     """
@@ -45,13 +46,18 @@ class RefineOptions:
     initial: Mapping[str, float] = field(default_factory=dict)
     start: Literal["auto", "predict", "scan"] = "auto"
     correction: bool = True
-    full_runs: int = 5
+    full_runs: int = 8
+    jacobian: Literal["full", "reduced"] = "full"
     model_error: bool = True
     outlines: bool = True
     checkpoint: str = "default"
 
     def __post_init__(self) -> None:
-        choices = {"observations": ("auto", "tracks", "video", "both"), "start": ("auto", "predict", "scan")}
+        choices = {
+            "observations": ("auto", "tracks", "video", "both"),
+            "start": ("auto", "predict", "scan"),
+            "jacobian": ("full", "reduced"),
+        }
         for name, allowed in choices.items():
             if getattr(self, name) not in allowed:
                 raise InputError(f"{name}: got {getattr(self, name)!r}; expected one of {', '.join(allowed)}")

@@ -34,6 +34,7 @@ from physconvex.identify import (
     correct,
     default_parameters,
     fit,
+    fit_full,
     identifiability,
     noise_covariance,
     scan,
@@ -226,7 +227,10 @@ class _Run:
             return start, {}, start.converged
 
         def compute() -> dict[str, np.ndarray]:
-            found = correct(problem.reduced(), problem.full(), problem.seen, start, max_runs=self.options.full_runs)
+            most = self.options.full_runs
+            if self.options.jacobian == "full":
+                return arrays_of_correction(fit_full(problem.full(), problem.seen, start, max_runs=most))
+            found = correct(problem.reduced(), problem.full(), problem.seen, start, max_runs=most)
             return arrays_of_correction(found)
 
         arrays = self.stages.run("correction", compute)
@@ -242,14 +246,14 @@ class _Run:
     ) -> Refinement:
         judged = judge(problem.twin, final, problem.seen, self.options, self.stages, self.warnings)
         final = judged.fit
-        motion = motion_of(self.capture, problem.twin, final, self.options, self.stages)
+        motion = motion_of(self.capture, problem.twin, final, self.options, self.stages, mesh=judged.mesh)
         told = identifiability(final)
         held = [n for n in dict.fromkeys(["log10_youngs_modulus", "poisson_ratio", *self.options.fixed])]
         held = [n for n in held if n not in problem.names]
         values = parameter_values(problem.twin.scene, held) if held else np.zeros(0)
         return Refinement(
             path=str(self.capture.folder),
-            estimates=estimates_of(final, judged.shift, told),
+            estimates=estimates_of(final, judged.left, told),
             fixed=dict(zip(held, map(float, values), strict=True)),
             covariance=noise_covariance(final),
             reduced_chi_square=final.reduced_chi_square,

@@ -45,7 +45,7 @@ class Estimate:
         value: [unit].
         noise_sigma: standard deviation from the noise of the data; enlarged by the root of the reduced χ² where the
             residual is larger than the stated noise.
-        model_error: how far the finer model moved the value, to first order, signed; NaN where that was not tried.
+        model_error: standard deviation by the model error that is left; NaN where no finer model was tried.
         interval: 90 %, of noise and model error together; None at a bound.
         lower, upper: bounds.
         prior: mean and standard deviation, or None.

@@ -4,10 +4,9 @@ The solution x of a time step is where the gradient g(x, past states, p) of its 
 
     ∂g/∂x dx/dp + ∂g/∂(past states) d(past states)/dp + ∂g/∂p = 0.
 
-The left side is one directional derivative of g, taken by central differences of g itself (two evaluations and no solve
-with another matrix); dx/dp follows by iteration with the factorisation that Newton's method has left behind. Whatever a
-step freezes (viscosity at the guess, friction at the last pass) is frozen anew on both sides of the difference and so is
-differentiated too. Any parameter that a scene can be built from will do.
+The left side is one directional derivative of g, taken by central differences of g itself (two evaluations, no matrix);
+dx/dp follows by iteration with the factorisation that Newton's method has left behind. Whatever a step freezes
+(viscosity at the guess, friction at the last pass) is frozen anew on both sides of the difference, and so differentiated. Any parameter that a scene can be built from will do.
 """
 
 from __future__ import annotations
@@ -115,7 +114,9 @@ class _Tangent:
         self.previous, self.state = self.state, State(record.after.time, tangent, change.velocity(tangent))
 
 
-def _tangent(scene_of: Callable[[np.ndarray], Scene], values: np.ndarray, place: int, low: float, high: float) -> _Tangent:
+def _tangent(
+    scene_of: Callable[[np.ndarray], Scene], values: np.ndarray, place: int, low: float, high: float
+) -> _Tangent:
     sides = []
     for change in (high, low):
         moved = values.copy()
