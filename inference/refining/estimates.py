@@ -84,7 +84,7 @@ class Judged:
     Attributes:
         fit: the last one; with the correction on, of the finer model.
         left: standard deviation of each value by the model error that is left, shape [K]; NaN where unknown.
-        frame_errors: rms difference between the two models in each frame, in standard deviations of the noise, [T].
+        frame_errors: rms model error that is left in each frame, in standard deviations of the noise, [T].
         mesh: the finer mesh; None where there is none.
     """
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from physconvex.errors import InputError
+from physconvex.identify.nuisance import Nuisance
 
 __all__ = ["RefineOptions"]
 
@@ -32,6 +34,12 @@ class RefineOptions:
         jacobian: of the correction: "full", the full model's own derivatives, or "reduced", the reduced model's.
         model_error: runs with a finer mesh and a shorter step, whose difference is added, and the error left stated.
         outlines: use the masks of videos.
+        colours: last, compare colours instead of points followed in videos.
+        exposure: gain and offset of each frame's colours are free.
+        nuisance: priors of camera pose and time offset; none is free unless given.
+        field: fit a convex field to the first images, and bind it to the body.
+        field_file: a field (PLY) of the body at rest, in the place of that.
+        field_budget, field_steps: most convexes, and steps of their fit.
         checkpoint: of the network.
     """
 
@@ -41,15 +49,22 @@ class RefineOptions:
     max_nodes: int = 500
     steps_per_frame: int | None = None
     free: tuple[str, ...] = ()
-    fixed: Mapping[str, float | None] = field(default_factory=dict)
-    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    initial: Mapping[str, float] = field(default_factory=dict)
+    fixed: Mapping[str, float | None] = dataclasses.field(default_factory=dict)
+    priors: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    initial: Mapping[str, float] = dataclasses.field(default_factory=dict)
     start: Literal["auto", "predict", "scan"] = "auto"
     correction: bool = True
     full_runs: int = 8
     jacobian: Literal["full", "reduced"] = "full"
     model_error: bool = True
     outlines: bool = True
+    colours: bool = True
+    exposure: bool = True
+    nuisance: Nuisance = dataclasses.field(default_factory=Nuisance)
+    field: bool = True
+    field_file: str | None = None
+    field_budget: int = 6000
+    field_steps: int = 150
     checkpoint: str = "default"
 
     def __post_init__(self) -> None:
@@ -61,7 +76,13 @@ class RefineOptions:
         for name, allowed in choices.items():
             if getattr(self, name) not in allowed:
                 raise InputError(f"{name}: got {getattr(self, name)!r}; expected one of {', '.join(allowed)}")
-        for name, least in {"weights": 1, "max_nodes": 30, "full_runs": 1}.items():
+        for name, least in {
+            "weights": 1,
+            "max_nodes": 30,
+            "full_runs": 1,
+            "field_budget": 50,
+            "field_steps": 1,
+        }.items():
             if getattr(self, name) < least:
                 raise InputError(f"{name}: got {getattr(self, name)}; expected at least {least}")
         for name in ("log10_youngs_modulus", "poisson_ratio"):

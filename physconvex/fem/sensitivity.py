@@ -4,9 +4,10 @@ The solution x of a time step is where the gradient g(x, past states, p) of its 
 
     ∂g/∂x dx/dp + ∂g/∂(past states) d(past states)/dp + ∂g/∂p = 0.
 
-The left side is one directional derivative of g, taken by central differences of g itself (two evaluations, no matrix);
-dx/dp follows by iteration with the factorisation that Newton's method has left behind. Whatever a step freezes
-(viscosity at the guess, friction at the last pass) is frozen anew on both sides of the difference, and so differentiated. Any parameter that a scene can be built from will do.
+The left side is one directional derivative of g, taken by central differences of g itself (two evaluations, no
+matrix); dx/dp follows by iteration with the factorisation that Newton's method has left behind. Whatever a step freezes
+(viscosity at the guess, friction at the last pass) is frozen anew on both sides, and so differentiated. Any parameter
+that a scene can be built from will do.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ from physconvex.linear_solvers import NotPositiveDefiniteError
 
 __all__ = ["SensitiveTrajectory", "simulate_with_sensitivities"]
 
-_TOLERANCE = 1e-4  # of the largest component of a tangent
+_TOLERANCE = 1e-3  # of the largest component of a tangent
+_FLOOR = 2e-8  # of the body's size: a change of positions over the whole difference that is as good as none
 _MOST = 12  # corrections per step
 _SLOW = 0.4  # contraction above which the matrix is factorised anew
 
@@ -107,6 +109,11 @@ class _Tangent:
         """The directional derivative of g."""
         return (self.ahead.gradient(record, tangent) - self.behind.gradient(record, tangent)) / self.span
 
+    def relative(self, update: np.ndarray, tangent: np.ndarray) -> float:
+        """Size of an update beside the tangent that it leads to."""
+        least = _FLOOR * self.ahead.scene.body.mesh.size / self.span
+        return float(np.abs(update).max() / max(np.abs(tangent - update).max(), least))
+
     def advance(self, record: StepRecord, tangent: np.ndarray) -> None:
         """Take the new tangent over."""
         history = self.previous if record.two_step else None
@@ -142,7 +149,8 @@ class _Tangents:
         for _ in range(_MOST):
             residuals = [t.residual(record, x) for t, x in zip(self.tangents, found, strict=True)]
             updates = [equations.solve(residual) for residual in residuals]
-            size = max(_ratio(update, x) for update, x in zip(updates, found, strict=True))
+            triples = zip(self.tangents, updates, found, strict=True)
+            size = max(tangent.relative(update, x) for tangent, update, x in triples)
             if size > _SLOW * last and not renewed:
                 renewed, last = _renewed(equations, record.after.positions), np.inf
                 updates = [equations.solve(residual) for residual in residuals]
@@ -156,10 +164,6 @@ class _Tangents:
 
     def positions(self) -> np.ndarray:
         return np.stack([tangent.state.positions for tangent in self.tangents])
-
-
-def _ratio(update: np.ndarray, x: np.ndarray) -> float:
-    return float(np.abs(update).max() / max(np.abs(x - update).max(), 1e-300))
 
 
 def _renewed(equations: StepEquations, x: np.ndarray) -> bool:

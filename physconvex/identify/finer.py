@@ -17,7 +17,8 @@ from jaxtyping import Float
 
 from physconvex.fem import TetMesh
 from physconvex.identify.correction import CorrectedModel, parameter_shifts
-from physconvex.identify.levenberg_marquardt import Fit, FitOptions, fit
+from physconvex.identify.full_fit import FULL_OPTIONS
+from physconvex.identify.levenberg_marquardt import Fit, fit
 from physconvex.identify.model import FullModel, Model
 from physconvex.identify.observations import Observations
 from physconvex.identify.uncertainty import noise_covariance
@@ -37,7 +38,7 @@ class FinerFit:
     Attributes:
         fit: of the cheap model, shifted.
         left: standard deviation of each value by the error that is left, shape [K].
-        frame_errors: e_t, rms difference by frame in standard deviations of the noise, shape [T].
+        frame_errors: e_t, the error that is left by frame, in standard deviations of the noise, shape [T].
     """
 
     fit: Fit
@@ -73,12 +74,15 @@ def fit_finer(
         x = coarse.positions(values)
         by_mesh = np.zeros_like(x) if mesh is None else replace(coarse, mesh=mesh).positions(values) - x
         by_step = replace(coarse, refinement=2 * coarse.refinement).positions(values) - x
-        errors = frame_errors(observations, x + by_mesh + by_step, x)
+        errors = np.hypot(
+            _MESH_LEFT * frame_errors(observations, x + by_mesh, x),
+            _STEP_LEFT * frame_errors(observations, x + by_step, x),
+        )
         weighted = WeightedObservations.by_errors(observations, errors)
         shift = x + by_mesh + _EXTRAPOLATED * by_step - cheap.positions(values)
         start = [p.at(float(v)) for p, v in zip(found.parameters, values, strict=True)]
         model = CorrectedModel(cheap, values, shift, np.zeros(shape))
-        last = fit(model, weighted, start, options=FitOptions(max_iterations=6, max_step=1.5))
+        last = fit(model, weighted, start, options=FULL_OPTIONS)
         left = np.hypot(
             _MESH_LEFT * _effect(last, weighted, x, by_mesh), _STEP_LEFT * _effect(last, weighted, x, by_step)
         )
