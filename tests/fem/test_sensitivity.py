@@ -41,7 +41,7 @@ def test_against_central_differences_of_whole_roll_outs(scene_of):
 def test_at_a_bound_the_difference_is_taken_on_one_side():
     values = np.array([4.3, 0.3, 0.0, -0.6])  # no damping: a negative one is refused
     found = simulate_with_sensitivities(thrown, values, steps=STEPS, lower=[3.0, 0.0, 0.0, -9.0], **TIMING)
-    ahead = simulate(thrown(values + [0, 0, 2e-6, 0]), **TIMING).positions
+    ahead = simulate(thrown(values + np.array([0, 0, 2e-6, 0])), **TIMING).positions
     slope = (ahead - found.trajectory.positions) / 2e-6
     assert np.linalg.norm(found.position_tangents[:, 2] - slope) < 1e-2 * np.linalg.norm(slope)
 
