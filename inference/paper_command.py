@@ -16,6 +16,7 @@ def paper(
     benchmark: Annotated[Path, typer.Argument(help="Folder of `physconvex generate benchmark`.")],
     out: Annotated[Path, typer.Option(help="Folder of the results; finished parts are kept.")] = Path("paper"),
     max_nodes: Annotated[int, typer.Option(help="Most nodes of the models' meshes.")] = 500,
+    steps_per_frame: Annotated[int | None, typer.Option(help="Of the models. Default: 384 per second.")] = None,
     weights: Annotated[int, typer.Option(help="Skinning weights of `refine`.")] = 20,
     full_runs: Annotated[int, typer.Option(help="Most linearisations of the full model.")] = 8,
     model_error: Annotated[bool, typer.Option(help="Add what a finer mesh says.")] = True,
@@ -36,6 +37,7 @@ def paper(
 
     options = PaperOptions(
         max_nodes=max_nodes,
+        steps_per_frame=steps_per_frame,
         weights=weights,
         full_runs=full_runs,
         model_error=model_error,

@@ -39,6 +39,7 @@ class PaperOptions:
 
     Attributes:
         max_nodes: of the models' quadratic meshes.
+        steps_per_frame: of the models; None: at least 384 per second.
         weights: M of the reduced model of `refine`.
         full_runs: most linearisations of the full model.
         model_error: add what a finer mesh says.
@@ -49,6 +50,7 @@ class PaperOptions:
     """
 
     max_nodes: int = 500
+    steps_per_frame: int | None = None
     weights: int = 20
     full_runs: int = 8
     model_error: bool = True
@@ -165,12 +167,16 @@ class _Object:
     def _refine(self, options: RefineOptions, name: str) -> Refinement:
         return refine(self.capture.folder, out=self.work / name, options=options)
 
+    def _twin_options(self) -> TwinOptions:
+        return TwinOptions(max_nodes=self.options.max_nodes, steps_per_frame=self.options.steps_per_frame)
+
     def _settings(self) -> RefineOptions:
         options = self.options
         return RefineOptions(
             observations="video",
             weights=options.weights,
             max_nodes=options.max_nodes,
+            steps_per_frame=options.steps_per_frame,
             full_runs=options.full_runs,
             model_error=options.model_error,
             field=False,
@@ -189,7 +195,7 @@ class _Object:
         out["in_words"] = [*found.identifiability.sentences, *found.warnings]
         out["reduced_model_rms_m"] = list(found.motion.reduced_gap)
         out |= self._motion(found.motion.mesh, found.motion.nodes)
-        twin = base_twin(self.capture, TwinOptions(max_nodes=self.options.max_nodes))
+        twin = base_twin(self.capture, self._twin_options())
         return out | {"changes": self._changes(twin, found)}
 
     def _motion(self, mesh: Any, nodes: np.ndarray) -> dict[str, Any]:
