@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+import trimesh
 from jaxtyping import UInt8
+from scipy.spatial.transform import Rotation
 
 from inference.reconstruction_views import capture_views
 from inference.refining.options import RefineOptions
@@ -20,7 +22,8 @@ from physconvex.camera import Camera
 from physconvex.capture import Capture
 from physconvex.convex import BoundField, ConvexField, bind_to_tets, read_ply
 from physconvex.errors import InputError
-from physconvex.reconstruction import ReconstructionConfig, begin, fit, score, start_field
+from physconvex.identify.raster import cast_camera_rays
+from physconvex.reconstruction import Observation, ReconstructionConfig, begin, fit, observe, score, start_field
 from physconvex.render import render
 
 __all__ = ["Appearance", "appearance_of"]
@@ -94,7 +97,10 @@ def _fitted(capture: Capture, options: RefineOptions) -> dict[str, np.ndarray]:
     mesh = capture.mesh()
     views = capture_views(capture, least=2 if mesh is None else 1).training
     config = ReconstructionConfig(budget=options.field_budget, steps=options.field_steps)
-    start = start_field(views, config, mesh=mesh)
+    around = [*views]
+    if mesh is not None and len(views) == 1:  # the other sides are given the mean colour, and then not fitted
+        around += [_unseen(views[0], mesh, degrees) for degrees in (100.0, 180.0, 260.0)]
+    start = start_field(around, config, mesh=mesh)
     state = fit(begin(start), views, config)
     field = state.field()
     scores = [one for one, _ in score(field, views)]
@@ -104,3 +110,17 @@ def _fitted(capture: Capture, options: RefineOptions) -> dict[str, np.ndarray]:
         "psnr": np.array([one.psnr_object for one in scores]),
         "kind": np.array(start.kind),
     }
+
+
+def _unseen(seen: Observation, mesh: trimesh.Trimesh, degrees: float) -> Observation:
+    """The object from another side, in the mean colour seen: the camera turned about the vertical through it."""
+    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
+    centre = 0.5 * (vertices.min(0) + vertices.max(0))
+    turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    matrix = np.array(seen.camera.transform_matrix, dtype=np.float64)
+    matrix[:3, :3], matrix[:3, 3] = turn @ matrix[:3, :3], centre + turn @ (matrix[:3, 3] - centre)
+    camera = replace(seen.camera, name=f"{seen.camera.name}+{degrees:g}", transform_matrix=matrix)
+    inside = cast_camera_rays(camera, vertices, faces).faces >= 0
+    mean = seen.image[seen.coverage > 0.99].mean(0).numpy()
+    frame = np.where(inside[..., None], 255 * mean, 255.0).round().astype(np.uint8)
+    return observe(camera, frame, np.where(inside, np.uint8(255), np.uint8(0)), fractional=True)
