@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -13,7 +13,7 @@ from physconvex.convex import ConvexField
 from physconvex.fem import TetMesh
 from physconvex.identify import FullRun, Identifiability, Iteration
 
-__all__ = ["REFINEMENT_SCHEMA", "UNITS", "Estimate", "RefinedMotion", "Refinement"]
+__all__ = ["REFINEMENT_SCHEMA", "UNITS", "Estimate", "MovingField", "RefinedMotion", "Refinement"]
 
 REFINEMENT_SCHEMA = "physconvex/refinement/1"
 _NINETY = 1.6448536269514722  # of a normal distribution, both sides
@@ -91,7 +91,8 @@ def _plain(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-class Appearance(Protocol):
+@runtime_checkable
+class MovingField(Protocol):
     """A convex field bound to the motion, see `inference.refining.appearance`."""
 
     @property
@@ -183,7 +184,7 @@ class Refinement:
     sources: tuple[str, ...]
     warnings: tuple[str, ...]
     nuisances: dict[str, float]
-    appearance: Appearance | None = None
+    appearance: MovingField | None = None
 
     def __getitem__(self, name: str) -> Estimate:
         """The estimate of a free parameter."""
