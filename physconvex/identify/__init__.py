@@ -11,6 +11,7 @@ from physconvex.identify.correction import (
 )
 from physconvex.identify.finer import FinerFit, fit_finer
 from physconvex.identify.full_fit import fit_full
+from physconvex.identify.held_region import HeldRegion
 from physconvex.identify.levenberg_marquardt import Fit, FitOptions, Iteration, fit
 from physconvex.identify.model import FullModel, Model, ReducedModel
 from physconvex.identify.observations import (
@@ -37,6 +38,7 @@ __all__ = [
     "FitOptions",
     "FullModel",
     "FullRun",
+    "HeldRegion",
     "Identifiability",
     "Iteration",
     "MarkerObservations",
