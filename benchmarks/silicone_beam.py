@@ -103,6 +103,7 @@ def options(ratio: float, **changes: object) -> RefineOptions:
         "start": "scan",
         "weights": 6,
         "full_runs": 3,
+        "jacobian": "reduced",  # as when the stored result was made
         "model_error": False,
     }
     return RefineOptions(**(settings | changes))  # type: ignore[arg-type]

@@ -93,6 +93,37 @@ def captures(
     _report(out, "captures", summary)
 
 
+@app.command("benchmark")
+def benchmark(
+    objects: Annotated[Path, typer.Option(help="Folder of folders, each with a textured mesh.")],
+    out: Out,
+    count: Annotated[int, typer.Option(min=1, help="Number of objects.")] = 12,
+    name: Annotated[
+        list[str] | None, typer.Option(help="Take this object; repeatable. Default: evenly spread.")
+    ] = None,
+    size: Annotated[int, typer.Option(min=64, help="Width and height of the images [pixels].")] = 448,
+    views: Annotated[int, typer.Option(min=2, help="Cameras around.")] = 12,
+    frames: Annotated[int, typer.Option(min=2, help="Frames.")] = 24,
+    observed_frames: Annotated[int, typer.Option(min=2, help="Frames that may be fitted.")] = 16,
+    nodes: Annotated[int, typer.Option(min=50, help="Most nodes of the truth's mesh.")] = 1500,
+    steps_per_frame: Annotated[int, typer.Option(min=1, help="Time steps of the truth per frame.")] = 32,
+    check: Annotated[bool, typer.Option(help="State what half the nodes and half the steps change.")] = True,
+    modulus: Annotated[tuple[float, float], typer.Option(help="Range of log10 E [log10 Pa].")] = (4.0, 7.0),
+    seed: Seed = 0,
+    progress: Progress = True,
+) -> None:
+    """Drop textured objects in the FEM and film them, truth apart, for `physconvex evaluate paper`."""
+    from data_gen.benchmark import BenchmarkOptions, generate_benchmark
+
+    options = BenchmarkOptions(
+        count, tuple(name) if name else None, size, views, frames, observed_frames, nodes=nodes,
+        steps_per_frame=steps_per_frame, checked=check, seed=seed, log10_modulus=modulus,
+    )  # fmt: skip
+    with tqdm(total=len(name) if name else count, unit="object", disable=not progress) as bar:
+        made = generate_benchmark(objects, out, options, on_object=lambda _: bar.update())
+    typer.echo(f"{out}: {len(made)} objects: {', '.join(made)}")
+
+
 def _resolved(config: str, settings: list[str] | None, objects: Path | None) -> GeneratorConfig:
     overrides = list(settings or [])
     if objects is not None:

@@ -82,9 +82,17 @@ def rendered_frames(
 
 
 def write_still_capture(
-    folder: Path, body: ObjectMesh, views: Sequence[StillViews], *, size: int, lighting: Lighting = KEYED
+    folder: Path,
+    body: ObjectMesh,
+    views: Sequence[StillViews],
+    *,
+    size: int,
+    lighting: Lighting = KEYED,
+    cameras: Sequence[Camera] = (),
 ) -> None:
     """Write a capture folder of a coloured object: `<camera>/000000.png`, capture.json, mesh.obj.
+
+    The views are those of `views` about the object, and of further `cameras`.
 
     Raises:
         InputError: the folder exists, or the object has no colours.
@@ -92,7 +100,7 @@ def write_still_capture(
     if folder.exists():
         raise InputError(f"{folder}: exists; choose another folder or remove it first")
     surface = Surface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
-    cameras = [camera for group in views for camera in still_cameras(body.vertices, group, size)]
+    cameras = [*cameras, *(camera for group in views for camera in still_cameras(body.vertices, group, size))]
     partial = folder.with_name(f".{folder.name}.{os.getpid()}.part")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)

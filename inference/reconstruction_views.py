@@ -25,25 +25,26 @@ class CaptureViews:
     silhouettes: tuple[str, ...]
 
 
-def capture_views(capture: Capture, held_out: Sequence[str] = ()) -> CaptureViews:
+def capture_views(capture: Capture, held_out: Sequence[str] = (), *, least: int = _LEAST_VIEWS) -> CaptureViews:
     """Frame 0 of every camera with the object's silhouette: its mask, else its alpha, else what differs from a plain
     background.
 
     Args:
         held_out: names of cameras that are only scored.
+        least: views to fit at least; one will do where a mesh says what the shape is.
 
     Raises:
-        InputError: no cameras, an unknown name, fewer than two views to fit, a camera without any silhouette.
+        InputError: no cameras, an unknown name, too few views to fit, a camera without any silhouette.
     """
     if not capture.cameras:
         raise InputError(f"{capture.folder}: capture.json names no cameras; a reconstruction needs several with poses")
     for name in held_out:
         capture.camera(name)
     training = len(capture.cameras) - len(set(held_out))
-    if training < _LEAST_VIEWS:
+    if training < least:
         raise InputError(
             f"{capture.folder}: {training} view(s) to fit; one view says nothing of depth: expected at least "
-            f"{_LEAST_VIEWS}, better 12 from all sides"
+            f"{least}, better 12 from all sides"
         )
     found = [_observation(capture, camera.name) for camera in capture.cameras]
     fitted = tuple(seen for seen, _ in found if seen.camera.name not in held_out)

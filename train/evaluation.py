@@ -1,7 +1,8 @@
-"""Evaluate a checkpoint on held-out objects."""
+"""Evaluate a checkpoint on held-out objects, the diagnosis on sealed captures, everything on the benchmark."""
 
 from __future__ import annotations
 
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,6 +15,8 @@ __all__ = ["app"]
 
 app = typer.Typer(no_args_is_help=True, help=__doc__)
 app.add_typer(gap_app, name="gap")
+for _point in entry_points(group="physconvex.evaluations"):  # of packages that this one may not import
+    app.command(_point.name)(_point.load())
 
 Data = Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")]
 Out = Annotated[Path, typer.Option(help="Folder of the results (JSON and figure).")]

@@ -21,6 +21,8 @@ _STAGES = {
     "anchored": "following the points again from the model",
     "reduced_again": "fitting the reduced model again",
     "correction": "correcting with the full model",
+    "colours": "comparing colours",
+    "field": "fitting a convex field to the first images",
     "model_error": "finer model, for the error that is left",
     "motion": "predicting all frames",
 }
@@ -54,10 +56,27 @@ def refine(
     weights: Annotated[int, typer.Option(help="Number of skinning weights.")] = 20,
     max_nodes: Annotated[int, typer.Option(help="Most nodes of the quadratic mesh.")] = 500,
     steps_per_frame: Annotated[int | None, typer.Option(help="Time steps per frame. Default: 384 per second.")] = None,
-    full_runs: Annotated[int, typer.Option(help="Most runs of the full model in the correction.")] = 5,
+    full_runs: Annotated[int, typer.Option(help="Most linearisations of the full model in the correction.")] = 8,
+    jacobian: Annotated[
+        str, typer.Option(help="Derivatives of the correction: of the full or reduced model.")
+    ] = "full",
     correction: Annotated[bool, typer.Option(help="Remove the reduced model's error with the full model.")] = True,
     model_error: Annotated[bool, typer.Option(help="State the error that a finer model would remove.")] = True,
     outlines: Annotated[bool, typer.Option(help="Use the masks of videos.")] = True,
+    colours: Annotated[bool, typer.Option(help="Last, compare colours instead of points followed in videos.")] = True,
+    exposure: Annotated[bool, typer.Option(help="Gain and offset of each frame's colours are free.")] = True,
+    camera_rotation: Annotated[
+        float, typer.Option(help="Free each camera's rotation, with this prior standard deviation [rad].")
+    ] = 0.0,
+    camera_position: Annotated[
+        float, typer.Option(help="Free each camera's position, with this prior standard deviation [m].")
+    ] = 0.0,
+    time_offset: Annotated[
+        float, typer.Option(help="Free the time of all frames after the first, with this prior deviation [s].")
+    ] = 0.0,
+    field: Annotated[bool, typer.Option(help="Fit a convex field to the first images and bind it to the body.")] = True,
+    field_file: Annotated[str | None, typer.Option(help="A field (PLY) of the body at rest, in place of that.")] = None,
+    field_steps: Annotated[int, typer.Option(help="Steps of the field's fit.")] = 150,
     pictures: Annotated[bool, typer.Option(help="Write fit.png and side_by_side.mp4.")] = True,
     checkpoint: Annotated[str, typer.Option(help="Name or folder of the network's checkpoint.")] = "default",
     as_json: Annotated[bool, typer.Option("--json", help="Print refinement.json to standard output, alone.")] = False,
@@ -71,6 +90,7 @@ def refine(
     from inference.refining.options import RefineOptions
     from inference.refining.pipeline import refine as run_refine
     from inference.refining.writing import write_refinement
+    from physconvex.identify.nuisance import Nuisance
 
     options = RefineOptions(
         observations=observations,  # type: ignore[arg-type]
@@ -85,8 +105,15 @@ def refine(
         start=start,  # type: ignore[arg-type]
         correction=correction,
         full_runs=full_runs,
+        jacobian=jacobian,  # type: ignore[arg-type]
         model_error=model_error,
         outlines=outlines,
+        colours=colours,
+        exposure=exposure,
+        field=field,
+        field_file=field_file,
+        field_steps=field_steps,
+        nuisance=Nuisance(camera_rotation, camera_position, time_offset),
         checkpoint=checkpoint,
     )
 
@@ -141,7 +168,7 @@ def _print(found: Any, out: Path) -> None:
         interval = "at its bound" if e.interval is None else f"{e.interval[0]:.5g} … {e.interval[1]:.5g}"
         unit = unit_of(e.name)
         name = e.name if unit == "1" else f"{e.name} \\[{unit}]"
-        table.add_row(name, f"{e.value:.5g}", interval, f"{e.noise_sigma:.2g}", f"{e.model_error:+.2g}")
+        table.add_row(name, f"{e.value:.5g}", interval, f"{e.noise_sigma:.2g}", f"{e.model_error:.2g}")
     console.print(table)
     console.print(f"Young's modulus {found.youngs_modulus:.4g} Pa, Poisson's ratio {found.poisson_ratio:.4f}")
     for sentence in (*found.identifiability.sentences, *found.warnings):

@@ -15,16 +15,14 @@ from physconvex.errors import ConvergenceError
 from physconvex.fem import TetMesh, tetrahedralize
 from physconvex.fem.mesh import refine as subdivided
 from physconvex.identify import (
-    CorrectedModel,
+    FinerFit,
     Fit,
-    FitOptions,
     FullModel,
     Identifiability,
     Observations,
     ReducedModel,
     Twin,
-    WeightedObservations,
-    fit,
+    fit_finer,
     frame_errors,
     noise_covariance,
     parameter_shift,
@@ -36,14 +34,14 @@ _FINER = 1.8  # nodes of a mesh made anew over those of the twin
 _MOST_NODES = 4000  # of tetrahedra cut in eight
 
 
-def estimates_of(found: Fit, shift: Float[np.ndarray, " K"], told: Identifiability) -> tuple[Estimate, ...]:
-    """Each parameter with its deviations; `shift` is the model error [K], NaN where unknown."""
+def estimates_of(found: Fit, left: Float[np.ndarray, " K"], told: Identifiability) -> tuple[Estimate, ...]:
+    """Each parameter with its deviations; `left` is the deviation by model error [K], NaN where unknown."""
     inflation = max(found.reduced_chi_square, 1.0)
     sigmas = np.sqrt(np.diag(noise_covariance(found)) * inflation)
     out = []
     for i, parameter in enumerate(found.parameters):
         bound = parameter.name in told.at_bounds
-        total = float(np.hypot(sigmas[i], np.nan_to_num(shift[i])))
+        total = float(np.hypot(sigmas[i], np.nan_to_num(left[i])))
         value = float(found.values[i])
         interval = None if bound else interval_of(value, total, parameter.lower, parameter.upper)
         prior = None
@@ -51,7 +49,7 @@ def estimates_of(found: Fit, shift: Float[np.ndarray, " K"], told: Identifiabili
             prior = (parameter.prior_mean, parameter.prior_sigma)
         out.append(
             Estimate(
-                parameter.name, value, float(sigmas[i]), float(shift[i]), interval,
+                parameter.name, value, float(sigmas[i]), float(left[i]), interval,
                 parameter.lower, parameter.upper, prior,
             )
         )  # fmt: skip
@@ -84,14 +82,16 @@ class Judged:
     """A fit judged by a finer model.
 
     Attributes:
-        fit: the last one; with the correction on, of the reduced model shifted to the finer model.
-        shift: how far the finer model moves each value, to first order, shape [K]; NaN where unknown.
-        frame_errors: rms difference between the two models in each frame, in standard deviations of the noise, [T].
+        fit: the last one; with the correction on, of the finer model.
+        left: standard deviation of each value by the model error that is left, shape [K]; NaN where unknown.
+        frame_errors: rms model error that is left in each frame, in standard deviations of the noise, [T].
+        mesh: the finer mesh; None where there is none.
     """
 
     fit: Fit
-    shift: Float[np.ndarray, " K"]
+    left: Float[np.ndarray, " K"]
     frame_errors: Float[np.ndarray, " T"]
+    mesh: TetMesh | None = None
 
 
 def judge(
@@ -99,48 +99,39 @@ def judge(
 ) -> Judged:
     """Compare with a finer model, let frames count by what that changes, and fit once more.
 
-    With the correction the comparison is between the full model and one with a finer mesh (half the step, where there
-    is none), and the last fit takes its residuals from the latter; without it, between the reduced model and the full
-    one, and nothing is fitted again.
+    With the correction the full model is compared with one of a finer mesh and with one of half the time step, and the
+    last fit takes its residuals from what both say together; without it, the reduced model with the full one, and
+    nothing is fitted again.
     """
     frames = int(seen.frames.max()) + 1
     unknown = Judged(found, np.full(len(found.values), np.nan), np.zeros(frames))
     if not options.model_error:
         return unknown
+    mesh = finer_mesh(twin) if options.correction else None
 
     def compute() -> dict[str, np.ndarray]:
-        exact = FullModel(twin, found.names, seen.points, frames).positions(found.values)
+        coarse = FullModel(twin, found.names, seen.points, frames)
         if not options.correction:
+            exact = coarse.positions(found.values)
             change = seen.residuals(exact) - found.residuals
             errors = frame_errors(seen, exact, found.positions)
-            return {"shift": parameter_shift(found, change), "errors": errors, "meshed": np.array(1)}
-        mesh = finer_mesh(twin)
-        steps = 2 if mesh is None else 1
-        fine = FullModel(twin, found.names, seen.points, frames, mesh, refinement=steps).positions(found.values)
-        errors = frame_errors(seen, fine, exact)
-        last = _fit_again(twin, found, WeightedObservations.by_errors(seen, errors), fine)
-        change = WeightedObservations.by_errors(seen, errors)
-        shift = parameter_shift(last, change.residuals(fine) - change.residuals(exact))
-        return arrays_of_fit(last) | {"shift": shift, "errors": errors, "meshed": np.array(int(mesh is not None))}
+            return {"left": np.abs(parameter_shift(found, change)), "errors": errors}
+        cheap = coarse if options.jacobian == "full" else ReducedModel(twin, found.names, seen.points, frames)
+        return arrays_of_finer(fit_finer(cheap, coarse, mesh, seen, found))
 
     try:
         arrays = stages.run("model_error", compute)
     except ConvergenceError as error:
         warnings.append(f"The model error is unknown: the finer model failed ({error}).")
         return unknown
-    if not arrays["meshed"]:
+    if options.correction and mesh is None:
         warnings.append(
             "No finer mesh was tried (too many nodes, or none found): the model error is that of the time step alone."
         )
     last = fit_of(arrays, found.parameters) if "values" in arrays else found
-    return Judged(last, arrays["shift"], arrays["errors"])
+    return Judged(last, arrays["left"], arrays["errors"], mesh)
 
 
-def _fit_again(twin: Twin, found: Fit, seen: Observations, fine: np.ndarray) -> Fit:
-    """From the fitted values, with the reduced model shifted to the finer one."""
-    reduced = ReducedModel(twin, found.names, seen.points, len(fine))
-    shift = fine - reduced.positions(found.values)
-    slope = np.zeros((len(fine), len(found.values), *fine.shape[1:]))
-    start = [p.at(float(v)) for p, v in zip(found.parameters, found.values, strict=True)]
-    corrected = CorrectedModel(reduced, found.values, shift, slope)
-    return fit(corrected, seen, start, options=FitOptions(max_iterations=8, max_step=1.5))
+def arrays_of_finer(found: FinerFit) -> dict[str, np.ndarray]:
+    """What the stage keeps."""
+    return arrays_of_fit(found.fit) | {"left": found.left, "errors": found.frame_errors}

@@ -8,8 +8,9 @@ from inference.refining.options import RefineOptions
 from inference.refining.result import RefinedMotion
 from inference.refining.stages import Stages
 from physconvex.capture import Capture
-from physconvex.fem.embedding import Embedding
+from physconvex.fem import Embedding, TetMesh
 from physconvex.identify import Fit, FullModel, Twin
+from physconvex.identify.enrich import enriched
 from physconvex.reduced import simulate
 
 __all__ = ["future_rms", "motion_of", "surface_of_capture"]
@@ -24,35 +25,61 @@ def surface_of_capture(capture: Capture, twin: Twin) -> tuple[np.ndarray, np.nda
     return twin.mesh.vertices[used], faces.reshape(-1, 3)
 
 
-def motion_of(capture: Capture, twin: Twin, found: Fit, options: RefineOptions, stages: Stages) -> RefinedMotion:
-    """Roll the fitted model out over all frames: the full one where the correction is on, else the reduced one."""
+def motion_of(
+    capture: Capture, twin: Twin, found: Fit, options: RefineOptions, stages: Stages, *, mesh: TetMesh | None = None
+) -> RefinedMotion:
+    """Roll the fitted model out over all frames: the full one where the correction is on, else the reduced one.
+
+    Args:
+        capture, twin, found, options, stages: of the refinement.
+        mesh: of the full model, if it is not the twin's.
+    """
     vertices, faces = surface_of_capture(capture, twin)
     tracks = capture.tracks()
     markers = np.zeros((0, 3)) if tracks is None else tracks.rest
+    body = mesh if options.correction and mesh is not None else twin.mesh
+
+    fitted, nodes = twin.with_values(found.names, found.values), twin.mesh.vertices
 
     def compute() -> dict[str, np.ndarray]:
-        scene = twin.with_values(found.names, found.values).scene
-        run = simulate(scene, **twin.timing())
-        points = np.concatenate([vertices, markers])
-        if options.correction:
-            nodes = FullModel(twin, found.names, points, capture.frames).node_positions(found.values)
-            moved = Embedding.of_points(twin.mesh, points).apply(nodes)
-        else:
-            moved = run.positions(points)
-        return {"moved": moved, "handles": run.handles()}
+        run = simulate(fitted.scene, **twin.timing())
+        if not options.correction:
+            return {
+                "nodes": run.positions(nodes),
+                "handles": run.handles(),
+                "weights": _weights(twin),
+                "gap": np.zeros(0),
+            }
+        moved = FullModel(twin, found.names, markers, capture.frames, mesh).node_positions(found.values)
+        carried = Embedding.of_points(body, nodes).apply(moved)
+        better = enriched(fitted, carried)
+        again = simulate(better.scene, **twin.timing())
+        gap = np.array([_rms(r.positions(nodes) - carried) for r in (run, again)])
+        return {"nodes": moved, "handles": again.handles(), "weights": _weights(better), "gap": gap}
 
     arrays = stages.run("motion", compute)
-    nodes = twin.mesh.vertices
+    moved = Embedding.of_points(body, np.concatenate([vertices, markers])).apply(arrays["nodes"])
     return RefinedMotion(
         times=capture.times,
-        vertices=arrays["moved"][:, : len(vertices)],
+        vertices=moved[:, : len(vertices)],
         faces=faces,
-        markers=arrays["moved"][:, len(vertices) :],
+        markers=moved[:, len(vertices) :],
         handles=arrays["handles"],
         weight_points=nodes,
-        weights=twin.scene.body.space.field.at(nodes)[0],
+        weights=arrays["weights"],
         model="full" if options.correction else "reduced",
+        mesh=body,
+        nodes=arrays["nodes"],
+        reduced_gap=tuple(map(float, arrays["gap"])),
     )
+
+
+def _weights(twin: Twin) -> np.ndarray:
+    return twin.scene.body.space.field.at(twin.mesh.vertices)[0]
+
+
+def _rms(difference: np.ndarray) -> float:
+    return float(np.sqrt(np.square(difference).sum(-1).mean()))
 
 
 def future_rms(capture: Capture, motion: RefinedMotion) -> float:

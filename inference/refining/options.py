@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from physconvex.errors import InputError
+from physconvex.identify.nuisance import Nuisance
 
 __all__ = ["RefineOptions"]
 
@@ -28,9 +30,16 @@ class RefineOptions:
         start: where the scan looks: "predict" around the network's prediction (videos), "scan" everywhere, "auto" the
             first of the two that works.
         correction: remove the reduced model's error with runs of the full one.
-        full_runs: most of these runs.
-        model_error: one run with a finer mesh, to state what error is left.
+        full_runs: most linearisations (with `jacobian` "reduced": most runs) of the full model.
+        jacobian: of the correction: "full", the full model's own derivatives, or "reduced", the reduced model's.
+        model_error: runs with a finer mesh and a shorter step, whose difference is added, and the error left stated.
         outlines: use the masks of videos.
+        colours: last, compare colours instead of points followed in videos.
+        exposure: gain and offset of each frame's colours are free.
+        nuisance: priors of camera pose and time offset; none is free unless given.
+        field: fit a convex field to the first images, and bind it to the body.
+        field_file: a field (PLY) of the body at rest, in the place of that.
+        field_budget, field_steps: most convexes, and steps of their fit.
         checkpoint: of the network.
     """
 
@@ -40,22 +49,40 @@ class RefineOptions:
     max_nodes: int = 500
     steps_per_frame: int | None = None
     free: tuple[str, ...] = ()
-    fixed: Mapping[str, float | None] = field(default_factory=dict)
-    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    initial: Mapping[str, float] = field(default_factory=dict)
+    fixed: Mapping[str, float | None] = dataclasses.field(default_factory=dict)
+    priors: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
+    initial: Mapping[str, float] = dataclasses.field(default_factory=dict)
     start: Literal["auto", "predict", "scan"] = "auto"
     correction: bool = True
-    full_runs: int = 5
+    full_runs: int = 8
+    jacobian: Literal["full", "reduced"] = "full"
     model_error: bool = True
     outlines: bool = True
+    colours: bool = True
+    exposure: bool = True
+    nuisance: Nuisance = dataclasses.field(default_factory=Nuisance)
+    field: bool = True
+    field_file: str | None = None
+    field_budget: int = 6000
+    field_steps: int = 150
     checkpoint: str = "default"
 
     def __post_init__(self) -> None:
-        choices = {"observations": ("auto", "tracks", "video", "both"), "start": ("auto", "predict", "scan")}
+        choices = {
+            "observations": ("auto", "tracks", "video", "both"),
+            "start": ("auto", "predict", "scan"),
+            "jacobian": ("full", "reduced"),
+        }
         for name, allowed in choices.items():
             if getattr(self, name) not in allowed:
                 raise InputError(f"{name}: got {getattr(self, name)!r}; expected one of {', '.join(allowed)}")
-        for name, least in {"weights": 1, "max_nodes": 30, "full_runs": 1}.items():
+        for name, least in {
+            "weights": 1,
+            "max_nodes": 30,
+            "full_runs": 1,
+            "field_budget": 50,
+            "field_steps": 1,
+        }.items():
             if getattr(self, name) < least:
                 raise InputError(f"{name}: got {getattr(self, name)}; expected at least {least}")
         for name in ("log10_youngs_modulus", "poisson_ratio"):

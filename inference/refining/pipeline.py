@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from inference.prediction import Prediction
+from inference.refining.appearance import appearance_of
+from inference.refining.colouring import BLURS, coloured
 from inference.refining.estimates import estimates_of, judge
 from inference.refining.fits import arrays_of_correction, arrays_of_fit, arrays_of_scan, fit_of, runs_of, scan_of
 from inference.refining.motion import future_rms, motion_of
@@ -25,6 +27,7 @@ from physconvex.identify import (
     Fit,
     FitOptions,
     FullModel,
+    Model,
     Observations,
     Parameter,
     ReducedModel,
@@ -34,16 +37,21 @@ from physconvex.identify import (
     correct,
     default_parameters,
     fit,
+    fit_full,
     identifiability,
     noise_covariance,
     scan,
 )
+from physconvex.identify.full_fit import FULL_OPTIONS
+from physconvex.identify.nuisance import MarginalObservations, Nuisance
 from physconvex.identify.setup import with_free_friction
 from physconvex.reduced import parameter_values
 
 __all__ = ["refine"]
 
 _CHEAP_WEIGHTS = 6
+Arrays = dict[str, np.ndarray]
+Start = tuple[Parameter, ...]
 
 
 def refine(
@@ -88,6 +96,7 @@ class _Problem:
     twin: Twin
     parameters: tuple[Parameter, ...]
     observed: Observed
+    nuisance: Nuisance = field(default_factory=Nuisance)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -95,7 +104,8 @@ class _Problem:
 
     @property
     def seen(self) -> Observations:
-        return self.observed.observations
+        seen = self.observed.observations
+        return MarginalObservations(seen, self.nuisance, 1 / self.twin.fps) if self.nuisance.any else seen
 
     def reduced(self) -> ReducedModel:
         return ReducedModel(self.twin, self.names, self.seen.points, self.frames)
@@ -138,6 +148,9 @@ class _Run:
             again = tuple(p.at(float(v)) for p, v in zip(problem.parameters, start.values, strict=True))
             start = self._fit("reduced_again", problem, again)
         final, runs, converged = self._corrected(problem, start)
+        own = self.options.jacobian == "full" or not self.options.correction
+        if self.options.colours and own and problem.observed.cameras:
+            problem, final = self._coloured(problem, final)
         return self._result(problem, start, final, runs, converged)
 
     # -- set-up
@@ -159,7 +172,7 @@ class _Run:
         if unknown:
             raise InputError(f"initial: {unknown} are not free; free are {[p.name for p in parameters]}")
         started = tuple(p.at(options.initial.get(p.name, p.start)) for p in parameters)
-        return _Problem(twin, started, observed)
+        return _Problem(twin, started, observed, options.nuisance)
 
     def _twin_options(self, weights: int) -> TwinOptions:
         return TwinOptions(weights, self.options.max_nodes, self.options.steps_per_frame)
@@ -203,7 +216,16 @@ class _Run:
         trials = [trial for start in starts if (trial := self._grown(cheap, start)) is not None]
         best = min(trials, key=lambda trial: trial.misfit) if trials else None
         chosen = starts[0] if best is None else _from(problem.parameters, best)
-        return arrays_of_fit(fit(problem.reduced(), problem.seen, chosen))
+        return arrays_of_fit(self._fitted(problem, chosen))
+
+    def _fitted(self, problem: _Problem, start: tuple[Parameter, ...]) -> Fit:
+        return fit(problem.reduced(), problem.seen, start, options=self._reduced_options())
+
+    def _reduced_options(self) -> FitOptions:
+        """Where the full model is fitted next, the reduced one need not settle to the last digit."""
+        if self.options.correction and self.options.jacobian == "full":
+            return FitOptions(max_iterations=8, relative_tolerance=1e-3, absolute_tolerance=0.1)
+        return FitOptions()
 
     def _grown(self, cheap: _Problem, start: tuple[Parameter, ...]) -> Fit | None:
         """Fit longer and longer parts of the motion; None where the body cannot be simulated."""
@@ -218,7 +240,7 @@ class _Run:
         return found
 
     def _fit(self, name: str, problem: _Problem, start: tuple[Parameter, ...]) -> Fit:
-        arrays = self.stages.run(name, lambda: arrays_of_fit(fit(problem.reduced(), problem.seen, start)))
+        arrays = self.stages.run(name, lambda: arrays_of_fit(self._fitted(problem, start)))
         return fit_of(arrays, problem.parameters)
 
     def _corrected(self, problem: _Problem, start: Fit) -> tuple[Fit, dict[str, np.ndarray], bool]:
@@ -226,7 +248,10 @@ class _Run:
             return start, {}, start.converged
 
         def compute() -> dict[str, np.ndarray]:
-            found = correct(problem.reduced(), problem.full(), problem.seen, start, max_runs=self.options.full_runs)
+            most = self.options.full_runs
+            if self.options.jacobian == "full":
+                return arrays_of_correction(fit_full(problem.full(), problem.seen, start, max_runs=most))
+            found = correct(problem.reduced(), problem.full(), problem.seen, start, max_runs=most)
             return arrays_of_correction(found)
 
         arrays = self.stages.run("correction", compute)
@@ -237,23 +262,40 @@ class _Run:
             self.warnings.append(f"The correction did not settle in {count} runs of the full model; allow more.")
         return final, arrays, converged and final.converged
 
+    def _coloured(self, problem: _Problem, found: Fit) -> tuple[_Problem, Fit]:
+        """Fit the colours, from a wide blur to a narrow one."""
+        for blur in BLURS:
+            observed = coloured(problem.observed, self.capture, problem.twin, found, self.options, blur)
+            trial = replace(problem, observed=observed)
+            start = _from(problem.parameters, found)
+            model = trial.full() if self.options.correction and self.options.jacobian == "full" else trial.reduced()
+
+            def compute(model: Model = model, seen: Observations = trial.seen, start: Start = start) -> Arrays:
+                return arrays_of_fit(fit(model, seen, start, options=FULL_OPTIONS))
+
+            found = fit_of(self.stages.run(f"colours_{blur:g}", compute), problem.parameters)
+        return trial, found
+
     def _result(
         self, problem: _Problem, start: Fit, final: Fit, arrays: dict[str, np.ndarray], converged: bool
     ) -> Refinement:
         judged = judge(problem.twin, final, problem.seen, self.options, self.stages, self.warnings)
         final = judged.fit
-        motion = motion_of(self.capture, problem.twin, final, self.options, self.stages)
+        motion = motion_of(self.capture, problem.twin, final, self.options, self.stages, mesh=judged.mesh)
+        appearance = appearance_of(self.capture, motion, self.options, self.stages, self.warnings.append)
         told = identifiability(final)
         held = [n for n in dict.fromkeys(["log10_youngs_modulus", "poisson_ratio", *self.options.fixed])]
         held = [n for n in held if n not in problem.names]
         values = parameter_values(problem.twin.scene, held) if held else np.zeros(0)
         return Refinement(
             path=str(self.capture.folder),
-            estimates=estimates_of(final, judged.shift, told),
+            estimates=estimates_of(final, judged.left, told),
             fixed=dict(zip(held, map(float, values), strict=True)),
             covariance=noise_covariance(final),
             reduced_chi_square=final.reduced_chi_square,
-            residual_rms=problem.observed.rms(problem.seen.residuals(final.positions)),
+            residual_rms=problem.observed.rms(problem.observed.observations.residuals(final.positions)),
+            nuisances=_nuisances(problem, final),
+            appearance=appearance,
             frame_errors=judged.frame_errors,
             future_rms=future_rms(self.capture, motion),
             identifiability=told,
@@ -270,3 +312,8 @@ class _Run:
 
 def _from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Parameter, ...]:
     return tuple(p.at(float(v)) for p, v in zip(parameters, found.values, strict=True))
+
+
+def _nuisances(problem: _Problem, found: Fit) -> dict[str, float]:
+    seen = problem.seen
+    return seen.estimates(found.positions) if isinstance(seen, MarginalObservations) else {}

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
+from physconvex.camera import Camera
+from physconvex.convex import ConvexField
+from physconvex.fem import TetMesh
 from physconvex.identify import FullRun, Identifiability, Iteration
 
-__all__ = ["REFINEMENT_SCHEMA", "UNITS", "Estimate", "RefinedMotion", "Refinement"]
+__all__ = ["REFINEMENT_SCHEMA", "UNITS", "Estimate", "MovingField", "RefinedMotion", "Refinement"]
 
 REFINEMENT_SCHEMA = "physconvex/refinement/1"
 _NINETY = 1.6448536269514722  # of a normal distribution, both sides
@@ -45,7 +48,7 @@ class Estimate:
         value: [unit].
         noise_sigma: standard deviation from the noise of the data; enlarged by the root of the reduced χ² where the
             residual is larger than the stated noise.
-        model_error: how far the finer model moved the value, to first order, signed; NaN where that was not tried.
+        model_error: standard deviation by the model error that is left; NaN where no finer model was tried.
         interval: 90 %, of noise and model error together; None at a bound.
         lower, upper: bounds.
         prior: mean and standard deviation, or None.
@@ -88,6 +91,24 @@ def _plain(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
+@runtime_checkable
+class MovingField(Protocol):
+    """A convex field bound to the motion, see `inference.refining.appearance`."""
+
+    @property
+    def field(self) -> ConvexField:
+        """At rest, world frame."""
+
+    def at(self, frame: int) -> ConvexField:
+        """The field in a frame."""
+
+    def image(self, frame: int, camera: Camera) -> tuple[UInt8[np.ndarray, "H W 3"], np.ndarray]:
+        """What a camera sees of it in a frame, before white, and its alpha [H, W]."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Number of convexes, source, PSNR of the first images [dB]."""
+
+
 @dataclass(frozen=True, eq=False)
 class RefinedMotion:
     """The motion of the fitted model in all frames, the future ones too.
@@ -100,6 +121,9 @@ class RefinedMotion:
         handles: Z_m(t) of the reduced model, φ = X + Σ W_m Z_m [X; 1], shape [T, M + 1, 3, 4].
         weight_points, weights: rest positions [m] [N, 3] and skinning weights [N, M] of the mesh nodes.
         model: "full" or "reduced": where vertices and markers come from.
+        mesh, nodes: the mesh of that model at rest, and its nodes [m], shape [T, K, 3].
+        reduced_gap: rms distance to it [m] of the reduced model with its first weights, and with those that were
+            refined by the full model's motion, whose handles these are; empty without the full model.
     """
 
     times: Float[np.ndarray, " T"]
@@ -110,6 +134,9 @@ class RefinedMotion:
     weight_points: Float[np.ndarray, "N 3"]
     weights: Float[np.ndarray, "N M"]
     model: str
+    mesh: TetMesh
+    nodes: Float[np.ndarray, "T K 3"]
+    reduced_gap: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +162,8 @@ class Refinement:
         observed_frames: frames that were fitted.
         sources: what was fitted, such as "12 markers" or "camera front: 80 points".
         warnings: what the user should know.
+        nuisances: camera pose and time offset, where they were free, by name and unit.
+        appearance: the object as a convex field that moves with the body; None without one.
     """
 
     path: str
@@ -154,6 +183,8 @@ class Refinement:
     observed_frames: int
     sources: tuple[str, ...]
     warnings: tuple[str, ...]
+    nuisances: dict[str, float]
+    appearance: MovingField | None = None
 
     def __getitem__(self, name: str) -> Estimate:
         """The estimate of a free parameter."""
@@ -218,8 +249,11 @@ class Refinement:
             ],
             "converged": self.converged,
             "motion_model": self.motion.model,
+            "reduced_model_rms_m": dict(zip(("eigenmodes", "refined_weights"), self.motion.reduced_gap, strict=False)),
+            "convex_field": self.appearance.to_json() if self.appearance else None,
             "frames": len(self.motion.times),
             "observed_frames": self.observed_frames,
             "sources": list(self.sources),
             "warnings": list(self.warnings),
+            "nuisances": self.nuisances,
         }

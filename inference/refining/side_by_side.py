@@ -40,8 +40,12 @@ def _video_frames(found: Refinement, capture: Capture) -> UInt8[np.ndarray, "T H
         warped = cv2.remap(first, source[..., 0], source[..., 1], cv2.INTER_LINEAR)
         grey = shaded(camera, motion.vertices[frame], motion.faces, hit)[..., None].repeat(3, -1)
         model = np.where(known[..., None], warped, grey)
-        model = np.where((hit.faces >= 0)[..., None], model, 255.0)
-        difference = np.abs(model - image) * (hit.faces >= 0)[..., None]
+        inside = (hit.faces >= 0).astype(np.float64)
+        model = np.where(inside[..., None] > 0, model, 255.0)
+        if found.appearance is not None:
+            drawn, inside = found.appearance.image(frame, camera)
+            model = drawn.astype(np.float64)
+        difference = np.abs(model - image) * inside[..., None]
         panel = np.concatenate([image, model.clip(0, 255), 255 - difference.clip(0, 255)], axis=1)
         out.append(_labelled(_even(panel.astype(np.uint8)), frame, found))
     return np.stack(out)

@@ -19,6 +19,7 @@ from inference.refining.result import Refinement
 from inference.refining.side_by_side import write_side_by_side
 from physconvex import __version__
 from physconvex.capture import load_capture
+from physconvex.convex import write_ply
 
 __all__ = ["write_refinement"]
 
@@ -31,7 +32,7 @@ def write_refinement(
     command: Sequence[str] | None = None,
     pictures: bool = True,
 ) -> None:
-    """Write `refinement.json`, `trajectory.npz`, `fit.png`, `side_by_side.mp4` and `run.json` into a folder.
+    """Write `refinement.json`, `trajectory.npz`, `field.ply`, `fit.png`, `side_by_side.mp4` and `run.json`.
 
     Args:
         found: the refinement.
@@ -53,6 +54,8 @@ def write_refinement(
         weight_points=motion.weight_points,
         weights=motion.weights.astype(np.float32),
     )
+    if found.appearance is not None:
+        write_ply(found.appearance.field, folder / "field.ply")
     if pictures:
         capture = load_capture(found.path)
         write_plots(found, capture, folder / "fit.png")

@@ -10,6 +10,7 @@ from physconvex.fem.meshing import tetrahedralize
 from physconvex.fem.modes import skinning_eigenmodes, skinning_responses, vibration_modes
 from physconvex.fem.quality import mesh_quality
 from physconvex.fem.scene import Pins, Scene
+from physconvex.fem.sensitivity import SensitiveTrajectory, simulate_with_sensitivities
 from physconvex.fem.simulation import SolveStatistics, Trajectory, simulate, solve_static
 
 __all__ = [
@@ -18,6 +19,7 @@ __all__ = [
     "Pins",
     "Plane",
     "Scene",
+    "SensitiveTrajectory",
     "SolveStatistics",
     "Sphere",
     "TetMesh",
@@ -27,6 +29,7 @@ __all__ = [
     "refine",
     "sample_interior",
     "simulate",
+    "simulate_with_sensitivities",
     "skinning_eigenmodes",
     "skinning_responses",
     "solve_static",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import weakref
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +28,7 @@ from physconvex.integrators import (
 )
 from physconvex.linear_solvers import SymmetricSolver
 
-__all__ = ["SolveStatistics", "Trajectory", "simulate", "solve_static"]
+__all__ = ["SolveStatistics", "StepEquations", "StepRecord", "Trajectory", "simulate", "solve_static"]
 
 _MAX_HALVINGS = 8
 
@@ -61,7 +62,7 @@ class Trajectory:
     statistics: SolveStatistics
 
 
-class _Equations:
+class StepEquations:
     """Incremental potential of one time step (or, without inertia, the static potential) as an `Objective`."""
 
     def __init__(self, scene: Scene) -> None:
@@ -180,13 +181,29 @@ class _Equations:
         return out
 
 
+@dataclass(frozen=True)
+class StepRecord:
+    """One converged time step: the states about it, its length [s], how it was taken, and in how many solves."""
+
+    before: State
+    history: State | None
+    after: State
+    step: float
+    two_step: bool
+    passes: int
+
+
+Observer = Callable[[StepEquations, StepRecord], None]
+
+
 class _Stepper:
     """Advances a state; a step that does not converge is cut in two."""
 
     def __init__(self, scene: Scene, integrator: IntegratorName, tolerance: float, friction_passes: int) -> None:
+        self.observer: Observer | None = None
         self.scene, self.integrator, self.friction_passes = scene, integrator, friction_passes
         self.tolerance = tolerance * scene.body.mesh.size
-        self.equations = _Equations(scene)
+        self.equations = StepEquations(scene)
         self.previous: State | None = None
         self.previous_step = np.nan
         self.steps = self.iterations = self.halved = self.projections = 0
@@ -215,15 +232,18 @@ class _Stepper:
         guess = extrapolate(state, history, step)
         self._place_pins(guess, time)
         self.equations.set_step(coefficients, time, guess, state)
-        found = self._minimise(guess)
+        found, passes = self._minimise(guess), 1
         for _ in range(self.friction_passes - 1):
             if not self.equations.freeze_friction(found.x):
                 break
-            last, found = found.x, self._minimise(found.x)
+            last, found, passes = found.x, self._minimise(found.x), passes + 1
             if np.abs(found.x - last).max() <= step * self.equations.contact.slip_velocity:
                 break
         self.steps += 1
-        return State(time, found.x, coefficients.velocity(found.x))
+        after = State(time, found.x, coefficients.velocity(found.x))
+        if self.observer is not None:
+            self.observer(self.equations, StepRecord(state, history, after, step, two_step, passes))
+        return after
 
     def _minimise(self, start: np.ndarray) -> Minimum:
         found = minimise(self.equations, start, tolerance=self.tolerance)
@@ -255,6 +275,8 @@ def simulate(
     integrator: IntegratorName = "bdf2",
     tolerance: float = 1e-7,
     friction_passes: int = 12,
+    observer: Observer | None = None,
+    on_frame: Callable[[State], None] | None = None,
 ) -> Trajectory:
     """Roll a scene out in time.
 
@@ -268,6 +290,8 @@ def simulate(
         friction_passes: how often friction is linearised and solved in each step at most; fewer are made where the
             velocities no longer change by more than the scene's `slip_velocity`. One is explicit in the friction
             weights.
+        observer: told each converged step and its equations.
+        on_frame: told the state at each frame after the first.
 
     Raises:
         InputError: an argument out of range.
@@ -275,6 +299,7 @@ def simulate(
     """
     check_stepping(frames, fps, steps_per_frame, integrator, friction_passes)
     stepper = _Stepper(scene, integrator, tolerance, friction_passes)
+    stepper.observer = observer
     states = [State(0.0, scene.start.copy(), scene.start_velocities())]
     state = states[0]
     for frame in range(1, frames):
@@ -282,6 +307,8 @@ def simulate(
             state = stepper.advance(state, 1.0 / (fps * steps_per_frame))
         state = replace(state, time=frame / fps)
         states.append(state)
+        if on_frame is not None:
+            on_frame(state)
     return Trajectory(
         times=np.array([s.time for s in states]),
         positions=np.stack([s.positions for s in states]),
@@ -303,7 +330,7 @@ def solve_static(scene: Scene, *, tolerance: float = 1e-9, load_steps: int = 1) 
     """
     if load_steps < 1:
         raise InputError(f"load_steps: got {load_steps}; expected at least 1")
-    equations = _Equations(scene)
+    equations = StepEquations(scene)
     x = scene.start.copy()
     if scene.pins is not None:
         x[scene.pins.nodes] = scene.pins.positions(0.0, scene.start)

@@ -1,7 +1,16 @@
 """Identification: a capture's base twin, what was seen, the unknowns, the search, the correction, the uncertainty."""
 
 from physconvex.identify.clamping import Clamp, clamp_of
-from physconvex.identify.correction import CorrectedModel, Correction, FullRun, correct, parameter_shift
+from physconvex.identify.correction import (
+    CorrectedModel,
+    Correction,
+    FullRun,
+    correct,
+    parameter_shift,
+    parameter_shifts,
+)
+from physconvex.identify.finer import FinerFit, fit_finer
+from physconvex.identify.full_fit import fit_full
 from physconvex.identify.held_region import HeldRegion
 from physconvex.identify.levenberg_marquardt import Fit, FitOptions, Iteration, fit
 from physconvex.identify.model import FullModel, Model, ReducedModel
@@ -24,6 +33,7 @@ __all__ = [
     "Clamp",
     "CorrectedModel",
     "Correction",
+    "FinerFit",
     "Fit",
     "FitOptions",
     "FullModel",
@@ -49,12 +59,15 @@ __all__ = [
     "default_parameter",
     "default_parameters",
     "fit",
+    "fit_finer",
+    "fit_full",
     "frame_errors",
     "identifiability",
     "marker_observations",
     "mesh_of_capture",
     "noise_covariance",
     "parameter_shift",
+    "parameter_shifts",
     "scan",
     "scan_values",
 ]

@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from physconvex.errors import ConvergenceError
 from physconvex.identify.levenberg_marquardt import Fit, FitOptions, fit
@@ -26,11 +26,20 @@ from physconvex.identify.observations import MarkerObservations, Observations
 from physconvex.identify.parameters import Parameter, lower_bounds, step_scales, upper_bounds
 from physconvex.identify.uncertainty import noise_covariance
 
-__all__ = ["CorrectedModel", "Correction", "FullRun", "correct", "parameter_shift"]
+__all__ = [
+    "FAR",
+    "CorrectedModel",
+    "Correction",
+    "FullRun",
+    "correct",
+    "misfit_of",
+    "parameter_shift",
+    "parameter_shifts",
+]
 
 _STEP_DONE = 0.01  # of a typical step: 0.002 decades of E
 _NOISE_DONE = 0.2  # of a standard deviation
-_FAR = 3.0  # times the reduced model's misfit
+FAR = 3.0  # times the reduced model's misfit
 _ALIGNED = (0.0, 0.12, -0.12, -0.24, -0.36)  # decades of E; reduced models are too stiff, so that they want less
 
 
@@ -85,13 +94,13 @@ class Correction:
 
     Attributes:
         fit: of the corrected model.
-        model: the corrected model, exact at the last run of the full one.
+        model: the corrected model, exact at the last run of the full one; or the full one itself.
         runs: of the full model.
         converged: whether the last step was below a hundredth of the typical ones, or a fifth of the noise.
     """
 
     fit: Fit
-    model: CorrectedModel
+    model: Model
     runs: tuple[FullRun, ...]
     converged: bool
 
@@ -142,11 +151,11 @@ def correct(
         if previous is not None:
             slope = _broyden(slope, previous, values, shift, scales)
         previous = (values, shift)
-        misfit = _loss(observations, exact) + prior(values)
+        misfit = misfit_of(observations, exact) + prior(values)
         runs.append(FullRun(values, misfit, float(np.sqrt(np.square(shift).sum(-1).mean()))))
         if on_run is not None:
             on_run(runs[-1])
-        if len(runs) == 1 and misfit > _FAR * start.misfit and max_runs > 1:
+        if len(runs) == 1 and misfit > FAR * start.misfit and max_runs > 1:
             values = _aligned(model, observations.points, exact, start)
             continue
         corrected = CorrectedModel(model, values, shift, slope)
@@ -226,7 +235,8 @@ def _broyden(
     return slope + unexplained[:, None] * (step / scales / square)[None, :, None, None]
 
 
-def _loss(observations: Observations, positions: np.ndarray) -> float:
+def misfit_of(observations: Observations, positions: Float[np.ndarray, "T P 3"]) -> float:
+    """Half the squares of the residuals, Huber's loss where they are large; without priors."""
     size, limit = np.abs(observations.residuals(positions)), observations.robust_scales
     with np.errstate(invalid="ignore"):
         return float(np.where(size <= limit, 0.5 * size**2, limit * (size - 0.5 * limit)).sum())
@@ -240,5 +250,14 @@ def _prior(start: Fit) -> Callable[[np.ndarray], float]:
 
 def parameter_shift(found: Fit, change: Sequence[float] | np.ndarray) -> Float[np.ndarray, " K"]:
     """How far a change of the whitened residuals [N] moves the fitted values, to first order."""
-    gradient = found.jacobian.T @ (found.weights * np.asarray(change))
-    return -noise_covariance(found) @ gradient
+    return parameter_shifts(found, change, np.zeros(len(change), dtype=int))[0]
+
+
+def parameter_shifts(
+    found: Fit, change: Sequence[float] | np.ndarray, groups: Int[np.ndarray, " N"]
+) -> Float[np.ndarray, "G K"]:
+    """How far each group of a change's rows moves the fitted values, to first order; groups count from 0."""
+    rows = found.jacobian * (found.weights * np.asarray(change))[:, None]
+    gradient = np.zeros((int(groups.max()) + 1, rows.shape[1]))
+    np.add.at(gradient, groups, rows)
+    return -gradient @ noise_covariance(found)

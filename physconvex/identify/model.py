@@ -11,13 +11,18 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.errors import InputError
+from physconvex.fem import Scene
 from physconvex.fem import simulate as simulate_full
+from physconvex.fem import simulate_with_sensitivities as full_with_sensitivities
 from physconvex.fem.embedding import Embedding
 from physconvex.fem.mesh import TetMesh
+from physconvex.identify.parameters import default_parameter, lower_bounds, step_scales, upper_bounds
 from physconvex.identify.twin import Twin
 from physconvex.reduced import simulate, simulate_with_sensitivities
 
 __all__ = ["FullModel", "Model", "ReducedModel"]
+
+_DIFFERENCE = 1e-4  # of a typical step: half width of the central differences
 
 
 @runtime_checkable
@@ -78,7 +83,7 @@ class ReducedModel:
 
 @dataclass(frozen=True, eq=False)
 class FullModel:
-    """The full-order finite elements as a model; it has no derivatives.
+    """The full-order finite elements as a model.
 
     Attributes:
         twin: body and world.
@@ -102,10 +107,15 @@ class FullModel:
 
     def node_positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T V 3"]:
         """Positions of the nodes of the mesh at the frames [m]."""
-        scene = self.twin.with_values(self.names, values).full_scene(self.mesh)
+        return simulate_full(self.scene(values), **self._timing()).positions
+
+    def scene(self, values: Float[np.ndarray, " K"]) -> Scene:
+        """The scene with the parameters set."""
+        return self.twin.with_values(self.names, values).full_scene(self.mesh)
+
+    def _timing(self) -> dict[str, Any]:
         timing = self.twin.timing(self.frames)
-        timing["steps_per_frame"] *= self.refinement
-        return simulate_full(scene, **timing).positions
+        return timing | {"steps_per_frame": timing["steps_per_frame"] * self.refinement}
 
     def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
         """Positions of the points at the frames [m]."""
@@ -114,12 +124,17 @@ class FullModel:
     def linearise(
         self, values: Float[np.ndarray, " K"]
     ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
-        """There are none.
-
-        Raises:
-            InputError: always; take the derivatives of the reduced model (`correct`).
-        """
-        raise InputError("FullModel: has no derivatives; fit a ReducedModel and `correct` it with this one")
+        """Positions and their derivatives (`physconvex.fem.simulate_with_sensitivities`)."""
+        usual = [default_parameter(name) for name in self.names]
+        run = full_with_sensitivities(
+            self.scene,
+            values,
+            steps=_DIFFERENCE * step_scales(usual),
+            lower=lower_bounds(usual),
+            upper=upper_bounds(usual),
+            **self._timing(),
+        )
+        return self._embedding.apply(run.trajectory.positions), self._embedding.apply(run.position_tangents)
 
 
 def check_names(names: Sequence[str], expected: Sequence[str]) -> None:

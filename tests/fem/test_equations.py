@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from physconvex.fem import ElasticBody, Pins, Plane, Scene, Sphere, box_mesh
-from physconvex.fem.simulation import _Equations
+from physconvex.fem.simulation import StepEquations
 from physconvex.integrators import State, bdf2, implicit_euler
 from physconvex.materials import LAWS
 
@@ -130,9 +130,9 @@ def full_scene(order: int, *, sphere: bool = False, pins: bool = True) -> Scene:
     )
 
 
-def step_equations(scene: Scene, *, two_step: bool) -> tuple[_Equations, np.ndarray]:
+def step_equations(scene: Scene, *, two_step: bool) -> tuple[StepEquations, np.ndarray]:
     """Equations of one time step between random states, and a random point to look at (pins respected)."""
-    equations, body, rng = _Equations(scene), scene.body, np.random.default_rng(3)
+    equations, body, rng = StepEquations(scene), scene.body, np.random.default_rng(3)
     states = [State(0.0, shaken(body, s, 0.004), 0.3 * rng.normal(size=body.mesh.vertices.shape)) for s in (1, 2)]
     coefficients = bdf2(states[1], states[0], 0.01) if two_step else implicit_euler(states[1], 0.01)
     x = shaken(body, 7, 0.002)
@@ -170,7 +170,7 @@ def test_factorised_matrix_is_the_derivative_of_the_gradient(order, pins):
 
 def test_static_matrix_is_the_derivative_of_the_gradient():
     scene = full_scene(2)
-    equations = _Equations(scene)
+    equations = StepEquations(scene)
     x = shaken(scene.body, 7, 0.00002)  # near rest: definite without inertia
     equations.factorise(x, project=False)
     d = directions(x.shape, 1)[0] * scene.free_nodes()[:, None]

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from inference.refining import RefineOptions, refine
+from inference.refining import RefineOptions, refine, write_refinement
 from physconvex.camera import look_at
-from physconvex.capture import Capture, Floor, save_capture
+from physconvex.capture import Capture, Floor, load_capture, save_capture
+from physconvex.convex import read_ply
 from physconvex.errors import InputError
 from physconvex.fem import TetMesh, box_mesh
 from physconvex.identify import ReducedModel, TwinOptions, base_twin
@@ -14,7 +15,14 @@ from physconvex.identify.raster import cast_camera_rays
 
 FRAMES, OBSERVED = 7, 6
 TRUTH = {"log10_youngs_modulus": np.log10(2e4), "poisson_ratio": 0.38, "damping_time": 1e-3}
-FEW = {"weights": 3, "steps_per_frame": 4, "correction": False, "model_error": False}
+FEW = {
+    "weights": 3,
+    "steps_per_frame": 4,
+    "correction": False,
+    "model_error": False,
+    "field_budget": 300,
+    "field_steps": 6,
+}
 
 
 def texture(points):
@@ -71,11 +79,20 @@ def test_one_camera_is_enough(folder, tmp_path):
     start = {"log10_youngs_modulus": 4.1, "poisson_ratio": 0.3}
     options = RefineOptions(initial=start, **FEW)
     found = refine(folder, out=tmp_path, options=options, on_stage=lambda name, _: stages.append(name))
-    assert stages == ["points", "reduced", "anchored", "reduced_again", "motion"]
+    fits = ["points", "reduced", "anchored", "reduced_again", "colours_3", "colours_1.2"]
+    assert stages == [*fits, "motion", "field"]
     assert found["log10_youngs_modulus"].value == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.05)
     assert found["poisson_ratio"].value == pytest.approx(TRUTH["poisson_ratio"], abs=0.06)
-    assert len(found.sources) == 2 and "outline points" in found.sources[1]
+    assert len(found.sources) == 2 and "colours of" in found.sources[0] and "outline points" in found.sources[1]
     assert np.isnan(found.future_rms)
+    write_refinement(found, tmp_path, pictures=False)
+    field = read_ply(tmp_path / "field.ply")
+    assert found.appearance is not None and len(field) == len(found.appearance.field) > 50
+    moved = found.appearance.at(FRAMES - 1).points.mean((0, 1)) - field.points.mean((0, 1))
+    body = found.motion.vertices[-1].mean(0) - found.motion.vertices[0].mean(0)
+    np.testing.assert_allclose(moved.numpy(), body, atol=0.01)
+    picture, alpha = found.appearance.image(2, load_capture(folder).cameras[0])
+    assert picture.shape == (128, 192, 3) and 0.02 < alpha.mean() < 0.6
 
 
 def test_a_camera_that_is_not_there_is_named(folder):

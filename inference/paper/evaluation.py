@@ -1,0 +1,245 @@
+"""Identification, dynamic reconstruction, future prediction and generalisation of every object of a benchmark.
+
+Each part of an object is stored as it is finished (`OUT/objects/NAME.json`), so that an evaluation can be stopped.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from inference.paper.pictures import score_pictures
+from inference.paper.published_way import NAMES, fit_as_published
+from inference.predictor import predict
+from inference.reconstruction import reconstruct
+from inference.refining import Refinement, RefineOptions, refine
+from physconvex.camera import Camera
+from physconvex.capture import Capture, load_capture
+from physconvex.convex import read_ply
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.fem import Embedding, simulate
+from physconvex.identify import Twin, TwinOptions, base_twin
+from physconvex.identify.changes import CHANGES, changed
+from physconvex.reconstruction import ReconstructionConfig
+
+__all__ = ["PaperOptions", "evaluate_paper"]
+
+CONSTANT = (5.5, 0.345)  # the middle of the ranges 1e4 to 1e7 Pa and .2 to .49
+
+
+@dataclass(frozen=True)
+class PaperOptions:
+    """Sizes of the evaluation.
+
+    Attributes:
+        max_nodes: of the models' quadratic meshes.
+        steps_per_frame: of the models; None: at least 384 per second.
+        weights: M of the reduced model of `refine`.
+        full_runs: most linearisations of the full model.
+        model_error: add what a finer mesh says.
+        adam_steps: of the published way; 0 leaves it out.
+        ablation: M of which the reduced model alone is fitted by `refine`.
+        field_budget, field_steps: of the fields.
+        checkpoint: of the network.
+    """
+
+    max_nodes: int = 500
+    steps_per_frame: int | None = None
+    weights: int = 20
+    full_runs: int = 8
+    model_error: bool = True
+    adam_steps: int = 400
+    ablation: tuple[int, ...] = (8, 10, 12)
+    field_budget: int = 24_000
+    field_steps: int = 400
+    checkpoint: str = "default"
+
+
+def evaluate_paper(
+    benchmark: Path,
+    out: Path,
+    options: PaperOptions | None = None,
+    *,
+    on_part: Callable[[str, str], None] | None = None,
+) -> list[dict[str, Any]]:
+    """Evaluate (or go on with) all objects.
+
+    Args:
+        benchmark: folder of `physconvex generate benchmark`.
+        out: folder of the results.
+        options: sizes.
+        on_part: told the object and the part that begins.
+
+    Returns:
+        What `OUT/objects/NAME.json` hold.
+
+    Raises:
+        InputError: no benchmark, or `out` holds an evaluation with other options.
+    """
+    options = options or PaperOptions()
+    claim = benchmark / "benchmark.json"
+    if not claim.exists():
+        raise InputError(f"{benchmark}: no benchmark.json; make one with `physconvex generate benchmark`")
+    names = list(json.loads(claim.read_text(encoding="utf-8"))["objects"])
+    (out / "objects").mkdir(parents=True, exist_ok=True)
+    held, settings = out / "options.json", json.loads(json.dumps(asdict(options)))
+    if held.exists() and json.loads(held.read_text(encoding="utf-8")) != settings:
+        raise InputError(f"{out}: holds an evaluation with other options; choose another folder")
+    held.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
+    return [_Object(benchmark, out, name, options, on_part).evaluate() for name in names]
+
+
+class _Object:
+    """One object of the benchmark."""
+
+    def __init__(
+        self,
+        benchmark: Path,
+        out: Path,
+        name: str,
+        options: PaperOptions,
+        on_part: Callable[[str, str], None] | None,
+    ) -> None:
+        self.name, self.options, self.on_part = name, options, on_part
+        self.capture: Capture = load_capture(benchmark / "captures" / name)
+        self.first, self.truth = benchmark / "first_frames" / name, benchmark / "truth" / name
+        self.work, self.file = out / "work" / name, out / "objects" / f"{name}.json"
+        self.true = json.loads((self.truth / "truth.json").read_text(encoding="utf-8"))
+        self.cameras = [Camera.from_json(c) for c in json.loads((self.truth / "cameras.json").read_text("utf-8"))]
+        self.content: dict[str, Any] = json.loads(self.file.read_text("utf-8")) if self.file.exists() else {}
+
+    def evaluate(self) -> dict[str, Any]:
+        self.content |= {"object": self.name, "truth": {name: self._true(name) for name in NAMES}}
+        parts: list[tuple[str, Callable[[], dict[str, Any]]]] = [
+            ("constant", lambda: self._errors(np.array(CONSTANT))),
+            ("network", self._network),
+            ("field", self._field),
+            ("refined", self._refined),
+        ]
+        if self.options.adam_steps:
+            parts.append(("published_way", self._published_way))
+        parts += [(f"reduced_M{m}", lambda m=m: self._reduced(m)) for m in self.options.ablation]  # type: ignore[misc]
+        for part, compute in parts:
+            self._part(part, compute)
+        return self.content
+
+    def _part(self, part: str, compute: Callable[[], dict[str, Any]]) -> None:
+        if part in self.content:
+            return
+        if self.on_part is not None:
+            self.on_part(self.name, part)
+        clock, wall = time.process_time(), time.perf_counter()
+        try:
+            found = compute()
+        except (ConvergenceError, InputError) as error:  # a failure is a result here, and named
+            found = {"failure": f"{type(error).__name__}: {error}"}
+        found["process_seconds"] = round(time.process_time() - clock, 1)
+        found["seconds"] = round(time.perf_counter() - wall, 1)
+        self.content[part] = found
+        partial = self.file.with_suffix(".part")
+        partial.write_text(json.dumps(self.content, indent=1) + "\n", encoding="utf-8")
+        partial.replace(self.file)
+
+    def _true(self, name: str) -> float:
+        return float(np.log10(self.true["youngs_modulus"])) if name == NAMES[0] else float(self.true[name])
+
+    def _errors(self, values: np.ndarray) -> dict[str, Any]:
+        wanted = np.array([self._true(name) for name in NAMES])
+        return {"values": [float(v) for v in values], "errors": [float(v) for v in values - wanted]}
+
+    # -- parts
+
+    def _network(self) -> dict[str, Any]:
+        found = predict(self.capture.folder, checkpoint=self.options.checkpoint)
+        return self._errors(np.array([np.log10(found.youngs_modulus), found.poisson_ratio]))
+
+    def _field(self) -> dict[str, Any]:
+        config = ReconstructionConfig(budget=self.options.field_budget, steps=self.options.field_steps)
+        found = reconstruct(self.first, out=self.work / "field", config=config)
+        return {"convexes": len(found.field), "psnr": float(np.mean([score.psnr for score in found.training]))}
+
+    def _refine(self, options: RefineOptions, name: str) -> Refinement:
+        return refine(self.capture.folder, out=self.work / name, options=options)
+
+    def _twin_options(self) -> TwinOptions:
+        return TwinOptions(max_nodes=self.options.max_nodes, steps_per_frame=self.options.steps_per_frame)
+
+    def _settings(self) -> RefineOptions:
+        options = self.options
+        return RefineOptions(
+            observations="video",
+            weights=options.weights,
+            max_nodes=options.max_nodes,
+            steps_per_frame=options.steps_per_frame,
+            full_runs=options.full_runs,
+            model_error=options.model_error,
+            field=False,
+            checkpoint=options.checkpoint,
+        )
+
+    def _refined(self) -> dict[str, Any]:
+        found = self._refine(self._settings(), "refined")
+        estimates = [found[name] for name in NAMES]
+        wanted = [self._true(name) for name in NAMES]
+        intervals = [e.interval for e in estimates]
+        out = self._errors(np.array([e.value for e in estimates]))
+        out["covered"] = [
+            None if i is None else bool(i[0] <= w <= i[1]) for i, w in zip(intervals, wanted, strict=True)
+        ]
+        out["in_words"] = [*found.identifiability.sentences, *found.warnings]
+        out["reduced_model_rms_m"] = list(found.motion.reduced_gap)
+        out |= self._motion(found.motion.mesh, found.motion.nodes)
+        twin = base_twin(self.capture, self._twin_options())
+        return out | {"changes": self._changes(twin, found)}
+
+    def _motion(self, mesh: Any, nodes: np.ndarray) -> dict[str, Any]:
+        """Distance of the surface from the truth, and scores of the pictures, observed and future."""
+        seen = self.capture.observed_frames
+        parts = {"observed": range(0, seen), "future": range(seen, self.capture.frames)}
+        with np.load(self.truth / "points.npz") as arrays:
+            gaps = Embedding.of_points(mesh, arrays["rest"]).apply(nodes) - arrays["positions"]
+        distance = np.sqrt(np.square(gaps).sum(-1).mean(-1))
+        out: dict[str, Any] = {"rms_m": distance.tolist(), "pictures": {}}
+        if "failure" in self.content["field"]:
+            return out
+        field = read_ply(self.work / "field" / "field.ply")
+        for label, frames in parts.items():
+            if len(frames):
+                scores = score_pictures(field, mesh, nodes, self.cameras, self.truth, frames)
+                out["pictures"][label] = {view: asdict(score) for view, score in scores.items()}
+        return out
+
+    def _changes(self, twin: Twin, found: Refinement) -> dict[str, Any]:
+        """Rms distance [m] from the truth under the same change, beside how far the change moved the truth."""
+        names = [e.name for e in found.estimates]
+        fitted = twin.with_values(names, np.array([e.value for e in found.estimates]))
+        out = {}
+        with np.load(self.truth / "points.npz") as arrays:
+            points = Embedding.of_points(twin.mesh, arrays["rest"])
+            for change in CHANGES:
+                run = simulate(changed(fitted.full_scene(), change), **fitted.timing())
+                gap = points.apply(run.positions) - arrays[f"positions_{change}"]
+                moved = arrays[f"positions_{change}"] - arrays["positions"]
+                out[change] = {
+                    "rms_m": float(np.sqrt(np.square(gap).sum(-1).mean())),
+                    "change_rms_m": float(np.sqrt(np.square(moved).sum(-1).mean())),
+                }
+        return out
+
+    def _published_way(self) -> dict[str, Any]:
+        network = self.content["network"]
+        start = np.array(network["values"] if "values" in network else CONSTANT)
+        found = fit_as_published(self.capture, start, steps=self.options.adam_steps, max_nodes=self.options.max_nodes)
+        out = self._errors(found.values) | {"misfit": found.misfit, "steps": found.steps}
+        return out | self._motion(found.twin.mesh, found.nodes)
+
+    def _reduced(self, weights: int) -> dict[str, Any]:
+        settings = replace(self._settings(), weights=weights, correction=False, model_error=False, colours=False)
+        found = self._refine(settings, f"reduced_{weights}")
+        return self._errors(np.array([found[name].value for name in NAMES]))

@@ -1,0 +1,100 @@
+"""Means over objects and Markdown tables of an evaluation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+__all__ = ["markdown", "summary"]
+
+_WAYS = {"constant": "constant guess", "network": "network alone", "published_way": "published way, run here",
+         "refined": "refined"}  # fmt: skip
+
+
+def _label(part: str) -> str:
+    return _WAYS.get(part, part.replace("reduced_M", "reduced model alone, M = "))
+
+
+def _ways(rows: Sequence[dict[str, Any]]) -> list[str]:
+    return [part for part in dict.fromkeys(p for row in rows for p in row) if part in _WAYS or "reduced_M" in part]
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Means over the objects: |Δlog10 E|, |Δν|, coverage, pictures, changes, time; failures by name."""
+    out: dict[str, Any] = {"objects": len(rows), "identification": {}, "pictures": {}, "changes": {}, "failures": []}
+    for way in _ways(rows):
+        good = [row[way] for row in rows if "errors" in row.get(way, {})]
+        out["failures"] += [f"{row['object']}: {way}: {row[way]['failure']}" for row in rows if "failure" in row[way]]
+        if not good:
+            continue
+        errors = np.abs([row["errors"] for row in good])
+        out["identification"][way] = {
+            "log10_error": float(errors[:, 0].mean()),
+            "poisson_error": float(errors[:, 1].mean()),
+            "process_seconds": float(np.mean([row["process_seconds"] for row in good])),
+            "objects": len(good),
+        }
+        _add_pictures(out["pictures"], way, good)
+    refined = [row["refined"] for row in rows if "errors" in row.get("refined", {})]
+    covered = [c for row in refined for c in row["covered"] if c is not None]
+    out["coverage_90"], out["intervals"] = (float(np.mean(covered)) if covered else None), len(covered)
+    for change in refined[0]["changes"] if refined else ():
+        values = [(row["changes"][change]["rms_m"], row["changes"][change]["change_rms_m"]) for row in refined]
+        out["changes"][change] = dict(zip(("rms_m", "change_rms_m"), np.mean(values, axis=0).tolist(), strict=True))
+    return out
+
+
+def _add_pictures(target: dict[str, Any], way: str, good: Sequence[dict[str, Any]]) -> None:
+    for part in ("observed", "future"):
+        for view in ("front", "others"):
+            found = [row["pictures"][part][view] for row in good if view in row.get("pictures", {}).get(part, {})]
+            if found:
+                means = {n: float(np.mean([f[n] for f in found])) for n in ("psnr", "ssim", "psnr_object")}
+                quality = [f["fovvdp"] for f in found if f["fovvdp"] is not None]
+                means |= {"fovvdp": float(np.mean(quality))} if quality else {}
+                target.setdefault(way, {}).setdefault(part, {})[view] = means
+
+
+def markdown(rows: Sequence[dict[str, Any]], note: str) -> str:
+    """The tables, as a page."""
+    told = summary(rows)
+    lines = ["# Tables", "", note, "", "Errors are fit less truth; E in decades (log10).", "", "## Identification", ""]
+    ways = _ways(rows)
+    lines += ["| object | log10 E, ν | " + " | ".join(_label(way) for way in ways) + " |"]
+    lines += ["|---|---|" + "---|" * len(ways)]
+    for row in rows:
+        truth = list(row["truth"].values())
+        cells = [_pair(row.get(way, {}).get("errors")) for way in ways]
+        lines.append(f"| {row['object']} | {truth[0]:.2f}, {truth[1]:.2f} | " + " | ".join(cells) + " |")
+    means = [told["identification"].get(way) for way in ways]
+    cells = ["–" if m is None else f"{m['log10_error']:.3f} / {m['poisson_error']:.3f}" for m in means]
+    lines.append("| **mean of absolutes** | | " + " | ".join(cells) + " |")
+    seconds = ["–" if m is None else f"{m['process_seconds']:.0f} s" for m in means]
+    lines.append("| processor time | | " + " | ".join(seconds) + " |")
+    share = told["coverage_90"]
+    lines += [
+        "",
+        f"90 % intervals that hold the truth: {'–' if share is None else f'{share:.2f}'} of {told['intervals']}.",
+    ]
+    lines += ["", "## Pictures", "", "| | frames | views | PSNR | SSIM | PSNR on the object | FovVideoVDP |"]
+    lines += ["|---|---|---|---|---|---|---|"]
+    for way, parts in told["pictures"].items():
+        for part, views in parts.items():
+            for view, s in views.items():
+                quality = f"{s['fovvdp']:.2f}" if "fovvdp" in s else "–"
+                numbers = f"{s['psnr']:.2f} | {s['ssim']:.4f} | {s['psnr_object']:.2f} | {quality}"
+                lines.append(f"| {_label(way)} | {part} | {view} | {numbers} |")
+    lines += ["", "## Generalisation", "", "| change | distance from the truth [mm] | how far the change goes [mm] |"]
+    lines += ["|---|---|---|"]
+    lines += [
+        f"| {name} | {1e3 * c['rms_m']:.1f} | {1e3 * c['change_rms_m']:.1f} |" for name, c in told["changes"].items()
+    ]
+    if told["failures"]:
+        lines += ["", "## Failures", "", *(f"- {text}" for text in told["failures"])]
+    return "\n".join(lines) + "\n"
+
+
+def _pair(errors: Sequence[float] | None) -> str:
+    return "failed" if errors is None else f"{errors[0]:+.3f} / {errors[1]:+.3f}"

@@ -1,0 +1,59 @@
+"""Colour residuals beside the others: the first image carried by the fitted model, from a wide blur to a narrow one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from inference.refining.motion import surface_of_capture
+from inference.refining.observing import Observed
+from inference.refining.options import RefineOptions
+from physconvex.capture import Capture
+from physconvex.errors import InputError
+from physconvex.identify import Fit, FullModel, Observations, PixelObservations, ReducedModel, StackedObservations, Twin
+from physconvex.identify.colours import ColourObservations, blurred, colour_seeds, seen_by
+
+__all__ = ["BLURS", "coloured"]
+
+BLURS = (3.0, 1.2)  # pixels
+
+
+def coloured(
+    observed: Observed, capture: Capture, twin: Twin, found: Fit, options: RefineOptions, blur: float
+) -> Observed:
+    """What was observed, with the colours of surface points in the place of the points followed.
+
+    Which points are seen where is taken from the fitted model. A camera that sees none keeps its followed points.
+    """
+    vertices, triangles = surface_of_capture(capture, twin)
+    model = FullModel if options.correction else ReducedModel
+    parts: list[Observations] = []
+    sources = []
+    for part, source in zip(observed.observations.parts, observed.sources, strict=True):
+        added = None
+        if isinstance(part, PixelObservations):
+            images = capture.video(part.camera.name).frames[: len(part.pixels)]
+            masks = capture.mask(part.camera.name)
+            mask = None if masks is None else masks[0] > 0
+            points = colour_seeds(part.camera, images[0], vertices, triangles, mask=mask, margin=round(2 * blur))
+            if len(points):
+                everything = np.concatenate([vertices, points])
+                moved = model(twin, found.names, everything, len(images)).positions(found.values)
+                surface, carried = moved[:, : len(vertices)], moved[:, len(vertices) :]
+                visible = seen_by(part.camera, surface, triangles, carried)
+                added = _colours(part, points, blurred(images, blur), visible, options)
+        parts.append(part if added is None else added)
+        sources.append(
+            source if added is None else f"camera {added.camera.name}: colours of {len(added.points)} points"
+        )
+    return replace(observed, observations=StackedObservations.of(parts), sources=tuple(sources))
+
+
+def _colours(
+    part: PixelObservations, points: np.ndarray, images: np.ndarray, visible: np.ndarray, options: RefineOptions
+) -> ColourObservations | None:
+    try:
+        return ColourObservations(part.camera, points, images, visible, exposure=options.exposure)
+    except InputError:  # nothing is seen again
+        return None

@@ -1,0 +1,210 @@
+"""Forward sensitivities of a full-order roll-out: what a small change of its parameters does to it, step by step.
+
+The solution x of a time step is where the gradient g(x, past states, p) of its incremental potential vanishes, so that
+
+    ∂g/∂x dx/dp + ∂g/∂(past states) d(past states)/dp + ∂g/∂p = 0.
+
+The left side is one directional derivative of g, taken by central differences of g itself (two evaluations, no
+matrix); dx/dp follows by iteration with the factorisation that Newton's method has left behind. Whatever a step freezes
+(viscosity at the guess, friction at the last pass) is frozen anew on both sides, and so differentiated. Any parameter
+that a scene can be built from will do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.errors import InputError
+from physconvex.fem.scene import Scene
+from physconvex.fem.simulation import StepEquations, StepRecord, Trajectory, simulate
+from physconvex.integrators import State, bdf2, extrapolate, implicit_euler
+from physconvex.linear_solvers import NotPositiveDefiniteError
+
+__all__ = ["SensitiveTrajectory", "simulate_with_sensitivities"]
+
+_TOLERANCE = 1e-3  # of the largest component of a tangent
+_FLOOR = 2e-8  # of the body's size: a change of positions over the whole difference that is as good as none
+_MOST = 12  # corrections per step
+_SLOW = 0.4  # contraction above which the matrix is factorised anew
+
+
+@dataclass(frozen=True)
+class SensitiveTrajectory:
+    """A roll-out and the derivatives of its positions by K parameters at the frames, shape [T, K, V, 3]."""
+
+    trajectory: Trajectory
+    position_tangents: Float[np.ndarray, "T K V 3"]
+
+
+@dataclass(eq=False)
+class _Side:
+    """The equations with one parameter changed by `change`, and the states that go with it during a step."""
+
+    equations: StepEquations
+    scene: Scene
+    change: float
+
+    def set_step(self, record: StepRecord, tangent: State, history: State | None) -> None:
+        """Fix what is constant during the step of a record, for states moved along their tangents."""
+        before = _moved(record.before, tangent, self.change)
+        past = None
+        if record.history is not None and history is not None:
+            past = _moved(record.history, history, self.change)
+        two_step = record.two_step and past is not None
+        coefficients = bdf2(before, past, record.step) if two_step and past else implicit_euler(before, record.step)
+        guess = extrapolate(before, past, record.step)
+        if self.scene.pins is not None:
+            guess[self.scene.pins.nodes] = self.pinned(record.after.time)
+        self.equations.set_step(coefficients, record.after.time, guess, before)
+
+    def pinned(self, time: float) -> np.ndarray:
+        """Where the pinned nodes are [m]."""
+        assert self.scene.pins is not None
+        return self.scene.pins.positions(time, self.scene.start)
+
+    def gradient(self, record: StepRecord, tangent: np.ndarray) -> np.ndarray:
+        """g at the solution moved along its tangent."""
+        x = record.after.positions + self.change * tangent
+        if record.passes > 1:
+            self.equations.freeze_friction(x)
+        return self.equations.evaluate(x)[1]
+
+
+def _moved(state: State, tangent: State, change: float) -> State:
+    return State(
+        state.time, state.positions + change * tangent.positions, state.velocities + change * tangent.velocities
+    )
+
+
+@dataclass(eq=False)
+class _Tangent:
+    """The derivative of the state by one parameter."""
+
+    ahead: _Side
+    behind: _Side
+    state: State
+    previous: State | None = None
+
+    @property
+    def span(self) -> float:
+        return self.ahead.change - self.behind.change
+
+    def set_step(self, record: StepRecord) -> np.ndarray:
+        """Prepare both sides; a first guess of the new tangent."""
+        history = self.previous if record.history is not None else None
+        for side in (self.ahead, self.behind):
+            side.set_step(record, self.state, history)
+        guess = extrapolate(self.state, history, record.step)
+        if (pins := self.ahead.scene.pins) is not None:
+            time = record.after.time
+            guess[pins.nodes] = (self.ahead.pinned(time) - self.behind.pinned(time)) / self.span
+        return guess
+
+    def residual(self, record: StepRecord, tangent: np.ndarray) -> np.ndarray:
+        """The directional derivative of g."""
+        return (self.ahead.gradient(record, tangent) - self.behind.gradient(record, tangent)) / self.span
+
+    def relative(self, update: np.ndarray, tangent: np.ndarray) -> float:
+        """Size of an update beside the tangent that it leads to."""
+        least = _FLOOR * self.ahead.scene.body.mesh.size / self.span
+        return float(np.abs(update).max() / max(np.abs(tangent - update).max(), least))
+
+    def advance(self, record: StepRecord, tangent: np.ndarray) -> None:
+        """Take the new tangent over."""
+        history = self.previous if record.two_step else None
+        change = bdf2(self.state, history, record.step) if history else implicit_euler(self.state, record.step)
+        self.previous, self.state = self.state, State(record.after.time, tangent, change.velocity(tangent))
+
+
+def _tangent(
+    scene_of: Callable[[np.ndarray], Scene], values: np.ndarray, place: int, low: float, high: float
+) -> _Tangent:
+    sides = []
+    for change in (high, low):
+        moved = values.copy()
+        moved[place] += change
+        scene = scene_of(moved)
+        sides.append(_Side(StepEquations(scene), scene, change))
+    ahead, behind = sides
+    span = high - low
+    start = (ahead.scene.start - behind.scene.start) / span
+    speed = (ahead.scene.start_velocities() - behind.scene.start_velocities()) / span
+    return _Tangent(ahead, behind, State(0.0, start, speed))
+
+
+class _Tangents:
+    """All of them, carried along a roll-out."""
+
+    def __init__(self, tangents: list[_Tangent]) -> None:
+        self.tangents = tangents
+
+    def observe(self, equations: StepEquations, record: StepRecord) -> None:
+        found = [tangent.set_step(record) for tangent in self.tangents]
+        last, renewed = np.inf, False
+        for _ in range(_MOST):
+            residuals = [t.residual(record, x) for t, x in zip(self.tangents, found, strict=True)]
+            updates = [equations.solve(residual) for residual in residuals]
+            triples = zip(self.tangents, updates, found, strict=True)
+            size = max(tangent.relative(update, x) for tangent, update, x in triples)
+            if size > _SLOW * last and not renewed:
+                renewed, last = _renewed(equations, record.after.positions), np.inf
+                updates = [equations.solve(residual) for residual in residuals]
+            else:
+                last = size
+            found = [x - update for x, update in zip(found, updates, strict=True)]
+            if size <= _TOLERANCE:
+                break
+        for tangent, x in zip(self.tangents, found, strict=True):
+            tangent.advance(record, x)
+
+    def positions(self) -> np.ndarray:
+        return np.stack([tangent.state.positions for tangent in self.tangents])
+
+
+def _renewed(equations: StepEquations, x: np.ndarray) -> bool:
+    try:
+        equations.factorise(x, project=False)
+    except NotPositiveDefiniteError:
+        equations.factorise(x, project=True)
+    return True
+
+
+def simulate_with_sensitivities(
+    scene_of: Callable[[Float[np.ndarray, " K"]], Scene],
+    values: Sequence[float] | Float[np.ndarray, " K"],
+    *,
+    steps: Sequence[float] | Float[np.ndarray, " K"],
+    lower: Sequence[float] | Float[np.ndarray, " K"] | None = None,
+    upper: Sequence[float] | Float[np.ndarray, " K"] | None = None,
+    **options: Any,
+) -> SensitiveTrajectory:
+    """Roll a scene out and differentiate its positions by the parameters it is built from.
+
+    Args:
+        scene_of: from K parameter values to the scene; mesh and pinned nodes must not depend on them.
+        values: of the parameters.
+        steps: half widths of the central differences: about 1e-4 of a typical change of each.
+        lower, upper: the differences stay within these bounds, on one side alone where need be.
+        options: of `simulate`.
+
+    Raises:
+        InputError: steps that are not positive, or a body that flows.
+        ConvergenceError: as in `simulate`.
+    """
+    at, widths = np.asarray(values, dtype=np.float64), np.asarray(steps, dtype=np.float64)
+    if at.shape != widths.shape or not (widths > 0).all():
+        raise InputError(f"steps: got {widths.tolist()} for {len(at)} values; expected one positive width for each")
+    scene = scene_of(at)
+    if scene.body.flow is not None:
+        raise InputError("simulate_with_sensitivities: the body flows; expected an elastic one")
+    low = -widths if lower is None else np.maximum(-widths, np.asarray(lower) - at)
+    high = widths if upper is None else np.minimum(widths, np.asarray(upper) - at)
+    carried = _Tangents([_tangent(scene_of, at, k, float(low[k]), float(high[k])) for k in range(len(at))])
+    frames = [carried.positions()]
+    run = simulate(scene, observer=carried.observe, on_frame=lambda _: frames.append(carried.positions()), **options)
+    return SensitiveTrajectory(run, np.stack(frames))

@@ -1,0 +1,208 @@
+"""Colours of the first image, carried by the model, against those of the later images of one camera.
+
+A material point that the model puts at x_t is seen at π(x_t); its colour there should be the one that it had in the
+first image (direct alignment, Lucas & Kanade 1981). Both images are blurred alike: a wide blur reaches far, a narrow
+one is exact, so that fits follow one another from coarse to fine. Which points are seen in which frame is taken from a
+model that is near already.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from physconvex.camera import Camera
+from physconvex.errors import InputError
+from physconvex.identify.observations import camera_jacobian
+from physconvex.identify.raster import cast_camera_rays, cast_rays
+
+__all__ = ["ColourObservations", "colour_seeds", "seen_by"]
+
+_GRAZING = 0.35  # least sine between surface and ray
+_BEHIND = 0.03  # of the body's size: how far behind what is drawn a point may lie and still be seen
+_MARGIN = 2.0  # pixels
+
+
+def blurred(images: UInt8[np.ndarray, "T H W 3"], width: float) -> Float[np.ndarray, "T H W 3"]:
+    """Images in 0 … 1, blurred by a Gaussian of that width [pixels]."""
+    return np.stack([cv2.GaussianBlur(image.astype(np.float32) / 255.0, (0, 0), width) for image in images])
+
+
+def colour_seeds(
+    camera: Camera,
+    image: UInt8[np.ndarray, "H W 3"],
+    vertices: Float[np.ndarray, "V 3"],
+    triangles: Int[np.ndarray, "F 3"],
+    *,
+    count: int = 400,
+    mask: Bool[np.ndarray, "H W"] | None = None,
+    margin: int = 3,
+) -> Float[np.ndarray, "P 3"]:
+    """Rest positions [m] of at most `count` surface points where the first image has contrast, evenly spread.
+
+    Args:
+        camera, image: of the first image.
+        vertices, triangles: the surface at rest.
+        mask: where the object is seen; the surface's own outline unless given.
+        margin: distance from the outline [pixels].
+    """
+    inside = cast_camera_rays(camera, vertices, triangles).faces >= 0
+    if mask is not None:
+        inside &= mask
+    inner = cv2.erode(inside.astype(np.uint8), np.ones((2 * margin + 1,) * 2, np.uint8)) > 0
+    grey = cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.0)
+    contrast = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
+    cell = max(1, round(float(np.sqrt(inner.sum() / max(count, 1)))))
+    rows, columns = np.nonzero(inner)
+    order = np.argsort(-contrast[rows, columns], kind="stable")
+    cells = (rows // cell) * (inner.shape[1] // cell + 1) + columns // cell
+    best = order[np.unique(cells[order], return_index=True)[1]]  # the one of most contrast in each cell
+    best = best[np.unique(np.linspace(0, max(len(best) - 1, 0), min(count, len(best))).astype(int))]
+    pixels = np.stack([columns[best], rows[best]], axis=1) + 0.5
+    if not len(pixels):
+        return np.zeros((0, 3))
+    origin, directions = camera.rays(pixels)
+    struck = cast_rays(origin, directions, vertices, triangles)
+    return struck.on(vertices, triangles)[struck.faces >= 0]
+
+
+def seen_by(
+    camera: Camera,
+    moved: Float[np.ndarray, "T V 3"],
+    triangles: Int[np.ndarray, "F 3"],
+    positions: Float[np.ndarray, "T P 3"],
+) -> Bool[np.ndarray, "T P"]:
+    """Which points of a moving surface a camera sees: in the image, not hidden, not at a grazing angle."""
+    out = np.zeros(positions.shape[:2], dtype=bool)
+    reach = _BEHIND * float(np.ptp(moved[0], axis=0).max())
+    for t, (surface, points) in enumerate(zip(moved, positions, strict=True)):
+        pixels, depth = camera.project(points)
+        known = np.isfinite(pixels).all(1) & (depth > 0)
+        known &= ((pixels > _MARGIN) & (pixels < np.array([camera.w, camera.h]) - _MARGIN)).all(1)
+        origin, directions = camera.rays(np.where(known[:, None], pixels, 0.0))
+        struck = cast_rays(origin, directions, surface, triangles)
+        corner = surface[triangles[np.maximum(struck.faces, 0)]]
+        normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        gap = np.linalg.norm(struck.on(surface, triangles) - points, axis=1)
+        known &= (struck.faces >= 0) & (np.nan_to_num(gap, nan=np.inf) < reach)
+        out[t] = known & (np.abs((normals * directions).sum(-1)) > _GRAZING)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class ColourObservations:
+    """Colours of material points in the images of one camera.
+
+    Attributes:
+        camera: the camera.
+        points: rest positions [m], shape [P, 3].
+        images: blurred images, 0 … 1, shape [T, H, W, 3]; the first shows the rest state.
+        visible: which points are compared in which frame, shape [T, P]; the first frame is left out.
+        sigma: standard deviation of a colour.
+        exposure: gain and offset of each frame are free (and eliminated).
+        robust_scale: Huber's threshold in standard deviations.
+
+    Raises:
+        InputError: nothing is seen after the first frame.
+    """
+
+    camera: Camera
+    points: Float[np.ndarray, "P 3"]
+    images: Float[np.ndarray, "T H W 3"]
+    visible: Bool[np.ndarray, "T P"]
+    sigma: float = 0.06
+    exposure: bool = True
+    robust_scale: float = 3.0
+
+    def __post_init__(self) -> None:
+        if not len(self.frames):
+            raise InputError(f"colours: camera {self.camera.name!r} sees no point again after the first frame")
+
+    @cached_property
+    def _seen(self) -> tuple[np.ndarray, np.ndarray]:
+        later = self.visible.copy()
+        later[0] = False
+        frames, points = np.nonzero(later)
+        return frames, points
+
+    @cached_property
+    def frames(self) -> Int[np.ndarray, " N"]:
+        """Frame of each residual."""
+        return np.repeat(self._seen[0], 3)
+
+    @cached_property
+    def point_indices(self) -> Int[np.ndarray, " N"]:
+        """Point of each residual."""
+        return np.repeat(self._seen[1], 3)
+
+    @property
+    def robust_scales(self) -> Float[np.ndarray, " N"]:
+        """Huber's thresholds."""
+        return np.full(len(self.frames), self.robust_scale)
+
+    @cached_property
+    def colours(self) -> Float[np.ndarray, "P 3"]:
+        """Of the points, in the first image."""
+        return _sampled(self.images[0], self.camera.project(self.points)[0])
+
+    def in_frames(self, count: int) -> ColourObservations:
+        """The first `count` frames alone."""
+        return replace(self, images=self.images[:count], visible=self.visible[:count])
+
+    def residuals(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
+        """(image where the model puts the points − their first colour)/σ."""
+        return self._evaluate(positions, None)[0]
+
+    def linearise(
+        self, positions: Float[np.ndarray, "T P 3"], tangents: Float[np.ndarray, "T K P 3"]
+    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+        """The residuals and their derivatives."""
+        return self._evaluate(positions, tangents)
+
+    def _evaluate(self, positions: np.ndarray, tangents: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        count = 0 if tangents is None else tangents.shape[1]
+        residuals, jacobian = [], []
+        for frame in np.unique(self._seen[0]):
+            points = self._seen[1][self._seen[0] == frame]
+            x = positions[frame, points]
+            pixels, _ = self.camera.project(x)
+            found = _sampled(self.images[frame], pixels)
+            rows = np.zeros((len(points), 3, count))
+            if tangents is not None:
+                slopes = np.stack([_sampled(s, pixels) for s in self._slopes(int(frame))], axis=-1)  # [n, 3, 2]
+                by_place = np.nan_to_num(slopes @ camera_jacobian(self.camera, x))
+                rows = np.einsum("nci,kni->nck", by_place, tangents[frame][:, points])
+            value, rows = self._balanced(found, self.colours[points], rows)
+            residuals.append(value.ravel() / self.sigma)
+            jacobian.append(rows.reshape(value.size, count) / self.sigma)
+        return np.concatenate(residuals), np.concatenate(jacobian)
+
+    def _slopes(self, frame: int) -> Sequence[np.ndarray]:
+        image = self.images[frame]
+        return [np.gradient(image, axis=1), np.gradient(image, axis=0)]
+
+    def _balanced(self, found: np.ndarray, first: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Differences of colours, less what a gain and an offset explain."""
+        difference = found - first
+        if not self.exposure or len(found) < 4:
+            return difference, rows
+        basis = np.linalg.qr(np.stack([first.ravel(), np.ones(first.size)], axis=1))[0]
+
+        def left(columns: np.ndarray) -> np.ndarray:
+            return columns - basis @ (basis.T @ columns)
+
+        flat = rows.reshape(first.size, rows.shape[-1])
+        return left(difference.reshape(-1, 1)).reshape(difference.shape), left(flat).reshape(rows.shape)
+
+
+def _sampled(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Bilinear colours [n, 3] at pixel coordinates [n, 2]; of the border outside."""
+    columns, rows = np.nan_to_num(pixels - 0.5, nan=-1.0).astype(np.float32).T[:, None]
+    found = cv2.remap(np.ascontiguousarray(image), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(found[0], dtype=np.float64)

@@ -1,0 +1,65 @@
+"""Skinning weights refined by the full model's motion at the fitted material.
+
+The correction runs the full model anyway. Proper orthogonal decomposition of that motion gives the weights that it
+needs (`physconvex.reduced.snapshot_weights`); they take the place of half of the eigenmodes, those of short wavelength.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.errors import InputError
+from physconvex.fem import ElasticBody
+from physconvex.identify.twin import Twin
+from physconvex.reduced import (
+    BodySamples,
+    ReducedBody,
+    ReducedSpace,
+    StackedWeights,
+    WeightField,
+    eigenmode_weights,
+    snapshot_weights,
+)
+
+__all__ = ["enriched", "with_weights"]
+
+
+def enriched(twin: Twin, nodes: Float[np.ndarray, "T V 3"], *, snapshots: int | None = None) -> Twin:
+    """The twin with as many weights as before, some of them from a motion of the full model.
+
+    Args:
+        twin: with M weights.
+        nodes: positions of its mesh's nodes [m].
+        snapshots: how many weights come from the motion; half of them unless given, fewer where it has fewer.
+    """
+    weights = twin.scene.body.space.field.count
+    wanted = (weights + 1) // 2 if snapshots is None else snapshots
+    body = ElasticBody(twin.mesh)
+    for count in range(wanted, 0, -1):
+        try:
+            found = snapshot_weights(body, [nodes - twin.mesh.vertices], count)
+        except InputError:  # the motion has fewer independent fields
+            continue
+        kept = weights - count
+        return with_weights(twin, StackedWeights((eigenmode_weights(body, kept), found)) if kept else found)
+    return twin
+
+
+def with_weights(twin: Twin, weights: WeightField) -> Twin:
+    """The twin with other skinning weights, starting at rest; everything else stays."""
+    old = twin.scene.body
+    body = ReducedBody(
+        ReducedSpace(weights, BodySamples.of_mesh(twin.mesh)),
+        law=twin.law,
+        youngs_modulus=old.youngs_modulus,
+        poisson_ratio=old.poisson_ratio,
+        density=old.density,
+    )
+    position = old.first_moments @ twin.scene.start / old.total_mass
+    moved = twin.with_scene(body=body, initial_coordinates=None)
+    rest = body.first_moments @ moved.scene.start / body.total_mass
+    if np.abs(position - rest).max() < 1e-12:
+        return moved
+    names = tuple(f"initial_position_{axis}" for axis in "xyz")
+    return moved.with_values(names, position)

@@ -1,0 +1,83 @@
+"""Levenberg–Marquardt on the full-order model itself, from where the reduced model's fit has ended.
+
+Residuals and derivatives are both the full model's (`FullModel.linearise`), so that the minimum is its own: nothing of
+the reduced model is left but the start. Where that start is far off, a few moduli about it are tried first: reduced
+models are too stiff, so that the full one wants more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from physconvex.errors import ConvergenceError
+from physconvex.identify.correction import FAR, Correction, FullRun, misfit_of
+from physconvex.identify.levenberg_marquardt import Fit, FitOptions, Iteration, fit
+from physconvex.identify.model import Model
+from physconvex.identify.observations import Observations
+from physconvex.identify.parameters import Parameter
+
+__all__ = ["FULL_OPTIONS", "fit_full"]
+
+FULL_OPTIONS = FitOptions(max_iterations=6, max_step=1.5, absolute_tolerance=0.02)  # a fifth of a deviation is left
+
+_TRIED = (0.1, 0.2, 0.35, -0.1)  # decades of E about the start
+_MODULUS = "log10_youngs_modulus"
+
+
+def fit_full(
+    full: Model,
+    observations: Observations,
+    start: Fit,
+    *,
+    max_runs: int = 8,
+    on_run: Callable[[Iteration], None] | None = None,
+) -> Correction:
+    """Fit the full model, with its own derivatives.
+
+    Args:
+        full: of the same names and points as the model that was fitted in `start`.
+        observations: what was seen.
+        start: the fit of the cheap model.
+        max_runs: most linearisations of the full model.
+        on_run: told each accepted state.
+
+    Raises:
+        ConvergenceError: the full model fails at the start and at the moduli about it.
+    """
+    parameters = tuple(p.at(float(v)) for p, v in zip(start.parameters, start.values, strict=True))
+    chosen, first = _start(full, observations, parameters, start)
+    found = fit(
+        full, observations, chosen, options=FitOptions(max_iterations=max_runs, max_step=1.5), on_iteration=on_run
+    )
+    distance = float("nan") if first is None else float(np.sqrt(np.square(first - start.positions).sum(-1).mean()))
+    runs = [FullRun(state.values, state.misfit, float("nan")) for state in found.history]
+    runs[0] = replace(runs[0], distance=distance)
+    return Correction(found, full, tuple(runs), found.converged)
+
+
+def _start(
+    full: Model, observations: Observations, parameters: tuple[Parameter, ...], start: Fit
+) -> tuple[tuple[Parameter, ...], np.ndarray | None]:
+    """Where to begin, and the full model's positions at the reduced model's fit (None where it fails there)."""
+    first = _run(full, parameters)
+    best = np.inf if first is None else misfit_of(observations, first)
+    if best <= FAR * start.misfit or _MODULUS not in full.names:
+        return parameters, first
+    place, chosen = full.names.index(_MODULUS), parameters
+    for change in _TRIED:
+        trial = list(parameters)
+        trial[place] = trial[place].at(trial[place].start + change)
+        positions = _run(full, trial)
+        if positions is not None and (misfit := misfit_of(observations, positions)) < best:
+            best, chosen = misfit, tuple(trial)
+    return chosen, first
+
+
+def _run(full: Model, parameters: tuple[Parameter, ...] | list[Parameter]) -> np.ndarray | None:
+    try:
+        return full.positions(np.array([p.start for p in parameters]))
+    except ConvergenceError:
+        return None

@@ -1,0 +1,173 @@
+"""Errors of the observation that are not the body's: camera pose and time offset, with Gaussian priors, eliminated.
+
+Where r are whitened residuals and N their derivatives by nuisances c ~ N(0, Σ), fitting c beside the other parameters
+is the same, to first order, as whitening r by its covariance with c in it,
+
+    r̃ = (I + N Σ Nᵀ)^(−1/2) r,
+
+so that estimates and intervals hold the nuisance and the search keeps its size. The nuisances themselves follow as
+ĉ = −Σ Nᵀ (I + N Σ Nᵀ)⁻¹ r.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from physconvex.errors import InputError
+from physconvex.identify.colours import ColourObservations
+from physconvex.identify.observations import Observations, PixelObservations, StackedObservations
+
+__all__ = ["MarginalObservations", "Nuisance"]
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """Standard deviations of the priors; zero holds a nuisance at zero.
+
+    Attributes:
+        camera_rotation: of each camera about each of its axes [rad].
+        camera_position: of each camera along each axis [m].
+        time_offset: of all frames after the first [s].
+
+    Raises:
+        InputError: a negative one.
+    """
+
+    camera_rotation: float = 0.0
+    camera_position: float = 0.0
+    time_offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("camera_rotation", "camera_position", "time_offset"):
+            if not getattr(self, name) >= 0:
+                raise InputError(f"{name}: got {getattr(self, name)}; expected a standard deviation, at least 0")
+
+    @property
+    def any(self) -> bool:
+        """Whether one is free."""
+        return max(self.camera_rotation, self.camera_position, self.time_offset) > 0
+
+
+@dataclass(frozen=True, eq=False)
+class MarginalObservations:
+    """Observations with their nuisances eliminated.
+
+    Attributes:
+        seen: the observations.
+        nuisance: the priors.
+        interval: time between frames [s].
+    """
+
+    seen: StackedObservations
+    nuisance: Nuisance
+    interval: float
+
+    @property
+    def points(self) -> Float[np.ndarray, "P 3"]:
+        """Rest positions of the material points [m]."""
+        return self.seen.points
+
+    @property
+    def frames(self) -> Int[np.ndarray, " N"]:
+        """Frame of each residual."""
+        return self.seen.frames
+
+    @property
+    def point_indices(self) -> Int[np.ndarray, " N"]:
+        """Point of each residual."""
+        return self.seen.point_indices
+
+    @property
+    def robust_scales(self) -> Float[np.ndarray, " N"]:
+        """Huber's thresholds."""
+        return self.seen.robust_scales
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the nuisances, with their units."""
+        names = ["time_offset [s]"] if self.nuisance.time_offset else []
+        for part in self.seen.parts:
+            if (camera := getattr(part, "camera", None)) is not None:
+                names += [f"{camera.name}/{n}" for n, _ in self._camera_names() if f"{camera.name}/{n}" not in names]
+        return tuple(names)
+
+    def _camera_names(self) -> list[tuple[str, float]]:
+        given, out = self.nuisance, []
+        if given.camera_rotation:
+            out += [(f"rotation_{axis} [rad]", given.camera_rotation) for axis in "xyz"]
+        if given.camera_position:
+            out += [(f"position_{axis} [m]", given.camera_position) for axis in "xyz"]
+        return out
+
+    def in_frames(self, count: int) -> MarginalObservations:
+        """The first `count` frames alone."""
+        return MarginalObservations(self.seen.in_frames(count), self.nuisance, self.interval)
+
+    def residuals(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
+        """Whitened residuals."""
+        return self._whitened(self.seen.residuals(positions)[:, None], positions)[:, 0]
+
+    def linearise(
+        self, positions: Float[np.ndarray, "T P 3"], tangents: Float[np.ndarray, "T K P 3"]
+    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+        """Whitened residuals and their derivatives (the nuisances' own derivatives held fixed)."""
+        residuals, jacobian = self.seen.linearise(positions, tangents)
+        both = self._whitened(np.hstack([residuals[:, None], jacobian]), positions)
+        return both[:, 0], both[:, 1:]
+
+    def estimates(self, positions: Float[np.ndarray, "T P 3"]) -> dict[str, float]:
+        """The nuisances that the residuals ask for, by name."""
+        scaled, sigmas = self._directions(positions)
+        inner = np.eye(scaled.shape[1]) + scaled.T @ scaled
+        found = -sigmas * np.linalg.solve(inner, scaled.T @ self.seen.residuals(positions))
+        return dict(zip(self.names, map(float, found), strict=True))
+
+    def _whitened(self, columns: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        left, values, _ = np.linalg.svd(self._directions(positions)[0], full_matrices=False)
+        return columns + left @ ((1 / np.sqrt(1 + values**2) - 1)[:, None] * (left.T @ columns))
+
+    def _directions(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """N Σ^½ [N, C], and Σ^½ [C]."""
+        names = self.names
+        out, sigmas = np.zeros((len(self.frames), len(names))), np.zeros(len(names))
+        if self.nuisance.time_offset:
+            out[:, 0] = self.seen.linearise(positions, self._velocities(positions)[:, None])[1][:, 0]
+            sigmas[0] = self.nuisance.time_offset
+        for part, where, rows in zip(self.seen.parts, self.seen.point_slices, self.seen.residual_slices, strict=True):
+            camera = getattr(part, "camera", None)
+            if camera is None or not self._camera_names():
+                continue
+            turned = _camera_columns(part, positions[:, where], camera)
+            for name, sigma in self._camera_names():
+                place, column = names.index(f"{camera.name}/{name}"), _COLUMNS[name]
+                out[rows, place], sigmas[place] = turned[:, column], sigma
+        return out * sigmas, sigmas
+
+    def _velocities(self, positions: np.ndarray) -> np.ndarray:
+        """ẋ [m/s]; zero in the first frame, which is the state at t = 0 by definition."""
+        speed = np.gradient(positions, self.interval, axis=0) if len(positions) > 1 else np.zeros_like(positions)
+        speed[0] = 0.0
+        return np.asarray(speed)
+
+
+_COLUMNS = {f"{kind}_{axis} {unit}": 3 * k + i
+            for k, (kind, unit) in enumerate((("rotation", "[rad]"), ("position", "[m]")))
+            for i, axis in enumerate("xyz")}  # fmt: skip
+
+
+def _camera_columns(part: Observations, positions: np.ndarray, camera: object) -> np.ndarray:
+    """Derivatives of a part's residuals by the pose of its camera [N, 6]: the world moves the other way.
+
+    Points that were put on the surface by a ray of the first image have moved with it: their pixels there are right
+    whatever the pose, and what is left is the difference to the first frame.
+    """
+    axes = np.asarray(camera.rotation).T  # type: ignore[attr-defined]
+    arms = positions - camera.position  # type: ignore[attr-defined]
+    moves = np.stack([*(np.cross(arms, axis) for axis in axes), *(np.broadcast_to(-axis, arms.shape) for axis in axes)])
+    tangents = np.moveaxis(moves, 0, 1)
+    if isinstance(part, PixelObservations | ColourObservations):
+        tangents = tangents - tangents[:1]
+    return part.linearise(positions, tangents)[1]

@@ -1,0 +1,96 @@
+"""The full model fitted with its own derivatives, and with what a finer mesh adds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from physconvex.capture import Boundary, Capture, Tracks, load_capture, save_capture
+from physconvex.fem import box_mesh, refine, simulate
+from physconvex.identify import (
+    FullModel,
+    ReducedModel,
+    TwinOptions,
+    base_twin,
+    default_parameters,
+    fit,
+    fit_finer,
+    fit_full,
+    marker_observations,
+)
+from physconvex.identify.enrich import enriched
+from physconvex.reduced import simulate as simulate_reduced
+
+NAMES, TRUTH, FRAMES = ("log10_youngs_modulus", "poisson_ratio"), np.array([4.6, 0.35]), 6
+
+
+@pytest.fixture(scope="module")
+def bar(tmp_path_factory):
+    """A bar that is clamped at one end and falls; its markers without noise, from a finer mesh."""
+    folder = tmp_path_factory.mktemp("bar")
+    box = np.array([[-1e-6, -1, -1], [1e-6, 1, 1]])
+    points = np.random.default_rng(0).uniform(size=(12, 3)) * [0.2, 0.1, 0.1] + [0.1, 0, 0]
+    tets = box_mesh((0.3, 0.1, 0.1), (3, 1, 1), order=1)
+
+    def saved(name, positions):
+        tracks = Tracks(points, positions, np.full((FRAMES, 12), 1e-4))
+        save_capture(
+            Capture(folder / name, 48.0, FRAMES, FRAMES),
+            tets=tets,
+            tracks=tracks,
+            boundary=Boundary(clamped_box=box),
+        )
+        return load_capture(folder / name)
+
+    empty = saved("empty", np.zeros((FRAMES, 12, 3)))
+    twin = base_twin(empty, TwinOptions(weights=3, steps_per_frame=4))
+    fine = FullModel(twin, NAMES, points, FRAMES, refine(twin.mesh), refinement=6).positions(TRUTH)
+    capture = saved("seen", fine)
+    return base_twin(capture, TwinOptions(weights=3, steps_per_frame=4)), marker_observations(capture)
+
+
+@pytest.fixture(scope="module")
+def fitted(bar):
+    """The reduced model's fit, and the full one's."""
+    twin, seen = bar
+    start = [p.at(v) for p, v in zip(default_parameters(twin), (4.4, 0.3), strict=True)]
+    reduced = fit(ReducedModel(twin, NAMES, seen.points, FRAMES), seen, start)
+    return reduced, fit_full(FullModel(twin, NAMES, seen.points, FRAMES), seen, reduced)
+
+
+def test_the_full_model_comes_nearer_than_the_reduced_one(fitted):
+    reduced, found = fitted
+    assert found.converged and found.fit.misfit < reduced.misfit
+    assert abs(found.fit.values[0] - TRUTH[0]) < 0.5 * abs(reduced.values[0] - TRUTH[0])
+    assert found.runs[0].distance > 1e-4 and np.isnan(found.runs[-1].distance)
+
+
+def test_a_far_start_is_moved_to_a_modulus_that_fits_better(bar, fitted):
+    twin, seen = bar
+    reduced, near = fitted
+    moved = replace(reduced, values=np.array([TRUTH[0] - 0.4, 0.3]))
+    found = fit_full(FullModel(twin, NAMES, seen.points, FRAMES), seen, moved)
+    np.testing.assert_allclose(found.fit.values, near.fit.values, atol=2e-3)
+
+
+def test_what_a_finer_mesh_adds_removes_most_of_the_error_and_states_what_is_left(bar, fitted):
+    twin, seen = bar
+    coarse = FullModel(twin, NAMES, seen.points, FRAMES)
+    before = fitted[1].fit
+    after = fit_finer(coarse, coarse, refine(twin.mesh), seen, before)
+    errors = [np.abs(values - TRUTH) for values in (before.values, after.fit.values)]
+    assert errors[0][0] > 0.03 and errors[1][0] < 0.1 * errors[0][0] and errors[1][1] < 3e-3
+    assert (after.left > 0).all() and (errors[1] < 3 * after.left).all()
+    assert after.frame_errors[0] < after.frame_errors[-1]
+
+
+def test_weights_refined_by_the_full_motion_follow_it_more_closely(bar):
+    twin, _ = bar
+    nodes = simulate(twin.with_values(NAMES, TRUTH).full_scene(), **twin.timing(FRAMES)).positions
+    fitted = twin.with_values(NAMES, TRUTH)
+    gaps = []
+    for trial in (fitted, enriched(fitted, nodes)):
+        run = simulate_reduced(trial.scene, **twin.timing(FRAMES))
+        gaps.append(np.sqrt(np.square(run.positions(twin.mesh.vertices) - nodes).sum(-1).mean()))
+    assert trial.scene.body.space.field.count == 3
+    assert gaps[1] < 0.6 * gaps[0]

@@ -1,0 +1,101 @@
+"""The tables of a benchmark: arithmetic of the means, and one object from its generation to its row."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from typer.testing import CliRunner
+
+from inference.paper import PaperOptions, evaluate_paper
+from inference.paper.tables import markdown, summary
+from physconvex.errors import InputError
+
+
+def row(name, error, covered, psnr):
+    picture = {"psnr": psnr, "ssim": 0.9, "psnr_object": psnr - 8, "fovvdp": None}
+    motion = {"pictures": {"observed": {"front": picture}, "future": {"front": picture}}}
+    return {
+        "object": name,
+        "truth": {"log10_youngs_modulus": 5.0, "poisson_ratio": 0.3},
+        "constant": {"errors": [0.5, 0.045], "process_seconds": 0.0},
+        "network": {"failure": "InputError: dark", "process_seconds": 0.1},
+        "refined": {
+            "errors": error,
+            "covered": covered,
+            "process_seconds": 30.0,
+            "changes": {"pushed": {"rms_m": 1e-3, "change_rms_m": 0.2}},
+            **motion,
+        },
+        "reduced_M8": {"errors": [-0.1, 0.0], "process_seconds": 3.0},
+    }
+
+
+def test_means_are_of_absolutes_and_failures_are_named():
+    rows = [row("mug", [0.02, -0.01], [True, None], 30.0), row("lion", [-0.04, 0.03], [False, True], 34.0)]
+    told = summary(rows)
+    assert told["identification"]["refined"]["log10_error"] == pytest.approx(0.03)
+    assert told["identification"]["refined"]["poisson_error"] == pytest.approx(0.02)
+    assert "network" not in told["identification"] and told["failures"][0] == "mug: network: InputError: dark"
+    assert (told["coverage_90"], told["intervals"]) == (pytest.approx(2 / 3), 3)
+    assert told["pictures"]["refined"]["future"]["front"]["psnr"] == pytest.approx(32.0)
+    assert told["changes"]["pushed"]["change_rms_m"] == pytest.approx(0.2)
+    page = markdown(rows, "two objects")
+    assert "| mug | 5.00, 0.30 | +0.500 / +0.045 | failed | +0.020 / -0.010 |" in page
+    assert "reduced model alone, M = 8" in page and "| pushed | 1.0 | 200.0 |" in page
+
+
+@pytest.fixture(scope="module")
+def benchmark(tmp_path_factory):
+    """One painted ball, tiny."""
+    from data_gen.commands import app
+
+    root = tmp_path_factory.mktemp("paper")
+    (root / "objects" / "ball").mkdir(parents=True)
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.5)
+    waves = 127 + 120 * np.sin(12 * ball.vertices @ np.array([[1, 0.3, 0], [0, 1, 0.4], [0.5, 0, 1]]))
+    ball.visual = trimesh.visual.ColorVisuals(ball, vertex_colors=waves.astype(np.uint8))
+    ball.export(root / "objects" / "ball" / "ball.ply")
+    sizes = "--count 1 --size 96 --views 3 --frames 10 --observed-frames 9 --nodes 120 --steps-per-frame 8 --no-check"
+    command = f"benchmark --objects {root / 'objects'} --out {root / 'made'} {sizes} --modulus 4.5 4.6 --no-progress"
+    result = CliRunner().invoke(app, command.split())
+    assert result.exit_code == 0, result.output
+    return root / "made"
+
+
+@pytest.mark.slow
+def test_a_benchmark_keeps_truth_apart(benchmark):
+    files = {path.name for path in (benchmark / "captures" / "ball").iterdir()}
+    assert files == {"capture.json", "mesh.obj", "view0.mp4", "view0_mask.mp4"}
+    truth = json.loads((benchmark / "truth" / "ball" / "truth.json").read_text())
+    assert 4.5 <= np.log10(truth["youngs_modulus"]) <= 4.6
+    with np.load(benchmark / "truth" / "ball" / "points.npz") as arrays:
+        assert arrays["positions"].shape == (10, len(arrays["rest"]), 3)
+        assert np.abs(arrays["positions_pushed"] - arrays["positions"]).max() > 0.05
+
+
+@pytest.mark.slow
+def test_an_object_is_evaluated_part_by_part(benchmark, tmp_path):
+    options = PaperOptions(
+        max_nodes=120, weights=3, full_runs=2, model_error=False, adam_steps=3, ablation=(), field_budget=200,
+        field_steps=4, steps_per_frame=4,
+    )  # fmt: skip
+    parts = []
+    (found,) = evaluate_paper(benchmark, tmp_path, options, on_part=lambda *names: parts.append(names[1]))
+    assert parts == ["constant", "network", "field", "refined", "published_way"]
+    assert "failure" not in found["refined"], found["refined"]
+    assert abs(found["refined"]["errors"][0]) < abs(found["constant"]["errors"][0])
+    assert len(found["refined"]["rms_m"]) == 10
+    assert set(found["refined"]["pictures"]) == {"observed", "future"}
+    assert set(found["refined"]["changes"]) == {"softer", "pushed", "moving_floor"}
+    assert found["published_way"]["steps"] == 3
+    again = []
+    evaluate_paper(benchmark, tmp_path, options, on_part=lambda *names: again.append(names))
+    assert not again
+    with pytest.raises(InputError, match="other options"):
+        evaluate_paper(benchmark, tmp_path, PaperOptions())
+
+
+def test_a_folder_without_a_benchmark_is_named(tmp_path):
+    with pytest.raises(InputError, match="physconvex generate benchmark"):
+        evaluate_paper(tmp_path, tmp_path / "out")
