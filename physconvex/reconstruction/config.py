@@ -29,6 +29,8 @@ class ReconstructionConfig(BaseModel):
         budget: most convexes.
         start_share: share of the budget that covers the surface at the start; refinement adds the rest.
         filler_share: share of the budget that may fill the inside.
+        gap_share: share of the budget that is kept to close, after the fit, what is in no hull; the others are of the
+            rest.
         steps: steps of the optimiser, one view each.
         levels, level_shares: coarse to fine: scales of the image, and the share of the steps spent at each.
         refinements: how often convexes are split, cloned and pruned, evenly over the first `refine_until` of the steps.
@@ -47,6 +49,7 @@ class ReconstructionConfig(BaseModel):
     budget: int = Field(default=24_000, ge=50)
     start_share: Share = 0.6
     filler_share: Share = 0.1
+    gap_share: Share = 0.1
     steps: int = Field(default=400, ge=1)
     levels: tuple[Share, ...] = (0.25, 0.5, 1.0)
     level_shares: tuple[Share, ...] = (0.1, 0.2, 0.7)
@@ -71,6 +74,11 @@ class ReconstructionConfig(BaseModel):
         if abs(sum(self.level_shares) - 1) > 1e-6:
             raise ValueError(f"level_shares {self.level_shares} must sum to one")
         return self
+
+    @property
+    def fit_budget(self) -> int:
+        """Most convexes during the fit."""
+        return self.budget - round(self.gap_share * self.budget)
 
     def scale_at(self, step: int) -> float:
         """Scale of the image in a step."""
