@@ -48,7 +48,7 @@ from physconvex.render import View, render
 RESULT = Path(__file__).parent / "results" / "moving_field.json"
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "moving_field.png"
 FRAMES, RATE, SIZE = 24, 60.0, 448
-STIFFNESS = 15.0  # E in units of density · gravity · size
+STIFFNESS = 6.0  # E in units of density · gravity · size
 DENSITY, RATIO, GRAVITY = 1000.0, 0.4, 9.81
 HEIGHT = 0.4  # of the drop, in sizes
 VIEWS = (
@@ -200,7 +200,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--objects", type=Path, required=True, help="folder of folders with model.obj and texture.png")
     parser.add_argument("--names", nargs="+", default=["Schleich_Lion_Action_Figure"])
-    parser.add_argument("--nodes", type=int, default=900)
+    parser.add_argument("--nodes", type=int, default=500)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--set", dest="settings", nargs="*", default=[], help="settings, as steps=400")
     parser.add_argument("--work", type=Path, help="folder for captures and fields; kept if given")

@@ -24,7 +24,8 @@ def fill_gaps(field: ConvexField, surface: trimesh.Trimesh, *, footprint: float,
 
     The body is looked at in cells of two footprints. Those of which no hull holds the middle (nor comes as near as a
     quarter of a footprint) are joined to boxes, which may pass through other cells of the inside; the largest are cut
-    into wedges of six points. They are not drawn (opacity 0.001), so no image changes, and have the colour of what is nearest.
+    into wedges of six points. They are not drawn (opacity 0.001), so no image changes, and have the colour of what is
+    nearest.
 
     Args:
         surface: of the body, outward faces [m].
