@@ -33,11 +33,11 @@ SMALLER = 1.6
 class Rates:
     """Greatest steps: of centres in footprints, of log scales, quaternions, logits of opacities, first harmonics."""
 
-    centre: float = 0.1
-    scale: float = 0.02
-    turn: float = 0.02
-    opacity: float = 0.05
-    colour: float = 0.02
+    centre: float = 0.2
+    scale: float = 0.08
+    turn: float = 0.05
+    opacity: float = 0.15
+    colour: float = 0.05
 
 
 @dataclass(frozen=True)

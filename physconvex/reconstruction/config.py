@@ -47,7 +47,7 @@ class ReconstructionConfig(BaseModel):
 
     start: StartKind = "auto"
     budget: int = Field(default=24_000, ge=50)
-    start_share: Share = 0.6
+    start_share: Share = 0.8
     filler_share: Share = 0.1
     gap_share: Share = 0.1
     steps: int = Field(default=400, ge=1)
@@ -57,11 +57,11 @@ class ReconstructionConfig(BaseModel):
     refine_until: Share = 0.6
     dissimilarity: Share = 0.2
     mask_weight: float = Field(default=0.2, ge=0, allow_inf_nan=False)
-    edge_width: Positive = 1.0
-    point_rate: Positive = 0.05
-    edge_rate: Positive = 0.01
-    opacity_rate: Positive = 0.02
-    colour_rate: Positive = 0.02
+    edge_width: Positive = 0.7
+    point_rate: Positive = 0.3
+    edge_rate: Positive = 0.06
+    opacity_rate: Positive = 0.1
+    colour_rate: Positive = 0.05
     view_rate: float = Field(default=0.05, ge=0, allow_inf_nan=False)
     view_decay: Share = 0.002
     final_rate: Share = 0.1

@@ -129,7 +129,7 @@ class FieldViewer:
         self._place_camera()
         self._add_controls()
         self.server.on_client_connect(self._greet)
-        self.server.on_client_disconnect(lambda client: self._wake.pop(client.client_id, None))
+        self.server.on_client_disconnect(self._forget)
 
     @property
     def address(self) -> str:
@@ -187,6 +187,10 @@ class FieldViewer:
         client.camera.on_update(lambda _: event.set())
         event.set()
         threading.Thread(target=self._serve, args=(client, event), daemon=True).start()
+
+    def _forget(self, client: Any) -> None:
+        """A browser has gone."""
+        self._wake.pop(client.client_id, None)
 
     def _serve(self, client: Any, event: threading.Event) -> None:
         """Coarse pictures while the camera moves, a full one when it rests."""
