@@ -16,6 +16,7 @@ import tempfile
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -84,6 +85,14 @@ def gaussians(name: str, views: CaptureViews, folder: Path, settings: list[str],
     )
 
 
+def stored_rows(command: str, names: list[str]) -> list[dict[str, Any]]:
+    """Rows of other objects that the same command (but for the names) has stored."""
+    if not RESULT.exists():
+        return []
+    content = json.loads(RESULT.read_text())
+    return [row for row in content["rows"] if row["object"] not in names] if content["command"] == command else []
+
+
 def main() -> None:
     """Compare and store."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -111,9 +120,10 @@ def main() -> None:
             print(rows[-1], flush=True)
             rows.append(gaussians(name, views, folder, options.settings, Rates()))
             print(rows[-1], flush=True)
-            command = f"python benchmarks/gaussian_comparison.py --objects gso --names {' '.join(options.names)}"
-            command += f" --size {options.size}" + (f" --set {' '.join(options.settings)}" if options.settings else "")
-            content = {"command": command, "rows": [asdict(row) for row in rows]}
+            command = f"python benchmarks/gaussian_comparison.py --objects gso --size {options.size}"
+            command += f" --set {' '.join(options.settings)}" if options.settings else ""
+            kept = stored_rows(command, options.names)
+            content = {"command": command, "rows": [*kept, *(asdict(row) for row in rows)]}
             RESULT.write_text(json.dumps(content, indent=1) + "\n")
 
 
