@@ -49,5 +49,5 @@ def test_compiled_once_then_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 
 @pytest.mark.wrong_types
 def test_unknown_backends_are_refused() -> None:
-    with pytest.raises(InputError, match="backend: got 'cuda'"):
-        render(random_field(2), camera(), backend="cuda")
+    with pytest.raises(InputError, match="backend: got 'metal'"):
+        render(random_field(2), camera(), backend="metal")
