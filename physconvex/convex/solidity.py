@@ -52,14 +52,17 @@ def union_occupancy(field: ConvexField, positions: Float[np.ndarray, "Q 3"]) -> 
 def _pairs(
     field: ConvexField, spaces: HalfSpaces, positions: np.ndarray, reach: np.ndarray
 ) -> Iterator[tuple[np.ndarray, torch.Tensor, torch.Tensor]]:
-    """Points, convexes and distances [pairs, H] to their planes, of pairs whose bounding balls say they may meet."""
+    """Points, convexes and distances [pairs, H] to their planes, of pairs whose bounding balls and boxes say they may meet."""
     tree = cKDTree(positions)
-    centres = field.centres.detach()
+    centres, corners = field.centres.detach(), field.points.detach().numpy()
+    low, high = corners.min(axis=1) - reach[:, None], corners.max(axis=1) + reach[:, None]
     radius = torch.linalg.vector_norm(field.points.detach() - centres[:, None], dim=2).amax(dim=1).numpy() + reach
     for block in np.array_split(np.arange(len(field)), max(1, len(field) // 2000)):
         near = tree.query_ball_point(centres[block].numpy(), radius[block])
         owners = np.repeat(block, [len(some) for some in near])
         points = np.concatenate([np.asarray(some, dtype=np.int64) for some in near])
+        meet = ((positions[points] >= low[owners]) & (positions[points] <= high[owners])).all(axis=1)
+        owners, points = owners[meet], points[meet]
         for part in np.array_split(np.arange(len(points)), 1 + len(points) // PAIRS):
             if len(part):
                 convexes = torch.as_tensor(owners[part])
