@@ -61,7 +61,8 @@ class _Composite(torch.autograd.Function):
     def forward(ctx: Any, starts: Tensor, *inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         given = [tensor.detach().float().contiguous() for tensor in inputs]
         height, width = inputs[0].shape[:2]
-        scene = [width, height, len(starts) - 1, given[0], starts.int().contiguous(), *given[1:]]
+        sizes = [width, height, len(starts) - 1]
+        scene: list[Tensor | int] = [*sizes, given[0], starts.int().contiguous(), *given[1:]]
         new = given[0].new_empty
         out = new((height, width, FEATURES)), new((height, width)), new((height, width), dtype=torch.int32)
         ctx.grid = (-(-width // SIDE), -(-height // SIDE))
