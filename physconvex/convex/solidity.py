@@ -52,7 +52,7 @@ def union_occupancy(field: ConvexField, positions: Float[np.ndarray, "Q 3"]) -> 
 def _pairs(
     field: ConvexField, spaces: HalfSpaces, positions: np.ndarray, reach: np.ndarray
 ) -> Iterator[tuple[np.ndarray, torch.Tensor, torch.Tensor]]:
-    """Points, convexes and distances [pairs, H] to their planes, of pairs whose bounding balls and boxes say they may meet."""
+    """Points, convexes and distances [pairs, H] to their planes, of pairs whose bounding balls and boxes may meet."""
     tree = cKDTree(positions)
     centres, corners = field.centres.detach(), field.points.detach().numpy()
     low, high = corners.min(axis=1) - reach[:, None], corners.max(axis=1) + reach[:, None]
