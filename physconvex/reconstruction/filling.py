@@ -15,8 +15,8 @@ __all__ = ["fill_gaps", "grown_boxes"]
 
 CELL = 2.0  # footprints
 MARGIN = 0.25  # footprints: what is this near to a hull counts as covered
-LONGEST = 160  # cells along the longest edge of the body at most
-BLOCK = 20_000  # cells looked at together
+LONGEST = 112  # cells along the longest edge of the body at most
+BLOCK = 200_000  # cells looked at together
 
 
 def fill_gaps(field: ConvexField, surface: trimesh.Trimesh, *, footprint: float, most: int) -> ConvexField:
