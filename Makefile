@@ -48,7 +48,7 @@ bench-data: env
 
 ## bench-objects: what needs a folder of scanned objects: make bench-objects OBJECTS=data/gso
 bench-objects: env
-	@for name in reconstruction moving_field; do \
+	@for name in reconstruction gaussian_comparison moving_field; do \
 	    echo "== $$name"; $(BIN)/python benchmarks/$$name.py --objects $(OBJECTS) || exit 1; done
 
 demo:

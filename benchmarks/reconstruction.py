@@ -3,7 +3,8 @@
 Each object (a folder with model.obj and texture.png) is rendered at 448² from 12 cameras to fit (elevations 10, 35 and
 −10 degrees in turn) and 4 held out between them (20 and 0 degrees), with alpha, before white; then reconstructed from
 them and its mesh. Coverage is measured by random points against the mesh, where that is watertight; `margin` is half of
-what a pixel covers. Processor time counts all threads.
+what a pixel covers. Processor time counts all threads. Rows of other
+objects from runs with the same settings are kept.
 
 python benchmarks/reconstruction.py --objects data/gso [--names Dino_4 …] [--size 448] [--threads 2] [--set steps=400]
 """
@@ -88,6 +89,14 @@ def coverage(result: Reconstruction, capture: Path) -> Coverage | None:
         return None
 
 
+def stored_rows(command: str, names: list[str]) -> list[dict[str, Any]]:
+    """Rows of other objects that the same command (but for the names) has stored."""
+    if not RESULT.exists():
+        return []
+    content = json.loads(RESULT.read_text())
+    return [row for row in content["rows"] if row["object"] not in names] if content["command"] == command else []
+
+
 def main() -> None:
     """Measure and store."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -102,9 +111,9 @@ def main() -> None:
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     names = options.names or sorted(path.parent.name for path in options.objects.glob("*/model.obj"))
-    command = f"python benchmarks/reconstruction.py --objects gso --names {' '.join(names)} --size {options.size}"
-    command += f" --threads {options.threads}" + (f" --set {' '.join(options.settings)}" if options.settings else "")
-    rows: list[dict[str, Any]] = []
+    command = f"python benchmarks/reconstruction.py --objects gso --size {options.size} --threads {options.threads}"
+    command += f" --set {' '.join(options.settings)}" if options.settings else ""
+    rows = [] if options.no_store else stored_rows(command, names)
     with tempfile.TemporaryDirectory() as scratch:
         for name in names:
             row = measure(name, options.objects, options.work or Path(scratch), options)

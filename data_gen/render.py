@@ -32,13 +32,14 @@ __all__ = ["Backdrop", "Lighting", "RenderError", "Renderer"]
 
 @dataclass(frozen=True)
 class Lighting:
-    """One key light far away, a fill light from the other side, and ambient light.
+    """One key light far away, a fill light from the other side, ambient light and what the floor throws back.
 
     Attributes:
         direction: unit vector from the scene to the key light, shape [3], z > 0.
         key, fill, ambient: intensities, factors on the texture colour.
         color: RGB factor of the key light.
         specular: strength of the highlight.
+        bounce: light from straight below, a factor on `ambient`.
         shadow_softness: standard deviation of the shadow's edge, in image heights.
     """
 
@@ -49,6 +50,7 @@ class Lighting:
     color: tuple[float, float, float] = (1.0, 1.0, 1.0)
     specular: float = 0.1
     shadow_softness: float = 0.01
+    bounce: float = 0.5
 
 
 @dataclass(frozen=True, eq=False)

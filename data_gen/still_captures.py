@@ -23,7 +23,7 @@ from physconvex.errors import InputError
 __all__ = ["FLAT", "KEYED", "StillViews", "rendered_frames", "still_cameras", "write_still_capture"]
 
 KEYED = Lighting(direction=(0.4, -0.5, 0.768))
-FLAT = Lighting(direction=(0.0, 0.0, 1.0), key=0.0, fill=0.0, ambient=1.0, specular=0.0)
+FLAT = Lighting(direction=(0.0, 0.0, 1.0), key=0.0, fill=0.0, ambient=1.0, specular=0.0, bounce=0.0)
 FIELD_OF_VIEW = 0.5  # [rad]
 SPACE = 1.08  # around the object
 COPIES = 2  # of each image, since a sequence has at least two

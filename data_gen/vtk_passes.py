@@ -218,7 +218,7 @@ def light_object(renderer: Any, lighting: Lighting, camera: Camera) -> None:
     viewer = camera.position / np.linalg.norm(camera.position)
     fill = viewer - 0.8 * key + [0, 0, 0.3]
     directions = (key, fill / np.linalg.norm(fill), np.array([0.0, 0.0, -1.0]))
-    intensities = (lighting.key, lighting.fill, 0.5 * lighting.ambient)
+    intensities = (lighting.key, lighting.fill, lighting.bounce * lighting.ambient)
     for light, direction, intensity in zip(lights, directions, intensities, strict=True):
         light.SetPosition(*(100 * direction))
         light.SetFocalPoint(0, 0, 0)

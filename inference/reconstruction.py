@@ -28,10 +28,13 @@ from physconvex.reconstruction import (
     ReconstructionConfig,
     ViewScore,
     begin,
+    body_surface,
+    fill_gaps,
     fit,
     score,
     start_field,
 )
+from physconvex.reconstruction.config import StartKind
 from physconvex.reconstruction.state import load_state, save_state
 from physconvex.render.movies import film, orbit
 from physconvex.video import write_video
@@ -136,11 +139,11 @@ def reconstruct(
             return _read(folder, finished, config)
     state = None if folder is None else load_state(folder / STATE, claim=claim)
     mesh = source.mesh()
-    kind: str = _start_kind(config, mesh is not None, given is not None)
+    kind = _start_kind(config, mesh is not None, given is not None)
     if state is None:
         state = begin(start_field(views.training, config, mesh=mesh, points=given))
     _fit_and_store(state, views, config, folder, claim, on_step)
-    field = state.field()
+    field = _closed(state, body_surface(kind, views.training, mesh), config)
     trained, tested = (score(field, part) for part in (views.training, views.held_out))
     result = Reconstruction(
         field,
@@ -158,7 +161,18 @@ def reconstruct(
     return result
 
 
-def _start_kind(config: ReconstructionConfig, mesh: bool, points: bool) -> str:
+def _closed(state: FitState, surface: trimesh.Trimesh | None, config: ReconstructionConfig) -> ConvexField:
+    """The fitted field, its gaps filled with what is left of the budget."""
+    field = state.field()
+    if surface is None or not config.gap_share:
+        return field
+    clock = time.perf_counter()
+    field = fill_gaps(field, surface, footprint=state.footprint, most=config.budget - len(field))
+    state.seconds += time.perf_counter() - clock
+    return field
+
+
+def _start_kind(config: ReconstructionConfig, mesh: bool, points: bool) -> StartKind:
     if config.start != "auto":
         return config.start
     return "mesh" if mesh else "points" if points else "hull"

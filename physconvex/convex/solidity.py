@@ -15,6 +15,7 @@ from physconvex.convex.halfspaces import HalfSpaces, half_spaces
 __all__ = ["hull_volumes", "inside_union", "union_occupancy", "union_volume"]
 
 PAIRS = 400_000  # point-convex pairs evaluated at once
+LARGEST = (30, 300, 2000)  # convexes looked at one set after the other
 SOFT_REACH = 8.0  # an edge is neglected beyond this many widths 1/(αβ)
 
 
@@ -31,10 +32,22 @@ def inside_union(
     """Whether positions [m] lie in at least one hull, or no farther than `margin` [m] from its planes."""
     field = field.to(torch.float64)
     spaces = half_spaces(field) if spaces is None else spaces
-    found = np.zeros(len(positions), dtype=bool)
-    for points, _, distances in _pairs(field, spaces, positions, np.full(len(field), margin)):
-        found[points[distances.amax(dim=1).numpy() <= margin]] = True
-    return found
+    corners = field.points.detach()
+    size = (corners.amax(dim=1) - corners.amin(dim=1)).prod(dim=1).numpy()
+    order = np.argsort(-size, kind="stable")  # the largest first: what they hold is not asked again
+    left = np.arange(len(positions))
+    for block in np.split(order, [b for b in LARGEST if b < len(order)]):
+        chosen = torch.as_tensor(block)
+        some = HalfSpaces(spaces.normals[chosen], spaces.offsets[chosen])
+        found = np.zeros(len(left), dtype=bool)
+        for points, _, distances in _pairs(field.select(chosen), some, positions[left], np.full(len(block), margin)):
+            found[points[distances.amax(dim=1).numpy() <= margin]] = True
+        left = left[~found]
+        if not len(left):
+            break
+    outside = np.zeros(len(positions), dtype=bool)
+    outside[left] = True
+    return ~outside
 
 
 def union_volume(field: ConvexField, *, cells: int = 64) -> float:
@@ -61,14 +74,17 @@ def union_occupancy(field: ConvexField, positions: Float[np.ndarray, "Q 3"]) -> 
 def _pairs(
     field: ConvexField, spaces: HalfSpaces, positions: np.ndarray, reach: np.ndarray
 ) -> Iterator[tuple[np.ndarray, torch.Tensor, torch.Tensor]]:
-    """Points, convexes and distances [pairs, H] to their planes, of pairs whose bounding balls say they may meet."""
+    """Points, convexes and distances [pairs, H] to their planes, of pairs whose bounding balls and boxes may meet."""
     tree = cKDTree(positions)
-    centres = field.centres.detach()
+    centres, corners = field.centres.detach(), field.points.detach().numpy()
+    low, high = corners.min(axis=1) - reach[:, None], corners.max(axis=1) + reach[:, None]
     radius = torch.linalg.vector_norm(field.points.detach() - centres[:, None], dim=2).amax(dim=1).numpy() + reach
     for block in np.array_split(np.arange(len(field)), max(1, len(field) // 2000)):
         near = tree.query_ball_point(centres[block].numpy(), radius[block])
         owners = np.repeat(block, [len(some) for some in near])
         points = np.concatenate([np.asarray(some, dtype=np.int64) for some in near])
+        meet = ((positions[points] >= low[owners]) & (positions[points] <= high[owners])).all(axis=1)
+        owners, points = owners[meet], points[meet]
         for part in np.array_split(np.arange(len(points)), 1 + len(points) // PAIRS):
             if len(part):
                 convexes = torch.as_tensor(owners[part])

@@ -2,12 +2,13 @@
 
 from physconvex.reconstruction.config import ReconstructionConfig, load_reconstruction_config
 from physconvex.reconstruction.coverage import Coverage, measure_coverage
+from physconvex.reconstruction.filling import fill_gaps
 from physconvex.reconstruction.fit import FitState, Progress, begin, fit, image_loss
 from physconvex.reconstruction.observation import Observation, observe
 from physconvex.reconstruction.refine import Refinement, refine
 from physconvex.reconstruction.scores import ViewScore, score
 from physconvex.reconstruction.similarity import psnr, structural_similarity
-from physconvex.reconstruction.start import Start, start_field
+from physconvex.reconstruction.start import Start, body_surface, start_field
 from physconvex.reconstruction.visual_hull import visual_hull
 
 __all__ = [
@@ -20,6 +21,8 @@ __all__ = [
     "Start",
     "ViewScore",
     "begin",
+    "body_surface",
+    "fill_gaps",
     "fit",
     "image_loss",
     "load_reconstruction_config",

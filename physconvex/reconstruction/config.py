@@ -29,6 +29,8 @@ class ReconstructionConfig(BaseModel):
         budget: most convexes.
         start_share: share of the budget that covers the surface at the start; refinement adds the rest.
         filler_share: share of the budget that may fill the inside.
+        gap_share: share of the budget that is kept to close, after the fit, what is in no hull; the others are of the
+            rest.
         steps: steps of the optimiser, one view each.
         levels, level_shares: coarse to fine: scales of the image, and the share of the steps spent at each.
         refinements: how often convexes are split, cloned and pruned, evenly over the first `refine_until` of the steps.
@@ -45,8 +47,9 @@ class ReconstructionConfig(BaseModel):
 
     start: StartKind = "auto"
     budget: int = Field(default=24_000, ge=50)
-    start_share: Share = 0.6
+    start_share: Share = 0.8
     filler_share: Share = 0.1
+    gap_share: Share = 0.1
     steps: int = Field(default=400, ge=1)
     levels: tuple[Share, ...] = (0.25, 0.5, 1.0)
     level_shares: tuple[Share, ...] = (0.1, 0.2, 0.7)
@@ -54,11 +57,11 @@ class ReconstructionConfig(BaseModel):
     refine_until: Share = 0.6
     dissimilarity: Share = 0.2
     mask_weight: float = Field(default=0.2, ge=0, allow_inf_nan=False)
-    edge_width: Positive = 1.0
-    point_rate: Positive = 0.05
-    edge_rate: Positive = 0.01
-    opacity_rate: Positive = 0.02
-    colour_rate: Positive = 0.02
+    edge_width: Positive = 0.7
+    point_rate: Positive = 0.3
+    edge_rate: Positive = 0.06
+    opacity_rate: Positive = 0.1
+    colour_rate: Positive = 0.05
     view_rate: float = Field(default=0.05, ge=0, allow_inf_nan=False)
     view_decay: Share = 0.002
     final_rate: Share = 0.1
@@ -71,6 +74,11 @@ class ReconstructionConfig(BaseModel):
         if abs(sum(self.level_shares) - 1) > 1e-6:
             raise ValueError(f"level_shares {self.level_shares} must sum to one")
         return self
+
+    @property
+    def fit_budget(self) -> int:
+        """Most convexes during the fit."""
+        return self.budget - round(self.gap_share * self.budget)
 
     def scale_at(self, step: int) -> float:
         """Scale of the image in a step."""

@@ -152,7 +152,9 @@ def _rates(state: FitState, config: ReconstructionConfig) -> tuple[Tensor | floa
 def _refine(state: FitState, views: Sequence[Observation], config: ReconstructionConfig) -> None:
     generator = torch.Generator().manual_seed(config.seed + state.step)
     pixel = state.footprint / config.scale_at(state.step)
-    made = refine(state.field(), views, budget=config.budget, footprint=pixel, fixed=state.fixed, generator=generator)
+    made = refine(
+        state.field(), views, budget=config.fit_budget, footprint=pixel, fixed=state.fixed, generator=generator
+    )
     state.parameters = FreeParameters.of(made.field)
     state.adam = state.adam.select(made.sources, made.fresh)
     state.fixed = state.fixed[made.sources]

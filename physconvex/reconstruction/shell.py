@@ -14,6 +14,7 @@ __all__ = ["fillers", "octahedra", "prisms"]
 GREATEST_GROWTH = 2.0  # of a sliver whose edges are moved outward
 SHARE_OF_WALL = 0.4  # of the way to the other side of the body that a prism may reach
 SURFACE_SAMPLES = 40_000
+UNPAINTED = 1e-3  # opacity of what fills the inside, below what is drawn: convexes are sorted by their centres
 LATTICE = 64  # cells along the longest edge at most
 BOX_POINTS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 WEDGES = np.array([[0, 1, 2, 3, 4, 5], [2, 3, 4, 5, 6, 7]])  # of a box, sharing the diagonal plane

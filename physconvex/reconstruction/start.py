@@ -15,16 +15,13 @@ from physconvex.errors import InputError
 from physconvex.reconstruction.attribution import Gathered, gather
 from physconvex.reconstruction.config import ReconstructionConfig, StartKind
 from physconvex.reconstruction.observation import Observation
-from physconvex.reconstruction.shell import fillers, octahedra, prisms
+from physconvex.reconstruction.shell import UNPAINTED, fillers, octahedra, prisms
 from physconvex.reconstruction.triangles import even_triangles, welded
 from physconvex.reconstruction.visual_hull import footprint, visual_hull
 
-__all__ = ["Start", "start_field"]
+__all__ = ["Start", "body_surface", "start_field"]
 
 OPACITY = 0.97
-UNPAINTED = (
-    1e-3  # below what is drawn: convexes are sorted by their centres, so large inner ones could hide the surface
-)
 DEPTH = 1.3  # of prisms, in mean edges of the triangles
 
 
@@ -62,19 +59,29 @@ def start_field(
     inner = np.zeros((0, 6, 3))
     if kind == "points":
         assert points is not None
-        outer = octahedra(_thinned(points, round(config.start_share * config.budget), config.seed))
+        outer = octahedra(_thinned(points, round(config.start_share * config.fit_budget), config.seed))
     else:
-        surface = welded(mesh) if kind == "mesh" and mesh is not None else visual_hull(observations)
-        triangles = even_triangles(surface, max(4, round(config.start_share * config.budget)))
+        surface = body_surface(kind, observations, mesh)
+        assert surface is not None
+        triangles = even_triangles(surface, max(4, round(config.start_share * config.fit_budget)))
         depth = DEPTH * float(np.sqrt(4 / np.sqrt(3) * triangles.areas.mean()))
         outer = prisms(triangles, surface, depth=depth, overhang=0.5 * config.edge_width * pixel)
-        inner = fillers(surface, depth=depth, most=round(config.filler_share * config.budget))
+        inner = fillers(surface, depth=depth, most=round(config.filler_share * config.fit_budget))
     both = torch.as_tensor(np.concatenate([outer, inner]), dtype=torch.float32)
     ones = torch.ones(len(both))
     grey = coefficients_of_colour(torch.full((len(both), 3), 0.5))
     opacity = torch.where(torch.arange(len(both)) < len(outer), OPACITY, UNPAINTED)
     field = ConvexField(both, ones * 4 / (config.edge_width * pixel), ones, opacity, grey)
     return Start(_coloured(field, observations), len(inner), pixel, kind)
+
+
+def body_surface(
+    kind: StartKind, observations: Sequence[Observation], mesh: trimesh.Trimesh | None
+) -> trimesh.Trimesh | None:
+    """The surface that a start of a kind goes by; None for points."""
+    if kind == "points":
+        return None
+    return welded(mesh) if kind == "mesh" and mesh is not None else visual_hull(observations)
 
 
 def _kind(asked: StartKind, mesh: bool, points: bool) -> StartKind:

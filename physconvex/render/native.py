@@ -10,11 +10,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-__all__ = ["KernelUnavailable", "cache_folder", "load_library"]
+__all__ = ["SOURCES", "KernelUnavailable", "cache_folder", "compiled", "load_library"]
 
 SOURCES = Path(__file__).with_name("cpu")
 COMPILERS = ("c++", "g++", "clang++")
@@ -48,13 +49,21 @@ def load_library() -> ctypes.CDLL:
     Raises:
         KernelUnavailable: no compiler, or it failed.
     """
-    return _declared(ctypes.CDLL(str(_compiled())))
+    return _declared(ctypes.CDLL(str(compiled(SOURCES))))
 
 
-def _compiled() -> Path:
-    """Path of the library of these sources, these flags, this compiler and this processor."""
+def compiled(folder: Path, *, include: Sequence[Path] = ()) -> Path:
+    """Path of the library of a folder's `kernel.cpp`, for these flags, this compiler and this processor.
+
+    Args:
+        include: further folders of headers.
+
+    Raises:
+        KernelUnavailable: no compiler, it failed, or the cache cannot be written.
+    """
     compiler = _compiler()
-    sources = [path.read_bytes() for path in sorted(SOURCES.iterdir()) if path.suffix in (".cpp", ".h")]
+    folders = (folder, *include)
+    sources = [path.read_bytes() for one in folders for path in sorted(one.iterdir()) if path.suffix in (".cpp", ".h")]
     key = [*sources, " ".join(FLAGS).encode(), compiler.encode(), _processor()]
     name = hashlib.sha256(b"\0".join(key)).hexdigest()[:24]
     library = cache_folder() / f"kernel-{name}.so"
@@ -62,9 +71,10 @@ def _compiled() -> Path:
         return library
     try:
         library.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=library.parent) as folder:
-            made = Path(folder) / library.name
-            _run([compiler, *FLAGS, str(SOURCES / "kernel.cpp"), "-o", str(made)])
+        with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
+            made = Path(scratch) / library.name
+            headers = [f"-I{one}" for one in include]
+            _run([compiler, *FLAGS, *headers, str(folder / "kernel.cpp"), "-o", str(made)])
             made.replace(library)  # in one step, so that two processes may do this at once
     except OSError as error:
         raise KernelUnavailable(f"{library.parent}: cannot be written: {error.strerror}") from None

@@ -14,6 +14,7 @@ from torch import Tensor
 from physconvex.camera import Camera
 from physconvex.convex.field import ConvexField
 from physconvex.errors import InputError
+from physconvex.render.cuda import composite_cuda
 from physconvex.render.kernel import composite_kernel, planar_hulls_kernel
 from physconvex.render.native import KernelUnavailable, load_library
 from physconvex.render.projection import NEAR, Splats, project
@@ -22,7 +23,7 @@ from physconvex.render.view import View
 
 __all__ = ["Backend", "RenderedImage", "render", "splat"]
 
-Backend = Literal["auto", "kernel", "reference"]
+Backend = Literal["auto", "kernel", "cuda", "reference"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +53,8 @@ def splat(
     field: ConvexField, view: View, *, near: float = NEAR, backend: Backend = "auto"
 ) -> tuple[Splats, Callable[[Splats, Tensor], Layers]]:
     """The polygons of a field, and what blends them, by the chosen implementation, see `render`."""
+    if backend == "cuda":
+        return project(field, view, near=near), composite_cuda
     if _uses_kernel(field.points, backend):
         return project(field, view, near=near, hulls=planar_hulls_kernel), composite_kernel
     return project(field, view, near=near), composite_reference
@@ -91,8 +94,8 @@ def render(
         background: one colour or one per pixel; white if not given.
         near: what is nearer than this is cut away [m].
         backend: `reference` is the definition in plain torch; `kernel` computes the same in float32 on the CPU and
-            needs a C++ compiler; `auto` takes the kernel for float32 on the CPU where it can be had (or warns), else
-            the reference.
+            needs a C++ compiler; `cuda` computes it on a CUDA device (checked in emulation, not yet on a device);
+            `auto` takes the kernel for float32 on the CPU where it can be had (or warns), else the reference.
 
     Raises:
         InputError: a background of another shape, `near` not positive, no such backend, a view of another type.

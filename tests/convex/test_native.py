@@ -29,25 +29,25 @@ def test_no_compiler_a_failing_one_and_an_unwritable_cache_are_named(
     monkeypatch.setenv("PHYSCONVEX_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("CXX", "false")
     with pytest.raises(native.KernelUnavailable, match="false failed"):
-        native._compiled()
+        native.compiled(native.SOURCES)
     monkeypatch.setenv("PHYSCONVEX_CACHE", str(Path(__file__) / "cache"))
     with pytest.raises(native.KernelUnavailable, match="cannot be written"):
-        native._compiled()
+        native.compiled(native.SOURCES)
     monkeypatch.delenv("CXX")
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(native.KernelUnavailable, match="no C\\+\\+ compiler found"):
-        native._compiled()
+        native.compiled(native.SOURCES)
 
 
 @pytest.mark.slow
 def test_compiled_once_then_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PHYSCONVEX_CACHE", str(tmp_path))
-    library = native._compiled()
+    library = native.compiled(native.SOURCES)
     monkeypatch.setattr(native, "_run", lambda command: pytest.fail("compiled again"))
-    assert native._compiled() == library and [library] == list(tmp_path.iterdir())
+    assert native.compiled(native.SOURCES) == library and [library] == list(tmp_path.iterdir())
 
 
 @pytest.mark.wrong_types
 def test_unknown_backends_are_refused() -> None:
-    with pytest.raises(InputError, match="backend: got 'cuda'"):
-        render(random_field(2), camera(), backend="cuda")
+    with pytest.raises(InputError, match="backend: got 'metal'"):
+        render(random_field(2), camera(), backend="metal")

@@ -14,7 +14,7 @@ def test_a_still_capture_can_be_read_back_and_shows_the_colours(tmp_path):
     box = trimesh.creation.box((0.1, 0.2, 0.1))
     colours = np.tile(np.array([[200, 100, 50]], np.uint8), (len(box.vertices), 1))
     body = ObjectMesh(np.asarray(box.vertices), np.asarray(box.faces), "box", "user", vertex_colors=colours)
-    groups = (StillViews(3, (0.0, 30.0), name="fit"), StillViews(1, (10.0,), phase=0.5, name="held"))
+    groups = (StillViews(3, (0.0, -60.0), name="fit"), StillViews(1, (10.0,), phase=0.5, name="held"))
     write_still_capture(tmp_path / "still", body, groups, size=32, lighting=FLAT)
     capture = load_capture(tmp_path / "still")
     assert [camera.name for camera in capture.cameras] == ["fit0", "fit1", "fit2", "held0"]

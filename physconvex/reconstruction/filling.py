@@ -1,0 +1,116 @@
+"""Closing what a fit has left open inside a body."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+import trimesh
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from physconvex.convex import ConvexField, half_spaces, inside_union
+from physconvex.reconstruction.shell import BOX_POINTS, UNPAINTED, WEDGES
+
+__all__ = ["fill_gaps", "grown_boxes"]
+
+CELL = 2.0  # footprints
+MARGIN = 0.25  # footprints: what is this near to a hull counts as covered
+LONGEST = 112  # cells along the longest edge of the body at most
+BLOCK = 200_000  # cells looked at together
+
+
+def fill_gaps(field: ConvexField, surface: trimesh.Trimesh, *, footprint: float, most: int) -> ConvexField:
+    """The field with at most `most` convexes more, where the inside of a surface lies in no hull.
+
+    The body is looked at in cells of two footprints. Those of which no hull holds the middle (nor comes as near as a
+    quarter of a footprint) are joined to boxes, which may pass through other cells of the inside; the largest are cut
+    into wedges of six points. They are not drawn (opacity 0.001), so no image changes, and have the colour of what is
+    nearest.
+
+    Args:
+        surface: of the body, outward faces [m].
+        footprint: what a pixel covers at the object [m].
+    """
+    if field.points.shape[1] < WEDGES.shape[1] or most < 2:
+        return field
+    low, size = surface.bounds[0], float(np.ptp(surface.bounds, axis=0).max())
+    edge = max(CELL * footprint, size / LONGEST)
+    inside = _inside(surface, low, edge)
+    open_cells = _uncovered(field, inside, low, edge, MARGIN * footprint)
+    boxes, gains = grown_boxes(open_cells, inside)
+    boxes = boxes[np.argsort(-gains, kind="stable")[: most // 2]]
+    if not len(boxes):
+        return field
+    corners = boxes[:, :1] + (boxes[:, 1] - boxes[:, 0])[:, None] * BOX_POINTS
+    return _joined_to(field, (low + edge * corners)[:, WEDGES].reshape(-1, 6, 3))
+
+
+def _inside(surface: trimesh.Trimesh, low: np.ndarray, edge: float) -> Bool[np.ndarray, "X Y Z"]:
+    """Cells whose middle lies inside."""
+    shape = np.ceil(np.ptp(surface.bounds, axis=0) / edge).astype(int)
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1)
+    middles = (low + edge * (grid + 0.5)).reshape(-1, 3)
+    return np.asarray(surface.contains(middles)).reshape(shape)
+
+
+def _uncovered(
+    field: ConvexField, inside: np.ndarray, low: np.ndarray, edge: float, margin: float
+) -> Bool[np.ndarray, "X Y Z"]:
+    """Cells of the inside whose middle no hull holds."""
+    cells = np.argwhere(inside)
+    spaces = half_spaces(field.to(torch.float64))
+    blocks = np.array_split(cells, 1 + len(cells) // BLOCK)
+    covered = [inside_union(field, low + edge * (some + 0.5), margin=margin, spaces=spaces) for some in blocks]
+    found = np.zeros_like(inside)
+    found[tuple(cells[~np.concatenate(covered)].T)] = True
+    return found
+
+
+def grown_boxes(
+    wanted: Bool[np.ndarray, "X Y Z"], allowed: Bool[np.ndarray, "X Y Z"]
+) -> tuple[Int[np.ndarray, "B 2 3"], Int[np.ndarray, " B"]]:
+    """Boxes (first cell, cell after the last) of allowed cells that hold all wanted ones, and how many new ones each.
+
+    From each wanted cell that no box holds yet, a box grows along x, y, z in turn as long as the next layer is allowed
+    as a whole and holds a wanted cell.
+    """
+    left = wanted & allowed
+    boxes, gains = [], []
+    for cell in np.argwhere(left):
+        if not left[tuple(cell)]:
+            continue
+        ends = np.stack([cell, cell + 1])
+        for axis in range(3):
+            for side in (1, 0):
+                while (layer := _next_layer(ends, axis, side, left.shape)) is not None:
+                    if not (allowed[layer].all() and left[layer].any()):
+                        break
+                    ends[side, axis] += 2 * side - 1
+        block = tuple(slice(a, b) for a, b in ends.T)
+        gains.append(int(left[block].sum()))
+        left[block] = False
+        boxes.append(ends)
+    return np.array(boxes, dtype=np.int64).reshape(-1, 2, 3), np.array(gains, dtype=np.int64)
+
+
+def _next_layer(
+    ends: Int[np.ndarray, "2 3"], axis: int, side: int, shape: tuple[int, ...]
+) -> tuple[slice, slice, slice] | None:
+    """The cells that a box would gain, None at the end of the lattice."""
+    place = int(ends[1, axis]) if side else int(ends[0, axis]) - 1
+    if not 0 <= place < shape[axis]:
+        return None
+    x, y, z = (slice(place, place + 1) if k == axis else slice(*ends[:, k]) for k in range(3))
+    return x, y, z
+
+
+def _joined_to(field: ConvexField, wedges: Float[np.ndarray, "W 6 3"]) -> ConvexField:
+    """The field and undrawn convexes with these points."""
+    points = torch.as_tensor(wedges).to(field.points)
+    spare = field.points.shape[1] - points.shape[1]
+    points = torch.cat([points, points[:, :1].expand(-1, spare, -1)], dim=1)
+    near = cKDTree(field.centres.numpy()).query(points.mean(dim=1).numpy())[1]
+    new = field.select(torch.as_tensor(near)).with_points(points)
+    joined = [torch.cat(pair) for pair in zip(field.tensors(), new.tensors(), strict=True)]
+    joined[3][len(field) :] = UNPAINTED
+    return ConvexField(*joined)

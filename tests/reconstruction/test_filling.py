@@ -1,0 +1,55 @@
+"""What a fit has left open is closed without changing an image."""
+
+import numpy as np
+import torch
+import trimesh
+
+from physconvex.camera import look_at
+from physconvex.convex import ConvexField, hull_volumes, inside_union
+from physconvex.reconstruction import ReconstructionConfig, fill_gaps, measure_coverage, start_field
+from physconvex.reconstruction.filling import grown_boxes
+from physconvex.render import render
+from tests.reconstruction.scenes import RADIUS, ball_mesh, views
+
+
+def test_boxes_hold_all_that_is_wanted_and_nothing_that_is_not_allowed():
+    rng = np.random.default_rng(0)
+    allowed = rng.random((9, 8, 7)) < 0.9
+    wanted = allowed & (rng.random(allowed.shape) < 0.3)
+    boxes, gains = grown_boxes(wanted, allowed)
+    held = np.zeros_like(allowed)
+    for first, last in boxes:
+        held[tuple(slice(a, b) for a, b in zip(first, last, strict=True))] = True
+    assert (held >= wanted).all() and not (held & ~allowed).any()
+    assert gains.sum() == wanted.sum() and gains.min() > 0 and len(boxes) < wanted.sum()
+
+
+def with_hole() -> tuple[ConvexField, float]:
+    """A ball's first convexes without those of its lower half."""
+    config = ReconstructionConfig(budget=600, start_share=0.9)
+    start = start_field(views(3), config, mesh=ball_mesh())
+    return start.field.select(start.field.centres[:, 2] > -0.01), start.footprint
+
+
+def test_gaps_are_filled_within_the_body_and_unseen() -> None:
+    field, footprint = with_hole()
+    filled = fill_gaps(field, ball_mesh(), footprint=0.4 * footprint, most=2000)
+    before, after = (measure_coverage(one, ball_mesh(), margin=0.5 * footprint) for one in (field, filled))
+    assert before.volume < 0.7 and after.volume > 0.95
+    assert before.gaps > 0.3 and after.gaps < 0.05
+    assert after.outside < 0.05
+    camera = look_at((0, -0.4, -0.1), (0, 0, 0), width=40, height=40, vertical_field_of_view=0.4)
+    assert torch.equal(render(field, camera).colour, render(filled, camera).colour)
+
+
+def test_few_convexes_fill_the_largest_gaps_and_none_are_added_where_all_is_covered() -> None:
+    field, footprint = with_hole()
+    filled = fill_gaps(field, ball_mesh(), footprint=footprint, most=11)
+    added = filled.select(torch.arange(len(filled)) >= len(field))
+    assert len(added) == 10
+    assert hull_volumes(added).sum() > 0.1 * 4 / 3 * np.pi * RADIUS**3
+    box = trimesh.creation.box((0.02, 0.02, 0.02))
+    whole = fill_gaps(filled, ball_mesh(), footprint=footprint, most=1000)
+    inside = box.vertices * 0.9
+    assert inside_union(whole, inside).all()
+    assert len(fill_gaps(whole, box, footprint=footprint, most=50)) == len(whole)
