@@ -14,14 +14,16 @@ from physconvex.capture import Capture, load_capture
 from physconvex.errors import ConvergenceError
 from physconvex.gap.advice import next_experiment
 from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
-from physconvex.gap.comparison import Hypothesis, base_hypothesis, compare, fit_effects
+from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
 from physconvex.gap.effects import Effect, choose
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
+from physconvex.gap.mapping import as_reduced
 from physconvex.gap.numerics import Numerics, correction_of, error_model, numerical_differences
 from physconvex.gap.options import GapOptions
 from physconvex.gap.report import GapReport, Provenance
 from physconvex.gap.score import ErrorModel
-from physconvex.gap.screening import Screening, screen
+from physconvex.gap.screening import Screening
+from physconvex.gap.selection import select_effects
 from physconvex.gap.verdict import decide
 from physconvex.gap.where import locate_gap
 
@@ -70,8 +72,7 @@ def diagnose(
     }
     base = replace(base, model=replace(base.model, directions=directions))
     errors = error_model(base, numerics, options)
-    screening = screen(base, errors, numerics, dictionary, report)
-    hypotheses = compare(base, errors, screening, options, report)
+    hypotheses, screening = select_effects(base, errors, numerics, dictionary, options, report)
     best = next((h for h in hypotheses if h.effects), hypotheses[0])
     report("placebo")
     placebo = _placebo(base, errors, screening, best, options)
@@ -124,7 +125,7 @@ def _placebo(
     if not others:
         return None
     try:
-        return fit_effects(base, errors, others[:1], options)
+        return fit_effects(as_reduced(base), errors, others[:1], options)
     except ConvergenceError:
         return None
 

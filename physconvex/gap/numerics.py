@@ -15,6 +15,7 @@ from jaxtyping import Float
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import TetMesh, refine, simulate, tetrahedralize
 from physconvex.gap.baseline import Baseline, Report
+from physconvex.gap.model import ACCURACY
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
 from physconvex.identify import mesh_of_capture
@@ -67,7 +68,8 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
     def stiffer() -> Positions:
         scene = model.full_scene(values)
         scene = replace(scene, contact_stiffness=2 * scene.contact().stiffness)
-        return np.asarray(model.embedding.apply(simulate(scene, **model.twin.timing(model.frames)).positions))
+        run = simulate(scene, **model.twin.timing(model.frames), **ACCURACY)
+        return np.asarray(model.embedding.apply(run.positions))
 
     zero = np.zeros_like(here)
     return Numerics(
@@ -92,7 +94,7 @@ def _other_mesh(base: Baseline, options: GapOptions) -> TetMesh:
     own = base.model.twin.mesh
     if base.situation.clamped:
         return refine(own)
-    wanted = int(2.5 * max(len(own.vertices), options.max_nodes // 2))
+    wanted = max(options.fine_nodes, int(2.5 * len(own.vertices)))
     mesh = mesh_of_capture(base.capture, max_nodes=wanted)
     if len(mesh.vertices) > 1.3 * len(own.vertices):
         return mesh
@@ -106,17 +108,38 @@ def correction_of(numerics: Numerics) -> Positions:
 
 
 def error_model(base: Baseline, numerics: Numerics, options: GapOptions) -> ErrorModel:
-    """V of `physconvex.gap.score`: noise, the size of numerical differences in each frame, and their shapes."""
+    """V of `physconvex.gap.score`: noise, the size of numerical differences in each frame, and their shapes.
+
+    Where the base model is fitted (its tangents are known), the size is that of what the differences leave once E, ν
+    and the free initial motion have absorbed what they can of them, as they do of the recording's own.
+    """
     here = base.positions
     directions = np.stack([base.change(here + d) for d in numerics.null])
     frames = base.observations.frames
-    total = np.bincount(frames, (directions**2).sum(0), minlength=base.model.frames)
     count = np.maximum(np.bincount(frames, minlength=base.model.frames), 1)
-    size = np.maximum.accumulate(total / count)  # an error made at impact stays
     travelled = np.linalg.norm(base.motion.positions - base.motion.rest, axis=-1).mean(1)
     floor = base.change(here + (options.discretisation * travelled)[:, None, None] / np.sqrt(3)) ** 2
-    numerical = options.error_scale**2 * size[frames] + floor
+
+    def of(left: np.ndarray) -> np.ndarray:
+        total = np.bincount(frames, (left**2).sum(0), minlength=base.model.frames)
+        size = np.maximum.accumulate(total / count)  # an error made at impact stays
+        return np.asarray(options.error_scale**2 * size[frames] + floor)
+
+    numerical = of(directions)
+    if len(base.tangents) == base.model.frames and base.tangents.any():
+        left = _absorbed(base, directions, 1.0 + numerical)
+        numerical = of(left)
     return ErrorModel(1.0 + _correlated(count)[frames] * numerical, directions, 1.0 + numerical)
+
+
+def _absorbed(base: Baseline, directions: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """What is left of differences, all frames, once the base parameters have been fitted to them on the fitted ones."""
+    here = base.positions
+    tangents = np.stack([base.change(here + 1e-3 * d) / 1e-3 for d in np.moveaxis(base.tangents, 1, 0)])
+    rows = base.rows(base.split.fitted)
+    weights = 1 / np.sqrt(variance[rows])
+    found = np.linalg.lstsq((tangents[:, rows] * weights).T, (directions[:, rows] * weights).T, rcond=1e-8)[0]
+    return np.asarray(directions - found.T @ tangents)
 
 
 def _correlated(count: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:

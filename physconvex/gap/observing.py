@@ -13,7 +13,7 @@ from physconvex.gap.effects import Motion
 from physconvex.identify import MarkerObservations, PixelObservations, Twin, marker_observations
 from physconvex.identify.video_tracks import follow, seed_points
 
-__all__ = ["Seen", "in_metres", "observe", "widened"]
+__all__ = ["Seen", "in_metres", "observe", "widened", "with_honest_noise"]
 
 Seen = MarkerObservations | PixelObservations
 # of a followed point [pixels]: the flow drifts by more than a single step's error, and by the same amount for a while
@@ -49,6 +49,25 @@ def observe(capture: Capture, twin: Twin) -> Seen:
         )
     pixels = follow(frames, seeds.pixels)
     return PixelObservations(camera, seeds.points, pixels, np.full(pixels.shape[:2], PIXEL_SIGMA))
+
+
+def with_honest_noise(seen: Seen) -> Seen:
+    """Noise no smaller than what markers miss their rest positions by in the first frame, turns and strains left out.
+
+    Frame 0 is the rest state, so that what it differs by is noise whatever moves later.
+    """
+    if not isinstance(seen, MarkerObservations):
+        return seen
+    known = np.flatnonzero(np.isfinite(seen.positions[0]).all(-1))
+    if len(known) < 8:
+        return seen
+    rest = seen.points[known]
+    basis = np.hstack([np.ones((len(rest), 1)), rest - rest.mean(0)])
+    missed = seen.positions[0][known] - rest
+    left = missed - basis @ np.linalg.lstsq(basis, missed, rcond=None)[0]
+    found = float(np.sqrt((left**2).sum() / (3 * (len(rest) - 4))))
+    stated = float(np.median(seen.sigma[0][known]))
+    return replace(seen, sigma=seen.sigma * max(found / stated, 1.0)) if found > 1.5 * stated else seen
 
 
 def components(seen: Seen) -> int:

@@ -20,6 +20,7 @@ _ALIKE = 0.95  # cosine of signatures
 _LISTED = 0.02  # probability
 _PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
 _BLIND = 0.1  # floor over size above which "none" would say nothing
+_SEEN = 3.0  # standard errors
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
 
 
@@ -164,19 +165,26 @@ def decide(
             f"Inconclusive: the model's own numerical error and the noise ({floor:.0%} of the body's size) hide "
             "whatever gap there is. Allow a finer mesh, or record a motion with less contact."
         )
-        return Verdict("inconclusive", sentence, (), none, share, _caveats(base, best, after))
+        return Verdict("inconclusive", sentence, (), none, share, (*_caveats(base, best, after), *_power(screening)))
     if none_found:
         sentence = (
             f"No gap above noise and numerical error: {best.label} would improve the fit by no more than chance "
             f"(probability of no effect {none:.0%})."
         )
-        return Verdict("none", sentence, (), none, share, _caveats(base, best, after))
+        return Verdict("none", sentence, (), none, share, (*_caveats(base, best, after), *_power(screening)))
+    if all(effect.source == "numerical" for effect in best.effects):
+        sentence = (
+            f"No physical cause: what the recording differs by is numerical error ({best.label}), of this model or of "
+            "the program that made the recording."
+        )
+        return Verdict("none", sentence, (*named, *others), none, share, _caveats(base, best, after))
     if gain < _CLEAR:
         sentence = (
             f"Inconclusive: {best.label} is favoured, but the recording cannot tell it from no effect "
             f"(probability {probability[best.label]:.0%} against {none:.0%} for none)."
         )
-        return Verdict("inconclusive", sentence, (*named, *others), none, share, _caveats(base, best, after))
+        caveats = (*_caveats(base, best, after), *_power(screening))
+        return Verdict("inconclusive", sentence, (*named, *others), none, share, caveats)
     if share < options.explained and after > 2.0:
         sentence = (
             f"There is a gap that none of the known effects explains: the best of them, {best.label}, removes "
@@ -196,6 +204,18 @@ def decide(
     sure = f"probability {'above ' if probability[best.label] > 0.99 else ''}{chance:.0%}, not calibrated"
     sentence = f"The gap is caused by {best.label} ({sure}): {doses}{caveat}."
     return Verdict("effect", sentence, (*named, *others), none, share, _caveats(base, best, after))
+
+
+def _power(screening: Screening) -> tuple[str, ...]:
+    """Which doses would have been seen: three standard errors, of the effects with one dose that are seen best."""
+    limits = []
+    for entry in sorted(screening.one_per_name, key=lambda e: -e.power):
+        screened = np.flatnonzero(entry.errors > 0)
+        dose = entry.effect.doses[int(screened[0])] if len(screened) == 1 else None
+        if dose is not None and not dose.threshold and entry.effect.source != "numerical":
+            unit = f" {dose.unit}" if dose.unit else ""
+            limits.append(f"{entry.effect.name} {_SEEN * float(entry.errors[screened[0]]):.2g}{unit}")
+    return (f"Doses from which on an effect would have been seen here: {', '.join(limits[:6])}.",) if limits else ()
 
 
 def _caveats(base: Hypothesis, best: Hypothesis, after: float) -> tuple[str, ...]:

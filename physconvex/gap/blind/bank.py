@@ -8,13 +8,14 @@ import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from physconvex.capture import save_capture
 from physconvex.errors import ConvergenceError, InputError, PhysconvexError
-from physconvex.gap.blind.cases import BLIND_EFFECTS, Case, capture_parts, draw_case, simulate_case
+from physconvex.gap.blind.cases import BLIND_EFFECTS, Case, capture_parts, draw_case, kinds_for, simulate_case
+from physconvex.gap.blind.explicit_cases import EXPLICIT_EFFECTS, OUTSIDE, simulate_explicit
 from physconvex.gap.diagnose import diagnose
 from physconvex.gap.options import GapOptions
 
@@ -30,6 +31,7 @@ CONFUSION_CLASSES: tuple[frozenset[str], ...] = (
     frozenset({"anisotropy", "heterogeneity"}),
 )
 Report = Callable[[str], None]
+EngineName = Literal["explicit", "fem"]
 
 
 def _digest(text: str, salt: str) -> str:
@@ -42,8 +44,12 @@ def generate_bank(
     *,
     count: int,
     seed: int,
-    effects: Sequence[str] = BLIND_EFFECTS,
+    effects: Sequence[str] | None = None,
     effect_free: float = 0.25,
+    engine: EngineName = "explicit",
+    visibilities: Sequence[float] = (10.0,),
+    two: float = 0.0,
+    outside: float = 0.0,
     report: Report = lambda _: None,
 ) -> int:
     """Write captures into `out`, their labels into the file `seal`, and the labels' hash beside the captures.
@@ -53,8 +59,13 @@ def generate_bank(
         seal: new file of the labels, to be kept from whoever diagnoses.
         count: number of captures.
         seed: of the draws.
-        effects: names that are drawn from.
+        effects: names that are drawn from; all that the engine knows unless given.
         effect_free: share of captures without any effect.
+        engine: "explicit" (another engine than the diagnosis uses, doses by visibility) or "fem" (the full-order model
+            on another mesh, doses by their size).
+        visibilities: of the effects, taken in turn; see `simulate_explicit`.
+        two: share of captures with two effects.
+        outside: share of captures whose effect is in no dictionary.
         report: told what is done.
 
     Returns:
@@ -63,22 +74,25 @@ def generate_bank(
     Raises:
         InputError: a folder or file exists already, or an unknown effect.
     """
-    unknown = set(effects) - set(BLIND_EFFECTS)
+    known = EXPLICIT_EFFECTS if engine == "explicit" else BLIND_EFFECTS
+    names = list(known if effects is None else effects)
+    unknown = set(names) - set(known)
     if unknown:
-        raise InputError(f"effects: got {sorted(unknown)}; expected names among {', '.join(BLIND_EFFECTS)}")
+        raise InputError(f"effects: got {sorted(unknown)}; expected names among {', '.join(known)}")
     for path in (out, seal):
         if path.exists():
             raise InputError(f"{path}: exists; choose another place for a new bank")
     out.mkdir(parents=True)
     rng = np.random.default_rng(seed)
-    plan = _plan(rng, count, list(effects), effect_free)
+    plan = _plan(rng, count, names, {"free": effect_free, "two": two, "outside": outside})
     labels: list[dict[str, Any]] = []
-    for number, names in enumerate(plan):
+    for number, hidden in enumerate(plan):
         name = f"capture_{number:03d}"
         report(name)
-        case = _written(out / name, names, rng)
+        case, seen = _written(out / name, hidden, rng, engine, float(visibilities[number % len(visibilities)]))
         labels.append({"capture": name, "kind": case.kind, "seed": case.seed, "youngs_modulus": case.youngs_modulus,
-                       "poisson_ratio": case.poisson_ratio, "effects": [asdict(h) for h in case.hidden]})  # fmt: skip
+                       "poisson_ratio": case.poisson_ratio, "engine": engine, "visibility": seen,
+                       "effects": [asdict(h) for h in case.hidden]})  # fmt: skip
     text = json.dumps(labels, indent=1)
     salt = secrets.token_hex(16)
     seal.parent.mkdir(parents=True, exist_ok=True)
@@ -88,25 +102,38 @@ def generate_bank(
     return count
 
 
-def _plan(rng: np.random.Generator, count: int, effects: list[str], effect_free: float) -> list[tuple[str, ...]]:
-    free = round(effect_free * count)
+def _plan(
+    rng: np.random.Generator, count: int, effects: list[str], shares: dict[str, float]
+) -> list[tuple[str, ...]]:  # fmt: skip
+    numbers = {key: round(share * count) for key, share in shares.items()}
     order = [effects[i] for i in rng.permutation(len(effects))]
-    plan: list[tuple[str, ...]] = [()] * free + [(order[i % len(order)],) for i in range(count - free)]
+    singles = count - sum(numbers.values())
+    plan: list[tuple[str, ...]] = [()] * numbers["free"] + [(order[i % len(order)],) for i in range(singles)]
+    plan += [(OUTSIDE[i % len(OUTSIDE)],) for i in range(numbers["outside"])]
+    for number in range(numbers["two"]):
+        first = order[(singles + number) % len(order)]
+        partners = [name for name in effects if not same_class(name, first) and kinds_for((name, first))]
+        plan.append((first, str(rng.choice(partners))))
     return [plan[i] for i in rng.permutation(count)]
 
 
-def _written(folder: Path, names: tuple[str, ...], rng: np.random.Generator) -> Case:
+def _written(
+    folder: Path, names: tuple[str, ...], rng: np.random.Generator, engine: EngineName, visibility: float
+) -> tuple[Case, float]:  # fmt: skip
     for _ in range(20):
-        case = draw_case(int(rng.integers(2**31)), names)
+        case, seen = draw_case(int(rng.integers(2**31)), names, dosed=engine == "fem"), float("nan")
         try:
-            motion, positions = simulate_case(case)
+            if engine == "fem":
+                motion, positions = simulate_case(case)
+            else:
+                motion, positions, case, seen = simulate_explicit(case, names, visibility)
         except (ConvergenceError, InputError):
             continue
         if not np.isfinite(positions).all():
             continue
         capture, parts = capture_parts(case, positions, motion.rest, folder)
         save_capture(capture, **parts)
-        return case
+        return case, seen
     raise ConvergenceError(f"{folder.name}: twenty draws could not be simulated")
 
 
