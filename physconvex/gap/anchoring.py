@@ -65,7 +65,7 @@ def early_point(base: Baseline, errors: ErrorModel, options: GapOptions, report:
             return None
         motion = base.model.motion(found.values)
         count = int(base.split.fitted[-1]) + 1
-        tangents = replace(base.model, frames=count).base_tangents(found.values, motion.first(count))
+        tangents = replace(base.model, frames=count).tangents(found.values, motion.first(count))
     except ConvergenceError:
         return None
     here = replace(base.fit, parameters=base.model.parameters(found.values), values=found.values)

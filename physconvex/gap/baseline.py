@@ -10,10 +10,10 @@ from jaxtyping import Float, Int
 
 from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import simulate
+from physconvex.fem import TetMesh, simulate
 from physconvex.gap.effects import Motion, Situation
 from physconvex.gap.model import ACCURACY, EffectModel, SecantModel, reduced_like
-from physconvex.gap.observing import Seen, components, in_metres, observe, widened, with_honest_noise
+from physconvex.gap.observing import Seen, components, in_metres, observe, starts_elsewhere, widened, with_honest_noise
 from physconvex.gap.options import GapOptions
 from physconvex.identify import (
     Fit,
@@ -216,6 +216,7 @@ def _situation(twin: Twin, seen: Seen, peak_stress: float, touches: bool) -> Sit
         friction=max((o.friction for o in scene.obstacles), default=0.0),
         states_velocity=capture.initial_velocity is not None or twin.clamp is not None,
         states_spin=capture.initial_angular_velocity is not None or twin.clamp is not None,
+        starts_elsewhere=starts_elsewhere(seen),
         peak_stress=peak_stress,
         gravity=(float(capture.gravity[0]), float(capture.gravity[1]), float(capture.gravity[2])),
         camera=seen.camera if isinstance(seen, PixelObservations) else None,
@@ -261,11 +262,13 @@ def rough_baseline(capture: Capture, options: GapOptions, report: Report) -> Bas
     return _run_base(capture, observations, split, twin.with_values(names, rough.values), rough)
 
 
-def _run_base(capture: Capture, observations: Seen, split: Split, twin: Twin, found: Fit) -> Baseline:
+def _run_base(
+    capture: Capture, observations: Seen, split: Split, twin: Twin, found: Fit, *, mesh: TetMesh | None = None
+) -> Baseline:  # fmt: skip
     """The full-order model at fitted values, all frames."""
     situation = _situation(twin, observations, 1e3, bool(twin.scene.obstacles))
     points, camera = np.asarray(observations.points), situation.camera
-    model = EffectModel(twin, found.names, points, capture.frames, situation, camera=camera)
+    model = EffectModel(twin, found.names, points, capture.frames, situation, camera=camera, mesh=mesh)
     peak, force, motion = _stress_and_contact(model, found.values)
     situation = _situation(twin, observations, peak, bool((force > 0).any()))
     nothing = np.zeros((capture.frames, len(found.names), *motion.positions.shape[1:]))
@@ -277,6 +280,7 @@ def _run_base(capture: Capture, observations: Seen, split: Split, twin: Twin, fo
 def fit_baseline(
     rough: Baseline,
     correction: Float[np.ndarray, "T P 3"],
+    fine: tuple[TetMesh, Motion] | None,
     variance: Float[np.ndarray, " N"],
     options: GapOptions,
     report: Report,
@@ -288,6 +292,7 @@ def fit_baseline(
     Args:
         rough: where to begin.
         correction: see `EffectModel`.
+        fine: a finer mesh for the full-order model, and its motion at the rough fit.
         variance: of the residuals in units of the stated noise, all frames: frames that the model cannot tell count
             less.
         options: settings.
@@ -297,13 +302,14 @@ def fit_baseline(
     count = int(split.fitted[-1]) + 1
     weighted = widened(rough.observations, variance).in_frames(count)
     stop = FitOptions(max_iterations=options.iterations + 3, relative_tolerance=1e-3, absolute_tolerance=0.05)
-    here = replace(rough, model=replace(rough.model, correction=correction))
+    mesh, motion = (None, rough.motion) if fine is None else fine
+    here = replace(rough, model=replace(rough.model, correction=correction, mesh=mesh), motion=motion)
     scales = np.array([p.step for p in here.model.parameters(here.fit.values)])
     best, least = here, _misfit(here, variance)
     for number in range(_ROUNDS):
         report(f"fit of the full-order base model, round {number + 1}")
         model, motion = reduced_like(here.model, here.motion, here.fit.values)
-        tangents = model.base_tangents(here.fit.values, motion)
+        tangents = model.tangents(here.fit.values, motion)
         here = replace(here, tangents=tangents)
         best = here if best.motion is here.motion else best
         shorter = replace(model, frames=count)
@@ -312,14 +318,14 @@ def fit_baseline(
         if np.abs((found.values - here.fit.values) / scales).max() < _STILL:
             return replace(here, fit=found) if here is best else best
         twin = rough.model.twin.with_values(names, found.values)
-        here = _run_base(rough.capture, rough.observations, split, twin, found)
+        here = _run_base(rough.capture, rough.observations, split, twin, found, mesh=mesh)
         here = replace(here, model=replace(here.model, correction=correction))
         misfit = _misfit(here, variance)
         if misfit < least:
             best, least = here, misfit
     if not best.tangents.any():
         model, motion = reduced_like(best.model, best.motion, best.fit.values)
-        best = replace(best, tangents=model.base_tangents(best.fit.values, motion))
+        best = replace(best, tangents=model.tangents(best.fit.values, motion))
     return best
 
 

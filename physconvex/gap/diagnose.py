@@ -64,7 +64,7 @@ def diagnose(
     rough = rough_baseline(capture, options, report)
     numerics = numerical_differences(rough, options, report)
     rough_errors = error_model(rough, numerics, options)
-    base = fit_baseline(rough, correction_of(numerics), rough_errors.variance, options, report)
+    base = fit_baseline(rough, correction_of(numerics), numerics.fine, rough_errors.variance, options, report)
     directions = {
         "time_step": numerics.implicit_euler,
         "mesh_resolution": numerics.mesh,
@@ -150,7 +150,7 @@ def _provenance(base: Baseline, numerics: Numerics, screening: Screening, second
     return Provenance(
         capture=base.capture.folder.resolve().name,
         version=physconvex.__version__,
-        nodes=len(base.model.twin.mesh.vertices),
+        nodes=numerics.nodes[1],
         steps_per_frame=steps,
         numerical_viscosity=base.situation.youngs_modulus / (base.capture.fps * steps),
         fitted=tuple(int(f) for f in split.fitted),

@@ -161,15 +161,15 @@ class EffectModel:
 
     # -- differences
 
-    def base_tangents(self, values: Vector, motion: Motion) -> Float[np.ndarray, "T K P 3"]:
-        """Derivatives by the base parameters, by differences of full-order runs.
+    def tangents(self, values: Vector, motion: Motion) -> Float[np.ndarray, "T K P 3"]:
+        """Derivatives by all parameters, doses included, by differences of runs.
 
         Args:
             values: where.
             motion: the motion there.
         """
         here, columns = self.observed(motion, values), []
-        for index, parameter in enumerate(self.parameters(values)[: len(self.base)]):
+        for index, parameter in enumerate(self.parameters(values)):
             step = _BASE_STEP * parameter.step
             if not parameter.lower <= values[index] + step <= parameter.upper:
                 step = -step

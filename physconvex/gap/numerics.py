@@ -15,6 +15,7 @@ from jaxtyping import Float
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import TetMesh, refine, simulate, tetrahedralize
 from physconvex.gap.baseline import Baseline, Report
+from physconvex.gap.effects import Motion
 from physconvex.gap.model import ACCURACY
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
@@ -23,19 +24,23 @@ from physconvex.identify import mesh_of_capture
 __all__ = ["Numerics", "correction_of", "error_model", "numerical_differences"]
 
 Positions = Float[np.ndarray, "T P 3"]
+_ORDER = 1.75  # of convergence by edge length
+_STEPS_LEFT = 0.5  # error of half the time step over the difference to the whole one
 _LASTING = 2.0  # frames for which a numerical error stays much the same
 
 
 @dataclass(frozen=True, eq=False)
 class Numerics:
-    """Differences of effect-free runs to the base run, at the observed points.
+    """Differences of effect-free runs to the rough base run, at the observed points.
 
     Attributes:
         steps: with half the time step, [T, P, 3] m.
-        mesh: with another mesh.
+        mesh: with a finer mesh, which takes the place of the model's from the base fit on.
         contact: with a contact twice as stiff; zero where nothing touches.
         implicit_euler: first-order steps instead of second-order ones.
         reduction: the reduced model.
+        fine: the finer mesh, and the motion on it; None where it could not be run.
+        nodes: of the model's mesh and of the finer one.
         failed: names of runs that did not converge (their differences are zero).
     """
 
@@ -44,12 +49,20 @@ class Numerics:
     contact: Positions
     implicit_euler: Positions
     reduction: Positions
+    fine: tuple[TetMesh, Motion] | None = None
+    nodes: tuple[int, int] = (1, 1)
     failed: tuple[str, ...] = ()
 
     @property
     def null(self) -> tuple[Positions, ...]:
         """Differences that effect-free captures may show."""
-        return (self.steps, self.mesh, self.contact)
+        return (_STEPS_LEFT * self.steps, self._mesh_left * self.mesh, self.contact)
+
+    @property
+    def _mesh_left(self) -> float:
+        """Error of the finer mesh over the difference of the two (Richardson; contact lowers the order below two)."""
+        ratio = max(self.nodes[1] / self.nodes[0], 1.01)
+        return float(np.clip(1 / (ratio ** (_ORDER / 3) - 1), 0.3, 1.0))
 
 
 def numerical_differences(base: Baseline, options: GapOptions, report: Report) -> Numerics:
@@ -71,12 +84,20 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
         run = simulate(scene, **model.twin.timing(model.frames), **ACCURACY)
         return np.asarray(model.embedding.apply(run.positions))
 
+    fine: list[tuple[TetMesh, Motion]] = []
+
+    def finer() -> Positions:
+        mesh = _other_mesh(base, options)
+        fine.append((mesh, replace(model, mesh=mesh).motion(values)))
+        return np.asarray(fine[0][1].positions)
+
     zero = np.zeros_like(here)
+    mesh = difference("a finer mesh", finer)
     return Numerics(
         steps=difference("half the time step", lambda: replace(model, refinement=2).motion(values).positions),
-        mesh=difference(
-            "another mesh", lambda: replace(model, mesh=_other_mesh(base, options)).motion(values).positions
-        ),
+        mesh=mesh,
+        fine=fine[0] if fine else None,
+        nodes=(len(model.twin.mesh.vertices), len(fine[0][0].vertices) if fine else len(model.twin.mesh.vertices)),
         contact=difference("stiffer contact", stiffer) if base.situation.touches else zero,
         implicit_euler=difference(
             "implicit Euler", lambda: replace(model, integrator="implicit_euler").motion(values).positions
@@ -103,8 +124,8 @@ def _other_mesh(base: Baseline, options: GapOptions) -> TetMesh:
 
 
 def correction_of(numerics: Numerics) -> Positions:
-    """What a finer mesh and finer steps change: added to every run of the model."""
-    return numerics.mesh + numerics.steps
+    """What finer steps change: added to every run of the model."""
+    return numerics.steps
 
 
 def error_model(base: Baseline, numerics: Numerics, options: GapOptions) -> ErrorModel:
@@ -120,15 +141,14 @@ def error_model(base: Baseline, numerics: Numerics, options: GapOptions) -> Erro
     travelled = np.linalg.norm(base.motion.positions - base.motion.rest, axis=-1).mean(1)
     floor = base.change(here + (options.discretisation * travelled)[:, None, None] / np.sqrt(3)) ** 2
 
-    def of(left: np.ndarray) -> np.ndarray:
+    def size_of(left: np.ndarray) -> np.ndarray:
         total = np.bincount(frames, (left**2).sum(0), minlength=base.model.frames)
         size = np.maximum.accumulate(total / count)  # an error made at impact stays
         return np.asarray(options.error_scale**2 * size[frames] + floor)
 
-    numerical = of(directions)
+    numerical = size_of(directions)
     if len(base.tangents) == base.model.frames and base.tangents.any():
-        left = _absorbed(base, directions, 1.0 + numerical)
-        numerical = of(left)
+        numerical = size_of(_absorbed(base, directions, 1.0 + numerical))
     return ErrorModel(1.0 + _correlated(count)[frames] * numerical, directions, 1.0 + numerical)
 
 

@@ -13,7 +13,7 @@ from physconvex.gap.effects import Motion
 from physconvex.identify import MarkerObservations, PixelObservations, Twin, marker_observations
 from physconvex.identify.video_tracks import follow, seed_points
 
-__all__ = ["Seen", "in_metres", "observe", "widened", "with_honest_noise"]
+__all__ = ["Seen", "in_metres", "observe", "starts_elsewhere", "widened", "with_honest_noise"]
 
 Seen = MarkerObservations | PixelObservations
 # of a followed point [pixels]: the flow drifts by more than a single step's error, and by the same amount for a while
@@ -68,6 +68,23 @@ def with_honest_noise(seen: Seen) -> Seen:
     found = float(np.sqrt((left**2).sum() / (3 * (len(rest) - 4))))
     stated = float(np.median(seen.sigma[0][known]))
     return replace(seen, sigma=seen.sigma * max(found / stated, 1.0)) if found > 1.5 * stated else seen
+
+
+def starts_elsewhere(seen: Seen) -> bool:
+    """Whether markers lie off their rest positions in the first frame, where only the recording can have moved them.
+
+    Points of a picture are taken from its first image: there it is always possible that the camera is not where it is
+    said to be.
+    """
+    if not isinstance(seen, MarkerObservations):
+        return True
+    first = seen.frames == 0
+    residual = seen.residuals(np.repeat(seen.points[None], len(seen.positions), axis=0))[first]
+    if not len(residual):
+        return True
+    count = len(residual) / 3
+    shift = residual.reshape(-1, 3).mean(0) * np.sqrt(count)  # unit variance each, where there is noise alone
+    return bool((residual**2).mean() > 1 + 3 * np.sqrt(2 / len(residual)) or np.abs(shift).max() > 4)
 
 
 def components(seen: Seen) -> int:

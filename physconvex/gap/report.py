@@ -231,8 +231,10 @@ def _where_json(where: Where) -> dict[str, Any]:
         "points": {"rest": where.points.tolist(), "rms": where.per_point.tolist(), "unit": "m"},
         "image": _parts(where.image),
         "modes": [_mode_json(mode) for mode in where.modes],
-        "ledger": [asdict(entry) | {"units": {"impulse": "N s", "angular_impulse": "N m s", "work": "J"}}
-                   for entry in where.ledger],
+        "ledger": [
+            asdict(entry) | {"units": {"impulse": "N s", "angular_impulse": "N m s", "work": "J"}}
+            for entry in where.ledger
+        ],
     }
 
 

@@ -21,6 +21,7 @@ from physconvex.gap.baseline import Baseline, Report
 from physconvex.gap.comparison import Hypothesis, base_hypothesis, continued, fit_effects, refit
 from physconvex.gap.effects import Effect
 from physconvex.gap.mapping import as_reduced, confirmed
+from physconvex.gap.model import EffectModel
 from physconvex.gap.numerics import Numerics
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
@@ -30,7 +31,8 @@ __all__ = ["Selection", "select_effects"]
 
 _CLOSED = 1.5  # mean square over the expected one below which there is no gap to explain
 _LEFT = 2.5  # above which a further effect is looked for
-_SINGLES, _PAIRS, _ADDED, _EARLY = 7, 3, 3, 4  # fits: alone, two at once, in each further round, from the first frames
+_SINGLES, _PAIRS, _ADDED, _EARLY = 7, 4, 3, 4  # fits: alone, two at once, in each further round, from the first frames
+_STEMS, _POLISHED = 2, 3  # fits that the first further round goes on from; fits with derivatives taken anew
 _WORTH = 4.0  # gain of evidence for which the search goes on
 
 
@@ -45,7 +47,7 @@ class Selection:
         report: told what is done.
         deadline: time after which no further fit is begun.
         found: fits so far, the base model first.
-        entries: screened effects by label, of the first screening that had them.
+        polished: ids of fits that need not be fitted again.
     """
 
     base: Baseline
@@ -54,16 +56,21 @@ class Selection:
     report: Report
     deadline: float
     found: list[Hypothesis] = field(default_factory=list)
-    entries: dict[str, Screened] = field(default_factory=dict)
+    polished: set[int] = field(default_factory=set)
 
     @property
     def best(self) -> Hypothesis:
         """By evidence."""
         return max(self.found, key=lambda h: h.evidence)
 
+    @property
+    def late(self) -> bool:
+        """Whether the time is up."""
+        return time.monotonic() > self.deadline
+
     def attempt(self, text: str, run: Callable[[], Hypothesis]) -> Hypothesis | None:
         """Fit and keep, unless the time is up or it fails."""
-        if time.monotonic() > self.deadline:
+        if self.late:
             return None
         self.report(f"fit: {text}")
         try:
@@ -107,8 +114,9 @@ def select_effects(
     if open_gap:
         _together(search, screening)
         _from_first_frames(search, numerics, dictionary)
-        for _ in range(options.most_effects - 1):
-            if not _one_more(search, numerics, dictionary):
+        _polish(search)
+        for number in range(options.most_effects - 1):
+            if not _one_more(search, numerics, dictionary, 1 if number else _STEMS):
                 break
         _leave_out(search)
     out = [base_hypothesis(base, errors)]
@@ -152,18 +160,34 @@ def _from_first_frames(search: Selection, numerics: Numerics, dictionary: tuple[
             search.fit([entry], starts=point)
 
 
-def _one_more(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...]) -> bool:
-    """Screen at the best fit, add one effect; tells whether that was worth it."""
-    best = search.best
-    if not best.effects or best.fitted < _LEFT or len(best.effects) >= search.options.most_effects:
-        return False
-    if time.monotonic() > search.deadline:
-        return False
-    point = continued(search.base, best)
-    screening = screen(point, search.errors, numerics, dictionary, search.report)
-    for entry in screening.one_per_name[:_ADDED]:
-        search.fit([entry], starts=point)
-    return search.best.evidence > best.evidence + _WORTH
+def _one_more(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...], stems: int) -> bool:
+    """Screen at the best fits, add one effect to each; tells whether that was worth it."""
+    before = search.best
+    for stem in _finalists(search.found, stems)[:stems]:
+        if stem.fitted < _LEFT or len(stem.effects) >= search.options.most_effects or search.late:
+            continue
+        point = continued(search.base, stem)
+        screening = screen(point, search.errors, numerics, dictionary, search.report)
+        for entry in screening.one_per_name[:_ADDED]:
+            search.fit([entry], starts=point)
+    _polish(search)
+    return search.best.evidence > before.evidence + _WORTH
+
+
+def _polish(search: Selection) -> None:
+    """Fit the best ones again, with derivatives taken where they are now."""
+    for hypothesis in _finalists(search.found, _POLISHED)[:_POLISHED]:
+        if id(hypothesis) in search.polished or search.late:
+            continue
+        count = int(search.base.split.fitted[-1]) + 1
+        shorter = replace(hypothesis.model, frames=count)
+
+        def again(h: Hypothesis = hypothesis, model: EffectModel = shorter, count: int = count) -> Hypothesis:
+            tangents = model.tangents(h.values, h.motion.first(count))
+            return refit(search.base, search.errors, h.model, h.values, tangents, search.options)
+
+        found = search.attempt(f"{hypothesis.label}, again", again)
+        search.polished |= {id(hypothesis), id(found)}
 
 
 def _leave_out(search: Selection) -> None:

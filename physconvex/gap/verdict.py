@@ -20,6 +20,7 @@ _ALIKE = 0.95  # cosine of signatures
 _LISTED = 0.02  # probability
 _PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
 _BLIND = 0.1  # floor over size above which "none" would say nothing
+_WELL = 0.5  # share of the fitted frames' mean square that an effect must leave at most where the base model fits them
 _SEEN = 3.0  # standard errors
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
 
@@ -159,7 +160,8 @@ def decide(
         for effect in _named(h, probability, screening, options)
     ]
     share = 1.0 - remaining
-    none_found = gain < _WEAK or not significant or before < _FLOOR
+    closed = before < _FLOOR or (base.fitted < _FLOOR and best.fitted > _WELL * base.fitted)
+    none_found = gain < _WEAK or not significant or closed or _is_slight(best)
     if none_found and floor > _BLIND:
         sentence = (
             f"Inconclusive: the model's own numerical error and the noise ({floor:.0%} of the body's size) hide "
@@ -204,6 +206,19 @@ def decide(
     sure = f"probability {'above ' if probability[best.label] > 0.99 else ''}{chance:.0%}, not calibrated"
     sentence = f"The gap is caused by {best.label} ({sure}): {doses}{caveat}."
     return Verdict("effect", sentence, (*named, *others), none, share, _caveats(base, best, after))
+
+
+def _is_slight(hypothesis: Hypothesis) -> bool:
+    """Whether all doses lie nearer to null than is of interest: what fits so is the model's own error."""
+    slight = []
+    for effect in hypothesis.effects:
+        values, _ = hypothesis.doses(effect)
+        slight += [
+            abs(v - d.null) < d.smallest
+            for v, d in zip(values, effect.doses, strict=True)
+            if not d.shape and effect.source != "numerical"
+        ]
+    return bool(slight) and all(slight)
 
 
 def _power(screening: Screening) -> tuple[str, ...]:

@@ -38,6 +38,7 @@ class Situation:
         touches: whether the base model touches the floor within the frames.
         friction: stated coefficient of the floor.
         states_velocity, states_spin: whether the capture states the initial motion (else it is estimated freely).
+        starts_elsewhere: whether the first frame differs from the rest state by more than noise.
         peak_stress: largest von Mises stress of the base run [Pa].
         gravity: [m/s²].
         camera: the camera whose pixels are compared; None for markers in space.
@@ -54,6 +55,7 @@ class Situation:
     friction: float = 0.0
     states_velocity: bool = True
     states_spin: bool = True
+    starts_elsewhere: bool = True
     peak_stress: float = 1e3
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     camera: Camera | None = None
