@@ -11,7 +11,6 @@ import numpy as np
 
 import physconvex
 from physconvex.capture import Capture, load_capture
-from physconvex.errors import ConvergenceError
 from physconvex.gap.advice import next_experiment
 from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
 from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
@@ -23,7 +22,8 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.report import GapReport, Provenance
 from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screening
-from physconvex.gap.selection import select_effects
+from physconvex.gap.second_take import second_take_shrinkage
+from physconvex.gap.selection import FAILURES, select_effects
 from physconvex.gap.verdict import decide
 from physconvex.gap.where import locate_gap
 
@@ -35,6 +35,7 @@ Report = Callable[[str], None]
 def diagnose(
     capture: Capture | Path | str,
     *,
+    second_take: Capture | Path | str | None = None,
     effects: Sequence[str] | None = None,
     without: Iterable[str] = (),
     extra: Iterable[Effect] = (),
@@ -47,6 +48,7 @@ def diagnose(
 
     Args:
         capture: a capture folder with marker tracks and rest geometry.
+        second_take: another capture of the same body, on which the shrinkage is reported as well.
         effects: names of the effects to try; all unless given.
         without: names to leave out.
         extra: effects of one's own.
@@ -87,6 +89,10 @@ def diagnose(
         floor=shrinkage[-1].noise_floor / base.situation.size,
         placebo=shrinkage[-1].placebo,
     )
+    if second_take is not None:
+        other = second_take if isinstance(second_take, Capture) else load_capture(second_take)
+        again = second_take_shrinkage(base, best, other, options, report)
+        shrinkage = (*shrinkage, *(() if again is None else (again,)))
     report("report")
     return GapReport(
         where=locate_gap(base, errors, best, options),
@@ -126,7 +132,7 @@ def _placebo(
         return None
     try:
         return fit_effects(as_reduced(base), errors, others[:1], options)
-    except ConvergenceError:
+    except FAILURES:
         return None
 
 

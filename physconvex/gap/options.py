@@ -37,9 +37,9 @@ class GapOptions:
     weights: int = 8
     candidates: int = 4
     starts: tuple[float, ...] = (1.0,)
-    iterations: int = 5
+    iterations: int = 9
     most_effects: int = 3
-    seconds: float = 600.0
+    seconds: float = 420.0
     error_scale: float = 1.0
     discretisation: float = 2e-3
     significance: float = 0.05

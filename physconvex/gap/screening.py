@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.errors import ConvergenceError
+from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.baseline import Baseline, Report
 from physconvex.gap.effects import Effect, applicable
 from physconvex.gap.model import EffectModel
@@ -109,7 +109,7 @@ def screen(
         model = replace(base.model, frames=count, effects=(*base.model.effects, effect), directions=directions)
         try:
             entries.append(_screened(base, model, effect, projector, residual, rows))
-        except ConvergenceError:
+        except (ConvergenceError, InputError, np.linalg.LinAlgError):
             failed.append(effect.label)
     ranked = sorted(entries, key=lambda entry: (entry.score.p_value, -entry.score.statistic))
     left = projector.apply(residual)
@@ -130,6 +130,8 @@ def _screened(
         signs.append(abs(effect.doses[index].sign))
         screened.append(index)
     signature = np.stack(signatures)
+    if not np.isfinite(signature).all():
+        raise ConvergenceError(f"{effect.label}: the motion is not finite")
     in_residuals = np.stack([base.change(here + s)[rows] for s in signature])
     found = score(projector, residual, in_residuals, signs)
     doses, errors = np.array(trials[0], copy=True), np.zeros(len(effect.doses))

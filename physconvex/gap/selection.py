@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from physconvex.errors import ConvergenceError
+from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.anchoring import early_point
 from physconvex.gap.baseline import Baseline, Report
 from physconvex.gap.comparison import Hypothesis, base_hypothesis, continued, fit_effects, refit
@@ -27,8 +27,10 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screened, Screening, best_pairs, screen
 
-__all__ = ["Selection", "select_effects"]
+__all__ = ["FAILURES", "Selection", "select_effects"]
 
+# of a run with doses that no body can bear: such a fit is left out, and the report says so
+FAILURES = (ConvergenceError, InputError, np.linalg.LinAlgError)
 _CLOSED = 1.5  # mean square over the expected one below which there is no gap to explain
 _LEFT = 2.5  # above which a further effect is looked for
 _SINGLES, _PAIRS, _ADDED, _EARLY = 7, 4, 3, 4  # fits: alone, two at once, in each further round, from the first frames
@@ -75,7 +77,7 @@ class Selection:
         self.report(f"fit: {text}")
         try:
             hypothesis = run()
-        except ConvergenceError:
+        except FAILURES:
             self.report(f"fit: {text} failed")
             return None
         if not np.isfinite(hypothesis.positions).all():
@@ -124,7 +126,7 @@ def select_effects(
         report(f"full-order fit: {hypothesis.label}")
         try:
             out.append(confirmed(base, errors, hypothesis, options))
-        except ConvergenceError:
+        except FAILURES:
             report(f"full-order fit: {hypothesis.label} failed")
     return sorted(out, key=lambda h: -h.evidence), screening
 

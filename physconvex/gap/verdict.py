@@ -20,7 +20,7 @@ _ALIKE = 0.95  # cosine of signatures
 _LISTED = 0.02  # probability
 _PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
 _BLIND = 0.1  # floor over size above which "none" would say nothing
-_WELL = 0.5  # share of the fitted frames' mean square that an effect must leave at most where the base model fits them
+_SURE = 30.0  # gain that makes a call although the base model fits the fitted frames within its error
 _SEEN = 3.0  # standard errors
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
 
@@ -160,7 +160,7 @@ def decide(
         for effect in _named(h, probability, screening, options)
     ]
     share = 1.0 - remaining
-    closed = before < _FLOOR or (base.fitted < _FLOOR and best.fitted > _WELL * base.fitted)
+    closed = before < _FLOOR or (base.fitted < _FLOOR and gain < _SURE)
     none_found = gain < _WEAK or not significant or closed or _is_slight(best)
     if none_found and floor > _BLIND:
         sentence = (

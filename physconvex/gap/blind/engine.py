@@ -213,7 +213,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def run_explicit(world: World, points: Float[np.ndarray, "P 3"], *, frames: int, fps: float) -> Motion:
-    """Symplectic Euler; the motion of material points, given at t = 0.
+    """Leapfrog; the motion of material points, given at t = 0.
 
     Raises:
         ConvergenceError: the run blew up.
@@ -231,6 +231,8 @@ def run_explicit(world: World, points: Float[np.ndarray, "P 3"], *, frames: int,
         raise ConvergenceError(f"explicit engine: {count} steps per frame; expected at most {_MOST_STEPS}")
     dt = 1 / fps / count
     positions, velocities = [x.copy()], [v.copy()]
+    v = v - 0.5 * dt * body.accelerations(x, v, 0.0)  # leapfrog: velocities half a step behind
+    v[held] = 0.0
     for _ in range(1, frames):
         for _ in range(count):
             v = v + dt * body.accelerations(x, v, dt)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -189,6 +189,11 @@ class Effect:
     def null(self) -> Float[np.ndarray, " D"]:
         """Doses at which it is absent."""
         return np.array([dose.null for dose in self.doses])
+
+    def with_trial(self, variant: str, trial: Callable[[Situation], float]) -> Effect:
+        """A variant screened with another dose: far from null an effect may look otherwise than near it."""
+        first, *others = self.doses
+        return replace(self, variant=variant, doses=(replace(first, trial=trial), *others))
 
     def trials(self, situation: Situation) -> list[tuple[int, Float[np.ndarray, " D"]]]:
         """Doses to screen with: index of the screened dose and the whole dose vector, one per dose that is no shape."""
