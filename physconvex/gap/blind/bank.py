@@ -197,13 +197,18 @@ class BankScore:
     Attributes:
         captures: number of captures that were answered.
         errors: number that were not.
-        with_effect: number that hide an effect.
+        with_effect: number that hide one effect of the dictionary.
         top_1, top_2: share of those whose effect leads the fits, or is among the first two; exact names.
         top_1_merged: the same with the declared confusion classes merged.
         called: share of them with the verdict "effect" and the right class.
         effect_free: number without effect.
         false_alarms: share of those with the verdict "effect".
         median_shrinkage: of captures with an effect.
+        two_effects: number that hide two.
+        recall, precision: share of their effects that the best fit names, and of what it names that is hidden, classes
+            merged.
+        outside: number whose effect is in no dictionary.
+        unknown: share of those whose verdict is not "effect".
         rows: one per capture.
     """
 
@@ -217,6 +222,11 @@ class BankScore:
     effect_free: int
     false_alarms: float
     median_shrinkage: float
+    two_effects: int
+    recall: float
+    precision: float
+    outside: int
+    unknown: float
     rows: tuple[dict[str, Any], ...]
 
 
@@ -241,7 +251,9 @@ def score_bank(captures: Path, seal: Path, answers: Path) -> BankScore:
     by_name = {answer["capture"]: answer for answer in given["answers"]}
     rows = [_row(label, by_name.get(label["capture"])) for label in json.loads(sealed["labels"])]
     answered = [row for row in rows if row["verdict"] is not None]
-    hidden = [row for row in answered if row["truth"]]
+    outside = [row for row in answered if set(row["truth"]) & set(OUTSIDE)]
+    hidden = [row for row in answered if len(row["truth"]) == 1 and row not in outside]
+    both = [row for row in answered if len(row["truth"]) > 1]
     free = [row for row in answered if not row["truth"]]
 
     def share(part: list[dict[str, Any]], key: str) -> float:
@@ -258,8 +270,22 @@ def score_bank(captures: Path, seal: Path, answers: Path) -> BankScore:
         effect_free=len(free),
         false_alarms=share(free, "alarm"),
         median_shrinkage=float(np.median([row["shrinkage"] for row in hidden])) if hidden else float("nan"),
+        two_effects=len(both),
+        recall=_mean([row["recall"] for row in both]),
+        precision=_mean([row["precision"] for row in both]),
+        outside=len(outside),
+        unknown=_mean([row["verdict"] != "effect" for row in outside]),
         rows=tuple(rows),
     )
+
+
+def _mean(values: list[Any]) -> float:
+    return float(np.mean(values)) if values else float("nan")
+
+
+def _share_of(names: list[str], among: list[str]) -> float:
+    """Share of names that are in the class of one of the others."""
+    return float(np.mean([any(same_class(name, other) for other in among) for name in names])) if names else 0.0
 
 
 def _row(label: dict[str, Any], answer: dict[str, Any] | None) -> dict[str, Any]:
@@ -284,6 +310,9 @@ def _row(label: dict[str, Any], answer: dict[str, Any] | None) -> dict[str, Any]
         "top_1_merged": bool(truth) and bool(leaders) and same_class(leaders[0], truth[0]),
         "called": bool(truth) and answer["verdict"] == "effect" and same_class(answer["effects"][0]["name"], truth[0]),
         "alarm": answer["verdict"] == "effect",
+        "recall": _share_of(truth, ranking[0] if ranking else []),
+        "precision": _share_of(ranking[0] if ranking else [], truth),
+        "visibility_wanted": label.get("visibility"),
         "shrinkage": answer["shrinkage"],
         "placebo": answer["placebo"],
         "visibility": answer["visibility"],

@@ -77,9 +77,9 @@ def score(
 
     result = score_bank(captures, seal, answers)
     out.write_text(json.dumps(asdict(result), indent=1) + "\n", encoding="utf-8")
-    for name in ("captures", "errors", "with_effect", "top_1", "top_2", "top_1_merged", "called", "effect_free",
-                 "false_alarms", "median_shrinkage"):  # fmt: skip
-        value = getattr(result, name)
+    for name, value in asdict(result).items():
+        if name == "rows":
+            continue
         typer.echo(f"{name:18s} {value:.2f}" if isinstance(value, float) else f"{name:18s} {value}")
     for row in result.rows:
         typer.echo(f"{row['capture']}  truth {row['truth']}  verdict {row['verdict']}  first {row.get('first')}")
