@@ -19,6 +19,7 @@ from physconvex.fem import simulate as simulate_full
 from physconvex.gap.effects import Effect, Motion, Situation
 from physconvex.identify import Parameter, Twin
 from physconvex.identify.parameters import default_parameter
+from physconvex.integrators import IntegratorName
 from physconvex.reduced import ReducedScene, parameter_values, simulate
 
 __all__ = ["ACCURACY", "DoseParameter", "EffectModel", "SecantModel", "reduced_like"]
@@ -68,7 +69,7 @@ class EffectModel:
     correction: Positions | None = None
     mesh: TetMesh | None = None
     refinement: int = 1
-    integrator: str = "bdf2"
+    integrator: IntegratorName = "bdf2"
     reduced: bool = False
 
     @property

@@ -169,10 +169,14 @@ def decide(
         )
         return Verdict("inconclusive", sentence, (), none, share, (*_caveats(base, best, after), *_power(screening)))
     if none_found:
-        sentence = (
-            f"No gap above noise and numerical error: {best.label} would improve the fit by no more than chance "
-            f"(probability of no effect {none:.0%})."
+        reason = (
+            "is smaller than is of interest"
+            if _is_slight(best)
+            else "lies within these errors"
+            if closed
+            else "is no more than chance"
         )
+        sentence = f"No gap above noise and numerical error: what {best.label} would add {reason}."
         return Verdict("none", sentence, (), none, share, (*_caveats(base, best, after), *_power(screening)))
     if all(effect.source == "numerical" for effect in best.effects):
         sentence = (
