@@ -20,7 +20,7 @@ from physconvex.identify import FitOptions, fit, noise_covariance
 
 __all__ = ["Hypothesis", "base_hypothesis", "continued", "fit_effects", "hypothesis_at", "refit"]
 
-_ENOUGH = 0.3  # mean square over the expected one that a better fit need not undercut
+_ENOUGH = 1.0  # mean square over the expected one that a better fit need not undercut
 
 
 @dataclass(frozen=True, eq=False)

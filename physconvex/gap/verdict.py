@@ -83,6 +83,21 @@ def probabilities(hypotheses: Sequence[Hypothesis], temperature: float = 1.0) ->
     return {h.label: float(w) for h, w in zip(kept, weights / weights.sum(), strict=True)}
 
 
+def _of_name(name: str, probability: dict[str, float]) -> float:
+    """Probability that an effect is there: of all fits that have it."""
+    return min(sum(p for label, p in probability.items() if name in _names(label)), 1.0)
+
+
+def _names(label: str) -> list[str]:
+    return [part.split(" (")[0] for part in label.split(" + ")]
+
+
+def _by_weight(named: list[NamedEffect], hypotheses: Sequence[Hypothesis]) -> list[NamedEffect]:
+    """Effects of one fit, the one first that explains most by itself."""
+    alone = {h.names[0]: h.evidence for h in reversed(hypotheses) if len(h.effects) == 1}
+    return sorted(named, key=lambda effect: -alone.get(effect.name, -np.inf))
+
+
 def _named(
     hypothesis: Hypothesis, probability: dict[str, float], screening: Screening, options: GapOptions
 ) -> list[NamedEffect]:
@@ -113,7 +128,7 @@ def _named(
         ]
         confused = tuple(dict.fromkeys(n for n in [*alike, *rivals] if n != effect.name))
         out.append(
-            NamedEffect(effect.name, effect.variant, effect.source, probability[hypothesis.label], doses, confused)
+            NamedEffect(effect.name, effect.variant, effect.source, _of_name(effect.name, probability), doses, confused)
         )
     return out
 
@@ -152,7 +167,7 @@ def decide(
     first = screening.ranked[0]
     tried = len(screening.ranked)
     significant = min(first.score.p_value * tried, 1.0) < options.significance
-    named = _named(best, probability, screening, options)
+    named = _by_weight(_named(best, probability, screening, options), hypotheses)
     others = [
         effect
         for h in with_effects[1:]

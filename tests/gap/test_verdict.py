@@ -117,3 +117,10 @@ def test_numerical_error_is_no_cause():
 def test_nothing_found_tells_what_would_have_been():
     found = decide([hypothesis(0.0), hypothesis(-3.0, "damping")], screening(0.5), 1.0, 1.0, 0.9, OPTIONS)
     assert found.name == "none" and any("damping 0.03 s" in c and "friction 0.03" in c for c in found.caveats)
+
+
+def test_the_weightier_of_two_effects_comes_first():
+    fits = [hypothesis(40.0, "wind", "damping"), hypothesis(30.0, "damping"), hypothesis(5.0, "wind"), hypothesis(0.0)]
+    found = decide(fits, screening(), 30.0, 1.0, 0.1, OPTIONS)
+    assert [e.name for e in found.effects[:2]] == ["damping", "wind"]
+    assert found.effects[0].probability == pytest.approx(1.0, abs=1e-6)
