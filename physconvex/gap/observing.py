@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from physconvex.capture import Capture
 from physconvex.errors import InputError
+from physconvex.fem import TetMesh
 from physconvex.gap.effects import Motion
 from physconvex.identify import MarkerObservations, PixelObservations, Twin, marker_observations
 from physconvex.identify.video_tracks import follow, seed_points
@@ -18,6 +19,7 @@ __all__ = ["Seen", "in_metres", "observe", "starts_elsewhere", "widened", "with_
 Seen = MarkerObservations | PixelObservations
 # of a followed point [pixels]: the flow drifts by more than a single step's error, and by the same amount for a while
 PIXEL_SIGMA = 1.0
+_AWAY = 0.3  # of the body's size: markers further from its bounding box are not on it
 
 
 def observe(capture: Capture, twin: Twin) -> Seen:
@@ -27,7 +29,9 @@ def observe(capture: Capture, twin: Twin) -> Seen:
         InputError: nothing was seen that can be compared.
     """
     if capture.tracks() is not None:
-        return marker_observations(capture, frames=capture.frames)
+        seen = marker_observations(capture, frames=capture.frames)
+        _check_on_body(capture, seen.points, twin.mesh)
+        return seen
     if not capture.cameras:
         raise InputError(
             f"{capture.folder}: no tracks.npz and no cameras; expected marker tracks (rest, positions, sigma) or a "
@@ -49,6 +53,18 @@ def observe(capture: Capture, twin: Twin) -> Seen:
         )
     pixels = follow(frames, seeds.pixels)
     return PixelObservations(camera, seeds.points, pixels, np.full(pixels.shape[:2], PIXEL_SIGMA))
+
+
+def _check_on_body(capture: Capture, points: Float[np.ndarray, "P 3"], mesh: TetMesh) -> None:
+    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
+    away = np.linalg.norm(points - np.clip(points, low, high), axis=1)
+    worst = int(away.argmax())
+    if away[worst] > _AWAY * mesh.size:
+        raise InputError(
+            f"{capture.folder}: tracks.npz: rest[{worst}] lies {away[worst]:.3g} m outside the box of the body "
+            f"({mesh.size:.3g} m long); expected rest positions on the body, in the frame of the geometry at t = 0, in "
+            "metres"
+        )
 
 
 def with_honest_noise(seen: Seen) -> Seen:

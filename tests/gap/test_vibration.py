@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from physconvex.capture import Capture
+from physconvex.errors import InputError
+from physconvex.fem import box_mesh
 from physconvex.gap.ledger import _rigid_motion
-from physconvex.gap.observing import with_honest_noise
+from physconvex.gap.observing import _check_on_body, starts_elsewhere, with_honest_noise
 from physconvex.gap.vibration import _deformation, ringing
 from physconvex.identify import MarkerObservations
 
@@ -52,9 +55,19 @@ def test_noise_is_no_smaller_than_in_the_first_frame():
     assert with_honest_noise(few) is few
 
 
+def test_markers_off_the_body_are_refused(tmp_path):
+    mesh = box_mesh((0.2, 0.1, 0.1), (2, 1, 1), order=2)
+    capture = Capture(tmp_path, 100.0, 12, 8)
+    _check_on_body(capture, mesh.vertices + 0.01, mesh)
+    with pytest.raises(InputError, match=r"rest\[0\] lies 4\.8 m outside"):
+        _check_on_body(capture, np.array([[5.0, 0.0, 0.0]]), mesh)
+
+
 def test_a_moved_camera_is_no_noise():
     rng = np.random.default_rng(3)
     points = rng.normal(size=(30, 3))
     moved = np.repeat((points + np.array([0.1, 0, 0.02]))[None], 3, axis=0) + 1e-3 * rng.normal(size=(3, 30, 3))
     seen = MarkerObservations(points, moved, np.full((3, 30), 1e-3))
-    assert with_honest_noise(seen) is seen
+    assert with_honest_noise(seen) is seen and starts_elsewhere(seen)
+    still = points + 1e-3 * rng.normal(size=(3, 30, 3))
+    assert not starts_elsewhere(MarkerObservations(points, still, np.full((3, 30), 1e-3)))
