@@ -24,6 +24,7 @@ from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screening
 from physconvex.gap.second_take import second_take_shrinkage
 from physconvex.gap.selection import FAILURES, select_effects
+from physconvex.gap.shortening import MOST_FRAMES, shortened
 from physconvex.gap.verdict import decide
 from physconvex.gap.where import locate_gap
 
@@ -44,7 +45,8 @@ def diagnose(
 ) -> GapReport:
     """Where the gap between a capture and its base model lies, which effect causes it, and how far it shrinks.
 
-    The base model is what `capture.json` states, with E, ν and the unstated initial motion fitted.
+    The base model is what `capture.json` states, with E, ν and the unstated initial motion fitted. Of a long capture,
+    the first 100 frames are used.
 
     Args:
         capture: a capture folder with marker tracks and rest geometry.
@@ -60,7 +62,7 @@ def diagnose(
         ConvergenceError: the base model cannot be simulated.
     """
     begun, options = time.monotonic(), options or GapOptions()
-    capture = capture if isinstance(capture, Capture) else load_capture(capture)
+    capture = shortened(capture if isinstance(capture, Capture) else load_capture(capture))
     dictionary = choose(effects, without=without, extra=extra)
     report: Report = on_progress or (lambda _: None)
     rough = rough_baseline(capture, options, report)
@@ -93,6 +95,8 @@ def diagnose(
         other = second_take if isinstance(second_take, Capture) else load_capture(second_take)
         again = second_take_shrinkage(base, best, other, options, report)
         shrinkage = (*shrinkage, *(() if again is None else (again,)))
+    if capture.frames == MOST_FRAMES:
+        verdict = replace(verdict, caveats=(*verdict.caveats, f"At most the first {MOST_FRAMES} frames were used."))
     report("report")
     return GapReport(
         where=locate_gap(base, errors, best, options),

@@ -24,6 +24,7 @@ from physconvex.identify import mesh_of_capture
 __all__ = ["Numerics", "correction_of", "error_model", "numerical_differences"]
 
 Positions = Float[np.ndarray, "T P 3"]
+_WORK = 600_000  # nodes times steps of a full-order run that is made some twenty times
 _ORDER = 1.75  # of convergence by edge length
 _STEPS_LEFT = 0.5  # error of half the time step over the difference to the whole one
 _LASTING = 2.0  # frames for which a numerical error stays much the same
@@ -39,7 +40,7 @@ class Numerics:
         contact: with a contact twice as stiff; zero where nothing touches.
         implicit_euler: first-order steps instead of second-order ones.
         reduction: the reduced model.
-        fine: the finer mesh, and the motion on it; None where it could not be run.
+        fine: the finer mesh, and the motion on it; None where it could not be run, or not often.
         nodes: of the model's mesh and of the finer one.
         failed: names of runs that did not converge (their differences are zero).
     """
@@ -85,9 +86,10 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
         return np.asarray(model.embedding.apply(run.positions))
 
     fine: list[tuple[TetMesh, Motion]] = []
+    steps = model.frames * model.twin.steps_per_frame
 
     def finer() -> Positions:
-        mesh = _other_mesh(base, options)
+        mesh = _other_mesh(base, options, steps)
         fine.append((mesh, replace(model, mesh=mesh).motion(values)))
         return np.asarray(fine[0][1].positions)
 
@@ -96,7 +98,7 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
     return Numerics(
         steps=difference("half the time step", lambda: replace(model, refinement=2).motion(values).positions),
         mesh=mesh,
-        fine=fine[0] if fine else None,
+        fine=fine[0] if fine and len(fine[0][0].vertices) * steps <= _WORK else None,
         nodes=(len(model.twin.mesh.vertices), len(fine[0][0].vertices) if fine else len(model.twin.mesh.vertices)),
         contact=difference("stiffer contact", stiffer) if base.situation.touches else zero,
         implicit_euler=difference(
@@ -107,15 +109,18 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
     )
 
 
-def _other_mesh(base: Baseline, options: GapOptions) -> TetMesh:
-    """A finer mesh, so that its error is the smaller one: of a held body every element split, else meshed anew.
+def _other_mesh(base: Baseline, options: GapOptions, steps: int) -> TetMesh:
+    """A finer mesh, as far as a run of so many steps is affordable: of a held body every element split, else anew.
 
     A held body is split since another mesh would be held in other places, which moves it more than its resolution does.
     """
     own = base.model.twin.mesh
     if base.situation.clamped:
-        return refine(own)
-    wanted = max(options.fine_nodes, int(2.5 * len(own.vertices)))
+        split = refine(own)
+        if len(split.vertices) * steps > 3 * _WORK:
+            raise InputError(f"mesh: {len(split.vertices)} nodes are too many for {steps} steps")
+        return split
+    wanted = max(min(options.fine_nodes, _WORK // steps), int(2.5 * len(own.vertices)))
     mesh = mesh_of_capture(base.capture, max_nodes=wanted)
     if len(mesh.vertices) > 1.3 * len(own.vertices):
         return mesh
@@ -124,8 +129,8 @@ def _other_mesh(base: Baseline, options: GapOptions) -> TetMesh:
 
 
 def correction_of(numerics: Numerics) -> Positions:
-    """What finer steps change: added to every run of the model."""
-    return numerics.steps
+    """What finer steps change, and a finer mesh if that cannot be afforded: added to every run of the model."""
+    return numerics.steps if numerics.fine is not None else numerics.steps + numerics.mesh
 
 
 def error_model(base: Baseline, numerics: Numerics, options: GapOptions) -> ErrorModel:

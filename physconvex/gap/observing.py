@@ -38,7 +38,7 @@ def observe(capture: Capture, twin: Twin) -> Seen:
             "camera in capture.json with its video"
         )
     camera = capture.cameras[0]
-    frames = capture.video(camera.name).frames
+    frames = capture.video(camera.name).frames[: capture.frames]
     masks = capture.mask(camera.name)
     used, triangles = np.unique(twin.mesh.boundary_faces[:, :3], return_inverse=True)
     vertices, triangles = twin.mesh.vertices[used], triangles.reshape(-1, 3)

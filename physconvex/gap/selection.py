@@ -31,6 +31,7 @@ __all__ = ["FAILURES", "Selection", "select_effects"]
 
 # of a run with doses that no body can bear: such a fit is left out, and the report says so
 FAILURES = (ConvergenceError, InputError, np.linalg.LinAlgError)
+_LATEST = 1.25  # of the time for the search: then no further full-order fit is begun
 _CLOSED = 1.5  # mean square over the expected one below which there is no gap to explain
 _LEFT = 2.5  # above which a further effect is looked for
 _SINGLES, _PAIRS, _ADDED, _EARLY = 7, 4, 3, 4  # fits: alone, two at once, in each further round, from the first frames
@@ -108,7 +109,8 @@ def select_effects(
     """
     cheap, dictionary = as_reduced(base), tuple(dictionary)
     screening = screen(cheap, errors, numerics, dictionary, report)
-    search = Selection(cheap, errors, options, report, time.monotonic() + options.seconds)
+    begun = time.monotonic()
+    search = Selection(cheap, errors, options, report, begun + options.seconds)
     search.found.append(base_hypothesis(cheap, errors))
     open_gap = search.found[0].fitted > _CLOSED
     for entry in screening.one_per_name[: _SINGLES if open_gap else 2]:
@@ -123,6 +125,8 @@ def select_effects(
         _leave_out(search)
     out = [base_hypothesis(base, errors)]
     for hypothesis in _finalists(search.found, options.candidates if open_gap else 1):
+        if len(out) > 2 and time.monotonic() > begun + _LATEST * options.seconds:
+            break
         report(f"full-order fit: {hypothesis.label}")
         try:
             out.append(confirmed(base, errors, hypothesis, options))
