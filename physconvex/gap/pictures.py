@@ -236,7 +236,7 @@ def parameter_arrows(report: GapReport) -> Figure:
     for axes, row in zip(panels, rows, strict=False):
         log = row["name"].startswith("log10")
         for y, (key, colour) in enumerate((("before", _ORANGE), ("after", _BLUE))):
-            value, error = row[key], row[f"{key}_error"]
+            value, error = row[key], min(row[f"{key}_error"], 3.0)  # what is not told reaches out of the picture
             ends = np.array([value - 1.645 * error, value + 1.645 * error])
             axes.plot(10**ends if log else ends, [y, y], color=colour, lw=2)
             axes.plot(10**value if log else value, y, "o", color=colour)
