@@ -113,9 +113,11 @@ def test_two_effects_are_counted_by_class():
 
 
 @pytest.mark.slow
-def test_doses_follow_visibility():
-    from physconvex.gap.blind.explicit_cases import simulate_explicit
+def test_doses_follow_visibility(monkeypatch):
+    from physconvex.gap.blind import explicit_cases
 
+    monkeypatch.setattr(explicit_cases, "_NODES", (40, 60))
+    simulate_explicit = explicit_cases.simulate_explicit
     case = draw_case(3, ("time_offset",), dosed=False)
     _, seen, hidden, visibility = simulate_explicit(case, ("time_offset",), 6.0)
     assert 4 < visibility < 9 and hidden.hidden[0].name == "time_offset" and np.isfinite(seen).all()

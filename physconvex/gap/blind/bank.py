@@ -112,8 +112,10 @@ def _plan(
     plan += [(OUTSIDE[i % len(OUTSIDE)],) for i in range(numbers["outside"])]
     for number in range(numbers["two"]):
         first = order[(singles + number) % len(order)]
-        partners = [name for name in effects if not same_class(name, first) and kinds_for((name, first))]
-        plan.append((first, str(rng.choice(partners))))
+        together = [(a, b) for a in effects for b in effects if a != b and not same_class(a, b) and kinds_for((a, b))]
+        if not together:
+            raise InputError(f"effects: got {', '.join(effects)}; expected two that one motion can show, for `two`")
+        plan.append(together[int(rng.choice([i for i, p in enumerate(together) if p[0] == first] or len(together)))])
     return [plan[i] for i in rng.permutation(count)]
 
 
