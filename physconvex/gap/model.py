@@ -204,8 +204,12 @@ class EffectModel:
 
 
 def reduced_like(full: EffectModel, motion: Motion, values: np.ndarray) -> tuple[EffectModel, Motion]:
-    """The reduced model with what it lacks to a full-order motion added, and its own motion at the same values."""
-    reduced = replace(full, reduced=True, correction=None)
+    """The cheaper model with what it lacks to a full-order motion added, and its own motion at the same values.
+
+    Cheaper is the reduced model; of a held body the full-order one on the twin's own, coarser mesh: what the reduced
+    one lacks there is a vibration of another frequency, which an added motion makes up for only while nothing damps it.
+    """
+    reduced = replace(full, reduced=not full.situation.clamped, mesh=None, correction=None)
     own = reduced.motion(values)
     exact = motion.positions if full.correction is None else motion.positions + full.correction[: full.frames]
     return replace(reduced, correction=exact - own.positions), own
