@@ -127,10 +127,10 @@ class SolverConfig(Frozen):
     """Discretisation: most nodes of the quadratic mesh, time steps per video frame, most friction passes per step,
     Newton's last step relative to the body's size, tries before giving up."""
 
-    target_nodes: int = Field(default=500, ge=20)
+    target_nodes: int = Field(default=1000, ge=20)
     steps_per_frame: int = Field(default=24, ge=1)
     friction_passes: int = Field(default=12, ge=1)
-    tolerance: float = Field(default=5e-5, gt=0)
+    tolerance: float = Field(default=1e-6, gt=0)
     max_attempts: int = Field(default=6, ge=1)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
 from models.foreground import Foreground, ForegroundSource, locate_foreground
+from models.shrinking import halvings, shrink
 from models.silhouette import MOMENT_NAMES, silhouette_moments
 from models.timing import motion_start, resample
 from models.windows import GREY, object_windows
@@ -90,7 +91,7 @@ def prepare_clip(
     foreground = locate_foreground(
         shown, alpha=None if alpha is None else alpha[chosen], mask=None if mask is None else mask[chosen]
     )
-    crop = _crop_square(foreground, config.margin)
+    crop = _crop_square(foreground, config.margin, config.image_size)
     images, masks = _cut_out(shown, foreground, crop, config.image_size)
     silhouettes = silhouette_moments(masks, touches_border=_touches_border(foreground.mask))
     if silhouettes.empty.any():
@@ -147,8 +148,11 @@ def _checked_times(frames: np.ndarray, fps: float, timestamps: np.ndarray | None
     return times
 
 
-def _crop_square(foreground: Foreground, margin: float) -> tuple[int, int, int]:
-    """x0, y0, side [px] of the square around everything the object passes; may reach beyond the image."""
+def _crop_square(foreground: Foreground, margin: float, size: int) -> tuple[int, int, int]:
+    """x0, y0, side [px] of the square around everything the object passes; may reach beyond the image.
+
+    The side can be halved as often as it will be on the way to `size` (`models.shrinking`).
+    """
     height, width = foreground.mask.shape[1:]
     union = foreground.mask.max(axis=0)
     columns, rows = union.max(axis=0) > 0, union.max(axis=1) > 0
@@ -158,6 +162,7 @@ def _crop_square(foreground: Foreground, margin: float) -> tuple[int, int, int]:
     x0, x1 = int(columns.argmax()), width - int(columns[::-1].argmax())
     y0, y1 = int(rows.argmax()), height - int(rows[::-1].argmax())
     side = max(4, round(max(x1 - x0, y1 - y0) * (1 + 2 * margin)))
+    side += -side % 2 ** halvings(side, size)
     return round((x0 + x1 - side) / 2), round((y0 + y1 - side) / 2), side
 
 
@@ -169,7 +174,6 @@ def _cut_out(
     height, width = frames.shape[1:3]
     inside = np.s_[max(0, y0) : min(height, y0 + side), max(0, x0) : min(width, x0 + side)]
     target = np.s_[inside[0].start - y0 : inside[0].stop - y0, inside[1].start - x0 : inside[1].stop - x0]
-    method = cv2.INTER_AREA if side >= size else cv2.INTER_LINEAR
     canvas_image = np.empty((side, side, 3), np.uint8)
     canvas_mask = np.zeros((side, side), np.uint8)
     images, masks = (
@@ -180,9 +184,14 @@ def _cut_out(
         canvas_image[...] = GREY
         canvas_mask[target] = mask[inside]
         cv2.copyTo(np.ascontiguousarray(frame[inside]), np.ascontiguousarray(mask[inside]), canvas_image[target])
-        images[k] = cv2.resize(canvas_image, (size, size), interpolation=method)
-        masks[k] = cv2.resize(canvas_mask, (size, size), interpolation=method)
+        images[k], masks[k] = _scaled(canvas_image, size), _scaled(canvas_mask, size)
     return images, masks
+
+
+def _scaled(picture: np.ndarray, size: int) -> np.ndarray:
+    if len(picture) >= size:
+        return shrink(picture, (size, size))
+    return cv2.resize(picture, (size, size), interpolation=cv2.INTER_LINEAR)
 
 
 def _touches_border(mask: UInt8[np.ndarray, "T H W"]) -> Bool[np.ndarray, " T"]:

@@ -10,6 +10,7 @@ from jaxtyping import Float32, UInt8
 from models.activity import moving_window
 from models.background import plain_background_masks
 from models.shapes import link_masks
+from models.shrinking import shrink
 from models.stabilise import stabilise
 from physconvex.errors import InputError
 
@@ -128,7 +129,7 @@ def _reduced(frames: UInt8[np.ndarray, "T H W 3"]) -> UInt8[np.ndarray, "T h w 3
     if scale == 1.0:
         return frames
     size = (max(8, round(width * scale)), max(8, round(height * scale)))
-    return np.stack([cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames])
+    return np.stack([shrink(frame, size) for frame in frames])
 
 
 def _enlarged(coverage: UInt8[np.ndarray, "T h w"], size: tuple[int, int]) -> UInt8[np.ndarray, "T H W"]:

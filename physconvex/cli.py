@@ -99,10 +99,11 @@ class _EntryPointGroup(TyperGroup):
 app = typer.Typer(cls=_EntryPointGroup, no_args_is_help=True, pretty_exceptions_enable=False)
 
 
-def _print_version(wanted: bool) -> None:
+def _print_version(wanted: bool) -> bool:
     if wanted:
         typer.echo(f"physconvex {physconvex.__version__}")
         raise typer.Exit()
+    return wanted
 
 
 @app.callback()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
@@ -17,6 +17,7 @@ Report = Callable[[str, int, int], None]
 _Network = TypeVar("_Network", bound=nn.Module)
 
 
+@runtime_checkable
 class FinderRecipe(Protocol):
     """What the loop reads of a recipe."""
 

@@ -14,7 +14,7 @@ from physconvex.errors import InputError
 from physconvex.fem.elements import shape_gradients, shape_values
 from physconvex.fem.mesh import FACE_CORNERS, TetMesh
 
-__all__ = ["Embedding", "locate", "sample_interior"]
+__all__ = ["Embedding", "locate", "nearest_on_triangles", "sample_interior"]
 
 # Elements tried per point (nearest centres first), most point-element pairs handled at once, and how far outside
 # (in barycentric coordinates) still counts as inside.
@@ -31,7 +31,7 @@ class Embedding:
         nodes: the nodes the weights belong to, shape [P, 4] or [P, 10].
         node_count: nodes of the mesh.
         max_distance: how far the outermost point lies outside the mesh [m] (0 if all are inside). Such points
-            move with the first-order continuation of the mesh's motion from its nearest point.
+            move with the nearest point of the mesh, and with the mean deformation gradient of its element about it.
     """
 
     elements: Int[np.ndarray, " P"]
@@ -120,14 +120,16 @@ def sample_interior(
 def _continued_shape_values(
     barycentric: np.ndarray, anchors: np.ndarray, outside: np.ndarray, order: int
 ) -> np.ndarray:
-    """Shape functions [P, n] at points inside, outside their first-order expansion about the anchors.
+    """Shape functions [P, n] at points inside; outside continued about the anchors by the element's mean gradient.
 
     A quadratic element continued as it is would throw far points away: its shape functions grow with the square
-    of the distance. The expansion still reproduces every affine map, and joins the element's own map at its surface.
+    of the distance, and its gradient varies most at its surface. Its mean gradient, which is that at its centre, still
+    reproduces every affine map, and the result joins the element's own map at its surface.
     """
     values = shape_values(anchors, order)
     away = (barycentric - anchors)[outside]
-    values[outside] += np.einsum("pnk,pk->pn", shape_gradients(anchors[outside], order), away)
+    centre = np.full((1, barycentric.shape[1]), 1 / barycentric.shape[1])
+    values[outside] += away @ shape_gradients(centre, order)[0].T
     return values
 
 
@@ -194,7 +196,7 @@ def _nearest_element(
     triangles = mesh.vertices[faces]
     count = min(2 * CANDIDATES, len(faces))
     near = cKDTree(triangles.mean(axis=1)).query(points, k=[*range(1, count + 1)])[1]
-    feet = _nearest_on_triangles(triangles[near], points[:, None])
+    feet = nearest_on_triangles(triangles[near], points[:, None])
     gaps = np.linalg.norm(points[:, None] - feet, axis=-1)
     row, closest = np.arange(len(points)), gaps.argmin(axis=1)
     depth = _barycentric(corners, inverse, owner[near], points[:, None]).min(axis=2)
@@ -211,7 +213,7 @@ def _boundary_faces_with_owner(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
     return single // 4, faces[single]
 
 
-def _nearest_on_triangles(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+def nearest_on_triangles(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points of `triangles` [..., 3, 3] nearest to `points` [..., 3]."""
     normal = np.cross(triangles[..., 1, :] - triangles[..., 0, :], triangles[..., 2, :] - triangles[..., 0, :])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)

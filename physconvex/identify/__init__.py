@@ -2,6 +2,7 @@
 
 from physconvex.identify.clamping import Clamp, clamp_of
 from physconvex.identify.correction import CorrectedModel, Correction, FullRun, correct, parameter_shift
+from physconvex.identify.held_region import HeldRegion
 from physconvex.identify.levenberg_marquardt import Fit, FitOptions, Iteration, fit
 from physconvex.identify.model import FullModel, Model, ReducedModel
 from physconvex.identify.observations import (
@@ -27,6 +28,7 @@ __all__ = [
     "FitOptions",
     "FullModel",
     "FullRun",
+    "HeldRegion",
     "Identifiability",
     "Iteration",
     "MarkerObservations",

@@ -15,11 +15,13 @@ from physconvex.errors import InputError
 from physconvex.fem import Pins as NodePins
 from physconvex.fem import TetMesh
 from physconvex.fem.mesh import EDGE_CORNERS
+from physconvex.identify.held_region import HeldRegion
 from physconvex.reduced import Pins
 
 __all__ = ["Clamp", "clamp_of"]
 
 _NEIGHBOURS = 4
+_REACH = 0.3  # edges of the mesh within which a corner counts as part of the held region
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,20 +51,29 @@ class Clamp:
         return Pins(self.mesh.vertices[self.nodes[kept]], areas[kept], motion=led)
 
 
-def clamp_of(boundary: Boundary, mesh: TetMesh, *, reference: Float[np.ndarray, "R 3"], fps: float) -> Clamp:
+def clamp_of(
+    boundary: Boundary,
+    mesh: TetMesh,
+    *,
+    reference: Float[np.ndarray, "R 3"],
+    cells: Int[np.ndarray, "E k"] | None = None,
+    fps: float,
+) -> Clamp:
     """Carry a boundary over to the nodes of a mesh.
 
     Args:
         boundary: vertices of `reference`, or a box in the rest frame; their motion.
-        mesh: mesh of the model, rest state.
+        mesh: mesh of the model, rest state. It need not have nodes where the reference has them: those near what is
+            held of the reference are held.
         reference: the vertices that the boundary counts [m]: of the capture's tetrahedra, else of its mesh.
+        cells: tetrahedra [E, 4] or triangles [E, 3] of the reference; what lies between held vertices is held.
         fps: frames per second of the motion; it is interpolated by cubic splines.
 
     Raises:
         InputError: an index out of range, or no node of the mesh is held.
     """
     held = _held_vertices(boundary, reference)
-    nodes = _nodes_near(mesh, reference, held, boundary)
+    nodes = _held_nodes(mesh, HeldRegion.of(reference, held, cells), boundary)
     if not (mesh.node_areas[nodes] > 0).any():
         raise InputError(
             "boundary: it holds no node of the surface; expected a box (rest frame, metres) or vertices that hold part "
@@ -92,15 +103,26 @@ def _held_vertices(boundary: Boundary, reference: np.ndarray) -> np.ndarray:
     return boundary.clamped_vertices
 
 
-def _nodes_near(mesh: TetMesh, reference: np.ndarray, held: np.ndarray, boundary: Boundary) -> np.ndarray:
-    """Nodes in the box; else corners whose nearest reference vertex is held, and the middles between two such."""
+def _held_nodes(mesh: TetMesh, region: HeldRegion, boundary: Boundary) -> Int[np.ndarray, " C"]:
+    """Nodes in the box, corners in or close to the held region, and the middles between two held corners.
+
+    A mesh made anew has its surface a fraction of an edge away from that of the reference.
+    """
+    marked = np.zeros(len(mesh.vertices), bool)
+    corners = np.unique(mesh.corner_tets)
+    marked[corners] = region.holds(mesh.vertices[corners], reach=_REACH * _corner_edge(mesh))
     if boundary.clamped_box is not None:
         low, high = boundary.clamped_box
-        return np.flatnonzero(((mesh.vertices >= low) & (mesh.vertices <= high)).all(1))
-    marked = np.isin(cKDTree(reference).query(mesh.vertices)[1], held)
+        marked |= ((mesh.vertices >= low) & (mesh.vertices <= high)).all(1)
     if mesh.order == 2:
-        marked[mesh.tets[:, 4:]] = marked[mesh.tets[:, EDGE_CORNERS]].all(-1)
+        marked[mesh.tets[:, 4:]] |= marked[mesh.tets[:, EDGE_CORNERS]].all(-1)
     return np.flatnonzero(marked)
+
+
+def _corner_edge(mesh: TetMesh) -> float:
+    """Median length of the elements' edges [m]."""
+    ends = mesh.vertices[mesh.corner_tets[:, EDGE_CORNERS]]
+    return float(np.median(np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=-1)))
 
 
 def _led(

@@ -113,7 +113,8 @@ class Twin:
         boundary = self.capture.boundary()
         if boundary is None:
             return None
-        return clamp_of(boundary, mesh, reference=_reference(self.capture, mesh), fps=self.fps)
+        vertices, cells = _reference(self.capture, mesh)
+        return clamp_of(boundary, mesh, reference=vertices, cells=cells, fps=self.fps)
 
 
 def _uniform(name: str, value: np.ndarray) -> float:
@@ -148,13 +149,15 @@ def mesh_of_capture(capture: Capture, *, max_nodes: int = 700) -> TetMesh:
     return tetrahedralize(pair, max_nodes=max_nodes, order=2, method="auto")
 
 
-def _reference(capture: Capture, mesh: TetMesh) -> np.ndarray:
-    """The vertices that the capture's boundary counts."""
+def _reference(capture: Capture, mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
+    """The vertices that the capture's boundary counts, and the tetrahedra or triangles between them."""
     tets = capture.tets()
     if tets is not None:
-        return tets.vertices
+        return tets.vertices, tets.corner_tets
     surface = capture.mesh()
-    return mesh.vertices if surface is None else np.asarray(surface.vertices, dtype=np.float64)
+    if surface is None:
+        return mesh.vertices, mesh.corner_tets
+    return np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces)
 
 
 def base_twin(capture: Capture, options: TwinOptions | None = None, *, mesh: TetMesh | None = None) -> Twin:
@@ -173,7 +176,8 @@ def base_twin(capture: Capture, options: TwinOptions | None = None, *, mesh: Tet
     boundary = capture.boundary()
     clamp = None
     if boundary is not None:
-        clamp = clamp_of(boundary, mesh, reference=_reference(capture, mesh), fps=capture.fps)
+        vertices, cells = _reference(capture, mesh)
+        clamp = clamp_of(boundary, mesh, reference=vertices, cells=cells, fps=capture.fps)
     weights = eigenmode_weights(ElasticBody(mesh), options.weights)
     body = ReducedBody(
         ReducedSpace(weights, BodySamples.of_mesh(mesh)),

@@ -141,6 +141,7 @@ def test_a_folder_of_another_seed_or_configuration_is_refused(in_process, tmp_pa
         generate_dataset(tmp_path, count=1, config=load_config("clean", overrides=SMALL), seed=1)
 
 
+@pytest.mark.wrong_types
 def test_wrong_arguments_are_named(tmp_path):
     with pytest.raises(InputError, match="count"):
         generate_dataset(tmp_path, count=0, config=CONFIG)

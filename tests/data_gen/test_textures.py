@@ -43,6 +43,7 @@ def test_pictures_are_repeatable_and_differ_between_seeds(draw):
     assert np.std([p.mean() for p in pictures]) > 8
 
 
+@pytest.mark.wrong_types
 def test_wrong_arguments_are_refused():
     with pytest.raises(InputError, match="pattern"):
         vertex_colors(POINTS, np.random.default_rng(0), pattern="tartan")

@@ -106,7 +106,7 @@ TET = np.vstack([np.zeros(3), np.eye(3)])
         (TET, [[0, 2, 1, 3]], "1 of 1 have no positive volume"),
         (TET * (1, 1, 0), [[0, 1, 2, 3]], "no positive volume"),
         (TET, [[0, 1, 2, 4]], "indices 0..4; expected 0..3"),
-        (TET[:, :2], [[0, 1, 2, 3]], r"vertices: got shape \(4, 2\)"),
+        pytest.param(TET[:, :2], [[0, 1, 2, 3]], r"vertices: got shape \(4, 2\)", marks=pytest.mark.wrong_types),
         (TET * np.nan, [[0, 1, 2, 3]], "vertices"),
         (TET, [[0, 1, 2]], r"tets: got shape \(1, 3\)"),
         (np.vstack([TET, TET[:1]]), [[0, 1, 2, 3]], "belong to no tetrahedron"),

@@ -110,6 +110,7 @@ def test_a_curved_sheet_without_inside_is_refused():
         tetrahedralize((vertices, np.vstack([np.stack([a, b, c], 1), np.stack([b, d, c], 1)])))
 
 
+@pytest.mark.wrong_types
 def test_bad_options_are_refused(ball):
     with pytest.raises(InputError, match="target_edge_length"):
         tetrahedralize(ball, target_edge_length=-1.0)

@@ -149,6 +149,7 @@ def test_chosen_superlu_needs_no_pypardiso(without_pypardiso):
     SymmetricSolver(random_matrix(10, seed=13), backend="superlu")  # no warning: warnings are errors here
 
 
+@pytest.mark.wrong_types
 def test_unknown_backend_is_named():
     with pytest.raises(InputError, match="backend: got 'cholmod'"):
         SymmetricSolver(random_matrix(10, seed=14), backend="cholmod")

@@ -25,7 +25,7 @@ def checkpoint(tiny_config: TrainConfig, tmp_path: Path) -> Path:
     return tmp_path / "checkpoint"
 
 
-class Oracle:
+class Oracle(PhysicsPredictor):
     """Knows E to 0.1 decades from the size of the first frame's silhouette, if the frames are in order."""
 
     def __init__(self, known: dict[bytes, tuple[float, float]], config: object) -> None:
