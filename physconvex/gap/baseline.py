@@ -10,10 +10,10 @@ from jaxtyping import Float, Int
 
 from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import simulate
+from physconvex.fem import TetMesh, simulate
 from physconvex.gap.effects import Motion, Situation
-from physconvex.gap.model import EffectModel, SecantModel
-from physconvex.gap.observing import Seen, components, in_metres, observe, widened
+from physconvex.gap.model import ACCURACY, EffectModel, SecantModel, reduced_like
+from physconvex.gap.observing import Seen, components, in_metres, observe, starts_elsewhere, widened, with_honest_noise
 from physconvex.gap.options import GapOptions
 from physconvex.identify import (
     Fit,
@@ -38,6 +38,8 @@ Report = Callable[[str], None]
 _STEPS_PER_WAVE = 8  # time steps in the time an elastic wave takes through the body
 _STARTS = 3  # of the rough fit of a held body
 _MOST_STEPS = 1000  # of one roll-out
+_ROUNDS = 3  # of full-order run and search with the reduced model
+_STILL = 0.02  # of typical steps: a change of the values that is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +64,10 @@ class Baseline:
         capture: the capture.
         observations: what was seen in all frames.
         split: how the frames are used.
-        model: full-order values, reduced derivatives, no effect.
+        model: the full-order model; without effects but where a search goes on from a fit.
         fit: of the model to the fitted frames.
         motion: of the observed points at the fit, all frames.
-        tangents: of the observed points by the base parameters, up to the last fitted frame, shape [f, K, P, 3].
+        tangents: of the observed points by the parameters, in all frames or the first ones, shape [f, K, P, 3].
         situation: of the capture.
         contact_force: total normal force at each frame [N], shape [T].
     """
@@ -88,7 +90,7 @@ class Baseline:
     @property
     def twin(self) -> Twin:
         """The twin with the fitted values."""
-        return self.model.twin.with_values(self.model.base, self.fit.values)
+        return self.model.twin.with_values(self.model.base, self.fit.values[: len(self.model.base)])
 
     @property
     def components(self) -> int:
@@ -214,6 +216,7 @@ def _situation(twin: Twin, seen: Seen, peak_stress: float, touches: bool) -> Sit
         friction=max((o.friction for o in scene.obstacles), default=0.0),
         states_velocity=capture.initial_velocity is not None or twin.clamp is not None,
         states_spin=capture.initial_angular_velocity is not None or twin.clamp is not None,
+        starts_elsewhere=starts_elsewhere(seen),
         peak_stress=peak_stress,
         gravity=(float(capture.gravity[0]), float(capture.gravity[1]), float(capture.gravity[2])),
         camera=seen.camera if isinstance(seen, PixelObservations) else None,
@@ -223,7 +226,7 @@ def _situation(twin: Twin, seen: Seen, peak_stress: float, touches: bool) -> Sit
 def _stress_and_contact(model: EffectModel, values: np.ndarray) -> tuple[float, np.ndarray, Motion]:
     """Peak von Mises stress [Pa] (99th percentile), normal force per frame [N], and the motion of the points."""
     scene = model.full_scene(values)
-    run = simulate(scene, **model.twin.timing(model.frames))
+    run = simulate(scene, **model.twin.timing(model.frames), **ACCURACY)
     contact, peak, force = scene.contact(), 0.0, np.zeros(len(run.times))
     for frame, x in enumerate(run.positions):
         stress = scene.body.stress(x).cpu().numpy()
@@ -243,7 +246,7 @@ def rough_baseline(capture: Capture, options: GapOptions, report: Report) -> Bas
         InputError: no tracks, no rest geometry, or too few frames.
         ConvergenceError: the base model cannot be simulated.
     """
-    observations = observe(capture, _cheap(capture, options))
+    observations = with_honest_noise(observe(capture, _cheap(capture, options)))
     split = split_frames(capture, observations.frames)
     count = int(split.fitted[-1]) + 1
     fitted = observations.in_frames(count)
@@ -259,11 +262,13 @@ def rough_baseline(capture: Capture, options: GapOptions, report: Report) -> Bas
     return _run_base(capture, observations, split, twin.with_values(names, rough.values), rough)
 
 
-def _run_base(capture: Capture, observations: Seen, split: Split, twin: Twin, found: Fit) -> Baseline:
+def _run_base(
+    capture: Capture, observations: Seen, split: Split, twin: Twin, found: Fit, *, mesh: TetMesh | None = None
+) -> Baseline:  # fmt: skip
     """The full-order model at fitted values, all frames."""
     situation = _situation(twin, observations, 1e3, bool(twin.scene.obstacles))
     points, camera = np.asarray(observations.points), situation.camera
-    model = EffectModel(twin, found.names, points, capture.frames, situation, camera=camera)
+    model = EffectModel(twin, found.names, points, capture.frames, situation, camera=camera, mesh=mesh)
     peak, force, motion = _stress_and_contact(model, found.values)
     situation = _situation(twin, observations, peak, bool((force > 0).any()))
     nothing = np.zeros((capture.frames, len(found.names), *motion.positions.shape[1:]))
@@ -275,15 +280,19 @@ def _run_base(capture: Capture, observations: Seen, split: Split, twin: Twin, fo
 def fit_baseline(
     rough: Baseline,
     correction: Float[np.ndarray, "T P 3"],
+    fine: tuple[TetMesh, Motion] | None,
     variance: Float[np.ndarray, " N"],
     options: GapOptions,
     report: Report,
 ) -> Baseline:
     """Fit the full-order base model to the fitted frames, with what a finer model would change added.
 
+    The reduced model searches, the full-order one is run at what it found, see `physconvex.gap.mapping`.
+
     Args:
         rough: where to begin.
         correction: see `EffectModel`.
+        fine: a finer mesh for the full-order model, and its motion at the rough fit.
         variance: of the residuals in units of the stated noise, all frames: frames that the model cannot tell count
             less.
         options: settings.
@@ -291,18 +300,35 @@ def fit_baseline(
     """
     split, names = rough.split, rough.model.base
     count = int(split.fitted[-1]) + 1
-    model = replace(rough.model, correction=correction)
-    shorter, values = replace(model, frames=count), rough.fit.values
-    report("derivatives of the base model")
-    tangents = shorter.base_tangents(values, rough.motion.first(count))
-    report("fit of the full-order base model")
     weighted = widened(rough.observations, variance).in_frames(count)
-    here = model.observed(rough.motion, values)
-    secant = SecantModel(shorter, values, here[:count], tangents)
-    stop = FitOptions(max_iterations=options.iterations + 2, relative_tolerance=1e-3, absolute_tolerance=0.05)
-    best = fit(secant, weighted, shorter.parameters(values), options=stop)
-    found = _run_base(rough.capture, rough.observations, split, model.twin.with_values(names, best.values), best)
-    model = replace(found.model, correction=correction)
-    report("derivatives at the fit")
-    tangents = replace(model, frames=count).base_tangents(best.values, found.motion.first(count))
-    return replace(found, model=model, tangents=tangents)
+    stop = FitOptions(max_iterations=options.iterations + 3, relative_tolerance=1e-3, absolute_tolerance=0.05)
+    mesh, motion = (None, rough.motion) if fine is None else fine
+    here = replace(rough, model=replace(rough.model, correction=correction, mesh=mesh), motion=motion)
+    scales = np.array([p.step for p in here.model.parameters(here.fit.values)])
+    best, least = here, _misfit(here, variance)
+    for number in range(_ROUNDS):
+        report(f"fit of the full-order base model, round {number + 1}")
+        model, motion = reduced_like(here.model, here.motion, here.fit.values)
+        tangents = model.tangents(here.fit.values, motion)
+        here = replace(here, tangents=tangents)
+        best = here if best.motion is here.motion else best
+        shorter = replace(model, frames=count)
+        secant = SecantModel(shorter, here.fit.values, here.positions[:count], tangents[:count])
+        found = fit(secant, weighted, shorter.parameters(here.fit.values), options=stop)
+        if np.abs((found.values - here.fit.values) / scales).max() < _STILL:
+            return replace(here, fit=found) if here is best else best
+        twin = rough.model.twin.with_values(names, found.values)
+        here = _run_base(rough.capture, rough.observations, split, twin, found, mesh=mesh)
+        here = replace(here, model=replace(here.model, correction=correction))
+        misfit = _misfit(here, variance)
+        if misfit < least:
+            best, least = here, misfit
+    if not best.tangents.any():
+        model, motion = reduced_like(best.model, best.motion, best.fit.values)
+        best = replace(best, tangents=model.tangents(best.fit.values, motion))
+    return best
+
+
+def _misfit(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
+    rows = base.rows(base.split.fitted)
+    return float(np.mean(base.residual(base.positions)[rows] ** 2 / variance[rows]))

@@ -16,6 +16,9 @@ def diagnose(
     capture: Annotated[
         Path, typer.Argument(help="Capture folder (capture.json) with marker tracks.", show_default=False)
     ],
+    second_take: Annotated[
+        Path | None, typer.Option(help="Another capture of the same body: the shrinkage is reported there as well.")
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder of the report.")] = Path("diagnosis"),
     effects: Annotated[
         str | None, typer.Option(help="Names of the effects to try, separated by commas. Default: all.")
@@ -47,7 +50,10 @@ def diagnose(
             bar.set_description(text)
             bar.update()
 
-        report = run(capture, effects=_names(effects), without=_names(without) or (), options=options, on_progress=show)
+        report = run(
+            capture, second_take=second_take, effects=_names(effects), without=_names(without) or (), options=options,
+            on_progress=show,
+        )  # fmt: skip
     report.save(out)
     if as_json:
         typer.echo(json.dumps(report.to_json(), default=lambda value: value.tolist()))

@@ -11,17 +11,20 @@ import numpy as np
 
 import physconvex
 from physconvex.capture import Capture, load_capture
-from physconvex.errors import ConvergenceError
 from physconvex.gap.advice import next_experiment
 from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
-from physconvex.gap.comparison import Hypothesis, base_hypothesis, compare, fit_effects
+from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
 from physconvex.gap.effects import Effect, choose
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
+from physconvex.gap.mapping import as_reduced
 from physconvex.gap.numerics import Numerics, correction_of, error_model, numerical_differences
 from physconvex.gap.options import GapOptions
 from physconvex.gap.report import GapReport, Provenance
 from physconvex.gap.score import ErrorModel
-from physconvex.gap.screening import Screening, screen
+from physconvex.gap.screening import Screening
+from physconvex.gap.second_take import second_take_shrinkage
+from physconvex.gap.selection import FAILURES, select_effects
+from physconvex.gap.shortening import MOST_FRAMES, shortened
 from physconvex.gap.verdict import decide
 from physconvex.gap.where import locate_gap
 
@@ -33,6 +36,7 @@ Report = Callable[[str], None]
 def diagnose(
     capture: Capture | Path | str,
     *,
+    second_take: Capture | Path | str | None = None,
     effects: Sequence[str] | None = None,
     without: Iterable[str] = (),
     extra: Iterable[Effect] = (),
@@ -41,10 +45,12 @@ def diagnose(
 ) -> GapReport:
     """Where the gap between a capture and its base model lies, which effect causes it, and how far it shrinks.
 
-    The base model is what `capture.json` states, with E, ν and the unstated initial motion fitted.
+    The base model is what `capture.json` states, with E, ν and the unstated initial motion fitted. Of a long capture,
+    the first 100 frames are used.
 
     Args:
         capture: a capture folder with marker tracks and rest geometry.
+        second_take: another capture of the same body, on which the shrinkage is reported as well.
         effects: names of the effects to try; all unless given.
         without: names to leave out.
         extra: effects of one's own.
@@ -56,13 +62,13 @@ def diagnose(
         ConvergenceError: the base model cannot be simulated.
     """
     begun, options = time.monotonic(), options or GapOptions()
-    capture = capture if isinstance(capture, Capture) else load_capture(capture)
+    capture = shortened(capture if isinstance(capture, Capture) else load_capture(capture))
     dictionary = choose(effects, without=without, extra=extra)
     report: Report = on_progress or (lambda _: None)
     rough = rough_baseline(capture, options, report)
     numerics = numerical_differences(rough, options, report)
     rough_errors = error_model(rough, numerics, options)
-    base = fit_baseline(rough, correction_of(numerics), rough_errors.variance, options, report)
+    base = fit_baseline(rough, correction_of(numerics), numerics.fine, rough_errors.variance, options, report)
     directions = {
         "time_step": numerics.implicit_euler,
         "mesh_resolution": numerics.mesh,
@@ -70,8 +76,7 @@ def diagnose(
     }
     base = replace(base, model=replace(base.model, directions=directions))
     errors = error_model(base, numerics, options)
-    screening = screen(base, errors, numerics, dictionary, report)
-    hypotheses = compare(base, errors, screening, options, report)
+    hypotheses, screening = select_effects(base, errors, numerics, dictionary, options, report)
     best = next((h for h in hypotheses if h.effects), hypotheses[0])
     report("placebo")
     placebo = _placebo(base, errors, screening, best, options)
@@ -86,6 +91,12 @@ def diagnose(
         floor=shrinkage[-1].noise_floor / base.situation.size,
         placebo=shrinkage[-1].placebo,
     )
+    if second_take is not None:
+        other = second_take if isinstance(second_take, Capture) else load_capture(second_take)
+        again = second_take_shrinkage(base, best, other, options, report)
+        shrinkage = (*shrinkage, *(() if again is None else (again,)))
+    if capture.frames == MOST_FRAMES:
+        verdict = replace(verdict, caveats=(*verdict.caveats, f"At most the first {MOST_FRAMES} frames were used."))
     report("report")
     return GapReport(
         where=locate_gap(base, errors, best, options),
@@ -124,8 +135,8 @@ def _placebo(
     if not others:
         return None
     try:
-        return fit_effects(base, errors, others[:1], options)
-    except ConvergenceError:
+        return fit_effects(as_reduced(base), errors, others[:1], options)
+    except FAILURES:
         return None
 
 
@@ -149,7 +160,7 @@ def _provenance(base: Baseline, numerics: Numerics, screening: Screening, second
     return Provenance(
         capture=base.capture.folder.resolve().name,
         version=physconvex.__version__,
-        nodes=len(base.model.twin.mesh.vertices),
+        nodes=numerics.nodes[1],
         steps_per_frame=steps,
         numerical_viscosity=base.situation.youngs_modulus / (base.capture.fps * steps),
         fitted=tuple(int(f) for f in split.fitted),

@@ -77,6 +77,41 @@ def _how_far(report: GapReport) -> str:
     return _table(["data", "gap before", "after", "floor", "shrinkage", "placebo"], rows)
 
 
+def _modes(report: GapReport) -> str:
+    def text(pair: tuple[float, float]) -> str:
+        return "–" if not np.isfinite(pair[0]) else f"{pair[0]:.3g} Hz, ζ = {pair[1]:.3f}"
+
+    rows = [
+        [
+            f"{number + 1} ({mode.share:.0%} of the deformation)",
+            text(mode.observed),
+            "–" if not np.isfinite(mode.errors[0]) else f"± {mode.errors[0]:.2g} Hz, ± {mode.errors[1]:.2g}",
+            text(mode.base),
+            text(mode.improved),
+        ]
+        for number, mode in enumerate(report.where.modes)
+    ]
+    if not rows:
+        return "<p>Too few markers or frames, or a picture: nothing to tell.</p>"
+    return _table(["shape", "observed", "error", "base model", "with the best effects"], rows)
+
+
+def _ledger(report: GapReport) -> str:
+    rows = [
+        [
+            f"{e.phase}, frames {e.frames[0]} to {e.frames[1]}",
+            ", ".join(f"{x:.2g}" for x in e.impulse),
+            f"{e.impulse_error:.1g}",
+            ", ".join(f"{x:.2g}" for x in e.angular_impulse),
+            f"{e.work:.2g}",
+        ]
+        for e in report.where.ledger
+    ]
+    if not rows:
+        return "<p>Of free bodies with markers only.</p>"
+    return _table(["phase", "impulse x, y, z [N s]", "±", "angular impulse [N m s]", "work [J]"], rows)
+
+
 def _parameters(report: GapReport) -> str:
     rows = [
         [
@@ -131,7 +166,7 @@ def write_html(report: GapReport, path: Path) -> None:
         ["part", "rms distance", "interval"],
         [
             [p.name, _millimetres(p.value), f"{_millimetres(p.lower)} to {_millimetres(p.upper)}"]
-            for p in (*report.where.sources, *report.where.phases, *report.where.regions)
+            for p in (*report.where.sources, *report.where.phases, *report.where.regions, *report.where.image)
         ],
     )
     sections = [
@@ -142,6 +177,9 @@ def write_html(report: GapReport, path: Path) -> None:
         _section("Where: body", "The plain model's distance, carried from the observed points to the surface.",
                  f'<img alt="body coloured by the gap" src="{pictures.png_of(pictures.body_map(report.where))}">'),
         _section("Where: numbers", "Root mean squares; 90 % intervals by resampling blocks of frames.", phases),
+        _section("Where: vibrations", "Shapes that the observed deformation is made of, each fitted by a damped sine: "
+                 "frequency and damping ratio.", _modes(report)),
+        _section("Where: ledger", "What the observed body received and the base model's did not.", _ledger(report)),
         _section("Which: effects", "Fitted on the first frames, chosen on later ones.", _effects(report)),
         _section("Which: doses", "What the residual asks for, effect by effect, before any of them is fitted.",
                  pictures.svg_of(pictures.forest(report)) + _screening(report)),

@@ -1,4 +1,4 @@
-"""A twin with effects: positions of points by base parameters and doses, from the full-order model."""
+"""A twin with effects: positions of points by base parameters and doses, from the full-order or the reduced model."""
 
 from __future__ import annotations
 
@@ -19,13 +19,16 @@ from physconvex.fem import simulate as simulate_full
 from physconvex.gap.effects import Effect, Motion, Situation
 from physconvex.identify import Parameter, Twin
 from physconvex.identify.parameters import default_parameter
+from physconvex.integrators import IntegratorName
 from physconvex.reduced import ReducedScene, parameter_values, simulate
 
-__all__ = ["DoseParameter", "EffectModel", "SecantModel"]
+__all__ = ["ACCURACY", "DoseParameter", "EffectModel", "SecantModel", "reduced_like"]
 
 Positions = Float[np.ndarray, "T P 3"]
 Vector = Float[np.ndarray, " K"]
 _BASE_STEP = 0.1  # of a typical step, for differences
+# of the full-order runs: their errors stay below 1e-5 of the size, a hundredth of what the mesh leaves
+ACCURACY: dict[str, Any] = {"tolerance": 1e-6, "friction_passes": 4}
 
 
 class DoseParameter(Parameter):
@@ -52,6 +55,7 @@ class EffectModel:
         mesh: another mesh for the full-order model.
         refinement: factor on its time steps.
         integrator: of the full-order model.
+        reduced: whether motions come from the reduced model; `correction` then makes up for the difference.
     """
 
     twin: Twin
@@ -65,7 +69,8 @@ class EffectModel:
     correction: Positions | None = None
     mesh: TetMesh | None = None
     refinement: int = 1
-    integrator: str = "bdf2"
+    integrator: IntegratorName = "bdf2"
+    reduced: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -124,15 +129,17 @@ class EffectModel:
         return Motion(self.points, times, positions, velocities, self.camera)
 
     def motion(self, values: Vector) -> Motion:
-        """Motion of the points by the full-order model, before correction and observation."""
+        """Motion of the points, before correction and observation."""
+        if self.reduced:
+            return self.reduced_motion(values)
         timing = self.twin.timing(self.frames)
         timing["steps_per_frame"] *= self.refinement
-        run = simulate_full(self.full_scene(values), integrator=self.integrator, **timing)  # type: ignore[arg-type]
+        run = simulate_full(self.full_scene(values), integrator=self.integrator, **timing, **ACCURACY)
         return self._motion(run.times, self.embedding.apply(run.positions), self.embedding.apply(run.velocities))
 
     def reduced_motion(self, values: Vector) -> Motion:
         """The same by the reduced model."""
-        run = simulate(self.reduced_scene(values), **self.twin.timing(self.frames))
+        run = simulate(self.reduced_scene(values), **self.twin.timing(self.frames), **ACCURACY)
         shapes = self.twin.scene.body.space.shape_values(self.points)
         return self._motion(run.times, shapes @ run.coordinates, shapes @ run.velocities)
 
@@ -155,15 +162,15 @@ class EffectModel:
 
     # -- differences
 
-    def base_tangents(self, values: Vector, motion: Motion) -> Float[np.ndarray, "T K P 3"]:
-        """Derivatives by the base parameters, by differences of full-order runs.
+    def tangents(self, values: Vector, motion: Motion) -> Float[np.ndarray, "T K P 3"]:
+        """Derivatives by all parameters, doses included, by differences of runs.
 
         Args:
             values: where.
             motion: the motion there.
         """
         here, columns = self.observed(motion, values), []
-        for index, parameter in enumerate(self.parameters(values)[: len(self.base)]):
+        for index, parameter in enumerate(self.parameters(values)):
             step = _BASE_STEP * parameter.step
             if not parameter.lower <= values[index] + step <= parameter.upper:
                 step = -step
@@ -196,6 +203,18 @@ class EffectModel:
         return replace(self, effects=effects)
 
 
+def reduced_like(full: EffectModel, motion: Motion, values: np.ndarray) -> tuple[EffectModel, Motion]:
+    """The cheaper model with what it lacks to a full-order motion added, and its own motion at the same values.
+
+    Cheaper is the reduced model; of a held body the full-order one on the twin's own, coarser mesh: what the reduced
+    one lacks there is a vibration of another frequency, which an added motion makes up for only while nothing damps it.
+    """
+    reduced = replace(full, reduced=not full.situation.clamped, mesh=None, correction=None)
+    own = reduced.motion(values)
+    exact = motion.positions if full.correction is None else motion.positions + full.correction[: full.frames]
+    return replace(reduced, correction=exact - own.positions), own
+
+
 class SecantModel:
     """A model whose derivatives are carried along by Broyden's update: one run per linearisation.
 
@@ -215,6 +234,11 @@ class SecantModel:
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return self.model.names
+
+    @property
+    def tangents(self) -> Float[np.ndarray, "T K P 3"]:
+        """The derivatives as they are now."""
+        return self._tangents
 
     def positions(self, values: Vector) -> Positions:
         """Observed positions [m]."""

@@ -15,6 +15,8 @@ from jaxtyping import Float
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import TetMesh, refine, simulate, tetrahedralize
 from physconvex.gap.baseline import Baseline, Report
+from physconvex.gap.effects import Motion
+from physconvex.gap.model import ACCURACY
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
 from physconvex.identify import mesh_of_capture
@@ -22,19 +24,24 @@ from physconvex.identify import mesh_of_capture
 __all__ = ["Numerics", "correction_of", "error_model", "numerical_differences"]
 
 Positions = Float[np.ndarray, "T P 3"]
+_WORK = 600_000  # nodes times steps of a full-order run that is made some twenty times
+_ORDER = 1.75  # of convergence by edge length
+_STEPS_LEFT = 0.5  # error of half the time step over the difference to the whole one
 _LASTING = 2.0  # frames for which a numerical error stays much the same
 
 
 @dataclass(frozen=True, eq=False)
 class Numerics:
-    """Differences of effect-free runs to the base run, at the observed points.
+    """Differences of effect-free runs to the rough base run, at the observed points.
 
     Attributes:
         steps: with half the time step, [T, P, 3] m.
-        mesh: with another mesh.
+        mesh: with a finer mesh, which takes the place of the model's from the base fit on.
         contact: with a contact twice as stiff; zero where nothing touches.
         implicit_euler: first-order steps instead of second-order ones.
         reduction: the reduced model.
+        fine: the finer mesh, and the motion on it; None where it could not be run, or not often.
+        nodes: of the model's mesh and of the finer one.
         failed: names of runs that did not converge (their differences are zero).
     """
 
@@ -43,12 +50,20 @@ class Numerics:
     contact: Positions
     implicit_euler: Positions
     reduction: Positions
+    fine: tuple[TetMesh, Motion] | None = None
+    nodes: tuple[int, int] = (1, 1)
     failed: tuple[str, ...] = ()
 
     @property
     def null(self) -> tuple[Positions, ...]:
         """Differences that effect-free captures may show."""
-        return (self.steps, self.mesh, self.contact)
+        return (_STEPS_LEFT * self.steps, self._mesh_left * self.mesh, self.contact)
+
+    @property
+    def _mesh_left(self) -> float:
+        """Error of the finer mesh over the difference of the two (Richardson; contact lowers the order below two)."""
+        ratio = max(self.nodes[1] / self.nodes[0], 1.01)
+        return float(np.clip(1 / (ratio ** (_ORDER / 3) - 1), 0.3, 1.0))
 
 
 def numerical_differences(base: Baseline, options: GapOptions, report: Report) -> Numerics:
@@ -67,14 +82,24 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
     def stiffer() -> Positions:
         scene = model.full_scene(values)
         scene = replace(scene, contact_stiffness=2 * scene.contact().stiffness)
-        return np.asarray(model.embedding.apply(simulate(scene, **model.twin.timing(model.frames)).positions))
+        run = simulate(scene, **model.twin.timing(model.frames), **ACCURACY)
+        return np.asarray(model.embedding.apply(run.positions))
+
+    fine: list[tuple[TetMesh, Motion]] = []
+    steps = model.frames * model.twin.steps_per_frame
+
+    def finer() -> Positions:
+        mesh = _other_mesh(base, options, steps)
+        fine.append((mesh, replace(model, mesh=mesh).motion(values)))
+        return np.asarray(fine[0][1].positions)
 
     zero = np.zeros_like(here)
+    mesh = difference("a finer mesh", finer)
     return Numerics(
         steps=difference("half the time step", lambda: replace(model, refinement=2).motion(values).positions),
-        mesh=difference(
-            "another mesh", lambda: replace(model, mesh=_other_mesh(base, options)).motion(values).positions
-        ),
+        mesh=mesh,
+        fine=fine[0] if fine and len(fine[0][0].vertices) * steps <= _WORK else None,
+        nodes=(len(model.twin.mesh.vertices), len(fine[0][0].vertices) if fine else len(model.twin.mesh.vertices)),
         contact=difference("stiffer contact", stiffer) if base.situation.touches else zero,
         implicit_euler=difference(
             "implicit Euler", lambda: replace(model, integrator="implicit_euler").motion(values).positions
@@ -84,15 +109,18 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
     )
 
 
-def _other_mesh(base: Baseline, options: GapOptions) -> TetMesh:
-    """A finer mesh, so that its error is the smaller one: of a held body every element split, else meshed anew.
+def _other_mesh(base: Baseline, options: GapOptions, steps: int) -> TetMesh:
+    """A finer mesh, as far as a run of so many steps is affordable: of a held body every element split, else anew.
 
     A held body is split since another mesh would be held in other places, which moves it more than its resolution does.
     """
     own = base.model.twin.mesh
     if base.situation.clamped:
-        return refine(own)
-    wanted = int(2.5 * max(len(own.vertices), options.max_nodes // 2))
+        split = refine(own)
+        if len(split.vertices) * steps > 3 * _WORK:
+            raise InputError(f"mesh: {len(split.vertices)} nodes are too many for {steps} steps")
+        return split
+    wanted = max(min(options.fine_nodes, _WORK // steps), int(2.5 * len(own.vertices)))
     mesh = mesh_of_capture(base.capture, max_nodes=wanted)
     if len(mesh.vertices) > 1.3 * len(own.vertices):
         return mesh
@@ -101,22 +129,42 @@ def _other_mesh(base: Baseline, options: GapOptions) -> TetMesh:
 
 
 def correction_of(numerics: Numerics) -> Positions:
-    """What a finer mesh and finer steps change: added to every run of the model."""
-    return numerics.mesh + numerics.steps
+    """What finer steps change, and a finer mesh if that cannot be afforded: added to every run of the model."""
+    return numerics.steps if numerics.fine is not None else numerics.steps + numerics.mesh
 
 
 def error_model(base: Baseline, numerics: Numerics, options: GapOptions) -> ErrorModel:
-    """V of `physconvex.gap.score`: noise, the size of numerical differences in each frame, and their shapes."""
+    """V of `physconvex.gap.score`: noise, the size of numerical differences in each frame, and their shapes.
+
+    Where the base model is fitted (its tangents are known), the size is that of what the differences leave once E, ν
+    and the free initial motion have absorbed what they can of them, as they do of the recording's own.
+    """
     here = base.positions
     directions = np.stack([base.change(here + d) for d in numerics.null])
     frames = base.observations.frames
-    total = np.bincount(frames, (directions**2).sum(0), minlength=base.model.frames)
     count = np.maximum(np.bincount(frames, minlength=base.model.frames), 1)
-    size = np.maximum.accumulate(total / count)  # an error made at impact stays
     travelled = np.linalg.norm(base.motion.positions - base.motion.rest, axis=-1).mean(1)
     floor = base.change(here + (options.discretisation * travelled)[:, None, None] / np.sqrt(3)) ** 2
-    numerical = options.error_scale**2 * size[frames] + floor
+
+    def size_of(left: np.ndarray) -> np.ndarray:
+        total = np.bincount(frames, (left**2).sum(0), minlength=base.model.frames)
+        size = np.maximum.accumulate(total / count)  # an error made at impact stays
+        return np.asarray(options.error_scale**2 * size[frames] + floor)
+
+    numerical = size_of(directions)
+    if len(base.tangents) == base.model.frames and base.tangents.any():
+        numerical = size_of(_absorbed(base, directions, 1.0 + numerical))
     return ErrorModel(1.0 + _correlated(count)[frames] * numerical, directions, 1.0 + numerical)
+
+
+def _absorbed(base: Baseline, directions: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """What is left of differences, all frames, once the base parameters have been fitted to them on the fitted ones."""
+    here = base.positions
+    tangents = np.stack([base.change(here + 1e-3 * d) / 1e-3 for d in np.moveaxis(base.tangents, 1, 0)])
+    rows = base.rows(base.split.fitted)
+    weights = 1 / np.sqrt(variance[rows])
+    found = np.linalg.lstsq((tangents[:, rows] * weights).T, (directions[:, rows] * weights).T, rcond=1e-8)[0]
+    return np.asarray(directions - found.T @ tangents)
 
 
 def _correlated(count: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:

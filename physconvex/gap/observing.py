@@ -9,15 +9,17 @@ from jaxtyping import Float
 
 from physconvex.capture import Capture
 from physconvex.errors import InputError
+from physconvex.fem import TetMesh
 from physconvex.gap.effects import Motion
 from physconvex.identify import MarkerObservations, PixelObservations, Twin, marker_observations
 from physconvex.identify.video_tracks import follow, seed_points
 
-__all__ = ["Seen", "in_metres", "observe", "widened"]
+__all__ = ["Seen", "in_metres", "observe", "starts_elsewhere", "widened", "with_honest_noise"]
 
 Seen = MarkerObservations | PixelObservations
 # of a followed point [pixels]: the flow drifts by more than a single step's error, and by the same amount for a while
 PIXEL_SIGMA = 1.0
+_AWAY = 0.3  # of the body's size: markers further from its bounding box are not on it
 
 
 def observe(capture: Capture, twin: Twin) -> Seen:
@@ -27,14 +29,16 @@ def observe(capture: Capture, twin: Twin) -> Seen:
         InputError: nothing was seen that can be compared.
     """
     if capture.tracks() is not None:
-        return marker_observations(capture, frames=capture.frames)
+        seen = marker_observations(capture, frames=capture.frames)
+        _check_on_body(capture, seen.points, twin.mesh)
+        return seen
     if not capture.cameras:
         raise InputError(
             f"{capture.folder}: no tracks.npz and no cameras; expected marker tracks (rest, positions, sigma) or a "
             "camera in capture.json with its video"
         )
     camera = capture.cameras[0]
-    frames = capture.video(camera.name).frames
+    frames = capture.video(camera.name).frames[: capture.frames]
     masks = capture.mask(camera.name)
     used, triangles = np.unique(twin.mesh.boundary_faces[:, :3], return_inverse=True)
     vertices, triangles = twin.mesh.vertices[used], triangles.reshape(-1, 3)
@@ -49,6 +53,54 @@ def observe(capture: Capture, twin: Twin) -> Seen:
         )
     pixels = follow(frames, seeds.pixels)
     return PixelObservations(camera, seeds.points, pixels, np.full(pixels.shape[:2], PIXEL_SIGMA))
+
+
+def _check_on_body(capture: Capture, points: Float[np.ndarray, "P 3"], mesh: TetMesh) -> None:
+    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
+    away = np.linalg.norm(points - np.clip(points, low, high), axis=1)
+    worst = int(away.argmax())
+    if away[worst] > _AWAY * mesh.size:
+        raise InputError(
+            f"{capture.folder}: tracks.npz: rest[{worst}] lies {away[worst]:.3g} m outside the box of the body "
+            f"({mesh.size:.3g} m long); expected rest positions on the body, in the frame of the geometry at t = 0, in "
+            "metres"
+        )
+
+
+def with_honest_noise(seen: Seen) -> Seen:
+    """Noise no smaller than what markers miss their rest positions by in the first frame, turns and strains left out.
+
+    Frame 0 is the rest state, so that what it differs by is noise whatever moves later.
+    """
+    if not isinstance(seen, MarkerObservations):
+        return seen
+    known = np.flatnonzero(np.isfinite(seen.positions[0]).all(-1))
+    if len(known) < 8:
+        return seen
+    rest = seen.points[known]
+    basis = np.hstack([np.ones((len(rest), 1)), rest - rest.mean(0)])
+    missed = seen.positions[0][known] - rest
+    left = missed - basis @ np.linalg.lstsq(basis, missed, rcond=None)[0]
+    found = float(np.sqrt((left**2).sum() / (3 * (len(rest) - 4))))
+    stated = float(np.median(seen.sigma[0][known]))
+    return replace(seen, sigma=seen.sigma * max(found / stated, 1.0)) if found > 1.5 * stated else seen
+
+
+def starts_elsewhere(seen: Seen) -> bool:
+    """Whether markers lie off their rest positions in the first frame, where only the recording can have moved them.
+
+    Points of a picture are taken from its first image: there it is always possible that the camera is not where it is
+    said to be.
+    """
+    if not isinstance(seen, MarkerObservations):
+        return True
+    first = seen.frames == 0
+    residual = seen.residuals(np.repeat(seen.points[None], len(seen.positions), axis=0))[first]
+    if not len(residual):
+        return True
+    count = len(residual) / 3
+    shift = residual.reshape(-1, 3).mean(0) * np.sqrt(count)  # unit variance each, where there is noise alone
+    return bool((residual**2).mean() > 1 + 3 * np.sqrt(2 / len(residual)) or np.abs(shift).max() > 4)
 
 
 def components(seen: Seen) -> int:

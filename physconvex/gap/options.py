@@ -15,10 +15,13 @@ class GapOptions:
 
     Attributes:
         max_nodes: most nodes of the model's quadratic mesh.
+        fine_nodes: nodes of the mesh whose difference to the model's is added to every run.
         weights: skinning weights of the reduced model of the rough fit.
         candidates: effects that are fitted after screening.
         starts: start doses of each, in multiples of the screened estimate.
         iterations: linearisations of each fit.
+        most_effects: that are looked for together.
+        seconds: after which no further fit is begun.
         error_scale: κ, how much numerical differences widen the noise.
         discretisation: numerical error that any model of finite size is credited with, relative to the distance the
             points have moved; only where the differences of runs say less.
@@ -30,10 +33,13 @@ class GapOptions:
     """
 
     max_nodes: int = 250
+    fine_nodes: int = 1000
     weights: int = 8
     candidates: int = 4
     starts: tuple[float, ...] = (1.0,)
-    iterations: int = 6
+    iterations: int = 9
+    most_effects: int = 3
+    seconds: float = 420.0
     error_scale: float = 1.0
     discretisation: float = 2e-3
     significance: float = 0.05
@@ -43,7 +49,7 @@ class GapOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("max_nodes", "weights", "candidates", "iterations", "bootstraps"):
+        for name in ("max_nodes", "fine_nodes", "weights", "candidates", "iterations", "most_effects", "bootstraps"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}: got {getattr(self, name)}; expected at least 1")
         for name in ("significance", "explained", "confidence"):

@@ -77,10 +77,12 @@ def budget(where: Where) -> Figure:
     colours = [_GREY, "#b7a16a", _BLUE, _ORANGE]
     axes.barh(names, shares, left=left, color=colours)
     for i, (share, start) in enumerate(zip(shares, left, strict=True)):
-        right = start + share > 85
-        axes.text(
-            start if right else start + share, i, f" {share:.0f} % ", va="center", ha="right" if right else "left"
-        )
+        if share > 12:  # inside the bar
+            axes.text(start + share / 2, i, f"{share:.0f} %", va="center", ha="center", color="white")
+        elif start + share < 85:
+            axes.text(start + share, i, f" {share:.1f} %", va="center", ha="left")
+        else:
+            axes.text(start, i, f"{share:.1f} % ", va="center", ha="right")
     axes.invert_yaxis()
     axes.set_xlim(0, 100)
     axes.set_xlabel("share of the mean square distance between base model and observation [%]")
@@ -234,7 +236,7 @@ def parameter_arrows(report: GapReport) -> Figure:
     for axes, row in zip(panels, rows, strict=False):
         log = row["name"].startswith("log10")
         for y, (key, colour) in enumerate((("before", _ORANGE), ("after", _BLUE))):
-            value, error = row[key], row[f"{key}_error"]
+            value, error = row[key], min(row[f"{key}_error"], 3.0)  # what is not told reaches out of the picture
             ends = np.array([value - 1.645 * error, value + 1.645 * error])
             axes.plot(10**ends if log else ends, [y, y], color=colour, lw=2)
             axes.plot(10**value if log else value, y, "o", color=colour)

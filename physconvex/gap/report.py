@@ -18,6 +18,7 @@ from physconvex.gap.how_far import HowFar
 from physconvex.gap.options import GapOptions
 from physconvex.gap.screening import Screening
 from physconvex.gap.verdict import Verdict
+from physconvex.gap.vibration import Mode
 from physconvex.gap.where import Part, Where
 from physconvex.reduced import ReducedScene
 
@@ -228,8 +229,26 @@ def _where_json(where: Where) -> dict[str, Any]:
         "regions": _parts(where.regions),
         "frames": frames,
         "points": {"rest": where.points.tolist(), "rms": where.per_point.tolist(), "unit": "m"},
-        "image": None,
-        "modes": None,
+        "image": _parts(where.image),
+        "modes": [_mode_json(mode) for mode in where.modes],
+        "ledger": [
+            asdict(entry) | {"units": {"impulse": "N s", "angular_impulse": "N m s", "work": "J"}}
+            for entry in where.ledger
+        ],
+    }
+
+
+def _mode_json(mode: Mode) -> dict[str, Any]:
+    def pair(values: tuple[float, float]) -> dict[str, float | None]:
+        return {"frequency": _number(values[0]), "damping_ratio": _number(values[1])}
+
+    return {
+        "share": mode.share,
+        "observed": pair(mode.observed),
+        "observed_error": pair(mode.errors),
+        "base": pair(mode.base),
+        "improved": pair(mode.improved),
+        "unit": "Hz",
     }
 
 

@@ -24,7 +24,7 @@ from scipy.stats import chi2
 
 from physconvex.errors import InputError
 
-__all__ = ["ErrorModel", "Projector", "Score", "score"]
+__all__ = ["ErrorModel", "Projector", "Score", "least_squares", "score"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +139,7 @@ def score(
     visibility = float(np.sqrt((norms**2).sum() / max((np.atleast_1d(raw) ** 2).sum(), 1e-300)))
     gram = x @ x.T
     ridge = 1e-10 * max(np.trace(gram), 1e-300)
-    amounts = _least_squares(x, left, signs)
+    amounts = least_squares(x, left, signs)
     gain = float(left @ left - np.square(left - amounts @ x).sum())
     covariance = np.linalg.inv(gram + ridge * np.eye(len(gram)))
     freedom = len(x)
@@ -157,8 +157,8 @@ def score(
     )
 
 
-def _least_squares(x: np.ndarray, target: np.ndarray, signs: Sequence[int]) -> np.ndarray:
-    """Multiples with their signs kept: free ones enter the non-negative problem twice."""
+def least_squares(x: np.ndarray, target: np.ndarray, signs: Sequence[int]) -> np.ndarray:
+    """Multiples of the rows x that come nearest to a target, signs kept: free ones enter the problem twice."""
     free = [i for i, sign in enumerate(signs) if not sign]
     rows = np.vstack([x, -x[free]])
     solution, _ = nnls(rows.T, target)

@@ -20,6 +20,8 @@ _ALIKE = 0.95  # cosine of signatures
 _LISTED = 0.02  # probability
 _PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
 _BLIND = 0.1  # floor over size above which "none" would say nothing
+_SURE = 30.0  # gain that makes a call although the base model fits the fitted frames within its error
+_SEEN = 3.0  # standard errors
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
 
 
@@ -81,6 +83,21 @@ def probabilities(hypotheses: Sequence[Hypothesis], temperature: float = 1.0) ->
     return {h.label: float(w) for h, w in zip(kept, weights / weights.sum(), strict=True)}
 
 
+def _of_name(name: str, probability: dict[str, float]) -> float:
+    """Probability that an effect is there: of all fits that have it."""
+    return min(sum(p for label, p in probability.items() if name in _names(label)), 1.0)
+
+
+def _names(label: str) -> list[str]:
+    return [part.split(" (")[0] for part in label.split(" + ")]
+
+
+def _by_weight(named: list[NamedEffect], hypotheses: Sequence[Hypothesis]) -> list[NamedEffect]:
+    """Effects of one fit, the one first that explains most by itself."""
+    alone = {h.names[0]: h.evidence for h in reversed(hypotheses) if len(h.effects) == 1}
+    return sorted(named, key=lambda effect: -alone.get(effect.name, -np.inf))
+
+
 def _named(
     hypothesis: Hypothesis, probability: dict[str, float], screening: Screening, options: GapOptions
 ) -> list[NamedEffect]:
@@ -111,7 +128,7 @@ def _named(
         ]
         confused = tuple(dict.fromkeys(n for n in [*alike, *rivals] if n != effect.name))
         out.append(
-            NamedEffect(effect.name, effect.variant, effect.source, probability[hypothesis.label], doses, confused)
+            NamedEffect(effect.name, effect.variant, effect.source, _of_name(effect.name, probability), doses, confused)
         )
     return out
 
@@ -150,7 +167,7 @@ def decide(
     first = screening.ranked[0]
     tried = len(screening.ranked)
     significant = min(first.score.p_value * tried, 1.0) < options.significance
-    named = _named(best, probability, screening, options)
+    named = _by_weight(_named(best, probability, screening, options), hypotheses)
     others = [
         effect
         for h in with_effects[1:]
@@ -158,25 +175,37 @@ def decide(
         for effect in _named(h, probability, screening, options)
     ]
     share = 1.0 - remaining
-    none_found = gain < _WEAK or not significant or before < _FLOOR
+    closed = before < _FLOOR or (base.fitted < _FLOOR and gain < _SURE)
+    none_found = gain < _WEAK or not significant or closed or _is_slight(best)
     if none_found and floor > _BLIND:
         sentence = (
             f"Inconclusive: the model's own numerical error and the noise ({floor:.0%} of the body's size) hide "
             "whatever gap there is. Allow a finer mesh, or record a motion with less contact."
         )
-        return Verdict("inconclusive", sentence, (), none, share, _caveats(base, best, after))
+        return Verdict("inconclusive", sentence, (), none, share, (*_caveats(base, best, after), *_power(screening)))
     if none_found:
-        sentence = (
-            f"No gap above noise and numerical error: {best.label} would improve the fit by no more than chance "
-            f"(probability of no effect {none:.0%})."
+        reason = (
+            "is smaller than is of interest"
+            if _is_slight(best)
+            else "lies within these errors"
+            if closed
+            else "is no more than chance"
         )
-        return Verdict("none", sentence, (), none, share, _caveats(base, best, after))
+        sentence = f"No gap above noise and numerical error: what {best.label} would add {reason}."
+        return Verdict("none", sentence, (), none, share, (*_caveats(base, best, after), *_power(screening)))
+    if all(effect.source == "numerical" for effect in best.effects):
+        sentence = (
+            f"No physical cause: what the recording differs by is numerical error ({best.label}), of this model or of "
+            "the program that made the recording."
+        )
+        return Verdict("none", sentence, (*named, *others), none, share, _caveats(base, best, after))
     if gain < _CLEAR:
         sentence = (
             f"Inconclusive: {best.label} is favoured, but the recording cannot tell it from no effect "
             f"(probability {probability[best.label]:.0%} against {none:.0%} for none)."
         )
-        return Verdict("inconclusive", sentence, (*named, *others), none, share, _caveats(base, best, after))
+        caveats = (*_caveats(base, best, after), *_power(screening))
+        return Verdict("inconclusive", sentence, (*named, *others), none, share, caveats)
     if share < options.explained and after > 2.0:
         sentence = (
             f"There is a gap that none of the known effects explains: the best of them, {best.label}, removes "
@@ -196,6 +225,31 @@ def decide(
     sure = f"probability {'above ' if probability[best.label] > 0.99 else ''}{chance:.0%}, not calibrated"
     sentence = f"The gap is caused by {best.label} ({sure}): {doses}{caveat}."
     return Verdict("effect", sentence, (*named, *others), none, share, _caveats(base, best, after))
+
+
+def _is_slight(hypothesis: Hypothesis) -> bool:
+    """Whether all doses lie nearer to null than is of interest: what fits so is the model's own error."""
+    slight = []
+    for effect in hypothesis.effects:
+        values, _ = hypothesis.doses(effect)
+        slight += [
+            abs(v - d.null) < d.smallest
+            for v, d in zip(values, effect.doses, strict=True)
+            if not d.shape and effect.source != "numerical"
+        ]
+    return bool(slight) and all(slight)
+
+
+def _power(screening: Screening) -> tuple[str, ...]:
+    """Which doses would have been seen: three standard errors, of the effects with one dose that are seen best."""
+    limits = []
+    for entry in sorted(screening.one_per_name, key=lambda e: -e.power):
+        screened = np.flatnonzero(entry.errors > 0)
+        dose = entry.effect.doses[int(screened[0])] if len(screened) == 1 else None
+        if dose is not None and not dose.threshold and entry.effect.source != "numerical":
+            unit = f" {dose.unit}" if dose.unit else ""
+            limits.append(f"{entry.effect.name} {_SEEN * float(entry.errors[screened[0]]):.2g}{unit}")
+    return (f"Doses from which on an effect would have been seen here: {', '.join(limits[:6])}.",) if limits else ()
 
 
 def _caveats(base: Hypothesis, best: Hypothesis, after: float) -> tuple[str, ...]:

@@ -10,8 +10,11 @@ from scipy.spatial import cKDTree
 
 from physconvex.gap.baseline import Baseline
 from physconvex.gap.comparison import Hypothesis
+from physconvex.gap.ledger import Entry, impulses
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
+from physconvex.gap.vibration import Mode, vibrations
+from physconvex.identify import PixelObservations
 
 __all__ = ["Part", "Where", "block_bootstrap", "locate_gap", "phases_of"]
 
@@ -34,6 +37,9 @@ class Where:
         sources: noise, discretisation, dynamics (explained by the best effects), unexplained; mean squares add up.
         phases: gap of the base model by phase of the motion.
         regions: by region of the body.
+        image: by ninth of the picture [m at the points' depth]; empty for markers.
+        modes: how the body rings, see `physconvex.gap.vibration`.
+        ledger: impulse and work beyond the base model, see `physconvex.gap.ledger`.
         times: of the frames [s], shape [T].
         phase_names: phase of each frame.
         per_frame: gap of the base model [m], shape [T]; NaN where nothing is seen.
@@ -49,6 +55,9 @@ class Where:
     sources: tuple[Part, ...]
     phases: tuple[Part, ...]
     regions: tuple[Part, ...]
+    image: tuple[Part, ...]
+    modes: tuple[Mode, ...]
+    ledger: tuple[Entry, ...]
     times: Float[np.ndarray, " T"]
     phase_names: tuple[str, ...]
     per_frame: Float[np.ndarray, " T"]
@@ -143,6 +152,9 @@ def locate_gap(base: Baseline, errors: ErrorModel, best: Hypothesis, options: Ga
         ),
         phases=tuple(_part(n, total[[p == n for p in phases]], options) for n in order),
         regions=regions,
+        image=_image(base, before, options),
+        modes=vibrations(base, best),
+        ledger=impulses(base, phases),
         times=base.motion.times,
         phase_names=phases,
         per_frame=np.sqrt(total),
@@ -154,6 +166,30 @@ def locate_gap(base: Baseline, errors: ErrorModel, best: Hypothesis, options: Ga
         faces=mesh.boundary_faces[:, :3],
         per_vertex=_spread(np.asarray(observations.points), per_point, mesh.vertices),
     )
+
+
+def _image(base: Baseline, squares: np.ndarray, options: GapOptions) -> tuple[Part, ...]:
+    """Ninths of the picture, by where the points were seen."""
+    seen = base.observations
+    if not isinstance(seen, PixelObservations):
+        return ()
+    pixels = seen.pixels[seen.frames, seen.point_indices]
+    shares = np.clip(np.nan_to_num(3 * pixels / [seen.camera.w, seen.camera.h]).astype(int), 0, 2)
+    out = []
+    for row, height in enumerate(("top", "middle", "bottom")):
+        for column, side in enumerate(("left", "centre", "right")):
+            rows = (shares == [column, row]).all(1)
+            if rows.any():
+                out.append(_part(f"{height} {side}", _mean_by_frame(base, squares, rows), options))
+    return tuple(out)
+
+
+def _mean_by_frame(base: Baseline, squares: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    frames = base.observations.frames[rows]
+    count = np.bincount(frames, minlength=base.model.frames)
+    total = np.bincount(frames, squares[rows], minlength=base.model.frames)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(base.components * total / np.where(count, count, np.nan))
 
 
 def _regions(base: Baseline, squares: np.ndarray, options: GapOptions) -> tuple[Part, ...]:
@@ -172,15 +208,7 @@ def _regions(base: Baseline, squares: np.ndarray, options: GapOptions) -> tuple[
             rows = third[observations.point_indices] == index
             if not rows.any():
                 continue
-            frames = observations.frames[rows]
-            count = np.bincount(frames, minlength=base.model.frames)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                mean = (
-                    base.components
-                    * np.bincount(frames, squares[rows], minlength=base.model.frames)
-                    / np.where(count, count, np.nan)
-                )
-            out.append(_part(f"{name} third along {axis}", mean, options))
+            out.append(_part(f"{name} third along {axis}", _mean_by_frame(base, squares, rows), options))
     return tuple(out)
 
 

@@ -23,7 +23,7 @@ def small(tmp_path, monkeypatch):
         return Motion(points, np.arange(case.frames) / case.fps, positions, 0 * positions), positions
 
     monkeypatch.setattr(bank, "simulate_case", made_up)
-    generate_bank(tmp_path / "captures", tmp_path / "seal.json", count=3, seed=1, effect_free=0.34)
+    generate_bank(tmp_path / "captures", tmp_path / "seal.json", count=3, seed=1, effect_free=0.34, engine="fem")
     return tmp_path
 
 
@@ -96,3 +96,30 @@ def test_draws_repeat():
 def test_empty_folder(tmp_path):
     with pytest.raises(InputError, match="no capture folders"):
         diagnose_bank(tmp_path, tmp_path / "out")
+
+
+def test_plan_holds_what_was_asked_for():
+    plan = bank._plan(np.random.default_rng(0), 20, ["friction", "wind", "attached_mass"],
+                      {"free": 0.2, "two": 0.2, "outside": 0.1})  # fmt: skip
+    assert len(plan) == 20 and plan.count(()) == 4
+    pairs = [names for names in plan if len(names) == 2]
+    assert len(pairs) == 4 and not any({"attached_mass", "friction"} <= set(names) for names in pairs)
+    assert sum(names == ("tether",) for names in plan) == 2
+
+
+def test_two_effects_are_counted_by_class():
+    assert bank._share_of(["wind", "friction"], ["gravity_tilt"]) == 0.5
+    assert bank._share_of([], ["friction"]) == 0.0
+
+
+@pytest.mark.slow
+def test_doses_follow_visibility(monkeypatch):
+    from physconvex.gap.blind import explicit_cases
+
+    monkeypatch.setattr(explicit_cases, "_NODES", (40, 60))
+    simulate_explicit = explicit_cases.simulate_explicit
+    case = draw_case(3, ("time_offset",), dosed=False)
+    _, seen, hidden, visibility = simulate_explicit(case, ("time_offset",), 6.0)
+    assert 4 < visibility < 9 and hidden.hidden[0].name == "time_offset" and np.isfinite(seen).all()
+    stronger = simulate_explicit(case, ("time_offset",), 12.0)[2]
+    assert abs(stronger.hidden[0].doses[0]) > 1.5 * abs(hidden.hidden[0].doses[0])

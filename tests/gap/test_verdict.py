@@ -23,6 +23,7 @@ def hypothesis(evidence, *names, log10_modulus=5.0):
         names=tuple(e.name for e in effects),
         label=" + ".join(e.label for e in effects) or "base model",
         evidence=evidence,
+        fitted=9.0 if not names else 1.0,
         values=np.array([log10_modulus]),
         model=SimpleNamespace(base=("log10_youngs_modulus",)),
         doses=lambda one: (values[effects.index(one)], 0.1 * values[effects.index(one)]),
@@ -31,8 +32,13 @@ def hypothesis(evidence, *names, log10_modulus=5.0):
 
 def screening(p_value=1e-6, alike=0.1):
     ranked = tuple(
-        SimpleNamespace(effect=effect(n), score=SimpleNamespace(p_value=p_value))
-        for n in ("damping", "wind", "friction")
+        SimpleNamespace(
+            effect=effect(n),
+            score=SimpleNamespace(p_value=p_value),
+            power=1.0,
+            errors=np.full(len(effect(n).doses), 0.01),
+        )
+        for n in ("damping", "wind", "friction", "time_step")
     )
     return SimpleNamespace(ranked=ranked, one_per_name=ranked, similarity=lambda a, b: alike)
 
@@ -90,7 +96,7 @@ def test_rivals_and_look_alikes_are_told():
     )
     assert rival.effects[0].confused_with == ("wind",) and [e.name for e in rival.effects] == ["damping", "wind"]
     alike = decide([hypothesis(20.0, "damping"), hypothesis(0.0)], screening(alike=0.99), 30.0, 1.0, 0.1, OPTIONS)
-    assert set(alike.effects[0].confused_with) == {"wind", "friction"}
+    assert set(alike.effects[0].confused_with) == {"wind", "friction", "time_step"}
 
 
 def test_absorbed_modulus_is_a_caveat():
@@ -100,3 +106,21 @@ def test_absorbed_modulus_is_a_caveat():
     assert any("absorbed" in c for c in moved.caveats)
     still = decide([hypothesis(20.0, "damping"), hypothesis(0.0)], screening(), 30.0, 1.0, 0.1, OPTIONS)
     assert not any("absorbed" in c for c in still.caveats)
+
+
+def test_numerical_error_is_no_cause():
+    found = decide([hypothesis(30.0, "time_step"), hypothesis(0.0)], screening(), 9.0, 1.0, 0.1, OPTIONS)
+    assert found.name == "none" and [e.name for e in found.effects] == ["time_step"]
+    assert "numerical error" in found.sentence
+
+
+def test_nothing_found_tells_what_would_have_been():
+    found = decide([hypothesis(0.0), hypothesis(-3.0, "damping")], screening(0.5), 1.0, 1.0, 0.9, OPTIONS)
+    assert found.name == "none" and any("damping 0.03 s" in c and "friction 0.03" in c for c in found.caveats)
+
+
+def test_the_weightier_of_two_effects_comes_first():
+    fits = [hypothesis(40.0, "wind", "damping"), hypothesis(30.0, "damping"), hypothesis(5.0, "wind"), hypothesis(0.0)]
+    found = decide(fits, screening(), 30.0, 1.0, 0.1, OPTIONS)
+    assert [e.name for e in found.effects[:2]] == ["damping", "wind"]
+    assert found.effects[0].probability == pytest.approx(1.0, abs=1e-6)

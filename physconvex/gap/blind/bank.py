@@ -8,13 +8,14 @@ import secrets
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from physconvex.capture import save_capture
 from physconvex.errors import ConvergenceError, InputError, PhysconvexError
-from physconvex.gap.blind.cases import BLIND_EFFECTS, Case, capture_parts, draw_case, simulate_case
+from physconvex.gap.blind.cases import BLIND_EFFECTS, Case, capture_parts, draw_case, kinds_for, simulate_case
+from physconvex.gap.blind.explicit_cases import EXPLICIT_EFFECTS, OUTSIDE, simulate_explicit
 from physconvex.gap.diagnose import diagnose
 from physconvex.gap.options import GapOptions
 
@@ -30,6 +31,7 @@ CONFUSION_CLASSES: tuple[frozenset[str], ...] = (
     frozenset({"anisotropy", "heterogeneity"}),
 )
 Report = Callable[[str], None]
+EngineName = Literal["explicit", "fem"]
 
 
 def _digest(text: str, salt: str) -> str:
@@ -42,8 +44,12 @@ def generate_bank(
     *,
     count: int,
     seed: int,
-    effects: Sequence[str] = BLIND_EFFECTS,
+    effects: Sequence[str] | None = None,
     effect_free: float = 0.25,
+    engine: EngineName = "explicit",
+    visibilities: Sequence[float] = (10.0,),
+    two: float = 0.0,
+    outside: float = 0.0,
     report: Report = lambda _: None,
 ) -> int:
     """Write captures into `out`, their labels into the file `seal`, and the labels' hash beside the captures.
@@ -53,8 +59,13 @@ def generate_bank(
         seal: new file of the labels, to be kept from whoever diagnoses.
         count: number of captures.
         seed: of the draws.
-        effects: names that are drawn from.
+        effects: names that are drawn from; all that the engine knows unless given.
         effect_free: share of captures without any effect.
+        engine: "explicit" (another engine than the diagnosis uses, doses by visibility) or "fem" (the full-order model
+            on another mesh, doses by their size).
+        visibilities: of the effects, taken in turn; see `simulate_explicit`.
+        two: share of captures with two effects.
+        outside: share of captures whose effect is in no dictionary.
         report: told what is done.
 
     Returns:
@@ -63,22 +74,25 @@ def generate_bank(
     Raises:
         InputError: a folder or file exists already, or an unknown effect.
     """
-    unknown = set(effects) - set(BLIND_EFFECTS)
+    known = EXPLICIT_EFFECTS if engine == "explicit" else BLIND_EFFECTS
+    names = list(known if effects is None else effects)
+    unknown = set(names) - set(known)
     if unknown:
-        raise InputError(f"effects: got {sorted(unknown)}; expected names among {', '.join(BLIND_EFFECTS)}")
+        raise InputError(f"effects: got {sorted(unknown)}; expected names among {', '.join(known)}")
     for path in (out, seal):
         if path.exists():
             raise InputError(f"{path}: exists; choose another place for a new bank")
     out.mkdir(parents=True)
     rng = np.random.default_rng(seed)
-    plan = _plan(rng, count, list(effects), effect_free)
+    plan = _plan(rng, count, names, {"free": effect_free, "two": two, "outside": outside})
     labels: list[dict[str, Any]] = []
-    for number, names in enumerate(plan):
+    for number, hidden in enumerate(plan):
         name = f"capture_{number:03d}"
         report(name)
-        case = _written(out / name, names, rng)
+        case, seen = _written(out / name, hidden, rng, engine, float(visibilities[number % len(visibilities)]))
         labels.append({"capture": name, "kind": case.kind, "seed": case.seed, "youngs_modulus": case.youngs_modulus,
-                       "poisson_ratio": case.poisson_ratio, "effects": [asdict(h) for h in case.hidden]})  # fmt: skip
+                       "poisson_ratio": case.poisson_ratio, "engine": engine, "visibility": seen,
+                       "effects": [asdict(h) for h in case.hidden]})  # fmt: skip
     text = json.dumps(labels, indent=1)
     salt = secrets.token_hex(16)
     seal.parent.mkdir(parents=True, exist_ok=True)
@@ -88,25 +102,40 @@ def generate_bank(
     return count
 
 
-def _plan(rng: np.random.Generator, count: int, effects: list[str], effect_free: float) -> list[tuple[str, ...]]:
-    free = round(effect_free * count)
+def _plan(
+    rng: np.random.Generator, count: int, effects: list[str], shares: dict[str, float]
+) -> list[tuple[str, ...]]:  # fmt: skip
+    numbers = {key: round(share * count) for key, share in shares.items()}
     order = [effects[i] for i in rng.permutation(len(effects))]
-    plan: list[tuple[str, ...]] = [()] * free + [(order[i % len(order)],) for i in range(count - free)]
+    singles = count - sum(numbers.values())
+    plan: list[tuple[str, ...]] = [()] * numbers["free"] + [(order[i % len(order)],) for i in range(singles)]
+    plan += [(OUTSIDE[i % len(OUTSIDE)],) for i in range(numbers["outside"])]
+    for number in range(numbers["two"]):
+        first = order[(singles + number) % len(order)]
+        together = [(a, b) for a in effects for b in effects if a != b and not same_class(a, b) and kinds_for((a, b))]
+        if not together:
+            raise InputError(f"effects: got {', '.join(effects)}; expected two that one motion can show, for `two`")
+        plan.append(together[int(rng.choice([i for i, p in enumerate(together) if p[0] == first] or len(together)))])
     return [plan[i] for i in rng.permutation(count)]
 
 
-def _written(folder: Path, names: tuple[str, ...], rng: np.random.Generator) -> Case:
+def _written(
+    folder: Path, names: tuple[str, ...], rng: np.random.Generator, engine: EngineName, visibility: float
+) -> tuple[Case, float]:  # fmt: skip
     for _ in range(20):
-        case = draw_case(int(rng.integers(2**31)), names)
+        case, seen = draw_case(int(rng.integers(2**31)), names, dosed=engine == "fem"), float("nan")
         try:
-            motion, positions = simulate_case(case)
+            if engine == "fem":
+                motion, positions = simulate_case(case)
+            else:
+                motion, positions, case, seen = simulate_explicit(case, names, visibility)
         except (ConvergenceError, InputError):
             continue
         if not np.isfinite(positions).all():
             continue
         capture, parts = capture_parts(case, positions, motion.rest, folder)
         save_capture(capture, **parts)
-        return case
+        return case, seen
     raise ConvergenceError(f"{folder.name}: twenty draws could not be simulated")
 
 
@@ -170,13 +199,18 @@ class BankScore:
     Attributes:
         captures: number of captures that were answered.
         errors: number that were not.
-        with_effect: number that hide an effect.
+        with_effect: number that hide one effect of the dictionary.
         top_1, top_2: share of those whose effect leads the fits, or is among the first two; exact names.
         top_1_merged: the same with the declared confusion classes merged.
         called: share of them with the verdict "effect" and the right class.
         effect_free: number without effect.
         false_alarms: share of those with the verdict "effect".
         median_shrinkage: of captures with an effect.
+        two_effects: number that hide two.
+        recall, precision: share of their effects that the best fit names, and of what it names that is hidden, classes
+            merged.
+        outside: number whose effect is in no dictionary.
+        unknown: share of those whose verdict is not "effect".
         rows: one per capture.
     """
 
@@ -190,6 +224,11 @@ class BankScore:
     effect_free: int
     false_alarms: float
     median_shrinkage: float
+    two_effects: int
+    recall: float
+    precision: float
+    outside: int
+    unknown: float
     rows: tuple[dict[str, Any], ...]
 
 
@@ -214,7 +253,9 @@ def score_bank(captures: Path, seal: Path, answers: Path) -> BankScore:
     by_name = {answer["capture"]: answer for answer in given["answers"]}
     rows = [_row(label, by_name.get(label["capture"])) for label in json.loads(sealed["labels"])]
     answered = [row for row in rows if row["verdict"] is not None]
-    hidden = [row for row in answered if row["truth"]]
+    outside = [row for row in answered if set(row["truth"]) & set(OUTSIDE)]
+    hidden = [row for row in answered if len(row["truth"]) == 1 and row not in outside]
+    both = [row for row in answered if len(row["truth"]) > 1]
     free = [row for row in answered if not row["truth"]]
 
     def share(part: list[dict[str, Any]], key: str) -> float:
@@ -231,8 +272,22 @@ def score_bank(captures: Path, seal: Path, answers: Path) -> BankScore:
         effect_free=len(free),
         false_alarms=share(free, "alarm"),
         median_shrinkage=float(np.median([row["shrinkage"] for row in hidden])) if hidden else float("nan"),
+        two_effects=len(both),
+        recall=_mean([row["recall"] for row in both]),
+        precision=_mean([row["precision"] for row in both]),
+        outside=len(outside),
+        unknown=_mean([row["verdict"] != "effect" for row in outside]),
         rows=tuple(rows),
     )
+
+
+def _mean(values: list[Any]) -> float:
+    return float(np.mean(values)) if values else float("nan")
+
+
+def _share_of(names: list[str], among: list[str]) -> float:
+    """Share of names that are in the class of one of the others."""
+    return float(np.mean([any(same_class(name, other) for other in among) for name in names])) if names else 0.0
 
 
 def _row(label: dict[str, Any], answer: dict[str, Any] | None) -> dict[str, Any]:
@@ -257,6 +312,9 @@ def _row(label: dict[str, Any], answer: dict[str, Any] | None) -> dict[str, Any]
         "top_1_merged": bool(truth) and bool(leaders) and same_class(leaders[0], truth[0]),
         "called": bool(truth) and answer["verdict"] == "effect" and same_class(answer["effects"][0]["name"], truth[0]),
         "alarm": answer["verdict"] == "effect",
+        "recall": _share_of(truth, ranking[0] if ranking else []),
+        "precision": _share_of(ranking[0] if ranking else [], truth),
+        "visibility_wanted": label.get("visibility"),
         "shrinkage": answer["shrinkage"],
         "placebo": answer["placebo"],
         "visibility": answer["visibility"],

@@ -16,7 +16,16 @@ from physconvex.errors import ConvergenceError
 from physconvex.fem import ElasticBody, Embedding, Pins, Plane, Scene, TetMesh, simulate, tetrahedralize
 from physconvex.gap.effects import DEFAULT_EFFECTS, Effect, Motion, Situation
 
-__all__ = ["BLIND_EFFECTS", "Case", "HiddenEffect", "draw_case", "simulate_case"]
+__all__ = [
+    "BLIND_EFFECTS",
+    "Case",
+    "HiddenEffect",
+    "capture_parts",
+    "draw_case",
+    "floor_height",
+    "kinds_for",
+    "simulate_case",
+]
 
 # dose ranges that are drawn from (log-uniform, in multiples of the screening trial dose)
 _MULTIPLES = (2.0, 6.0)
@@ -113,20 +122,26 @@ def _drawn_effect(rng: np.random.Generator, name: str, situation: Situation) -> 
     return HiddenEffect(name, effect.label, tuple(float(d) for d in doses), units)
 
 
-def draw_case(seed: int, effects: tuple[str, ...]) -> Case:
-    """A capture drawn from a seed, with these effects (none: an effect-free one)."""
-    rng = np.random.default_rng(seed)
-    contact_free = {"friction"} & set(effects)
-    kinds = ("drop", "throw", "clamped") if not contact_free else ("drop", "throw")
-    no_clamp = {"initial_velocity", "initial_spin", "air_drag", "wind", "friction"}
-    if no_clamp & set(effects):
+def kinds_for(effects: tuple[str, ...]) -> tuple[str, ...]:
+    """Motions in which all of these effects can show."""
+    kinds: tuple[str, ...] = ("drop", "throw", "clamped")
+    if {"initial_velocity", "initial_spin", "air_drag", "wind", "friction", "restitution"} & set(effects):
         kinds = ("drop", "throw")
+    if "attached_mass" in effects:
+        kinds = tuple(kind for kind in kinds if kind == "clamped")
+    return kinds
+
+
+def draw_case(seed: int, effects: tuple[str, ...], *, dosed: bool = True) -> Case:
+    """A capture drawn from a seed, made so that these effects can show (none: an effect-free one), and their doses."""
+    rng = np.random.default_rng(seed)
+    kinds = kinds_for(effects)
     kind = str(rng.choice(kinds))
     name = str(rng.choice(sorted(SHAPES)))
     surface = SHAPES[name](rng) if kind != "clamped" else trimesh.creation.box(extents=(1.0, 0.25, 0.25))
     size = float(np.exp(rng.uniform(*np.log((0.15, 0.8)))))
     surface.apply_scale(size / np.ptp(surface.vertices, axis=0).max())
-    stiffness = float(np.exp(rng.uniform(*np.log((12.0, 120.0))))) * (8 if kind == "clamped" else 1)
+    stiffness = float(np.exp(rng.uniform(*np.log((12.0, 120.0))))) * (4 if kind == "clamped" else 1)
     modulus, time = stiffness * 1000 * 9.81 * size, float(np.sqrt(size / 9.81))
     case = Case(
         kind=kind,
@@ -157,6 +172,8 @@ def draw_case(seed: int, effects: tuple[str, ...]) -> Case:
         high = surface.vertices.max(0)
         box = np.array([low - 0.02 * size, [low[0] + 0.04 * size, high[1] + 0.02 * size, high[2] + 0.02 * size]])
         case = replace(case, clamped=box)
+    if not dosed:
+        return case
     return replace(case, hidden=tuple(_drawn_effect(rng, name, case.situation) for name in effects))
 
 
@@ -171,7 +188,7 @@ def _mesh(case: Case, nodes: int) -> TetMesh:
 
 def _scene(case: Case, mesh: TetMesh) -> Scene:
     body = ElasticBody(mesh, youngs_modulus=case.youngs_modulus, poisson_ratio=case.poisson_ratio, density=case.density)
-    obstacles = () if case.height is None else (Plane(point=(0, 0, float(_floor_height(case))), friction=0.0),)
+    obstacles = () if case.height is None else (Plane(point=(0, 0, float(floor_height(case))), friction=0.0),)
     pins = None
     if case.clamped is not None:
         held = ((mesh.vertices >= case.clamped[0]) & (mesh.vertices <= case.clamped[1])).all(1)
@@ -182,7 +199,8 @@ def _scene(case: Case, mesh: TetMesh) -> Scene:
     )  # fmt: skip
 
 
-def _floor_height(case: Case) -> float:
+def floor_height(case: Case) -> float:
+    """Of a case with a floor [m]."""
     assert case.height is not None
     return float(case.surface.vertices[:, 2].min()) - case.height
 
@@ -223,7 +241,7 @@ def capture_parts(
     noisy = positions + case.noise * rng.normal(size=positions.shape)
     floor = None
     if case.height is not None:
-        floor = Floor(np.array([0.0, 0.0, _floor_height(case)]), np.array([0.0, 0.0, 1.0]))
+        floor = Floor(np.array([0.0, 0.0, floor_height(case)]), np.array([0.0, 0.0, 1.0]))
     stated = case.states_motion
     capture = Capture(
         folder=folder, fps=case.fps, frames=case.frames, observed_frames=2 * case.frames // 3, density=case.density,

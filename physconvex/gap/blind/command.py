@@ -22,17 +22,29 @@ def generate(
     seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
     effects: Annotated[str | None, typer.Option(help="Names to draw from, separated by commas.")] = None,
     effect_free: Annotated[float, typer.Option(help="Share of captures without an effect.")] = 0.25,
+    two: Annotated[float, typer.Option(help="Share of captures with two effects.")] = 0.0,
+    outside: Annotated[float, typer.Option(help="Share of captures whose effect is in no dictionary.")] = 0.0,
+    visibilities: Annotated[
+        str, typer.Option(help="Gap over noise and numerical error that doses are scaled to, taken in turn.")
+    ] = "10",
+    engine: Annotated[
+        str, typer.Option(help="explicit (an engine of its own) or fem (the full-order model).")
+    ] = "explicit",
 ) -> None:
-    """Simulate marker captures with hidden effects on the full-order model; publish the labels' hash only."""
+    """Simulate marker captures with hidden effects; publish the labels' hash only."""
     from tqdm import tqdm
 
+    from physconvex.errors import InputError
     from physconvex.gap.blind.bank import generate_bank
-    from physconvex.gap.blind.cases import BLIND_EFFECTS
 
-    names = BLIND_EFFECTS if effects is None else tuple(n.strip() for n in effects.split(","))
+    names = None if effects is None else [n.strip() for n in effects.split(",")]
+    if engine not in ("explicit", "fem"):
+        raise InputError(f"engine: got {engine!r}; expected explicit or fem")
     with tqdm(total=count, dynamic_ncols=True) as bar:
         generate_bank(
-            out, seal, count=count, seed=seed, effects=names, effect_free=effect_free,
+            out, seal, count=count, seed=seed, effects=names, effect_free=effect_free, two=two,
+            outside=outside, engine="fem" if engine == "fem" else "explicit",
+            visibilities=[float(v) for v in visibilities.split(",")],
             report=lambda name: (bar.set_description(name), bar.update())[0],
         )  # fmt: skip
     typer.echo(f"{count} captures in {out}; labels in {seal}")
@@ -65,9 +77,9 @@ def score(
 
     result = score_bank(captures, seal, answers)
     out.write_text(json.dumps(asdict(result), indent=1) + "\n", encoding="utf-8")
-    for name in ("captures", "errors", "with_effect", "top_1", "top_2", "top_1_merged", "called", "effect_free",
-                 "false_alarms", "median_shrinkage"):  # fmt: skip
-        value = getattr(result, name)
+    for name, value in asdict(result).items():
+        if name == "rows":
+            continue
         typer.echo(f"{name:18s} {value:.2f}" if isinstance(value, float) else f"{name:18s} {value}")
     for row in result.rows:
         typer.echo(f"{row['capture']}  truth {row['truth']}  verdict {row['verdict']}  first {row.get('first')}")

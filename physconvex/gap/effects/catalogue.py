@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from physconvex.errors import InputError
+from physconvex.gap.effects.clamp import CLAMP_EFFECTS
 from physconvex.gap.effects.declared import DECLARED_EFFECTS
 from physconvex.gap.effects.effect import Effect, Situation
 from physconvex.gap.effects.load import LOAD_EFFECTS
@@ -15,7 +16,7 @@ from physconvex.gap.effects.world import WORLD_EFFECTS
 __all__ = ["DEFAULT_EFFECTS", "EFFECT_NAMES", "applicable", "choose"]
 
 DEFAULT_EFFECTS: tuple[Effect, ...] = (
-    *MATERIAL_EFFECTS, *WORLD_EFFECTS, *LOAD_EFFECTS, *OBSERVATION_EFFECTS, *DECLARED_EFFECTS,
+    *MATERIAL_EFFECTS, *WORLD_EFFECTS, *LOAD_EFFECTS, *CLAMP_EFFECTS, *OBSERVATION_EFFECTS, *DECLARED_EFFECTS,
 )  # fmt: skip
 EFFECT_NAMES: tuple[str, ...] = tuple(dict.fromkeys(effect.name for effect in DEFAULT_EFFECTS))
 

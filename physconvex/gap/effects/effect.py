@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -38,6 +38,7 @@ class Situation:
         touches: whether the base model touches the floor within the frames.
         friction: stated coefficient of the floor.
         states_velocity, states_spin: whether the capture states the initial motion (else it is estimated freely).
+        starts_elsewhere: whether the first frame differs from the rest state by more than noise.
         peak_stress: largest von Mises stress of the base run [Pa].
         gravity: [m/s²].
         camera: the camera whose pixels are compared; None for markers in space.
@@ -54,6 +55,7 @@ class Situation:
     friction: float = 0.0
     states_velocity: bool = True
     states_spin: bool = True
+    starts_elsewhere: bool = True
     peak_stress: float = 1e3
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     camera: Camera | None = None
@@ -187,6 +189,11 @@ class Effect:
     def null(self) -> Float[np.ndarray, " D"]:
         """Doses at which it is absent."""
         return np.array([dose.null for dose in self.doses])
+
+    def with_trial(self, variant: str, trial: Callable[[Situation], float]) -> Effect:
+        """A variant screened with another dose: far from null an effect may look otherwise than near it."""
+        first, *others = self.doses
+        return replace(self, variant=variant, doses=(replace(first, trial=trial), *others))
 
     def trials(self, situation: Situation) -> list[tuple[int, Float[np.ndarray, " D"]]]:
         """Doses to screen with: index of the screened dose and the whole dose vector, one per dose that is no shape."""

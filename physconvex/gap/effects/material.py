@@ -59,8 +59,8 @@ def _yielding(scene: AnyScene, doses: Doses) -> AnyScene:
     return with_material(scene, flow=Plasticine(float(10 ** doses[0])))
 
 
-def _yield_trial(situation: Situation) -> float:
-    return float(np.log10(0.4 * max(situation.peak_stress, 1e-3 * situation.youngs_modulus))) - _UNYIELDING
+def _yield_trial(situation: Situation, share: float = 0.4) -> float:
+    return float(np.log10(share * max(situation.peak_stress, 1e-3 * situation.youngs_modulus))) - _UNYIELDING
 
 
 PLASTICITY = Effect(
@@ -160,9 +160,11 @@ OTHER_LAW = Effect(
 
 MATERIAL_EFFECTS: tuple[Effect, ...] = (
     DAMPING,
+    DAMPING.with_trial("strong", lambda s: 0.3 * s.wave_time),
     _viscoelasticity("fast", 0.05),
     _viscoelasticity("slow", 0.5),
     PLASTICITY,
+    PLASTICITY.with_trial("bulk", lambda s: _yield_trial(s, 0.12)),
     HETEROGENEITY,
     *(_with_fibres(axis) for axis in range(3)),
     STIFFENING,

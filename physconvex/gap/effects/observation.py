@@ -73,6 +73,7 @@ CAMERA_POSE = Effect(
     tuple(Dose(f"turn_{axis}", "deg", -20.0, 20.0, 0.05, lambda s: 0.5) for axis in "xyz")
     + tuple(Dose(f"shift_{axis}", "m", -2.0, 2.0, 5e-4, lambda s: 0.01 * s.size) for axis in "xyz"),
     observe=_moved,
+    applies=lambda situation: situation.starts_elsewhere,
     description="the frame of the camera, or of the marker system, is turned or shifted; seen at frame 0 already",
     confusable=("gravity_tilt",),
 )

@@ -161,6 +161,7 @@ INITIAL_SPIN = Effect(
 
 WORLD_EFFECTS: tuple[Effect, ...] = (
     FRICTION,
+    FRICTION.with_trial("strong", lambda s: 0.4),
     RESTITUTION,
     TILT,
     LINEAR_DRAG,

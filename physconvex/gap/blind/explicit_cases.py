@@ -1,0 +1,260 @@
+"""Blind captures by the explicit engine, with doses that are scaled until the effect is as visible as asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+
+from physconvex.errors import ConvergenceError
+from physconvex.fem import TetMesh, tetrahedralize
+from physconvex.gap.blind.cases import Case, HiddenEffect, floor_height
+from physconvex.gap.blind.engine import World, run_explicit
+from physconvex.gap.effects import Motion
+from physconvex.gap.effects.observation import at_times
+from physconvex.gap.effects.world import rotation_vector_matrix
+
+__all__ = ["EXPLICIT_EFFECTS", "HELD_EFFECTS", "OUTSIDE", "simulate_explicit"]
+
+Positions = Float[np.ndarray, "T P 3"]
+Observe = Callable[[Motion], Positions]
+_MARKERS, _ROUNDS, _NEAR = 40, 3, 0.3
+_NUMERICAL = 0.005  # numerical error that visibility counts with, over the distance travelled
+_STRONGEST = 8.0  # multiple of a moderate dose
+_NODES = (150, 900)  # of the meshes for the search of the dose, and of the capture
+OUTSIDE = ("tether",)  # in no dictionary
+HELD_EFFECTS = ("attached_mass",)  # of held bodies only
+EXPLICIT_EFFECTS: tuple[str, ...] = (
+    "damping", "viscoelasticity", "plasticity", "heterogeneity", "anisotropy", "nonlinear_elasticity", "friction",
+    "restitution", "gravity_tilt", "air_drag", "wind", "attached_mass", "initial_velocity", "initial_spin",
+    "time_offset", "time_scale", "camera_pose",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Dosed:
+    """An effect at one strength: what changes in the world, how it is seen, and what to call it."""
+
+    world: Callable[[World], World] | None
+    observe: Observe | None
+    doses: tuple[float, ...]
+    units: tuple[str, ...]
+
+
+def _direction(rng: np.random.Generator, size: int = 3) -> np.ndarray:
+    vector = rng.normal(size=size)
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def _world_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> Dosed:
+    """Effects of the dynamics; `s` = 1 is moderate."""
+    size, modulus = case.size, case.youngs_modulus
+    wave, speed = size * np.sqrt(case.density / modulus), np.sqrt(9.81 * size)
+    fields: dict[str, Any] = {}
+    doses: tuple[float, ...] = ()
+    units: tuple[str, ...] = ("",)
+    if name == "damping":
+        doses, units = (0.1 * wave * s,), ("s",)
+        fields = {"damping_time": doses[0]}
+    elif name == "viscoelasticity":
+        doses, units = (0.4 * s, wave * float(np.exp(rng.uniform(-2, 0)))), ("", "s")
+        fields = {"branch": doses}
+    elif name == "plasticity":
+        doses, units = (case.density * 9.81 * size * (3.0 if case.clamped is None else 6.0) / s,), ("Pa",)
+        fields = {"yield_stress": doses[0]}
+    elif name == "nonlinear_elasticity":
+        doses = (1.0 * s,)
+        fields = {"stiffening": doses[0]}
+    elif name == "anisotropy":
+        along = _direction(rng)
+        doses, units = (0.5 * s, *along), ("", "", "", "")
+        fields = {"fibre": (doses[0], along)}
+    elif name == "friction":
+        doses = (0.15 * s,)
+        fields = {"friction": doses[0]}
+    elif name == "restitution":
+        doses, units = (0.2 * wave * s,), ("s",)
+        fields = {"contact_damping": doses[0]}
+    elif name == "air_drag":
+        doses, units = (0.05 * s / size,), ("1/m",)
+        fields = {"drag_rate": doses[0]}
+    elif name == "wind":
+        along = _direction(rng, 2)
+        air = float(np.sqrt(0.03 * s * 9.81 * case.density * size / 2 / 0.9))
+        doses, units = (air * along[0], air * along[1]), ("m/s", "m/s")
+        fields = {"wind": (0.15, (doses[0], doses[1], 0.0))}
+    elif name == "gravity_tilt":
+        along = np.radians(2.0 * s) * _direction(rng, 2)
+        turned = rotation_vector_matrix(np.array([*along, 0.0])) @ np.array([0, 0, -9.81])
+        doses, units = tuple(np.degrees(along)), ("deg", "deg")
+        fields = {"gravity": tuple(turned)}
+    elif name == "initial_velocity":
+        doses, units = tuple(0.05 * s * speed * _direction(rng)), ("m/s",) * 3
+        fields = {"velocity": tuple(np.array(case.velocity) + doses)}
+    elif name == "initial_spin":
+        doses, units = tuple(0.2 * s * speed / size * _direction(rng)), ("rad/s",) * 3
+        fields = {"spin": tuple(np.array(case.spin) + doses)}
+    else:
+        return _field_effect(name, s, case, rng)
+    return Dosed(lambda world: replace(world, **fields), None, tuple(float(d) for d in doses), units)
+
+
+def _field_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> Dosed:
+    """Effects that need the mesh: an inclusion, a load at the free end, a tether; and one that needs time."""
+    low, high, size = case.surface.vertices.min(0), case.surface.vertices.max(0), case.size
+    if name == "heterogeneity":
+        centre = low + (high - low) * rng.uniform(0.15, 0.85, 3)
+        decades = float(rng.choice([-1.0, 1.0])) * min(0.4 * s, 1.5)
+        radius = 0.4 * (high - low)
+
+        def stiffer(world: World) -> World:
+            cells = world.mesh.vertices[world.mesh.tets[:, :4]].mean(1)
+            inside = (((cells - centre) / radius) ** 2).sum(1) < 1
+            return replace(world, youngs_modulus=np.asarray(world.youngs_modulus) * np.where(inside, 10**decades, 1.0))
+
+        return Dosed(stiffer, None, (decades, *centre), ("decades", "m", "m", "m"))
+    if name == "attached_mass":
+        ratio = 0.3 * s
+
+        def loaded(world: World) -> World:
+            x = world.mesh.vertices[:, 0]
+            end = x > x.max() - 0.12 * np.ptp(x)
+            mass = world.density * float(np.abs(world.mesh.element_volumes).sum())
+            return replace(world, extra_mass=np.where(end, ratio * mass / end.sum(), 0.0))
+
+        return Dosed(loaded, None, (ratio,), ("",))
+    if name == "tether":  # a soft spring between one side of the body and where it started
+        side = _direction(rng)
+
+        def tied(world: World) -> World:
+            x = world.mesh.vertices @ side
+            end = x > np.quantile(x, 0.8)
+            mass = world.density * float(np.abs(world.mesh.element_volumes).sum())
+            return replace(world, tied=np.where(end, 0.3 * s * mass * 9.81 / size / end.sum(), 0.0))
+
+        return Dosed(tied, None, (0.3 * s, *side), ("m g / size", "", "", ""))
+    raise AssertionError(name)
+
+
+def _seen_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> Dosed:
+    """Effects of the observation of markers."""
+    if name == "time_offset":
+        late = 0.25 * s / case.fps
+        return Dosed(None, lambda m: at_times(m, m.times + late), (late,), ("s",))
+    if name == "time_scale":
+        change = 0.03 * s * float(rng.choice([-1.0, 1.0]))
+        return Dosed(None, lambda m: at_times(m, m.times * (1 + change)), (change,), ("",))
+    turn, shift = np.radians(1.0 * s) * _direction(rng), 0.01 * s * case.size * _direction(rng)
+    matrix = rotation_vector_matrix(turn)
+    pivot = case.surface.vertices.mean(0)
+    return Dosed(
+        None, lambda m: (m.positions - pivot) @ matrix.T + pivot + shift, (*np.degrees(turn), *shift),
+        ("deg",) * 3 + ("m",) * 3,
+    )  # fmt: skip
+
+
+def _dosed(name: str, s: float, case: Case, seed: int) -> Dosed:
+    rng = np.random.default_rng([case.seed, seed])
+    if name in ("time_offset", "time_scale", "camera_pose"):
+        return _seen_effect(name, s, case, rng)
+    return _world_effect(name, s, case, rng)
+
+
+def _mesh(case: Case, nodes: int) -> TetMesh:
+    pair = (np.asarray(case.surface.vertices, dtype=np.float64), np.asarray(case.surface.faces))
+    mesh = tetrahedralize(pair, max_nodes=7 * nodes, order=2, method="auto")
+    used, tets = np.unique(mesh.corner_tets, return_inverse=True)
+    return TetMesh(mesh.vertices[used], tets.reshape(-1, 4))
+
+
+def _world(case: Case, mesh: TetMesh) -> World:
+    held = None
+    if case.clamped is not None:
+        held = np.flatnonzero(((mesh.vertices >= case.clamped[0]) & (mesh.vertices <= case.clamped[1])).all(1))
+    return World(
+        mesh, case.youngs_modulus, case.poisson_ratio, case.density, velocity=case.velocity, spin=case.spin,
+        floor=None if case.height is None else floor_height(case), held=held,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Runner:
+    case: Case
+    mesh: TetMesh
+    points: np.ndarray
+
+    def __call__(self, *effects: Dosed, **changes: Any) -> tuple[Motion, Positions]:
+        world = replace(_world(self.case, self.mesh), **changes)
+        for effect in effects:
+            world = world if effect.world is None else effect.world(world)
+        motion = run_explicit(world, self.points, frames=self.case.frames, fps=self.case.fps)
+        positions = motion.positions
+        for effect in effects:
+            if effect.observe is not None:
+                positions = effect.observe(replace(motion, positions=positions))
+        return motion, positions
+
+
+def simulate_explicit(case: Case, names: tuple[str, ...], visibility: float) -> tuple[Motion, Positions, Case, float]:
+    """Simulate with effects that are each visible by a factor.
+
+    Args:
+        case: without effects.
+        names: of the effects.
+        visibility: rms of what the effect changes, E projected out, over noise and numerical error (0.5 % of the
+            distance travelled).
+
+    Returns:
+        Motion and observed positions of 40 surface points on the fine mesh, the case with its hidden effects, and the
+        visibility reached.
+
+    Raises:
+        ConvergenceError: a run blew up, or no dose is as visible.
+    """
+    rng = np.random.default_rng([case.seed, 1])
+    points, _ = trimesh.sample.sample_surface_even(case.surface, _MARKERS, seed=int(rng.integers(2**31)))
+    points = np.asarray(points)
+    coarse, fine = (_Runner(case, _mesh(case, nodes), points) for nodes in _NODES)
+    if not names:
+        return *fine(), case, 0.0
+    motion, start = coarse()
+    stiffer = (coarse(youngs_modulus=1.05 * case.youngs_modulus)[1] - start).ravel()
+
+    def left(change: Positions) -> Positions:
+        flat = change.ravel()
+        return np.asarray(flat - stiffer * (stiffer @ flat) / (stiffer @ stiffer)).reshape(change.shape)
+
+    travelled = np.sqrt(((motion.positions - motion.rest) ** 2).sum(-1).mean())
+    floor = float(np.hypot(np.sqrt(3) * case.noise, _NUMERICAL * travelled))
+    chosen, reached = [], []
+    for number, name in enumerate(names):
+        found, dose = _scaled(name, case, coarse, lambda p: left(p - start), floor, visibility, number)
+        chosen.append((name, dose))
+        reached.append(found)
+    motion, positions = fine(*(dose for _, dose in chosen))
+    hidden = tuple(HiddenEffect(name, name, dose.doses, dose.units) for name, dose in chosen)
+    return motion, positions, replace(case, hidden=hidden), float(min(reached))
+
+
+def _scaled(
+    name: str, case: Case, runner: _Runner, left: Callable[[Positions], Positions], floor: float, visibility: float,
+    number: int,
+) -> tuple[float, Dosed]:  # fmt: skip
+    """The dose at which an effect is as visible as asked for, and how visible it then is."""
+    strength, best = 1.0, None
+    for _ in range(_ROUNDS):
+        dose = _dosed(name, strength, case, number + 7)
+        seen = float(np.sqrt((left(runner(dose)[1]) ** 2).sum(-1).mean()) / floor)
+        if best is None or abs(np.log(max(seen, 1e-9) / visibility)) < abs(np.log(max(best[0], 1e-9) / visibility)):
+            best = (seen, dose)
+        if abs(np.log(max(seen, 1e-9) / visibility)) < _NEAR:
+            break
+        strength = float(np.clip(strength * np.clip(visibility / max(seen, 1e-9), 0.2, 5.0), 0.02, _STRONGEST))
+    assert best is not None
+    if best[0] < 0.5 * visibility:
+        raise ConvergenceError(f"{name}: at most {best[0]:.1f} times as large as noise and numerical error")
+    return best

@@ -1,0 +1,70 @@
+"""How far the gap shrinks on a second recording of the same body, of which nothing but the start is fitted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from physconvex.capture import Capture
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.gap.baseline import Baseline, Report, rough_baseline
+from physconvex.gap.comparison import Hypothesis, hypothesis_at
+from physconvex.gap.how_far import HowFar, shrinkage_on
+from physconvex.gap.options import GapOptions
+from physconvex.gap.score import ErrorModel
+
+__all__ = ["second_take_shrinkage"]
+
+_MATERIAL = ("log10_youngs_modulus", "poisson_ratio")
+
+
+def second_take_shrinkage(
+    base: Baseline, best: Hypothesis, take: Capture, options: GapOptions, report: Report
+) -> HowFar | None:
+    """Shrinkage on another take: E, ν and doses from the first, the unstated initial motion from the second's start.
+
+    Args:
+        base: base fit of the first take.
+        best: its best fit with effects.
+        take: the second capture.
+        options: settings.
+        report: told what is done.
+
+    Returns:
+        None where one of the two models cannot be run on it.
+
+    Raises:
+        InputError: the take lacks something, or an effect of the fit makes no sense there (no floor, not held).
+    """
+    own = rough_baseline(take, options, report)
+    lost = [e.label for e in best.effects if not e.applies(replace(own.situation, touches=own.situation.floor))]
+    if lost:
+        raise InputError(
+            f"second take {take.folder}: {', '.join(lost)} cannot act there; record the same kind of motion again"
+        )
+    report("second take")
+    try:
+        plain = _with_material(own, base.fit.values, base.model.base)
+        values = np.concatenate([_with_material(own, best.values, best.model.base).fit.values, *(
+            best.doses(effect)[0] for effect in best.effects
+        )])  # fmt: skip
+        model = replace(own.model, effects=best.effects, directions={})
+        plain = replace(plain, motion=plain.model.motion(plain.fit.values))
+        motion = model.motion(values)
+    except ConvergenceError:
+        return None
+    count = len(plain.residual(plain.positions))
+    errors = ErrorModel(np.ones(count), np.zeros((0, count)))
+    improved = hypothesis_at(plain, errors, model, values, np.zeros(len(values)), motion, plain.tangents)
+    frames = np.unique(plain.observations.frames)
+    return shrinkage_on(plain, errors, improved, None, frames, "second take, all frames", options)
+
+
+def _with_material(own: Baseline, values: np.ndarray, names: tuple[str, ...]) -> Baseline:
+    """The second take's baseline with the first one's material."""
+    changed = own.fit.values.copy()
+    for name in _MATERIAL:
+        if name in names and name in own.model.base:
+            changed[own.model.base.index(name)] = values[names.index(name)]
+    return replace(own, fit=replace(own.fit, values=changed))

@@ -1,0 +1,215 @@
+"""Which effects, one or several: forward selection from screenings, pairs that help only together, and leaving out.
+
+1. Fit the effects that screening ranks first, each alone, and the pairs whose signatures explain most together; do
+   so again from where the first frames alone put the base model (`physconvex.gap.anchoring`).
+2. While something is left of the best fit, screen all other effects at that fit and add those that rank first.
+3. Fit the best combination without each of its effects.
+4. Carry the best few over to the full-order model (`physconvex.gap.mapping`), which decides.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.gap.anchoring import early_point
+from physconvex.gap.baseline import Baseline, Report
+from physconvex.gap.comparison import Hypothesis, base_hypothesis, continued, fit_effects, refit
+from physconvex.gap.effects import Effect
+from physconvex.gap.mapping import as_reduced, confirmed
+from physconvex.gap.model import EffectModel
+from physconvex.gap.numerics import Numerics
+from physconvex.gap.options import GapOptions
+from physconvex.gap.score import ErrorModel
+from physconvex.gap.screening import Screened, Screening, best_pairs, screen
+
+__all__ = ["FAILURES", "Selection", "select_effects"]
+
+# of a run with doses that no body can bear: such a fit is left out, and the report says so
+FAILURES = (ConvergenceError, InputError, np.linalg.LinAlgError)
+_LATEST = 1.25  # of the time for the search: then no further full-order fit is begun
+_CLOSED = 1.5  # mean square over the expected one below which there is no gap to explain
+_LEFT = 2.5  # above which a further effect is looked for
+_SINGLES, _PAIRS, _ADDED, _EARLY = 7, 4, 3, 4  # fits: alone, two at once, in each further round, from the first frames
+_STEMS, _POLISHED = 2, 3  # fits that the first further round goes on from; fits with derivatives taken anew
+_WORTH = 4.0  # gain of evidence for which the search goes on
+
+
+@dataclass(eq=False)
+class Selection:
+    """A search in progress.
+
+    Attributes:
+        base: base fit, of the reduced model.
+        errors: weights of the residuals.
+        options: settings.
+        report: told what is done.
+        deadline: time after which no further fit is begun.
+        found: fits so far, the base model first.
+        polished: ids of fits that need not be fitted again.
+    """
+
+    base: Baseline
+    errors: ErrorModel
+    options: GapOptions
+    report: Report
+    deadline: float
+    found: list[Hypothesis] = field(default_factory=list)
+    polished: set[int] = field(default_factory=set)
+
+    @property
+    def best(self) -> Hypothesis:
+        """By evidence."""
+        return max(self.found, key=lambda h: h.evidence)
+
+    @property
+    def late(self) -> bool:
+        """Whether the time is up."""
+        return time.monotonic() > self.deadline
+
+    def attempt(self, text: str, run: Callable[[], Hypothesis]) -> Hypothesis | None:
+        """Fit and keep, unless the time is up or it fails."""
+        if self.late:
+            return None
+        self.report(f"fit: {text}")
+        try:
+            hypothesis = run()
+        except FAILURES:
+            self.report(f"fit: {text} failed")
+            return None
+        if not np.isfinite(hypothesis.positions).all():
+            return None
+        self.found.append(hypothesis)
+        return hypothesis
+
+    def fit(self, chosen: Sequence[Screened], starts: Baseline | None = None) -> Hypothesis | None:
+        """Fit screened effects, beside those of `starts`."""
+        kept = () if starts is None else tuple(e.label for e in starts.model.effects)
+        text = " + ".join([*kept, *(entry.effect.label for entry in chosen)])
+        return self.attempt(text, lambda: fit_effects(self.base, self.errors, chosen, self.options, starts=starts))
+
+
+def select_effects(
+    base: Baseline, errors: ErrorModel, numerics: Numerics, dictionary: Iterable[Effect], options: GapOptions,
+    report: Report,
+) -> tuple[list[Hypothesis], Screening]:  # fmt: skip
+    """The base model and the fits of effects, best evidence first, and the screening at the base fit.
+
+    Args:
+        base: the full-order base fit.
+        errors: weights of the residuals.
+        numerics: for numerical effects.
+        dictionary: effects to try.
+        options: settings.
+        report: told what is done.
+    """
+    cheap, dictionary = as_reduced(base), tuple(dictionary)
+    screening = screen(cheap, errors, numerics, dictionary, report)
+    begun = time.monotonic()
+    search = Selection(cheap, errors, options, report, begun + options.seconds)
+    search.found.append(base_hypothesis(cheap, errors))
+    open_gap = search.found[0].fitted > _CLOSED
+    for entry in screening.one_per_name[: _SINGLES if open_gap else 2]:
+        search.fit([entry])
+    if open_gap:
+        _together(search, screening)
+        _from_first_frames(search, numerics, dictionary)
+        _polish(search)
+        for number in range(options.most_effects - 1):
+            if not _one_more(search, numerics, dictionary, 1 if number else _STEMS):
+                break
+        _leave_out(search)
+    out = [base_hypothesis(base, errors)]
+    for hypothesis in _finalists(search.found, options.candidates if open_gap else 1):
+        if len(out) > 2 and time.monotonic() > begun + _LATEST * options.seconds:
+            break
+        report(f"full-order fit: {hypothesis.label}")
+        try:
+            out.append(confirmed(base, errors, hypothesis, options))
+        except FAILURES:
+            report(f"full-order fit: {hypothesis.label} failed")
+    return sorted(out, key=lambda h: -h.evidence), screening
+
+
+def _finalists(found: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
+    """The best fits with effects, one of each set of names; two single effects are among them."""
+    best: dict[frozenset[str], Hypothesis] = {}
+    for hypothesis in sorted(found, key=lambda h: -h.evidence):
+        if hypothesis.effects:
+            best.setdefault(frozenset(hypothesis.names), hypothesis)
+    ranked = list(best.values())
+    chosen = ranked[:count]
+    singles = [h for h in ranked if len(h.effects) == 1][: min(2, count)]
+    return [*chosen, *(h for h in singles if h not in chosen)]
+
+
+def _together(search: Selection, screening: Screening) -> None:
+    """Pairs that explain much more than the better of the two, where single effects leave something."""
+    if search.best.fitted < _LEFT:
+        return
+    for pair in best_pairs(screening, _PAIRS):
+        search.fit([pair.first, pair.second])
+
+
+def _from_first_frames(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
+    """Screen and fit again from where the first frames alone put the base model, if that is elsewhere."""
+    if search.best.fitted < _LEFT:
+        return
+    point = early_point(search.base, search.errors, search.options, search.report)
+    if point is not None:
+        screening = screen(point, search.errors, numerics, dictionary, search.report)
+        for entry in screening.one_per_name[:_EARLY]:
+            search.fit([entry], starts=point)
+
+
+def _one_more(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...], stems: int) -> bool:
+    """Screen at the best fits, add one effect to each; tells whether that was worth it."""
+    before = search.best
+    for stem in _finalists(search.found, stems)[:stems]:
+        if stem.fitted < _LEFT or len(stem.effects) >= search.options.most_effects or search.late:
+            continue
+        point = continued(search.base, stem)
+        screening = screen(point, search.errors, numerics, dictionary, search.report)
+        for entry in screening.one_per_name[:_ADDED]:
+            search.fit([entry], starts=point)
+    _polish(search)
+    return search.best.evidence > before.evidence + _WORTH
+
+
+def _polish(search: Selection) -> None:
+    """Fit the best ones again, with derivatives taken where they are now."""
+    for hypothesis in _finalists(search.found, _POLISHED)[:_POLISHED]:
+        if id(hypothesis) in search.polished or search.late:
+            continue
+        count = int(search.base.split.fitted[-1]) + 1
+        shorter = replace(hypothesis.model, frames=count)
+
+        def again(h: Hypothesis = hypothesis, model: EffectModel = shorter, count: int = count) -> Hypothesis:
+            tangents = model.tangents(h.values, h.motion.first(count))
+            return refit(search.base, search.errors, h.model, h.values, tangents, search.options)
+
+        found = search.attempt(f"{hypothesis.label}, again", again)
+        search.polished |= {id(hypothesis), id(found)}
+
+
+def _leave_out(search: Selection) -> None:
+    """Fit the best combination without each of its effects, so that parsimony has a say."""
+    best = search.best
+    if len(best.effects) < 2:
+        return
+    for index, effect in enumerate(best.effects):
+        rest = tuple(e for e in best.effects if e is not effect)
+        if any(set(h.effects) == set(rest) for h in search.found):
+            continue
+        where = best.model.slices[index]
+        keep = np.r_[0 : where.start, where.stop : len(best.values)]
+        model = replace(best.model, effects=rest)
+        values, tangents = best.values[keep], best.tangents[:, keep]
+        search.attempt(
+            " + ".join(e.label for e in rest),
+            lambda m=model, v=values, t=tangents: refit(search.base, search.errors, m, v, t, search.options),  # type: ignore[misc]
+        )

@@ -1,0 +1,60 @@
+"""Pairs of effects that explain a residual only together."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from physconvex.gap import DEFAULT_EFFECTS
+from physconvex.gap.score import Score
+from physconvex.gap.screening import Screened, Screening, best_pairs
+from physconvex.gap.selection import _finalists
+
+
+def effect(name):
+    return next(e for e in DEFAULT_EFFECTS if e.name == name)
+
+
+def entry(name, row, left):
+    one = effect(name)
+    amount = max(row @ left / (row @ row), 0.0)
+    score = Score(amount**2 * (row @ row), 1, 0.1, np.array([amount]), np.array([0.1]), 1.0, 0.1)
+    trials = np.array([[d.null + 0.1 for d in one.doses]])
+    return Screened(one, score, trials[0].copy(), np.full(len(one.doses), 0.1), row[None, None, None], trials, row,
+                    row[None], (1,))  # fmt: skip
+
+
+@pytest.fixture
+def screening(rng):
+    first, second, third = np.linalg.qr(rng.normal(size=(60, 3)))[0].T
+    left = 10 * second
+    entries = [
+        entry("friction", first + second, left),  # each of the two drags in a direction that only the other undoes
+        entry("damping", 0.3 * second - first, left),
+        entry("restitution", 0.8 * second + third, left),
+    ]
+    ranked = tuple(sorted(entries, key=lambda e: -e.score.statistic))
+    return Screening(ranked, (), float(left @ left), 57, left)
+
+
+def test_a_pair_that_helps_only_together_comes_first(screening):
+    pair = best_pairs(screening, 1)[0]
+    assert {pair.first.effect.name, pair.second.effect.name} == {"damping", "friction"}
+    assert pair.statistic == pytest.approx(screening.lack_of_fit, rel=1e-6)
+    assert pair.gain > 0.3 * screening.lack_of_fit
+    doses = {p.effect.name: p.doses[0] for p in (pair.first, pair.second)}
+    assert doses["friction"] == pytest.approx(0.1 * 10 / 1.3, rel=1e-4)
+
+
+def test_pairs_are_named_once(screening):
+    names = [frozenset((p.first.effect.name, p.second.effect.name)) for p in best_pairs(screening, 9)]
+    assert len(names) == len(set(names)) <= 3
+
+
+def test_the_best_single_effects_are_carried_over():
+    def fit(evidence, *names):
+        return SimpleNamespace(effects=names, names=names, evidence=evidence)
+
+    found = [fit(0), fit(9, "a", "b"), fit(8, "a", "c"), fit(5, "a"), fit(4, "a"), fit(3, "c")]
+    chosen = _finalists(found, 2)
+    assert [h.names for h in chosen] == [("a", "b"), ("a", "c"), ("a",), ("c",)] and chosen[2].evidence == 5
