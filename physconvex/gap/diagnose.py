@@ -90,6 +90,7 @@ def diagnose(
         options,
         floor=shrinkage[-1].noise_floor / base.situation.size,
         placebo=shrinkage[-1].placebo,
+        astray=_astray(base, best),
     )
     if second_take is not None:
         other = second_take if isinstance(second_take, Capture) else load_capture(second_take)
@@ -116,6 +117,13 @@ def _relative_gap(base: Baseline, errors: ErrorModel, hypothesis: Hypothesis) ->
     """Mean square of the residual over its expected square, all frames."""
     residual = base.residual(hypothesis.positions)
     return float(np.mean(residual**2 / errors.expected))
+
+
+def _astray(base: Baseline, best: Hypothesis) -> float:
+    """Distance of the best model from what was seen over how far that moved, rms over all frames."""
+    still = np.broadcast_to(base.motion.rest, base.positions.shape)
+    left, moved = (float(np.linalg.norm(base.residual(x) * base.lengths)) for x in (best.positions, still))
+    return left / max(moved, 1e-12)
 
 
 def _placebo(

@@ -22,6 +22,7 @@ _PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach b
 _BLIND = 0.1  # floor over size above which "none" would say nothing
 _SURE = 30.0  # gain that makes a call although the base model fits the fitted frames within its error
 _SEEN = 3.0  # standard errors
+_ASTRAY = 0.5  # distance from the recording over its motion above which the model is no model of it
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
 
 
@@ -143,6 +144,7 @@ def decide(
     *,
     floor: float = 0.0,
     placebo: float = float("nan"),
+    astray: float = 0.0,
 ) -> Verdict:
     """The verdict.
 
@@ -155,6 +157,7 @@ def decide(
         options: settings.
         floor: numerical error and noise over the size of the body; a model that errs by a tenth of it tells nothing.
         placebo: share of the held-out gap that an effect removes which screening ranked last; NaN where none was tried.
+        astray: distance of the best model from the recording over how far that moves, rms.
     """
     base = next(h for h in hypotheses if not h.effects)
     with_effects = [h for h in hypotheses if h.effects]
@@ -206,6 +209,12 @@ def decide(
         )
         caveats = (*_caveats(base, best, after), *_power(screening))
         return Verdict("inconclusive", sentence, (*named, *others), none, share, caveats)
+    if astray > _ASTRAY:
+        sentence = (
+            f"The model does not follow the recording: with {best.label} it is still off by {astray:.0%} of the motion. "
+            "Check rest geometry, boundary, units, frame rate and gravity before looking for an effect."
+        )
+        return Verdict("unknown", sentence, (), none, share, _caveats(base, best, after))
     if share < options.explained and after > 2.0:
         sentence = (
             f"There is a gap that none of the known effects explains: the best of them, {best.label}, removes "

@@ -85,6 +85,13 @@ def test_an_effect_no_better_than_a_placebo_is_not_named():
     assert decide(hypotheses, screening(), 30.0, 1.0, 0.05, OPTIONS, placebo=0.1).name == "effect"
 
 
+def test_a_model_that_does_not_follow_the_recording_names_nothing():
+    hypotheses = [hypothesis(20.0, "damping"), hypothesis(0.0)]
+    verdict = decide(hypotheses, screening(), 900.0, 300.0, 0.3, OPTIONS, astray=7.0)
+    assert verdict.name == "unknown" and not verdict.effects and "boundary" in verdict.sentence
+    assert decide(hypotheses, screening(), 30.0, 1.0, 0.05, OPTIONS, astray=0.1).name == "effect"
+
+
 def test_a_weak_case_is_inconclusive():
     verdict = decide([hypothesis(2.5, "damping"), hypothesis(0.0)], screening(), 30.0, 1.0, 0.1, OPTIONS)
     assert verdict.name == "inconclusive" and verdict.none_probability > 0.05
