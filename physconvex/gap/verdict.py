@@ -146,7 +146,7 @@ def decide(
     placebo: float = float("nan"),
     astray: float = 0.0,
 ) -> Verdict:
-    """The verdict.
+    """The verdict: the first of a list of rules that holds.
 
     Args:
         hypotheses: the base model and fits, best evidence first.
@@ -160,80 +160,163 @@ def decide(
         astray: distance of the best model from the recording over how far that moves, rms.
     """
     base = next(h for h in hypotheses if not h.effects)
-    with_effects = [h for h in hypotheses if h.effects]
+    best = next((h for h in hypotheses if h.effects), None)
     probability = probabilities(hypotheses)
     none = probability.get("base model", 0.0)
-    if not with_effects:
+    if best is None:
         return Verdict("inconclusive", "No effect could be tried on this capture.", (), none, 0.0, ())
-    best = with_effects[0]
-    gain = best.evidence - base.evidence
-    first = screening.ranked[0]
-    tried = len(screening.ranked)
-    significant = min(first.score.p_value * tried, 1.0) < options.significance
-    named = _by_weight(_named(best, probability, screening, options), hypotheses)
-    others = [
-        effect
-        for h in with_effects[1:]
-        if len(h.effects) == 1 and h.names[0] not in best.names and probability.get(h.label, 0.0) > _LISTED
-        for effect in _named(h, probability, screening, options)
-    ]
-    share = 1.0 - remaining
-    closed = before < _FLOOR or (base.fitted < _FLOOR and gain < _SURE)
-    none_found = gain < _WEAK or not significant or closed or _is_slight(best)
-    if none_found and floor > _BLIND:
+    evidence = _Evidence(
+        base, best, tuple(hypotheses), screening, probability, before, after, 1.0 - remaining, options, floor, placebo,
+        astray,
+    )  # fmt: skip
+    rules = (_nothing, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo)
+    for rule in rules:
+        verdict = rule(evidence)
+        if verdict is not None:
+            return verdict
+    return _called(evidence)
+
+
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """What the rules read; the numbers are the arguments of `decide`, `share` is what the best effects remove."""
+
+    base: Hypothesis
+    best: Hypothesis
+    hypotheses: tuple[Hypothesis, ...]
+    screening: Screening
+    probability: dict[str, float]
+    before: float
+    after: float
+    share: float
+    options: GapOptions
+    floor: float
+    placebo: float
+    astray: float
+
+    @property
+    def gain(self) -> float:
+        """Of log-evidence."""
+        return self.best.evidence - self.base.evidence
+
+    @property
+    def none(self) -> float:
+        """Probability of the base model."""
+        return self.probability.get("base model", 0.0)
+
+    @property
+    def named(self) -> tuple[NamedEffect, ...]:
+        """Effects of the best fit."""
+        found = _named(self.best, self.probability, self.screening, self.options)
+        return tuple(_by_weight(found, self.hypotheses))
+
+    @property
+    def possible(self) -> tuple[NamedEffect, ...]:
+        """Those of the best fit, and the single ones that remain possible."""
+        others = [
+            effect
+            for h in self.hypotheses
+            if len(h.effects) == 1
+            and h is not self.best
+            and h.names[0] not in self.best.names
+            and self.probability.get(h.label, 0.0) > _LISTED
+            for effect in _named(h, self.probability, self.screening, self.options)
+        ]
+        return (*self.named, *others)
+
+    def verdict(
+        self, name: VerdictName, sentence: str, effects: tuple[NamedEffect, ...] = (), *, power: bool = False
+    ) -> Verdict:
+        """With the caveats, and with what would have been seen."""
+        caveats = _caveats(self.base, self.best, self.after)
+        more = _power(self.screening) if power else ()
+        return Verdict(name, sentence, effects, self.none, self.share, (*caveats, *more))
+
+
+def _nothing(e: _Evidence) -> Verdict | None:
+    """No gap above noise and numerical error; where those are large, that says nothing."""
+    significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
+    closed = e.before < _FLOOR or (e.base.fitted < _FLOOR and e.gain < _SURE)
+    if not (e.gain < _WEAK or not significant or closed or _is_slight(e.best)):
+        return None
+    if e.floor > _BLIND:
         sentence = (
-            f"Inconclusive: the model's own numerical error and the noise ({floor:.0%} of the body's size) hide "
+            f"Inconclusive: the model's own numerical error and the noise ({e.floor:.0%} of the body's size) hide "
             "whatever gap there is. Allow a finer mesh, or record a motion with less contact."
         )
-        return Verdict("inconclusive", sentence, (), none, share, (*_caveats(base, best, after), *_power(screening)))
-    if none_found:
-        reason = (
-            "is smaller than is of interest"
-            if _is_slight(best)
-            else "lies within these errors"
-            if closed
-            else "is no more than chance"
-        )
-        sentence = f"No gap above noise and numerical error: what {best.label} would add {reason}."
-        return Verdict("none", sentence, (), none, share, (*_caveats(base, best, after), *_power(screening)))
-    if all(effect.source == "numerical" for effect in best.effects):
-        sentence = (
-            f"No physical cause: what the recording differs by is numerical error ({best.label}), of this model or of "
-            "the program that made the recording."
-        )
-        return Verdict("none", sentence, (*named, *others), none, share, _caveats(base, best, after))
-    if gain < _CLEAR:
-        sentence = (
-            f"Inconclusive: {best.label} is favoured, but the recording cannot tell it from no effect "
-            f"(probability {probability[best.label]:.0%} against {none:.0%} for none)."
-        )
-        caveats = (*_caveats(base, best, after), *_power(screening))
-        return Verdict("inconclusive", sentence, (*named, *others), none, share, caveats)
-    if astray > _ASTRAY:
-        sentence = (
-            f"The model does not follow the recording: with {best.label} it is still off by {astray:.0%} of the motion. "
-            "Check rest geometry, boundary, units, frame rate and gravity before looking for an effect."
-        )
-        return Verdict("unknown", sentence, (), none, share, _caveats(base, best, after))
-    if share < options.explained and after > 2.0:
-        sentence = (
-            f"There is a gap that none of the known effects explains: the best of them, {best.label}, removes "
-            f"{max(share, 0):.0%} of it on frames that were not fitted."
-        )
-        return Verdict("unknown", sentence, (*named, *others), none, share, _caveats(base, best, after))
-    if placebo > _PLACEBO * share:
-        sentence = (
-            f"Inconclusive: {best.label} fits best and removes {share:.0%} of the gap on frames that were not fitted, "
-            f"but an effect that the recording does not ask for removes {placebo:.0%} as well."
-        )
-        return Verdict("inconclusive", sentence, (*named, *others), none, share, _caveats(base, best, after))
-    doses = "; ".join(f"{d.name} = {d.value:.3g} {d.unit}".strip() for e in named for d in e.doses)
-    also = sorted({n for e in named for n in e.confused_with})
+        return e.verdict("inconclusive", sentence, power=True)
+    reason = "is no more than chance"
+    if closed:
+        reason = "lies within these errors"
+    if _is_slight(e.best):
+        reason = "is smaller than is of interest"
+    sentence = f"No gap above noise and numerical error: what {e.best.label} would add {reason}."
+    return e.verdict("none", sentence, power=True)
+
+
+def _numerical(e: _Evidence) -> Verdict | None:
+    """All effects of the best fit are numerical."""
+    if any(effect.source != "numerical" for effect in e.best.effects):
+        return None
+    sentence = (
+        f"No physical cause: what the recording differs by is numerical error ({e.best.label}), of this model or of "
+        "the program that made the recording."
+    )
+    return e.verdict("none", sentence, e.possible)
+
+
+def _weak(e: _Evidence) -> Verdict | None:
+    """A gain too small for a call."""
+    if e.gain >= _CLEAR:
+        return None
+    sentence = (
+        f"Inconclusive: {e.best.label} is favoured, but the recording cannot tell it from no effect "
+        f"(probability {e.probability[e.best.label]:.0%} against {e.none:.0%} for none)."
+    )
+    return e.verdict("inconclusive", sentence, e.possible, power=True)
+
+
+def _off_the_recording(e: _Evidence) -> Verdict | None:
+    """The model is none of this recording."""
+    if e.astray <= _ASTRAY:
+        return None
+    sentence = (
+        f"The model does not follow the recording: with {e.best.label} it is still off by {e.astray:.0%} of the "
+        "motion. Check rest geometry, boundary, units, frame rate and gravity before looking for an effect."
+    )
+    return e.verdict("unknown", sentence)
+
+
+def _unexplained(e: _Evidence) -> Verdict | None:
+    """A gap that the best effects leave."""
+    if e.share >= e.options.explained or e.after <= 2.0:
+        return None
+    sentence = (
+        f"There is a gap that none of the known effects explains: the best of them, {e.best.label}, removes "
+        f"{max(e.share, 0):.0%} of it on frames that were not fitted."
+    )
+    return e.verdict("unknown", sentence, e.possible)
+
+
+def _as_good_as_a_placebo(e: _Evidence) -> Verdict | None:
+    """An effect that nothing asks for does nearly as much."""
+    if not e.placebo > _PLACEBO * e.share:
+        return None
+    sentence = (
+        f"Inconclusive: {e.best.label} fits best and removes {e.share:.0%} of the gap on frames that were not fitted, "
+        f"but an effect that the recording does not ask for removes {e.placebo:.0%} as well."
+    )
+    return e.verdict("inconclusive", sentence, e.possible)
+
+
+def _called(e: _Evidence) -> Verdict:
+    """The best effects are the cause."""
+    doses = "; ".join(f"{d.name} = {d.value:.3g} {d.unit}".strip() for n in e.named for d in n.doses)
+    also = sorted({name for n in e.named for name in n.confused_with})
     caveat = f"; from this recording it may be confused with {', '.join(also)}" if also else ""
-    chance = min(probability[best.label], 0.99)
-    sure = f"probability {'above ' if probability[best.label] > 0.99 else ''}{chance:.0%}, not calibrated"
-    sentence = f"The gap is caused by {best.label} ({sure}): {doses}{caveat}."
-    return Verdict("effect", sentence, (*named, *others), none, share, _caveats(base, best, after))
+    chance = e.probability[e.best.label]
+    sure = f"probability {'above ' if chance > 0.99 else ''}{min(chance, 0.99):.0%}, not calibrated"
+    return e.verdict("effect", f"The gap is caused by {e.best.label} ({sure}): {doses}{caveat}.", e.possible)
 
 
 def _is_slight(hypothesis: Hypothesis) -> bool:
