@@ -123,7 +123,7 @@ def _wind_trial(situation: Situation) -> float:
 WIND = Effect(
     "wind",
     "external",
-    tuple(Dose(f"velocity_{axis}", "m/s", -100.0, 100.0, 0.5, _wind_trial) for axis in "xy"),
+    tuple(Dose(f"velocity_{axis}", "m/s", -30.0, 30.0, 0.5, _wind_trial) for axis in "xy"),  # a storm at most
     scene=_blown,
     description="moving air pushes sideways",
     confusable=("gravity_tilt",),
