@@ -355,9 +355,26 @@ def _caveats(base: Hypothesis, best: Hypothesis, after: float) -> tuple[str, ...
         out.append(
             "The best explanation is a numerical error, of this model or of the program that made the recording."
         )
+    at_bounds = _at_bounds(best)
+    if at_bounds:
+        out.append(
+            f"At the bound of what is physical: {', '.join(at_bounds)}. That effect stands for something else, which "
+            "the dictionary does not have or the other effects do not describe well."
+        )
     if after > 4.0:
         out.append("What is left after the best effect is still well above noise and numerical error.")
     return tuple(out)
+
+
+def _at_bounds(best: Hypothesis) -> list[str]:
+    """Doses that the fit drove to a bound other than their null value."""
+    found = []
+    for effect in best.effects:
+        for dose, value in zip(effect.doses, best.doses(effect)[0], strict=True):
+            near = 1e-3 * (dose.upper - dose.lower)
+            if any(abs(value - bound) < near and abs(bound - dose.null) > near for bound in (dose.lower, dose.upper)):
+                found.append(f"{effect.name} ({dose.name} = {value:.3g} {dose.unit})".replace(" )", ")"))
+    return found
 
 
 def _moved(base: Hypothesis, best: Hypothesis) -> float | None:

@@ -15,9 +15,9 @@ def effect(name):
     return next(e for e in DEFAULT_EFFECTS if e.name == name)
 
 
-def hypothesis(evidence, *names, log10_modulus=5.0):
+def hypothesis(evidence, *names, log10_modulus=5.0, dose=0.1):
     effects = tuple(effect(n) for n in names)
-    values = [np.full(len(e.doses), 0.1) for e in effects]
+    values = [np.full(len(e.doses), dose) for e in effects]
     return SimpleNamespace(
         effects=effects,
         names=tuple(e.name for e in effects),
@@ -90,6 +90,12 @@ def test_a_model_that_does_not_follow_the_recording_names_nothing():
     verdict = decide(hypotheses, screening(), 900.0, 300.0, 0.3, OPTIONS, astray=7.0)
     assert verdict.name == "unknown" and not verdict.effects and "boundary" in verdict.sentence
     assert decide(hypotheses, screening(), 30.0, 1.0, 0.05, OPTIONS, astray=0.1).name == "effect"
+
+
+def test_a_dose_at_its_bound_is_told():
+    for dose, told in ((-30.0, True), (12.0, False), (0.0, False)):
+        verdict = decide([hypothesis(20.0, "wind", dose=dose), hypothesis(0.0)], screening(), 30.0, 1.0, 0.05, OPTIONS)
+        assert any("bound of what is physical: wind" in caveat for caveat in verdict.caveats) == told
 
 
 def test_a_weak_case_is_inconclusive():
