@@ -18,7 +18,7 @@ from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screened
 from physconvex.identify import FitOptions, fit, noise_covariance
 
-__all__ = ["Hypothesis", "base_hypothesis", "continued", "fit_effects", "hypothesis_at", "refit"]
+__all__ = ["Hypothesis", "base_hypothesis", "continued", "doses_at_bounds", "fit_effects", "hypothesis_at", "refit"]
 
 _ENOUGH = 1.0  # mean square over the expected one that a better fit need not undercut
 
@@ -219,3 +219,14 @@ def _add_shapes(model: EffectModel, values: np.ndarray, here: np.ndarray, tangen
                     step = -step
                 changed[at] += step
                 tangents[:, at] = (model.positions(changed) - here) / step
+
+
+def doses_at_bounds(best: Hypothesis) -> list[str]:
+    """Doses that the fit drove to a bound other than their null value."""
+    found = []
+    for effect in best.effects:
+        for dose, value in zip(effect.doses, best.doses(effect)[0], strict=True):
+            near = 1e-3 * (dose.upper - dose.lower)
+            if any(abs(value - bound) < near and abs(bound - dose.null) > near for bound in (dose.lower, dose.upper)):
+                found.append(f"{effect.name} ({dose.name} = {value:.3g} {dose.unit})".replace(" )", ")"))
+    return found

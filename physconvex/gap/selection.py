@@ -18,7 +18,7 @@ import numpy as np
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.anchoring import early_point
 from physconvex.gap.baseline import Baseline, Report
-from physconvex.gap.comparison import Hypothesis, base_hypothesis, continued, fit_effects, refit
+from physconvex.gap.comparison import Hypothesis, base_hypothesis, continued, doses_at_bounds, fit_effects, refit
 from physconvex.gap.effects import Effect
 from physconvex.gap.mapping import as_reduced, confirmed
 from physconvex.gap.model import EffectModel
@@ -132,7 +132,13 @@ def select_effects(
             out.append(confirmed(base, errors, hypothesis, options))
         except FAILURES:
             report(f"full-order fit: {hypothesis.label} failed")
-    return sorted(out, key=lambda h: -h.evidence), screening
+    return sorted(within_bounds(out), key=lambda h: -h.evidence), screening
+
+
+def within_bounds(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Without fits that need a dose at the bound of what is physical, as long as others with effects are left."""
+    kept = [h for h in hypotheses if not doses_at_bounds(h)]
+    return kept if any(h.effects for h in kept) else list(hypotheses)
 
 
 def _finalists(found: Sequence[Hypothesis], count: int) -> list[Hypothesis]:

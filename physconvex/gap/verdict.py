@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from physconvex.gap.comparison import Hypothesis
+from physconvex.gap.comparison import Hypothesis, doses_at_bounds
 from physconvex.gap.options import GapOptions
 from physconvex.gap.screening import Screening
 
@@ -355,7 +355,7 @@ def _caveats(base: Hypothesis, best: Hypothesis, after: float) -> tuple[str, ...
         out.append(
             "The best explanation is a numerical error, of this model or of the program that made the recording."
         )
-    at_bounds = _at_bounds(best)
+    at_bounds = doses_at_bounds(best)
     if at_bounds:
         out.append(
             f"At the bound of what is physical: {', '.join(at_bounds)}. That effect stands for something else, which "
@@ -364,17 +364,6 @@ def _caveats(base: Hypothesis, best: Hypothesis, after: float) -> tuple[str, ...
     if after > 4.0:
         out.append("What is left after the best effect is still well above noise and numerical error.")
     return tuple(out)
-
-
-def _at_bounds(best: Hypothesis) -> list[str]:
-    """Doses that the fit drove to a bound other than their null value."""
-    found = []
-    for effect in best.effects:
-        for dose, value in zip(effect.doses, best.doses(effect)[0], strict=True):
-            near = 1e-3 * (dose.upper - dose.lower)
-            if any(abs(value - bound) < near and abs(bound - dose.null) > near for bound in (dose.lower, dose.upper)):
-                found.append(f"{effect.name} ({dose.name} = {value:.3g} {dose.unit})".replace(" )", ")"))
-    return found
 
 
 def _moved(base: Hypothesis, best: Hypothesis) -> float | None:

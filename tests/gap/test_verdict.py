@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions
+from physconvex.gap.selection import within_bounds
 from physconvex.gap.verdict import decide, probabilities
 
 OPTIONS = GapOptions()
@@ -96,6 +97,12 @@ def test_a_dose_at_its_bound_is_told():
     for dose, told in ((-30.0, True), (12.0, False), (0.0, False)):
         verdict = decide([hypothesis(20.0, "wind", dose=dose), hypothesis(0.0)], screening(), 30.0, 1.0, 0.05, OPTIONS)
         assert any("bound of what is physical: wind" in caveat for caveat in verdict.caveats) == told
+
+
+def test_fits_at_a_bound_give_way_to_others():
+    blown, damped, plain = hypothesis(20.0, "wind", dose=-30.0), hypothesis(9.0, "damping"), hypothesis(0.0)
+    assert within_bounds([blown, damped, plain]) == [damped, plain]
+    assert within_bounds([blown, plain]) == [blown, plain]
 
 
 def test_a_weak_case_is_inconclusive():
