@@ -16,20 +16,19 @@ import tempfile
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from gaussian_fit import Rates, fit_gaussians, score_gaussians
+from reconstruction import VIEWS, stored_rows
 
 from data_gen.objects.user_meshes import load_user_mesh
-from data_gen.still_captures import StillViews, write_still_capture
+from data_gen.still_captures import write_still_capture
 from inference.reconstruction_views import CaptureViews, capture_views
 from physconvex.capture import load_capture
 from physconvex.reconstruction import begin, fit, load_reconstruction_config, score, start_field
 
 RESULT = Path(__file__).parent / "results" / "gaussian_comparison.json"
-VIEWS = (StillViews(12, (10, 35, -10), name="fit"), StillViews(4, (20, 0), phase=0.37, name="held"))
 SETTINGS = ("steps=120", "budget=3500", "filler_share=0", "gap_share=0")
 NUMBERS = {"convexes": 69, "gaussians": 59}
 
@@ -85,14 +84,6 @@ def gaussians(name: str, views: CaptureViews, folder: Path, settings: list[str],
     )
 
 
-def stored_rows(command: str, names: list[str]) -> list[dict[str, Any]]:
-    """Rows of other objects that the same command (but for the names) has stored."""
-    if not RESULT.exists():
-        return []
-    content = json.loads(RESULT.read_text())
-    return [row for row in content["rows"] if row["object"] not in names] if content["command"] == command else []
-
-
 def main() -> None:
     """Compare and store."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -122,7 +113,7 @@ def main() -> None:
             print(rows[-1], flush=True)
             command = f"python benchmarks/gaussian_comparison.py --objects gso --size {options.size}"
             command += f" --set {' '.join(options.settings)}" if options.settings else ""
-            kept = stored_rows(command, options.names)
+            kept = stored_rows(RESULT, command, options.names)
             content = {"command": command, "rows": [*kept, *(asdict(row) for row in rows)]}
             RESULT.write_text(json.dumps(content, indent=1) + "\n")
 

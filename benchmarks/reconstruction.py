@@ -89,11 +89,11 @@ def coverage(result: Reconstruction, capture: Path) -> Coverage | None:
         return None
 
 
-def stored_rows(command: str, names: list[str]) -> list[dict[str, Any]]:
-    """Rows of other objects that the same command (but for the names) has stored."""
-    if not RESULT.exists():
+def stored_rows(result: Path, command: str, names: list[str]) -> list[dict[str, Any]]:
+    """Rows of other objects that the same command (but for the names) has stored in a result file."""
+    if not result.exists():
         return []
-    content = json.loads(RESULT.read_text())
+    content = json.loads(result.read_text())
     return [row for row in content["rows"] if row["object"] not in names] if content["command"] == command else []
 
 
@@ -113,7 +113,7 @@ def main() -> None:
     names = options.names or sorted(path.parent.name for path in options.objects.glob("*/model.obj"))
     command = f"python benchmarks/reconstruction.py --objects gso --size {options.size} --threads {options.threads}"
     command += f" --set {' '.join(options.settings)}" if options.settings else ""
-    rows = [] if options.no_store else stored_rows(command, names)
+    rows = [] if options.no_store else stored_rows(RESULT, command, names)
     with tempfile.TemporaryDirectory() as scratch:
         for name in names:
             row = measure(name, options.objects, options.work or Path(scratch), options)

@@ -10,7 +10,8 @@ velocity. Shared by the full-order and the reduced model: both supply an `Object
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -27,6 +28,7 @@ __all__ = [
     "bdf2",
     "check_stepping",
     "extrapolate",
+    "frame_states",
     "implicit_euler",
     "minimise",
 ]
@@ -45,6 +47,19 @@ class State:
     time: float
     positions: np.ndarray
     velocities: np.ndarray
+
+
+def frame_states(
+    advance: Callable[[State, float], State], start: State, *, frames: int, fps: float, steps_per_frame: int
+) -> Iterator[State]:
+    """States at the frames: `start`, then those that `steps_per_frame` calls of advance(state, step [s]) lead to."""
+    state = start
+    yield state
+    for frame in range(1, frames):
+        for _ in range(steps_per_frame):
+            state = advance(state, 1.0 / (fps * steps_per_frame))
+        state = replace(state, time=frame / fps)
+        yield state
 
 
 @dataclass(frozen=True)

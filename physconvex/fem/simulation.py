@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +23,7 @@ from physconvex.integrators import (
     bdf2,
     check_stepping,
     extrapolate,
+    frame_states,
     implicit_euler,
     minimise,
 )
@@ -300,14 +301,11 @@ def simulate(
     check_stepping(frames, fps, steps_per_frame, integrator, friction_passes)
     stepper = _Stepper(scene, integrator, tolerance, friction_passes)
     stepper.observer = observer
-    states = [State(0.0, scene.start.copy(), scene.start_velocities())]
-    state = states[0]
-    for frame in range(1, frames):
-        for _ in range(steps_per_frame):
-            state = stepper.advance(state, 1.0 / (fps * steps_per_frame))
-        state = replace(state, time=frame / fps)
+    start = State(0.0, scene.start.copy(), scene.start_velocities())
+    states = []
+    for state in frame_states(stepper.advance, start, frames=frames, fps=fps, steps_per_frame=steps_per_frame):
         states.append(state)
-        if on_frame is not None:
+        if on_frame is not None and state is not start:
             on_frame(state)
     return Trajectory(
         times=np.array([s.time for s in states]),

@@ -14,11 +14,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from physconvex.errors import InputError
 from physconvex.identify.colours import ColourObservations
-from physconvex.identify.observations import Observations, PixelObservations, StackedObservations
+from physconvex.identify.observations import Observations, PixelObservations, StackedObservations, WrappedObservations
 
 __all__ = ["MarginalObservations", "Nuisance"]
 
@@ -52,7 +52,7 @@ class Nuisance:
 
 
 @dataclass(frozen=True, eq=False)
-class MarginalObservations:
+class MarginalObservations(WrappedObservations):
     """Observations with their nuisances eliminated.
 
     Attributes:
@@ -64,26 +64,6 @@ class MarginalObservations:
     seen: StackedObservations
     nuisance: Nuisance
     interval: float
-
-    @property
-    def points(self) -> Float[np.ndarray, "P 3"]:
-        """Rest positions of the material points [m]."""
-        return self.seen.points
-
-    @property
-    def frames(self) -> Int[np.ndarray, " N"]:
-        """Frame of each residual."""
-        return self.seen.frames
-
-    @property
-    def point_indices(self) -> Int[np.ndarray, " N"]:
-        """Point of each residual."""
-        return self.seen.point_indices
-
-    @property
-    def robust_scales(self) -> Float[np.ndarray, " N"]:
-        """Huber's thresholds."""
-        return self.seen.robust_scales
 
     @property
     def names(self) -> tuple[str, ...]:

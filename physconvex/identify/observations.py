@@ -18,7 +18,14 @@ from jaxtyping import Float, Int
 from physconvex.camera import Camera
 from physconvex.errors import InputError
 
-__all__ = ["MarkerObservations", "Observations", "PixelObservations", "StackedObservations", "camera_jacobian"]
+__all__ = [
+    "MarkerObservations",
+    "Observations",
+    "PixelObservations",
+    "StackedObservations",
+    "WrappedObservations",
+    "camera_jacobian",
+]
 
 Positions = Float[np.ndarray, "T P 3"]
 Tangents = Float[np.ndarray, "T K P 3"]
@@ -54,6 +61,37 @@ class Observations(Protocol):
 
     def in_frames(self, count: int) -> Observations:
         """The first `count` frames alone; the points stay."""
+
+
+@dataclass(frozen=True, eq=False)
+class WrappedObservations:
+    """Observations of which residuals and derivatives are changed, and all else stays.
+
+    Attributes:
+        seen: the observations.
+    """
+
+    seen: Observations
+
+    @property
+    def points(self) -> Float[np.ndarray, "P 3"]:
+        """Rest positions of the material points [m]."""
+        return self.seen.points
+
+    @property
+    def frames(self) -> Int[np.ndarray, " N"]:
+        """Frame of each residual."""
+        return self.seen.frames
+
+    @property
+    def point_indices(self) -> Int[np.ndarray, " N"]:
+        """Point of each residual."""
+        return self.seen.point_indices
+
+    @property
+    def robust_scales(self) -> Float[np.ndarray, " N"]:
+        """Huber's thresholds."""
+        return self.seen.robust_scales
 
 
 def _axes(count: int, width: int) -> np.ndarray:

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from physconvex.identify.observations import Observations
+from physconvex.identify.observations import Observations, WrappedObservations
 
 __all__ = ["WeightedObservations", "frame_errors"]
 
@@ -26,7 +26,7 @@ def frame_errors(
 
 
 @dataclass(frozen=True, eq=False)
-class WeightedObservations:
+class WeightedObservations(WrappedObservations):
     """Observations with a factor on the residuals of each frame.
 
     Attributes:
@@ -34,33 +34,12 @@ class WeightedObservations:
         factors: by frame, shape [T].
     """
 
-    seen: Observations
     factors: Float[np.ndarray, " T"]
 
     @classmethod
     def by_errors(cls, seen: Observations, errors: Float[np.ndarray, " T"]) -> WeightedObservations:
         """Factors 1/√(1 + e_t²)."""
         return cls(seen, 1.0 / np.sqrt(1.0 + np.square(errors)))
-
-    @property
-    def points(self) -> Float[np.ndarray, "P 3"]:
-        """Rest positions of the material points [m]."""
-        return self.seen.points
-
-    @property
-    def frames(self) -> Int[np.ndarray, " N"]:
-        """Frame of each residual."""
-        return self.seen.frames
-
-    @property
-    def point_indices(self) -> Int[np.ndarray, " N"]:
-        """Point of each residual."""
-        return self.seen.point_indices
-
-    @property
-    def robust_scales(self) -> Float[np.ndarray, " N"]:
-        """Huber's thresholds."""
-        return self.seen.robust_scales
 
     def in_frames(self, count: int) -> WeightedObservations:
         """The first `count` frames alone; the points stay."""

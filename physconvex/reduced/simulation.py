@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -22,6 +22,7 @@ from physconvex.integrators import (
     bdf2,
     check_stepping,
     extrapolate,
+    frame_states,
     implicit_euler,
     minimise,
 )
@@ -217,16 +218,13 @@ def simulate(
     check_stepping(frames, fps, steps_per_frame, integrator, friction_passes)
     size = scene.body.space.samples.size
     stepper = Stepper(StepEquations(scene), integrator, tolerance * size, friction_passes, observer)
-    states = [State(0.0, scene.start.copy(), scene.start_velocities())]
-    state, flows = states[0], [stepper.equations.flowed()]
-    for frame in range(1, frames):
-        for _ in range(steps_per_frame):
-            state = stepper.advance(state, 1.0 / (fps * steps_per_frame))
-        state = replace(state, time=frame / fps)
+    start = State(0.0, scene.start.copy(), scene.start_velocities())
+    states, flows = [], []
+    for state in frame_states(stepper.advance, start, frames=frames, fps=fps, steps_per_frame=steps_per_frame):
         states.append(state)
         flows.append(stepper.equations.flowed())
-        if on_frame is not None:
-            on_frame(frame)
+        if on_frame is not None and state is not start:
+            on_frame(len(states) - 1)
     return ReducedTrajectory(
         space=scene.body.space,
         times=np.array([s.time for s in states]),

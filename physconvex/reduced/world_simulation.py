@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from physconvex.fem.simulation import SolveStatistics
-from physconvex.integrators import IntegratorName, State, check_stepping
+from physconvex.integrators import IntegratorName, State, check_stepping, frame_states
 from physconvex.reduced.simulation import ReducedTrajectory, Stepper
 from physconvex.reduced.world import ReducedWorld
 from physconvex.reduced.world_equations import WorldEquations
@@ -58,17 +58,14 @@ def simulate_world(
     """
     check_stepping(frames, fps, steps_per_frame, integrator, friction_passes)
     stepper = Stepper(WorldEquations(world), integrator, tolerance * world.size, friction_passes)
-    start = np.concatenate([scene.start for scene in world.scenes])
-    state = State(0.0, start, np.concatenate([scene.start_velocities() for scene in world.scenes]))
-    states, flows = [state], [_flowed(stepper.equations)]
-    for frame in range(1, frames):
-        for _ in range(steps_per_frame):
-            state = stepper.advance(state, 1.0 / (fps * steps_per_frame))
-        state = replace(state, time=frame / fps)
+    places = np.concatenate([scene.start for scene in world.scenes])
+    start = State(0.0, places, np.concatenate([scene.start_velocities() for scene in world.scenes]))
+    states, flows = [], []
+    for state in frame_states(stepper.advance, start, frames=frames, fps=fps, steps_per_frame=steps_per_frame):
         states.append(state)
         flows.append(_flowed(stepper.equations))
-        if on_frame is not None:
-            on_frame(frame)
+        if on_frame is not None and state is not start:
+            on_frame(len(states) - 1)
     return _gathered(world, states, flows, stepper.statistics())
 
 

@@ -11,11 +11,10 @@ import torch
 from torch import Tensor
 
 from physconvex.render import KernelUnavailable, View, cuda, render
-from physconvex.render.reference import composite_reference
 from tests.convex.agreement import assert_agrees
+from tests.convex.composites import compare_composites, polygons, rounding
 from tests.convex.fields import random_field
 from tests.convex.scenes import camera, hard_case
-from tests.convex.test_kernel import ROUNDING, layers, polygons, weights
 
 EMULATION = Path(__file__).with_name("gpu_emulation")
 
@@ -48,22 +47,7 @@ def emulated(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 def compare(field, width: int, height: int) -> None:
     """Image and gradients."""
     splats, inputs = polygons(field, width, height)
-    tolerance = ROUNDING * max(300.0, float(inputs[1].abs().amax() if len(splats) else 0))
-    leaves = [[t.to(kind).clone().requires_grad_() for t in inputs] for kind in (torch.float64, torch.float32)]
-    expected = layers(splats, tuple(leaves[0]), composite_reference)
-    found = layers(splats, tuple(leaves[1]), cuda.composite_cuda)
-    for name in ("features", "transmittance"):
-        assert_agrees(getattr(found, name), getattr(expected, name), relative=tolerance, name=name)
-    assert (found.heaviest == expected.heaviest).float().mean() > 0.999
-    gradients = []
-    for image, leaf in zip((expected, found), leaves, strict=True):
-        features, transmittance = weights(image.features.shape), weights(image.transmittance.shape)
-        loss = (features * image.features).sum() + (transmittance * image.transmittance).sum()
-        gradients.append(torch.autograd.grad(loss, leaf, allow_unused=True, materialize_grads=True))
-    for name, reference, kernel in zip(
-        ("coordinates", "lines", "sharpness", "opacity", "features"), *gradients, strict=True
-    ):
-        assert_agrees(kernel, reference, relative=10 * tolerance, name=name)
+    compare_composites(splats, inputs, cuda.composite_cuda, rounding(splats, inputs))
 
 
 @pytest.mark.slow

@@ -1,66 +1,27 @@
 """The CPU kernel against the reference on the same polygons: image, gradients, directional derivatives."""
 
-from dataclasses import replace
-
 import pytest
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
 from physconvex.convex import ConvexField
-from physconvex.render import Splats, View, project
+from physconvex.render import Splats
 from physconvex.render.jacobian import load_forward_mode
 from physconvex.render.kernel import composite_kernel, composite_tangents
-from physconvex.render.reference import Layers, composite_reference
+from physconvex.render.reference import composite_reference
 from tests.convex.agreement import assert_agrees
+from tests.convex.composites import compare_composites, layers, polygons, rounding, weights
 from tests.convex.fields import random_field
-from tests.convex.scenes import HARD_CASES, camera, hard_case
-
-ROUNDING = 2.0**-24  # of float32
-
-Inputs = tuple[Tensor, ...]  # coordinates, lines, sharpness, opacity, features
-
-
-def polygons(field: ConvexField, width: int = 37, height: int = 21) -> tuple[Splats, Inputs]:
-    """What is drawn, and its differentiable part, rounded to float32 so that both start from the same numbers."""
-    view = View.of(replace(camera(width, height), k1=0.1), torch.float64)
-    splats = project(field, view)
-    inputs = (view.pixel_coordinates(), *splats.differentiable())
-    return splats, tuple(tensor.float() for tensor in inputs)
-
-
-def layers(splats: Splats, inputs: Inputs, composite) -> Layers:
-    coordinates, *polygons = inputs
-    return composite(Splats(splats.convex, splats.starts, *polygons), coordinates)
-
-
-def weights(shape: torch.Size) -> Tensor:
-    return torch.randn(shape, generator=torch.Generator().manual_seed(11), dtype=torch.float64)
+from tests.convex.scenes import HARD_CASES, hard_case
 
 
 def compare(field: ConvexField, width: int = 37, height: int = 21) -> None:
     """Forward, backward and forward mode."""
     load_forward_mode()
     splats, inputs = polygons(field, width, height)
-    # s_h is a sum of terms as large as these, each rounded; what it makes of the image is of the same size
-    tolerance = ROUNDING * max(300.0, float(inputs[1].abs().amax() if len(splats) else 0))
-    leaves = [[t.to(kind).clone().requires_grad_() for t in inputs] for kind in (torch.float64, torch.float32)]
-    expected = layers(splats, tuple(leaves[0]), composite_reference)
-    found = layers(splats, tuple(leaves[1]), composite_kernel)
-    assert found.features.dtype == torch.float32
-    for name in ("features", "transmittance"):
-        assert_agrees(getattr(found, name), getattr(expected, name), relative=tolerance, name=name)
-    # where two weigh nearly the same, either may be named
-    assert (found.heaviest == expected.heaviest).float().mean() > 0.999
-
-    gradients = []
-    for image, leaf in zip((expected, found), leaves, strict=True):
-        features, transmittance = weights(image.features.shape), weights(image.transmittance.shape)
-        loss = (features * image.features).sum() + (transmittance * image.transmittance).sum()
-        gradients.append(torch.autograd.grad(loss, leaf, allow_unused=True, materialize_grads=True))
-    names = ("coordinates", "lines", "sharpness", "opacity", "features")
-    for name, reference, kernel in zip(names, *gradients, strict=True):
-        assert_agrees(kernel, reference, relative=10 * tolerance, name=name)
+    tolerance = rounding(splats, inputs)
+    compare_composites(splats, inputs, composite_kernel, tolerance)
 
     directions = [
         tuple(1e-2 * weights(t.shape).to(t) * t.abs().mean() for t in inputs),

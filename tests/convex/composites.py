@@ -1,0 +1,63 @@
+"""Ways to composite the same polygons, compared with the reference: image and gradients."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from physconvex.convex import ConvexField
+from physconvex.render import Splats, View, project
+from physconvex.render.reference import Layers, composite_reference
+from tests.convex.agreement import assert_agrees
+from tests.convex.scenes import camera
+
+ROUNDING = 2.0**-24  # of float32
+
+Inputs = tuple[Tensor, ...]  # coordinates, lines, sharpness, opacity, features
+
+
+def polygons(field: ConvexField, width: int = 37, height: int = 21) -> tuple[Splats, Inputs]:
+    """What is drawn, and its differentiable part, rounded to float32 so that both start from the same numbers."""
+    view = View.of(replace(camera(width, height), k1=0.1), torch.float64)
+    splats = project(field, view)
+    inputs = (view.pixel_coordinates(), *splats.differentiable())
+    return splats, tuple(tensor.float() for tensor in inputs)
+
+
+def layers(splats: Splats, inputs: Inputs, composite) -> Layers:
+    coordinates, *polygons = inputs
+    return composite(Splats(splats.convex, splats.starts, *polygons), coordinates)
+
+
+def weights(shape: torch.Size) -> Tensor:
+    return torch.randn(shape, generator=torch.Generator().manual_seed(11), dtype=torch.float64)
+
+
+def rounding(splats: Splats, inputs: Inputs) -> float:
+    """Relative tolerance of float32 against float64."""
+    # s_h is a sum of terms as large as these, each rounded; what it makes of the image is of the same size
+    return ROUNDING * max(300.0, float(inputs[1].abs().amax() if len(splats) else 0))
+
+
+def compare_composites(
+    splats: Splats, inputs: Inputs, composite: Callable[[Splats, Tensor], Layers], tolerance: float
+) -> None:
+    """In float32 against the reference in float64."""
+    leaves = [[t.to(kind).clone().requires_grad_() for t in inputs] for kind in (torch.float64, torch.float32)]
+    expected = layers(splats, tuple(leaves[0]), composite_reference)
+    found = layers(splats, tuple(leaves[1]), composite)
+    assert found.features.dtype == torch.float32
+    for name in ("features", "transmittance"):
+        assert_agrees(getattr(found, name), getattr(expected, name), relative=tolerance, name=name)
+    # where two weigh nearly the same, either may be named
+    assert (found.heaviest == expected.heaviest).float().mean() > 0.999
+
+    gradients = []
+    for image, leaf in zip((expected, found), leaves, strict=True):
+        features, transmittance = weights(image.features.shape), weights(image.transmittance.shape)
+        loss = (features * image.features).sum() + (transmittance * image.transmittance).sum()
+        gradients.append(torch.autograd.grad(loss, leaf, allow_unused=True, materialize_grads=True))
+    names = ("coordinates", "lines", "sharpness", "opacity", "features")
+    for name, reference, kernel in zip(names, *gradients, strict=True):
+        assert_agrees(kernel, reference, relative=10 * tolerance, name=name)
