@@ -18,6 +18,7 @@ _STAGES = {
     "points": "following points in the videos",
     "scan": "scanning Young's modulus",
     "reduced": "fitting the reduced model",
+    "coarse": "fitting the full model on few nodes",
     "anchored": "following the points again from the model",
     "reduced_again": "fitting the reduced model again",
     "correction": "correcting with the full model",

@@ -31,6 +31,7 @@ from physconvex.identify import (
     Observations,
     Parameter,
     ReducedModel,
+    RollOuts,
     Twin,
     TwinOptions,
     base_twin,
@@ -45,11 +46,15 @@ from physconvex.identify import (
 from physconvex.identify.full_fit import FULL_OPTIONS
 from physconvex.identify.nuisance import MarginalObservations, Nuisance
 from physconvex.identify.setup import with_free_friction
+from physconvex.identify.twin import coarse_mesh
 from physconvex.reduced import parameter_values
 
 __all__ = ["refine"]
 
-_CHEAP_WEIGHTS = 6
+_CHEAP_WEIGHTS, _COARSE_RUNS = 6, 6
+_START = FitOptions(relative_tolerance=1e-3, absolute_tolerance=0.1, max_step=1.5)
+_STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses the body; least and most per second
+FRICTION_PASSES = 3  # in each step of the search; as many as are needed in the motion
 Arrays = dict[str, np.ndarray]
 Start = tuple[Parameter, ...]
 
@@ -110,8 +115,10 @@ class _Problem:
     def reduced(self) -> ReducedModel:
         return ReducedModel(self.twin, self.names, self.seen.points, self.frames)
 
-    def full(self) -> FullModel:
-        return FullModel(self.twin, self.names, self.seen.points, self.frames)
+    def full(self, memory: RollOuts) -> FullModel:
+        return FullModel(
+            self.twin, self.names, self.seen.points, self.frames, friction_passes=FRICTION_PASSES, memory=memory
+        )
 
     @property
     def frames(self) -> int:
@@ -138,20 +145,27 @@ class _Run:
     def __init__(self, capture: Capture, options: RefineOptions, stages: Stages) -> None:
         self.capture, self.options, self.stages = capture, options, stages
         self.warnings: list[str] = []
+        self.start_model: FullModel | None = None  # what the points are followed again by
+        self.memory = RollOuts()
+
+    @property
+    def own(self) -> bool:
+        """Whether the full model is fitted with its own derivatives."""
+        return self.options.correction and self.options.jacobian == "full"
 
     def refine(self) -> Refinement:
         problem = self._problem()
-        start = self._reduced_fit(problem)
+        reduced = start = self._reduced_fit(problem)
+        if self.own:
+            start = self._coarse_fit(problem, reduced)
         if problem.observed.can_be_anchored:
-            anchored = problem.observed.anchored(self.capture, problem.twin, start, self.stages)
-            problem = replace(problem, observed=anchored)
-            again = tuple(p.at(float(v)) for p, v in zip(problem.parameters, start.values, strict=True))
-            start = self._fit("reduced_again", problem, again)
-        final, runs, converged = self._corrected(problem, start)
-        own = self.options.jacobian == "full" or not self.options.correction
-        if self.options.colours and own and problem.observed.cameras:
+            problem, start = self._anchored(problem, start)
+        problem = self._with_step(problem, start)
+        coloured = self.options.colours and (self.own or not self.options.correction) and problem.observed.cameras
+        final, runs, converged = self._corrected(problem, start, last=not coloured)
+        if coloured:
             problem, final = self._coloured(problem, final)
-        return self._result(problem, start, final, runs, converged)
+        return self._result(problem, reduced, final, runs, converged)
 
     # -- set-up
 
@@ -182,14 +196,15 @@ class _Run:
     def _reduced_fit(self, problem: _Problem) -> Fit:
         names = problem.names
         if "log10_youngs_modulus" not in names or "log10_youngs_modulus" in self.options.initial:
-            return self._fit("reduced", problem, problem.parameters)
+            first = replace(problem, twin=self._cheap(problem)) if self.own else problem
+            return self._fit("reduced", first, problem.parameters)
         starts = scan_of(self.stages.run("scan", lambda: self._scan(problem)), problem.parameters)
         return fit_of(self.stages.run("reduced", lambda: self._best(problem, starts)), problem.parameters)
 
     def _cheap(self, problem: _Problem) -> Twin:
-        """Few weights and long steps, the same world: for the scan."""
+        """Few weights, few nodes and long steps, the same world: for the scan."""
         options = self._twin_options(min(_CHEAP_WEIGHTS, self.options.weights))
-        twin = base_twin(self.capture, options, mesh=problem.twin.mesh)
+        twin = base_twin(self.capture, options, mesh=coarse_mesh(self.capture, problem.twin.mesh))
         own = problem.twin.scene
         twin = twin.with_scene(
             obstacles=own.obstacles,
@@ -215,6 +230,8 @@ class _Run:
         cheap = replace(problem, twin=self._cheap(problem))
         trials = [trial for start in starts if (trial := self._grown(cheap, start)) is not None]
         best = min(trials, key=lambda trial: trial.misfit) if trials else None
+        if best is not None and self.own:  # a finer reduced model would cost as much as the full one, which comes next
+            return arrays_of_fit(best)
         chosen = starts[0] if best is None else _from(problem.parameters, best)
         return arrays_of_fit(self._fitted(problem, chosen))
 
@@ -243,18 +260,70 @@ class _Run:
         arrays = self.stages.run(name, lambda: arrays_of_fit(self._fitted(problem, start)))
         return fit_of(arrays, problem.parameters)
 
-    def _corrected(self, problem: _Problem, start: Fit) -> tuple[Fit, dict[str, np.ndarray], bool]:
+    def _coarse_fit(self, problem: _Problem, start: Fit) -> Fit:
+        """The full model on few nodes, with long steps: a start without the reduced model's stiffness."""
+        twin = replace(problem.twin, steps_per_frame=max(4, problem.twin.steps_per_frame // 2))
+        mesh = coarse_mesh(self.capture, twin.mesh)
+        coarse = replace(problem.full(self.memory), twin=twin, mesh=None if mesh is twin.mesh else mesh)
+
+        def compute() -> Arrays:
+            return arrays_of_fit(fit_full(coarse, problem.seen, start, max_runs=_COARSE_RUNS, options=_START).fit)
+
+        self.start_model = coarse
+        try:
+            return fit_of(self.stages.run("coarse", compute), problem.parameters)
+        except ConvergenceError:  # too few nodes to be simulated: from the reduced model then
+            self.start_model = None
+            return start
+
+    def _anchored(self, problem: _Problem, start: Fit) -> tuple[_Problem, Fit]:
+        """Points followed again from where the fitted model puts them; the reduced model is fitted to them anew."""
+
+        def move(points: np.ndarray) -> np.ndarray:
+            model = self.start_model or problem.reduced()
+            return replace(model, points=points).positions(start.values)
+
+        anchored = problem.observed.anchored(self.capture, problem.twin, move, self.stages)
+        problem = replace(problem, observed=anchored)
+        if self.own:
+            return problem, start
+        return problem, self._fit("reduced_again", problem, _from(problem.parameters, start))
+
+    def _with_step(self, problem: _Problem, start: Fit) -> _Problem:
+        """The problem with time steps that suit the body's elastic waves, unless the user gave their number.
+
+        A body that strikes something rings with periods of about twice its size over the speed of its waves.
+        """
+        twin = problem.twin
+        if self.options.steps_per_frame is not None or not twin.scene.obstacles or twin.clamp is not None:
+            return problem
+        values = parameter_values(
+            twin.with_values(start.names, start.values).scene, ["log10_youngs_modulus", "density"]
+        )
+        speed = float(np.sqrt(10.0 ** values[0] / values[1]))
+        rate = float(np.clip(_STEPS_PER_CROSSING * speed / twin.mesh.size, *_RATES))
+        return replace(problem, twin=replace(twin, steps_per_frame=max(4, math.ceil(rate / twin.fps))))
+
+    def _corrected(self, problem: _Problem, start: Fit, *, last: bool) -> tuple[Fit, dict[str, np.ndarray], bool]:
         if not self.options.correction:
             return start, {}, start.converged
 
         def compute() -> dict[str, np.ndarray]:
             most = self.options.full_runs
-            if self.options.jacobian == "full":
-                return arrays_of_correction(fit_full(problem.full(), problem.seen, start, max_runs=most))
-            found = correct(problem.reduced(), problem.full(), problem.seen, start, max_runs=most)
-            return arrays_of_correction(found)
+            full = problem.full(self.memory)
+            if self.own:
+                settings = FULL_OPTIONS if last else _START
+                return arrays_of_correction(fit_full(full, problem.seen, start, max_runs=most, options=settings))
+            return arrays_of_correction(correct(problem.reduced(), full, problem.seen, start, max_runs=most))
 
-        arrays = self.stages.run("correction", compute)
+        try:
+            arrays = self.stages.run("correction", compute)
+        except ConvergenceError as error:
+            self.options = replace(self.options, correction=False)
+            self.warnings.append(
+                f"The full model could not be run ({error}): the result is the reduced model's, which is too stiff."
+            )
+            return start, {}, start.converged
         final = fit_of(arrays, problem.parameters)
         converged = bool(arrays["correction_converged"])
         if not converged:
@@ -264,22 +333,30 @@ class _Run:
 
     def _coloured(self, problem: _Problem, found: Fit) -> tuple[_Problem, Fit]:
         """Fit the colours, from a wide blur to a narrow one."""
+        kept = problem
         for blur in BLURS:
-            observed = coloured(problem.observed, self.capture, problem.twin, found, self.options, blur)
+            model = problem.full(self.memory) if self.options.correction else problem.reduced()
+            observed = coloured(problem.observed, self.capture, problem.twin, model, found, self.options, blur)
             trial = replace(problem, observed=observed)
             start = _from(problem.parameters, found)
-            model = trial.full() if self.options.correction and self.options.jacobian == "full" else trial.reduced()
+            model = trial.full(self.memory) if self.own else trial.reduced()
 
             def compute(model: Model = model, seen: Observations = trial.seen, start: Start = start) -> Arrays:
                 return arrays_of_fit(fit(model, seen, start, options=FULL_OPTIONS))
 
-            found = fit_of(self.stages.run(f"colours_{blur:g}", compute), problem.parameters)
-        return trial, found
+            try:
+                found = fit_of(self.stages.run(f"colours_{blur:g}", compute), problem.parameters)
+            except ConvergenceError as error:
+                self.warnings.append(f"Colours were not compared: the model failed ({error}).")
+                return kept, found
+            kept = trial
+        return kept, found
 
     def _result(
         self, problem: _Problem, start: Fit, final: Fit, arrays: dict[str, np.ndarray], converged: bool
     ) -> Refinement:
-        judged = judge(problem.twin, final, problem.seen, self.options, self.stages, self.warnings)
+        full = problem.full(self.memory)
+        judged = judge(full, final, problem.seen, self.options, self.stages, self.warnings)
         final = judged.fit
         motion = motion_of(self.capture, problem.twin, final, self.options, self.stages, mesh=judged.mesh)
         appearance = appearance_of(self.capture, motion, self.options, self.stages, self.warnings.append)
@@ -289,7 +366,7 @@ class _Run:
         values = parameter_values(problem.twin.scene, held) if held else np.zeros(0)
         return Refinement(
             path=str(self.capture.folder),
-            estimates=estimates_of(final, judged.left, told),
+            estimates=estimates_of(final, judged.left, told, problem.seen.frames),
             fixed=dict(zip(held, map(float, values), strict=True)),
             covariance=noise_covariance(final),
             reduced_chi_square=final.reduced_chi_square,

@@ -125,7 +125,15 @@ class StepEquations:
             self.response = self.body.flow_step(self.undo, x, self._duration)
 
     def evaluate(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        energy, gradient = self.body.energy_and_gradient(x, response=self.response)
+        """The potential [J] and its gradient [N]."""
+        return self._evaluate(x, with_energy=True)
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        """The gradient [N] alone."""
+        return self._evaluate(x, with_energy=False)[1]
+
+    def _evaluate(self, x: np.ndarray, *, with_energy: bool) -> tuple[float, np.ndarray]:
+        energy, gradient = self._body_energy_and_gradient(x, with_energy=with_energy)
         touch, push = self.contact.energy_and_gradient(x, self.time)
         energy += touch - float((self.forces * (x - self.scene.start)).sum())
         gradient = gradient + push - self.forces
@@ -137,6 +145,20 @@ class StepEquations:
         gradient[self.fixed] = 0.0
         return energy, gradient
 
+    def _body_energy_and_gradient(self, x: np.ndarray, *, with_energy: bool) -> tuple[float, np.ndarray]:
+        """Of elasticity, and of viscosity during a time step."""
+        if self.coefficients is None or self.viscous is None:
+            return self.body.energy_and_gradient(x, response=self.response)
+        return self.body.moving_energy_and_gradient(
+            x,
+            self.coefficients.velocity(x),
+            self.viscous,
+            damping_time=self.scene.damping_time,
+            step=self.coefficients.step,
+            response=self.response,
+            with_energy=with_energy,
+        )
+
     def _inertia(self, x: np.ndarray, c: StepCoefficients) -> tuple[float, np.ndarray]:
         offset = x - c.target
         pull = self.body.mass @ offset / c.step**2
@@ -144,9 +166,6 @@ class StepEquations:
 
     def _dissipation(self, velocity: np.ndarray) -> tuple[float, np.ndarray]:
         loss, force = self.contact.friction_energy_and_gradient(self.friction, velocity)
-        if self.viscous is not None:
-            power, push = self.body.viscous_energy_and_gradient(self.viscous, velocity, self.scene.damping_time)
-            loss, force = loss + power, force + push
         if self.scene.wind is not None:
             power, blow = self.scene.wind.energy_and_gradient(velocity, self.contact.areas, self.time)
             loss, force = loss + power, force + blow

@@ -11,13 +11,13 @@ from jaxtyping import Float
 
 from physconvex.capture import Capture
 from physconvex.contact import Plane
-from physconvex.errors import InputError
+from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import ElasticBody, Scene, TetMesh, to_quadratic
 from physconvex.fem.meshing import tetrahedralize
 from physconvex.identify.clamping import Clamp, clamp_of
 from physconvex.reduced import BodySamples, ReducedBody, ReducedScene, ReducedSpace, eigenmode_weights, with_parameters
 
-__all__ = ["Twin", "TwinOptions", "base_twin", "mesh_of_capture"]
+__all__ = ["Twin", "TwinOptions", "base_twin", "coarse_mesh", "mesh_of_capture"]
 
 RATE = 384.0  # time steps per second at least: below 0.02 decades of E by the time step, see design notes
 
@@ -147,6 +147,17 @@ def mesh_of_capture(capture: Capture, *, max_nodes: int = 700) -> TetMesh:
         )
     pair = (np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces))
     return tetrahedralize(pair, max_nodes=max_nodes, order=2, method="auto")
+
+
+def coarse_mesh(capture: Capture, mesh: TetMesh, *, max_nodes: int = 200) -> TetMesh:
+    """A quadratic mesh of a capture with fewer nodes than the given one, or that one where it is small already."""
+    if len(mesh.vertices) <= 1.5 * max_nodes:
+        return mesh
+    try:
+        coarse = mesh_of_capture(capture, max_nodes=max_nodes)
+    except ConvergenceError:  # the shape asks for more nodes
+        return mesh
+    return coarse if len(coarse.vertices) < len(mesh.vertices) else mesh
 
 
 def _reference(capture: Capture, mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
