@@ -30,7 +30,7 @@ from physconvex import __version__
 from physconvex.camera import Camera
 from physconvex.capture import Capture, Floor, save_capture
 from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, Embedding, Plane, Scene, TetMesh, simulate
+from physconvex.fem import ElasticBody, Embedding, Plane, Scene, SurfacePoints, TetMesh, simulate
 from physconvex.fem.meshing import tetrahedralize
 from physconvex.identify.changes import CHANGES, changed
 from physconvex.video import write_video
@@ -144,7 +144,7 @@ def _make(out: Path, name: str, path: Path, options: BenchmarkOptions, rng: np.r
         "damping_time": float(np.exp(rng.uniform(*np.log(options.damping_time)))),
     }
     mesh = tetrahedralize((body.vertices, body.faces), max_nodes=options.nodes, order=2, method="auto")
-    positions = _rolled(_scene(mesh, truth), options)
+    positions = _rolled(_scene(mesh, truth, body), options)
     surface = Embedding.of_points(mesh, body.vertices)
     moved = surface.apply(positions)
     cameras = _cameras(moved, options)
@@ -152,7 +152,7 @@ def _make(out: Path, name: str, path: Path, options: BenchmarkOptions, rng: np.r
     chosen = np.sort(rng.choice(len(body.vertices), min(POINTS, len(body.vertices)), replace=False))
     arrays = {"rest": body.vertices[chosen], "positions": moved[:, chosen]}
     for change in CHANGES:
-        again = _rolled(changed(_scene(mesh, truth), change), options)
+        again = _rolled(changed(_scene(mesh, truth, body), change), options)
         arrays[f"positions_{change}"] = surface.apply(again)[:, chosen]
     folder = out / "truth" / name
     np.savez_compressed(folder / "points.npz", **arrays)  # type: ignore[arg-type]
@@ -175,11 +175,17 @@ def _placed(body: ObjectMesh, size: float, rng: np.random.Generator) -> ObjectMe
     )  # fmt: skip
 
 
-def _scene(mesh: TetMesh, truth: dict[str, float]) -> Scene:
+def _scene(mesh: TetMesh, truth: dict[str, float], shown: ObjectMesh) -> Scene:
+    """The drop; the floor acts on the surface that is shown, since the mesh's own cuts its corners."""
     body = ElasticBody(
         mesh, youngs_modulus=truth["youngs_modulus"], poisson_ratio=truth["poisson_ratio"], density=DENSITY
     )
-    return Scene(body, obstacles=(Plane(friction=FRICTION),), damping_time=truth["damping_time"])
+    return Scene(
+        body,
+        obstacles=(Plane(friction=FRICTION),),
+        damping_time=truth["damping_time"],
+        contact_points=SurfacePoints.of_triangles(shown.vertices, shown.faces),
+    )
 
 
 def _rolled(scene: Scene, options: BenchmarkOptions, *, share: float = 1.0) -> np.ndarray:
@@ -193,7 +199,7 @@ def _errors(body: ObjectMesh, truth: dict[str, float], moved: np.ndarray, option
     coarse = tetrahedralize((body.vertices, body.faces), max_nodes=options.nodes // 2, order=2, method="auto")
     out = {}
     for label, grid, share in (("half_steps", mesh, 0.5), ("half_nodes", coarse, 1.0)):
-        other = Embedding.of_points(grid, body.vertices).apply(_rolled(_scene(grid, truth), options, share=share))
+        other = Embedding.of_points(grid, body.vertices).apply(_rolled(_scene(grid, truth, body), options, share=share))
         out[f"rms_to_{label}_m"] = np.sqrt(np.square(other - moved).sum(-1).mean(-1)).tolist()
     return out
 

@@ -19,6 +19,7 @@ _STAGES = {
     "scan": "scanning Young's modulus",
     "reduced": "fitting the reduced model",
     "coarse": "fitting the full model on few nodes",
+    "frame_errors": "comparing few nodes with more",
     "anchored": "following the points again from the model",
     "reduced_again": "fitting the reduced model again",
     "correction": "correcting with the full model",

@@ -23,6 +23,7 @@ from inference.refining.stages import Stages, key_of
 from inference.refining.starting import scan_range
 from physconvex.capture import Capture, load_capture
 from physconvex.errors import ConvergenceError, InputError
+from physconvex.fem import SurfacePoints
 from physconvex.identify import (
     Fit,
     FitOptions,
@@ -34,11 +35,13 @@ from physconvex.identify import (
     RollOuts,
     Twin,
     TwinOptions,
+    WeightedObservations,
     base_twin,
     correct,
     default_parameters,
     fit,
     fit_full,
+    frame_errors,
     identifiability,
     noise_covariance,
     scan,
@@ -54,6 +57,7 @@ __all__ = ["refine"]
 _CHEAP_WEIGHTS, _COARSE_RUNS = 6, 6
 _START = FitOptions(relative_tolerance=1e-3, absolute_tolerance=0.1, max_step=1.5)
 _STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses the body; least and most per second
+_LEFT = 0.5  # of the difference between few and more nodes: what more nodes still err by
 FRICTION_PASSES = 3  # in each step of the search; as many as are needed in the motion
 Arrays = dict[str, np.ndarray]
 Start = tuple[Parameter, ...]
@@ -102,6 +106,8 @@ class _Problem:
     parameters: tuple[Parameter, ...]
     observed: Observed
     nuisance: Nuisance = field(default_factory=Nuisance)
+    surface: SurfacePoints | None = None
+    errors: np.ndarray | None = None  # of the model by frame, in standard deviations of the noise
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -112,12 +118,23 @@ class _Problem:
         seen = self.observed.observations
         return MarginalObservations(seen, self.nuisance, 1 / self.twin.fps) if self.nuisance.any else seen
 
+    @property
+    def weighted(self) -> Observations:
+        """What was seen, frames counting by how well the model knows them."""
+        return self.seen if self.errors is None else WeightedObservations.by_errors(self.seen, self.errors)
+
     def reduced(self) -> ReducedModel:
         return ReducedModel(self.twin, self.names, self.seen.points, self.frames)
 
     def full(self, memory: RollOuts) -> FullModel:
         return FullModel(
-            self.twin, self.names, self.seen.points, self.frames, friction_passes=FRICTION_PASSES, memory=memory
+            self.twin,
+            self.names,
+            self.seen.points,
+            self.frames,
+            friction_passes=FRICTION_PASSES,
+            surface=self.surface,
+            memory=memory,
         )
 
     @property
@@ -161,6 +178,8 @@ class _Run:
         if problem.observed.can_be_anchored:
             problem, start = self._anchored(problem, start)
         problem = self._with_step(problem, start)
+        if self.own and self.start_model is not None:
+            problem = self._with_errors(problem, self.start_model, start)
         coloured = self.options.colours and (self.own or not self.options.correction) and problem.observed.cameras
         final, runs, converged = self._corrected(problem, start, last=not coloured)
         if coloured:
@@ -186,7 +205,14 @@ class _Run:
         if unknown:
             raise InputError(f"initial: {unknown} are not free; free are {[p.name for p in parameters]}")
         started = tuple(p.at(options.initial.get(p.name, p.start)) for p in parameters)
-        return _Problem(twin, started, observed, options.nuisance)
+        return _Problem(twin, started, observed, options.nuisance, self._surface(twin))
+
+    def _surface(self, twin: Twin) -> SurfacePoints | None:
+        """Where obstacles act on a body that was meshed from its surface; exact tetrahedra have their own nodes."""
+        mesh = self.capture.mesh()
+        if mesh is None or not twin.scene.obstacles:
+            return None
+        return SurfacePoints.of_triangles(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces))
 
     def _twin_options(self, weights: int) -> TwinOptions:
         return TwinOptions(weights, self.options.max_nodes, self.options.steps_per_frame)
@@ -304,6 +330,22 @@ class _Run:
         rate = float(np.clip(_STEPS_PER_CROSSING * speed / twin.mesh.size, *_RATES))
         return replace(problem, twin=replace(twin, steps_per_frame=max(4, math.ceil(rate / twin.fps))))
 
+    def _with_errors(self, problem: _Problem, coarse: FullModel, start: Fit) -> _Problem:
+        """The problem with what more nodes change by frame: after an impact bodies of few nodes soon go astray."""
+
+        def compute() -> Arrays:
+            points = problem.seen.points
+            fine = problem.full(self.memory).linearise(start.values)[0]  # the search begins with these derivatives
+            return {
+                "errors": _LEFT
+                * frame_errors(problem.seen, fine, replace(coarse, points=points).positions(start.values))
+            }
+
+        try:
+            return replace(problem, errors=self.stages.run("frame_errors", compute)["errors"])
+        except ConvergenceError:  # the correction will say so
+            return problem
+
     def _corrected(self, problem: _Problem, start: Fit, *, last: bool) -> tuple[Fit, dict[str, np.ndarray], bool]:
         if not self.options.correction:
             return start, {}, start.converged
@@ -313,7 +355,7 @@ class _Run:
             full = problem.full(self.memory)
             if self.own:
                 settings = FULL_OPTIONS if last else _START
-                return arrays_of_correction(fit_full(full, problem.seen, start, max_runs=most, options=settings))
+                return arrays_of_correction(fit_full(full, problem.weighted, start, max_runs=most, options=settings))
             return arrays_of_correction(correct(problem.reduced(), full, problem.seen, start, max_runs=most))
 
         try:
@@ -341,7 +383,7 @@ class _Run:
             start = _from(problem.parameters, found)
             model = trial.full(self.memory) if self.own else trial.reduced()
 
-            def compute(model: Model = model, seen: Observations = trial.seen, start: Start = start) -> Arrays:
+            def compute(model: Model = model, seen: Observations = trial.weighted, start: Start = start) -> Arrays:
                 return arrays_of_fit(fit(model, seen, start, options=FULL_OPTIONS))
 
             try:
@@ -358,7 +400,7 @@ class _Run:
         full = problem.full(self.memory)
         judged = judge(full, final, problem.seen, self.options, self.stages, self.warnings)
         final = judged.fit
-        motion = motion_of(self.capture, problem.twin, final, self.options, self.stages, mesh=judged.mesh)
+        motion = motion_of(self.capture, full, final, self.options, self.stages, mesh=judged.mesh)
         appearance = appearance_of(self.capture, motion, self.options, self.stages, self.warnings.append)
         told = identifiability(final)
         held = [n for n in dict.fromkeys(["log10_youngs_modulus", "poisson_ratio", *self.options.fixed])]

@@ -2,6 +2,7 @@
 
 from physconvex.contact import Plane, Sphere
 from physconvex.fem.body import ElasticBody
+from physconvex.fem.carried_contact import CarriedContact, SurfacePoints
 from physconvex.fem.embedding import Embedding, sample_interior
 from physconvex.fem.implicit_meshing import tetrahedralize_implicit
 from physconvex.fem.loads import surface_load
@@ -14,6 +15,7 @@ from physconvex.fem.sensitivity import SensitiveTrajectory, simulate_with_sensit
 from physconvex.fem.simulation import SolveStatistics, Trajectory, simulate, solve_static
 
 __all__ = [
+    "CarriedContact",
     "ElasticBody",
     "Embedding",
     "Pins",
@@ -22,6 +24,7 @@ __all__ = [
     "SensitiveTrajectory",
     "SolveStatistics",
     "Sphere",
+    "SurfacePoints",
     "TetMesh",
     "Trajectory",
     "box_mesh",

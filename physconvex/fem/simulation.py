@@ -13,6 +13,7 @@ from torch import Tensor
 from physconvex.contact import Friction
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem.assembly import Assembler
+from physconvex.fem.carried_contact import CarriedContact
 from physconvex.fem.scene import Scene
 from physconvex.inelastic import FlowStep
 from physconvex.integrators import (
@@ -167,7 +168,7 @@ class StepEquations:
     def _dissipation(self, velocity: np.ndarray) -> tuple[float, np.ndarray]:
         loss, force = self.contact.friction_energy_and_gradient(self.friction, velocity)
         if self.scene.wind is not None:
-            power, blow = self.scene.wind.energy_and_gradient(velocity, self.contact.areas, self.time)
+            power, blow = self.scene.wind.energy_and_gradient(velocity, self.body.mesh.node_areas, self.time)
             loss, force = loss + power, force + blow
         if self.scene.air_drag > 0:
             momentum = self.scene.air_drag * (self.body.mass @ velocity)
@@ -182,18 +183,26 @@ class StepEquations:
             x, project=project, viscous_state=self.viscous, damping_ratio=ratio, response=self.response
         )
         blocks = self.contact.hessian_blocks(x, self.time)
-        inertia = 0.0
+        inertia, wind = 0.0, None
         if self.coefficients is not None:
             inertia = 1 / step**2 + self.scene.air_drag / step
             if self.friction:
                 blocks += self.contact.friction_blocks(self.friction) / step
             if self.scene.wind is not None:
                 velocity = self.coefficients.velocity(x)
-                blocks += self.scene.wind.blocks(velocity, self.contact.areas, self.time) / step
+                wind = self.scene.wind.blocks(velocity, self.body.mesh.node_areas, self.time) / step
             self._factorised_step = step
-        data = self.assembler.elements(local) + self.assembler.blocks(blocks) + inertia * self._mass_data
+        data = self._with_contact(local, blocks) + inertia * self._mass_data
+        if wind is not None:
+            data = data + self.assembler.blocks(wind)
         self.solver.factorise(data)
         self.factorised = True
+
+    def _with_contact(self, local: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+        """Entries of the matrix: of the elements, and of contact at nodes or at points that elements carry."""
+        if isinstance(self.contact, CarriedContact):
+            return self.assembler.elements(self.contact.added_to_elements(local, blocks))
+        return self.assembler.elements(local) + self.assembler.blocks(blocks)
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         out = np.zeros_like(rhs)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
@@ -14,6 +14,7 @@ from physconvex.errors import InputError
 from physconvex.fem import Scene
 from physconvex.fem import simulate as simulate_full
 from physconvex.fem import simulate_with_sensitivities as full_with_sensitivities
+from physconvex.fem.carried_contact import SurfacePoints
 from physconvex.fem.embedding import Embedding
 from physconvex.fem.mesh import TetMesh
 from physconvex.fem.sensitivity import SensitiveTrajectory
@@ -120,6 +121,7 @@ class FullModel:
         mesh: another mesh of the same geometry; the twin's own unless given.
         refinement: factor on the number of time steps.
         friction_passes: most linearisations of friction in each step, see `physconvex.fem.simulate`.
+        surface: points at which obstacles act, in the place of the boundary's nodes.
         memory: of the last linearised roll-outs; may be shared among models.
     """
 
@@ -130,6 +132,7 @@ class FullModel:
     mesh: TetMesh | None = None
     refinement: int = 1
     friction_passes: int = PASSES
+    surface: SurfacePoints | None = None
     memory: RollOuts = field(default_factory=RollOuts)
 
     @cached_property
@@ -144,7 +147,8 @@ class FullModel:
 
     def scene(self, values: Float[np.ndarray, " K"]) -> Scene:
         """The scene with the parameters set."""
-        return self.twin.with_values(self.names, values).full_scene(self.mesh)
+        scene = self.twin.with_values(self.names, values).full_scene(self.mesh)
+        return scene if self.surface is None else replace(scene, contact_points=self.surface)
 
     def _timing(self) -> dict[str, Any]:
         timing = self.twin.timing(self.frames)
@@ -153,7 +157,7 @@ class FullModel:
 
     def _key(self, values: np.ndarray) -> Hashable:
         grid = id(self.twin.mesh if self.mesh is None else self.mesh)
-        how = (self.refinement, self.friction_passes, self.frames)
+        how = (self.refinement, self.friction_passes, self.frames, id(self.surface))
         return (self.twin, grid, self.names, *how, np.asarray(values, dtype=np.float64).tobytes())
 
     def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
