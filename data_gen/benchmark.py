@@ -35,7 +35,7 @@ from physconvex.fem.meshing import tetrahedralize
 from physconvex.identify.changes import CHANGES, changed
 from physconvex.video import write_video
 
-__all__ = ["BenchmarkOptions", "generate_benchmark"]
+__all__ = ["BenchmarkOptions", "drop_object", "generate_benchmark"]
 
 DENSITY, FRICTION, HEIGHT = 1000.0, 0.4, 0.25  # kg/m³; coefficient; of the drop, in sizes
 POINTS = 300
@@ -116,6 +116,43 @@ def generate_benchmark(
         if on_object is not None:
             on_object(name)
     return list(paths)
+
+
+def drop_object(
+    folder: Path, mesh: Path, truth: dict[str, float], options: BenchmarkOptions, rng: np.random.Generator
+) -> tuple[Path, np.ndarray]:
+    """One object dropped and filmed from the front, unless it is there.
+
+    Args:
+        folder: of the capture; the motion is stored beside it, as `NAME_motion.npz`.
+        mesh: a textured mesh.
+        truth: youngs_modulus [Pa], poisson_ratio, damping_time [s].
+        options: sizes.
+        rng: how the object is turned.
+
+    Returns:
+        The folder, and the positions [m] of the mesh's vertices at the frames, shape [T, V, 3].
+    """
+    kept = folder.parent / f"{folder.name}_motion.npz"
+    if not kept.exists():
+        body = _placed(load_user_mesh(mesh), options.object_size, rng)
+        grid = tetrahedralize((body.vertices, body.faces), max_nodes=options.nodes, order=2, method="auto")
+        moved = Embedding.of_points(grid, body.vertices).apply(_rolled(_scene(grid, truth, body), options))
+        camera = _cameras(moved, options)[0]
+        white, mask = _filmed(body, moved, camera)
+        _write_capture(folder, body, camera, white, mask, options)
+        np.savez_compressed(kept, moved=moved)
+    with np.load(kept, allow_pickle=False) as archive:
+        return folder, archive["moved"]
+
+
+def _filmed(body: ObjectMesh, moved: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """The object before white [T, H, W, 3], and where it is seen [T, H, W]."""
+    surface = Surface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
+    frames = np.stack(rendered_frames(surface, camera, FLAT, moved))
+    alpha = frames[..., 3:].astype(np.float32) / 255
+    white = (frames[..., :3] * alpha + 255 * (1 - alpha)).round().astype(np.uint8)
+    return white, frames[..., 3] > 127
 
 
 def _plain(options: BenchmarkOptions) -> Any:
@@ -213,16 +250,13 @@ def _cameras(moved: np.ndarray, options: BenchmarkOptions) -> list[Camera]:
 def _write_pictures(
     out: Path, name: str, body: ObjectMesh, moved: np.ndarray, cameras: list[Camera], options: BenchmarkOptions
 ) -> None:
-    surface = Surface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
     truth = out / "truth" / name
     truth.mkdir(parents=True, exist_ok=True)
     for number, camera in enumerate(cameras):
-        frames = np.stack(rendered_frames(surface, camera, FLAT, moved))
-        alpha = frames[..., 3:].astype(np.float32) / 255
-        white = (frames[..., :3] * alpha + 255 * (1 - alpha)).round().astype(np.uint8)
+        white, mask = _filmed(body, moved, camera)
         write_video(truth / f"{camera.name}.mp4", white, fps=options.fps, crf=6)
         if number == 0 and not (out / "captures" / name).exists():
-            _write_capture(out / "captures" / name, body, camera, white, frames[..., 3] > 127, options)
+            _write_capture(out / "captures" / name, body, camera, white, mask, options)
     (truth / "cameras.json").write_text(json.dumps([c.to_json() for c in cameras], indent=1) + "\n", encoding="utf-8")
     if not (out / "first_frames" / name).exists():
         (out / "first_frames").mkdir(exist_ok=True)

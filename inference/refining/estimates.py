@@ -12,7 +12,7 @@ from inference.refining.options import RefineOptions
 from inference.refining.result import Estimate, interval_of
 from inference.refining.stages import Stages
 from physconvex.errors import ConvergenceError
-from physconvex.fem import TetMesh, tetrahedralize
+from physconvex.fem import TetMesh
 from physconvex.fem.mesh import refine as subdivided
 from physconvex.identify import (
     FinerFit,
@@ -28,6 +28,7 @@ from physconvex.identify import (
     noise_covariance,
     parameter_shift,
 )
+from physconvex.identify.faithful import faithful_mesh
 
 __all__ = ["Judged", "estimates_of", "finer_mesh", "judge"]
 
@@ -83,9 +84,10 @@ def finer_mesh(twin: Twin) -> TetMesh | None:
         return None
     pair = (np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces))
     try:
-        return tetrahedralize(pair, max_nodes=int(_FINER * len(mesh.vertices)), order=2, method="auto")
+        fine = faithful_mesh(*pair, max_nodes=int(_FINER * len(mesh.vertices)))
     except ConvergenceError:
         return None
+    return fine if len(fine.vertices) > 1.2 * len(mesh.vertices) else None
 
 
 @dataclass(frozen=True, eq=False)

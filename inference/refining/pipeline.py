@@ -13,7 +13,7 @@ import numpy as np
 from inference.prediction import Prediction
 from inference.refining.appearance import appearance_of
 from inference.refining.colouring import BLURS, coloured
-from inference.refining.estimates import estimates_of, judge
+from inference.refining.estimates import estimates_of, finer_mesh, judge
 from inference.refining.fits import arrays_of_correction, arrays_of_fit, arrays_of_scan, fit_of, runs_of, scan_of
 from inference.refining.motion import future_rms, motion_of
 from inference.refining.observing import Observed, observe
@@ -334,12 +334,11 @@ class _Run:
         """The problem with what more nodes change by frame: after an impact bodies of few nodes soon go astray."""
 
         def compute() -> Arrays:
-            points = problem.seen.points
-            fine = problem.full(self.memory).linearise(start.values)[0]  # the search begins with these derivatives
-            return {
-                "errors": _LEFT
-                * frame_errors(problem.seen, fine, replace(coarse, points=points).positions(start.values))
-            }
+            full = problem.full(self.memory)
+            here = full.linearise(start.values)[0]  # the search begins with these derivatives
+            mesh = finer_mesh(problem.twin) if coarse.mesh is None else coarse.mesh
+            there = here if mesh is None else replace(full, mesh=mesh).positions(start.values)
+            return {"errors": _LEFT * frame_errors(problem.seen, here, there)}
 
         try:
             return replace(problem, errors=self.stages.run("frame_errors", compute)["errors"])
