@@ -5,7 +5,8 @@ python benchmarks/reduced_robustness.py --scenes 1000
 Each scene draws a family (stiff and nearly incompressible, very soft, thin, of two components, 10 cm, 10 m, or
 anything), a law, number of weights, friction, tilt, velocity and spin, and runs for 10 s at 24 frames per second, eight
 steps each. Results are stored as they come; a run goes on after the last stored scene. Energy is kinetic + elastic +
-contact + potential at the frames; its gain is the largest rise over what it was at any earlier frame.
+contact + potential at the frames; its gain is the largest rise over what it was at any earlier frame, its excess the
+largest rise over what it was at the start.
 """
 
 from __future__ import annotations
@@ -57,6 +58,7 @@ class Row:
         projections: matrices that had to be made positive.
         energy_gain: largest rise of the energy over its smallest value before, relative to the kinetic energy at the
             start plus the work of gravity over the body's size.
+        energy_excess: largest rise over the energy at the start, relative to the same; negative if it is always less.
         seconds: processor time.
         failure: message of the error.
     """
@@ -73,6 +75,7 @@ class Row:
     halved_steps: int
     projections: int
     energy_gain: float
+    energy_excess: float
     seconds: float
     failure: str = ""
 
@@ -122,11 +125,11 @@ def draw(seed: int) -> tuple[Row, ReducedScene]:
         initial_velocity=0.4 * speed * rng.normal(size=3),
         initial_angular_velocity=0.5 * speed / size * rng.normal(size=3),
     )
-    return Row(seed, family, modulus, ratio, size, law, count, friction, "", 0, 0, np.nan, np.nan), scene
+    return Row(seed, family, modulus, ratio, size, law, count, friction, "", 0, 0, np.nan, np.nan, np.nan), scene
 
 
-def energy_gain(scene: ReducedScene, run: ReducedTrajectory) -> float:
-    """Largest rise of the energy over its running minimum, see `Row`."""
+def energy_rises(scene: ReducedScene, run: ReducedTrajectory) -> tuple[float, float]:
+    """Largest rise of the energy over its running minimum and over its start, see `Row`."""
     body, contact, surface = scene.body, scene.contact(), scene.body.space.surface_values
     weight = body.first_moments[:, None] * np.asarray(scene.gravity)
     total = []
@@ -136,7 +139,9 @@ def energy_gain(scene: ReducedScene, run: ReducedTrajectory) -> float:
         total.append(kinetic + body.energy(y) + touch - float((weight * y).sum()))
     moving = 0.5 * float((run.velocities[0] * (body.mass @ run.velocities[0])).sum())
     scale = moving + body.total_mass * 9.81 * body.space.samples.size
-    return float((np.array(total) - np.minimum.accumulate(total)).max() / scale)
+    energy = np.array(total)
+    gain = float((energy - np.minimum.accumulate(energy)).max())
+    return gain / scale, float((energy[1:] - energy[0]).max()) / scale
 
 
 def measure(seed: int) -> Row:
@@ -148,7 +153,7 @@ def measure(seed: int) -> Row:
         finite = bool(np.isfinite(run.coordinates).all() and np.isfinite(run.velocities).all())
         found["outcome"] = "finished" if finite else "NaN"
         found["halved_steps"], found["projections"] = run.statistics.halved_steps, run.statistics.projections
-        found["energy_gain"] = energy_gain(scene, run)
+        found["energy_gain"], found["energy_excess"] = energy_rises(scene, run)
     except ConvergenceError as error:
         found["outcome"], found["failure"] = "not converged", str(error)
     found["seconds"] = time.process_time() - clock
