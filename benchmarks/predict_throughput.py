@@ -2,8 +2,9 @@
 
 `predict_batch` reads mp4 files (copies of the bundled real ones: 24 frames of 448²), finds the object, runs the
 network, writes all result files and the gallery; the bare network gets the same clips as tensors that are already
-there. The host's part is named step by step, each measured alone on one thread. Where the network keeps all cores busy, the host's processor time is taken from the network's: the
-share that can be reached is network / (network + host) in processor seconds, which other programs hardly change.
+there. The host's part is named step by step, each measured alone on one thread. Where the network keeps all cores
+busy, the host's processor time is taken from the network's: the share that can be reached is network / (network +
+host) in processor seconds, which other programs hardly change.
 
     python benchmarks/predict_throughput.py --checkpoint default --clips 48
 """

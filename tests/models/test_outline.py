@@ -3,7 +3,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import torch
 
 from models.activity import moving_window
 from models.finder_checkpoint import save_finder_network
