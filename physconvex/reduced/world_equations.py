@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from jaxtyping import Float
+from torch import Tensor
 
 from physconvex.contact import Friction
 from physconvex.integrators import State, StepCoefficients
@@ -30,7 +31,7 @@ class _Pair:
 class WorldEquations(DenseNewton):
     """Incremental potential of one time step; coordinates of all bodies below each other, [R_1 + R_2 + …, 3]."""
 
-    viscous = None  # a step's record holds no viscosity: it stays in the equations of each body
+    viscous: Tensor | None = None  # a step's record holds no viscosity: it stays in the equations of each body
     friction: tuple[Friction, ...] = ()
 
     def __init__(self, world: ReducedWorld) -> None:

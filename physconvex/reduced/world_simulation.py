@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.fem.simulation import SolveStatistics
 from physconvex.integrators import IntegratorName, State, check_stepping, frame_states
-from physconvex.reduced.simulation import ReducedTrajectory, Stepper
+from physconvex.reduced.simulation import STALE_RATE, ReducedTrajectory
 from physconvex.reduced.world import ReducedWorld
 from physconvex.reduced.world_equations import WorldEquations
+from physconvex.stepping import SolveStatistics, Stepper
 
 __all__ = ["WorldTrajectory", "simulate_world"]
 
@@ -57,7 +57,8 @@ def simulate_world(
         ConvergenceError: a step failed even after eight halvings.
     """
     check_stepping(frames, fps, steps_per_frame, integrator, friction_passes)
-    stepper = Stepper(WorldEquations(world), integrator, tolerance * world.size, friction_passes)
+    equations = WorldEquations(world)
+    stepper = Stepper(equations, integrator, tolerance * world.size, friction_passes, stale_rate=STALE_RATE)
     places = np.concatenate([scene.start for scene in world.scenes])
     start = State(0.0, places, np.concatenate([scene.start_velocities() for scene in world.scenes]))
     states, flows = [], []

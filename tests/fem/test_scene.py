@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from physconvex import stepping as module
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import (
     ElasticBody,
@@ -14,7 +15,6 @@ from physconvex.fem import (
     skinning_eigenmodes,
     vibration_modes,
 )
-from physconvex.fem import simulation as module
 
 
 def small_body(**constants) -> ElasticBody:
