@@ -24,8 +24,8 @@ __all__ = ["Surface", "tetrahedralize", "tetrahedralize_implicit"]
 MIN_MEAN_RATIO = 0.02
 # How often the resolution is made coarser to respect `max_nodes`, and by how much.
 COARSENINGS, COARSENING_FACTOR = 6, 1.35
-# Volume per area of the surface, in units of fTetWild's tolerance, below which nothing was enclosed: of an open sheet it
-# sometimes leaves a single sliver.
+# Volume per area of the surface, in units of fTetWild's tolerance, below which nothing was enclosed: a single sliver
+# may be left of an open sheet.
 LEAST_THICKNESS = 0.1
 
 
