@@ -27,6 +27,7 @@ from physconvex.integrators import (
 __all__ = ["MAX_HALVINGS", "SolveStatistics", "SolvedPass", "StepObjective", "StepRecord", "Stepper"]
 
 MAX_HALVINGS = 8
+_ENERGY_HALVINGS = 4  # for the energy's sake a step is cut no further
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class SolveStatistics:
         steps: time steps.
         newton_iterations: of all steps.
         factorisations: of Newton's matrix.
-        halved_steps: steps that did not converge and were cut in two.
+        halved_steps: steps that did not converge, or gained energy, and were cut in two.
         projections: matrices that were not positive definite and were projected: the body is near buckling.
     """
 
@@ -121,6 +122,9 @@ class Stepper(Generic[Equations]):
         friction_passes: how often friction is linearised and solved in each step at most.
         stale_rate: contraction of Newton's steps above which a reused factorisation is renewed.
         observer: called with the equations and the record of every converged step.
+        energy: total energy [J] of a state, of a scene in which nothing does work from outside.
+        energy_tolerance: a step that raises it by more [J] is cut in two as well, four times at most. BDF2 overshoots
+            where an impact takes less than a step.
     """
 
     def __init__(
@@ -132,7 +136,11 @@ class Stepper(Generic[Equations]):
         *,
         stale_rate: float,
         observer: Callable[[Equations, StepRecord], None] | None = None,
+        energy: Callable[[State], float] | None = None,
+        energy_tolerance: float = math.inf,
     ) -> None:
+        self.energy, self.energy_tolerance = energy, energy_tolerance
+        self._known_energy: tuple[State, float] | None = None
         self.equations, self.integrator = equations, integrator
         self.tolerance, self.friction_passes, self.stale_rate = tolerance, friction_passes, stale_rate
         self.observer = observer
@@ -148,6 +156,8 @@ class Stepper(Generic[Equations]):
         """
         try:
             record = self._try(state, step)
+            if self.energy is not None and depth < _ENERGY_HALVINGS:
+                self._check_energy(self.energy, record)
         except ConvergenceError as error:
             if depth == MAX_HALVINGS:
                 raise ConvergenceError(
@@ -157,6 +167,7 @@ class Stepper(Generic[Equations]):
             self.previous, self.equations.factorised = None, False
             middle = self.advance(state, step / 2, depth + 1)
             return self.advance(middle, step / 2, depth + 1)
+        self.steps += 1
         self.previous, self.previous_step = state, step
         self.equations.commit(record.after.positions)
         if self.observer is not None:
@@ -178,9 +189,16 @@ class Stepper(Generic[Equations]):
         x = passes[-1].x
         if not np.isfinite(x).all():
             raise ConvergenceError("the new state is not finite")
-        self.steps += 1
         after = State(time, x, coefficients.velocity(x))
         return StepRecord(state, history, two_step, step, coefficients, self.equations.viscous, tuple(passes), after)
+
+    def _check_energy(self, energy: Callable[[State], float], record: StepRecord) -> None:
+        known = self._known_energy
+        before = known[1] if known is not None and known[0] is record.before else energy(record.before)
+        after = energy(record.after)
+        if after > before + self.energy_tolerance:
+            raise ConvergenceError(f"the energy rose by {after - before:.3g} J")
+        self._known_energy = record.after, after
 
     def _minimise(self, start: np.ndarray) -> SolvedPass:
         found: Minimum = minimise(self.equations, start, tolerance=self.tolerance, stale_rate=self.stale_rate)

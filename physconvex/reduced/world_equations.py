@@ -80,6 +80,13 @@ class WorldEquations(DenseNewton):
 
     # -- value, gradient, Hessian
 
+    def energy(self, state: State) -> float:
+        """Of all bodies and of the contact between them [J]."""
+        x, v = state.positions, state.velocities
+        bodies = zip(self.bodies, self.slices, strict=True)
+        own = sum(body.energy(State(state.time, x[where], v[where])) for body, where in bodies)
+        return own + sum(pair.contact.energy_and_gradient(x[pair.where])[0] for pair in self.pairs)
+
     def evaluate(self, x: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
         """Incremental potential [J] and its derivative [N]."""
         found = [body.evaluate(part) for body, part in self._parts(x)]

@@ -41,6 +41,7 @@ def simulate_world(
     integrator: IntegratorName = "bdf2",
     tolerance: float = 3e-8,
     friction_passes: int = 12,
+    energy_tolerance: float | None = None,
     on_frame: Callable[[int], None] | None = None,
 ) -> WorldTrajectory:
     """Roll several bodies out in time; every step is one Newton solve over the coordinates of all of them.
@@ -49,16 +50,25 @@ def simulate_world(
 
     Args:
         world: the bodies, their obstacles and forces.
-        frames, fps, steps_per_frame, integrator, friction_passes, on_frame: as in `simulate`.
+        frames, fps, steps_per_frame, integrator, friction_passes, energy_tolerance, on_frame: as in `simulate`.
         tolerance: Newton's last step, relative to the smallest body's size.
 
     Raises:
         InputError: an argument out of range.
         ConvergenceError: a step failed even after eight halvings.
     """
-    check_stepping(frames, fps, steps_per_frame, integrator, friction_passes)
+    check_stepping(frames, fps, steps_per_frame, integrator, friction_passes, energy_tolerance)
     equations = WorldEquations(world)
-    stepper = Stepper(equations, integrator, tolerance * world.size, friction_passes, stale_rate=STALE_RATE)
+    guarded = energy_tolerance is not None and all(scene.autonomous for scene in world.scenes)
+    stepper = Stepper(
+        equations,
+        integrator,
+        tolerance * world.size,
+        friction_passes,
+        stale_rate=STALE_RATE,
+        energy=equations.energy if guarded else None,
+        energy_tolerance=(energy_tolerance or 0.0) * sum(scene.energy_scale for scene in world.scenes),
+    )
     places = np.concatenate([scene.start for scene in world.scenes])
     start = State(0.0, places, np.concatenate([scene.start_velocities() for scene in world.scenes]))
     states, flows = [], []
