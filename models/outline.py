@@ -129,7 +129,7 @@ def outline_input(
     coverage: Float32[np.ndarray, "T H W"],
     *,
     shown: Int[np.ndarray, " N"] | None = None,
-) -> Float32[Tensor, "N 9 H W"]:
+) -> Float32[Tensor, "N 9 h w"]:
     """What the network reads, edges padded to multiples of 8.
 
     Background and colours are those of the whole clip, the result that of the frames `shown` (all unless given).
