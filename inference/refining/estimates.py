@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,7 +38,11 @@ _MOST_NODES = 4000  # of tetrahedra cut in eight
 
 
 def estimates_of(
-    found: Fit, left: Float[np.ndarray, " K"], told: Identifiability, frames: Int[np.ndarray, " N"]
+    found: Fit,
+    left: Float[np.ndarray, " K"],
+    told: Identifiability,
+    frames: Int[np.ndarray, " N"],
+    sources: Sequence[slice],
 ) -> tuple[Estimate, ...]:
     """Each parameter with its deviations.
 
@@ -46,8 +51,10 @@ def estimates_of(
         left: deviation by model error, NaN where unknown.
         told: which parameters are at a bound.
         frames: frame of each residual.
+        sources: the residuals of each source: one that is not followed is not hidden by many of another.
     """
-    inflation = max(found.reduced_chi_square, 1.0)
+    worst = max(float(np.mean(found.residuals[where] ** 2)) for where in sources)
+    inflation = max(found.reduced_chi_square, worst, 1.0)
     sigmas = np.sqrt(np.diag(noise_covariance(found)) * inflation)
     sigmas = np.maximum(sigmas, clustered_deviations(found, frames))
     out = []

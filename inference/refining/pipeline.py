@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +16,9 @@ from inference.refining.colouring import BLURS, coloured
 from inference.refining.estimates import estimates_of, finer_mesh, judge
 from inference.refining.fits import arrays_of_correction, arrays_of_fit, arrays_of_scan, fit_of, runs_of, scan_of
 from inference.refining.motion import future_rms, motion_of
-from inference.refining.observing import Observed, observe
+from inference.refining.observing import observe
 from inference.refining.options import RefineOptions
+from inference.refining.problem import Problem
 from inference.refining.result import Refinement
 from inference.refining.stages import Stages, key_of
 from inference.refining.starting import scan_range
@@ -31,11 +32,9 @@ from physconvex.identify import (
     Model,
     Observations,
     Parameter,
-    ReducedModel,
     RollOuts,
     Twin,
     TwinOptions,
-    WeightedObservations,
     base_twin,
     correct,
     default_parameters,
@@ -47,7 +46,7 @@ from physconvex.identify import (
     scan,
 )
 from physconvex.identify.full_fit import FULL_OPTIONS
-from physconvex.identify.nuisance import MarginalObservations, Nuisance
+from physconvex.identify.nuisance import MarginalObservations
 from physconvex.identify.setup import with_free_friction
 from physconvex.identify.twin import coarse_mesh
 from physconvex.reduced import parameter_values
@@ -57,8 +56,8 @@ __all__ = ["refine"]
 _CHEAP_WEIGHTS, _COARSE_RUNS = 6, 6
 _START = FitOptions(relative_tolerance=1e-3, absolute_tolerance=0.1, max_step=1.5)
 _STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses the body; least and most per second
+_NOT_FOLLOWED = 5.0  # standard deviations rms of one source, from which the user is warned
 _LEFT = 0.5  # of the difference between few and more nodes: what more nodes still err by
-FRICTION_PASSES = 3  # in each step of the search; as many as are needed in the motion
 Arrays = dict[str, np.ndarray]
 Start = tuple[Parameter, ...]
 
@@ -98,66 +97,6 @@ def _key(capture: Capture, options: RefineOptions) -> str:
     return key_of(capture.folder, options.as_json())
 
 
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """What is fitted: the twin that holds the fixed values, the unknowns, what was seen of the observed frames."""
-
-    twin: Twin
-    parameters: tuple[Parameter, ...]
-    observed: Observed
-    nuisance: Nuisance = field(default_factory=Nuisance)
-    surface: SurfacePoints | None = None
-    errors: np.ndarray | None = None  # of the model by frame, in standard deviations of the noise
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(p.name for p in self.parameters)
-
-    @property
-    def seen(self) -> Observations:
-        seen = self.observed.observations
-        return MarginalObservations(seen, self.nuisance, 1 / self.twin.fps) if self.nuisance.any else seen
-
-    @property
-    def weighted(self) -> Observations:
-        """What was seen, frames counting by how well the model knows them."""
-        return self.seen if self.errors is None else WeightedObservations.by_errors(self.seen, self.errors)
-
-    def reduced(self) -> ReducedModel:
-        return ReducedModel(self.twin, self.names, self.seen.points, self.frames)
-
-    def full(self, memory: RollOuts) -> FullModel:
-        return FullModel(
-            self.twin,
-            self.names,
-            self.seen.points,
-            self.frames,
-            friction_passes=FRICTION_PASSES,
-            surface=self.surface,
-            memory=memory,
-        )
-
-    @property
-    def frames(self) -> int:
-        return int(self.seen.frames.max()) + 1
-
-    @property
-    def windows(self) -> tuple[int, ...]:
-        """Numbers of frames to be fitted one after the other.
-
-        A held body swings: over many periods the misfit has a minimum per period, over one it has one.
-        """
-        count = self.frames
-        if self.twin.clamp is None:
-            return (count,)
-        return tuple(dict.fromkeys(max(2, round(count * share)) for share in (0.25, 0.5, 1.0)))
-
-    def first(self, frames: int) -> _Problem:
-        """The first frames alone."""
-        part = replace(self.observed, observations=self.observed.observations.in_frames(frames))
-        return replace(self, observed=part)
-
-
 class _Run:
     def __init__(self, capture: Capture, options: RefineOptions, stages: Stages) -> None:
         self.capture, self.options, self.stages = capture, options, stages
@@ -188,7 +127,7 @@ class _Run:
 
     # -- set-up
 
-    def _problem(self) -> _Problem:
+    def _problem(self) -> Problem:
         options = self.options
         twin = base_twin(self.capture, self._twin_options(options.weights))
         if "friction" in options.free:
@@ -205,7 +144,7 @@ class _Run:
         if unknown:
             raise InputError(f"initial: {unknown} are not free; free are {[p.name for p in parameters]}")
         started = tuple(p.at(options.initial.get(p.name, p.start)) for p in parameters)
-        return _Problem(twin, started, observed, options.nuisance, self._surface(twin))
+        return Problem(twin, started, observed, options.nuisance, self._surface(twin))
 
     def _surface(self, twin: Twin) -> SurfacePoints | None:
         """Where obstacles act on a body that was meshed from its surface; exact tetrahedra have their own nodes."""
@@ -219,7 +158,7 @@ class _Run:
 
     # -- stages
 
-    def _reduced_fit(self, problem: _Problem) -> Fit:
+    def _reduced_fit(self, problem: Problem) -> Fit:
         names = problem.names
         if "log10_youngs_modulus" not in names or "log10_youngs_modulus" in self.options.initial:
             first = replace(problem, twin=self._cheap(problem)) if self.own else problem
@@ -227,7 +166,7 @@ class _Run:
         starts = scan_of(self.stages.run("scan", lambda: self._scan(problem)), problem.parameters)
         return fit_of(self.stages.run("reduced", lambda: self._best(problem, starts)), problem.parameters)
 
-    def _cheap(self, problem: _Problem) -> Twin:
+    def _cheap(self, problem: Problem) -> Twin:
         """Few weights, few nodes and long steps, the same world: for the scan."""
         options = self._twin_options(min(_CHEAP_WEIGHTS, self.options.weights))
         twin = base_twin(self.capture, options, mesh=coarse_mesh(self.capture, problem.twin.mesh))
@@ -242,7 +181,7 @@ class _Run:
             twin = twin.with_values(list(held), np.array(list(held.values())))
         return replace(twin, steps_per_frame=max(4, twin.steps_per_frame // 2))
 
-    def _scan(self, problem: _Problem) -> dict[str, np.ndarray]:
+    def _scan(self, problem: Problem) -> dict[str, np.ndarray]:
         moduli, ratios, note = scan_range(self.capture, problem.twin.mesh.size, self.options)
         if note:
             self.warnings.append(note)
@@ -251,7 +190,7 @@ class _Run:
         found = scan(cheap.reduced(), cheap.seen, problem.parameters, moduli=moduli, ratios=ratios)
         return arrays_of_scan(found)
 
-    def _best(self, problem: _Problem, starts: tuple[tuple[Parameter, ...], ...]) -> dict[str, np.ndarray]:
+    def _best(self, problem: Problem, starts: tuple[tuple[Parameter, ...], ...]) -> dict[str, np.ndarray]:
         """A few cheap iterations from the two best starts, then the model itself from the better one."""
         cheap = replace(problem, twin=self._cheap(problem))
         trials = [trial for start in starts if (trial := self._grown(cheap, start)) is not None]
@@ -261,7 +200,7 @@ class _Run:
         chosen = starts[0] if best is None else _from(problem.parameters, best)
         return arrays_of_fit(self._fitted(problem, chosen))
 
-    def _fitted(self, problem: _Problem, start: tuple[Parameter, ...]) -> Fit:
+    def _fitted(self, problem: Problem, start: tuple[Parameter, ...]) -> Fit:
         return fit(problem.reduced(), problem.seen, start, options=self._reduced_options())
 
     def _reduced_options(self) -> FitOptions:
@@ -270,7 +209,7 @@ class _Run:
             return FitOptions(max_iterations=8, relative_tolerance=1e-3, absolute_tolerance=0.1)
         return FitOptions()
 
-    def _grown(self, cheap: _Problem, start: tuple[Parameter, ...]) -> Fit | None:
+    def _grown(self, cheap: Problem, start: tuple[Parameter, ...]) -> Fit | None:
         """Fit longer and longer parts of the motion; None where the body cannot be simulated."""
         found = None
         for frames in cheap.windows:
@@ -282,11 +221,11 @@ class _Run:
             start = _from(cheap.parameters, found)
         return found
 
-    def _fit(self, name: str, problem: _Problem, start: tuple[Parameter, ...]) -> Fit:
+    def _fit(self, name: str, problem: Problem, start: tuple[Parameter, ...]) -> Fit:
         arrays = self.stages.run(name, lambda: arrays_of_fit(self._fitted(problem, start)))
         return fit_of(arrays, problem.parameters)
 
-    def _coarse_fit(self, problem: _Problem, start: Fit) -> Fit:
+    def _coarse_fit(self, problem: Problem, start: Fit) -> Fit:
         """The full model on few nodes, with long steps: a start without the reduced model's stiffness."""
         twin = replace(problem.twin, steps_per_frame=max(4, problem.twin.steps_per_frame // 2))
         mesh = coarse_mesh(self.capture, twin.mesh)
@@ -302,7 +241,7 @@ class _Run:
             self.start_model = None
             return start
 
-    def _anchored(self, problem: _Problem, start: Fit) -> tuple[_Problem, Fit]:
+    def _anchored(self, problem: Problem, start: Fit) -> tuple[Problem, Fit]:
         """Points followed again from where the fitted model puts them; the reduced model is fitted to them anew."""
 
         def move(points: np.ndarray) -> np.ndarray:
@@ -315,7 +254,7 @@ class _Run:
             return problem, start
         return problem, self._fit("reduced_again", problem, _from(problem.parameters, start))
 
-    def _with_step(self, problem: _Problem, start: Fit) -> _Problem:
+    def _with_step(self, problem: Problem, start: Fit) -> Problem:
         """The problem with time steps that suit the body's elastic waves, unless the user gave their number.
 
         A body that strikes something rings with periods of about twice its size over the speed of its waves.
@@ -330,7 +269,7 @@ class _Run:
         rate = float(np.clip(_STEPS_PER_CROSSING * speed / twin.mesh.size, *_RATES))
         return replace(problem, twin=replace(twin, steps_per_frame=max(4, math.ceil(rate / twin.fps))))
 
-    def _with_errors(self, problem: _Problem, coarse: FullModel, start: Fit) -> _Problem:
+    def _with_errors(self, problem: Problem, coarse: FullModel, start: Fit) -> Problem:
         """The problem with what more nodes change by frame: after an impact bodies of few nodes soon go astray."""
 
         def compute() -> Arrays:
@@ -345,7 +284,7 @@ class _Run:
         except ConvergenceError:  # the correction will say so
             return problem
 
-    def _corrected(self, problem: _Problem, start: Fit, *, last: bool) -> tuple[Fit, dict[str, np.ndarray], bool]:
+    def _corrected(self, problem: Problem, start: Fit, *, last: bool) -> tuple[Fit, dict[str, np.ndarray], bool]:
         if not self.options.correction:
             return start, {}, start.converged
 
@@ -372,7 +311,7 @@ class _Run:
             self.warnings.append(f"The correction did not settle in {count} runs of the full model; allow more.")
         return final, arrays, converged and final.converged
 
-    def _coloured(self, problem: _Problem, found: Fit) -> tuple[_Problem, Fit]:
+    def _coloured(self, problem: Problem, found: Fit) -> tuple[Problem, Fit]:
         """Fit the colours, from a wide blur to a narrow one."""
         kept = problem
         for blur in BLURS:
@@ -394,7 +333,7 @@ class _Run:
         return kept, found
 
     def _result(
-        self, problem: _Problem, start: Fit, final: Fit, arrays: dict[str, np.ndarray], converged: bool
+        self, problem: Problem, start: Fit, final: Fit, arrays: dict[str, np.ndarray], converged: bool
     ) -> Refinement:
         full = problem.full(self.memory)
         judged = judge(full, final, problem.seen, self.options, self.stages, self.warnings)
@@ -402,16 +341,19 @@ class _Run:
         motion = motion_of(self.capture, full, final, self.options, self.stages, mesh=judged.mesh)
         appearance = appearance_of(self.capture, motion, self.options, self.stages, self.warnings.append)
         told = identifiability(final)
+        seen = problem.observed.observations
+        rms = problem.observed.rms(seen.residuals(final.positions))
+        self.warnings += _not_followed(rms)
         held = [n for n in dict.fromkeys(["log10_youngs_modulus", "poisson_ratio", *self.options.fixed])]
         held = [n for n in held if n not in problem.names]
         values = parameter_values(problem.twin.scene, held) if held else np.zeros(0)
         return Refinement(
             path=str(self.capture.folder),
-            estimates=estimates_of(final, judged.left, told, problem.seen.frames),
+            estimates=estimates_of(final, judged.left, told, problem.seen.frames, seen.residual_slices),
             fixed=dict(zip(held, map(float, values), strict=True)),
             covariance=noise_covariance(final),
             reduced_chi_square=final.reduced_chi_square,
-            residual_rms=problem.observed.rms(problem.observed.observations.residuals(final.positions)),
+            residual_rms=rms,
             nuisances=_nuisances(problem, final),
             appearance=appearance,
             frame_errors=judged.frame_errors,
@@ -432,6 +374,15 @@ def _from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Parameter, ...
     return tuple(p.at(float(v)) for p, v in zip(parameters, found.values, strict=True))
 
 
-def _nuisances(problem: _Problem, found: Fit) -> dict[str, float]:
+def _not_followed(rms: dict[str, float]) -> list[str]:
+    return [
+        f"The model does not follow {source}: {value:.0f} standard deviations rms. Its mesh, the floor, the camera or "
+        "the law may be wrong; look at side_by_side.mp4, and do not trust the intervals."
+        for source, value in rms.items()
+        if value > _NOT_FOLLOWED
+    ]
+
+
+def _nuisances(problem: Problem, found: Fit) -> dict[str, float]:
     seen = problem.seen
     return seen.estimates(found.positions) if isinstance(seen, MarginalObservations) else {}
