@@ -204,7 +204,7 @@ def main() -> None:
     parser.add_argument("--names", nargs="+", default=["Schleich_Lion_Action_Figure"])
     parser.add_argument("--nodes", type=int, default=500)
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--set", dest="settings", nargs="*", default=[], help="settings, as steps=400")
+    parser.add_argument("--set", dest="settings", nargs="*", default=[], help="settings, as steps=120")
     parser.add_argument("--work", type=Path, help="folder for captures and fields; kept if given")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)

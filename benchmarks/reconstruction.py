@@ -6,7 +6,7 @@ them and its mesh. Coverage is measured by random points against the mesh, where
 what a pixel covers. Processor time counts all threads. Rows of other
 objects from runs with the same settings are kept.
 
-python benchmarks/reconstruction.py --objects data/gso [--names Dino_4 …] [--size 448] [--threads 2] [--set steps=400]
+python benchmarks/reconstruction.py --objects data/gso [--names Dino_4 …] [--size 448] [--threads 2] [--set steps=120]
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def main() -> None:
     parser.add_argument("--names", nargs="*", help="which of them; all if not given")
     parser.add_argument("--size", type=int, default=448)
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--set", dest="settings", nargs="*", default=[], help="settings, as steps=400")
+    parser.add_argument("--set", dest="settings", nargs="*", default=[], help="settings, as steps=120")
     parser.add_argument("--work", type=Path, help="folder for captures and fields; kept if given")
     parser.add_argument("--resume", action="store_true", help="go on where an earlier run in --work was stopped")
     parser.add_argument("--no-store", action="store_true", help="only print")

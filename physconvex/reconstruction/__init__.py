@@ -1,7 +1,7 @@
 """From views to a static convex field."""
 
 from physconvex.reconstruction.config import ReconstructionConfig, load_reconstruction_config
-from physconvex.reconstruction.coverage import Coverage, measure_coverage
+from physconvex.reconstruction.coverage import Coverage, Holes, SoftSurface, measure_coverage, measure_holes
 from physconvex.reconstruction.filling import fill_gaps
 from physconvex.reconstruction.fit import FitState, Progress, begin, fit, image_loss
 from physconvex.reconstruction.observation import Observation, observe
@@ -14,10 +14,12 @@ from physconvex.reconstruction.visual_hull import visual_hull
 __all__ = [
     "Coverage",
     "FitState",
+    "Holes",
     "Observation",
     "Progress",
     "ReconstructionConfig",
     "Refinement",
+    "SoftSurface",
     "Start",
     "ViewScore",
     "begin",
@@ -27,6 +29,7 @@ __all__ = [
     "image_loss",
     "load_reconstruction_config",
     "measure_coverage",
+    "measure_holes",
     "observe",
     "psnr",
     "refine",

@@ -45,7 +45,7 @@ class FitState:
     Attributes:
         parameters: of the field.
         adam: moments of their gradients.
-        fixed: fillers, whose points stay, shape [N].
+        fixed: fillers, and what no view sees: their points stay, shape [N].
         footprint: [m].
         step: steps done.
         seconds: time spent.
@@ -157,4 +157,4 @@ def _refine(state: FitState, views: Sequence[Observation], config: Reconstructio
     )
     state.parameters = FreeParameters.of(made.field)
     state.adam = state.adam.select(made.sources, made.fresh)
-    state.fixed = state.fixed[made.sources]
+    state.fixed = made.fixed

@@ -17,6 +17,7 @@ from physconvex.render import render
 __all__ = ["Refinement", "refine"]
 
 LEAST_OPACITY = 0.03
+OPAQUE = 0.5  # a convex that is as opaque and hardly explains a pixel is hidden
 DIVISIBLE = 2.5  # extent in footprints from which a convex is split; smaller ones are cloned
 SHARE = 0.2  # of the convexes that one refinement may divide
 CLONE_SHIFT = 0.25  # of its extent by which a clone is moved
@@ -32,12 +33,14 @@ class Refinement:
         field: the convexes.
         sources: the old convex that each is (a part of), shape [M].
         fresh: which are new, shape [M].
+        fixed: which are to keep their place until the next refinement: fillers, and what no view sees, shape [M].
         pruned, split, cloned: how many were.
     """
 
     field: ConvexField
     sources: Int[Tensor, " M"]
     fresh: Bool[Tensor, " M"]
+    fixed: Bool[Tensor, " M"]
     pruned: int
     split: int
     cloned: int
@@ -67,6 +70,9 @@ def refine(
     """
     charge, weight, covered = _charged(field, observations)
     floating = (weight > 1) & (covered < OUTSIDE * weight)
+    extent = torch.linalg.vector_norm(field.points - field.centres[:, None], dim=2).amax(dim=1) * 2
+    fillers = fixed & (field.opacity < LEAST_OPACITY)
+    fixed = fillers | ((field.opacity > OPAQUE) & (weight < SLIGHT) & (extent > DIVISIBLE * footprint))
     keep = fixed | ((field.opacity > LEAST_OPACITY) & ~floating)
     wanted = int(SHARE * len(field))
     crowded = min(int(keep.sum()) + wanted - budget, wanted // 2)
@@ -76,16 +82,21 @@ def refine(
     room = max(0, min(wanted, budget - int(keep.sum())))
     candidates = (keep & ~fixed & (charge > 0)).nonzero()[:, 0]
     chosen = candidates[charge[candidates].argsort(descending=True)[:room]]
-    extent = torch.linalg.vector_norm(field.points - field.centres[:, None], dim=2).amax(dim=1) * 2
     large = torch.zeros(len(field), dtype=torch.bool)
     large[chosen] = extent[chosen] > DIVISIBLE * footprint
     small = torch.zeros_like(large)
     small[chosen] = ~large[chosen]
-    return _divided(field, keep, large, small, extent, generator)
+    return _divided(field, keep, large, small, extent, fixed, generator)
 
 
 def _divided(
-    field: ConvexField, keep: Tensor, large: Tensor, small: Tensor, extent: Tensor, generator: torch.Generator
+    field: ConvexField,
+    keep: Tensor,
+    large: Tensor,
+    small: Tensor,
+    extent: Tensor,
+    fixed: Tensor,
+    generator: torch.Generator,
 ) -> Refinement:
     """Those kept, the large ones split, the small ones cloned."""
     overlap = 2.0 / (field.smoothness * field.sharpness)
@@ -105,7 +116,9 @@ def _divided(
     # a convex and its clone let through together what the convex did: (1 − o')² = 1 − o
     doubled = small[sources]
     joined[3] = torch.where(doubled, 1 - (1 - joined[3]).clamp(min=0).sqrt(), joined[3])
-    return Refinement(ConvexField(*joined), sources, fresh, int((~keep).sum()), len(parents), len(clones))
+    return Refinement(
+        ConvexField(*joined), sources, fresh, fixed[sources], int((~keep).sum()), len(parents), len(clones)
+    )
 
 
 def _charged(
