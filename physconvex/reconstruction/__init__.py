@@ -5,10 +5,10 @@ from physconvex.reconstruction.coverage import Coverage, Holes, SoftSurface, mea
 from physconvex.reconstruction.filling import fill_gaps
 from physconvex.reconstruction.fit import FitState, Progress, begin, fit, image_loss
 from physconvex.reconstruction.observation import Observation, observe
-from physconvex.reconstruction.refine import Refinement, refine
+from physconvex.reconstruction.refine import Refinement, refine, simplify
 from physconvex.reconstruction.scores import ViewScore, score
 from physconvex.reconstruction.similarity import psnr, structural_similarity
-from physconvex.reconstruction.start import Start, body_surface, start_field
+from physconvex.reconstruction.start import Start, body_surface, start_field, start_kind
 from physconvex.reconstruction.visual_hull import visual_hull
 
 __all__ = [
@@ -34,7 +34,9 @@ __all__ = [
     "psnr",
     "refine",
     "score",
+    "simplify",
     "start_field",
+    "start_kind",
     "structural_similarity",
     "visual_hull",
 ]

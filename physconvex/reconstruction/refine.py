@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from physconvex.convex import ConvexField, halve
+from physconvex.errors import InputError
 from physconvex.reconstruction.attribution import gather
 from physconvex.reconstruction.observation import Observation
 from physconvex.render import render
 
-__all__ = ["Refinement", "refine"]
+__all__ = ["Refinement", "refine", "simplify"]
 
 LEAST_OPACITY = 0.03
 OPAQUE = 0.5  # a convex that is as opaque and hardly explains a pixel is hidden
@@ -59,13 +60,14 @@ def refine(
     """Prune, split and clone.
 
     Every convex is charged with the squared differences of the pixels it explains (by `gather`, over all views). Pruned
-    are transparent ones and those that explain background; if the budget is full, also those seen least, so that the
-    ones charged most can be divided. What no view sees stays: it is part of the body all the same.
+    are transparent ones and those that explain background; if the budget is full, also small ones seen least, so that
+    the ones charged most can be divided. Large opaque ones that no view sees stay, and keep their place, for no pixel
+    says where it is: they are part of the body all the same.
 
     Args:
         budget: most convexes afterwards.
         footprint: what a pixel covers [m].
-        fixed: convexes that are neither divided nor pruned, shape [N].
+        fixed: those of the last refinement (at first the fillers), shape [N].
         generator: of the directions in which clones are moved.
     """
     charge, weight, covered = _charged(field, observations)
@@ -110,15 +112,29 @@ def _divided(
     shift = CLONE_SHIFT * extent[clones, None] * shift / shift.norm(dim=1, keepdim=True)
     copies = field.select(clones)
     copies = copies.with_points(copies.points + shift[:, None])
-    joined = [torch.cat(pair) for pair in zip(divided.tensors(), copies.tensors(), strict=True)]
+    joined = ConvexField.joined([divided, copies])
     sources = torch.cat([sources, clones])
     fresh = torch.cat([fresh, torch.ones(len(clones), dtype=torch.bool)])
     # a convex and its clone let through together what the convex did: (1 − o')² = 1 − o
     doubled = small[sources]
-    joined[3] = torch.where(doubled, 1 - (1 - joined[3]).clamp(min=0).sqrt(), joined[3])
-    return Refinement(
-        ConvexField(*joined), sources, fresh, fixed[sources], int((~keep).sum()), len(parents), len(clones)
-    )
+    opacity = torch.where(doubled, 1 - (1 - joined.opacity).clamp(min=0).sqrt(), joined.opacity)
+    new = replace(joined, opacity=opacity)
+    return Refinement(new, sources, fresh, fixed[sources], int((~keep).sum()), len(parents), len(clones))
+
+
+@torch.no_grad()
+def simplify(field: ConvexField, observations: Sequence[Observation], *, budget: int) -> ConvexField:
+    """At most `budget` of the convexes: those that explain most pixels of the views, in their order.
+
+    What no view sees goes first, so images change least and the inside of the body opens.
+
+    Raises:
+        InputError: a budget below one.
+    """
+    if budget < 1:
+        raise InputError(f"budget: got {budget}; expected at least one convex")
+    weight = _charged(field, observations)[1]
+    return field.select(weight.argsort(descending=True, stable=True)[:budget].sort().values)
 
 
 def _charged(

@@ -21,7 +21,6 @@ def film(
     no_progress: Annotated[bool, typer.Option("--no-progress", help="No progress bar.")] = False,
 ) -> None:
     """Draw a convex field seen from all round, or one that moves, as a film or a picture."""
-    import torch
     from PIL import Image
     from tqdm import tqdm
 
@@ -35,7 +34,7 @@ def film(
     if out.suffix not in (".mp4", ".png"):
         raise InputError(f"out: got {out.name!r}; expected a name that ends in .mp4 or .png")
     fields = [one for _, one in read_fields(field)]
-    every = ConvexField(*(torch.cat(parts) for parts in zip(*(one.tensors() for one in fields), strict=True)))
+    every = ConvexField.joined(fields)
     still = len(fields) == 1
     cameras = orbit(every, frames if still else 1, width=size, height=size, elevation_deg=elevation)
     pictures = draw(fields * len(cameras), cameras * len(fields))
@@ -43,6 +42,5 @@ def film(
         Image.fromarray(next(pictures)).save(out)
         return
     shown = not no_progress and sys.stderr.isatty()
-    write_video(
-        out, tqdm(pictures, total=len(cameras) * len(fields), unit="frame", disable=not shown, leave=False), fps=fps
-    )
+    watched = tqdm(pictures, total=len(cameras) * len(fields), unit="frame", disable=not shown, leave=False)
+    write_video(out, iter(watched), fps=fps)

@@ -106,6 +106,7 @@ def test_what_differs_in_colour_or_place_is_not_merged():
     assert len(merge(parts).field) == 1
 
 
+@pytest.mark.wrong_types
 def test_wrong_arguments_are_refused():
     field = bar()
     with pytest.raises(InputError, match="which"):

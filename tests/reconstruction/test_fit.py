@@ -8,7 +8,7 @@ import torch
 
 from physconvex.convex import ConvexField, FreeParameters
 from physconvex.errors import InputError
-from physconvex.reconstruction import ReconstructionConfig, begin, fit, refine, score, start_field
+from physconvex.reconstruction import ReconstructionConfig, begin, fit, refine, score, simplify, start_field
 from physconvex.reconstruction.adam import RowAdam
 from physconvex.reconstruction.attribution import gather
 from physconvex.reconstruction.state import load_state, save_state
@@ -105,13 +105,25 @@ def test_what_no_view_sees_stays_where_it_is(seen):
     outer = striped_ball()
     inner = outer.select(torch.arange(0, len(outer), 4))
     inner = inner.with_points(0.7 * inner.points)
-    field = ConvexField(*(torch.cat(pair) for pair in zip(outer.tensors(), inner.tensors(), strict=True)))
+    field = ConvexField.joined([outer, inner])
     nothing = torch.zeros(len(field), dtype=torch.bool)
     made = refine(field, seen, budget=len(field) + 150, footprint=1e-4, fixed=nothing, generator=torch.Generator())
     assert made.split == 150
     hidden = made.sources >= len(outer)
     assert hidden.sum() == len(inner) and made.fixed[hidden].all() and not made.fresh[hidden].any()
     assert made.fixed.float().mean() < 0.5
+
+
+def test_a_field_is_simplified_to_a_budget_at_the_least_cost_to_its_images(seen):
+    field = striped_ball()
+    hidden = field.select(torch.arange(200)).with_points(0.5 * field.points[:200])
+    both = ConvexField.joined([hidden, field])
+    assert torch.equal(simplify(both, seen, budget=len(field)).points, field.points)
+    few = simplify(field, seen, budget=1000)
+    at_random = field.select(torch.randperm(len(field), generator=torch.Generator().manual_seed(0))[:1000])
+    assert len(few) == 1000 and mean_psnr(few, seen) > mean_psnr(at_random, seen) + 1
+    with pytest.raises(InputError, match="budget"):
+        simplify(field, seen, budget=0)
 
 
 def test_a_convex_and_its_clone_are_as_opaque_as_it_was(seen):
