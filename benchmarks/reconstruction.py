@@ -2,9 +2,8 @@
 
 Each object (a folder with model.obj and texture.png) is rendered at 448² from 12 cameras to fit (elevations 10, 35 and
 −10 degrees in turn) and 4 held out between them (20 and 0 degrees), with alpha, before white; then reconstructed from
-them and its mesh. Coverage is measured by random points against the mesh, where that is watertight; `margin` is half of
-what a pixel covers. Processor time counts all threads. Rows of other
-objects from runs with the same settings are kept.
+them and its mesh. Coverage is measured against the mesh, where that is watertight; `margin` is half of what a pixel
+covers. Processor time counts all threads. Rows of other objects from runs with the same settings are kept.
 
 python benchmarks/reconstruction.py --objects data/gso [--names Dino_4 …] [--size 448] [--threads 2] [--set steps=120]
 """
