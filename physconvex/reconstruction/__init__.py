@@ -5,7 +5,7 @@ from physconvex.reconstruction.coverage import Coverage, Holes, SoftSurface, mea
 from physconvex.reconstruction.filling import fill_gaps
 from physconvex.reconstruction.fit import FitState, Progress, begin, fit, image_loss
 from physconvex.reconstruction.observation import Observation, observe
-from physconvex.reconstruction.refine import Refinement, refine, simplify
+from physconvex.reconstruction.refine import Refinement, hidden, refine, simplify
 from physconvex.reconstruction.scores import ViewScore, score
 from physconvex.reconstruction.similarity import psnr, structural_similarity
 from physconvex.reconstruction.start import Start, body_surface, start_field, start_kind
@@ -26,6 +26,7 @@ __all__ = [
     "body_surface",
     "fill_gaps",
     "fit",
+    "hidden",
     "image_loss",
     "load_reconstruction_config",
     "measure_coverage",

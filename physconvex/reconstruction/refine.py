@@ -15,7 +15,7 @@ from physconvex.reconstruction.attribution import gather
 from physconvex.reconstruction.observation import Observation
 from physconvex.render import render
 
-__all__ = ["Refinement", "refine", "simplify"]
+__all__ = ["Refinement", "hidden", "refine", "simplify"]
 
 LEAST_OPACITY = 0.03
 OPAQUE = 0.5  # a convex that is as opaque and hardly explains a pixel is hidden
@@ -34,7 +34,7 @@ class Refinement:
         field: the convexes.
         sources: the old convex that each is (a part of), shape [M].
         fresh: which are new, shape [M].
-        fixed: which are to keep their place until the next refinement: fillers, and what no view sees, shape [M].
+        fixed: which are to stay as they are until the next refinement: fillers, and what no view sees, shape [M].
         pruned, split, cloned: how many were.
     """
 
@@ -61,20 +61,20 @@ def refine(
 
     Every convex is charged with the squared differences of the pixels it explains (by `gather`, over all views). Pruned
     are transparent ones and those that explain background; if the budget is full, also small ones seen least, so that
-    the ones charged most can be divided. Large opaque ones that no view sees stay, and keep their place, for no pixel
-    says where it is: they are part of the body all the same.
+    the ones charged most can be divided. Opaque ones that no view sees (`hidden`) stay as they are, for no pixel says
+    how they should be: they are part of the body all the same.
 
     Args:
         budget: most convexes afterwards.
         footprint: what a pixel covers [m].
-        fixed: those of the last refinement (at first the fillers), shape [N].
+        fixed: those of the last refinement, at first the fillers and what is `hidden`, shape [N].
         generator: of the directions in which clones are moved.
     """
     charge, weight, covered = _charged(field, observations)
     floating = (weight > 1) & (covered < OUTSIDE * weight)
-    extent = torch.linalg.vector_norm(field.points - field.centres[:, None], dim=2).amax(dim=1) * 2
+    extent = _extent(field)
     fillers = fixed & (field.opacity < LEAST_OPACITY)
-    fixed = fillers | ((field.opacity > OPAQUE) & (weight < SLIGHT) & (extent > DIVISIBLE * footprint))
+    fixed = fillers | _hidden(field, weight, fixed | (extent > DIVISIBLE * footprint))
     keep = fixed | ((field.opacity > LEAST_OPACITY) & ~floating)
     wanted = int(SHARE * len(field))
     crowded = min(int(keep.sum()) + wanted - budget, wanted // 2)
@@ -120,6 +120,25 @@ def _divided(
     opacity = torch.where(doubled, 1 - (1 - joined.opacity).clamp(min=0).sqrt(), joined.opacity)
     new = replace(joined, opacity=opacity)
     return Refinement(new, sources, fresh, fixed[sources], int((~keep).sum()), len(parents), len(clones))
+
+
+@torch.no_grad()
+def hidden(field: ConvexField, observations: Sequence[Observation], *, footprint: float) -> Bool[Tensor, " N"]:
+    """Convexes that are opaque and large enough to be seen, but explain less than two pixels of all views.
+
+    Args:
+        footprint: what a pixel covers [m].
+    """
+    return _hidden(field, _charged(field, observations)[1], _extent(field) > DIVISIBLE * footprint)
+
+
+def _hidden(field: ConvexField, weight: Tensor, candidates: Tensor) -> Bool[Tensor, " N"]:
+    return candidates & (field.opacity > OPAQUE) & (weight < SLIGHT)
+
+
+def _extent(field: ConvexField) -> Float[Tensor, " N"]:
+    """Twice the greatest distance of a point from the centre [m]."""
+    return 2 * torch.linalg.vector_norm(field.points - field.centres[:, None], dim=2).amax(dim=1)
 
 
 @torch.no_grad()
