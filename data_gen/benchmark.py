@@ -30,12 +30,12 @@ from physconvex import __version__
 from physconvex.camera import Camera
 from physconvex.capture import Capture, Floor, save_capture
 from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, Embedding, Plane, Scene, TetMesh, simulate
+from physconvex.fem import ElasticBody, Embedding, Plane, Scene, SurfacePoints, TetMesh, simulate
 from physconvex.fem.meshing import tetrahedralize
 from physconvex.identify.changes import CHANGES, changed
 from physconvex.video import write_video
 
-__all__ = ["BenchmarkOptions", "generate_benchmark"]
+__all__ = ["BenchmarkOptions", "drop_object", "generate_benchmark"]
 
 DENSITY, FRICTION, HEIGHT = 1000.0, 0.4, 0.25  # kg/m³; coefficient; of the drop, in sizes
 POINTS = 300
@@ -118,6 +118,43 @@ def generate_benchmark(
     return list(paths)
 
 
+def drop_object(
+    folder: Path, mesh: Path, truth: dict[str, float], options: BenchmarkOptions, rng: np.random.Generator
+) -> tuple[Path, np.ndarray]:
+    """One object dropped and filmed from the front, unless it is there.
+
+    Args:
+        folder: of the capture; the motion is stored beside it, as `NAME_motion.npz`.
+        mesh: a textured mesh.
+        truth: youngs_modulus [Pa], poisson_ratio, damping_time [s].
+        options: sizes.
+        rng: how the object is turned.
+
+    Returns:
+        The folder, and the positions [m] of the mesh's vertices at the frames, shape [T, V, 3].
+    """
+    kept = folder.parent / f"{folder.name}_motion.npz"
+    if not kept.exists():
+        body = _placed(load_user_mesh(mesh), options.object_size, rng)
+        grid = tetrahedralize((body.vertices, body.faces), max_nodes=options.nodes, order=2, method="auto")
+        moved = Embedding.of_points(grid, body.vertices).apply(_rolled(_scene(grid, truth, body), options))
+        camera = _cameras(moved, options)[0]
+        white, mask = _filmed(body, moved, camera)
+        _write_capture(folder, body, camera, white, mask, options)
+        np.savez_compressed(kept, moved=moved)
+    with np.load(kept, allow_pickle=False) as archive:
+        return folder, archive["moved"]
+
+
+def _filmed(body: ObjectMesh, moved: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """The object before white [T, H, W, 3], and where it is seen [T, H, W]."""
+    surface = Surface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
+    frames = np.stack(rendered_frames(surface, camera, FLAT, moved))
+    alpha = frames[..., 3:].astype(np.float32) / 255
+    white = (frames[..., :3] * alpha + 255 * (1 - alpha)).round().astype(np.uint8)
+    return white, frames[..., 3] > 127
+
+
 def _plain(options: BenchmarkOptions) -> Any:
     return json.loads(json.dumps(asdict(options)))
 
@@ -144,7 +181,7 @@ def _make(out: Path, name: str, path: Path, options: BenchmarkOptions, rng: np.r
         "damping_time": float(np.exp(rng.uniform(*np.log(options.damping_time)))),
     }
     mesh = tetrahedralize((body.vertices, body.faces), max_nodes=options.nodes, order=2, method="auto")
-    positions = _rolled(_scene(mesh, truth), options)
+    positions = _rolled(_scene(mesh, truth, body), options)
     surface = Embedding.of_points(mesh, body.vertices)
     moved = surface.apply(positions)
     cameras = _cameras(moved, options)
@@ -152,7 +189,7 @@ def _make(out: Path, name: str, path: Path, options: BenchmarkOptions, rng: np.r
     chosen = np.sort(rng.choice(len(body.vertices), min(POINTS, len(body.vertices)), replace=False))
     arrays = {"rest": body.vertices[chosen], "positions": moved[:, chosen]}
     for change in CHANGES:
-        again = _rolled(changed(_scene(mesh, truth), change), options)
+        again = _rolled(changed(_scene(mesh, truth, body), change), options)
         arrays[f"positions_{change}"] = surface.apply(again)[:, chosen]
     folder = out / "truth" / name
     np.savez_compressed(folder / "points.npz", **arrays)  # type: ignore[arg-type]
@@ -175,11 +212,17 @@ def _placed(body: ObjectMesh, size: float, rng: np.random.Generator) -> ObjectMe
     )  # fmt: skip
 
 
-def _scene(mesh: TetMesh, truth: dict[str, float]) -> Scene:
+def _scene(mesh: TetMesh, truth: dict[str, float], shown: ObjectMesh) -> Scene:
+    """The drop; the floor acts on the surface that is shown, since the mesh's own cuts its corners."""
     body = ElasticBody(
         mesh, youngs_modulus=truth["youngs_modulus"], poisson_ratio=truth["poisson_ratio"], density=DENSITY
     )
-    return Scene(body, obstacles=(Plane(friction=FRICTION),), damping_time=truth["damping_time"])
+    return Scene(
+        body,
+        obstacles=(Plane(friction=FRICTION),),
+        damping_time=truth["damping_time"],
+        contact_points=SurfacePoints.of_triangles(shown.vertices, shown.faces),
+    )
 
 
 def _rolled(scene: Scene, options: BenchmarkOptions, *, share: float = 1.0) -> np.ndarray:
@@ -193,7 +236,7 @@ def _errors(body: ObjectMesh, truth: dict[str, float], moved: np.ndarray, option
     coarse = tetrahedralize((body.vertices, body.faces), max_nodes=options.nodes // 2, order=2, method="auto")
     out = {}
     for label, grid, share in (("half_steps", mesh, 0.5), ("half_nodes", coarse, 1.0)):
-        other = Embedding.of_points(grid, body.vertices).apply(_rolled(_scene(grid, truth), options, share=share))
+        other = Embedding.of_points(grid, body.vertices).apply(_rolled(_scene(grid, truth, body), options, share=share))
         out[f"rms_to_{label}_m"] = np.sqrt(np.square(other - moved).sum(-1).mean(-1)).tolist()
     return out
 
@@ -207,16 +250,13 @@ def _cameras(moved: np.ndarray, options: BenchmarkOptions) -> list[Camera]:
 def _write_pictures(
     out: Path, name: str, body: ObjectMesh, moved: np.ndarray, cameras: list[Camera], options: BenchmarkOptions
 ) -> None:
-    surface = Surface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
     truth = out / "truth" / name
     truth.mkdir(parents=True, exist_ok=True)
     for number, camera in enumerate(cameras):
-        frames = np.stack(rendered_frames(surface, camera, FLAT, moved))
-        alpha = frames[..., 3:].astype(np.float32) / 255
-        white = (frames[..., :3] * alpha + 255 * (1 - alpha)).round().astype(np.uint8)
+        white, mask = _filmed(body, moved, camera)
         write_video(truth / f"{camera.name}.mp4", white, fps=options.fps, crf=6)
         if number == 0 and not (out / "captures" / name).exists():
-            _write_capture(out / "captures" / name, body, camera, white, frames[..., 3] > 127, options)
+            _write_capture(out / "captures" / name, body, camera, white, mask, options)
     (truth / "cameras.json").write_text(json.dumps([c.to_json() for c in cameras], indent=1) + "\n", encoding="utf-8")
     if not (out / "first_frames" / name).exists():
         (out / "first_frames").mkdir(exist_ok=True)

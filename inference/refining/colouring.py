@@ -16,18 +16,23 @@ from physconvex.identify.colours import ColourObservations, blurred, colour_seed
 
 __all__ = ["BLURS", "coloured"]
 
-BLURS = (3.0, 1.2)  # pixels
+BLURS = (1.5,)  # pixels
 
 
 def coloured(
-    observed: Observed, capture: Capture, twin: Twin, found: Fit, options: RefineOptions, blur: float
+    observed: Observed,
+    capture: Capture,
+    twin: Twin,
+    model: FullModel | ReducedModel,
+    found: Fit,
+    options: RefineOptions,
+    blur: float,
 ) -> Observed:
     """What was observed, with the colours of surface points in the place of the points followed.
 
     Which points are seen where is taken from the fitted model. A camera that sees none keeps its followed points.
     """
     vertices, triangles = surface_of_capture(capture, twin)
-    model = FullModel if options.correction else ReducedModel
     parts: list[Observations] = []
     sources = []
     for part, source in zip(observed.observations.parts, observed.sources, strict=True):
@@ -39,7 +44,7 @@ def coloured(
             points = colour_seeds(part.camera, images[0], vertices, triangles, mask=mask, margin=round(2 * blur))
             if len(points):
                 everything = np.concatenate([vertices, points])
-                moved = model(twin, found.names, everything, len(images)).positions(found.values)
+                moved = replace(model, points=everything).positions(found.values)
                 surface, carried = moved[:, : len(vertices)], moved[:, len(vertices) :]
                 visible = seen_by(part.camera, surface, triangles, carried)
                 added = _colours(part, points, blurred(images, blur), visible, options)

@@ -6,10 +6,11 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 
+from inference.refining import command_options as has
 from physconvex.errors import InputError
 
 __all__ = ["refine"]
@@ -18,6 +19,8 @@ _STAGES = {
     "points": "following points in the videos",
     "scan": "scanning Young's modulus",
     "reduced": "fitting the reduced model",
+    "coarse": "fitting the full model on few nodes",
+    "frame_errors": "comparing few nodes with more",
     "anchored": "following the points again from the model",
     "reduced_again": "fitting the reduced model again",
     "correction": "correcting with the full model",
@@ -29,58 +32,35 @@ _STAGES = {
 
 
 def refine(
-    capture: Annotated[Path, typer.Argument(help="Capture folder with capture.json, rest geometry, tracks or videos.")],
-    out: Annotated[Path, typer.Option(help="Folder of the results; finished stages are read again from it.")] = Path(
-        "refinement"
-    ),
-    observations: Annotated[str, typer.Option(help="auto, tracks, video or both.")] = "auto",
-    camera: Annotated[list[str] | None, typer.Option(help="Use this camera alone; repeatable. Default: all.")] = None,
-    free: Annotated[
-        list[str] | None,
-        typer.Option(help="Free a parameter, as friction, air_drag, initial_velocity_z; repeatable."),
-    ] = None,
-    fix: Annotated[
-        list[str] | None,
-        typer.Option(help="Hold a parameter: NAME, or NAME=VALUE, as damping_time=0; repeatable."),
-    ] = None,
-    prior: Annotated[
-        list[str] | None, typer.Option(help="Gaussian prior NAME=MEAN,SIGMA, as poisson_ratio=0.49,0.005; repeatable.")
-    ] = None,
-    initial: Annotated[
-        list[str] | None,
-        typer.Option(help="Start at NAME=VALUE, as log10_youngs_modulus=5.2, and do not scan; repeatable."),
-    ] = None,
-    start: Annotated[str, typer.Option(help="Where the scan looks: predict (network), scan (everywhere), auto.")] = (
-        "auto"
-    ),
-    weights: Annotated[int, typer.Option(help="Number of skinning weights.")] = 20,
-    max_nodes: Annotated[int, typer.Option(help="Most nodes of the quadratic mesh.")] = 500,
-    steps_per_frame: Annotated[int | None, typer.Option(help="Time steps per frame. Default: 384 per second.")] = None,
-    full_runs: Annotated[int, typer.Option(help="Most linearisations of the full model in the correction.")] = 8,
-    jacobian: Annotated[
-        str, typer.Option(help="Derivatives of the correction: of the full or reduced model.")
-    ] = "full",
-    correction: Annotated[bool, typer.Option(help="Remove the reduced model's error with the full model.")] = True,
-    model_error: Annotated[bool, typer.Option(help="State the error that a finer model would remove.")] = True,
-    outlines: Annotated[bool, typer.Option(help="Use the masks of videos.")] = True,
-    colours: Annotated[bool, typer.Option(help="Last, compare colours instead of points followed in videos.")] = True,
-    exposure: Annotated[bool, typer.Option(help="Gain and offset of each frame's colours are free.")] = True,
-    camera_rotation: Annotated[
-        float, typer.Option(help="Free each camera's rotation, with this prior standard deviation [rad].")
-    ] = 0.0,
-    camera_position: Annotated[
-        float, typer.Option(help="Free each camera's position, with this prior standard deviation [m].")
-    ] = 0.0,
-    time_offset: Annotated[
-        float, typer.Option(help="Free the time of all frames after the first, with this prior deviation [s].")
-    ] = 0.0,
-    field: Annotated[bool, typer.Option(help="Fit a convex field to the first images and bind it to the body.")] = True,
-    field_file: Annotated[str | None, typer.Option(help="A field (PLY) of the body at rest, in place of that.")] = None,
-    field_steps: Annotated[int, typer.Option(help="Steps of the field's fit.")] = 150,
-    pictures: Annotated[bool, typer.Option(help="Write fit.png and side_by_side.mp4.")] = True,
-    checkpoint: Annotated[str, typer.Option(help="Name or folder of the network's checkpoint.")] = "default",
-    as_json: Annotated[bool, typer.Option("--json", help="Print refinement.json to standard output, alone.")] = False,
-    no_progress: Annotated[bool, typer.Option("--no-progress", help="Say nothing while it runs.")] = False,
+    capture: has.CaptureFolder,
+    out: has.Out = Path("refinement"),
+    observations: has.Kind = "auto",
+    camera: has.Cameras = None,
+    outlines: has.Outlines = True,
+    colours: has.Colours = True,
+    exposure: has.Exposure = True,
+    camera_rotation: has.CameraRotation = 0.0,
+    camera_position: has.CameraPosition = 0.0,
+    time_offset: has.TimeOffset = 0.0,
+    free: has.Free = None,
+    fix: has.Fix = None,
+    prior: has.Prior = None,
+    initial: has.Initial = None,
+    start: has.Start = "auto",
+    checkpoint: has.Checkpoint = "default",
+    weights: has.Weights = 20,
+    max_nodes: has.MaxNodes = 500,
+    steps_per_frame: has.StepsPerFrame = None,
+    correction: has.Correction = True,
+    full_runs: has.FullRuns = 8,
+    jacobian: has.Jacobian = "full",
+    model_error: has.ModelError = True,
+    field: has.Field = True,
+    field_file: has.FieldFile = None,
+    field_steps: has.FieldSteps = 150,
+    pictures: has.Pictures = True,
+    as_json: has.Json = False,
+    no_progress: has.NoProgress = False,
 ) -> None:
     """Identify E, ν and what else is unknown of a capture with the differentiable simulator, and predict its future.
 

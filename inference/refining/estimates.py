@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from inference.refining.fits import arrays_of_fit, fit_of
 from inference.refining.options import RefineOptions
 from inference.refining.result import Estimate, interval_of
 from inference.refining.stages import Stages
 from physconvex.errors import ConvergenceError
-from physconvex.fem import TetMesh, tetrahedralize
+from physconvex.fem import TetMesh
 from physconvex.fem.mesh import refine as subdivided
 from physconvex.identify import (
     FinerFit,
@@ -22,11 +23,13 @@ from physconvex.identify import (
     Observations,
     ReducedModel,
     Twin,
+    clustered_deviations,
     fit_finer,
     frame_errors,
     noise_covariance,
     parameter_shift,
 )
+from physconvex.identify.faithful import faithful_mesh
 
 __all__ = ["Judged", "estimates_of", "finer_mesh", "judge"]
 
@@ -34,10 +37,26 @@ _FINER = 1.8  # nodes of a mesh made anew over those of the twin
 _MOST_NODES = 4000  # of tetrahedra cut in eight
 
 
-def estimates_of(found: Fit, left: Float[np.ndarray, " K"], told: Identifiability) -> tuple[Estimate, ...]:
-    """Each parameter with its deviations; `left` is the deviation by model error [K], NaN where unknown."""
-    inflation = max(found.reduced_chi_square, 1.0)
+def estimates_of(
+    found: Fit,
+    left: Float[np.ndarray, " K"],
+    told: Identifiability,
+    frames: Int[np.ndarray, " N"],
+    sources: Sequence[slice],
+) -> tuple[Estimate, ...]:
+    """Each parameter with its deviations.
+
+    Args:
+        found: the fit.
+        left: deviation by model error, NaN where unknown.
+        told: which parameters are at a bound.
+        frames: frame of each residual.
+        sources: the residuals of each source: one that is not followed is not hidden by many of another.
+    """
+    worst = max(float(np.mean(found.residuals[where] ** 2)) for where in sources)
+    inflation = max(found.reduced_chi_square, worst, 1.0)
     sigmas = np.sqrt(np.diag(noise_covariance(found)) * inflation)
+    sigmas = np.maximum(sigmas, clustered_deviations(found, frames))
     out = []
     for i, parameter in enumerate(found.parameters):
         bound = parameter.name in told.at_bounds
@@ -72,9 +91,10 @@ def finer_mesh(twin: Twin) -> TetMesh | None:
         return None
     pair = (np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces))
     try:
-        return tetrahedralize(pair, max_nodes=int(_FINER * len(mesh.vertices)), order=2, method="auto")
+        fine = faithful_mesh(*pair, max_nodes=int(_FINER * len(mesh.vertices)))
     except ConvergenceError:
         return None
+    return fine if len(fine.vertices) > 1.2 * len(mesh.vertices) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +115,7 @@ class Judged:
 
 
 def judge(
-    twin: Twin, found: Fit, seen: Observations, options: RefineOptions, stages: Stages, warnings: list[str]
+    full: FullModel, found: Fit, seen: Observations, options: RefineOptions, stages: Stages, warnings: list[str]
 ) -> Judged:
     """Compare with a finer model, let frames count by what that changes, and fit once more.
 
@@ -103,14 +123,14 @@ def judge(
     last fit takes its residuals from what both say together; without it, the reduced model with the full one, and
     nothing is fitted again.
     """
-    frames = int(seen.frames.max()) + 1
+    twin, frames = full.twin, full.frames
     unknown = Judged(found, np.full(len(found.values), np.nan), np.zeros(frames))
     if not options.model_error:
         return unknown
     mesh = finer_mesh(twin) if options.correction else None
 
     def compute() -> dict[str, np.ndarray]:
-        coarse = FullModel(twin, found.names, seen.points, frames)
+        coarse = replace(full, points=seen.points)
         if not options.correction:
             exact = coarse.positions(found.values)
             change = seen.residuals(exact) - found.residuals

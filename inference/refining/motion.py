@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from inference.refining.options import RefineOptions
@@ -11,6 +13,7 @@ from physconvex.capture import Capture
 from physconvex.fem import Embedding, TetMesh
 from physconvex.identify import Fit, FullModel, Twin
 from physconvex.identify.enrich import enriched
+from physconvex.identify.model import PASSES
 from physconvex.reduced import simulate
 
 __all__ = ["future_rms", "motion_of", "surface_of_capture"]
@@ -26,14 +29,21 @@ def surface_of_capture(capture: Capture, twin: Twin) -> tuple[np.ndarray, np.nda
 
 
 def motion_of(
-    capture: Capture, twin: Twin, found: Fit, options: RefineOptions, stages: Stages, *, mesh: TetMesh | None = None
+    capture: Capture,
+    full: FullModel,
+    found: Fit,
+    options: RefineOptions,
+    stages: Stages,
+    *,
+    mesh: TetMesh | None = None,
 ) -> RefinedMotion:
     """Roll the fitted model out over all frames: the full one where the correction is on, else the reduced one.
 
     Args:
-        capture, twin, found, options, stages: of the refinement.
+        capture, full, found, options, stages: of the refinement.
         mesh: of the full model, if it is not the twin's.
     """
+    twin = full.twin
     vertices, faces = surface_of_capture(capture, twin)
     tracks = capture.tracks()
     markers = np.zeros((0, 3)) if tracks is None else tracks.rest
@@ -50,7 +60,8 @@ def motion_of(
                 "weights": _weights(twin),
                 "gap": np.zeros(0),
             }
-        moved = FullModel(twin, found.names, markers, capture.frames, mesh).node_positions(found.values)
+        finest = replace(full, frames=capture.frames, mesh=mesh, friction_passes=PASSES)
+        moved = finest.node_positions(found.values)
         carried = Embedding.of_points(body, nodes).apply(moved)
         better = enriched(fitted, carried)
         again = simulate(better.scene, **twin.timing())

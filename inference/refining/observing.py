@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,11 +13,10 @@ from inference.refining.stages import Stages
 from physconvex.camera import Camera
 from physconvex.capture import Capture
 from physconvex.errors import InputError
-from physconvex.identify import Fit, Observations, PixelObservations, StackedObservations, Twin, marker_observations
+from physconvex.identify import Observations, PixelObservations, StackedObservations, Twin, marker_observations
 from physconvex.identify.outlines import OutlineObservations
 from physconvex.identify.setup import start_motion
 from physconvex.identify.video_tracks import FollowOptions, Seeds, follow, follow_from_model, seed_points
-from physconvex.reduced import simulate
 
 __all__ = ["Observed", "observe"]
 
@@ -42,9 +41,11 @@ class Observed:
         pairs = zip(self.sources, self.observations.residual_slices, strict=True)
         return {source: float(np.sqrt(np.mean(residuals[where] ** 2))) for source, where in pairs}
 
-    def anchored(self, capture: Capture, twin: Twin, found: Fit, stages: Stages) -> Observed:
-        """The same, with the points of the videos followed again from where the model puts them."""
-        arrays = stages.run("anchored", lambda: self._follow_again(capture, twin, found))
+    def anchored(
+        self, capture: Capture, twin: Twin, move: Callable[[np.ndarray], np.ndarray], stages: Stages
+    ) -> Observed:
+        """The same, with the points of the videos followed again from where a model moves them: [P, 3] → [T, P, 3]."""
+        arrays = stages.run("anchored", lambda: self._follow_again(capture, twin, move))
         parts: list[Observations] = []
         sources = list(self.sources)
         for number, part in enumerate(self.observations.parts):
@@ -54,16 +55,17 @@ class Observed:
             parts.append(part)
         return replace(self, observations=StackedObservations.of(parts), sources=tuple(sources))
 
-    def _follow_again(self, capture: Capture, twin: Twin, found: Fit) -> Arrays:
+    def _follow_again(self, capture: Capture, twin: Twin, move: Callable[[np.ndarray], np.ndarray]) -> Arrays:
         vertices, triangles = surface_of_capture(capture, twin)
-        run = simulate(twin.with_values(found.names, found.values).scene, **twin.timing(capture.observed_frames))
-        moved = run.positions(vertices)
+        parts = [part for part in self.observations.parts if isinstance(part, PixelObservations)]
+        everything = move(np.concatenate([vertices, *(part.points for part in parts)]))
+        moved, places = everything[:, : len(vertices)], len(vertices)
         out = {}
-        for part in self.observations.parts:
-            if isinstance(part, PixelObservations):
-                frames = capture.video(part.camera.name).frames[: capture.observed_frames]
-                predicted = run.positions(part.points)
-                out[part.camera.name] = follow_from_model(frames, part.camera, moved, triangles, predicted)
+        for part in parts:
+            frames = capture.video(part.camera.name).frames[: len(moved)]
+            predicted = everything[:, places : places + len(part.points)]
+            out[part.camera.name] = follow_from_model(frames, part.camera, moved, triangles, predicted)
+            places += len(part.points)
         return out
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +13,18 @@ import numpy as np
 from inference.prediction import Prediction
 from inference.refining.appearance import appearance_of
 from inference.refining.colouring import BLURS, coloured
-from inference.refining.estimates import estimates_of, judge
+from inference.refining.estimates import estimates_of, finer_mesh, judge
 from inference.refining.fits import arrays_of_correction, arrays_of_fit, arrays_of_scan, fit_of, runs_of, scan_of
 from inference.refining.motion import future_rms, motion_of
-from inference.refining.observing import Observed, observe
+from inference.refining.observing import observe
 from inference.refining.options import RefineOptions
+from inference.refining.problem import Problem
 from inference.refining.result import Refinement
 from inference.refining.stages import Stages, key_of
 from inference.refining.starting import scan_range
 from physconvex.capture import Capture, load_capture
 from physconvex.errors import ConvergenceError, InputError
+from physconvex.fem import SurfacePoints
 from physconvex.identify import (
     Fit,
     FitOptions,
@@ -30,7 +32,7 @@ from physconvex.identify import (
     Model,
     Observations,
     Parameter,
-    ReducedModel,
+    RollOuts,
     Twin,
     TwinOptions,
     base_twin,
@@ -38,18 +40,24 @@ from physconvex.identify import (
     default_parameters,
     fit,
     fit_full,
+    frame_errors,
     identifiability,
     noise_covariance,
     scan,
 )
 from physconvex.identify.full_fit import FULL_OPTIONS
-from physconvex.identify.nuisance import MarginalObservations, Nuisance
+from physconvex.identify.nuisance import MarginalObservations
 from physconvex.identify.setup import with_free_friction
+from physconvex.identify.twin import coarse_mesh
 from physconvex.reduced import parameter_values
 
 __all__ = ["refine"]
 
-_CHEAP_WEIGHTS = 6
+_CHEAP_WEIGHTS, _COARSE_RUNS = 6, 6
+_START = FitOptions(relative_tolerance=1e-3, absolute_tolerance=0.1, max_step=1.5)
+_STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses the body; least and most per second
+_NOT_FOLLOWED = 5.0  # standard deviations rms of one source, from which the user is warned
+_LEFT = 0.5  # of the difference between few and more nodes: what more nodes still err by
 Arrays = dict[str, np.ndarray]
 Start = tuple[Parameter, ...]
 
@@ -89,73 +97,37 @@ def _key(capture: Capture, options: RefineOptions) -> str:
     return key_of(capture.folder, options.as_json())
 
 
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """What is fitted: the twin that holds the fixed values, the unknowns, what was seen of the observed frames."""
-
-    twin: Twin
-    parameters: tuple[Parameter, ...]
-    observed: Observed
-    nuisance: Nuisance = field(default_factory=Nuisance)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(p.name for p in self.parameters)
-
-    @property
-    def seen(self) -> Observations:
-        seen = self.observed.observations
-        return MarginalObservations(seen, self.nuisance, 1 / self.twin.fps) if self.nuisance.any else seen
-
-    def reduced(self) -> ReducedModel:
-        return ReducedModel(self.twin, self.names, self.seen.points, self.frames)
-
-    def full(self) -> FullModel:
-        return FullModel(self.twin, self.names, self.seen.points, self.frames)
-
-    @property
-    def frames(self) -> int:
-        return int(self.seen.frames.max()) + 1
-
-    @property
-    def windows(self) -> tuple[int, ...]:
-        """Numbers of frames to be fitted one after the other.
-
-        A held body swings: over many periods the misfit has a minimum per period, over one it has one.
-        """
-        count = self.frames
-        if self.twin.clamp is None:
-            return (count,)
-        return tuple(dict.fromkeys(max(2, round(count * share)) for share in (0.25, 0.5, 1.0)))
-
-    def first(self, frames: int) -> _Problem:
-        """The first frames alone."""
-        part = replace(self.observed, observations=self.observed.observations.in_frames(frames))
-        return replace(self, observed=part)
-
-
 class _Run:
     def __init__(self, capture: Capture, options: RefineOptions, stages: Stages) -> None:
         self.capture, self.options, self.stages = capture, options, stages
         self.warnings: list[str] = []
+        self.start_model: FullModel | None = None  # what the points are followed again by
+        self.memory = RollOuts()
+
+    @property
+    def own(self) -> bool:
+        """Whether the full model is fitted with its own derivatives."""
+        return self.options.correction and self.options.jacobian == "full"
 
     def refine(self) -> Refinement:
         problem = self._problem()
-        start = self._reduced_fit(problem)
+        reduced = start = self._reduced_fit(problem)
+        if self.own:
+            start = self._coarse_fit(problem, reduced)
         if problem.observed.can_be_anchored:
-            anchored = problem.observed.anchored(self.capture, problem.twin, start, self.stages)
-            problem = replace(problem, observed=anchored)
-            again = tuple(p.at(float(v)) for p, v in zip(problem.parameters, start.values, strict=True))
-            start = self._fit("reduced_again", problem, again)
-        final, runs, converged = self._corrected(problem, start)
-        own = self.options.jacobian == "full" or not self.options.correction
-        if self.options.colours and own and problem.observed.cameras:
+            problem, start = self._anchored(problem, start)
+        problem = self._with_step(problem, start)
+        if self.own and self.start_model is not None:
+            problem = self._with_errors(problem, self.start_model, start)
+        coloured = self.options.colours and (self.own or not self.options.correction) and problem.observed.cameras
+        final, runs, converged = self._corrected(problem, start, last=not coloured)
+        if coloured:
             problem, final = self._coloured(problem, final)
-        return self._result(problem, start, final, runs, converged)
+        return self._result(problem, reduced, final, runs, converged)
 
     # -- set-up
 
-    def _problem(self) -> _Problem:
+    def _problem(self) -> Problem:
         options = self.options
         twin = base_twin(self.capture, self._twin_options(options.weights))
         if "friction" in options.free:
@@ -172,24 +144,32 @@ class _Run:
         if unknown:
             raise InputError(f"initial: {unknown} are not free; free are {[p.name for p in parameters]}")
         started = tuple(p.at(options.initial.get(p.name, p.start)) for p in parameters)
-        return _Problem(twin, started, observed, options.nuisance)
+        return Problem(twin, started, observed, options.nuisance, self._surface(twin))
+
+    def _surface(self, twin: Twin) -> SurfacePoints | None:
+        """Where obstacles act on a body that was meshed from its surface; exact tetrahedra have their own nodes."""
+        mesh = self.capture.mesh()
+        if mesh is None or not twin.scene.obstacles:
+            return None
+        return SurfacePoints.of_triangles(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces))
 
     def _twin_options(self, weights: int) -> TwinOptions:
         return TwinOptions(weights, self.options.max_nodes, self.options.steps_per_frame)
 
     # -- stages
 
-    def _reduced_fit(self, problem: _Problem) -> Fit:
+    def _reduced_fit(self, problem: Problem) -> Fit:
         names = problem.names
         if "log10_youngs_modulus" not in names or "log10_youngs_modulus" in self.options.initial:
-            return self._fit("reduced", problem, problem.parameters)
+            first = replace(problem, twin=self._cheap(problem)) if self.own else problem
+            return self._fit("reduced", first, problem.parameters)
         starts = scan_of(self.stages.run("scan", lambda: self._scan(problem)), problem.parameters)
         return fit_of(self.stages.run("reduced", lambda: self._best(problem, starts)), problem.parameters)
 
-    def _cheap(self, problem: _Problem) -> Twin:
-        """Few weights and long steps, the same world: for the scan."""
+    def _cheap(self, problem: Problem) -> Twin:
+        """Few weights, few nodes and long steps, the same world: for the scan."""
         options = self._twin_options(min(_CHEAP_WEIGHTS, self.options.weights))
-        twin = base_twin(self.capture, options, mesh=problem.twin.mesh)
+        twin = base_twin(self.capture, options, mesh=coarse_mesh(self.capture, problem.twin.mesh))
         own = problem.twin.scene
         twin = twin.with_scene(
             obstacles=own.obstacles,
@@ -201,7 +181,7 @@ class _Run:
             twin = twin.with_values(list(held), np.array(list(held.values())))
         return replace(twin, steps_per_frame=max(4, twin.steps_per_frame // 2))
 
-    def _scan(self, problem: _Problem) -> dict[str, np.ndarray]:
+    def _scan(self, problem: Problem) -> dict[str, np.ndarray]:
         moduli, ratios, note = scan_range(self.capture, problem.twin.mesh.size, self.options)
         if note:
             self.warnings.append(note)
@@ -210,15 +190,17 @@ class _Run:
         found = scan(cheap.reduced(), cheap.seen, problem.parameters, moduli=moduli, ratios=ratios)
         return arrays_of_scan(found)
 
-    def _best(self, problem: _Problem, starts: tuple[tuple[Parameter, ...], ...]) -> dict[str, np.ndarray]:
+    def _best(self, problem: Problem, starts: tuple[tuple[Parameter, ...], ...]) -> dict[str, np.ndarray]:
         """A few cheap iterations from the two best starts, then the model itself from the better one."""
         cheap = replace(problem, twin=self._cheap(problem))
         trials = [trial for start in starts if (trial := self._grown(cheap, start)) is not None]
         best = min(trials, key=lambda trial: trial.misfit) if trials else None
+        if best is not None and self.own:  # a finer reduced model would cost as much as the full one, which comes next
+            return arrays_of_fit(best)
         chosen = starts[0] if best is None else _from(problem.parameters, best)
         return arrays_of_fit(self._fitted(problem, chosen))
 
-    def _fitted(self, problem: _Problem, start: tuple[Parameter, ...]) -> Fit:
+    def _fitted(self, problem: Problem, start: tuple[Parameter, ...]) -> Fit:
         return fit(problem.reduced(), problem.seen, start, options=self._reduced_options())
 
     def _reduced_options(self) -> FitOptions:
@@ -227,7 +209,7 @@ class _Run:
             return FitOptions(max_iterations=8, relative_tolerance=1e-3, absolute_tolerance=0.1)
         return FitOptions()
 
-    def _grown(self, cheap: _Problem, start: tuple[Parameter, ...]) -> Fit | None:
+    def _grown(self, cheap: Problem, start: tuple[Parameter, ...]) -> Fit | None:
         """Fit longer and longer parts of the motion; None where the body cannot be simulated."""
         found = None
         for frames in cheap.windows:
@@ -239,22 +221,89 @@ class _Run:
             start = _from(cheap.parameters, found)
         return found
 
-    def _fit(self, name: str, problem: _Problem, start: tuple[Parameter, ...]) -> Fit:
+    def _fit(self, name: str, problem: Problem, start: tuple[Parameter, ...]) -> Fit:
         arrays = self.stages.run(name, lambda: arrays_of_fit(self._fitted(problem, start)))
         return fit_of(arrays, problem.parameters)
 
-    def _corrected(self, problem: _Problem, start: Fit) -> tuple[Fit, dict[str, np.ndarray], bool]:
+    def _coarse_fit(self, problem: Problem, start: Fit) -> Fit:
+        """The full model on few nodes, with long steps: a start without the reduced model's stiffness."""
+        twin = replace(problem.twin, steps_per_frame=max(4, problem.twin.steps_per_frame // 2))
+        mesh = coarse_mesh(self.capture, twin.mesh)
+        coarse = replace(problem.full(self.memory), twin=twin, mesh=None if mesh is twin.mesh else mesh)
+
+        def compute() -> Arrays:
+            return arrays_of_fit(fit_full(coarse, problem.seen, start, max_runs=_COARSE_RUNS, options=_START).fit)
+
+        self.start_model = coarse
+        try:
+            return fit_of(self.stages.run("coarse", compute), problem.parameters)
+        except ConvergenceError:  # too few nodes to be simulated: from the reduced model then
+            self.start_model = None
+            return start
+
+    def _anchored(self, problem: Problem, start: Fit) -> tuple[Problem, Fit]:
+        """Points followed again from where the fitted model puts them; the reduced model is fitted to them anew."""
+
+        def move(points: np.ndarray) -> np.ndarray:
+            model = self.start_model or problem.reduced()
+            return replace(model, points=points).positions(start.values)
+
+        anchored = problem.observed.anchored(self.capture, problem.twin, move, self.stages)
+        problem = replace(problem, observed=anchored)
+        if self.own:
+            return problem, start
+        return problem, self._fit("reduced_again", problem, _from(problem.parameters, start))
+
+    def _with_step(self, problem: Problem, start: Fit) -> Problem:
+        """The problem with time steps that suit the body's elastic waves, unless the user gave their number.
+
+        A body that strikes something rings with periods of about twice its size over the speed of its waves.
+        """
+        twin = problem.twin
+        if self.options.steps_per_frame is not None or not twin.scene.obstacles or twin.clamp is not None:
+            return problem
+        values = parameter_values(
+            twin.with_values(start.names, start.values).scene, ["log10_youngs_modulus", "density"]
+        )
+        speed = float(np.sqrt(10.0 ** values[0] / values[1]))
+        rate = float(np.clip(_STEPS_PER_CROSSING * speed / twin.mesh.size, *_RATES))
+        return replace(problem, twin=replace(twin, steps_per_frame=max(4, math.ceil(rate / twin.fps))))
+
+    def _with_errors(self, problem: Problem, coarse: FullModel, start: Fit) -> Problem:
+        """The problem with what more nodes change by frame: after an impact bodies of few nodes soon go astray."""
+
+        def compute() -> Arrays:
+            full = problem.full(self.memory)
+            here = full.linearise(start.values)[0]  # the search begins with these derivatives
+            mesh = finer_mesh(problem.twin) if coarse.mesh is None else coarse.mesh
+            there = here if mesh is None else replace(full, mesh=mesh).positions(start.values)
+            return {"errors": _LEFT * frame_errors(problem.seen, here, there)}
+
+        try:
+            return replace(problem, errors=self.stages.run("frame_errors", compute)["errors"])
+        except ConvergenceError:  # the correction will say so
+            return problem
+
+    def _corrected(self, problem: Problem, start: Fit, *, last: bool) -> tuple[Fit, dict[str, np.ndarray], bool]:
         if not self.options.correction:
             return start, {}, start.converged
 
         def compute() -> dict[str, np.ndarray]:
             most = self.options.full_runs
-            if self.options.jacobian == "full":
-                return arrays_of_correction(fit_full(problem.full(), problem.seen, start, max_runs=most))
-            found = correct(problem.reduced(), problem.full(), problem.seen, start, max_runs=most)
-            return arrays_of_correction(found)
+            full = problem.full(self.memory)
+            if self.own:
+                settings = FULL_OPTIONS if last else _START
+                return arrays_of_correction(fit_full(full, problem.weighted, start, max_runs=most, options=settings))
+            return arrays_of_correction(correct(problem.reduced(), full, problem.seen, start, max_runs=most))
 
-        arrays = self.stages.run("correction", compute)
+        try:
+            arrays = self.stages.run("correction", compute)
+        except ConvergenceError as error:
+            self.options = replace(self.options, correction=False)
+            self.warnings.append(
+                f"The full model could not be run ({error}): the result is the reduced model's, which is too stiff."
+            )
+            return start, {}, start.converged
         final = fit_of(arrays, problem.parameters)
         converged = bool(arrays["correction_converged"])
         if not converged:
@@ -262,38 +311,49 @@ class _Run:
             self.warnings.append(f"The correction did not settle in {count} runs of the full model; allow more.")
         return final, arrays, converged and final.converged
 
-    def _coloured(self, problem: _Problem, found: Fit) -> tuple[_Problem, Fit]:
+    def _coloured(self, problem: Problem, found: Fit) -> tuple[Problem, Fit]:
         """Fit the colours, from a wide blur to a narrow one."""
+        kept = problem
         for blur in BLURS:
-            observed = coloured(problem.observed, self.capture, problem.twin, found, self.options, blur)
+            model = problem.full(self.memory) if self.options.correction else problem.reduced()
+            observed = coloured(problem.observed, self.capture, problem.twin, model, found, self.options, blur)
             trial = replace(problem, observed=observed)
             start = _from(problem.parameters, found)
-            model = trial.full() if self.options.correction and self.options.jacobian == "full" else trial.reduced()
+            model = trial.full(self.memory) if self.own else trial.reduced()
 
-            def compute(model: Model = model, seen: Observations = trial.seen, start: Start = start) -> Arrays:
+            def compute(model: Model = model, seen: Observations = trial.weighted, start: Start = start) -> Arrays:
                 return arrays_of_fit(fit(model, seen, start, options=FULL_OPTIONS))
 
-            found = fit_of(self.stages.run(f"colours_{blur:g}", compute), problem.parameters)
-        return trial, found
+            try:
+                found = fit_of(self.stages.run(f"colours_{blur:g}", compute), problem.parameters)
+            except ConvergenceError as error:
+                self.warnings.append(f"Colours were not compared: the model failed ({error}).")
+                return kept, found
+            kept = trial
+        return kept, found
 
     def _result(
-        self, problem: _Problem, start: Fit, final: Fit, arrays: dict[str, np.ndarray], converged: bool
+        self, problem: Problem, start: Fit, final: Fit, arrays: dict[str, np.ndarray], converged: bool
     ) -> Refinement:
-        judged = judge(problem.twin, final, problem.seen, self.options, self.stages, self.warnings)
+        full = problem.full(self.memory)
+        judged = judge(full, final, problem.seen, self.options, self.stages, self.warnings)
         final = judged.fit
-        motion = motion_of(self.capture, problem.twin, final, self.options, self.stages, mesh=judged.mesh)
+        motion = motion_of(self.capture, full, final, self.options, self.stages, mesh=judged.mesh)
         appearance = appearance_of(self.capture, motion, self.options, self.stages, self.warnings.append)
         told = identifiability(final)
+        seen = problem.observed.observations
+        rms = problem.observed.rms(seen.residuals(final.positions))
+        self.warnings += _not_followed(rms)
         held = [n for n in dict.fromkeys(["log10_youngs_modulus", "poisson_ratio", *self.options.fixed])]
         held = [n for n in held if n not in problem.names]
         values = parameter_values(problem.twin.scene, held) if held else np.zeros(0)
         return Refinement(
             path=str(self.capture.folder),
-            estimates=estimates_of(final, judged.left, told),
+            estimates=estimates_of(final, judged.left, told, problem.seen.frames, seen.residual_slices),
             fixed=dict(zip(held, map(float, values), strict=True)),
             covariance=noise_covariance(final),
             reduced_chi_square=final.reduced_chi_square,
-            residual_rms=problem.observed.rms(problem.observed.observations.residuals(final.positions)),
+            residual_rms=rms,
             nuisances=_nuisances(problem, final),
             appearance=appearance,
             frame_errors=judged.frame_errors,
@@ -314,6 +374,15 @@ def _from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Parameter, ...
     return tuple(p.at(float(v)) for p, v in zip(parameters, found.values, strict=True))
 
 
-def _nuisances(problem: _Problem, found: Fit) -> dict[str, float]:
+def _not_followed(rms: dict[str, float]) -> list[str]:
+    return [
+        f"The model does not follow {source}: {value:.0f} standard deviations rms. Its mesh, the floor, the camera or "
+        "the law may be wrong; look at side_by_side.mp4, and do not trust the intervals."
+        for source, value in rms.items()
+        if value > _NOT_FOLLOWED
+    ]
+
+
+def _nuisances(problem: Problem, found: Fit) -> dict[str, float]:
     seen = problem.seen
     return seen.estimates(found.positions) if isinstance(seen, MarginalObservations) else {}

@@ -2,6 +2,7 @@
 
 from physconvex.contact import Plane, Sphere
 from physconvex.fem.body import ElasticBody
+from physconvex.fem.carried_contact import CarriedContact, SurfacePoints
 from physconvex.fem.embedding import Embedding, sample_interior
 from physconvex.fem.implicit_meshing import tetrahedralize_implicit
 from physconvex.fem.loads import surface_load
@@ -15,6 +16,7 @@ from physconvex.fem.simulation import Trajectory, simulate, solve_static
 from physconvex.stepping import SolveStatistics
 
 __all__ = [
+    "CarriedContact",
     "ElasticBody",
     "Embedding",
     "Pins",
@@ -23,6 +25,7 @@ __all__ = [
     "SensitiveTrajectory",
     "SolveStatistics",
     "Sphere",
+    "SurfacePoints",
     "TetMesh",
     "Trajectory",
     "box_mesh",

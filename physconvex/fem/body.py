@@ -219,12 +219,47 @@ class ElasticBody:
         self, state: Tensor, velocity: Float[np.ndarray, "V 3"], damping_time: float
     ) -> tuple[float, Float[np.ndarray, "V 3"]]:
         """Rate potential [W] and its derivative with respect to velocity [N] for viscosity damping_time × (μ, λ)."""
-        rate = self.deformation_gradient(velocity)
+        strain, inner = self._viscous_pair(state, self.deformation_gradient(velocity), damping_time)
+        return self._rate_potential(strain, inner), self._scatter(state @ inner)
+
+    def moving_energy_and_gradient(
+        self,
+        x: Float[np.ndarray, "V 3"],
+        velocity: Float[np.ndarray, "V 3"],
+        state: Tensor,
+        *,
+        damping_time: float,
+        step: float,
+        response: FlowStep | None = None,
+        with_energy: bool = True,
+    ) -> tuple[float, Float[np.ndarray, "V 3"]]:
+        """Elastic energy plus step [s] times the viscous rate potential, and elastic plus viscous forces, in one pass.
+
+        Args:
+            x, velocity: of the nodes [m, m/s].
+            state, damping_time: of the viscosity.
+            step: derivative of positions by velocities [s].
+            response: as for the energy.
+            with_energy: the energy is NaN without, and not computed.
+        """
+        moving = torch.cat([self._tensor(x), self._tensor(velocity)], dim=1)[self._tets]
+        both = (moving.mT @ self._flat_gradients).reshape(len(self._tets), 2, 3, -1, 3).transpose(2, 3)
+        f, rate = both[:, 0], both[:, 1]
+        strain, inner = self._viscous_pair(state, rate, damping_time)
+        gradient = self._scatter(self._material("stress", f, response) + state @ inner)
+        if not with_energy:
+            return float("nan"), gradient
+        elastic = float((self._weights * self._material("energy", f, response)).sum())
+        return elastic + step * self._rate_potential(strain, inner), gradient
+
+    def _viscous_pair(self, state: Tensor, rate: Tensor, damping_time: float) -> tuple[Tensor, Tensor]:
+        """Ė, and 2 μ_v Ė + λ_v tr Ė."""
         strain = state.mT @ rate
         strain = 0.5 * (strain + strain.mT)
         trace = strain.diagonal(dim1=-2, dim2=-1).sum(-1)
-        mu, lam = damping_time * self._mu, damping_time * self._lam
-        energy = mu * (strain * strain).sum((-1, -2)) + lam / 2 * trace**2
-        inner = 2 * mu[..., None, None] * strain
-        inner.diagonal(dim1=-2, dim2=-1).add_((lam * trace)[..., None])
-        return float((self._weights * energy).sum()), self._scatter(state @ inner)
+        inner = (2 * damping_time * self._mu)[..., None, None] * strain
+        inner.diagonal(dim1=-2, dim2=-1).add_((damping_time * self._lam * trace)[..., None])
+        return strain, inner
+
+    def _rate_potential(self, strain: Tensor, inner: Tensor) -> float:
+        return 0.5 * float((self._weights * (inner * strain).sum((-1, -2))).sum())

@@ -11,6 +11,8 @@ from jaxtyping import Float, Int
 from physconvex.contact import Contact, Obstacle
 from physconvex.errors import InputError
 from physconvex.fem.body import ElasticBody
+from physconvex.fem.carried_contact import CarriedContact, SurfacePoints
+from physconvex.fem.embedding import Embedding
 from physconvex.wind import Wind
 
 __all__ = ["Loads", "Pins", "Scene"]
@@ -89,6 +91,7 @@ class Scene:
         contact_smoothing: depth over which contact sets in [m]; 5e-4 of the body's size unless given.
         slip_velocity: speed below which friction ramps to zero [m/s]; 2e-3 √(9.81 × size) unless given.
         contact_damping: τ [s] of a dashpot beside the contact's spring while a node moves inwards: pressure kc τ v.
+        contact_points: points of the surface at which obstacles act, in the place of the boundary's nodes.
     """
 
     body: ElasticBody
@@ -106,6 +109,7 @@ class Scene:
     contact_smoothing: float | None = None
     slip_velocity: float | None = None
     contact_damping: float = 0.0
+    contact_points: SurfacePoints | None = None
 
     def __post_init__(self) -> None:
         for name in ("gravity", "initial_velocity", "initial_angular_velocity"):
@@ -147,14 +151,20 @@ class Scene:
             velocities[self.pins.nodes] = 0.0
         return velocities
 
-    def contact(self) -> Contact:
+    def contact(self) -> Contact | CarriedContact:
         """The contact law with its defaults resolved."""
+        mesh, points = self.body.mesh, self.contact_points
+        if points is None:
+            return self._contact(mesh.node_areas)
+        return CarriedContact(self._contact(points.areas), Embedding.of_points(mesh, points.points))
+
+    def _contact(self, areas: Float[np.ndarray, " S"]) -> Contact:
         mesh = self.body.mesh
         size = mesh.size
         stiffness = CONTACT_STIFFNESS_RATIO * float(self.body.youngs_modulus.max()) / size
         return Contact(
             obstacles=tuple(self.obstacles),
-            areas=mesh.node_areas,
+            areas=areas,
             stiffness=stiffness if self.contact_stiffness is None else self.contact_stiffness,
             smoothing=5e-4 * size if self.contact_smoothing is None else self.contact_smoothing,
             slip_velocity=2e-3 * np.sqrt(9.81 * size) if self.slip_velocity is None else self.slip_velocity,

@@ -72,7 +72,7 @@ class _Side:
         x = record.after.positions + self.change * tangent
         if len(record.passes) > 1:
             self.equations.freeze_friction(x)
-        return self.equations.evaluate(x)[1]
+        return self.equations.gradient(x)
 
 
 def _moved(state: State, tangent: State, change: float) -> State:

@@ -13,6 +13,7 @@ from torch import Tensor
 from physconvex.contact import Friction
 from physconvex.errors import InputError
 from physconvex.fem.assembly import Assembler
+from physconvex.fem.carried_contact import CarriedContact
 from physconvex.fem.scene import Scene
 from physconvex.inelastic import FlowStep
 from physconvex.integrators import IntegratorName, State, StepCoefficients, check_stepping, frame_states, minimise
@@ -111,7 +112,15 @@ class StepEquations:
             self.response = self.body.flow_step(self.undo, x, self._duration)
 
     def evaluate(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        energy, gradient = self.body.energy_and_gradient(x, response=self.response)
+        """The potential [J] and its gradient [N]."""
+        return self._evaluate(x, with_energy=True)
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        """The gradient [N] alone."""
+        return self._evaluate(x, with_energy=False)[1]
+
+    def _evaluate(self, x: np.ndarray, *, with_energy: bool) -> tuple[float, np.ndarray]:
+        energy, gradient = self._body_energy_and_gradient(x, with_energy=with_energy)
         touch, push = self.contact.energy_and_gradient(x, self.time)
         energy += touch - float((self.forces * (x - self.scene.start)).sum())
         gradient = gradient + push - self.forces
@@ -123,6 +132,20 @@ class StepEquations:
         gradient[self.fixed] = 0.0
         return energy, gradient
 
+    def _body_energy_and_gradient(self, x: np.ndarray, *, with_energy: bool) -> tuple[float, np.ndarray]:
+        """Of elasticity, and of viscosity during a time step."""
+        if self.coefficients is None or self.viscous is None:
+            return self.body.energy_and_gradient(x, response=self.response)
+        return self.body.moving_energy_and_gradient(
+            x,
+            self.coefficients.velocity(x),
+            self.viscous,
+            damping_time=self.scene.damping_time,
+            step=self.coefficients.step,
+            response=self.response,
+            with_energy=with_energy,
+        )
+
     def _inertia(self, x: np.ndarray, c: StepCoefficients) -> tuple[float, np.ndarray]:
         offset = x - c.target
         pull = self.body.mass @ offset / c.step**2
@@ -130,11 +153,8 @@ class StepEquations:
 
     def _dissipation(self, velocity: np.ndarray) -> tuple[float, np.ndarray]:
         loss, force = self.contact.friction_energy_and_gradient(self.friction, velocity)
-        if self.viscous is not None:
-            power, push = self.body.viscous_energy_and_gradient(self.viscous, velocity, self.scene.damping_time)
-            loss, force = loss + power, force + push
         if self.scene.wind is not None:
-            power, blow = self.scene.wind.energy_and_gradient(velocity, self.contact.areas, self.time)
+            power, blow = self.scene.wind.energy_and_gradient(velocity, self.body.mesh.node_areas, self.time)
             loss, force = loss + power, force + blow
         if self.scene.air_drag > 0:
             momentum = self.scene.air_drag * (self.body.mass @ velocity)
@@ -149,18 +169,26 @@ class StepEquations:
             x, project=project, viscous_state=self.viscous, damping_ratio=ratio, response=self.response
         )
         blocks = self.contact.hessian_blocks(x, self.time)
-        inertia = 0.0
+        inertia, wind = 0.0, None
         if self.coefficients is not None:
             inertia = 1 / step**2 + self.scene.air_drag / step
             if self.friction:
                 blocks += self.contact.friction_blocks(self.friction) / step
             if self.scene.wind is not None:
                 velocity = self.coefficients.velocity(x)
-                blocks += self.scene.wind.blocks(velocity, self.contact.areas, self.time) / step
+                wind = self.scene.wind.blocks(velocity, self.body.mesh.node_areas, self.time) / step
             self._factorised_step = step
-        data = self.assembler.elements(local) + self.assembler.blocks(blocks) + inertia * self._mass_data
+        data = self._with_contact(local, blocks) + inertia * self._mass_data
+        if wind is not None:
+            data = data + self.assembler.blocks(wind)
         self.solver.factorise(data)
         self.factorised = True
+
+    def _with_contact(self, local: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+        """Entries of the matrix: of the elements, and of contact at nodes or at points that elements carry."""
+        if isinstance(self.contact, CarriedContact):
+            return self.assembler.elements(self.contact.added_to_elements(local, blocks))
+        return self.assembler.elements(local) + self.assembler.blocks(blocks)
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         out = np.zeros_like(rhs)

@@ -13,7 +13,7 @@ from physconvex.identify.finer import FinerFit, fit_finer
 from physconvex.identify.full_fit import fit_full
 from physconvex.identify.held_region import HeldRegion
 from physconvex.identify.levenberg_marquardt import Fit, FitOptions, Iteration, fit
-from physconvex.identify.model import FullModel, Model, ReducedModel
+from physconvex.identify.model import FullModel, LinearModel, Model, ReducedModel, RollOuts
 from physconvex.identify.observations import (
     MarkerObservations,
     Observations,
@@ -25,7 +25,13 @@ from physconvex.identify.parameters import Parameter, default_parameter
 from physconvex.identify.scan import Candidate, scan, scan_values
 from physconvex.identify.setup import default_parameters, marker_observations
 from physconvex.identify.twin import Twin, TwinOptions, base_twin, mesh_of_capture
-from physconvex.identify.uncertainty import Identifiability, NullDirection, identifiability, noise_covariance
+from physconvex.identify.uncertainty import (
+    Identifiability,
+    NullDirection,
+    clustered_deviations,
+    identifiability,
+    noise_covariance,
+)
 from physconvex.identify.weighting import WeightedObservations, frame_errors
 
 __all__ = [
@@ -41,6 +47,7 @@ __all__ = [
     "HeldRegion",
     "Identifiability",
     "Iteration",
+    "LinearModel",
     "MarkerObservations",
     "Model",
     "NullDirection",
@@ -48,6 +55,7 @@ __all__ = [
     "Parameter",
     "PixelObservations",
     "ReducedModel",
+    "RollOuts",
     "StackedObservations",
     "Twin",
     "TwinOptions",
@@ -55,6 +63,7 @@ __all__ = [
     "base_twin",
     "camera_jacobian",
     "clamp_of",
+    "clustered_deviations",
     "correct",
     "default_parameter",
     "default_parameters",

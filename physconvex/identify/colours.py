@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -18,7 +19,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from physconvex.camera import Camera
 from physconvex.errors import InputError
-from physconvex.identify.observations import camera_jacobian
+from physconvex.identify.observations import PointwiseObservations, camera_jacobian
 from physconvex.identify.raster import cast_camera_rays, cast_rays
 
 __all__ = ["ColourObservations", "colour_seeds", "seen_by"]
@@ -96,7 +97,7 @@ def seen_by(
 
 
 @dataclass(frozen=True, eq=False)
-class ColourObservations:
+class ColourObservations(PointwiseObservations):
     """Colours of material points in the images of one camera.
 
     Attributes:
@@ -119,32 +120,18 @@ class ColourObservations:
     sigma: float = 0.06
     exposure: bool = True
     robust_scale: float = 3.0
+    width: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
         if not len(self.frames):
             raise InputError(f"colours: camera {self.camera.name!r} sees no point again after the first frame")
 
     @cached_property
-    def _seen(self) -> tuple[np.ndarray, np.ndarray]:
+    def seen(self) -> Bool[np.ndarray, "T P"]:
+        """Which points are compared in which frame: none in the first."""
         later = self.visible.copy()
         later[0] = False
-        frames, points = np.nonzero(later)
-        return frames, points
-
-    @cached_property
-    def frames(self) -> Int[np.ndarray, " N"]:
-        """Frame of each residual."""
-        return np.repeat(self._seen[0], 3)
-
-    @cached_property
-    def point_indices(self) -> Int[np.ndarray, " N"]:
-        """Point of each residual."""
-        return np.repeat(self._seen[1], 3)
-
-    @property
-    def robust_scales(self) -> Float[np.ndarray, " N"]:
-        """Huber's thresholds."""
-        return np.full(len(self.frames), self.robust_scale)
+        return later
 
     @cached_property
     def colours(self) -> Float[np.ndarray, "P 3"]:
@@ -168,8 +155,8 @@ class ColourObservations:
     def _evaluate(self, positions: np.ndarray, tangents: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         count = 0 if tangents is None else tangents.shape[1]
         residuals, jacobian = [], []
-        for frame in np.unique(self._seen[0]):
-            points = self._seen[1][self._seen[0] == frame]
+        for frame in np.unique(self.pairs[0]):
+            points = self.pairs[1][self.pairs[0] == frame]
             x = positions[frame, points]
             pixels, _ = self.camera.project(x)
             found = _sampled(self.images[frame], pixels)

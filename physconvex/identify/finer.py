@@ -2,10 +2,10 @@
 
     x(p) ≈ x_coarse(p) + [x_fine(p₀) − x_coarse(p₀)] + 4/3 [x_half(p₀) − x_coarse(p₀)],
 
-fitted from p₀ and once more from where that ends. The time step is extrapolated (BDF2 is of second order); the mesh is
-not, since corners of a clamp and contact spoil its order. What is left is taken as half of the mesh's difference and a
-third of the step's. Its effect on a parameter is Σ_t g_t with g_t the first-order shift by frame t; as the error of
-one frame says little of the next one's after an impact, √Σ g_t² is taken where it is larger.
+fitted from p₀ and again from where that ends, with the derivatives at p₀. The time step is extrapolated (BDF2 is of
+second order); the mesh is not, since corners of a clamp and contact spoil its order. What is left is taken as half of
+the mesh's difference and a third of the step's. Its effect on a parameter is Σ_t g_t with g_t the first-order shift by
+frame t; as the error of one frame says little of the next one's after an impact, √Σ g_t² is taken where it is larger.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.fem import TetMesh
-from physconvex.identify.correction import CorrectedModel, parameter_shifts
+from physconvex.identify.correction import parameter_shifts
 from physconvex.identify.full_fit import FULL_OPTIONS
 from physconvex.identify.levenberg_marquardt import Fit, fit
-from physconvex.identify.model import FullModel, Model
+from physconvex.identify.model import PASSES, FullModel, LinearModel, Model
 from physconvex.identify.observations import Observations
 from physconvex.identify.uncertainty import noise_covariance
 from physconvex.identify.weighting import WeightedObservations, frame_errors
@@ -29,6 +29,7 @@ __all__ = ["FinerFit", "fit_finer"]
 _EXTRAPOLATED = 4.0 / 3.0
 _MESH_LEFT, _STEP_LEFT = 0.5, 1.0 / 3.0
 _SETTLED = 0.3  # of a standard deviation
+_FAR = 0.2  # typical steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,9 +54,12 @@ def fit_finer(
     observations: Observations,
     found: Fit,
     *,
-    turns: int = 2,
+    turns: int = 3,
 ) -> FinerFit:
     """Fit again with what a finer mesh and half the time step change.
+
+    Every turn runs the finest model where the last one has ended. The derivatives, the step's difference and the errors
+    are kept until the values have moved far from where they were taken.
 
     Args:
         cheap: gives the derivatives: the full model itself, or the reduced one.
@@ -63,37 +67,65 @@ def fit_finer(
         mesh: the finer mesh; None: the time step alone.
         observations: what was seen.
         found: the fit of the full model.
-        turns: how often the differences are taken at most.
+        turns: how many at most.
 
     Raises:
         ConvergenceError: a finer model fails.
     """
-    values, last = found.values, found
-    shape = (*found.positions.shape[:1], len(found.values), *found.positions.shape[1:])
+    finest = replace(coarse, mesh=coarse.mesh if mesh is None else mesh, friction_passes=PASSES)
+    scales = np.array([p.step for p in found.parameters])
+    values, last, there = found.values, found, None
     for _ in range(turns):
-        x = coarse.positions(values)
-        by_mesh = np.zeros_like(x) if mesh is None else replace(coarse, mesh=mesh).positions(values) - x
-        by_step = replace(coarse, refinement=2 * coarse.refinement).positions(values) - x
-        errors = np.hypot(
-            _MESH_LEFT * frame_errors(observations, x + by_mesh, x),
-            _STEP_LEFT * frame_errors(observations, x + by_step, x),
-        )
-        weighted = WeightedObservations.by_errors(observations, errors)
-        shift = x + by_mesh + _EXTRAPOLATED * by_step - cheap.positions(values)
+        if there is None or (np.abs(values - there.anchor) > _FAR * scales).any():
+            there = _differences(cheap, coarse, finest, observations, values)
+            best = there.finest
+        else:
+            best = finest.positions(values)
         start = [p.at(float(v)) for p, v in zip(found.parameters, values, strict=True)]
-        model = CorrectedModel(cheap, values, shift, np.zeros(shape))
-        last = fit(model, weighted, start, options=FULL_OPTIONS)
-        left = np.hypot(
-            _MESH_LEFT * _effect(last, weighted, x, by_mesh), _STEP_LEFT * _effect(last, weighted, x, by_step)
-        )
+        model = LinearModel(cheap.names, values, best + _EXTRAPOLATED * there.by_step, there.tangents)
+        last = fit(model, there.weighted, start, options=FULL_OPTIONS)
         moved, values = np.abs(last.values - values), last.values
         if (moved <= _SETTLED * np.sqrt(np.diag(noise_covariance(last)))).all():
             break
-    return FinerFit(last, left, errors)
+    assert there is not None
+    left = np.hypot(_MESH_LEFT * there.effect(last, there.by_mesh), _STEP_LEFT * there.effect(last, there.by_step))
+    return FinerFit(last, left, there.errors)
 
 
-def _effect(found: Fit, seen: WeightedObservations, x: np.ndarray, difference: np.ndarray) -> np.ndarray:
-    """How far a difference of the positions [m] moves each value: |Σ_t g_t|, or √Σ g_t² if that is more."""
-    change = seen.residuals(x + difference) - seen.residuals(x)
-    by_frame = parameter_shifts(found, change, np.asarray(seen.frames))
-    return np.maximum(np.abs(by_frame.sum(0)), np.sqrt(np.square(by_frame).sum(0)))
+@dataclass(frozen=True, eq=False)
+class _Differences:
+    """At `anchor` [K]: positions [T, P, 3] m of the coarse model, what mesh and step add, tangents, errors by frame."""
+
+    anchor: np.ndarray
+    coarse: np.ndarray
+    by_mesh: np.ndarray
+    by_step: np.ndarray
+    tangents: np.ndarray
+    errors: np.ndarray
+    weighted: WeightedObservations
+
+    @property
+    def finest(self) -> np.ndarray:
+        return np.asarray(self.coarse + self.by_mesh)
+
+    def effect(self, found: Fit, difference: np.ndarray) -> np.ndarray:
+        """How far a difference of the positions [m] moves each value: |Σ_t g_t|, or √Σ g_t² if that is more."""
+        change = self.weighted.residuals(self.coarse + difference) - self.weighted.residuals(self.coarse)
+        by_frame = parameter_shifts(found, change, np.asarray(self.weighted.frames))
+        return np.maximum(np.abs(by_frame.sum(0)), np.sqrt(np.square(by_frame).sum(0)))
+
+
+def _differences(
+    cheap: Model, coarse: FullModel, finest: FullModel, observations: Observations, values: np.ndarray
+) -> _Differences:
+    tangents = cheap.linearise(values)[1]
+    x = coarse.positions(values)
+    by_mesh = finest.positions(values) - x
+    by_step = replace(coarse, refinement=2 * coarse.refinement).positions(values) - x
+    errors = np.hypot(
+        _MESH_LEFT * frame_errors(observations, x + by_mesh, x),
+        _STEP_LEFT * frame_errors(observations, x + by_step, x),
+    )
+    return _Differences(
+        values, x, by_mesh, by_step, tangents, errors, WeightedObservations.by_errors(observations, errors)
+    )

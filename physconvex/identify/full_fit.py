@@ -33,6 +33,7 @@ def fit_full(
     start: Fit,
     *,
     max_runs: int = 8,
+    options: FitOptions | None = None,
     on_run: Callable[[Iteration], None] | None = None,
 ) -> Correction:
     """Fit the full model, with its own derivatives.
@@ -42,6 +43,7 @@ def fit_full(
         observations: what was seen.
         start: the fit of the cheap model.
         max_runs: most linearisations of the full model.
+        options: when to stop otherwise.
         on_run: told each accepted state.
 
     Raises:
@@ -49,9 +51,8 @@ def fit_full(
     """
     parameters = tuple(p.at(float(v)) for p, v in zip(start.parameters, start.values, strict=True))
     chosen, first = _start(full, observations, parameters, start)
-    found = fit(
-        full, observations, chosen, options=FitOptions(max_iterations=max_runs, max_step=1.5), on_iteration=on_run
-    )
+    settings = replace(options or FULL_OPTIONS, max_iterations=max_runs)
+    found = fit(full, observations, chosen, options=settings, on_iteration=on_run)
     distance = float("nan") if first is None else float(np.sqrt(np.square(first - start.positions).sum(-1).mean()))
     runs = [FullRun(state.values, state.misfit, float("nan")) for state in found.history]
     runs[0] = replace(runs[0], distance=distance)
@@ -62,7 +63,7 @@ def _start(
     full: Model, observations: Observations, parameters: tuple[Parameter, ...], start: Fit
 ) -> tuple[tuple[Parameter, ...], np.ndarray | None]:
     """Where to begin, and the full model's positions at the reduced model's fit (None where it fails there)."""
-    first = _run(full, parameters)
+    first = _first(full, parameters)
     best = np.inf if first is None else misfit_of(observations, first)
     if best <= FAR * start.misfit or _MODULUS not in full.names:
         return parameters, first
@@ -74,6 +75,14 @@ def _start(
         if positions is not None and (misfit := misfit_of(observations, positions)) < best:
             best, chosen = misfit, tuple(trial)
     return chosen, first
+
+
+def _first(full: Model, parameters: tuple[Parameter, ...]) -> np.ndarray | None:
+    """With derivatives, which the search wants next if it begins here."""
+    try:
+        return full.linearise(np.array([p.start for p in parameters]))[0]
+    except ConvergenceError:
+        return None
 
 
 def _run(full: Model, parameters: tuple[Parameter, ...] | list[Parameter]) -> np.ndarray | None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
@@ -14,14 +14,17 @@ from physconvex.errors import InputError
 from physconvex.fem import Scene
 from physconvex.fem import simulate as simulate_full
 from physconvex.fem import simulate_with_sensitivities as full_with_sensitivities
+from physconvex.fem.carried_contact import SurfacePoints
 from physconvex.fem.embedding import Embedding
 from physconvex.fem.mesh import TetMesh
+from physconvex.fem.sensitivity import SensitiveTrajectory
 from physconvex.identify.parameters import default_parameter, lower_bounds, step_scales, upper_bounds
 from physconvex.identify.twin import Twin
 from physconvex.reduced import simulate, simulate_with_sensitivities
 
-__all__ = ["FullModel", "Model", "ReducedModel"]
+__all__ = ["FullModel", "LinearModel", "Model", "ReducedModel", "RollOuts"]
 
+PASSES = 12  # most linearisations of friction in each step of a full model
 _DIFFERENCE = 1e-4  # of a typical step: half width of the central differences
 
 
@@ -81,6 +84,31 @@ class ReducedModel:
         return self._shapes @ run.trajectory.coordinates, self._shapes @ run.coordinate_tangents
 
 
+class RollOuts:
+    """The last roll-outs of full models, so that a fit which begins where another one has ended need not make it again.
+
+    Args:
+        most: how many are kept.
+    """
+
+    def __init__(self, most: int = 6) -> None:
+        self.most = most
+        self._kept: dict[Hashable, SensitiveTrajectory] = {}
+
+    def find(self, key: Hashable) -> SensitiveTrajectory | None:
+        """A linearised roll-out that is kept."""
+        return self._kept.get(key)
+
+    def get(self, key: Hashable, compute: Callable[[], SensitiveTrajectory]) -> SensitiveTrajectory:
+        """The same, made and kept if it is not there."""
+        if key not in self._kept:
+            made = compute()
+            while len(self._kept) >= self.most:
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[key] = made
+        return self._kept[key]
+
+
 @dataclass(frozen=True, eq=False)
 class FullModel:
     """The full-order finite elements as a model.
@@ -92,6 +120,9 @@ class FullModel:
         frames: number of frames T.
         mesh: another mesh of the same geometry; the twin's own unless given.
         refinement: factor on the number of time steps.
+        friction_passes: most linearisations of friction in each step, see `physconvex.fem.simulate`.
+        surface: points at which obstacles act, in the place of the boundary's nodes.
+        memory: of the last linearised roll-outs; may be shared among models.
     """
 
     twin: Twin
@@ -100,6 +131,9 @@ class FullModel:
     frames: int
     mesh: TetMesh | None = None
     refinement: int = 1
+    friction_passes: int = PASSES
+    surface: SurfacePoints | None = None
+    memory: RollOuts = field(default_factory=RollOuts)
 
     @cached_property
     def _embedding(self) -> Embedding:
@@ -107,15 +141,24 @@ class FullModel:
 
     def node_positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T V 3"]:
         """Positions of the nodes of the mesh at the frames [m]."""
-        return simulate_full(self.scene(values), **self._timing()).positions
+        kept = self.memory.find(self._key(values))
+        run = simulate_full(self.scene(values), **self._timing()) if kept is None else kept.trajectory
+        return run.positions
 
     def scene(self, values: Float[np.ndarray, " K"]) -> Scene:
         """The scene with the parameters set."""
-        return self.twin.with_values(self.names, values).full_scene(self.mesh)
+        scene = self.twin.with_values(self.names, values).full_scene(self.mesh)
+        return scene if self.surface is None else replace(scene, contact_points=self.surface)
 
     def _timing(self) -> dict[str, Any]:
         timing = self.twin.timing(self.frames)
-        return timing | {"steps_per_frame": timing["steps_per_frame"] * self.refinement}
+        steps = timing["steps_per_frame"] * self.refinement
+        return timing | {"steps_per_frame": steps, "friction_passes": self.friction_passes}
+
+    def _key(self, values: np.ndarray) -> Hashable:
+        grid = id(self.twin.mesh if self.mesh is None else self.mesh)
+        how = (self.refinement, self.friction_passes, self.frames, id(self.surface))
+        return (self.twin, grid, self.names, *how, np.asarray(values, dtype=np.float64).tobytes())
 
     def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
         """Positions of the points at the frames [m]."""
@@ -125,8 +168,12 @@ class FullModel:
         self, values: Float[np.ndarray, " K"]
     ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
         """Positions and their derivatives (`physconvex.fem.simulate_with_sensitivities`)."""
+        run = self.memory.get(self._key(values), lambda: self._linearised(values))
+        return self._embedding.apply(run.trajectory.positions), self._embedding.apply(run.position_tangents)
+
+    def _linearised(self, values: np.ndarray) -> SensitiveTrajectory:
         usual = [default_parameter(name) for name in self.names]
-        run = full_with_sensitivities(
+        return full_with_sensitivities(
             self.scene,
             values,
             steps=_DIFFERENCE * step_scales(usual),
@@ -134,7 +181,33 @@ class FullModel:
             upper=upper_bounds(usual),
             **self._timing(),
         )
-        return self._embedding.apply(run.trajectory.positions), self._embedding.apply(run.position_tangents)
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """Positions and tangents known at one place, straight on from there.
+
+    Attributes:
+        names: the parameters.
+        anchor: values at that place, shape [K].
+        at: positions there [m], shape [T, P, 3].
+        tangents: their derivatives there, shape [T, K, P, 3].
+    """
+
+    names: tuple[str, ...]
+    anchor: Float[np.ndarray, " K"]
+    at: Float[np.ndarray, "T P 3"]
+    tangents: Float[np.ndarray, "T K P 3"]
+
+    def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
+        """Positions of the points at the frames [m]."""
+        return self.at + np.einsum("tkpi,k->tpi", self.tangents, values - self.anchor)
+
+    def linearise(
+        self, values: Float[np.ndarray, " K"]
+    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
+        """Positions and the derivatives."""
+        return self.positions(values), self.tangents
 
 
 def check_names(names: Sequence[str], expected: Sequence[str]) -> None:

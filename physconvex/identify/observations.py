@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from physconvex.camera import Camera
 from physconvex.errors import InputError
@@ -22,6 +22,7 @@ __all__ = [
     "MarkerObservations",
     "Observations",
     "PixelObservations",
+    "PointwiseObservations",
     "StackedObservations",
     "WrappedObservations",
     "camera_jacobian",
@@ -63,6 +64,48 @@ class Observations(Protocol):
         """The first `count` frames alone; the points stay."""
 
 
+class PointwiseObservations:
+    """Points seen in frames, each with as many residuals as it has coordinates: what is alike in all of these.
+
+    A subclass has `robust_scale` and says by `seen` which points are seen in which frame, [T, P], and by `width` how
+    many residuals each gives.
+    """
+
+    robust_scale: float
+    width: ClassVar[int]
+
+    @property
+    def seen(self) -> Bool[np.ndarray, "T P"]:
+        """Which points are seen in which frame."""
+        raise NotImplementedError
+
+    @cached_property
+    def pairs(self) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+        """Frames and points of what is seen."""
+        frames, points = np.nonzero(self.seen)
+        return frames, points
+
+    @cached_property
+    def frames(self) -> Int[np.ndarray, " N"]:
+        """Frame of each residual."""
+        return np.repeat(self.pairs[0], self.width)
+
+    @cached_property
+    def point_indices(self) -> Int[np.ndarray, " N"]:
+        """Point of each residual."""
+        return np.repeat(self.pairs[1], self.width)
+
+    @property
+    def axes(self) -> Int[np.ndarray, " N"]:
+        """Coordinate of each residual: of space, of the image (0 along the columns, 1 along the rows), or of colour."""
+        return np.tile(np.arange(self.width), len(self.pairs[0]))
+
+    @property
+    def robust_scales(self) -> Float[np.ndarray, " N"]:
+        """Huber's thresholds."""
+        return np.full(len(self.frames), self.robust_scale)
+
+
 @dataclass(frozen=True, eq=False)
 class WrappedObservations:
     """Observations of which residuals and derivatives are changed, and all else stays.
@@ -94,12 +137,8 @@ class WrappedObservations:
         return self.seen.robust_scales
 
 
-def _axes(count: int, width: int) -> np.ndarray:
-    return np.tile(np.arange(width), count)
-
-
 @dataclass(frozen=True, eq=False)
-class MarkerObservations:
+class MarkerObservations(PointwiseObservations):
     """Points followed in space.
 
     Attributes:
@@ -116,6 +155,7 @@ class MarkerObservations:
     positions: Float[np.ndarray, "T P 3"]
     sigma: Float[np.ndarray, "T P"]
     robust_scale: float = np.inf
+    width: ClassVar[int] = 3
 
     def __post_init__(self) -> None:
         shape = np.shape(self.positions)
@@ -127,41 +167,21 @@ class MarkerObservations:
         if not len(self.frames):
             raise InputError("markers: none is seen in any frame; expected at least one position that is not NaN")
 
-    @cached_property
-    def _seen(self) -> tuple[np.ndarray, np.ndarray]:
-        frames, points = np.nonzero(np.isfinite(self.positions).all(-1))
-        return frames, points
-
-    @cached_property
-    def frames(self) -> Int[np.ndarray, " N"]:
-        """Frame of each residual."""
-        return np.repeat(self._seen[0], 3)
-
-    @cached_property
-    def point_indices(self) -> Int[np.ndarray, " N"]:
-        """Point of each residual."""
-        return np.repeat(self._seen[1], 3)
-
     @property
-    def axes(self) -> Int[np.ndarray, " N"]:
-        """Coordinate of each residual, 0 to 2."""
-        return _axes(len(self._seen[0]), 3)
-
-    @property
-    def robust_scales(self) -> Float[np.ndarray, " N"]:
-        """Huber's thresholds."""
-        return np.full(len(self.frames), self.robust_scale)
+    def seen(self) -> Bool[np.ndarray, "T P"]:
+        """Which points are seen in which frame."""
+        return np.isfinite(self.positions).all(-1)
 
     def residuals(self, positions: Positions) -> Float[np.ndarray, " N"]:
         """(model − seen)/σ."""
-        t, p = self._seen
+        t, p = self.pairs
         return ((positions[t, p] - self.positions[t, p]) / self.sigma[t, p][:, None]).ravel()
 
     def linearise(
         self, positions: Positions, tangents: Tangents
     ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
         """The residuals and their derivatives."""
-        t, p = self._seen
+        t, p = self.pairs
         jacobian = tangents[t, :, p] / self.sigma[t, p][:, None, None]  # [n, K, 3]
         return self.residuals(positions), np.moveaxis(jacobian, 1, 2).reshape(-1, tangents.shape[1])
 
@@ -192,7 +212,7 @@ def camera_jacobian(camera: Camera, points: Float[np.ndarray, "n 3"]) -> Float[n
 
 
 @dataclass(frozen=True, eq=False)
-class PixelObservations:
+class PixelObservations(PointwiseObservations):
     """Material points followed in the images of one camera.
 
     Attributes:
@@ -211,6 +231,7 @@ class PixelObservations:
     pixels: Float[np.ndarray, "T P 2"]
     sigma: Float[np.ndarray, "T P"]
     robust_scale: float = 3.0
+    width: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         shape = np.shape(self.pixels)
@@ -224,34 +245,14 @@ class PixelObservations:
                 f"pixels: camera {self.camera.name!r} sees no point in any frame; expected at least one that is not NaN"
             )
 
-    @cached_property
-    def _seen(self) -> tuple[np.ndarray, np.ndarray]:
-        frames, points = np.nonzero(np.isfinite(self.pixels).all(-1))
-        return frames, points
-
-    @cached_property
-    def frames(self) -> Int[np.ndarray, " N"]:
-        """Frame of each residual."""
-        return np.repeat(self._seen[0], 2)
-
-    @cached_property
-    def point_indices(self) -> Int[np.ndarray, " N"]:
-        """Point of each residual."""
-        return np.repeat(self._seen[1], 2)
-
     @property
-    def axes(self) -> Int[np.ndarray, " N"]:
-        """Image axis of each residual: 0 along the columns, 1 along the rows."""
-        return _axes(len(self._seen[0]), 2)
-
-    @property
-    def robust_scales(self) -> Float[np.ndarray, " N"]:
-        """Huber's thresholds."""
-        return np.full(len(self.frames), self.robust_scale)
+    def seen(self) -> Bool[np.ndarray, "T P"]:
+        """Which points are seen in which frame."""
+        return np.isfinite(self.pixels).all(-1)
 
     def residuals(self, positions: Positions) -> Float[np.ndarray, " N"]:
         """(model − seen)/σ; a point that the model puts behind the camera is a residual of 1e3."""
-        t, p = self._seen
+        t, p = self.pairs
         pixels, _ = self.camera.project(positions[t, p])
         values = (pixels - self.pixels[t, p]) / self.sigma[t, p][:, None]
         return np.nan_to_num(values, nan=1e3).ravel()
@@ -260,7 +261,7 @@ class PixelObservations:
         self, positions: Positions, tangents: Tangents
     ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
         """The residuals and their derivatives."""
-        t, p = self._seen
+        t, p = self.pairs
         by_position = np.nan_to_num(camera_jacobian(self.camera, positions[t, p])) / self.sigma[t, p][:, None, None]
         jacobian = np.einsum("nci,nki->nck", by_position, tangents[t, :, p])
         return self.residuals(positions), jacobian.reshape(-1, tangents.shape[1])

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physconvex.errors import ConvergenceError
-from physconvex.identify.levenberg_marquardt import Fit, FitOptions, fit
+from physconvex.identify.correction import misfit_of
+from physconvex.identify.levenberg_marquardt import FitOptions, fit
 from physconvex.identify.model import Model
 from physconvex.identify.observations import Observations
 from physconvex.identify.parameters import Parameter
@@ -20,7 +21,7 @@ _MODULUS, _RATIO = "log10_youngs_modulus", "poisson_ratio"
 
 @dataclass(frozen=True)
 class Candidate:
-    """A start and its misfit after one step in the other unknowns."""
+    """A start and its misfit."""
 
     log10_youngs_modulus: float
     poisson_ratio: float
@@ -45,8 +46,8 @@ def scan(
 ) -> list[Candidate]:
     """Candidates for the start, best first.
 
-    At each pair (E, ν) the other unknowns take one damped step. Pairs at which the model cannot be evaluated are left
-    out.
+    Unknowns that shift or turn the body are fitted once first, at the middle modulus; then the model is evaluated at
+    each pair (E, ν). Pairs at which it cannot be evaluated are left out.
 
     Args:
         model: a cheap model will do.
@@ -59,15 +60,16 @@ def scan(
         ConvergenceError: the model cannot be evaluated at any pair.
     """
     free = any(p.name == _RATIO for p in parameters)
+    parameters = _rigid_fitted(model, observations, parameters, moduli[len(moduli) // 2], ratios[0])
     found = []
     for modulus in moduli:
         for ratio in ratios if free else (float("nan"),):
-            held = tuple(_held(p, {_MODULUS: modulus, _RATIO: ratio}) for p in parameters)
+            start = tuple(_moved(p, {_MODULUS: modulus, _RATIO: ratio}) for p in parameters)
             try:
-                state = fit(model, observations, held, options=FitOptions(max_iterations=2))
+                positions = model.positions(np.array([p.start for p in start]))
             except ConvergenceError:  # too soft to be simulated: no start
                 continue
-            found.append(Candidate(modulus, ratio, state.misfit, _restart(parameters, state)))
+            found.append(Candidate(modulus, ratio, misfit_of(observations, positions), start))
             if on_candidate is not None:
                 on_candidate(found[-1])
     if not found:
@@ -75,12 +77,27 @@ def scan(
     return sorted(found, key=lambda candidate: candidate.misfit)
 
 
+def _rigid_fitted(
+    model: Model, observations: Observations, parameters: Sequence[Parameter], modulus: float, ratio: float
+) -> tuple[Parameter, ...]:
+    """The parameters with those that shift or turn the body where a few steps bring them."""
+    if not any(p.name.startswith("initial_") for p in parameters):
+        return tuple(parameters)
+    held = [_held(p, {_MODULUS: modulus, _RATIO: ratio}) for p in parameters]
+    try:
+        state = fit(model, observations, held, options=FitOptions(max_iterations=3))
+    except ConvergenceError:
+        return tuple(parameters)
+    pairs = zip(parameters, state.values, strict=True)
+    return tuple(p.at(float(v)) if p.name.startswith("initial_") else p for p, v in pairs)
+
+
+def _moved(parameter: Parameter, values: dict[str, float]) -> Parameter:
+    return parameter.at(values[parameter.name]) if parameter.name in values else parameter
+
+
 def _held(parameter: Parameter, values: dict[str, float]) -> Parameter:
     if parameter.name not in values:
         return parameter
     at = parameter.at(values[parameter.name])
     return replace(at, lower=at.start, upper=at.start)
-
-
-def _restart(parameters: Sequence[Parameter], state: Fit) -> tuple[Parameter, ...]:
-    return tuple(p.at(float(v)) for p, v in zip(parameters, state.values, strict=True))

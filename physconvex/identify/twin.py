@@ -11,13 +11,13 @@ from jaxtyping import Float
 
 from physconvex.capture import Capture
 from physconvex.contact import Plane
-from physconvex.errors import InputError
+from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import ElasticBody, Scene, TetMesh, to_quadratic
-from physconvex.fem.meshing import tetrahedralize
 from physconvex.identify.clamping import Clamp, clamp_of
+from physconvex.identify.faithful import faithful_mesh
 from physconvex.reduced import BodySamples, ReducedBody, ReducedScene, ReducedSpace, eigenmode_weights, with_parameters
 
-__all__ = ["Twin", "TwinOptions", "base_twin", "mesh_of_capture"]
+__all__ = ["Twin", "TwinOptions", "base_twin", "coarse_mesh", "mesh_of_capture"]
 
 RATE = 384.0  # time steps per second at least: below 0.02 decades of E by the time step, see design notes
 
@@ -124,9 +124,9 @@ def _uniform(name: str, value: np.ndarray) -> float:
 
 
 def mesh_of_capture(capture: Capture, *, max_nodes: int = 700) -> TetMesh:
-    """Quadratic tetrahedra of a capture's rest geometry, of at most `max_nodes` nodes.
+    """Quadratic tetrahedra of a capture's rest geometry, of about `max_nodes` nodes at most.
 
-    Those of `tets.npz` are taken if they are few enough, else its boundary (or `mesh.*`) is meshed.
+    Those of `tets.npz` are taken if they are few enough, else its boundary (or `mesh.*`) is meshed (`faithful_mesh`).
 
     Raises:
         InputError: the capture has no rest geometry, or none that encloses a volume.
@@ -137,16 +137,25 @@ def mesh_of_capture(capture: Capture, *, max_nodes: int = 700) -> TetMesh:
         if len(quadratic.vertices) <= max_nodes:
             return quadratic
         used, faces = np.unique(tets.boundary_faces[:, :3], return_inverse=True)
-        pair = (tets.vertices[used], faces.reshape(-1, 3))
-        return tetrahedralize(pair, max_nodes=max_nodes, order=2, method="auto")
+        return faithful_mesh(tets.vertices[used], faces.reshape(-1, 3), max_nodes=max_nodes)
     surface = capture.mesh()
     if surface is None:
         raise InputError(
             f"{capture.folder}: no rest geometry; expected tets.npz (vertices, tets) or mesh.obj, .ply or .glb of the "
             "closed surface where it is at t = 0. Points alone do not tell what body carries them"
         )
-    pair = (np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces))
-    return tetrahedralize(pair, max_nodes=max_nodes, order=2, method="auto")
+    return faithful_mesh(np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces), max_nodes=max_nodes)
+
+
+def coarse_mesh(capture: Capture, mesh: TetMesh, *, max_nodes: int = 200) -> TetMesh:
+    """A quadratic mesh of a capture with fewer nodes than the given one, or that one where it is small already."""
+    if len(mesh.vertices) <= 1.5 * max_nodes:
+        return mesh
+    try:
+        coarse = mesh_of_capture(capture, max_nodes=max_nodes)
+    except ConvergenceError:  # the shape asks for more nodes
+        return mesh
+    return coarse if len(coarse.vertices) < len(mesh.vertices) else mesh
 
 
 def _reference(capture: Capture, mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:

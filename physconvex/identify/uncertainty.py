@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from physconvex.identify.levenberg_marquardt import Fit
 
-__all__ = ["Identifiability", "NullDirection", "identifiability", "noise_covariance"]
+__all__ = ["Identifiability", "NullDirection", "clustered_deviations", "identifiability", "noise_covariance"]
 
 _LOOSE = 1.0  # a direction is undetermined when its deviation exceeds one typical step …
 _CORRELATED = 0.95
@@ -74,6 +74,29 @@ def noise_covariance(found: Fit) -> Float[np.ndarray, "K K"]:
         inner = (vectors / np.maximum(values, 1e-12)) @ vectors.T
         out[np.ix_(free, free)] = inner * np.outer(scales[free], scales[free])
     return out
+
+
+def clustered_deviations(found: Fit, frames: Int[np.ndarray, " N"]) -> Float[np.ndarray, " K"]:
+    """Standard deviations if residuals of one frame err together, in the parameters' units.
+
+    The sandwich H⁻¹ (Σ_t s_t s_tᵀ) H⁻¹ with s_t the gradient of frame t's share of the misfit (Liang & Zeger 1986),
+    times T/(T − K). Points that are followed or compared in one image share its errors and the model's, so that their
+    number does not make the estimate as sure as that of independent ones would. Zero for parameters at a bound.
+
+    Args:
+        found: the fit.
+        frames: frame of each residual.
+    """
+    shifts = _scores(found, frames) @ noise_covariance(found)
+    count = len(shifts)
+    factor = count / max(count - len(found.values), 1)
+    return np.sqrt(factor * np.square(shifts).sum(0))
+
+
+def _scores(found: Fit, frames: Int[np.ndarray, " N"]) -> Float[np.ndarray, "T K"]:
+    """Gradient of each frame's share of the misfit; one row for each frame that has residuals."""
+    rows = found.jacobian * (found.weights * found.residuals)[:, None]
+    return np.stack([rows[frames == frame].sum(0) for frame in np.unique(frames)])
 
 
 def identifiability(found: Fit) -> Identifiability:

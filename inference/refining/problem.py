@@ -1,0 +1,90 @@
+"""What a refinement fits: the twin that holds the fixed values, the unknowns, what was seen of the observed frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from inference.refining.observing import Observed
+from physconvex.fem import SurfacePoints
+from physconvex.identify import FullModel, Observations, Parameter, ReducedModel, RollOuts, Twin, WeightedObservations
+from physconvex.identify.nuisance import MarginalObservations, Nuisance
+
+__all__ = ["Problem"]
+
+_FRICTION_PASSES = 3  # in each step of the search; as many as are needed in the motion
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is fitted.
+
+    Attributes:
+        twin: body and world, with the fixed values.
+        parameters: the unknowns.
+        observed: what was seen.
+        nuisance: priors of camera and clock.
+        surface: points at which obstacles act, in the place of the mesh's nodes.
+        errors: of the model by frame, in standard deviations of the noise, shape [T].
+    """
+
+    twin: Twin
+    parameters: tuple[Parameter, ...]
+    observed: Observed
+    nuisance: Nuisance = field(default_factory=Nuisance)
+    surface: SurfacePoints | None = None
+    errors: np.ndarray | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def seen(self) -> Observations:
+        """What was seen, nuisances eliminated."""
+        seen = self.observed.observations
+        return MarginalObservations(seen, self.nuisance, 1 / self.twin.fps) if self.nuisance.any else seen
+
+    @property
+    def weighted(self) -> Observations:
+        """What was seen, frames counting by how well the model knows them."""
+        return self.seen if self.errors is None else WeightedObservations.by_errors(self.seen, self.errors)
+
+    def reduced(self) -> ReducedModel:
+        """The reduced model of the observed points."""
+        return ReducedModel(self.twin, self.names, self.seen.points, self.frames)
+
+    def full(self, memory: RollOuts) -> FullModel:
+        """The full model of the observed points."""
+        return FullModel(
+            self.twin,
+            self.names,
+            self.seen.points,
+            self.frames,
+            friction_passes=_FRICTION_PASSES,
+            surface=self.surface,
+            memory=memory,
+        )
+
+    @property
+    def frames(self) -> int:
+        """Number of frames that are fitted."""
+        return int(self.seen.frames.max()) + 1
+
+    @property
+    def windows(self) -> tuple[int, ...]:
+        """Numbers of frames to be fitted one after the other.
+
+        A held body swings: over many periods the misfit has a minimum per period, over one it has one.
+        """
+        count = self.frames
+        if self.twin.clamp is None:
+            return (count,)
+        return tuple(dict.fromkeys(max(2, round(count * share)) for share in (0.25, 0.5, 1.0)))
+
+    def first(self, frames: int) -> Problem:
+        """The first frames alone."""
+        part = replace(self.observed, observations=self.observed.observations.in_frames(frames))
+        return replace(self, observed=part)
