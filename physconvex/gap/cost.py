@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from physconvex.fem.simulation import SolveStatistics
+from physconvex.fem import SolveStatistics
 
 __all__ = ["Cost"]
 
