@@ -21,16 +21,18 @@ from physconvex.gap.numerics import Numerics, correction_of, error_model, numeri
 from physconvex.gap.options import GapOptions
 from physconvex.gap.report import GapReport, Provenance
 from physconvex.gap.score import ErrorModel
-from physconvex.gap.screening import Screening
+from physconvex.gap.screening import Screening, screen
 from physconvex.gap.second_take import second_take_shrinkage
 from physconvex.gap.selection import FAILURES, select_effects
 from physconvex.gap.shortening import MOST_FRAMES, shortened
+from physconvex.gap.trust import error_scale
 from physconvex.gap.verdict import decide
 from physconvex.gap.where import locate_gap
 
 __all__ = ["diagnose"]
 
 Report = Callable[[str], None]
+_WORTH = 0.8  # factor on the numerical error from which on down the base fit is made anew
 
 
 def diagnose(
@@ -69,13 +71,7 @@ def diagnose(
     numerics = numerical_differences(rough, options, report)
     rough_errors = error_model(rough, numerics, options)
     base = fit_baseline(rough, correction_of(numerics), numerics.fine, rough_errors.variance, options, report)
-    directions = {
-        "time_step": numerics.implicit_euler,
-        "mesh_resolution": numerics.mesh,
-        "reduction": numerics.reduction,
-    }
-    base = replace(base, model=replace(base.model, directions=directions))
-    errors = error_model(base, numerics, options)
+    base, errors = _trusted(base, numerics, dictionary, options, report)
     hypotheses, screening = select_effects(base, errors, numerics, dictionary, options, report)
     best = next((h for h in hypotheses if h.effects), hypotheses[0])
     report("placebo")
@@ -111,6 +107,33 @@ def diagnose(
         provenance=_provenance(base, numerics, screening, time.monotonic() - begun),
         options=options,
     )
+
+
+def _trusted(
+    base: Baseline, numerics: Numerics, dictionary: Sequence[Effect], options: GapOptions, report: Report
+) -> tuple[Baseline, ErrorModel]:
+    """The base fit and the weights of its residuals, both anew where numerical error is less than was expected."""
+    errors = error_model(base, numerics, options)
+    if base.situation.clamped:
+        return _with_directions(base, numerics), errors
+    screening = screen(as_reduced(base), errors, numerics, dictionary, report)
+    scale = error_scale(base, errors, screening)
+    if scale < _WORTH and base.model.correction is not None:
+        errors = error_model(base, numerics, options, scale=scale)
+        fine = None if base.model.mesh is None else (base.model.mesh, base.motion)
+        base = fit_baseline(base, base.model.correction, fine, errors.variance, options, report)
+        errors = error_model(base, numerics, options, scale=scale)
+    return _with_directions(base, numerics), errors
+
+
+def _with_directions(base: Baseline, numerics: Numerics) -> Baseline:
+    """With the numerical effects' motions."""
+    directions = {
+        "time_step": numerics.implicit_euler,
+        "mesh_resolution": numerics.mesh,
+        "reduction": numerics.reduction,
+    }
+    return replace(base, model=replace(base.model, directions=directions))
 
 
 def _relative_gap(base: Baseline, errors: ErrorModel, hypothesis: Hypothesis) -> float:
