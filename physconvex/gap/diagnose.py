@@ -71,8 +71,8 @@ def diagnose(
     numerics = numerical_differences(rough, options, report)
     rough_errors = error_model(rough, numerics, options)
     base = fit_baseline(rough, correction_of(numerics), numerics.fine, rough_errors.variance, options, report)
-    base, errors = _trusted(base, numerics, dictionary, options, report)
-    hypotheses, screening = select_effects(base, errors, numerics, dictionary, options, report)
+    base, errors, screening = _trusted(base, numerics, dictionary, options, report)
+    hypotheses, screening = select_effects(base, errors, numerics, dictionary, options, report, screening=screening)
     best = next((h for h in hypotheses if h.effects), hypotheses[0])
     report("placebo")
     placebo = _placebo(base, errors, screening, best, options)
@@ -111,19 +111,23 @@ def diagnose(
 
 def _trusted(
     base: Baseline, numerics: Numerics, dictionary: Sequence[Effect], options: GapOptions, report: Report
-) -> tuple[Baseline, ErrorModel]:
-    """The base fit and the weights of its residuals, both anew where numerical error is less than was expected."""
-    errors = error_model(base, numerics, options)
-    if base.situation.clamped:
-        return _with_directions(base, numerics), errors
+) -> tuple[Baseline, ErrorModel, Screening | None]:
+    """The base fit and the weights of its residuals, both anew where numerical error is less than was expected.
+
+    And the screening at that fit, if there was no need to make it anew.
+    """
+    base, errors = _with_directions(base, numerics), error_model(base, numerics, options)
+    correction = base.model.correction
+    if base.situation.clamped or correction is None:
+        return base, errors, None
     screening = screen(as_reduced(base), errors, numerics, dictionary, report)
     scale = error_scale(base, errors, screening)
-    if scale < _WORTH and base.model.correction is not None:
-        errors = error_model(base, numerics, options, scale=scale)
-        fine = None if base.model.mesh is None else (base.model.mesh, base.motion)
-        base = fit_baseline(base, base.model.correction, fine, errors.variance, options, report)
-        errors = error_model(base, numerics, options, scale=scale)
-    return _with_directions(base, numerics), errors
+    if scale > _WORTH:
+        return base, errors, screening
+    errors = error_model(base, numerics, options, scale=scale)
+    fine = None if base.model.mesh is None else (base.model.mesh, base.motion)
+    base = _with_directions(fit_baseline(base, correction, fine, errors.variance, options, report), numerics)
+    return base, error_model(base, numerics, options, scale=scale), None
 
 
 def _with_directions(base: Baseline, numerics: Numerics) -> Baseline:
