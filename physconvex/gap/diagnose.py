@@ -17,13 +17,13 @@ from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
 from physconvex.gap.effects import Effect, choose
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
 from physconvex.gap.mapping import as_reduced
-from physconvex.gap.numerics import Numerics, correction_of, error_model, numerical_differences
+from physconvex.gap.numerics import Numerics, correction_of, detail_errors, error_model, numerical_differences
 from physconvex.gap.options import GapOptions
 from physconvex.gap.report import GapReport, Provenance
 from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screening
 from physconvex.gap.second_take import second_take_shrinkage
-from physconvex.gap.selection import FAILURES, select_effects
+from physconvex.gap.selection import FAILURES, evidence_of_anything, select_effects
 from physconvex.gap.shortening import MOST_FRAMES, shortened
 from physconvex.gap.verdict import decide
 from physconvex.gap.where import locate_gap
@@ -76,10 +76,11 @@ def diagnose(
     }
     base = replace(base, model=replace(base.model, directions=directions))
     errors = error_model(base, numerics, options)
-    hypotheses, screening = select_effects(base, errors, numerics, dictionary, options, report)
+    weights = detail_errors(base, errors, options.detail)
+    hypotheses, screening = select_effects(base, weights, numerics, dictionary, options, report)
     best = next((h for h in hypotheses if h.effects), hypotheses[0])
     report("placebo")
-    placebo = _placebo(base, errors, screening, best, options)
+    placebo = _placebo(base, weights, screening, best, options)
     shrinkage = _shrinkages(base, errors, best, placebo, options)
     verdict = decide(
         hypotheses,
@@ -91,6 +92,7 @@ def diagnose(
         floor=shrinkage[-1].noise_floor / base.situation.size,
         placebo=shrinkage[-1].placebo,
         astray=_astray(base, best),
+        other=evidence_of_anything(best),
     )
     if second_take is not None:
         other = second_take if isinstance(second_take, Capture) else load_capture(second_take)
