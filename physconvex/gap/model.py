@@ -16,6 +16,7 @@ from physconvex.errors import ConvergenceError
 from physconvex.fem import Embedding, TetMesh
 from physconvex.fem import Scene as FullScene
 from physconvex.fem import simulate as simulate_full
+from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Effect, Motion, Situation
 from physconvex.identify import Parameter, Twin
 from physconvex.identify.parameters import default_parameter
@@ -59,6 +60,7 @@ class EffectModel:
         doubt: how much the stated noise overrates what the fit says, by which priors weigh more; see
             `physconvex.gap.independence`.
         reduced: whether motions come from the reduced model; `correction` then makes up for the difference.
+        cost: what the runs of this model, and of all that were made of it by `replace`, have cost.
     """
 
     twin: Twin
@@ -75,6 +77,7 @@ class EffectModel:
     integrator: IntegratorName = "bdf2"
     doubt: float = 1.0
     reduced: bool = False
+    cost: Cost = field(default_factory=Cost)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -147,12 +150,25 @@ class EffectModel:
             return self.reduced_motion(values)
         timing = self.twin.timing(self.frames)
         timing["steps_per_frame"] *= self.refinement
-        run = simulate_full(self.full_scene(values), integrator=self.integrator, **timing, **ACCURACY)
+        scene = self.full_scene(values)
+        nodes = len(scene.body.mesh.vertices)
+        try:
+            run = simulate_full(scene, integrator=self.integrator, **timing, **ACCURACY)
+        except ConvergenceError:
+            self.cost.add_failed(self.frames * timing["steps_per_frame"], nodes)
+            raise
+        self.cost.add(run.statistics, nodes)
         return self._motion(run.times, self.embedding.apply(run.positions), self.embedding.apply(run.velocities))
 
     def reduced_motion(self, values: Vector) -> Motion:
         """The same by the reduced model."""
-        run = simulate(self.reduced_scene(values), **self.twin.timing(self.frames), **ACCURACY)
+        timing = self.twin.timing(self.frames)
+        try:
+            run = simulate(self.reduced_scene(values), **timing, **ACCURACY)
+        except ConvergenceError:
+            self.cost.add_failed(self.frames * timing["steps_per_frame"], None)
+            raise
+        self.cost.add(run.statistics, None)
         shapes = self.twin.scene.body.space.shape_values(self.points)
         return self._motion(run.times, shapes @ run.coordinates, shapes @ run.velocities)
 

@@ -21,7 +21,8 @@ class GapOptions:
         starts: start doses of each, in multiples of the screened estimate.
         iterations: linearisations of each fit.
         most_effects: that are looked for together.
-        seconds: after which no further fit is begun.
+        search_cost: model runs after which the search begins no further fit, in seconds of one core; counted
+            (`physconvex.gap.cost`), so that the answer does not depend on what else the machine does.
         error_scale: κ, how much numerical differences widen the noise.
         discretisation: numerical error that any model of finite size is credited with, relative to the distance the
             points have moved; only where the differences of runs say less.
@@ -40,7 +41,7 @@ class GapOptions:
     starts: tuple[float, ...] = (1.0,)
     iterations: int = 9
     most_effects: int = 3
-    seconds: float = 420.0
+    search_cost: float = 300.0
     error_scale: float = 1.0
     discretisation: float = 2e-3
     detail: float = 0.1

@@ -9,7 +9,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -39,7 +38,7 @@ __all__ = ["FAILURES", "Selection", "evidence_of_anything", "plausible_pairs", "
 
 # of a run with doses that no body can bear: such a fit is left out, and the report says so
 FAILURES = (ConvergenceError, InputError, np.linalg.LinAlgError)
-_LATEST = 1.25  # of the time for the search: then no further full-order fit is begun
+_LATEST = 1.5  # of the cost of the search: then no further full-order fit is begun
 _CLOSED = 1.5  # mean square over the expected one below which there is no gap to explain
 _LEFT = 2.5  # above which a further effect is looked for
 _SINGLES, _PAIRS, _ADDED, _EARLY = 7, 4, 3, 4  # fits: alone, two at once, in each further round, from the first frames
@@ -58,7 +57,7 @@ class Selection:
         errors: weights of the residuals.
         options: settings.
         report: told what is done.
-        deadline: time after which no further fit is begun.
+        limit: cost of model runs after which no further fit is begun.
         found: fits so far, the base model first.
         polished: ids of the motions of fits that need not be fitted again.
         independent: number of independent residuals in what the base model leaves.
@@ -68,7 +67,7 @@ class Selection:
     errors: ErrorModel
     options: GapOptions
     report: Report
-    deadline: float
+    limit: float
     found: list[Hypothesis] = field(default_factory=list)
     polished: set[int] = field(default_factory=set)
     independent: float = 1.0
@@ -85,11 +84,11 @@ class Selection:
 
     @property
     def late(self) -> bool:
-        """Whether the time is up."""
-        return time.thread_time() > self.deadline
+        """Whether the runs so far have cost what they may."""
+        return self.base.model.cost.spent > self.limit
 
     def attempt(self, text: str, run: Callable[[], Hypothesis]) -> Hypothesis | None:
-        """Fit and keep, unless the time is up or it fails."""
+        """Fit and keep, unless the runs have cost too much or it fails."""
         if self.late:
             return None
         self.report(f"fit: {text}")
@@ -126,8 +125,9 @@ def select_effects(
     """
     cheap, dictionary = as_reduced(base), tuple(dictionary)
     screening = screen(cheap, errors, numerics, dictionary, report)
-    begun = time.thread_time()  # of this thread: a busy machine does not cut the search short
-    search = Selection(cheap, errors, options, report, begun + options.seconds)
+    cost = cheap.model.cost
+    begun = cost.spent
+    search = Selection(cheap, errors, options, report, begun + options.search_cost)
     search.found.append(base_hypothesis(cheap, errors))
     rows = len(base.rows(base.split.fitted))
     search.independent = rows / residuals_per_one(base, errors, base.positions, base.split.fitted)
@@ -145,7 +145,7 @@ def select_effects(
     out = [base_hypothesis(base, errors)]
     finalists = _finalists(search.ranked, options.candidates if open_gap else 1)
     for hypothesis in sorted(finalists, key=lambda h: len(h.effects)):  # the simple ones first, should time run out
-        if len(out) > 3 and time.thread_time() > begun + _LATEST * options.seconds:
+        if len(out) > 3 and cost.spent > begun + _LATEST * options.search_cost:
             break
         report(f"full-order fit: {hypothesis.label}")
         try:
