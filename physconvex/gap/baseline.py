@@ -37,6 +37,7 @@ __all__ = ["Baseline", "Split", "fit_baseline", "rough_baseline", "split_frames"
 
 Report = Callable[[str], None]
 _STEPS_PER_WAVE = 8  # time steps in the time an elastic wave takes through the body
+_HELD = 4  # the same for a held body, which bends slowly and is not struck
 _STARTS = 3  # of the rough fit of a held body
 _MOST_STEPS = 1000  # of one roll-out
 _ROUNDS = 3  # of full-order run and search with the reduced model
@@ -198,7 +199,7 @@ def _windows(frames: int, *, held: bool) -> tuple[int, ...]:
 def _steps(twin: Twin, values: dict[str, float]) -> int:
     """Time steps per frame that resolve the body's vibrations, within what can be afforded."""
     wave = twin.mesh.size * np.sqrt(twin.capture.density / 10 ** values["log10_youngs_modulus"])
-    wanted = int(np.ceil(_STEPS_PER_WAVE / (wave * twin.fps)))
+    wanted = int(np.ceil((_STEPS_PER_WAVE if twin.clamp is None else _HELD) / (wave * twin.fps)))
     most = max(twin.steps_per_frame, _MOST_STEPS // twin.capture.frames)
     return int(np.clip(wanted, twin.steps_per_frame, most))
 

@@ -321,18 +321,20 @@ def _as_good_as_a_placebo(e: _Evidence) -> Verdict | None:
 
 def _called(e: _Evidence) -> Verdict:
     """The best effects are the cause."""
-    likely = tuple(n for n in e.named if n.probability >= _LIKELY)
-    if not likely:
+    likely = tuple(n for n in e.named if n.probability >= _LIKELY) or (
+        max(e.named, key=lambda n: n.probability),
+    )  # of several that are alike none may have half, and it is one of them all the same
+    if e.probability.get(_OTHER, 0.0) + e.none >= _LIKELY:
         shares = ", ".join(f"{n.name} {n.probability:.0%}" for n in e.possible)
         sentence = (
-            f"Inconclusive: there is a gap, and {e.best.label} fits best, but no effect has a probability of "
-            f"{_LIKELY:.0%} ({shares}; something else {e.probability.get(_OTHER, 0.0):.0%})."
+            f"Inconclusive: there is a gap, and {e.best.label} fits best, but leaves so much that "
+            f"none is likely ({shares}; something else {e.probability.get(_OTHER, 0.0):.0%})."
         )
         return e.verdict("inconclusive", sentence, e.possible)
     doses = "; ".join(f"{d.name} = {d.value:.3g} {d.unit}".strip() for n in likely for d in n.doses)
     also = sorted({name for n in likely for name in n.confused_with})
     caveat = f"; from this recording it may be confused with {', '.join(also)}" if also else ""
-    perhaps = [f"{n.name} ({n.probability:.0%})" for n in e.named if n.probability < _LIKELY]
+    perhaps = [f"{n.name} ({n.probability:.0%})" for n in e.named if n not in likely]
     added = f"; perhaps also by {', '.join(perhaps)}" if perhaps else ""
     label = " + ".join(x.label for x in e.best.effects if x.name in {n.name for n in likely})
     sure = ", ".join(f"{'above ' if n.probability > 0.99 else ''}{min(n.probability, 0.99):.0%}" for n in likely)
