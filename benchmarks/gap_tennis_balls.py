@@ -33,8 +33,9 @@ def ball_capture(folder: Path, data: Path) -> Capture:
     path = np.stack([table[f"b1_{axis}_m"] for axis in "xyz"], axis=1)[FIRST : FIRST + FRAMES]
     ball = trimesh.creation.icosphere(subdivisions=2, radius=RADIUS)
     ball.apply_translation(path[0])
+    up = np.array([0.0, 0.0, 1.0])
     capture = Capture(
-        folder, 60.0, FRAMES, OBSERVED, gravity=np.array([0.0, 0.0, -9.81]), floor=Floor(np.zeros(3), np.array([0.0, 0.0, 1.0])),
+        folder, 60.0, FRAMES, OBSERVED, gravity=-9.81 * up, floor=Floor(np.zeros(3), up),
         density=MASS / float(ball.volume),
     )  # fmt: skip
     save_capture(capture, mesh=ball, tracks=Tracks(path[:1].copy(), path[:, None], np.full((FRAMES, 1), SIGMA)))

@@ -11,6 +11,7 @@ import numpy as np
 
 import physconvex
 from physconvex.capture import Capture, load_capture
+from physconvex.gap.absorbing import with_absorbed_mesh
 from physconvex.gap.advice import next_experiment
 from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
 from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
@@ -75,6 +76,7 @@ def diagnose(
         "reduction": numerics.reduction,
     }
     base = replace(base, model=replace(base.model, directions=directions))
+    numerics = with_absorbed_mesh(base, numerics, options)
     errors = error_model(base, numerics, options)
     weights = detail_errors(base, errors, options.detail)
     hypotheses, screening = select_effects(base, weights, numerics, dictionary, options, report)

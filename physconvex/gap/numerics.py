@@ -47,6 +47,7 @@ class Numerics:
         nodes: of the model's mesh, of the finer one and, where one was run, of the finest.
         failed: names of runs that did not converge (their differences are zero).
         finest: with the finest mesh less with the finer one; None where none was run.
+        absorbed_mesh: `mesh` after E and ν have been fitted, see `physconvex.gap.absorbing`; None where they were not.
     """
 
     steps: Positions
@@ -58,11 +59,13 @@ class Numerics:
     nodes: tuple[int, ...] = (1, 1)
     failed: tuple[str, ...] = ()
     finest: Positions | None = None
+    absorbed_mesh: Positions | None = None
 
     @property
     def null(self) -> tuple[Positions, ...]:
         """Differences that effect-free captures may show."""
         mesh = self.mesh if self.finest is None else self.finest
+        mesh = mesh if self.absorbed_mesh is None else self.absorbed_mesh
         return (_STEPS_LEFT * self.steps, self._mesh_left[:, None, None] * mesh, self.contact)
 
     @property
