@@ -43,6 +43,7 @@ _CLOSED = 1.5  # mean square over the expected one below which there is no gap t
 _LEFT = 2.5  # above which a further effect is looked for
 _SINGLES, _PAIRS, _ADDED, _EARLY = 7, 4, 3, 4  # fits: alone, two at once, in each further round, from the first frames
 _STEMS, _POLISHED = 2, 3  # fits that the first further round goes on from; fits with derivatives taken anew
+_HELD = 0.5  # of the search of a held body: its full-order fits, which come after, cost as much again
 _ANYTHING = 8  # doses and effects that an unknown effect is priced at
 _MANY = 40  # pairs that are ranked
 _WORTH = 4.0  # gain of evidence for which the search goes on
@@ -127,7 +128,8 @@ def select_effects(
     screening = screen(cheap, errors, numerics, dictionary, report)
     cost = cheap.model.cost
     begun = cost.spent
-    search = Selection(cheap, errors, options, report, begun + options.search_cost)
+    budget = options.search_cost * (_HELD if base.situation.clamped else 1.0)
+    search = Selection(cheap, errors, options, report, begun + budget)
     search.found.append(base_hypothesis(cheap, errors))
     rows = len(base.rows(base.split.fitted))
     search.independent = rows / residuals_per_one(base, errors, base.positions, base.split.fitted)
@@ -145,7 +147,7 @@ def select_effects(
     out = [base_hypothesis(base, errors)]
     finalists = _finalists(search.ranked, options.candidates if open_gap else 1)
     for hypothesis in sorted(finalists, key=lambda h: len(h.effects)):  # the simple ones first, should time run out
-        if len(out) > 3 and cost.spent > begun + _LATEST * options.search_cost:
+        if len(out) > 3 and cost.spent > begun + _LATEST * budget:
             break
         report(f"full-order fit: {hypothesis.label}")
         try:
