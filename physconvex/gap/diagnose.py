@@ -91,7 +91,7 @@ def diagnose(
         _relative_gap(base, errors, best),
         1.0 - shrinkage[-1].shrinkage,
         options,
-        floor=shrinkage[-1].noise_floor / base.situation.size,
+        floor=shrinkage[-1].noise_floor / _extent(base),
         placebo=shrinkage[-1].placebo,
         astray=_astray(base, best),
         other=evidence_of_anything(best),
@@ -121,6 +121,12 @@ def _relative_gap(base: Baseline, errors: ErrorModel, hypothesis: Hypothesis) ->
     """Mean square of the residual over its expected square, all frames."""
     residual = base.residual(hypothesis.positions)
     return float(np.mean(residual**2 / errors.expected))
+
+
+def _extent(base: Baseline) -> float:
+    """What an error of the model is measured by [m]: the size of the body, or how far it moved if that is less."""
+    moved = base.motion.positions - base.motion.rest
+    return float(np.clip(np.sqrt((moved**2).sum(-1).mean()), 1e-6 * base.situation.size, base.situation.size))
 
 
 def _astray(base: Baseline, best: Hypothesis) -> float:

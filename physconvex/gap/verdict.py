@@ -19,7 +19,7 @@ _CLEAR, _WEAK = 4.0, 1.5  # gain of log-evidence over the base model that makes 
 _ALIKE = 0.95  # cosine of signatures
 _LISTED = 0.02  # probability
 _PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
-_BLIND = 0.1  # floor over size above which "none" would say nothing
+_BLIND = 0.1  # floor over size or motion above which "none" would say nothing
 _SURE = 30.0  # gain that makes a call although the base model fits the fitted frames within its error
 _SEEN = 3.0  # standard errors
 _ASTRAY = 0.5  # distance from the recording over its motion above which the model is no model of it
@@ -164,7 +164,8 @@ def decide(
         after: the same with the best effects, held-out frames; one = nothing left above noise and numerical error.
         remaining: share of the held-out gap above the floor that the best effects leave, 0 to 1 and more.
         options: settings.
-        floor: numerical error and noise over the size of the body; a model that errs by a tenth of it tells nothing.
+        floor: numerical error and noise over the size of the body, or over its motion if that is less; a model that errs
+            by a tenth of it tells nothing.
         placebo: share of the held-out gap that an effect removes which screening ranked last; NaN where none was tried.
         astray: distance of the best model from the recording over how far that moves, rms.
         other: evidence of something that is not among the hypotheses.
@@ -251,7 +252,7 @@ def _nothing(e: _Evidence) -> Verdict | None:
         return None
     if e.floor > _BLIND:
         sentence = (
-            f"Inconclusive: the model's own numerical error and the noise ({e.floor:.0%} of the body's size) hide "
+            f"Inconclusive: the model's own numerical error and the noise ({e.floor:.0%} of the body's size or motion) hide "
             "whatever gap there is. Allow a finer mesh, or record a motion with less contact."
         )
         return e.verdict("inconclusive", sentence, power=True)
