@@ -11,19 +11,20 @@ import numpy as np
 
 import physconvex
 from physconvex.capture import Capture, load_capture
+from physconvex.gap.absorbing import with_absorbed_mesh
 from physconvex.gap.advice import next_experiment
 from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
 from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
 from physconvex.gap.effects import Effect, choose
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
 from physconvex.gap.mapping import as_reduced
-from physconvex.gap.numerics import Numerics, correction_of, error_model, numerical_differences
+from physconvex.gap.numerics import Numerics, correction_of, detail_errors, error_model, numerical_differences
 from physconvex.gap.options import GapOptions
 from physconvex.gap.report import GapReport, Provenance
 from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screening, screen
 from physconvex.gap.second_take import second_take_shrinkage
-from physconvex.gap.selection import FAILURES, select_effects
+from physconvex.gap.selection import FAILURES, evidence_of_anything, select_effects
 from physconvex.gap.shortening import MOST_FRAMES, shortened
 from physconvex.gap.trust import error_scale
 from physconvex.gap.verdict import decide
@@ -71,11 +72,14 @@ def diagnose(
     numerics = numerical_differences(rough, options, report)
     rough_errors = error_model(rough, numerics, options)
     base = fit_baseline(rough, correction_of(numerics), numerics.fine, rough_errors.variance, options, report)
+    base = _with_directions(base, numerics)
+    numerics = with_absorbed_mesh(base, numerics, options)
     base, errors, screening = _trusted(base, numerics, dictionary, options, report)
-    hypotheses, screening = select_effects(base, errors, numerics, dictionary, options, report, screening=screening)
+    weights = detail_errors(base, errors, options.detail)
+    hypotheses, screening = select_effects(base, weights, numerics, dictionary, options, report, screening=screening)
     best = next((h for h in hypotheses if h.effects), hypotheses[0])
     report("placebo")
-    placebo = _placebo(base, errors, screening, best, options)
+    placebo = _placebo(base, weights, screening, best, options)
     shrinkage = _shrinkages(base, errors, best, placebo, options)
     verdict = decide(
         hypotheses,
@@ -84,9 +88,10 @@ def diagnose(
         _relative_gap(base, errors, best),
         1.0 - shrinkage[-1].shrinkage,
         options,
-        floor=shrinkage[-1].noise_floor / base.situation.size,
+        floor=shrinkage[-1].noise_floor / _extent(base),
         placebo=shrinkage[-1].placebo,
         astray=_astray(base, best),
+        other=evidence_of_anything(best),
     )
     if second_take is not None:
         other = second_take if isinstance(second_take, Capture) else load_capture(second_take)
@@ -116,7 +121,7 @@ def _trusted(
 
     And the screening at that fit, if there was no need to make it anew.
     """
-    base, errors = _with_directions(base, numerics), error_model(base, numerics, options)
+    errors = error_model(base, numerics, options)
     correction = base.model.correction
     if base.situation.clamped or correction is None:
         return base, errors, None
@@ -144,6 +149,12 @@ def _relative_gap(base: Baseline, errors: ErrorModel, hypothesis: Hypothesis) ->
     """Mean square of the residual over its expected square, all frames."""
     residual = base.residual(hypothesis.positions)
     return float(np.mean(residual**2 / errors.expected))
+
+
+def _extent(base: Baseline) -> float:
+    """What an error of the model is measured by [m]: the size of the body, or how far it moved if that is less."""
+    moved = base.motion.positions - base.motion.rest
+    return float(np.clip(np.sqrt((moved**2).sum(-1).mean()), 1e-6 * base.situation.size, base.situation.size))
 
 
 def _astray(base: Baseline, best: Hypothesis) -> float:

@@ -27,6 +27,7 @@ __all__ = ["ACCURACY", "DoseParameter", "EffectModel", "SecantModel", "reduced_l
 
 Positions = Float[np.ndarray, "T P 3"]
 Vector = Float[np.ndarray, " K"]
+_RATIO = (0.4, 0.1)  # mean and deviation of ν of soft bodies
 _BASE_STEP = 0.1  # of a typical step, for differences
 # of the full-order runs: their errors stay below 1e-5 of the size, a hundredth of what the mesh leaves
 ACCURACY: dict[str, Any] = {"tolerance": 1e-6, "friction_passes": 4}
@@ -56,6 +57,8 @@ class EffectModel:
         mesh: another mesh for the full-order model.
         refinement: factor on its time steps.
         integrator: of the full-order model.
+        doubt: how much the stated noise overrates what the fit says, by which priors weigh more; see
+            `physconvex.gap.independence`.
         reduced: whether motions come from the reduced model; `correction` then makes up for the difference.
         cost: what the runs of this model, and of all that were made of it by `replace`, have cost.
     """
@@ -72,6 +75,7 @@ class EffectModel:
     mesh: TetMesh | None = None
     refinement: int = 1
     integrator: IntegratorName = "bdf2"
+    doubt: float = 1.0
     reduced: bool = False
     cost: Cost = field(default_factory=Cost)
 
@@ -89,14 +93,23 @@ class EffectModel:
     def parameters(self, values: Vector) -> tuple[Parameter, ...]:
         """The unknowns, starting at `values`."""
         out: list[Parameter] = [
-            default_parameter(name).at(float(value)) for name, value in zip(self.base, values, strict=False)
+            self._weighed(default_parameter(name).at(float(value)), name)
+            for name, value in zip(self.base, values, strict=False)
         ]
         for effect, where in zip(self.effects, self.slices, strict=True):
             for dose, value, name in zip(effect.doses, values[where], self.names[where], strict=True):
                 step = 2 * dose.smallest if dose.shape else max(abs(dose.trial(self.situation)), dose.smallest)
                 start = float(np.clip(value, dose.lower, dose.upper))
-                out.append(DoseParameter(name, start, dose.lower, dose.upper, step))
+                sigma = dose.plausible / float(np.sqrt(self.doubt)) if self.situation.clamped else np.inf
+                out.append(DoseParameter(name, start, dose.lower, dose.upper, step, dose.null, sigma))
         return tuple(out)
+
+    def _weighed(self, parameter: Parameter, name: str) -> Parameter:
+        """With a prior on the ν of a held body, which bending does not tell."""
+        if name != "poisson_ratio" or not self.situation.clamped:
+            return parameter
+        mean, sigma = _RATIO
+        return replace(parameter, prior_mean=mean, prior_sigma=sigma / float(np.sqrt(self.doubt)))
 
     def null_values(self) -> Vector:
         """The twin's base parameters, and doses at which the effects are absent."""

@@ -21,7 +21,7 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
 from physconvex.identify import mesh_of_capture
 
-__all__ = ["Numerics", "correction_of", "error_model", "numerical_differences", "other_mesh"]
+__all__ = ["Numerics", "correction_of", "detail_errors", "error_model", "numerical_differences", "other_mesh"]
 
 Positions = Float[np.ndarray, "T P 3"]
 _WORK = 600_000  # nodes times steps of a full-order run that is made some twenty times
@@ -43,6 +43,7 @@ class Numerics:
         fine: the finer mesh, and the motion on it; None where it could not be run, or not often.
         nodes: of the model's mesh and of the finer one.
         failed: names of runs that did not converge (their differences are zero).
+        absorbed_mesh: `mesh` after E and ν have been fitted, see `physconvex.gap.absorbing`; None where they were not.
     """
 
     steps: Positions
@@ -53,11 +54,13 @@ class Numerics:
     fine: tuple[TetMesh, Motion] | None = None
     nodes: tuple[int, int] = (1, 1)
     failed: tuple[str, ...] = ()
+    absorbed_mesh: Positions | None = None
 
     @property
     def null(self) -> tuple[Positions, ...]:
         """Differences that effect-free captures may show."""
-        return (_STEPS_LEFT * self.steps, self._mesh_left * self.mesh, self.contact)
+        mesh = self.mesh if self.absorbed_mesh is None else self.absorbed_mesh
+        return (_STEPS_LEFT * self.steps, self._mesh_left * mesh, self.contact)
 
     @property
     def _mesh_left(self) -> float:
@@ -161,6 +164,21 @@ def error_model(base: Baseline, numerics: Numerics, options: GapOptions, *, scal
     if len(base.tangents) == base.model.frames and base.tangents.any():
         numerical = size_of(_absorbed(base, directions, 1.0 + numerical))
     return ErrorModel(1.0 + _correlated(count)[frames] * numerical, directions, 1.0 + numerical)
+
+
+def detail_errors(base: Baseline, errors: ErrorModel, share: float) -> ErrorModel:
+    """Errors widened by a share of a held body's gap: what is smaller does not choose between effects.
+
+    Else the frames that noise and numerical error leave most certain, the first ones of a held body, decide alone,
+    although no model of a recording is as good as its numerical error: a release that lasts, or a load that hangs
+    loosely, would be explained by whatever bends those few frames.
+    """
+    if not base.situation.clamped:
+        return errors
+    rows = base.rows(base.split.fitted)
+    gap = np.maximum(base.residual(base.positions)[rows] ** 2 - errors.expected[rows], 0.0)
+    width = share**2 * float(gap.mean())
+    return ErrorModel(errors.variance + width, errors.directions, errors.expected + width)
 
 
 def _absorbed(base: Baseline, directions: np.ndarray, variance: np.ndarray) -> np.ndarray:
