@@ -22,16 +22,18 @@ from physconvex.gap.numerics import Numerics, correction_of, detail_errors, erro
 from physconvex.gap.options import GapOptions
 from physconvex.gap.report import GapReport, Provenance
 from physconvex.gap.score import ErrorModel
-from physconvex.gap.screening import Screening
+from physconvex.gap.screening import Screening, screen
 from physconvex.gap.second_take import second_take_shrinkage
 from physconvex.gap.selection import FAILURES, evidence_of_anything, select_effects
 from physconvex.gap.shortening import MOST_FRAMES, shortened
+from physconvex.gap.trust import error_scale
 from physconvex.gap.verdict import decide
 from physconvex.gap.where import locate_gap
 
 __all__ = ["diagnose"]
 
 Report = Callable[[str], None]
+_WORTH = 0.8  # factor on the numerical error from which on down the base fit is made anew
 
 
 def diagnose(
@@ -70,16 +72,10 @@ def diagnose(
     numerics = numerical_differences(rough, options, report)
     rough_errors = error_model(rough, numerics, options)
     base = fit_baseline(rough, correction_of(numerics), numerics.fine, rough_errors.variance, options, report)
-    directions = {
-        "time_step": numerics.implicit_euler,
-        "mesh_resolution": numerics.mesh,
-        "reduction": numerics.reduction,
-    }
-    base = replace(base, model=replace(base.model, directions=directions))
     numerics = with_absorbed_mesh(base, numerics, options)
-    errors = error_model(base, numerics, options)
+    base, errors, screening = _trusted(base, numerics, dictionary, options, report)
     weights = detail_errors(base, errors, options.detail)
-    hypotheses, screening = select_effects(base, weights, numerics, dictionary, options, report)
+    hypotheses, screening = select_effects(base, weights, numerics, dictionary, options, report, screening=screening)
     best = next((h for h in hypotheses if h.effects), hypotheses[0])
     report("placebo")
     placebo = _placebo(base, weights, screening, best, options)
@@ -115,6 +111,38 @@ def diagnose(
         provenance=_provenance(base, numerics, screening, time.monotonic() - begun),
         options=options,
     )
+
+
+def _trusted(
+    base: Baseline, numerics: Numerics, dictionary: Sequence[Effect], options: GapOptions, report: Report
+) -> tuple[Baseline, ErrorModel, Screening | None]:
+    """The base fit and the weights of its residuals, both anew where numerical error is less than was expected.
+
+    And the screening at that fit, if there was no need to make it anew.
+    """
+    base, errors = _with_directions(base, numerics), error_model(base, numerics, options)
+    correction = base.model.correction
+    swamped = _relative_gap(base, errors, base_hypothesis(base, errors)) < 1.0
+    if correction is None or (base.situation.clamped and not swamped):
+        return base, errors, None
+    screening = screen(as_reduced(base), errors, numerics, dictionary, report)
+    scale = error_scale(base, errors, screening)
+    if scale > _WORTH:
+        return base, errors, None if base.situation.clamped else screening  # of a held body details count less
+    errors = error_model(base, numerics, options, scale=scale)
+    fine = None if base.model.mesh is None else (base.model.mesh, base.motion)
+    base = _with_directions(fit_baseline(base, correction, fine, errors.variance, options, report), numerics)
+    return base, error_model(base, numerics, options, scale=scale), None
+
+
+def _with_directions(base: Baseline, numerics: Numerics) -> Baseline:
+    """With the numerical effects' motions."""
+    directions = {
+        "time_step": numerics.implicit_euler,
+        "mesh_resolution": numerics.mesh,
+        "reduction": numerics.reduction,
+    }
+    return replace(base, model=replace(base.model, directions=directions))
 
 
 def _relative_gap(base: Baseline, errors: ErrorModel, hypothesis: Hypothesis) -> float:

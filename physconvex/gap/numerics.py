@@ -25,10 +25,7 @@ __all__ = ["Numerics", "correction_of", "detail_errors", "error_model", "numeric
 
 Positions = Float[np.ndarray, "T P 3"]
 _WORK = 600_000  # nodes times steps of a full-order run that is made some twenty times
-_ORDER = 1.75  # of convergence by edge length, where two meshes are all there is
-_ONCE = 3.0  # times the work of such a run that one which is made once may take
-_FINEST, _APART = 2.0, 1.4  # nodes of the finest mesh over those of the finer one: wanted, and at least
-_RATES = np.linspace(0.25, 1.2, 96)  # of convergence by the number of nodes, that are believed
+_ORDER = 1.75  # of convergence by edge length
 _STEPS_LEFT = 0.5  # error of half the time step over the difference to the whole one
 _LASTING = 2.0  # frames for which a numerical error stays much the same
 
@@ -44,9 +41,8 @@ class Numerics:
         implicit_euler: first-order steps instead of second-order ones.
         reduction: the reduced model.
         fine: the finer mesh, and the motion on it; None where it could not be run, or not often.
-        nodes: of the model's mesh, of the finer one and, where one was run, of the finest.
+        nodes: of the model's mesh and of the finer one.
         failed: names of runs that did not converge (their differences are zero).
-        finest: with the finest mesh less with the finer one; None where none was run.
         absorbed_mesh: `mesh` after E and ν have been fitted, see `physconvex.gap.absorbing`; None where they were not.
     """
 
@@ -56,33 +52,21 @@ class Numerics:
     implicit_euler: Positions
     reduction: Positions
     fine: tuple[TetMesh, Motion] | None = None
-    nodes: tuple[int, ...] = (1, 1)
+    nodes: tuple[int, int] = (1, 1)
     failed: tuple[str, ...] = ()
-    finest: Positions | None = None
     absorbed_mesh: Positions | None = None
 
     @property
     def null(self) -> tuple[Positions, ...]:
         """Differences that effect-free captures may show."""
-        mesh = self.mesh if self.finest is None else self.finest
-        mesh = mesh if self.absorbed_mesh is None else self.absorbed_mesh
-        return (_STEPS_LEFT * self.steps, self._mesh_left[:, None, None] * mesh, self.contact)
+        mesh = self.mesh if self.absorbed_mesh is None else self.absorbed_mesh
+        return (_STEPS_LEFT * self.steps, self._mesh_left * mesh, self.contact)
 
     @property
-    def _mesh_left(self) -> Float[np.ndarray, " T"]:
-        """Error of the finest mesh over its difference to the one before, by frame (Richardson).
-
-        The rate of convergence is that which three meshes show up to that frame; with two meshes it is assumed, lower
-        than for smooth problems because of contact.
-        """
-        if self.finest is None:
-            ratio = max(self.nodes[1] / self.nodes[0], 1.01)
-            return np.full(len(self.mesh), float(np.clip(1 / (ratio ** (_ORDER / 3) - 1), 0.3, 1.0)))
-        first, second = (np.sqrt(np.cumsum((d**2).sum((1, 2)))) for d in (self.mesh, self.finest))
-        seen = first / np.maximum(second, 1e-12)
-        coarse, middle, fine = (float(n) ** -_RATES for n in self.nodes)
-        rate = np.interp(seen, (coarse - middle) / (middle - fine), np.arange(len(_RATES), dtype=float))
-        return np.clip(np.interp(rate, np.arange(len(_RATES)), fine / (middle - fine)), 0.3, 1.0)
+    def _mesh_left(self) -> float:
+        """Error of the finer mesh over the difference of the two (Richardson; contact lowers the order below two)."""
+        ratio = max(self.nodes[1] / self.nodes[0], 1.01)
+        return float(np.clip(1 / (ratio ** (_ORDER / 3) - 1), 0.3, 1.0))
 
 
 def numerical_differences(base: Baseline, options: GapOptions, report: Report) -> Numerics:
@@ -114,15 +98,11 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
 
     zero = np.zeros_like(here)
     mesh = difference("a finer mesh", finer)
-    nodes = [len(model.twin.mesh.vertices), len(fine[0][0].vertices) if fine else len(model.twin.mesh.vertices)]
-    report("numerical error: the finest mesh")
-    last = _finest(base, *fine[0], steps) if fine else None
     return Numerics(
         steps=difference("half the time step", lambda: replace(model, refinement=2).motion(values).positions),
         mesh=mesh,
         fine=fine[0] if fine and len(fine[0][0].vertices) * steps <= _WORK else None,
-        nodes=tuple(nodes) if last is None else (*nodes, last[1]),
-        finest=None if last is None else last[0],
+        nodes=(len(model.twin.mesh.vertices), len(fine[0][0].vertices) if fine else len(model.twin.mesh.vertices)),
         contact=difference("stiffer contact", stiffer) if base.situation.touches else zero,
         implicit_euler=difference(
             "implicit Euler", lambda: replace(model, integrator="implicit_euler").motion(values).positions
@@ -151,38 +131,25 @@ def other_mesh(base: Baseline, options: GapOptions, steps: int) -> TetMesh:
     return tetrahedralize((own.vertices[used], faces.reshape(-1, 3)), max_nodes=wanted, order=2, method="auto")
 
 
-def _finest(base: Baseline, fine: TetMesh, motion: Motion, steps: int) -> tuple[Positions, int] | None:
-    """One run on a still finer mesh, less the one on the finer mesh, and its number of nodes.
-
-    None for a held body, whose split mesh cannot be split again, and where the mesh or the run cannot be had.
-    """
-    wanted = int(min(_FINEST * len(fine.vertices), _ONCE * _WORK / steps))
-    if base.situation.clamped or wanted < _APART * len(fine.vertices):
-        return None
-    try:
-        mesh = mesh_of_capture(base.capture, max_nodes=wanted)
-        if len(mesh.vertices) < _APART * len(fine.vertices):
-            return None
-        finest = replace(base.model, mesh=mesh).motion(base.fit.values)
-    except (ConvergenceError, InputError):
-        return None
-    return finest.positions - motion.positions, len(mesh.vertices)
-
-
 def correction_of(numerics: Numerics) -> Positions:
-    """What finer steps change, and meshes finer than the model's own: added to every run of the model."""
-    mesh = 0 if numerics.finest is None else numerics.finest
-    return numerics.steps + mesh + (0 if numerics.fine is not None else numerics.mesh)
+    """What finer steps change, and a finer mesh if that cannot be afforded: added to every run of the model."""
+    return numerics.steps if numerics.fine is not None else numerics.steps + numerics.mesh
 
 
-def error_model(base: Baseline, numerics: Numerics, options: GapOptions) -> ErrorModel:
+def error_model(base: Baseline, numerics: Numerics, options: GapOptions, *, scale: float = 1.0) -> ErrorModel:
     """V of `physconvex.gap.score`: noise, the size of numerical differences in each frame, and their shapes.
 
     Where the base model is fitted (its tangents are known), the size is that of what the differences leave once E, ν
     and the free initial motion have absorbed what they can of them, as they do of the recording's own.
+
+    Args:
+        base: the base fit.
+        numerics: the differences.
+        options: settings.
+        scale: factor on the differences, see `physconvex.gap.trust`.
     """
-    here = base.positions
-    directions = np.stack([base.change(here + d) for d in numerics.null])
+    here, scale = base.positions, scale * options.error_scale
+    directions = scale * np.stack([base.change(here + d) for d in numerics.null])
     frames = base.observations.frames
     count = np.maximum(np.bincount(frames, minlength=base.model.frames), 1)
     travelled = np.linalg.norm(base.motion.positions - base.motion.rest, axis=-1).mean(1)
@@ -191,7 +158,7 @@ def error_model(base: Baseline, numerics: Numerics, options: GapOptions) -> Erro
     def size_of(left: np.ndarray) -> np.ndarray:
         total = np.bincount(frames, (left**2).sum(0), minlength=base.model.frames)
         size = np.maximum.accumulate(total / count)  # an error made at impact stays
-        return np.asarray(options.error_scale**2 * size[frames] + floor)
+        return np.asarray(size[frames] + floor)
 
     numerical = size_of(directions)
     if len(base.tangents) == base.model.frames and base.tangents.any():

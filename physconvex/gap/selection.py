@@ -112,7 +112,7 @@ class Selection:
 
 def select_effects(
     base: Baseline, errors: ErrorModel, numerics: Numerics, dictionary: Iterable[Effect], options: GapOptions,
-    report: Report,
+    report: Report, *, screening: Screening | None = None,
 ) -> tuple[list[Hypothesis], Screening]:  # fmt: skip
     """The base model and the fits of effects, best evidence first, and the screening at the base fit.
 
@@ -123,9 +123,10 @@ def select_effects(
         dictionary: effects to try.
         options: settings.
         report: told what is done.
+        screening: at the base fit, if there is one already.
     """
     cheap, dictionary = as_reduced(base), tuple(dictionary)
-    screening = screen(cheap, errors, numerics, dictionary, report)
+    screening = screening or screen(cheap, errors, numerics, dictionary, report)
     cost = cheap.model.cost
     begun = cost.spent
     budget = options.search_cost * (_HELD if base.situation.clamped else 1.0)
