@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import TetMesh, simulate
+from physconvex.gap.boxes import box_of_held_body
 from physconvex.gap.effects import Motion, Situation
 from physconvex.gap.independence import temperature
 from physconvex.gap.model import ACCURACY, EffectModel, SecantModel, reduced_like
@@ -146,7 +147,7 @@ def _twin(capture: Capture, weights: int, max_nodes: int, steps: int) -> Twin:
     for factor in (1, 2, 4):
         chosen = TwinOptions(weights=weights, max_nodes=factor * max_nodes, steps_per_frame=steps)
         try:
-            return base_twin(capture, chosen)
+            return base_twin(capture, chosen, mesh=box_of_held_body(capture, chosen.max_nodes))
         except InputError as error:
             if factor == 4 or not str(error).startswith("boundary"):
                 raise

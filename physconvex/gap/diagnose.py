@@ -123,12 +123,13 @@ def _trusted(
     """
     errors = error_model(base, numerics, options)
     correction = base.model.correction
-    if base.situation.clamped or correction is None:
+    swamped = _relative_gap(base, errors, base_hypothesis(base, errors)) < 1.0
+    if correction is None or (base.situation.clamped and not swamped):
         return base, errors, None
     screening = screen(as_reduced(base), errors, numerics, dictionary, report)
     scale = error_scale(base, errors, screening)
     if scale > _WORTH:
-        return base, errors, screening
+        return base, errors, None if base.situation.clamped else screening  # of a held body details count less
     errors = error_model(base, numerics, options, scale=scale)
     fine = None if base.model.mesh is None else (base.model.mesh, base.motion)
     base = _with_directions(fit_baseline(base, correction, fine, errors.variance, options, report), numerics)

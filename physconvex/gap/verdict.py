@@ -164,8 +164,8 @@ def decide(
         after: the same with the best effects, held-out frames; one = nothing left above noise and numerical error.
         remaining: share of the held-out gap above the floor that the best effects leave, 0 to 1 and more.
         options: settings.
-        floor: numerical error and noise over the size of the body, or over its motion if that is less; a model that errs
-            by a tenth of it tells nothing.
+        floor: numerical error and noise over the size of the body, or over its motion if that is less; a model that
+            errs by a tenth of it tells nothing.
         placebo: share of the held-out gap that an effect removes which screening ranked last; NaN where none was tried.
         astray: distance of the best model from the recording over how far that moves, rms.
         other: evidence of something that is not among the hypotheses.
@@ -252,8 +252,8 @@ def _nothing(e: _Evidence) -> Verdict | None:
         return None
     if e.floor > _BLIND:
         sentence = (
-            f"Inconclusive: the model's own numerical error and the noise ({e.floor:.0%} of the body's size or motion) hide "
-            "whatever gap there is. Allow a finer mesh, or record a motion with less contact."
+            f"Inconclusive: the model's own numerical error and the noise ({e.floor:.0%} of the body's size or "
+            "motion) hide whatever gap there is. Allow a finer mesh, or record a motion with less contact."
         )
         return e.verdict("inconclusive", sentence, power=True)
     reason = "is no more than chance"
