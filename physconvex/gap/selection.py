@@ -40,6 +40,7 @@ __all__ = ["FAILURES", "Selection", "evidence_of_anything", "plausible_pairs", "
 FAILURES = (ConvergenceError, InputError, np.linalg.LinAlgError)
 _LATEST = 1.5  # of the cost of the search: then no further full-order fit is begun
 _CLOSED = 1.5  # mean square over the expected one below which there is no gap to explain
+_LATE_GAP = 5.0  # the same of the frames that choose: an impact near the end of the fitted ones shows after them
 _LEFT = 2.5  # above which a further effect is looked for
 _SINGLES, _PAIRS, _ADDED, _EARLY = 7, 4, 3, 4  # fits: alone, two at once, in each further round, from the first frames
 _STEMS, _POLISHED = 2, 3  # fits that the first further round goes on from; fits with derivatives taken anew
@@ -134,7 +135,7 @@ def select_effects(
     search.found.append(base_hypothesis(cheap, errors))
     rows = len(base.rows(base.split.fitted))
     search.independent = rows / residuals_per_one(base, errors, base.positions, base.split.fitted)
-    open_gap = search.found[0].fitted > _CLOSED
+    open_gap = search.found[0].fitted > _CLOSED or search.found[0].selecting > _LATE_GAP
     for entry in screening.one_per_name[: _SINGLES if open_gap else 2]:
         search.fit([entry])
     if open_gap:
