@@ -25,6 +25,7 @@ _SEEN = 3.0  # standard errors
 _ASTRAY = 0.5  # distance from the recording over its motion above which the model is no model of it
 _LIKELY = 0.5  # probability from which on an effect is named
 _OTHER = "something else"
+_OPEN = 4.0  # times the expected square: a gap, whether or not an effect explains it
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
 
 
@@ -248,7 +249,8 @@ def _nothing(e: _Evidence) -> Verdict | None:
     """No gap above noise and numerical error; where those are large, that says nothing."""
     significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
     closed = e.before < _FLOOR or (e.base.fitted < _FLOOR and e.gain < _SURE)
-    if not (e.gain < _WEAK or not significant or closed or _is_slight(e.best)):
+    little = e.gain < _WEAK and e.before < _OPEN
+    if not (little or not significant or closed or _is_slight(e.best)):
         return None
     if e.floor > _BLIND:
         sentence = (
@@ -281,7 +283,7 @@ def _weak(e: _Evidence) -> Verdict | None:
     if e.gain >= _CLEAR:
         return None
     sentence = (
-        f"Inconclusive: {e.best.label} is favoured, but the recording cannot tell it from no effect "
+        f"Inconclusive: {e.best.label} is favoured, but the recording cannot tell it from no effect that is known "
         f"(probability {e.probability[e.best.label]:.0%} against {e.none:.0%} for none)."
     )
     return e.verdict("inconclusive", sentence, e.possible, power=True)

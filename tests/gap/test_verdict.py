@@ -160,3 +160,9 @@ def test_something_else_takes_probability():
     verdict = decide(found, screening(), 30.0, 1.0, 0.05, OPTIONS, other=22.0)
     assert verdict.name == "inconclusive" and "something else 88%" in verdict.sentence
     assert decide(found, screening(), 30.0, 1.0, 0.05, OPTIONS, other=16.0).name == "effect"
+
+
+def test_a_clear_gap_that_no_effect_explains_better_is_not_none():
+    found = [hypothesis(0.9, "damping"), hypothesis(0.0)]
+    assert decide(found, screening(), 30.0, 9.0, 0.05, OPTIONS).name == "inconclusive"
+    assert decide(found, screening(), 2.0, 1.0, 0.05, OPTIONS).name == "none"
