@@ -67,7 +67,7 @@ def timed_simulation(config: GeneratorConfig, seed: int, number: int) -> dict[st
         with clock.stage("object"):
             drop = draw_drop(config, seed, number, 0)
         with clock.stage("mesh"):
-            mesh = make_mesh(drop, config.solver.target_nodes)
+            mesh = make_mesh(drop, config.solver, config.motion.gravity)
         with clock.stage("simulate"):
             simulated = simulate_drop(drop, config, rng, mesh=mesh)
     except ConvergenceError:

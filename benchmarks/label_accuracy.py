@@ -15,7 +15,7 @@ import argparse
 import json
 import sys
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,8 @@ import torch
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from data_gen.config import load_config
+from data_gen.config import SolverConfig, load_config
+from data_gen.landing import refine_at_landing
 from data_gen.objects import random_object
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, refine, simulate
@@ -66,7 +67,7 @@ class Offset:
     reference_seconds: float
 
 
-def draw(seed: int, index: int, count: int, target_nodes: int) -> tuple[Case, str]:
+def draw(seed: int, index: int, count: int, solver: SolverConfig) -> tuple[Case, str]:
     """Case `index` of `count`; E is stratified over 1e4–1e7 Pa. A body that cannot be meshed is drawn anew."""
     rng = np.random.default_rng((seed, index))
     while True:
@@ -75,7 +76,7 @@ def draw(seed: int, index: int, count: int, target_nodes: int) -> tuple[Case, st
         surface = (thing.vertices, thing.faces)
         try:
             mesh = tetrahedralize_implicit(
-                thing.signed_distance, thing.bounds, surface=surface, max_nodes=target_nodes, order=2
+                thing.signed_distance, thing.bounds, surface=surface, max_nodes=solver.target_nodes, order=2
             )
             break
         except (ConvergenceError, InputError) as error:
@@ -91,7 +92,9 @@ def draw(seed: int, index: int, count: int, target_nodes: int) -> tuple[Case, st
         rng.uniform(0.2, 1.0),
         rng.normal(size=3),
     )
-    return case, thing.family
+    gravity = load_config("training").motion.gravity
+    mesh = refine_at_landing(case.mesh, solver.landing_nodes, gravity=gravity, angular_velocity=case.angular_velocity)
+    return replace(case, mesh=mesh), thing.family
 
 
 def run(
@@ -182,7 +185,7 @@ def main() -> None:
     for index in reversed(range(options.objects)):  # the stiffest first
         if index in (row.index for row in rows) or index not in (options.only or range(options.objects)):
             continue
-        case, family = draw(options.seed, index, options.objects, solver.target_nodes)
+        case, family = draw(options.seed, index, options.objects, solver)
         rows.append(measure(index, case, family, solver.steps_per_frame, solver.friction_passes, solver.tolerance))
         print(json.dumps(asdict(rows[-1])), flush=True)
         store(sorted(rows, key=lambda row: row.index), options.out, settings)

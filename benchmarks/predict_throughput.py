@@ -1,11 +1,12 @@
 """Throughput of batch prediction against the bare network's forward pass on the same tensors.
 
-`predict_batch` reads mp4 files, finds the object, runs the network, writes all result files and the gallery; the bare
-network gets the same clips as tensors that are already there. The host's part is named step by step, each measured
-alone on one thread. Where the network keeps all cores busy, the host's processor time is taken from the network's: the
-share that can be reached is network / (network + host) in processor seconds, which other programs hardly change.
+`predict_batch` reads mp4 files (copies of the bundled real ones: 24 frames of 448²), finds the object, runs the
+network, writes all result files and the gallery; the bare network gets the same clips as tensors that are already
+there. The host's part is named step by step, each measured alone on one thread. Where the network keeps all cores
+busy, the host's processor time is taken from the network's: the share that can be reached is network / (network +
+host) in processor seconds, which other programs hardly change.
 
-    python benchmarks/predict_throughput.py --clips 96 --side 448
+    python benchmarks/predict_throughput.py --checkpoint default --clips 48
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import os
 import platform
 import resource
 import shlex
+import shutil
 import sys
 import tempfile
 import time
@@ -41,8 +43,9 @@ from models.config import EncoderConfig, NetworkConfig
 from models.estimator import collate_clips
 from models.mirror import answer_both_ways
 from models.scaling import dimensionless_interval
-from physconvex.video import write_video
+from physconvex.errors import InputError
 
+CLIPS = Path(__file__).parents[1] / "examples" / "clips"
 RESULT = Path(__file__).parent / "results" / "predict_throughput.json"
 
 
@@ -65,9 +68,6 @@ class Throughput:
     network: str
     parameters: int
     clips: int
-    frames: int
-    side: int
-    """Of the square frames [px]."""
     batch_size: int
     bare_network: float
     """Forward pass on tensors that are there, wall time."""
@@ -104,7 +104,7 @@ def main() -> None:
         torch.set_num_threads(options.threads)
     predictor = _predictor(options)
     with tempfile.TemporaryDirectory() as folder:
-        sources = _write_clips(Path(folder) / "clips", options)
+        sources = _copied_clips(Path(folder) / "clips", options)
         result = _measure(predictor, sources, Path(folder), options)
     options.result.parent.mkdir(exist_ok=True)
     options.result.write_text(json.dumps(asdict(result), indent=1) + "\n", encoding="utf-8")
@@ -114,8 +114,7 @@ def main() -> None:
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--clips", type=int, default=96)
-    parser.add_argument("--frames", type=int, default=24)
-    parser.add_argument("--side", type=int, default=448, help="edge of the square frames [px]")
+    parser.add_argument("--folder", type=Path, default=CLIPS, help="clips that are copied so often")
     parser.add_argument("--batch-size", type=int, default=8)
     parser.add_argument("--workers", type=int, default=None)
     parser.add_argument("--repeats", type=int, default=3, help="the best of so many is kept")
@@ -134,32 +133,18 @@ def _predictor(options: argparse.Namespace) -> PhysicsPredictor:
     return PhysicsPredictor.from_config(config, device=options.device)
 
 
-def _write_clips(folder: Path, options: argparse.Namespace) -> list[ClipSource]:
-    """Textured discs of different size and speed that bounce before a textured background."""
+def _copied_clips(folder: Path, options: argparse.Namespace) -> list[ClipSource]:
+    """So many copies of the clips, one after the other."""
     folder.mkdir()
-    rng = np.random.default_rng(0)
+    files = sorted(options.folder.glob("*.mp4"))
+    if not files:
+        raise InputError(f"--folder: {options.folder} holds no mp4 file; expected a folder of clips")
     sources = []
     for k in range(options.clips):
         path = folder / f"{k:04d}.mp4"
-        write_video(path, _bouncing_disc(rng, options.frames, options.side), fps=24.0, preset="veryfast")
+        shutil.copyfile(files[k % len(files)], path)
         sources.append(ClipSource(path, "video", path.stem))
     return sources
-
-
-def _bouncing_disc(rng: np.random.Generator, frames: int, side: int) -> np.ndarray:
-    def texture() -> np.ndarray:
-        return cv2.resize(rng.integers(40, 220, (12, 12, 3), dtype=np.uint8), (side, side))
-
-    background, skin = texture(), texture()
-    y, x = np.mgrid[:side, :side]
-    radius, speed, images = side * rng.uniform(0.08, 0.15), rng.uniform(0.5, 1.0), []
-    for k in range(frames):
-        phase = (k / 24.0 * speed * 2) % 2 - 1
-        centre = side * (0.85 - 0.55 * (1 - phase**2)) - radius
-        inside = (x - side / 2) ** 2 + (y - centre) ** 2 < radius**2
-        images.append(np.where(inside[..., None], np.roll(skin, int(centre), axis=0), background))
-    noisy = np.stack(images) + rng.normal(0, 2, (frames, side, side, 1))
-    return noisy.clip(0, 255).astype(np.uint8)
 
 
 def _measure(
@@ -180,8 +165,6 @@ def _measure(
         network=options.checkpoint or f"untrained {options.size}",
         parameters=sum(p.numel() for p in predictor.network.parameters()),
         clips=len(sources),
-        frames=options.frames,
-        side=options.side,
         batch_size=options.batch_size,
         bare_network=bare,
         bare_network_processor=bare_processor,

@@ -124,10 +124,11 @@ class MaterialConfig(Frozen):
 
 
 class SolverConfig(Frozen):
-    """Discretisation: most nodes of the quadratic mesh, time steps per video frame, most friction passes per step,
-    Newton's last step relative to the body's size, tries before giving up."""
+    """Discretisation: most nodes of the quadratic mesh, most nodes added where the body lands, time steps per video
+    frame, most friction passes per step, Newton's last step relative to the body's size, tries before giving up."""
 
     target_nodes: int = Field(default=1000, ge=20)
+    landing_nodes: int = Field(default=400, ge=0)
     steps_per_frame: int = Field(default=24, ge=1)
     friction_passes: int = Field(default=12, ge=1)
     tolerance: float = Field(default=1e-6, gt=0)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from data_gen.config import GeneratorConfig
+from data_gen.config import GeneratorConfig, SolverConfig
+from data_gen.landing import refine_at_landing
 from data_gen.scene import Drop
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import (
@@ -61,8 +63,8 @@ class SimulatedDrop:
         return self.trajectory.statistics
 
 
-def make_mesh(drop: Drop, target_nodes: int) -> TetMesh:
-    """Quadratic tetrahedra of the drop's body where it starts, with at most `target_nodes` nodes.
+def make_mesh(drop: Drop, solver: SolverConfig, gravity: Sequence[float]) -> TetMesh:
+    """Quadratic tetrahedra of the drop's body where it starts: at most `target_nodes` nodes, more where it lands.
 
     Raises:
         ConvergenceError: no sound mesh was found.
@@ -72,15 +74,21 @@ def make_mesh(drop: Drop, target_nodes: int) -> TetMesh:
     try:
         if body.signed_distance is not None:
             mesh = tetrahedralize_implicit(
-                body.signed_distance, body.bounds, surface=surface, max_nodes=target_nodes, order=2
+                body.signed_distance, body.bounds, surface=surface, max_nodes=solver.target_nodes, order=2
             )
         else:
-            mesh = tetrahedralize(surface, max_nodes=target_nodes, order=2, method="auto")
+            mesh = tetrahedralize(surface, max_nodes=solver.target_nodes, order=2, method="auto")
     except InputError as error:  # one bad body is a failed simulation, not the end of the run
         raise ConvergenceError(f"{body.name}: {error}") from error
     x = drop.placed(mesh.vertices)
     x[:, 2] += max(0.0, 1e-3 * drop.size - x[:, 2].min())
-    return TetMesh(x, mesh.tets)
+    return refine_at_landing(
+        TetMesh(x, mesh.tets),
+        solver.landing_nodes,
+        gravity=gravity,
+        velocity=drop.initial_velocity,
+        angular_velocity=drop.initial_angular_velocity,
+    )
 
 
 def simulate_drop(
@@ -92,7 +100,7 @@ def simulate_drop(
         ConvergenceError: meshing or the solve failed.
     """
     solver, video = config.solver, config.video
-    mesh = make_mesh(drop, solver.target_nodes) if mesh is None else mesh
+    mesh = make_mesh(drop, solver, config.motion.gravity) if mesh is None else mesh
     body = ElasticBody(
         mesh,
         law=config.material.law,

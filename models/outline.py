@@ -70,7 +70,7 @@ class OutlineNetwork(nn.Module):
         super().__init__()
         self.config = config or OutlineConfig()
         rim, middle, deep = self.config.channels
-        self.stem = nn.Conv2d(_CHANNELS * _BLOCK**2, rim, 1)
+        self.stem = nn.Conv2d(_CHANNELS, rim, _BLOCK, stride=_BLOCK)
         self.first = _convolution(rim, rim)
         self.down = nn.ModuleList([_convolution(rim, middle, stride=2), _convolution(middle, deep, stride=2)])
         self.inner = nn.ModuleList([_convolution(middle, middle), _convolution(deep, deep)])
@@ -80,26 +80,25 @@ class OutlineNetwork(nn.Module):
         self.merge = nn.ModuleList([_convolution(middle, middle), _convolution(rim, rim)])
         self.out = nn.Conv2d(rim, _BLOCK**2, 1)
 
-    def forward(self, pixels: Float[Tensor, "T 36 h w"]) -> Float[Tensor, "T H W"]:
-        """`outline_input` of the frames of one clip -> logits, H = 2 h, W = 2 w."""
-        x = self.stem(pixels).relu_()
+    def forward(self, planes: Float[Tensor, "T 9 H W"]) -> Float[Tensor, "T H W"]:
+        """`outline_input` of the frames of one clip -> logits."""
+        x = self.stem(planes).relu_()
         x = self.first(x).add_(x).relu_()
         skips = []
         for down, inner in zip(self.down, self.inner, strict=True):
             skips.append(x)
             x = down(x).relu_()
             x = inner(x).add_(x).relu_()
-        x = (x + self._clip_context(x, pixels)).relu_()
+        x = (x + self._clip_context(x, planes)).relu_()
         x = self.last(x).add_(x).relu_()
         for up, merge in zip(self.up, self.merge, strict=True):
             x = functional.interpolate(up(x), scale_factor=2, mode="nearest").add_(skips.pop()).relu_()
             x = merge(x).add_(x).relu_()
         return functional.pixel_shuffle(self.out(x), _BLOCK)[:, 0]
 
-    def _clip_context(self, x: Float[Tensor, "T C h w"], pixels: Float[Tensor, "T 36 H W"]) -> Tensor:
+    def _clip_context(self, x: Float[Tensor, "T C h w"], planes: Float[Tensor, "T 9 H W"]) -> Tensor:
         """What the rough silhouette's inside and surroundings look like, mean over the clip."""
-        odds = pixels[:, -(_BLOCK**2) :].mean(dim=1, keepdim=True)
-        inside = functional.avg_pool2d(odds, 4).mul(_LARGEST_ODDS).sigmoid()
+        inside = functional.avg_pool2d(planes[:, -1:], _MULTIPLE).mul(_LARGEST_ODDS).sigmoid()
         pooled = [(x * w).sum(dim=(0, 2, 3)) / (w.sum() + 1e-3) for w in (inside, 1 - inside)]
         context: Tensor = self.context(torch.cat(pooled))[None, :, None, None]
         return context
@@ -130,8 +129,8 @@ def outline_input(
     coverage: Float32[np.ndarray, "T H W"],
     *,
     shown: Int[np.ndarray, " N"] | None = None,
-) -> Float32[Tensor, "N 36 h w"]:
-    """What the network reads: blocks of two by two pixels as channels; edges padded to multiples of 8.
+) -> Float32[Tensor, "N 9 h w"]:
+    """What the network reads, edges padded to multiples of 8.
 
     Background and colours are those of the whole clip, the result that of the frames `shown` (all unless given).
     """
@@ -154,7 +153,7 @@ def outline_input(
     inner[:, 8] = odds * (1 / _LARGEST_ODDS)
     planes[..., height:, :] = planes[..., height - 1 : height, :]
     planes[..., width:] = planes[..., width - 1 : width]
-    return functional.pixel_unshuffle(torch.from_numpy(planes), _BLOCK)
+    return torch.from_numpy(planes)
 
 
 def near_object(coverage: Float32[np.ndarray, "T H W"]) -> Bool[np.ndarray, "T H W"]:

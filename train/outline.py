@@ -100,15 +100,15 @@ def _train(config: OutlineTraining, clips: Sequence[RoughClip], say: Report) -> 
 
 def _examples(
     clips: Sequence[RoughClip], config: OutlineTraining, generator: np.random.Generator
-) -> Iterator[tuple[Float[Tensor, "T 36 h w"], Bool[Tensor, "T H W"]]]:
+) -> Iterator[tuple[Float[Tensor, "T 9 H W"], Bool[Tensor, "T H W"]]]:
     """Input and truth of the clips of one step."""
     for index in generator.integers(0, len(clips), config.batch):
         clip = degraded(rearranged(clips[index], config.augmentation, generator), generator)
         coloured = recoloured(MaskedClip(clip.frames, clip.mask), config.augmentation, generator)
         clip = replace(clip, frames=coloured.frames)
         shown = np.sort(generator.permutation(len(clip.frames))[: config.frames])
-        pixels = outline_input(clip.frames, clip.coverage, shown=shown)
-        yield pixels, torch.from_numpy(clip.mask[shown] > 127)
+        planes = outline_input(clip.frames, clip.coverage, shown=shown)
+        yield planes, torch.from_numpy(clip.mask[shown] > 127)
 
 
 def outline_loss(logits: Float[Tensor, "T H W"], truth: Bool[Tensor, "T H W"]) -> Float[Tensor, ""]:

@@ -11,7 +11,8 @@ from physconvex.fem.modes import skinning_eigenmodes, skinning_responses, vibrat
 from physconvex.fem.quality import mesh_quality
 from physconvex.fem.scene import Pins, Scene
 from physconvex.fem.sensitivity import SensitiveTrajectory, simulate_with_sensitivities
-from physconvex.fem.simulation import SolveStatistics, Trajectory, simulate, solve_static
+from physconvex.fem.simulation import Trajectory, simulate, solve_static
+from physconvex.stepping import SolveStatistics
 
 __all__ = [
     "ElasticBody",

@@ -24,6 +24,9 @@ __all__ = ["Surface", "tetrahedralize", "tetrahedralize_implicit"]
 MIN_MEAN_RATIO = 0.02
 # How often the resolution is made coarser to respect `max_nodes`, and by how much.
 COARSENINGS, COARSENING_FACTOR = 6, 1.35
+# Volume per area of the surface, in units of fTetWild's tolerance, below which nothing was enclosed: a single sliver
+# may be left of an open sheet.
+LEAST_THICKNESS = 0.1
 
 
 @runtime_checkable
@@ -193,13 +196,13 @@ def _mesh_once(
         )
     except RuntimeError as error:
         raise ConvergenceError(f"tetrahedralize: fTetWild failed: {error}; repair or simplify the surface") from error
-    if len(tets) == 0:
+    nodes = np.asarray(nodes, dtype=np.float64).reshape(-1, 3)
+    tets = _positive(nodes, np.asarray(tets, dtype=np.int64).reshape(-1, 4))
+    if _volume(nodes, tets) * scale**3 < LEAST_THICKNESS * epsilon * _diagonal(vertices) * _area(vertices, faces):
         raise InputError(
             "surface: it encloses no volume that a mesh of this resolution could fill; "
             "close its holes, orient its faces outwards, or lower epsilon"
         )
-    nodes = np.asarray(nodes, dtype=np.float64)
-    tets = _positive(nodes, np.asarray(tets, dtype=np.int64))
     ratios = mean_ratios(nodes, tets)
     if ratios.min() < MIN_MEAN_RATIO:
         raise ConvergenceError(
@@ -207,6 +210,20 @@ def _mesh_once(
             f"{ratios.min():.1e}); try another target_edge_length or epsilon, or raise max_iterations"
         )
     return compact(nodes * scale + centre, tets)
+
+
+def _volume(vertices: np.ndarray, tets: np.ndarray) -> float:
+    x = vertices[tets]
+    return float(np.linalg.det(x[:, 1:] - x[:, :1]).sum()) / 6.0
+
+
+def _diagonal(vertices: np.ndarray) -> float:
+    return float(np.linalg.norm(np.ptp(vertices, axis=0)))
+
+
+def _area(vertices: np.ndarray, faces: np.ndarray) -> float:
+    x = vertices[faces]
+    return 0.5 * float(np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum())
 
 
 def _positive(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
+import torch
 from jaxtyping import Bool, Float
 from scipy.sparse.linalg import eigsh, splu
 
@@ -44,11 +45,21 @@ def vibration_modes(
     return np.sqrt(np.maximum(values, 0.0)) / (2 * np.pi), shapes
 
 
+def _direction_tensor(body: ElasticBody) -> Float[np.ndarray, "E q 3 3"]:
+    """A_jl = ¼ Σ_c ∂²Ψ/∂F_cj ∂F_cl at rest for μ = 1, λ = 0: the unit tensor, and more along fibres."""
+    gradients = body._gradients
+    rest = torch.eye(3).to(gradients).expand(*gradients.shape[:2], 3, 3)
+    one = torch.ones_like(rest[..., 0, 0])
+    hessian = body.law.hessian(rest, one, 0 * one).unflatten(-1, (3, 3)).unflatten(-3, (3, 3))
+    tensor: Float[np.ndarray, "E q 3 3"] = torch.einsum("eqcjcl->eqjl", hessian).cpu().numpy() / 4
+    return tensor
+
+
 def _weighted_laplacian(body: ElasticBody) -> sp.csr_matrix:
-    """Matrix of ∫ E ∇w · ∇w at the nodes [N/m]."""
+    """Matrix of ∫ E ∇w · A ∇w at the nodes [N/m]."""
     gradients = body._gradients.cpu().numpy()
     weights = body._weights.cpu().numpy() * body.youngs_modulus[:, None]
-    local = np.einsum("eq,eqai,eqbi->eab", weights, gradients, gradients)
+    local = np.einsum("eq,eqai,eqij,eqbj->eab", weights, gradients, _direction_tensor(body), gradients, optimize=True)
     tets, size = body.mesh.tets, len(body.mesh.vertices)
     n = tets.shape[1]
     rows, columns = np.repeat(tets, n, axis=1).ravel(), np.tile(tets, n).ravel()
@@ -58,9 +69,10 @@ def _weighted_laplacian(body: ElasticBody) -> sp.csr_matrix:
 def skinning_eigenmodes(body: ElasticBody, count: int) -> tuple[Float[np.ndarray, "V K"], Float[np.ndarray, " K"]]:
     """Scalar modes of the stiffness-weighted Laplacian, the constant mode left out.
 
-    Minimises ∫ E |∇w|² for given ∫ ρ w², free boundary: the skinning weights of Benchekroun et al. 2023 ("Fast
-    Complementary Dynamics via Skinning Eigenmodes"), with the elastic Hessian replaced by its isotropic part. A stiff
-    inclusion therefore moves as one.
+    Minimises ∫ E ∇w · A ∇w for given ∫ ρ w², free boundary: the skinning weights of Benchekroun et al. 2023 ("Fast
+    Complementary Dynamics via Skinning Eigenmodes"), with the elastic Hessian replaced by its mean over the directions
+    of displacement. A is the unit tensor of an isotropic law, I + ¼ (k/μ) a aᵀ with fibres along a. A stiff inclusion
+    moves as one, and so does what fibres join.
 
     Returns:
         weights [V, K] at the nodes, normalised to ∫ ρ w² = total mass, and the eigenvalues [1/s²].
@@ -74,8 +86,8 @@ def skinning_eigenmodes(body: ElasticBody, count: int) -> tuple[Float[np.ndarray
 def skinning_responses(body: ElasticBody, loads: Float[np.ndarray, "V K"]) -> Float[np.ndarray, "V K"]:
     """Static answers of the scalar problem of `skinning_eigenmodes` to loads on a free body.
 
-    Solves −∇·(E ∇w) = load − ρ ∫load / mass with ∫ ρ w = 0: the attachment modes with inertia relief of component mode
-    synthesis (Craig & Kurdila 2006, §17.3), for the weights instead of the displacements.
+    Solves −∇·(E A ∇w) = load − ρ ∫load / mass with ∫ ρ w = 0: the attachment modes with inertia relief of component
+    mode synthesis (Craig & Kurdila 2006, §17.3), for the weights instead of the displacements.
 
     Args:
         body: mesh, stiffness and density.

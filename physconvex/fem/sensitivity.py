@@ -21,9 +21,10 @@ from jaxtyping import Float
 
 from physconvex.errors import InputError
 from physconvex.fem.scene import Scene
-from physconvex.fem.simulation import StepEquations, StepRecord, Trajectory, simulate
+from physconvex.fem.simulation import StepEquations, Trajectory, simulate
 from physconvex.integrators import State, bdf2, extrapolate, implicit_euler
 from physconvex.linear_solvers import NotPositiveDefiniteError
+from physconvex.stepping import StepRecord
 
 __all__ = ["SensitiveTrajectory", "simulate_with_sensitivities"]
 
@@ -58,8 +59,7 @@ class _Side:
         two_step = record.two_step and past is not None
         coefficients = bdf2(before, past, record.step) if two_step and past else implicit_euler(before, record.step)
         guess = extrapolate(before, past, record.step)
-        if self.scene.pins is not None:
-            guess[self.scene.pins.nodes] = self.pinned(record.after.time)
+        guess = self.equations.first_guess(guess, record.after.time)
         self.equations.set_step(coefficients, record.after.time, guess, before)
 
     def pinned(self, time: float) -> np.ndarray:
@@ -70,7 +70,7 @@ class _Side:
     def gradient(self, record: StepRecord, tangent: np.ndarray) -> np.ndarray:
         """g at the solution moved along its tangent."""
         x = record.after.positions + self.change * tangent
-        if record.passes > 1:
+        if len(record.passes) > 1:
             self.equations.freeze_friction(x)
         return self.equations.evaluate(x)[1]
 

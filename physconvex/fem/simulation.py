@@ -11,46 +11,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from physconvex.contact import Friction
-from physconvex.errors import ConvergenceError, InputError
+from physconvex.errors import InputError
 from physconvex.fem.assembly import Assembler
 from physconvex.fem.scene import Scene
 from physconvex.inelastic import FlowStep
-from physconvex.integrators import (
-    IntegratorName,
-    Minimum,
-    State,
-    StepCoefficients,
-    bdf2,
-    check_stepping,
-    extrapolate,
-    frame_states,
-    implicit_euler,
-    minimise,
-)
+from physconvex.integrators import IntegratorName, State, StepCoefficients, check_stepping, frame_states, minimise
 from physconvex.linear_solvers import SymmetricSolver
+from physconvex.stepping import SolveStatistics, Stepper, StepRecord
 
-__all__ = ["SolveStatistics", "StepEquations", "StepRecord", "Trajectory", "simulate", "solve_static"]
+__all__ = ["StepEquations", "Trajectory", "simulate", "solve_static"]
 
-_MAX_HALVINGS = 8
-
-
-@dataclass(frozen=True)
-class SolveStatistics:
-    """What a roll-out cost.
-
-    Attributes:
-        steps: time steps.
-        newton_iterations: of all steps.
-        factorisations: of Newton's matrix.
-        halved_steps: steps that did not converge and were cut in two.
-        projections: matrices that were not positive definite and were projected: the body is near buckling.
-    """
-
-    steps: int = 0
-    newton_iterations: int = 0
-    factorisations: int = 0
-    halved_steps: int = 0
-    projections: int = 0
+_STALE_RATE = 0.25
 
 
 @dataclass(frozen=True)
@@ -95,6 +66,17 @@ class StepEquations:
         values[same] = np.asarray(mass).ravel()
         return values
 
+    @property
+    def factorisations(self) -> int:
+        """Of Newton's matrix, so far."""
+        return self.solver.factorisations
+
+    def first_guess(self, guess: np.ndarray, time: float) -> np.ndarray:
+        """The guess with pinned nodes where they are at the time [s]."""
+        if (pins := self.scene.pins) is not None:
+            guess[pins.nodes] = pins.positions(time, self.scene.start)
+        return guess
+
     def set_step(self, coefficients: StepCoefficients, time: float, guess: np.ndarray, last: State) -> None:
         """Fix everything that is constant during one time step.
 
@@ -113,6 +95,10 @@ class StepEquations:
         assert self.coefficients is not None
         self._freeze(x, self.coefficients.velocity(x), self.time)
         return bool(self.friction) or (self.body.flow is not None and self.body.flow.lagged)
+
+    def settled(self, change: np.ndarray, step: float) -> bool:
+        """Whether the velocities have changed by no more than the slip velocity with this change [m]."""
+        return bool(np.abs(change).max() <= step * self.contact.slip_velocity)
 
     def commit(self, x: np.ndarray) -> None:
         """Store what has flowed by the end of a step at positions x."""
@@ -182,89 +168,7 @@ class StepEquations:
         return out
 
 
-@dataclass(frozen=True)
-class StepRecord:
-    """One converged time step: the states about it, its length [s], how it was taken, and in how many solves."""
-
-    before: State
-    history: State | None
-    after: State
-    step: float
-    two_step: bool
-    passes: int
-
-
 Observer = Callable[[StepEquations, StepRecord], None]
-
-
-class _Stepper:
-    """Advances a state; a step that does not converge is cut in two."""
-
-    def __init__(self, scene: Scene, integrator: IntegratorName, tolerance: float, friction_passes: int) -> None:
-        self.observer: Observer | None = None
-        self.scene, self.integrator, self.friction_passes = scene, integrator, friction_passes
-        self.tolerance = tolerance * scene.body.mesh.size
-        self.equations = StepEquations(scene)
-        self.previous: State | None = None
-        self.previous_step = np.nan
-        self.steps = self.iterations = self.halved = self.projections = 0
-
-    def advance(self, state: State, step: float, depth: int = 0) -> State:
-        try:
-            new = self._try(state, step)
-        except ConvergenceError as error:
-            if depth == _MAX_HALVINGS:
-                raise ConvergenceError(
-                    f"time step at t = {state.time:.6g} s failed even at h = {step:.3e} s: {error}"
-                ) from error
-            self.halved += 1
-            self.previous, self.equations.factorised = None, False
-            middle = self.advance(state, step / 2, depth + 1)
-            return self.advance(middle, step / 2, depth + 1)
-        self.previous, self.previous_step = state, step
-        self.equations.commit(new.positions)
-        return new
-
-    def _try(self, state: State, step: float) -> State:
-        history = self.previous if np.isclose(self.previous_step, step) else None
-        two_step = self.integrator == "bdf2" and history is not None
-        coefficients = bdf2(state, history, step) if two_step and history else implicit_euler(state, step)
-        time = state.time + step
-        guess = extrapolate(state, history, step)
-        self._place_pins(guess, time)
-        self.equations.set_step(coefficients, time, guess, state)
-        found, passes = self._minimise(guess), 1
-        for _ in range(self.friction_passes - 1):
-            if not self.equations.freeze_friction(found.x):
-                break
-            last, found, passes = found.x, self._minimise(found.x), passes + 1
-            if np.abs(found.x - last).max() <= step * self.equations.contact.slip_velocity:
-                break
-        self.steps += 1
-        after = State(time, found.x, coefficients.velocity(found.x))
-        if self.observer is not None:
-            self.observer(self.equations, StepRecord(state, history, after, step, two_step, passes))
-        return after
-
-    def _minimise(self, start: np.ndarray) -> Minimum:
-        found = minimise(self.equations, start, tolerance=self.tolerance)
-        self.iterations += found.iterations
-        self.projections += found.projections
-        return found
-
-    def _place_pins(self, x: np.ndarray, time: float) -> None:
-        pins = self.scene.pins
-        if pins is not None:
-            x[pins.nodes] = pins.positions(time, self.scene.start)
-
-    def statistics(self) -> SolveStatistics:
-        return SolveStatistics(
-            steps=self.steps,
-            newton_iterations=self.iterations,
-            factorisations=self.equations.solver.factorisations,
-            halved_steps=self.halved,
-            projections=self.projections,
-        )
 
 
 def simulate(
@@ -299,8 +203,10 @@ def simulate(
         ConvergenceError: a step failed even after eight halvings.
     """
     check_stepping(frames, fps, steps_per_frame, integrator, friction_passes)
-    stepper = _Stepper(scene, integrator, tolerance, friction_passes)
-    stepper.observer = observer
+    length = tolerance * scene.body.mesh.size
+    stepper = Stepper(
+        StepEquations(scene), integrator, length, friction_passes, stale_rate=_STALE_RATE, observer=observer
+    )
     start = State(0.0, scene.start.copy(), scene.start_velocities())
     states = []
     for state in frame_states(stepper.advance, start, frames=frames, fps=fps, steps_per_frame=steps_per_frame):

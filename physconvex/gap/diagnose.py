@@ -72,6 +72,7 @@ def diagnose(
     numerics = numerical_differences(rough, options, report)
     rough_errors = error_model(rough, numerics, options)
     base = fit_baseline(rough, correction_of(numerics), numerics.fine, rough_errors.variance, options, report)
+    base = _with_directions(base, numerics)
     numerics = with_absorbed_mesh(base, numerics, options)
     base, errors, screening = _trusted(base, numerics, dictionary, options, report)
     weights = detail_errors(base, errors, options.detail)
@@ -120,7 +121,7 @@ def _trusted(
 
     And the screening at that fit, if there was no need to make it anew.
     """
-    base, errors = _with_directions(base, numerics), error_model(base, numerics, options)
+    errors = error_model(base, numerics, options)
     correction = base.model.correction
     swamped = _relative_gap(base, errors, base_hypothesis(base, errors)) < 1.0
     if correction is None or (base.situation.clamped and not swamped):

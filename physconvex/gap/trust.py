@@ -18,7 +18,7 @@ from physconvex.gap.screening import Screening
 
 __all__ = ["error_scale"]
 
-_MARGIN = 2.5  # of squares: an effect must remove more than 1 − 1/(1.5 × this) of them to open a gap
+_MARGIN = 4.0  # of squares: an effect must remove more than 1 − 1/(1.5 × this) of them to open a gap
 _LEAST = 0.15  # scale below which nothing is believed
 _FRAMES = 2  # that tell: fitted ones whose numerical error is above noise
 

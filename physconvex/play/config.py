@@ -132,13 +132,15 @@ class BasisConfig(Frozen):
 
 
 class TimeConfig(Frozen):
-    """Frames, rate [1/s], time steps per frame, most friction passes per step, Newton's last step over the size."""
+    """Frames, rate [1/s], time steps per frame, most friction passes per step, Newton's last step over the size, gain
+    of energy from which a step is cut in two (`physconvex.reduced.simulate`)."""
 
     frames: int = Field(default=24, ge=1)
     fps: Positive = 24.0
     steps_per_frame: int = Field(default=8, ge=1)
     friction_passes: int = Field(default=12, ge=1)
     tolerance: Positive = 1e-5
+    energy_tolerance: Positive | None = 1e-3
 
 
 class PlayConfig(Frozen):

@@ -187,13 +187,13 @@ def _prepare(asset: Asset, config: PlayConfig, ground: float) -> _Prepared:
 
 
 def _field(config: PlayConfig, mesh: TetMesh, samples: BodySamples) -> WeightField:
-    """Skinning weights; those of a body of one material do not depend on its stiffness."""
-    basis = config.basis
+    """Skinning weights; those of a body of one material depend on its fibres, not on its stiffness."""
+    basis, body = config.basis, ElasticBody(mesh, law=_law(config.material))
     if basis.kind == "eigenmodes":
-        return eigenmode_weights(ElasticBody(mesh), basis.modes)
+        return eigenmode_weights(body, basis.modes)
     if basis.kind == "contact":
         smooth = basis.modes // 3
-        return contact_weights(ElasticBody(mesh), basis.modes - smooth, eigenmodes=smooth)
+        return contact_weights(body, basis.modes - smooth, eigenmodes=smooth)
     generator = torch.Generator().manual_seed(basis.seed)
     return train_neural_weights(samples, basis.modes, generator=generator, poisson_ratio=config.material.poisson_ratio)
 

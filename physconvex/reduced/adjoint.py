@@ -25,8 +25,9 @@ from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.friction_tangents import FreezeTangent, friction_tangent
 from physconvex.reduced.rotation_vector import rotation_matrix
 from physconvex.reduced.scene import ReducedScene
-from physconvex.reduced.simulation import ReducedTrajectory, SolvedPass, StepRecord, simulate
+from physconvex.reduced.simulation import ReducedTrajectory, simulate
 from physconvex.reduced.step_derivatives import StepDerivatives
+from physconvex.stepping import SolvedPass, StepRecord
 
 __all__ = ["LossGradient", "simulate_with_adjoint"]
 

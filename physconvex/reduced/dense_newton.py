@@ -35,6 +35,10 @@ class DenseNewton(ABC):
         self.secants = Secants(_SECANTS, smallest=_ROUNDED * size)
         self.coefficients: StepCoefficients | None = None
 
+    def first_guess(self, guess: Float[np.ndarray, "R 3"], time: float) -> Float[np.ndarray, "R 3"]:
+        """Where Newton's method starts: at what was extrapolated, since pins are springs."""
+        return guess
+
     @abstractmethod
     def hessian_blocks(self, x: Float[np.ndarray, "R 3"], *, project: bool) -> Float[np.ndarray, "3 R 3 R"]:
         """Second derivative [N/m], components first; exact, or its positive definite approximation."""

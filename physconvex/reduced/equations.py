@@ -80,6 +80,15 @@ class StepEquations(DenseNewton):
 
     # -- value and gradient
 
+    def energy(self, state: State) -> float:
+        """Kinetic, elastic, of contact and pins, and potential of the forces as they are at the state's time [J]."""
+        y, v = state.positions, state.velocities
+        total = 0.5 * float((v * (self.body.mass @ v)).sum()) + self.body.energy(y)
+        total += self.touch.energy_and_gradient(y, state.time)[0]
+        if self.pins is not None:
+            total += self.pins.energy_and_gradient(y, state.time)[0]
+        return total - float((self.scene.external_forces(state.time) * (y - self.start)).sum())
+
     def evaluate(self, x: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
         """Incremental potential [J] and its derivative [N]."""
         energy, gradient = self.body.energy_and_gradient(x, response=self.response)

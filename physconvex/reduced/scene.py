@@ -88,6 +88,22 @@ class ReducedScene:
                 raise InputError(f"{name}: got shape {np.shape(value)}; expected {shape}")
 
     @property
+    def autonomous(self) -> bool:
+        """Whether nothing but constant forces does work on the body, and it stores no flow: energy cannot grow."""
+        moving = [obstacle.velocity for obstacle in self.obstacles]
+        moving += [] if self.wind is None else [self.wind.velocity]
+        still = not any(callable(velocity) or np.any(velocity) for velocity in moving)
+        led = self.pins is not None and self.pins.motion is not None
+        return still and not led and not callable(self.push) and not callable(self.loads) and self.body.flow is None
+
+    @property
+    def energy_scale(self) -> float:
+        """Kinetic energy at t = 0 and weight (at 9.81 m/s²) times size [J]."""
+        v = self.start_velocities()
+        weight = 9.81 * self.body.total_mass
+        return 0.5 * float((v * (self.body.mass @ v)).sum()) + weight * self.body.space.samples.size
+
+    @property
     def unturned(self) -> Float[np.ndarray, "R 3"]:
         """Coordinates at t = 0 before the initial orientation turns them [m]."""
         return self.body.rest if self.initial_coordinates is None else np.asarray(self.initial_coordinates)

@@ -25,8 +25,9 @@ from physconvex.reduced.flow_tangents import FlowTangents
 from physconvex.reduced.friction_tangents import friction_tangent
 from physconvex.reduced.parameters import parameter_values
 from physconvex.reduced.scene import ReducedScene
-from physconvex.reduced.simulation import ReducedTrajectory, StepRecord, simulate
+from physconvex.reduced.simulation import ReducedTrajectory, simulate
 from physconvex.reduced.step_derivatives import StepDerivatives
+from physconvex.stepping import StepRecord
 
 __all__ = ["SensitiveTrajectory", "simulate_with_sensitivities"]
 

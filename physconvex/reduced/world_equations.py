@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 from jaxtyping import Float
+from torch import Tensor
 
 from physconvex.contact import Friction
 from physconvex.integrators import State, StepCoefficients
@@ -30,7 +31,7 @@ class _Pair:
 class WorldEquations(DenseNewton):
     """Incremental potential of one time step; coordinates of all bodies below each other, [R_1 + R_2 + …, 3]."""
 
-    viscous = None  # a step's record holds no viscosity: it stays in the equations of each body
+    viscous: Tensor | None = None  # a step's record holds no viscosity: it stays in the equations of each body
     friction: tuple[Friction, ...] = ()
 
     def __init__(self, world: ReducedWorld) -> None:
@@ -78,6 +79,13 @@ class WorldEquations(DenseNewton):
             body.commit(part)
 
     # -- value, gradient, Hessian
+
+    def energy(self, state: State) -> float:
+        """Of all bodies and of the contact between them [J]."""
+        x, v = state.positions, state.velocities
+        bodies = zip(self.bodies, self.slices, strict=True)
+        own = sum(body.energy(State(state.time, x[where], v[where])) for body, where in bodies)
+        return own + sum(pair.contact.energy_and_gradient(x[pair.where])[0] for pair in self.pairs)
 
     def evaluate(self, x: Float[np.ndarray, "R 3"]) -> tuple[float, Float[np.ndarray, "R 3"]]:
         """Incremental potential [J] and its derivative [N]."""

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.fem.simulation import SolveStatistics
 from physconvex.integrators import IntegratorName, State, check_stepping, frame_states
-from physconvex.reduced.simulation import ReducedTrajectory, Stepper
+from physconvex.reduced.simulation import STALE_RATE, ReducedTrajectory
 from physconvex.reduced.world import ReducedWorld
 from physconvex.reduced.world_equations import WorldEquations
+from physconvex.stepping import SolveStatistics, Stepper
 
 __all__ = ["WorldTrajectory", "simulate_world"]
 
@@ -41,6 +41,7 @@ def simulate_world(
     integrator: IntegratorName = "bdf2",
     tolerance: float = 3e-8,
     friction_passes: int = 12,
+    energy_tolerance: float | None = None,
     on_frame: Callable[[int], None] | None = None,
 ) -> WorldTrajectory:
     """Roll several bodies out in time; every step is one Newton solve over the coordinates of all of them.
@@ -49,15 +50,25 @@ def simulate_world(
 
     Args:
         world: the bodies, their obstacles and forces.
-        frames, fps, steps_per_frame, integrator, friction_passes, on_frame: as in `simulate`.
+        frames, fps, steps_per_frame, integrator, friction_passes, energy_tolerance, on_frame: as in `simulate`.
         tolerance: Newton's last step, relative to the smallest body's size.
 
     Raises:
         InputError: an argument out of range.
         ConvergenceError: a step failed even after eight halvings.
     """
-    check_stepping(frames, fps, steps_per_frame, integrator, friction_passes)
-    stepper = Stepper(WorldEquations(world), integrator, tolerance * world.size, friction_passes)
+    check_stepping(frames, fps, steps_per_frame, integrator, friction_passes, energy_tolerance)
+    equations = WorldEquations(world)
+    guarded = energy_tolerance is not None and all(scene.autonomous for scene in world.scenes)
+    stepper = Stepper(
+        equations,
+        integrator,
+        tolerance * world.size,
+        friction_passes,
+        stale_rate=STALE_RATE,
+        energy=equations.energy if guarded else None,
+        energy_tolerance=(energy_tolerance or 0.0) * sum(scene.energy_scale for scene in world.scenes),
+    )
     places = np.concatenate([scene.start for scene in world.scenes])
     start = State(0.0, places, np.concatenate([scene.start_velocities() for scene in world.scenes]))
     states, flows = [], []

@@ -57,7 +57,8 @@ def decode_decord(path: Path, probe: Probe) -> Decoded | None:
     except ImportError:  # no wheel for this platform: PyAV reads everything
         return None
     try:
-        reader = decord.VideoReader(str(path.absolute()), ctx=decord.cpu(0))
+        threads = 0 if _pays_threads(probe) else 1
+        reader = decord.VideoReader(str(path.absolute()), ctx=decord.cpu(0), num_threads=threads)
         if len(reader) != probe.header_frames:
             return None
         frames = reader.get_batch(range(len(reader))).asnumpy()
@@ -108,13 +109,17 @@ def _frames(container: av.container.InputContainer, probe: Probe) -> Iterator[av
     stream = video_stream(container)
     assert stream is not None  # the probe found it
     if probe.alpha_decoder is None:
-        # Frame threads pay for large pictures only.
-        stream.thread_type = "AUTO" if probe.width * probe.height > 2**20 else "NONE"
+        stream.thread_type = "AUTO" if _pays_threads(probe) else "NONE"
         yield from container.decode(stream)
         return
     decoder = cast(av.VideoCodecContext, av.CodecContext.create(probe.alpha_decoder, "r"))
     for packet in container.demux(stream):
         yield from decoder.decode(packet)
+
+
+def _pays_threads(probe: Probe) -> bool:
+    """Frame threads pay for large pictures only."""
+    return probe.width * probe.height > 2**20
 
 
 def _enough(images: list[np.ndarray], times: list[float | None], frame: av.VideoFrame, limits: Limits) -> bool:

@@ -16,7 +16,7 @@ from physconvex.errors import InputError
 
 SMALL = [
     "video={frames: 4, width: 64, height: 48, supersampling: 1}",
-    "solver={target_nodes: 100, steps_per_frame: 2}",
+    "solver={target_nodes: 100, landing_nodes: 20, steps_per_frame: 2}",
     "camera.views=2",
     "motion.drop_height=[0.1, 0.2]",
     "samples={points: 8, modes: 2}",

@@ -15,7 +15,7 @@ import pytest
 import trimesh
 
 import data_gen.generate
-from data_gen.config import load_config
+from data_gen.config import SolverConfig, load_config
 from data_gen.dataset import Dataset
 from data_gen.engines import run_tasks
 from data_gen.generate import generate_dataset
@@ -27,7 +27,7 @@ from physconvex.fem import Embedding, SolveStatistics, Trajectory, box_mesh
 
 SMALL = [
     "video={frames: 4, width: 48, height: 48, supersampling: 1}",
-    "solver={target_nodes: 100, steps_per_frame: 2, tolerance: 1.0e-3, max_attempts: 3}",
+    "solver={target_nodes: 100, landing_nodes: 20, steps_per_frame: 2, tolerance: 1.0e-3, max_attempts: 3}",
     "motion.drop_height=[0.05, 0.1]",
     "camera.views=1",
     "samples={points: 8, modes: 2}",
@@ -226,4 +226,4 @@ def test_a_procedural_body_that_cannot_be_meshed_is_a_failed_attempt():
     """This letter's triangles overlap; the mesher's complaint used to end the whole run."""
     drop = draw_drop(load_config("training"), 1, 678, 0)
     with pytest.raises(ConvergenceError, match=rf"{drop.object_id}: surface: not closed"):
-        make_mesh(drop, 500)
+        make_mesh(drop, SolverConfig(target_nodes=500), (0.0, 0.0, -9.81))

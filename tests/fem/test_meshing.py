@@ -110,6 +110,14 @@ def test_a_curved_sheet_without_inside_is_refused():
         tetrahedralize((vertices, np.vstack([np.stack([a, b, c], 1), np.stack([b, d, c], 1)])))
 
 
+def test_a_sliver_that_is_left_of_a_sheet_is_no_body(ball, monkeypatch):
+    """What fTetWild gave in one of eight runs on the sheet above."""
+    sliver = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.03]]), np.array([[0, 1, 2, 3]])
+    monkeypatch.setattr("pytetwild.tetrahedralize", lambda *args, **options: sliver)
+    with pytest.raises(InputError, match="encloses no volume"):
+        tetrahedralize(ball, method="ftetwild", match_volume=False)
+
+
 @pytest.mark.wrong_types
 def test_bad_options_are_refused(ball):
     with pytest.raises(InputError, match="target_edge_length"):

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from physconvex import stepping as module
+from physconvex.elastic_terms import with_fibres
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import (
     ElasticBody,
@@ -14,7 +16,7 @@ from physconvex.fem import (
     skinning_eigenmodes,
     vibration_modes,
 )
-from physconvex.fem import simulation as module
+from physconvex.materials import LAWS
 
 
 def small_body(**constants) -> ElasticBody:
@@ -283,6 +285,25 @@ def test_first_skinning_mode_of_a_bar_is_a_cosine():
     expected = np.sqrt(2) * np.cos(np.pi * mesh.vertices[:, 0] / length)
     expected *= np.sign(expected @ weights[:, 0])
     np.testing.assert_allclose(weights[:, 0], expected, atol=2e-3)
+
+
+@pytest.mark.parametrize("law", sorted(LAWS))
+def test_skinning_modes_are_those_of_the_laplacian_whatever_the_isotropic_law(law):
+    mesh = box_mesh((0.3, 0.2, 0.1), (3, 2, 1), order=2)
+    values = [skinning_eigenmodes(ElasticBody(mesh, law=one), 3)[1] for one in ("linear", law)]
+    np.testing.assert_allclose(values[1], values[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize(("along", "first"), [((1.0, 0, 0), 1), ((0, 2.0, 0), 0)])
+def test_fibres_raise_the_skinning_modes_along_them(along, first):
+    """cos(π x/L) of a box has the eigenvalue E (1 + k/4μ) (π/L)²/ρ along the fibres, without the factor across."""
+    size, ratio = (0.3, 0.25, 0.05), 12.0
+    law = with_fibres("neo_hookean", along, ratio)
+    body = ElasticBody(box_mesh(size, (6, 5, 1), order=2), law=law, youngs_modulus=1e5, density=1000.0)
+    weights, values = skinning_eigenmodes(body, 1)
+    np.testing.assert_allclose(values, 1e5 / 1000 * (np.pi / size[first]) ** 2, rtol=1e-3)
+    wave = np.sqrt(2.0) * np.cos(np.pi * body.mesh.vertices[:, first] / size[first])
+    np.testing.assert_allclose(np.abs(weights[:, 0]), np.abs(wave), atol=0.02)
 
 
 def test_stiff_inclusion_moves_as_one():

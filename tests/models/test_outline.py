@@ -3,7 +3,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import torch
 
 from models.activity import moving_window
 from models.finder_checkpoint import save_finder_network
@@ -93,9 +92,8 @@ def test_input_holds_frame_difference_colour_and_rough_silhouette() -> None:
     coverage = np.full((5, 10, 8), 0.1, np.float32)
     coverage[:, :5, :4] = 0.9
     background = uncovered_background(frames, near_object(coverage))
-    pixels = outline_input(frames, coverage, shown=np.array([1, 3]))
-    assert pixels.shape == (2, 36, 8, 4)
-    whole = torch.nn.functional.pixel_shuffle(pixels, 2).numpy()
+    whole = outline_input(frames, coverage, shown=np.array([1, 3])).numpy()
+    assert whole.shape == (2, 9, 16, 8)
     at, chosen = np.s_[:, :, 9, 6], frames[[1, 3], 9, 6].astype(float)
     np.testing.assert_allclose(whole[at][:, :3], (chosen - 128) / 32, atol=1e-6)
     np.testing.assert_allclose(whole[at][:, 3:6], (chosen - background.picture[9, 6]) / 32, atol=1e-6)

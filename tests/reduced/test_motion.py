@@ -1,11 +1,14 @@
 """Motion of reduced bodies: closed forms, contact and friction, and the full-order model."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import ElasticBody, Scene, box_mesh, surface_load
 from physconvex.fem import simulate as simulate_full
+from physconvex.integrators import State
 from physconvex.materials import LAWS
 from physconvex.reduced import (
     BodySamples,
@@ -14,10 +17,12 @@ from physconvex.reduced import (
     ReducedBody,
     ReducedScene,
     ReducedSpace,
+    ReducedTrajectory,
     Sphere,
     eigenmode_weights,
     simulate,
 )
+from physconvex.reduced.equations import StepEquations
 
 G = 9.81
 SIZE = (0.3, 0.2, 0.1)
@@ -226,3 +231,48 @@ def test_friction_is_taken_anew_until_velocities_settle_and_then_meets_coulomb(s
     start, end = (body.first_moments @ run.velocities[k] for k in (0, -1))
     assert end[2] > 0  # it has left the floor
     assert (start[0] - end[0]) / (end[2] - start[2]) == pytest.approx(0.5, rel=0.03)
+
+
+def stiff_plate(**changes) -> ReducedScene:
+    """A thin plate that falls on a floor; its rebound takes a tenth of a step of 1/192 s."""
+    mesh = box_mesh((0.3, 0.24, 0.018), (4, 3, 1), order=2)
+    space = ReducedSpace(eigenmode_weights(ElasticBody(mesh), 4), BodySamples.of_mesh(mesh))
+    body = ReducedBody(space, youngs_modulus=4e6, poisson_ratio=0.14, density=2000.0)
+    floor = Plane(point=(0, 0, -0.05), normal=(0.1, 0.02, 1.0))
+    scene = ReducedScene(body, obstacles=(floor,), initial_angular_velocity=(2.0, -1.0, 0.5))
+    return dataclasses.replace(scene, **changes)
+
+
+def energies(scene: ReducedScene, run: ReducedTrajectory) -> np.ndarray:
+    """At the frames, over the scene's scale."""
+    equations = StepEquations(scene)
+    states = map(State, run.times, run.coordinates, run.velocities)
+    return np.array([equations.energy(state) for state in states]) / scene.energy_scale
+
+
+def test_an_impact_shorter_than_a_step_gains_no_energy_where_steps_are_cut():
+    scene, options = stiff_plate(), {"frames": 40, "steps_per_frame": 8}
+    free, kept = simulate(scene, **options), simulate(scene, energy_tolerance=1e-3, **options)
+    gains = [np.max(e - np.minimum.accumulate(e)) for e in (energies(scene, free), energies(scene, kept))]
+    assert gains[0] > 3e-3 > 1e-3 >= gains[1]
+    assert free.statistics.halved_steps == 0 < kept.statistics.halved_steps < 20
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"obstacles": (Plane(point=(0, 0, -0.05), velocity=(0, 0, 0.5)),)},
+        {"push": lambda time: (0.0, 0.0, 40.0 * time)},
+    ],
+)
+def test_where_work_is_done_from_outside_energy_may_rise(changes):
+    scene = stiff_plate(**changes)
+    assert not scene.autonomous and stiff_plate().autonomous
+    options = {"frames": 12, "steps_per_frame": 8}
+    free, asked = simulate(scene, **options), simulate(scene, energy_tolerance=1e-3, **options)
+    np.testing.assert_array_equal(free.coordinates, asked.coordinates)
+
+
+def test_the_tolerance_of_the_energy_is_a_positive_share():
+    with pytest.raises(InputError, match=r"energy_tolerance: got -1\.0"):
+        simulate(stiff_plate(), frames=2, energy_tolerance=-1.0)

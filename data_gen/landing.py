@@ -1,0 +1,71 @@
+"""Where a falling body first touches the floor: it flies rigidly until then."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from physconvex.fem import TetMesh
+from physconvex.fem.local_refinement import refine_locally
+
+__all__ = ["landing_heights", "refine_at_landing"]
+
+_STEP = 1e-3  # [s]
+_REACH = 0.08  # of the size: wanted spacings are proportional to the height at landing plus this
+
+
+def landing_heights(
+    mesh: TetMesh,
+    *,
+    gravity: Sequence[float],
+    velocity: Sequence[float] = (0.0, 0.0, 0.0),
+    angular_velocity: Sequence[float] = (0.0, 0.0, 0.0),
+    duration: float = 2.0,
+) -> Float[np.ndarray, " V"] | None:
+    """Height [m] of each node over the floor z = 0 when the first of them touches it; None if none does in time.
+
+    Args:
+        mesh: where the body starts.
+        gravity: [m/s²].
+        velocity, angular_velocity: of the body at the start [m/s], [rad/s].
+        duration: of the flight at most [s].
+    """
+    centre, inertia = _mass_properties(mesh)
+    arms, turn = mesh.vertices - centre, Rotation.identity()
+    momentum = inertia @ np.asarray(angular_velocity)
+    for time in np.arange(0.0, duration, _STEP):
+        heights = turn.apply(arms)[:, 2] + centre[2] + time * velocity[2] + 0.5 * time**2 * gravity[2]
+        if heights.min() <= 0.0:
+            return np.maximum(heights, 0.0)
+        axes = turn.as_matrix()
+        spin = axes @ np.linalg.solve(inertia, axes.T @ momentum)
+        turn = Rotation.from_rotvec(_STEP * spin) * turn
+    return None
+
+
+def _mass_properties(mesh: TetMesh) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
+    """Centre [m] and inertia about it [m⁵], of density one: exact for straight tetrahedra."""
+    volumes, corners = mesh.element_volumes, mesh.vertices[mesh.corner_tets]
+    centre = volumes @ corners.mean(axis=1) / volumes.sum()
+    arms = corners - centre
+    sums = np.einsum("eia,eib->eab", arms, arms) + np.einsum("ea,eb->eab", arms.sum(axis=1), arms.sum(axis=1))
+    second = np.einsum("e,eab->ab", volumes, sums) / 20.0
+    return centre, np.trace(second) * np.eye(3) - second
+
+
+def refine_at_landing(mesh: TetMesh, nodes: int, **flight: Any) -> TetMesh:
+    """The mesh with so many nodes more, where it will land: there a few nodes carry a stiff body.
+
+    Args:
+        mesh: where the body starts.
+        nodes: added at most.
+        flight: see `landing_heights`.
+    """
+    heights = landing_heights(mesh, **flight) if nodes else None
+    if heights is None:
+        return mesh
+    return refine_locally(mesh, heights + _REACH * mesh.size, max_nodes=len(mesh.vertices) + nodes)

@@ -1,0 +1,217 @@
+"""Time steps one after the other, for every simulator that minimises an incremental potential."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+from torch import Tensor
+
+from physconvex.contact import Friction
+from physconvex.errors import ConvergenceError
+from physconvex.integrators import (
+    IntegratorName,
+    Minimum,
+    Objective,
+    State,
+    StepCoefficients,
+    bdf2,
+    extrapolate,
+    implicit_euler,
+    minimise,
+)
+
+__all__ = ["MAX_HALVINGS", "SolveStatistics", "SolvedPass", "StepObjective", "StepRecord", "Stepper"]
+
+MAX_HALVINGS = 8
+_ENERGY_HALVINGS = 4  # for the energy's sake a step is cut no further
+
+
+@dataclass(frozen=True)
+class SolveStatistics:
+    """What a roll-out cost.
+
+    Attributes:
+        steps: time steps.
+        newton_iterations: of all steps.
+        factorisations: of Newton's matrix.
+        halved_steps: steps that did not converge, or gained energy, and were cut in two.
+        projections: matrices that were not positive definite and were projected: the body is near buckling.
+    """
+
+    steps: int = 0
+    newton_iterations: int = 0
+    factorisations: int = 0
+    halved_steps: int = 0
+    projections: int = 0
+
+
+@dataclass(frozen=True)
+class SolvedPass:
+    """One solve of a time step: its solution `x` [m], shape [R, 3], and the friction that was frozen during it."""
+
+    x: np.ndarray
+    friction: tuple[Friction, ...]
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """Everything a converged time step was made of.
+
+    Attributes:
+        before: state at its start.
+        history: the state one equal step before that, if there is one; it enters the first guess.
+        two_step: whether the step was BDF2 (which needs a history), else implicit Euler.
+        step: h [s].
+        coefficients: of the incremental potential.
+        viscous: F* the viscosity was frozen at.
+        passes: one solve per linearisation of friction.
+        after: state at its end.
+    """
+
+    before: State
+    history: State | None
+    two_step: bool
+    step: float
+    coefficients: StepCoefficients
+    viscous: Tensor | None
+    passes: tuple[SolvedPass, ...]
+    after: State
+
+
+@runtime_checkable
+class StepObjective(Objective, Protocol):
+    """The incremental potential of one time step, and what is fixed during it."""
+
+    friction: tuple[Friction, ...]
+    viscous: Tensor | None
+
+    @property
+    def factorisations(self) -> int:
+        """Of Newton's matrix, so far."""
+
+    def first_guess(self, guess: np.ndarray, time: float) -> np.ndarray:
+        """Where Newton's method starts [m], from what was extrapolated to the time [s] at the step's end."""
+
+    def set_step(self, coefficients: StepCoefficients, time: float, guess: np.ndarray, last: State) -> None:
+        """Fix everything that is constant during one time step that ends at `time` [s]."""
+
+    def freeze_friction(self, x: np.ndarray) -> bool:
+        """Take anew at x what a solve holds fixed; tells if there is any."""
+
+    def settled(self, change: np.ndarray, step: float) -> bool:
+        """Whether a change [m] between two solves of a step of so many seconds is too small for another one."""
+
+    def commit(self, x: np.ndarray) -> None:
+        """Store what has flowed by the end of a step at x."""
+
+
+Equations = TypeVar("Equations", bound=StepObjective)
+
+
+class Stepper(Generic[Equations]):
+    """Advances a state; a step that does not converge is cut in two.
+
+    Args:
+        equations: of the steps.
+        integrator: "bdf2" (first step and the first after a cut implicit Euler) or "implicit_euler".
+        tolerance: Newton's last step [m].
+        friction_passes: how often friction is linearised and solved in each step at most.
+        stale_rate: contraction of Newton's steps above which a reused factorisation is renewed.
+        observer: called with the equations and the record of every converged step.
+        energy: total energy [J] of a state, of a scene in which nothing does work from outside.
+        energy_tolerance: a step that raises it by more [J] is cut in two as well, four times at most. BDF2 overshoots
+            where an impact takes less than a step.
+    """
+
+    def __init__(
+        self,
+        equations: Equations,
+        integrator: IntegratorName,
+        tolerance: float,
+        friction_passes: int,
+        *,
+        stale_rate: float,
+        observer: Callable[[Equations, StepRecord], None] | None = None,
+        energy: Callable[[State], float] | None = None,
+        energy_tolerance: float = math.inf,
+    ) -> None:
+        self.energy, self.energy_tolerance = energy, energy_tolerance
+        self._known_energy: tuple[State, float] | None = None
+        self.equations, self.integrator = equations, integrator
+        self.tolerance, self.friction_passes, self.stale_rate = tolerance, friction_passes, stale_rate
+        self.observer = observer
+        self.previous: State | None = None
+        self.previous_step = math.nan
+        self.steps = self.iterations = self.halved = self.projections = 0
+
+    def advance(self, state: State, step: float, depth: int = 0) -> State:
+        """The state one step [s] later.
+
+        Raises:
+            ConvergenceError: it failed even after eight halvings.
+        """
+        try:
+            record = self._try(state, step)
+            if self.energy is not None and depth < _ENERGY_HALVINGS:
+                self._check_energy(self.energy, record)
+        except ConvergenceError as error:
+            if depth == MAX_HALVINGS:
+                raise ConvergenceError(
+                    f"time step at t = {state.time:.6g} s failed even at h = {step:.3e} s: {error}"
+                ) from error
+            self.halved += 1
+            self.previous, self.equations.factorised = None, False
+            middle = self.advance(state, step / 2, depth + 1)
+            return self.advance(middle, step / 2, depth + 1)
+        self.steps += 1
+        self.previous, self.previous_step = state, step
+        self.equations.commit(record.after.positions)
+        if self.observer is not None:
+            self.observer(self.equations, record)
+        return record.after
+
+    def _try(self, state: State, step: float) -> StepRecord:
+        time = state.time + step
+        history = self.previous if math.isclose(self.previous_step, step, rel_tol=1e-9) else None
+        guess = self.equations.first_guess(extrapolate(state, history, step), time)
+        two_step = self.integrator == "bdf2" and history is not None
+        coefficients = bdf2(state, history, step) if two_step and history else implicit_euler(state, step)
+        self.equations.set_step(coefficients, time, guess, state)
+        passes = [self._minimise(guess)]
+        while len(passes) < self.friction_passes and self.equations.freeze_friction(passes[-1].x):
+            passes.append(self._minimise(passes[-1].x))
+            if self.equations.settled(passes[-1].x - passes[-2].x, step):
+                break
+        x = passes[-1].x
+        if not np.isfinite(x).all():
+            raise ConvergenceError("the new state is not finite")
+        after = State(time, x, coefficients.velocity(x))
+        return StepRecord(state, history, two_step, step, coefficients, self.equations.viscous, tuple(passes), after)
+
+    def _check_energy(self, energy: Callable[[State], float], record: StepRecord) -> None:
+        known = self._known_energy
+        before = known[1] if known is not None and known[0] is record.before else energy(record.before)
+        after = energy(record.after)
+        if after > before + self.energy_tolerance:
+            raise ConvergenceError(f"the energy rose by {after - before:.3g} J")
+        self._known_energy = record.after, after
+
+    def _minimise(self, start: np.ndarray) -> SolvedPass:
+        found: Minimum = minimise(self.equations, start, tolerance=self.tolerance, stale_rate=self.stale_rate)
+        self.iterations += found.iterations
+        self.projections += found.projections
+        return SolvedPass(found.x, self.equations.friction)
+
+    def statistics(self) -> SolveStatistics:
+        """What the steps so far cost."""
+        return SolveStatistics(
+            steps=self.steps,
+            newton_iterations=self.iterations,
+            factorisations=self.equations.factorisations,
+            halved_steps=self.halved,
+            projections=self.projections,
+        )
