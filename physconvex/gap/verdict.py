@@ -93,6 +93,15 @@ def probabilities(hypotheses: Sequence[Hypothesis], other: float = -np.inf) -> d
     return {label: float(w) for label, w in zip(labels, weights / weights.sum(), strict=True) if w > 0}
 
 
+def _beside_something_else(probability: dict[str, float], share: float) -> dict[str, float]:
+    """Probability of something else only for what the best effects leave: what they remove is theirs all the same."""
+    other = probability.get(_OTHER, 0.0)
+    left = other * float(np.clip(1.0 - share, 0.0, 1.0))
+    known = {label: p for label, p in probability.items() if label != _OTHER}
+    total = max(sum(known.values()), 1e-300)
+    return {**{label: p / total * (1.0 - left) for label, p in known.items()}, **({_OTHER: left} if left > 0 else {})}
+
+
 def _of_name(name: str, probability: dict[str, float]) -> float:
     """Probability that an effect is there: of all fits that have it."""
     return min(sum(p for label, p in probability.items() if name in _names(label)), 1.0)
@@ -173,7 +182,7 @@ def decide(
     """
     base = next(h for h in hypotheses if not h.effects)
     best = next((h for h in hypotheses if h.effects), None)
-    probability = probabilities(hypotheses, other)
+    probability = _beside_something_else(probabilities(hypotheses, other), 1.0 - remaining)
     none = probability.get("base model", 0.0)
     if best is None:
         return Verdict("inconclusive", "No effect could be tried on this capture.", (), none, 0.0, ())
