@@ -45,7 +45,9 @@ def tip(axes: Axes, report: dict[str, Any]) -> None:
     axes.axvline(held_out, color="grey", lw=0.8, ls=":")
     axes.text(held_out, 0.97, " not fitted", transform=axes.get_xaxis_transform(), va="top", fontsize=7)
     axes.set_ylabel("tip [mm]")
-    axes.legend(fontsize=7, loc="lower right")
+    low, high = axes.get_ylim()
+    axes.set_ylim(low - 0.15 * (high - low), high)
+    axes.legend(fontsize=7, loc="lower center", ncol=3)
 
 
 def gap(axes: Axes, report: dict[str, Any]) -> None:
@@ -60,8 +62,8 @@ def gap(axes: Axes, report: dict[str, Any]) -> None:
         axes.plot(times, values, "--" if key == "floor" else "-", color=colour, label=label)
     axes.set_ylabel("gap, rms [mm]")
     axes.set_xlabel("time since the release [ms]")
-    axes.set_ylim(bottom=0)
-    axes.legend(fontsize=7, loc="upper right")
+    axes.set_ylim(0, 1.2 * axes.get_ylim()[1])
+    axes.legend(fontsize=7, loc="upper center", ncol=3)
 
 
 def scores(axes: Axes, report: dict[str, Any]) -> None:
@@ -74,7 +76,7 @@ def scores(axes: Axes, report: dict[str, Any]) -> None:
     axes.barh(names, [100 * best[n] for n in names], color=["#2b6ca3" if n in chosen else "#b8b8b8" for n in names])
     axes.invert_yaxis()
     axes.tick_params(labelsize=7)
-    axes.set_xlabel("share of the residual that a dose at the base fit explains [%]")
+    axes.set_xlabel("residual explained at the base fit [%]")
 
 
 def fits(axes: Axes, report: dict[str, Any]) -> None:

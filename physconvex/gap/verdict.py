@@ -25,6 +25,7 @@ _SEEN = 3.0  # standard errors
 _ASTRAY = 0.5  # distance from the recording over its motion above which the model is no model of it
 _LIKELY = 0.5  # probability from which on an effect is named
 _OTHER = "something else"
+_OPEN = 4.0  # times the expected square: a gap, whether or not an effect explains it
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
 
 
@@ -90,6 +91,15 @@ def probabilities(hypotheses: Sequence[Hypothesis], other: float = -np.inf) -> d
     weights = np.exp(evidence - evidence.max())
     labels = [*(h.label for h in kept), _OTHER]
     return {label: float(w) for label, w in zip(labels, weights / weights.sum(), strict=True) if w > 0}
+
+
+def _beside_something_else(probability: dict[str, float], share: float) -> dict[str, float]:
+    """Probability of something else only for what the best effects leave: what they remove is theirs all the same."""
+    other = probability.get(_OTHER, 0.0)
+    left = other * float(np.clip(1.0 - share, 0.0, 1.0))
+    known = {label: p for label, p in probability.items() if label != _OTHER}
+    total = max(sum(known.values()), 1e-300)
+    return {**{label: p / total * (1.0 - left) for label, p in known.items()}, **({_OTHER: left} if left > 0 else {})}
 
 
 def _of_name(name: str, probability: dict[str, float]) -> float:
@@ -172,7 +182,7 @@ def decide(
     """
     base = next(h for h in hypotheses if not h.effects)
     best = next((h for h in hypotheses if h.effects), None)
-    probability = probabilities(hypotheses, other)
+    probability = _beside_something_else(probabilities(hypotheses, other), 1.0 - remaining)
     none = probability.get("base model", 0.0)
     if best is None:
         return Verdict("inconclusive", "No effect could be tried on this capture.", (), none, 0.0, ())
@@ -248,7 +258,8 @@ def _nothing(e: _Evidence) -> Verdict | None:
     """No gap above noise and numerical error; where those are large, that says nothing."""
     significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
     closed = e.before < _FLOOR or (e.base.fitted < _FLOOR and e.gain < _SURE)
-    if not (e.gain < _WEAK or not significant or closed or _is_slight(e.best)):
+    little = e.gain < _WEAK and e.before < _OPEN
+    if not (little or not significant or closed or _is_slight(e.best)):
         return None
     if e.floor > _BLIND:
         sentence = (
@@ -281,7 +292,7 @@ def _weak(e: _Evidence) -> Verdict | None:
     if e.gain >= _CLEAR:
         return None
     sentence = (
-        f"Inconclusive: {e.best.label} is favoured, but the recording cannot tell it from no effect "
+        f"Inconclusive: {e.best.label} is favoured, but the recording cannot tell it from no effect that is known "
         f"(probability {e.probability[e.best.label]:.0%} against {e.none:.0%} for none)."
     )
     return e.verdict("inconclusive", sentence, e.possible, power=True)

@@ -157,6 +157,14 @@ def test_effects_that_are_not_likely_are_not_named():
 
 def test_something_else_takes_probability():
     found = [hypothesis(20.0, "damping"), hypothesis(0.0)]
-    verdict = decide(found, screening(), 30.0, 1.0, 0.05, OPTIONS, other=22.0)
-    assert verdict.name == "inconclusive" and "something else 88%" in verdict.sentence
-    assert decide(found, screening(), 30.0, 1.0, 0.05, OPTIONS, other=16.0).name == "effect"
+    verdict = decide(found, screening(), 30.0, 1.0, 0.9, OPTIONS, other=22.0)
+    assert verdict.name == "inconclusive" and "something else 79%" in verdict.sentence  # 0.88 of the 0.9 that is left
+    assert decide(found, screening(), 30.0, 1.0, 0.9, OPTIONS, other=16.0).name == "effect"
+    verdict = decide(found, screening(), 30.0, 1.0, 0.4, OPTIONS, other=22.0)
+    assert verdict.name == "effect" and verdict.effects[0].probability == pytest.approx(1 - 0.88 * 0.4, abs=0.01)
+
+
+def test_a_clear_gap_that_no_effect_explains_better_is_not_none():
+    found = [hypothesis(0.9, "damping"), hypothesis(0.0)]
+    assert decide(found, screening(), 30.0, 9.0, 0.05, OPTIONS).name == "inconclusive"
+    assert decide(found, screening(), 2.0, 1.0, 0.05, OPTIONS).name == "none"
