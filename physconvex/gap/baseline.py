@@ -11,7 +11,9 @@ from jaxtyping import Float, Int
 from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import TetMesh, simulate
+from physconvex.gap.boxes import box_of_held_body
 from physconvex.gap.effects import Motion, Situation
+from physconvex.gap.independence import temperature
 from physconvex.gap.model import ACCURACY, EffectModel, SecantModel, reduced_like
 from physconvex.gap.observing import Seen, components, in_metres, observe, starts_elsewhere, widened, with_honest_noise
 from physconvex.gap.options import GapOptions
@@ -36,6 +38,7 @@ __all__ = ["Baseline", "Split", "fit_baseline", "rough_baseline", "split_frames"
 
 Report = Callable[[str], None]
 _STEPS_PER_WAVE = 8  # time steps in the time an elastic wave takes through the body
+_HELD = 4  # the same for a held body, which bends slowly and is not struck
 _STARTS = 3  # of the rough fit of a held body
 _MOST_STEPS = 1000  # of one roll-out
 _ROUNDS = 3  # of full-order run and search with the reduced model
@@ -144,7 +147,7 @@ def _twin(capture: Capture, weights: int, max_nodes: int, steps: int) -> Twin:
     for factor in (1, 2, 4):
         chosen = TwinOptions(weights=weights, max_nodes=factor * max_nodes, steps_per_frame=steps)
         try:
-            return base_twin(capture, chosen)
+            return base_twin(capture, chosen, mesh=box_of_held_body(capture, chosen.max_nodes))
         except InputError as error:
             if factor == 4 or not str(error).startswith("boundary"):
                 raise
@@ -197,7 +200,7 @@ def _windows(frames: int, *, held: bool) -> tuple[int, ...]:
 def _steps(twin: Twin, values: dict[str, float]) -> int:
     """Time steps per frame that resolve the body's vibrations, within what can be afforded."""
     wave = twin.mesh.size * np.sqrt(twin.capture.density / 10 ** values["log10_youngs_modulus"])
-    wanted = int(np.ceil(_STEPS_PER_WAVE / (wave * twin.fps)))
+    wanted = int(np.ceil((_STEPS_PER_WAVE if twin.clamp is None else _HELD) / (wave * twin.fps)))
     most = max(twin.steps_per_frame, _MOST_STEPS // twin.capture.frames)
     return int(np.clip(wanted, twin.steps_per_frame, most))
 
@@ -312,7 +315,7 @@ def fit_baseline(
         tangents = model.tangents(here.fit.values, motion)
         here = replace(here, tangents=tangents)
         best = here if best.motion is here.motion else best
-        shorter = replace(model, frames=count)
+        shorter = replace(model, frames=count, doubt=_doubt(here, variance))
         secant = SecantModel(shorter, here.fit.values, here.positions[:count], tangents[:count])
         found = fit(secant, weighted, shorter.parameters(here.fit.values), options=stop)
         if np.abs((found.values - here.fit.values) / scales).max() < _STILL:
@@ -327,6 +330,14 @@ def fit_baseline(
         model, motion = reduced_like(best.model, best.motion, best.fit.values)
         best = replace(best, tangents=model.tangents(best.fit.values, motion))
     return best
+
+
+def _doubt(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
+    """By how much the noise overrates what the fitted frames say: lack of fit, and residuals that are alike."""
+    rows, width = base.rows(base.split.fitted), base.components
+    whitened = base.residual(base.positions)[rows] / np.sqrt(variance[rows])
+    columns = base.observations.point_indices[rows] * width + np.arange(len(rows)) % width
+    return max(float(np.mean(whitened**2)), 1.0) * temperature(whitened, base.observations.frames[rows], columns)
 
 
 def _misfit(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:

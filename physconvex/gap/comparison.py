@@ -11,6 +11,7 @@ from jaxtyping import Float
 from physconvex.errors import ConvergenceError
 from physconvex.gap.baseline import Baseline
 from physconvex.gap.effects import Effect, Motion
+from physconvex.gap.independence import temperature
 from physconvex.gap.model import EffectModel, SecantModel
 from physconvex.gap.observing import widened
 from physconvex.gap.options import GapOptions
@@ -18,7 +19,16 @@ from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screened
 from physconvex.identify import FitOptions, fit, noise_covariance
 
-__all__ = ["Hypothesis", "base_hypothesis", "continued", "doses_at_bounds", "fit_effects", "hypothesis_at", "refit"]
+__all__ = [
+    "Hypothesis",
+    "base_hypothesis",
+    "continued",
+    "doses_at_bounds",
+    "fit_effects",
+    "hypothesis_at",
+    "refit",
+    "residuals_per_one",
+]
 
 _ENOUGH = 1.0  # mean square over the expected one that a better fit need not undercut
 
@@ -37,7 +47,11 @@ class Hypothesis:
         tangents: derivatives of the positions by the values, in the first frames, shape [f, K, P, 3].
         fitted: mean square of the residuals in the fitted frames, over that of noise and numerical error.
         selecting: the same in the frames that choose.
-        evidence: log-evidence up to a constant.
+        evidence: log-evidence up to a constant, tempered or not.
+        likelihood: its part that the residuals make, not tempered.
+        attainable: what that would be if nothing but noise and numerical error were left.
+        information: number of fitted residuals.
+        divisor: residuals per independent one that the evidence is tempered with.
     """
 
     effects: tuple[Effect, ...]
@@ -50,6 +64,10 @@ class Hypothesis:
     fitted: float
     selecting: float
     evidence: float
+    likelihood: float = 0.0
+    attainable: float = 0.0
+    information: float = 2.0
+    divisor: float = 1.0
 
     @property
     def label(self) -> str:
@@ -66,12 +84,26 @@ class Hypothesis:
         where = self.model.slices[self.effects.index(effect)]
         return self.values[where], self.errors[where]
 
+    def tempered(self, divisor: float) -> Hypothesis:
+        """With the evidence that it has if only one in `divisor` residuals is independent."""
+        evidence = _evidence(self.likelihood, self.information, self.effects, self.values, divisor)
+        return replace(self, evidence=evidence, divisor=divisor)
+
 
 def _mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
     rows = base.rows(frames)
     if not len(rows):
         return float("nan")
     return float(np.mean(base.residual(positions)[rows] ** 2 / errors.expected[rows]))
+
+
+def residuals_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
+    """Residuals per independent one of what a model leaves in some frames, see `physconvex.gap.independence`."""
+    rows, width = base.rows(frames), base.components
+    columns = base.observations.point_indices[rows] * width + np.arange(len(rows)) % width
+    return temperature(
+        base.residual(positions)[rows] / np.sqrt(errors.expected[rows]), base.observations.frames[rows], columns
+    )
 
 
 def _information(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> float:
@@ -84,19 +116,27 @@ def _information(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> floa
     return float(np.minimum(noise + 3.0, np.bincount(frame, minlength=base.model.frames))[np.unique(frame)].sum())
 
 
-def _evidence(base: Baseline, errors: ErrorModel, fitted: float, selecting: float, effects: Sequence[Effect]) -> float:
-    """−n/2 ln(mean square) with unknown scale, less ½ k ln n for k doses and as much again for every further effect.
+def _likelihood(base: Baseline, errors: ErrorModel, fitted: float, selecting: float) -> float:
+    """−n/2 ln(mean square) with unknown scale; the mean square is over that of noise and numerical error.
 
-    The mean square is over that of noise and numerical error; below one it says little more.
+    Below one it says little more.
     """
-    split = base.split
     total = 0.0
-    for value, frames in ((fitted, split.fitted), (selecting, split.selecting)):
+    for value, frames in ((fitted, base.split.fitted), (selecting, base.split.selecting)):
         if np.isfinite(value):
             total -= 0.5 * _information(base, errors, frames) * np.log(value + _ENOUGH)
+    return float(total)
+
+
+def _evidence(
+    likelihood: float, information: float, effects: Sequence[Effect], values: np.ndarray, divisor: float = 1.0
+) -> float:
+    """Likelihood less ½ k ln n for k doses, as much again for every further effect, and less what is implausible."""
     price = sum(len(e.doses) for e in effects) + max(len(effects) - 1, 0)
     price += sum(e.source == "numerical" for e in effects)  # a physical cause goes before one of the same looks
-    return float(total - 0.5 * price * np.log(max(_information(base, errors, split.fitted), 2.0)))
+    doses = [dose for effect in effects for dose in effect.doses]
+    odd = sum(dose.implausibility(value) for dose, value in zip(doses, values[len(values) - len(doses) :], strict=True))
+    return float(likelihood / divisor - 0.5 * price * np.log(max(information / divisor, 2.0)) - odd)
 
 
 def hypothesis_at(
@@ -107,10 +147,13 @@ def hypothesis_at(
     positions = model.observed(motion, values)
     fitted = _mean_square(base, errors, positions, base.split.fitted)
     selecting = _mean_square(base, errors, positions, base.split.selecting)
-    evidence = _evidence(base, errors, fitted, selecting, model.effects)
+    likelihood = _likelihood(base, errors, fitted, selecting)
+    information = _information(base, errors, base.split.fitted)
+    evidence = _evidence(likelihood, information, model.effects, values)
     return Hypothesis(
-        model.effects, model, values, deviations, positions, motion, tangents, fitted, selecting, evidence
-    )
+        model.effects, model, values, deviations, positions, motion, tangents, fitted, selecting, evidence, likelihood,
+        _likelihood(base, errors, 1.0, 1.0), information,
+    )  # fmt: skip
 
 
 def base_hypothesis(base: Baseline, errors: ErrorModel) -> Hypothesis:
@@ -174,6 +217,7 @@ def refit(
     except ConvergenceError:
         values = np.concatenate([values[:own], 0.5 * (values + model.null_values())[own:]])
         here = shorter.positions(values)
+    shorter = replace(shorter, doubt=_doubt(base, errors, np.concatenate([here, base.positions[count:]])))
     tangents = tangents[:count].copy()
     _add_shapes(shorter, values, here, tangents)
     secant = SecantModel(shorter, values, here, tangents)
@@ -182,6 +226,13 @@ def refit(
     spread = max(found.reduced_chi_square, 1.0)
     deviations = np.sqrt(np.diag(noise_covariance(found)) * spread)
     return hypothesis_at(base, errors, model, found.values, deviations, model.motion(found.values), secant.tangents)
+
+
+def _doubt(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> float:
+    """Square of what is left over what is expected, times the residuals that count for one, in the fitted frames."""
+    return max(_mean_square(base, errors, positions, base.split.fitted), 1.0) * residuals_per_one(
+        base, errors, positions, base.split.fitted
+    )
 
 
 def _start(entry: Screened) -> np.ndarray:

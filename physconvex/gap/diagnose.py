@@ -11,26 +11,29 @@ import numpy as np
 
 import physconvex
 from physconvex.capture import Capture, load_capture
+from physconvex.gap.absorbing import with_absorbed_mesh
 from physconvex.gap.advice import next_experiment
 from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
 from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
 from physconvex.gap.effects import Effect, choose
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
 from physconvex.gap.mapping import as_reduced
-from physconvex.gap.numerics import Numerics, correction_of, error_model, numerical_differences
+from physconvex.gap.numerics import Numerics, correction_of, detail_errors, error_model, numerical_differences
 from physconvex.gap.options import GapOptions
 from physconvex.gap.report import GapReport, Provenance
 from physconvex.gap.score import ErrorModel
-from physconvex.gap.screening import Screening
+from physconvex.gap.screening import Screening, screen
 from physconvex.gap.second_take import second_take_shrinkage
-from physconvex.gap.selection import FAILURES, select_effects
+from physconvex.gap.selection import FAILURES, evidence_of_anything, select_effects
 from physconvex.gap.shortening import MOST_FRAMES, shortened
+from physconvex.gap.trust import error_scale
 from physconvex.gap.verdict import decide
 from physconvex.gap.where import locate_gap
 
 __all__ = ["diagnose"]
 
 Report = Callable[[str], None]
+_WORTH = 0.8  # factor on the numerical error from which on down the base fit is made anew
 
 
 def diagnose(
@@ -69,17 +72,14 @@ def diagnose(
     numerics = numerical_differences(rough, options, report)
     rough_errors = error_model(rough, numerics, options)
     base = fit_baseline(rough, correction_of(numerics), numerics.fine, rough_errors.variance, options, report)
-    directions = {
-        "time_step": numerics.implicit_euler,
-        "mesh_resolution": numerics.mesh,
-        "reduction": numerics.reduction,
-    }
-    base = replace(base, model=replace(base.model, directions=directions))
-    errors = error_model(base, numerics, options)
-    hypotheses, screening = select_effects(base, errors, numerics, dictionary, options, report)
+    base = _with_directions(base, numerics)
+    numerics = with_absorbed_mesh(base, numerics, options)
+    base, errors, screening = _trusted(base, numerics, dictionary, options, report)
+    weights = detail_errors(base, errors, options.detail)
+    hypotheses, screening = select_effects(base, weights, numerics, dictionary, options, report, screening=screening)
     best = next((h for h in hypotheses if h.effects), hypotheses[0])
     report("placebo")
-    placebo = _placebo(base, errors, screening, best, options)
+    placebo = _placebo(base, weights, screening, best, options)
     shrinkage = _shrinkages(base, errors, best, placebo, options)
     verdict = decide(
         hypotheses,
@@ -88,9 +88,10 @@ def diagnose(
         _relative_gap(base, errors, best),
         1.0 - shrinkage[-1].shrinkage,
         options,
-        floor=shrinkage[-1].noise_floor / base.situation.size,
+        floor=shrinkage[-1].noise_floor / _extent(base),
         placebo=shrinkage[-1].placebo,
         astray=_astray(base, best),
+        other=evidence_of_anything(best),
     )
     if second_take is not None:
         other = second_take if isinstance(second_take, Capture) else load_capture(second_take)
@@ -113,10 +114,48 @@ def diagnose(
     )
 
 
+def _trusted(
+    base: Baseline, numerics: Numerics, dictionary: Sequence[Effect], options: GapOptions, report: Report
+) -> tuple[Baseline, ErrorModel, Screening | None]:
+    """The base fit and the weights of its residuals, both anew where numerical error is less than was expected.
+
+    And the screening at that fit, if there was no need to make it anew.
+    """
+    errors = error_model(base, numerics, options)
+    correction = base.model.correction
+    swamped = _relative_gap(base, errors, base_hypothesis(base, errors)) < 1.0
+    if correction is None or (base.situation.clamped and not swamped):
+        return base, errors, None
+    screening = screen(as_reduced(base), errors, numerics, dictionary, report)
+    scale = error_scale(base, errors, screening)
+    if scale > _WORTH:
+        return base, errors, None if base.situation.clamped else screening  # of a held body details count less
+    errors = error_model(base, numerics, options, scale=scale)
+    fine = None if base.model.mesh is None else (base.model.mesh, base.motion)
+    base = _with_directions(fit_baseline(base, correction, fine, errors.variance, options, report), numerics)
+    return base, error_model(base, numerics, options, scale=scale), None
+
+
+def _with_directions(base: Baseline, numerics: Numerics) -> Baseline:
+    """With the numerical effects' motions."""
+    directions = {
+        "time_step": numerics.implicit_euler,
+        "mesh_resolution": numerics.mesh,
+        "reduction": numerics.reduction,
+    }
+    return replace(base, model=replace(base.model, directions=directions))
+
+
 def _relative_gap(base: Baseline, errors: ErrorModel, hypothesis: Hypothesis) -> float:
     """Mean square of the residual over its expected square, all frames."""
     residual = base.residual(hypothesis.positions)
     return float(np.mean(residual**2 / errors.expected))
+
+
+def _extent(base: Baseline) -> float:
+    """What an error of the model is measured by [m]: the size of the body, or how far it moved if that is less."""
+    moved = base.motion.positions - base.motion.rest
+    return float(np.clip(np.sqrt((moved**2).sum(-1).mean()), 1e-6 * base.situation.size, base.situation.size))
 
 
 def _astray(base: Baseline, best: Hypothesis) -> float:

@@ -16,6 +16,7 @@ from physconvex.errors import ConvergenceError
 from physconvex.fem import Embedding, TetMesh
 from physconvex.fem import Scene as FullScene
 from physconvex.fem import simulate as simulate_full
+from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Effect, Motion, Situation
 from physconvex.identify import Parameter, Twin
 from physconvex.identify.parameters import default_parameter
@@ -26,6 +27,7 @@ __all__ = ["ACCURACY", "DoseParameter", "EffectModel", "SecantModel", "reduced_l
 
 Positions = Float[np.ndarray, "T P 3"]
 Vector = Float[np.ndarray, " K"]
+_RATIO = (0.4, 0.1)  # mean and deviation of ν of soft bodies
 _BASE_STEP = 0.1  # of a typical step, for differences
 # of the full-order runs: their errors stay below 1e-5 of the size, a hundredth of what the mesh leaves
 ACCURACY: dict[str, Any] = {"tolerance": 1e-6, "friction_passes": 4}
@@ -55,7 +57,10 @@ class EffectModel:
         mesh: another mesh for the full-order model.
         refinement: factor on its time steps.
         integrator: of the full-order model.
+        doubt: how much the stated noise overrates what the fit says, by which priors weigh more; see
+            `physconvex.gap.independence`.
         reduced: whether motions come from the reduced model; `correction` then makes up for the difference.
+        cost: what the runs of this model, and of all that were made of it by `replace`, have cost.
     """
 
     twin: Twin
@@ -70,7 +75,9 @@ class EffectModel:
     mesh: TetMesh | None = None
     refinement: int = 1
     integrator: IntegratorName = "bdf2"
+    doubt: float = 1.0
     reduced: bool = False
+    cost: Cost = field(default_factory=Cost)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -86,14 +93,23 @@ class EffectModel:
     def parameters(self, values: Vector) -> tuple[Parameter, ...]:
         """The unknowns, starting at `values`."""
         out: list[Parameter] = [
-            default_parameter(name).at(float(value)) for name, value in zip(self.base, values, strict=False)
+            self._weighed(default_parameter(name).at(float(value)), name)
+            for name, value in zip(self.base, values, strict=False)
         ]
         for effect, where in zip(self.effects, self.slices, strict=True):
             for dose, value, name in zip(effect.doses, values[where], self.names[where], strict=True):
                 step = 2 * dose.smallest if dose.shape else max(abs(dose.trial(self.situation)), dose.smallest)
                 start = float(np.clip(value, dose.lower, dose.upper))
-                out.append(DoseParameter(name, start, dose.lower, dose.upper, step))
+                sigma = dose.plausible / float(np.sqrt(self.doubt)) if self.situation.clamped else np.inf
+                out.append(DoseParameter(name, start, dose.lower, dose.upper, step, dose.null, sigma))
         return tuple(out)
+
+    def _weighed(self, parameter: Parameter, name: str) -> Parameter:
+        """With a prior on the ν of a held body, which bending does not tell."""
+        if name != "poisson_ratio" or not self.situation.clamped:
+            return parameter
+        mean, sigma = _RATIO
+        return replace(parameter, prior_mean=mean, prior_sigma=sigma / float(np.sqrt(self.doubt)))
 
     def null_values(self) -> Vector:
         """The twin's base parameters, and doses at which the effects are absent."""
@@ -134,12 +150,25 @@ class EffectModel:
             return self.reduced_motion(values)
         timing = self.twin.timing(self.frames)
         timing["steps_per_frame"] *= self.refinement
-        run = simulate_full(self.full_scene(values), integrator=self.integrator, **timing, **ACCURACY)
+        scene = self.full_scene(values)
+        nodes = len(scene.body.mesh.vertices)
+        try:
+            run = simulate_full(scene, integrator=self.integrator, **timing, **ACCURACY)
+        except ConvergenceError:
+            self.cost.add_failed(self.frames * timing["steps_per_frame"], nodes)
+            raise
+        self.cost.add(run.statistics, nodes)
         return self._motion(run.times, self.embedding.apply(run.positions), self.embedding.apply(run.velocities))
 
     def reduced_motion(self, values: Vector) -> Motion:
         """The same by the reduced model."""
-        run = simulate(self.reduced_scene(values), **self.twin.timing(self.frames), **ACCURACY)
+        timing = self.twin.timing(self.frames)
+        try:
+            run = simulate(self.reduced_scene(values), **timing, **ACCURACY)
+        except ConvergenceError:
+            self.cost.add_failed(self.frames * timing["steps_per_frame"], None)
+            raise
+        self.cost.add(run.statistics, None)
         shapes = self.twin.scene.body.space.shape_values(self.points)
         return self._motion(run.times, shapes @ run.coordinates, shapes @ run.velocities)
 

@@ -21,7 +21,7 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
 from physconvex.identify import mesh_of_capture
 
-__all__ = ["Numerics", "correction_of", "error_model", "numerical_differences"]
+__all__ = ["Numerics", "correction_of", "detail_errors", "error_model", "numerical_differences", "other_mesh"]
 
 Positions = Float[np.ndarray, "T P 3"]
 _WORK = 600_000  # nodes times steps of a full-order run that is made some twenty times
@@ -43,6 +43,7 @@ class Numerics:
         fine: the finer mesh, and the motion on it; None where it could not be run, or not often.
         nodes: of the model's mesh and of the finer one.
         failed: names of runs that did not converge (their differences are zero).
+        absorbed_mesh: `mesh` after E and ν have been fitted, see `physconvex.gap.absorbing`; None where they were not.
     """
 
     steps: Positions
@@ -53,11 +54,13 @@ class Numerics:
     fine: tuple[TetMesh, Motion] | None = None
     nodes: tuple[int, int] = (1, 1)
     failed: tuple[str, ...] = ()
+    absorbed_mesh: Positions | None = None
 
     @property
     def null(self) -> tuple[Positions, ...]:
         """Differences that effect-free captures may show."""
-        return (_STEPS_LEFT * self.steps, self._mesh_left * self.mesh, self.contact)
+        mesh = self.mesh if self.absorbed_mesh is None else self.absorbed_mesh
+        return (_STEPS_LEFT * self.steps, self._mesh_left * mesh, self.contact)
 
     @property
     def _mesh_left(self) -> float:
@@ -89,7 +92,7 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
     steps = model.frames * model.twin.steps_per_frame
 
     def finer() -> Positions:
-        mesh = _other_mesh(base, options, steps)
+        mesh = other_mesh(base, options, steps)
         fine.append((mesh, replace(model, mesh=mesh).motion(values)))
         return np.asarray(fine[0][1].positions)
 
@@ -109,7 +112,7 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
     )
 
 
-def _other_mesh(base: Baseline, options: GapOptions, steps: int) -> TetMesh:
+def other_mesh(base: Baseline, options: GapOptions, steps: int) -> TetMesh:
     """A finer mesh, as far as a run of so many steps is affordable: of a held body every element split, else anew.
 
     A held body is split since another mesh would be held in other places, which moves it more than its resolution does.
@@ -133,14 +136,20 @@ def correction_of(numerics: Numerics) -> Positions:
     return numerics.steps if numerics.fine is not None else numerics.steps + numerics.mesh
 
 
-def error_model(base: Baseline, numerics: Numerics, options: GapOptions) -> ErrorModel:
+def error_model(base: Baseline, numerics: Numerics, options: GapOptions, *, scale: float = 1.0) -> ErrorModel:
     """V of `physconvex.gap.score`: noise, the size of numerical differences in each frame, and their shapes.
 
     Where the base model is fitted (its tangents are known), the size is that of what the differences leave once E, ν
     and the free initial motion have absorbed what they can of them, as they do of the recording's own.
+
+    Args:
+        base: the base fit.
+        numerics: the differences.
+        options: settings.
+        scale: factor on the differences, see `physconvex.gap.trust`.
     """
-    here = base.positions
-    directions = np.stack([base.change(here + d) for d in numerics.null])
+    here, scale = base.positions, scale * options.error_scale
+    directions = scale * np.stack([base.change(here + d) for d in numerics.null])
     frames = base.observations.frames
     count = np.maximum(np.bincount(frames, minlength=base.model.frames), 1)
     travelled = np.linalg.norm(base.motion.positions - base.motion.rest, axis=-1).mean(1)
@@ -149,12 +158,27 @@ def error_model(base: Baseline, numerics: Numerics, options: GapOptions) -> Erro
     def size_of(left: np.ndarray) -> np.ndarray:
         total = np.bincount(frames, (left**2).sum(0), minlength=base.model.frames)
         size = np.maximum.accumulate(total / count)  # an error made at impact stays
-        return np.asarray(options.error_scale**2 * size[frames] + floor)
+        return np.asarray(size[frames] + floor)
 
     numerical = size_of(directions)
     if len(base.tangents) == base.model.frames and base.tangents.any():
         numerical = size_of(_absorbed(base, directions, 1.0 + numerical))
     return ErrorModel(1.0 + _correlated(count)[frames] * numerical, directions, 1.0 + numerical)
+
+
+def detail_errors(base: Baseline, errors: ErrorModel, share: float) -> ErrorModel:
+    """Errors widened by a share of a held body's gap: what is smaller does not choose between effects.
+
+    Else the frames that noise and numerical error leave most certain, the first ones of a held body, decide alone,
+    although no model of a recording is as good as its numerical error: a release that lasts, or a load that hangs
+    loosely, would be explained by whatever bends those few frames.
+    """
+    if not base.situation.clamped:
+        return errors
+    rows = base.rows(base.split.fitted)
+    gap = np.maximum(base.residual(base.positions)[rows] ** 2 - errors.expected[rows], 0.0)
+    width = share**2 * float(gap.mean())
+    return ErrorModel(errors.variance + width, errors.directions, errors.expected + width)
 
 
 def _absorbed(base: Baseline, directions: np.ndarray, variance: np.ndarray) -> np.ndarray:

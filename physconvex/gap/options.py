@@ -21,10 +21,12 @@ class GapOptions:
         starts: start doses of each, in multiples of the screened estimate.
         iterations: linearisations of each fit.
         most_effects: that are looked for together.
-        seconds: after which no further fit is begun.
+        search_cost: model runs after which the search begins no further fit, in seconds of one core; counted
+            (`physconvex.gap.cost`), so that the answer does not depend on what else the machine does.
         error_scale: κ, how much numerical differences widen the noise.
         discretisation: numerical error that any model of finite size is credited with, relative to the distance the
             points have moved; only where the differences of runs say less.
+        detail: share of a held body's gap below which what is left does not choose between effects.
         significance: chance of calling an effect where there is none, over the whole dictionary.
         explained: least share of the held-out gap that a named effect must remove; below it the verdict is "unknown".
         confidence: of intervals.
@@ -39,9 +41,10 @@ class GapOptions:
     starts: tuple[float, ...] = (1.0,)
     iterations: int = 9
     most_effects: int = 3
-    seconds: float = 420.0
+    search_cost: float = 300.0
     error_scale: float = 1.0
     discretisation: float = 2e-3
+    detail: float = 0.1
     significance: float = 0.05
     explained: float = 0.5
     confidence: float = 0.9

@@ -11,6 +11,7 @@ from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.baseline import Baseline, Report, rough_baseline
 from physconvex.gap.comparison import Hypothesis, hypothesis_at
 from physconvex.gap.how_far import HowFar, shrinkage_on
+from physconvex.gap.numerics import other_mesh
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
 
@@ -44,12 +45,13 @@ def second_take_shrinkage(
             f"second take {take.folder}: {', '.join(lost)} cannot act there; record the same kind of motion again"
         )
     report("second take")
+    own = _as_fine(own, base, options)
     try:
         plain = _with_material(own, base.fit.values, base.model.base)
         values = np.concatenate([_with_material(own, best.values, best.model.base).fit.values, *(
             best.doses(effect)[0] for effect in best.effects
         )])  # fmt: skip
-        model = replace(own.model, effects=best.effects, directions={})
+        model = replace(own.model, effects=best.effects)
         plain = replace(plain, motion=plain.model.motion(plain.fit.values))
         motion = model.motion(values)
     except ConvergenceError:
@@ -59,6 +61,17 @@ def second_take_shrinkage(
     improved = hypothesis_at(plain, errors, model, values, np.zeros(len(values)), motion, plain.tangents)
     frames = np.unique(plain.observations.frames)
     return shrinkage_on(plain, errors, improved, None, frames, "second take, all frames", options)
+
+
+def _as_fine(own: Baseline, first: Baseline, options: GapOptions) -> Baseline:
+    """The second take's model on as fine a mesh as the first one's, since a coarser one would be stiffer."""
+    if first.model.mesh is None:
+        return own
+    try:
+        mesh = other_mesh(own, options, own.model.frames * own.model.twin.steps_per_frame)
+    except InputError:
+        return own
+    return replace(own, model=replace(own.model, mesh=mesh))
 
 
 def _with_material(own: Baseline, values: np.ndarray, names: tuple[str, ...]) -> Baseline:

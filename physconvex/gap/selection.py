@@ -9,7 +9,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -18,24 +17,36 @@ import numpy as np
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.anchoring import early_point
 from physconvex.gap.baseline import Baseline, Report
-from physconvex.gap.comparison import Hypothesis, base_hypothesis, continued, doses_at_bounds, fit_effects, refit
+from physconvex.gap.comparison import (
+    Hypothesis,
+    base_hypothesis,
+    continued,
+    doses_at_bounds,
+    fit_effects,
+    refit,
+    residuals_per_one,
+)
 from physconvex.gap.effects import Effect
 from physconvex.gap.mapping import as_reduced, confirmed
 from physconvex.gap.model import EffectModel
 from physconvex.gap.numerics import Numerics
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
-from physconvex.gap.screening import Screened, Screening, best_pairs, screen
+from physconvex.gap.screening import Pair, Screened, Screening, best_pairs, screen
 
-__all__ = ["FAILURES", "Selection", "select_effects"]
+__all__ = ["FAILURES", "Selection", "evidence_of_anything", "plausible_pairs", "select_effects", "within_bounds"]
 
 # of a run with doses that no body can bear: such a fit is left out, and the report says so
 FAILURES = (ConvergenceError, InputError, np.linalg.LinAlgError)
-_LATEST = 1.25  # of the time for the search: then no further full-order fit is begun
+_LATEST = 1.5  # of the cost of the search: then no further full-order fit is begun
 _CLOSED = 1.5  # mean square over the expected one below which there is no gap to explain
+_LATE_GAP = 5.0  # the same of the frames that choose: an impact near the end of the fitted ones shows after them
 _LEFT = 2.5  # above which a further effect is looked for
 _SINGLES, _PAIRS, _ADDED, _EARLY = 7, 4, 3, 4  # fits: alone, two at once, in each further round, from the first frames
 _STEMS, _POLISHED = 2, 3  # fits that the first further round goes on from; fits with derivatives taken anew
+_HELD = 0.5  # of the search of a held body: its full-order fits, which come after, cost as much again
+_ANYTHING = 8  # doses and effects that an unknown effect is priced at
+_MANY = 40  # pairs that are ranked
 _WORTH = 4.0  # gain of evidence for which the search goes on
 
 
@@ -48,31 +59,38 @@ class Selection:
         errors: weights of the residuals.
         options: settings.
         report: told what is done.
-        deadline: time after which no further fit is begun.
+        limit: cost of model runs after which no further fit is begun.
         found: fits so far, the base model first.
-        polished: ids of fits that need not be fitted again.
+        polished: ids of the motions of fits that need not be fitted again.
+        independent: number of independent residuals in what the base model leaves.
     """
 
     base: Baseline
     errors: ErrorModel
     options: GapOptions
     report: Report
-    deadline: float
+    limit: float
     found: list[Hypothesis] = field(default_factory=list)
     polished: set[int] = field(default_factory=set)
+    independent: float = 1.0
 
     @property
     def best(self) -> Hypothesis:
-        """By evidence."""
-        return max(self.found, key=lambda h: h.evidence)
+        """By tempered evidence."""
+        return self.ranked[0]
+
+    @property
+    def ranked(self) -> list[Hypothesis]:
+        """Fits so far by tempered evidence, best first."""
+        return judged(self.base, self.errors, self.found)
 
     @property
     def late(self) -> bool:
-        """Whether the time is up."""
-        return time.monotonic() > self.deadline
+        """Whether the runs so far have cost what they may."""
+        return self.base.model.cost.spent > self.limit
 
     def attempt(self, text: str, run: Callable[[], Hypothesis]) -> Hypothesis | None:
-        """Fit and keep, unless the time is up or it fails."""
+        """Fit and keep, unless the runs have cost too much or it fails."""
         if self.late:
             return None
         self.report(f"fit: {text}")
@@ -95,7 +113,7 @@ class Selection:
 
 def select_effects(
     base: Baseline, errors: ErrorModel, numerics: Numerics, dictionary: Iterable[Effect], options: GapOptions,
-    report: Report,
+    report: Report, *, screening: Screening | None = None,
 ) -> tuple[list[Hypothesis], Screening]:  # fmt: skip
     """The base model and the fits of effects, best evidence first, and the screening at the base fit.
 
@@ -106,13 +124,18 @@ def select_effects(
         dictionary: effects to try.
         options: settings.
         report: told what is done.
+        screening: at the base fit, if there is one already.
     """
     cheap, dictionary = as_reduced(base), tuple(dictionary)
-    screening = screen(cheap, errors, numerics, dictionary, report)
-    begun = time.monotonic()
-    search = Selection(cheap, errors, options, report, begun + options.seconds)
+    screening = screening or screen(cheap, errors, numerics, dictionary, report)
+    cost = cheap.model.cost
+    begun = cost.spent
+    budget = options.search_cost * (_HELD if base.situation.clamped else 1.0)
+    search = Selection(cheap, errors, options, report, begun + budget)
     search.found.append(base_hypothesis(cheap, errors))
-    open_gap = search.found[0].fitted > _CLOSED
+    rows = len(base.rows(base.split.fitted))
+    search.independent = rows / residuals_per_one(base, errors, base.positions, base.split.fitted)
+    open_gap = search.found[0].fitted > _CLOSED or search.found[0].selecting > _LATE_GAP
     for entry in screening.one_per_name[: _SINGLES if open_gap else 2]:
         search.fit([entry])
     if open_gap:
@@ -124,15 +147,25 @@ def select_effects(
                 break
         _leave_out(search)
     out = [base_hypothesis(base, errors)]
-    for hypothesis in _finalists(search.found, options.candidates if open_gap else 1):
-        if len(out) > 2 and time.monotonic() > begun + _LATEST * options.seconds:
+    finalists = _finalists(search.ranked, options.candidates if open_gap else 1)
+    for hypothesis in sorted(finalists, key=lambda h: len(h.effects)):  # the simple ones first, should time run out
+        if len(out) > 3 and cost.spent > begun + _LATEST * budget:
             break
         report(f"full-order fit: {hypothesis.label}")
         try:
             out.append(confirmed(base, errors, hypothesis, options))
         except FAILURES:
             report(f"full-order fit: {hypothesis.label} failed")
-    return sorted(within_bounds(out), key=lambda h: -h.evidence), screening
+    return judged(base, errors, out), screening
+
+
+def evidence_of_anything(best: Hypothesis) -> float:
+    """Of an unknown effect that leaves nothing but noise, at the price of as many doses as three effects have.
+
+    It is the better explanation where even the best fit leaves much that does not look like noise.
+    """
+    price = 0.5 * _ANYTHING * np.log(max(best.information / best.divisor, 2.0))
+    return float(best.attainable / best.divisor - price)
 
 
 def within_bounds(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -153,12 +186,44 @@ def _finalists(found: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
     return [*chosen, *(h for h in singles if h not in chosen)]
 
 
+def judged(base: Baseline, errors: ErrorModel, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """With the evidence of as many residuals as are independent in what the best of them leaves, best first.
+
+    Fits with a dose at its bound are left out as long as others with effects are there.
+    """
+    hypotheses = within_bounds(hypotheses)
+    best = max(hypotheses, key=lambda h: h.evidence)
+    divisor = residuals_per_one(base, errors, best.positions, np.union1d(base.split.fitted, base.split.selecting))
+    return sorted((h.tempered(divisor) for h in hypotheses), key=lambda h: -h.evidence)
+
+
 def _together(search: Selection, screening: Screening) -> None:
     """Pairs that explain much more than the better of the two, where single effects leave something."""
     if search.best.fitted < _LEFT:
         return
-    for pair in best_pairs(screening, _PAIRS):
+    for pair in plausible_pairs(screening, search.independent, held=search.base.situation.clamped)[:_PAIRS]:
         search.fit([pair.first, pair.second])
+
+
+def plausible_pairs(screening: Screening, independent: float, *, held: bool) -> list[Pair]:
+    """Pairs by what they explain of so many independent residuals, less what is implausible of their doses.
+
+    Of a held body, half of them have damping: nothing rings for ever, so that another effect adds to it in any
+    recording, and may not show before it is there.
+    """
+    pairs = best_pairs(screening, _MANY)
+
+    def worth(pair: Pair) -> float:
+        left = max(1.0 - pair.statistic / max(screening.lack_of_fit, 1e-300), 1e-3)
+        both = (pair.first, pair.second)
+        odd = sum(d.implausibility(v) for e in both for d, v in zip(e.effect.doses, e.doses, strict=True))
+        return -0.5 * independent * float(np.log(left)) - odd
+
+    if not held:
+        return pairs
+    ranked = sorted(pairs, key=lambda pair: -worth(pair))
+    damped = [p for p in ranked if "damping" in (p.first.effect.name, p.second.effect.name)][: _PAIRS // 2]
+    return [*damped, *(p for p in ranked if p not in damped)]
 
 
 def _from_first_frames(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
@@ -175,7 +240,7 @@ def _from_first_frames(search: Selection, numerics: Numerics, dictionary: tuple[
 def _one_more(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...], stems: int) -> bool:
     """Screen at the best fits, add one effect to each; tells whether that was worth it."""
     before = search.best
-    for stem in _finalists(search.found, stems)[:stems]:
+    for stem in _finalists(search.ranked, stems)[:stems]:
         if stem.fitted < _LEFT or len(stem.effects) >= search.options.most_effects or search.late:
             continue
         point = continued(search.base, stem)
@@ -183,13 +248,15 @@ def _one_more(search: Selection, numerics: Numerics, dictionary: tuple[Effect, .
         for entry in screening.one_per_name[:_ADDED]:
             search.fit([entry], starts=point)
     _polish(search)
-    return search.best.evidence > before.evidence + _WORTH
+    ranked = search.ranked
+    again = [h.evidence for h in ranked if h.motion is before.motion]  # by what the best fit leaves now
+    return not again or ranked[0].evidence > again[0] + _WORTH
 
 
 def _polish(search: Selection) -> None:
     """Fit the best ones again, with derivatives taken where they are now."""
-    for hypothesis in _finalists(search.found, _POLISHED)[:_POLISHED]:
-        if id(hypothesis) in search.polished or search.late:
+    for hypothesis in _finalists(search.ranked, _POLISHED)[:_POLISHED]:
+        if id(hypothesis.motion) in search.polished or search.late:
             continue
         count = int(search.base.split.fitted[-1]) + 1
         shorter = replace(hypothesis.model, frames=count)
@@ -199,7 +266,7 @@ def _polish(search: Selection) -> None:
             return refit(search.base, search.errors, h.model, h.values, tangents, search.options)
 
         found = search.attempt(f"{hypothesis.label}, again", again)
-        search.polished |= {id(hypothesis), id(found)}
+        search.polished |= {id(hypothesis.motion)} | ({id(found.motion)} if found is not None else set())
 
 
 def _leave_out(search: Selection) -> None:

@@ -19,10 +19,13 @@ _CLEAR, _WEAK = 4.0, 1.5  # gain of log-evidence over the base model that makes 
 _ALIKE = 0.95  # cosine of signatures
 _LISTED = 0.02  # probability
 _PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
-_BLIND = 0.1  # floor over size above which "none" would say nothing
+_BLIND = 0.1  # floor over size or motion above which "none" would say nothing
 _SURE = 30.0  # gain that makes a call although the base model fits the fitted frames within its error
 _SEEN = 3.0  # standard errors
 _ASTRAY = 0.5  # distance from the recording over its motion above which the model is no model of it
+_LIKELY = 0.5  # probability from which on an effect is named
+_OTHER = "something else"
+_OPEN = 4.0  # times the expected square: a gap, whether or not an effect explains it
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
 
 
@@ -71,17 +74,32 @@ class Verdict:
     caveats: tuple[str, ...]
 
 
-def probabilities(hypotheses: Sequence[Hypothesis], temperature: float = 1.0) -> dict[str, float]:
-    """Probability by label: softmax of the evidence, one hypothesis per set of names."""
+def probabilities(hypotheses: Sequence[Hypothesis], other: float = -np.inf) -> dict[str, float]:
+    """Probability by label: softmax of the evidence, one hypothesis per set of names.
+
+    Args:
+        hypotheses: what was fitted.
+        other: evidence of something that is not among them.
+    """
     best: dict[tuple[str, ...], Hypothesis] = {}
     for hypothesis in hypotheses:
         names = tuple(sorted(hypothesis.names))
         if names not in best or hypothesis.evidence > best[names].evidence:
             best[names] = hypothesis
     kept = list(best.values())
-    evidence = np.array([h.evidence for h in kept]) / temperature
+    evidence = np.array([*(h.evidence for h in kept), other])
     weights = np.exp(evidence - evidence.max())
-    return {h.label: float(w) for h, w in zip(kept, weights / weights.sum(), strict=True)}
+    labels = [*(h.label for h in kept), _OTHER]
+    return {label: float(w) for label, w in zip(labels, weights / weights.sum(), strict=True) if w > 0}
+
+
+def _beside_something_else(probability: dict[str, float], share: float) -> dict[str, float]:
+    """Probability of something else only for what the best effects leave: what they remove is theirs all the same."""
+    other = probability.get(_OTHER, 0.0)
+    left = other * float(np.clip(1.0 - share, 0.0, 1.0))
+    known = {label: p for label, p in probability.items() if label != _OTHER}
+    total = max(sum(known.values()), 1e-300)
+    return {**{label: p / total * (1.0 - left) for label, p in known.items()}, **({_OTHER: left} if left > 0 else {})}
 
 
 def _of_name(name: str, probability: dict[str, float]) -> float:
@@ -125,7 +143,7 @@ def _named(
         rivals = [
             label.split(" (")[0]
             for label, p in probability.items()
-            if p > 0.1 and label != hypothesis.label and label != "base model" and " + " not in label
+            if p > 0.1 and label != hypothesis.label and label not in ("base model", _OTHER) and " + " not in label
         ]
         confused = tuple(dict.fromkeys(n for n in [*alike, *rivals] if n != effect.name))
         out.append(
@@ -145,6 +163,7 @@ def decide(
     floor: float = 0.0,
     placebo: float = float("nan"),
     astray: float = 0.0,
+    other: float = -np.inf,
 ) -> Verdict:
     """The verdict: the first of a list of rules that holds.
 
@@ -155,13 +174,15 @@ def decide(
         after: the same with the best effects, held-out frames; one = nothing left above noise and numerical error.
         remaining: share of the held-out gap above the floor that the best effects leave, 0 to 1 and more.
         options: settings.
-        floor: numerical error and noise over the size of the body; a model that errs by a tenth of it tells nothing.
+        floor: numerical error and noise over the size of the body, or over its motion if that is less; a model that
+            errs by a tenth of it tells nothing.
         placebo: share of the held-out gap that an effect removes which screening ranked last; NaN where none was tried.
         astray: distance of the best model from the recording over how far that moves, rms.
+        other: evidence of something that is not among the hypotheses.
     """
     base = next(h for h in hypotheses if not h.effects)
     best = next((h for h in hypotheses if h.effects), None)
-    probability = probabilities(hypotheses)
+    probability = _beside_something_else(probabilities(hypotheses, other), 1.0 - remaining)
     none = probability.get("base model", 0.0)
     if best is None:
         return Verdict("inconclusive", "No effect could be tried on this capture.", (), none, 0.0, ())
@@ -237,12 +258,13 @@ def _nothing(e: _Evidence) -> Verdict | None:
     """No gap above noise and numerical error; where those are large, that says nothing."""
     significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
     closed = e.before < _FLOOR or (e.base.fitted < _FLOOR and e.gain < _SURE)
-    if not (e.gain < _WEAK or not significant or closed or _is_slight(e.best)):
+    little = e.gain < _WEAK and e.before < _OPEN
+    if not (little or not significant or closed or _is_slight(e.best)):
         return None
     if e.floor > _BLIND:
         sentence = (
-            f"Inconclusive: the model's own numerical error and the noise ({e.floor:.0%} of the body's size) hide "
-            "whatever gap there is. Allow a finer mesh, or record a motion with less contact."
+            f"Inconclusive: the model's own numerical error and the noise ({e.floor:.0%} of the body's size or "
+            "motion) hide whatever gap there is. Allow a finer mesh, or record a motion with less contact."
         )
         return e.verdict("inconclusive", sentence, power=True)
     reason = "is no more than chance"
@@ -270,7 +292,7 @@ def _weak(e: _Evidence) -> Verdict | None:
     if e.gain >= _CLEAR:
         return None
     sentence = (
-        f"Inconclusive: {e.best.label} is favoured, but the recording cannot tell it from no effect "
+        f"Inconclusive: {e.best.label} is favoured, but the recording cannot tell it from no effect that is known "
         f"(probability {e.probability[e.best.label]:.0%} against {e.none:.0%} for none)."
     )
     return e.verdict("inconclusive", sentence, e.possible, power=True)
@@ -311,12 +333,25 @@ def _as_good_as_a_placebo(e: _Evidence) -> Verdict | None:
 
 def _called(e: _Evidence) -> Verdict:
     """The best effects are the cause."""
-    doses = "; ".join(f"{d.name} = {d.value:.3g} {d.unit}".strip() for n in e.named for d in n.doses)
-    also = sorted({name for n in e.named for name in n.confused_with})
+    likely = tuple(n for n in e.named if n.probability >= _LIKELY) or (
+        max(e.named, key=lambda n: n.probability),
+    )  # of several that are alike none may have half, and it is one of them all the same
+    if e.probability.get(_OTHER, 0.0) + e.none >= _LIKELY:
+        shares = ", ".join(f"{n.name} {n.probability:.0%}" for n in e.possible)
+        sentence = (
+            f"Inconclusive: there is a gap, and {e.best.label} fits best, but leaves so much that "
+            f"none is likely ({shares}; something else {e.probability.get(_OTHER, 0.0):.0%})."
+        )
+        return e.verdict("inconclusive", sentence, e.possible)
+    doses = "; ".join(f"{d.name} = {d.value:.3g} {d.unit}".strip() for n in likely for d in n.doses)
+    also = sorted({name for n in likely for name in n.confused_with})
     caveat = f"; from this recording it may be confused with {', '.join(also)}" if also else ""
-    chance = e.probability[e.best.label]
-    sure = f"probability {'above ' if chance > 0.99 else ''}{min(chance, 0.99):.0%}, not calibrated"
-    return e.verdict("effect", f"The gap is caused by {e.best.label} ({sure}): {doses}{caveat}.", e.possible)
+    perhaps = [f"{n.name} ({n.probability:.0%})" for n in e.named if n not in likely]
+    added = f"; perhaps also by {', '.join(perhaps)}" if perhaps else ""
+    label = " + ".join(x.label for x in e.best.effects if x.name in {n.name for n in likely})
+    sure = ", ".join(f"{'above ' if n.probability > 0.99 else ''}{min(n.probability, 0.99):.0%}" for n in likely)
+    sentence = f"The gap is caused by {label} (probability {sure}, not calibrated): {doses}{added}{caveat}."
+    return e.verdict("effect", sentence, e.possible)
 
 
 def _is_slight(hypothesis: Hypothesis) -> bool:

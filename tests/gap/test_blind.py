@@ -9,6 +9,8 @@ from physconvex.capture import load_capture
 from physconvex.errors import InputError
 from physconvex.gap.blind import bank, diagnose_bank, generate_bank, score_bank
 from physconvex.gap.blind.cases import draw_case
+from physconvex.gap.blind.classes import same_class
+from physconvex.gap.blind.scoring import _share_of
 
 
 @pytest.fixture
@@ -23,13 +25,14 @@ def small(tmp_path, monkeypatch):
         return Motion(points, np.arange(case.frames) / case.fps, positions, 0 * positions), positions
 
     monkeypatch.setattr(bank, "simulate_case", made_up)
-    generate_bank(tmp_path / "captures", tmp_path / "seal.json", count=3, seed=1, effect_free=0.34, engine="fem")
+    generate_bank(tmp_path / "captures", tmp_path / "seal.json", count=3, seed=1, effect_free=0.34, engine="fem",
+                  controls=["density", "noise"])  # fmt: skip
     return tmp_path
 
 
 def test_captures_tell_nothing_of_their_labels(small):
     labels = json.loads(json.loads((small / "seal.json").read_text())["labels"])
-    assert sorted(bool(label["effects"]) for label in labels) == [False, True, True]
+    assert sorted(bool(label["effects"]) for label in labels[:3]) == [False, True, True]
     for label in labels:
         folder = small / "captures" / label["capture"]
         capture = load_capture(folder)
@@ -44,7 +47,11 @@ def answers_of(small, first):
     answers = []
     for label in labels:
         name = first(label)
-        effects = [{"name": name, "probability": 0.9, "parameters": [], "confused_with": []}] if name else []
+        effects = (
+            [{"name": name, "source": "observation", "probability": 0.9, "parameters": [], "confused_with": []}]
+            if name
+            else []
+        )
         answers.append({
             "capture": label["capture"], "verdict": "effect" if name else "none", "effects": effects,
             "ranking": [[name]] if name else [], "shrinkage": 0.9, "placebo": 0.0, "visibility": 10.0,
@@ -52,7 +59,7 @@ def answers_of(small, first):
         })  # fmt: skip
     path = small / "answers.json"
     text = json.dumps(answers, indent=1)
-    path.write_text(json.dumps({"sha256": bank._digest(text, ""), "answers": answers}))
+    path.write_text(json.dumps({"sha256": bank.digest(text, ""), "answers": answers}))
     return path
 
 
@@ -67,6 +74,43 @@ def test_wrong_answers_score_nothing(small):
     path = answers_of(small, lambda label: "exposure")
     found = score_bank(small / "captures", small / "seal.json", path)
     assert found.top_1 == found.called == 0 and found.false_alarms == 1
+
+
+def test_controls_change_what_they_say_and_nothing_else(small):
+    labels = json.loads(json.loads((small / "seal.json").read_text())["labels"])
+    assert [label["control"] for label in labels] == [None, None, None, "density", "noise"]
+    density, again = labels[3], labels[4]
+    assert load_capture(small / "captures" / density["capture"]).density == pytest.approx(1600)
+    first, second = (load_capture(small / "captures" / c) for c in (again["repeats"], again["capture"]))
+    change = second.tracks().positions - first.tracks().positions
+    sigma = np.median(first.tracks().sigma)
+    assert again["effects"] and change.std() == pytest.approx(np.sqrt(2) * sigma, rel=0.1)
+    assert second.density == first.density and np.array_equal(first.tracks().rest, second.tracks().rest)
+
+
+def test_controls_are_scored(small):
+    path = answers_of(small, lambda label: label["effects"][0]["name"] if label["effects"] else None)
+    found = score_bank(small / "captures", small / "seal.json", path)
+    assert [(c.name, c.right) for c in found.controls] == [("density", True), ("noise", True)]
+    path = answers_of(small, lambda label: f"other {label['capture']}")
+    found = score_bank(small / "captures", small / "seal.json", path)
+    assert [(c.name, c.right) for c in found.controls] == [("density", False), ("noise", False)]
+
+
+def test_shuffled_labels_fall_to_chance(small):
+    path = answers_of(small, lambda label: label["effects"][0]["name"] if label["effects"] else None)
+    found = score_bank(small / "captures", small / "seal.json", path)
+    assert found.top_1_merged == 1 and found.shuffled == 0
+
+
+def test_an_effect_without_a_name_counts_as_outside(small):
+    path = answers_of(small, lambda label: None)
+    hidden = [e["name"] for label in json.loads(json.loads((small / "seal.json").read_text())["labels"])[:3]
+              for e in label["effects"]]  # fmt: skip
+    content = json.loads(path.read_text()) | {"without": hidden[:1]}
+    path.write_text(json.dumps(content))
+    found = score_bank(small / "captures", small / "seal.json", path)
+    assert found.outside == 1 and found.unknown == 1 and found.with_effect == 1
 
 
 def test_changed_labels_and_answers_are_refused(small):
@@ -84,7 +128,7 @@ def test_changed_labels_and_answers_are_refused(small):
 
 
 def test_declared_classes():
-    assert bank.same_class("wind", "gravity_tilt") and not bank.same_class("wind", "friction")
+    assert same_class("wind", "gravity_tilt") and not same_class("wind", "friction")
 
 
 def test_draws_repeat():
@@ -108,8 +152,8 @@ def test_plan_holds_what_was_asked_for():
 
 
 def test_two_effects_are_counted_by_class():
-    assert bank._share_of(["wind", "friction"], ["gravity_tilt"]) == 0.5
-    assert bank._share_of([], ["friction"]) == 0.0
+    assert _share_of(["wind", "friction"], ["gravity_tilt"]) == 0.5
+    assert _share_of([], ["friction"]) == 0.0
 
 
 @pytest.mark.slow

@@ -16,38 +16,48 @@ from physconvex.capture import Capture, Floor, Tracks, load_capture, save_captur
 from physconvex.errors import InputError
 
 
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory):
+def thrown_block(folder, velocity, seed):
     """A block that falls on a rough floor, of which the capture says nothing."""
     from physconvex.fem import ElasticBody, Embedding, Plane, Scene, box_mesh, simulate
 
     mesh = box_mesh((0.2, 0.1, 0.1), (4, 2, 2), order=2)
     body = ElasticBody(mesh, youngs_modulus=3e4, poisson_ratio=0.35)
     floor = Plane(point=(0, 0, -0.02), friction=0.4)
-    run = simulate(Scene(body, obstacles=(floor,), initial_velocity=(1.0, 0, -0.5)), frames=12, fps=100.0,
+    run = simulate(Scene(body, obstacles=(floor,), initial_velocity=velocity), frames=12, fps=100.0,
                    steps_per_frame=10)  # fmt: skip
     surface = trimesh.creation.box(extents=(0.2, 0.1, 0.1)).apply_translation((0.1, 0.05, 0.05))
-    points, _ = trimesh.sample.sample_surface_even(surface, 25, seed=1)
+    points, _ = trimesh.sample.sample_surface_even(surface, 25, seed=seed)
     positions = Embedding.of_points(mesh, points).apply(run.positions)
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     noisy = positions + 1e-4 * rng.normal(size=positions.shape)
-    folder = tmp_path_factory.mktemp("gap") / "block"
     save_capture(
         Capture(folder, 100.0, 12, 8, floor=Floor(np.array([0, 0, -0.02]), np.array([0.0, 0, 1])),
-                initial_velocity=np.array([1.0, 0, -0.5]), initial_angular_velocity=np.zeros(3)),
+                initial_velocity=np.array(velocity), initial_angular_velocity=np.zeros(3)),
         mesh=surface, tracks=Tracks(points, noisy, np.full(noisy.shape[:2], 1e-4)),
     )  # fmt: skip
     return folder
 
 
 @pytest.fixture(scope="module")
-def diagnosed(capture, tmp_path_factory):
+def capture(tmp_path_factory):
+    return thrown_block(tmp_path_factory.mktemp("gap") / "block", (1.0, 0, -0.5), 1)
+
+
+@pytest.fixture(scope="module")
+def second_take(tmp_path_factory):
+    """The same block, thrown otherwise."""
+    return thrown_block(tmp_path_factory.mktemp("gap") / "again", (0.5, 0.8, -0.7), 2)
+
+
+@pytest.fixture(scope="module")
+def diagnosed(capture, second_take, tmp_path_factory):
     """The command's output folder."""
     from physconvex.gap.command import diagnose
 
     app, out = typer.Typer(), tmp_path_factory.mktemp("diagnosed")
     app.command()(diagnose)
-    arguments = [str(capture), "--out", str(out), "--no-progress", "--max-nodes", "100"]
+    arguments = [str(capture), "--second-take", str(second_take), "--out", str(out), "--no-progress"]
+    arguments += ["--max-nodes", "100"]
     arguments += ["--candidates", "2", "--effects", "friction,gravity_tilt,air_drag,damping"]
     ended = CliRunner().invoke(app, arguments, catch_exceptions=False)
     assert ended.exit_code == 0 and "friction" in ended.stdout
@@ -73,6 +83,35 @@ def test_command_names_friction(diagnosed):
     assert not re.findall(r"(?:src|href)=\"(?!data:|#)", page) and page.count("<svg") >= 5
     body = trimesh.load(diagnosed / "body.ply")
     assert body.is_watertight and np.ptp(body.visual.vertex_colors[:, :3], axis=0).max() > 20
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_friction_found_on_one_take_holds_on_another(diagnosed):
+    content = json.loads((diagnosed / "report.json").read_text())
+    again = content["how_far"]["all"][-1]
+    assert again["data"].startswith("second take")
+    assert again["gap_after"] < 0.5 * again["gap_before"] and again["shrinkage"] > 0.7
+    assert "second take" in (diagnosed / "report.html").read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_a_second_take_without_the_floor_is_refused(capture, second_take, tmp_path):
+    from types import SimpleNamespace
+
+    from physconvex.gap import DEFAULT_EFFECTS, GapOptions
+    from physconvex.gap.second_take import second_take_shrinkage
+
+    folder = tmp_path / "no_floor"
+    shutil.copytree(second_take, folder)
+    content = json.loads((folder / "capture.json").read_text())
+    content["floor"] = None
+    (folder / "capture.json").write_text(json.dumps(content))
+    friction = next(e for e in DEFAULT_EFFECTS if e.name == "friction")
+    best = SimpleNamespace(effects=(friction,))
+    with pytest.raises(InputError, match="friction cannot act there"):
+        second_take_shrinkage(None, best, load_capture(folder), GapOptions(max_nodes=60), lambda _: None)
 
 
 @pytest.mark.slow

@@ -144,3 +144,27 @@ def test_the_weightier_of_two_effects_comes_first():
     found = decide(fits, screening(), 30.0, 1.0, 0.1, OPTIONS)
     assert [e.name for e in found.effects[:2]] == ["damping", "wind"]
     assert found.effects[0].probability == pytest.approx(1.0, abs=1e-6)
+
+
+def test_effects_that_are_not_likely_are_not_named():
+    found = [hypothesis(20.1, "damping", "friction"), hypothesis(20.0, "damping", "wind"), hypothesis(0.0)]
+    verdict = decide(found, screening(), 30.0, 1.0, 0.05, OPTIONS)
+    assert verdict.name == "effect" and "caused by damping + friction (" in verdict.sentence  # one of two equals
+    found.insert(1, hypothesis(20.0, "damping"))
+    verdict = decide(found, screening(), 30.0, 1.0, 0.05, OPTIONS)
+    assert "caused by damping (" in verdict.sentence and "perhaps also by friction (36%)" in verdict.sentence
+
+
+def test_something_else_takes_probability():
+    found = [hypothesis(20.0, "damping"), hypothesis(0.0)]
+    verdict = decide(found, screening(), 30.0, 1.0, 0.9, OPTIONS, other=22.0)
+    assert verdict.name == "inconclusive" and "something else 79%" in verdict.sentence  # 0.88 of the 0.9 that is left
+    assert decide(found, screening(), 30.0, 1.0, 0.9, OPTIONS, other=16.0).name == "effect"
+    verdict = decide(found, screening(), 30.0, 1.0, 0.4, OPTIONS, other=22.0)
+    assert verdict.name == "effect" and verdict.effects[0].probability == pytest.approx(1 - 0.88 * 0.4, abs=0.01)
+
+
+def test_a_clear_gap_that_no_effect_explains_better_is_not_none():
+    found = [hypothesis(0.9, "damping"), hypothesis(0.0)]
+    assert decide(found, screening(), 30.0, 9.0, 0.05, OPTIONS).name == "inconclusive"
+    assert decide(found, screening(), 2.0, 1.0, 0.05, OPTIONS).name == "none"

@@ -24,6 +24,9 @@ def generate(
     effect_free: Annotated[float, typer.Option(help="Share of captures without an effect.")] = 0.25,
     two: Annotated[float, typer.Option(help="Share of captures with two effects.")] = 0.0,
     outside: Annotated[float, typer.Option(help="Share of captures whose effect is in no dictionary.")] = 0.0,
+    controls: Annotated[
+        str | None, typer.Option(help="Controls, one more capture each: density, numerics, camera, noise.")
+    ] = None,
     visibilities: Annotated[
         str, typer.Option(help="Gap over noise and numerical error that doses are scaled to, taken in turn.")
     ] = "10",
@@ -41,9 +44,10 @@ def generate(
     if engine not in ("explicit", "fem"):
         raise InputError(f"engine: got {engine!r}; expected explicit or fem")
     with tqdm(total=count, dynamic_ncols=True) as bar:
-        generate_bank(
+        count = generate_bank(
             out, seal, count=count, seed=seed, effects=names, effect_free=effect_free, two=two,
             outside=outside, engine="fem" if engine == "fem" else "explicit",
+            controls=[] if controls is None else [n.strip() for n in controls.split(",")],
             visibilities=[float(v) for v in visibilities.split(",")],
             report=lambda name: (bar.set_description(name), bar.update())[0],
         )  # fmt: skip
@@ -54,14 +58,20 @@ def generate(
 def diagnose(
     captures: Annotated[Path, typer.Option(help="Folder of the captures.")],
     out: Annotated[Path, typer.Option(help="Folder of the reports and of answers.json.")],
+    without: Annotated[
+        str | None, typer.Option(help="Effects that are taken out of the dictionary, separated by commas.")
+    ] = None,
 ) -> None:
     """Diagnose every capture with the default settings; goes on where it stopped."""
     from tqdm import tqdm
 
     from physconvex.gap.blind.bank import diagnose_bank
 
+    names = [] if without is None else [n.strip() for n in without.split(",")]
     with tqdm(dynamic_ncols=True) as bar:
-        path = diagnose_bank(captures, out, report=lambda name: (bar.set_description(name), bar.update())[0])
+        path = diagnose_bank(
+            captures, out, without=names, report=lambda name: (bar.set_description(name), bar.update())[0]
+        )
     typer.echo(f"answers and their hash in {path}")
 
 
@@ -73,13 +83,18 @@ def score(
     out: Annotated[Path, typer.Option(help="File of the result (JSON).")] = Path("gap_score.json"),
 ) -> None:
     """Open the seal and score the answers."""
-    from physconvex.gap.blind.bank import score_bank
+    from physconvex.gap.blind.scoring import score_bank
 
     result = score_bank(captures, seal, answers)
     out.write_text(json.dumps(asdict(result), indent=1) + "\n", encoding="utf-8")
     for name, value in asdict(result).items():
-        if name == "rows":
+        if name in ("rows", "controls"):
             continue
         typer.echo(f"{name:18s} {value:.2f}" if isinstance(value, float) else f"{name:18s} {value}")
+    for control in result.controls:
+        typer.echo(
+            f"control {control.name}: {control.verdict} {', '.join(control.effects)}: "
+            f"{'right' if control.right else 'wrong'}"
+        )
     for row in result.rows:
         typer.echo(f"{row['capture']}  truth {row['truth']}  verdict {row['verdict']}  first {row.get('first')}")

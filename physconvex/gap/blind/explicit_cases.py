@@ -25,6 +25,7 @@ Observe = Callable[[Motion], Positions]
 _MARKERS, _ROUNDS, _NEAR = 40, 3, 0.3
 _NUMERICAL = 0.005  # numerical error that visibility counts with, over the distance travelled
 _STRONGEST = 8.0  # multiple of a moderate dose
+_SOFT_CONTACT = 12.0  # over E/size, of runs that are to have a numerical error
 _NODES = (150, 900)  # of the meshes for the search of the dose, and of the capture
 OUTSIDE = ("tether",)  # in no dictionary
 HELD_EFFECTS = ("attached_mass",)  # of held bodies only
@@ -199,7 +200,9 @@ class _Runner:
         return motion, positions
 
 
-def simulate_explicit(case: Case, names: tuple[str, ...], visibility: float) -> tuple[Motion, Positions, Case, float]:
+def simulate_explicit(
+    case: Case, names: tuple[str, ...], visibility: float, *, rough: bool = False
+) -> tuple[Motion, Positions, Case, float]:
     """Simulate with effects that are each visible by a factor.
 
     Args:
@@ -207,6 +210,7 @@ def simulate_explicit(case: Case, names: tuple[str, ...], visibility: float) -> 
         names: of the effects.
         visibility: rms of what the effect changes, E projected out, over noise and numerical error (0.5 % of the
             distance travelled).
+        rough: on the coarse mesh, with a contact five times as soft: numerical error for an effect.
 
     Returns:
         Motion and observed positions of 40 surface points on the fine mesh, the case with its hidden effects, and the
@@ -219,6 +223,8 @@ def simulate_explicit(case: Case, names: tuple[str, ...], visibility: float) -> 
     points, _ = trimesh.sample.sample_surface_even(case.surface, _MARKERS, seed=int(rng.integers(2**31)))
     points = np.asarray(points)
     coarse, fine = (_Runner(case, _mesh(case, nodes), points) for nodes in _NODES)
+    if rough:
+        return *coarse(contact_modulus=_SOFT_CONTACT), case, 0.0
     if not names:
         return *fine(), case, 0.0
     motion, start = coarse()

@@ -41,7 +41,7 @@ CLAMP_EFFECTS: tuple[Effect, ...] = (
     Effect(
         "clamp_compliance",
         "contact",
-        (Dose("softening", "decades", 0.0, 2.0, 0.05, lambda s: 0.2),),
+        (Dose("softening", "decades", 0.0, 2.0, 0.05, lambda s: 0.2, plausible=0.5),),
         scene=_giving,
         applies=lambda situation: situation.clamped,
         description="what holds the body gives way: E next to the held points is lower by so many decades",

@@ -16,7 +16,7 @@ def _as_seen(motion: Motion, doses: Float[np.ndarray, " D"]) -> Float[np.ndarray
 
 
 # Their directions are differences of runs of the full-order model, see `physconvex.gap.numerics`.
-_SHARE = Dose("share", "", -30.0, 30.0, 0.5, lambda s: 1.0)
+_SHARE = Dose("share", "", -30.0, 30.0, 0.5, lambda s: 1.0, plausible=5.0)
 NUMERICAL: tuple[Effect, ...] = (
     Effect(
         "time_step",

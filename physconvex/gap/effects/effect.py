@@ -81,6 +81,7 @@ class Dose:
         shape: whether the dose only shapes the effect (a time constant, a direction) and is not screened by itself.
         threshold: whether the effect sets in somewhere between `null` and the trial dose (the logarithm of a yield
             stress), so that a weaker effect is a dose near the trial one and not a part of the way from `null`.
+        plausible: standard deviation from `null` that is plausible before anything was seen; inf = any dose is.
     """
 
     name: str
@@ -92,12 +93,17 @@ class Dose:
     null: float = 0.0
     shape: bool = False
     threshold: bool = False
+    plausible: float = float("inf")
 
     def __post_init__(self) -> None:
         if not self.lower <= self.null <= self.upper:
             raise InputError(f"dose {self.name}: null {self.null:g} lies outside [{self.lower:g}, {self.upper:g}]")
         if not self.smallest > 0:
             raise InputError(f"dose {self.name}: smallest: got {self.smallest:g}; expected a number > 0")
+
+    def implausibility(self, value: float) -> float:
+        """½ of its squared distance from null in units of what is plausible [nats]."""
+        return 0.5 * float((value - self.null) / self.plausible) ** 2
 
     def estimate(self, amount: float, error: float, trial: float) -> tuple[float, float]:
         """Dose of which the trial one is a multiple 1/amount, and its standard error, by first order.

@@ -27,7 +27,7 @@ def _loaded(axis: int, side: int) -> Effect:
     return Effect(
         "attached_mass",
         "external",
-        (Dose("mass_ratio", "", 0.0, 10.0, 0.02, lambda s: 0.3),),
+        (Dose("mass_ratio", "", 0.0, 10.0, 0.02, lambda s: 0.3, plausible=2.0),),
         scene=scene,
         applies=lambda situation: situation.clamped,
         variant=f"{'-' if side < 0 else '+'}{'xyz'[axis]}",

@@ -85,7 +85,7 @@ HETEROGENEITY = Effect(
     "heterogeneity",
     "material",
     tuple(
-        Dose(f"log10_modulus_{where}", "decades", -1.0, 1.0, 0.05, lambda s: 0.1)
+        Dose(f"log10_modulus_{where}", "decades", -1.0, 1.0, 0.05, lambda s: 0.1, plausible=0.3)
         for where in ("along_x", "along_y", "along_z", "in_the_core")
     ),
     scene=_uneven,

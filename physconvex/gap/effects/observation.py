@@ -40,7 +40,7 @@ def _late(motion: Motion, doses: Doses) -> Positions:
 TIME_OFFSET = Effect(
     "time_offset",
     "observation",
-    (Dose("offset", "s", -0.2, 0.2, 5e-4, lambda s: 0.1 / s.fps),),
+    (Dose("offset", "s", -0.2, 0.2, 5e-4, lambda s: 0.1 / s.fps, plausible=0.05),),
     observe=_late,
     description="the recording starts later (or earlier) than the motion",
     confusable=("initial_velocity",),
@@ -54,7 +54,7 @@ def _fast(motion: Motion, doses: Doses) -> Positions:
 TIME_SCALE = Effect(
     "time_scale",
     "observation",
-    (Dose("relative_error", "", -0.5, 0.5, 2e-3, lambda s: 0.01),),
+    (Dose("relative_error", "", -0.5, 0.5, 2e-3, lambda s: 0.01, plausible=0.05),),
     observe=_fast,
     description="the stated frame rate is wrong; within one flight the same as another gravity or size",
     confusable=("air_drag", "focal_length"),

@@ -76,7 +76,7 @@ def _has_gravity(situation: Situation) -> bool:
 TILT = Effect(
     "gravity_tilt",
     "external",
-    tuple(Dose(f"angle_{i}", "deg", -20.0, 20.0, 0.2, lambda s: 1.0) for i in (1, 2)),
+    tuple(Dose(f"angle_{i}", "deg", -20.0, 20.0, 0.2, lambda s: 1.0, plausible=5.0) for i in (1, 2)),
     scene=_tilted,
     applies=_has_gravity,
     description="gravity is not along the stated direction",
@@ -85,7 +85,7 @@ TILT = Effect(
 LINEAR_DRAG = Effect(
     "air_drag",
     "external",
-    (Dose("rate", "1/s", 0.0, 20.0, 0.02, lambda s: 0.15),),
+    (Dose("rate", "1/s", 0.0, 20.0, 0.02, lambda s: 0.15, plausible=2.0),),
     scene=lambda scene, doses: with_fields(scene, air_drag=scene.air_drag + float(doses[0])),
     variant="linear",
     description="the surroundings slow every motion down in proportion to its speed",
@@ -123,7 +123,9 @@ def _wind_trial(situation: Situation) -> float:
 WIND = Effect(
     "wind",
     "external",
-    tuple(Dose(f"velocity_{axis}", "m/s", -30.0, 30.0, 0.5, _wind_trial) for axis in "xy"),  # a storm at most
+    tuple(
+        Dose(f"velocity_{axis}", "m/s", -30.0, 30.0, 0.5, _wind_trial, plausible=5.0) for axis in "xy"
+    ),  # a storm at most
     scene=_blown,
     description="moving air pushes sideways",
     confusable=("gravity_tilt",),

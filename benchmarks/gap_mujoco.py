@@ -1,0 +1,142 @@
+"""What `physconvex diagnose` says of soft cubes that MuJoCo drops, with a hidden effect or none.
+
+python benchmarks/gap_mujoco.py --out mujoco_bank [--cases none,damping,friction] [--captures-only]
+
+Another program with another law (Saint Venant–Kirchhoff), linear tetrahedra that lock, semi-implicit Euler, and a soft
+contact that loses energy by itself (the cube sinks in by 6 % of its size). Needs `pip install mujoco`, which is no
+dependency of this package.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from physconvex.capture import Capture, Floor, Tracks, save_capture
+from physconvex.errors import PhysconvexError
+from physconvex.fem import TetMesh
+from physconvex.gap import diagnose
+
+SIZE, COUNT, GAP, DENSITY, STEP, FPS, FRAMES, MARKERS, SIGMA = 0.12, 7, 0.2, 1000.0, 1e-4, 50.0, 30, 30, 6e-5
+GRAVITY = 9.81
+
+
+@dataclass(frozen=True)
+class Drop:
+    """What the capture does not say: MuJoCo's damping [s], friction, tilt of gravity [deg], spin [rad/s], drag [1/m].
+
+    `velocity` [m/s] is stated.
+    """
+
+    damping: float = 5e-5
+    friction: float = 0.0
+    tilt: tuple[float, float] = (0.0, 0.0)
+    spin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    drag: float = 0.0
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+CASES = {
+    "none": Drop(),
+    "damping": Drop(damping=3e-3),
+    "friction": Drop(friction=0.4, velocity=(0.8, 0.3, 0.0)),
+    "gravity_tilt": Drop(tilt=(2.5, -1.0)),
+    "air_drag": Drop(drag=0.4),
+    "initial_spin": Drop(spin=(0.8, -0.5, 0.3)),
+}
+
+
+def scene_of(drop: Drop) -> str:
+    """MuJoCo's description of the scene."""
+    x, y = GRAVITY * np.sin(np.radians(drop.tilt))
+    spacing = SIZE / (COUNT - 1)
+    contact = f'friction="{max(drop.friction, 1e-5)} 1e-5 1e-5" condim="{3 if drop.friction else 1}"'
+    return f"""<mujoco><option timestep="{STEP}" gravity="{x} {y} {-np.sqrt(GRAVITY**2 - x**2 - y**2)}" solver="CG"
+        tolerance="1e-8" iterations="50" integrator="Euler" cone="elliptic"/><size memory="500M"/><worldbody>
+        <geom type="plane" size="5 5 .1" {contact} priority="1" solref=".01 1"/>
+        <flexcomp name="b" type="grid" dim="3" count="{COUNT} {COUNT} {COUNT}" spacing="{spacing} {spacing} {spacing}"
+        pos="0 0 {GAP + SIZE / 2}" mass="{DENSITY * SIZE**3}" radius="0.0005"><contact selfcollide="none"/>
+        <elasticity young="5e4" poisson="0.4" damping="{drop.damping}"/></flexcomp></worldbody></mujoco>"""
+
+
+def simulated(drop: Drop) -> tuple[TetMesh, np.ndarray]:
+    """The mesh at t = 0 and its nodes at the frames, shape [T, V, 3]."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(scene_of(drop))
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    rest, bodies = data.flexvert_xpos.copy(), model.flex_vertbodyid
+    at = model.body_dofadr[bodies][:, None] + np.arange(3)
+    masses = model.body_mass[bodies]
+    data.qvel[at] = np.array(drop.velocity) + np.cross(drop.spin, rest - rest.mean(0))
+    out = [rest]
+    for _ in range(1, FRAMES):
+        for _ in range(round(1 / FPS / STEP)):
+            mean = masses @ data.qvel[at] / masses.sum()
+            data.xfrc_applied[bodies, :3] = -drop.drag * np.linalg.norm(mean) * masses[:, None] * mean
+            mujoco.mj_step(model, data)
+        out.append(data.flexvert_xpos.copy())
+    tets = model.flex_elem[: 4 * model.flex_elemnum[0]].reshape(-1, 4).astype(int)
+    inverted = np.linalg.det(rest[tets[:, 1:]] - rest[tets[:, :1]]) < 0
+    tets[inverted] = tets[inverted][:, [0, 2, 1, 3]]
+    return TetMesh(rest, tets), np.array(out)
+
+
+def write_capture(folder: Path, name: str) -> None:
+    """Marker tracks of thirty nodes of the surface."""
+    mesh, trajectory = simulated(CASES[name])
+    rng = np.random.default_rng(sum(map(ord, name)))
+    outer = np.unique(mesh.boundary_faces[:, :3])
+    seen = rng.choice(outer, MARKERS, replace=False)
+    positions = trajectory[:, seen] + SIGMA * rng.normal(size=(FRAMES, MARKERS, 3))
+    capture = Capture(
+        folder, FPS, FRAMES, 2 * FRAMES // 3, density=DENSITY, gravity=np.array([0.0, 0.0, -GRAVITY]),
+        floor=Floor(np.zeros(3), np.array([0.0, 0.0, 1.0])), initial_velocity=np.array(CASES[name].velocity),
+        initial_angular_velocity=np.zeros(3),
+    )  # fmt: skip
+    tracks = Tracks(mesh.vertices[seen], positions, np.full(positions.shape[:2], SIGMA))
+    save_capture(capture, tets=mesh, tracks=tracks)
+
+
+def answer(folder: Path, out: Path) -> dict[str, object]:
+    """Of the diagnosis with default settings."""
+    try:
+        report = diagnose(folder)
+    except PhysconvexError as error:
+        return {"error": str(error)}
+    report.save(out)
+    main = report.how_far[0]
+    return {
+        "verdict": report.verdict.name,
+        "sentence": report.verdict.sentence,
+        "effects": [effect.name for effect in report.verdict.effects],
+        "ranking": [list(h.names) for h in report.hypotheses],
+        "gap": [main.gap_before, main.gap_after, main.noise_floor],
+        "shrinkage": main.shrinkage,
+        "placebo": main.placebo if np.isfinite(main.placebo) else None,
+        "seconds": report.provenance.seconds,
+    }
+
+
+def main() -> None:
+    """Every case: captures, then answers, one line each."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--cases", default=",".join(CASES))
+    parser.add_argument("--captures-only", action="store_true")
+    arguments = parser.parse_args()
+    for name in arguments.cases.split(","):
+        folder = arguments.out / "captures" / name
+        if not (folder / "capture.json").exists():
+            write_capture(folder, name)
+        if not arguments.captures_only:
+            print(json.dumps({"hidden": name} | answer(folder, arguments.out / "answers" / name)), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,18 @@
+"""Effects that one take does not tell apart, declared before any blind run."""
+
+from __future__ import annotations
+
+__all__ = ["CONFUSION_CLASSES", "same_class"]
+
+CONFUSION_CLASSES: tuple[frozenset[str], ...] = (
+    frozenset({"damping", "viscoelasticity", "time_step", "restitution"}),
+    frozenset({"gravity_tilt", "wind"}),
+    frozenset({"initial_velocity", "time_offset"}),
+    frozenset({"time_scale", "air_drag"}),
+    frozenset({"anisotropy", "heterogeneity"}),
+)
+
+
+def same_class(first: str, second: str) -> bool:
+    """Equal, or in one declared confusion class."""
+    return first == second or any({first, second} <= group for group in CONFUSION_CLASSES)

@@ -1,0 +1,58 @@
+"""The numerical error that is believed: no larger than what some fit leaves, with a margin."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from physconvex.gap.score import ErrorModel
+from physconvex.gap.trust import error_scale
+
+FRAMES, EACH = 12, 60
+SIZE = np.repeat(np.r_[np.zeros(6), np.full(6, 20.0)], EACH)  # of the numerical error over noise
+
+
+def case(residual, size=SIZE):
+    """A baseline with one nuisance, and what other meshes lead one to expect of its residuals."""
+    count = FRAMES * EACH
+    frames = np.repeat(np.arange(FRAMES), EACH)
+    base = SimpleNamespace(
+        split=SimpleNamespace(fitted=np.arange(FRAMES)),
+        observations=SimpleNamespace(frames=frames),
+        positions=np.zeros((FRAMES, EACH // 3, 3)),
+        tangents=np.ones((FRAMES, 1, EACH // 3, 3)),
+        rows=lambda fitted: np.flatnonzero(np.isin(frames, fitted)),
+        change=lambda positions: positions.reshape(count),
+        residual=lambda positions: residual,
+    )
+    return base, ErrorModel(1 + size**2, np.zeros((0, count)), 1 + size**2)
+
+
+def screened(signature, source="material", amount=1.0):
+    effect = SimpleNamespace(source=source)
+    score = SimpleNamespace(amounts=np.array([amount]))
+    entry = SimpleNamespace(effect=effect, score=score, signature=signature.reshape(1, FRAMES, EACH // 3, 3))
+    return SimpleNamespace(one_per_name=(entry,))
+
+
+NOTHING = SimpleNamespace(one_per_name=())
+
+
+@pytest.mark.parametrize(("share", "scale"), [(1.0, 1.0), (0.3, 0.3 * 2), (0.02, 0.15)])
+def test_a_residual_below_the_expected_error_bounds_it(rng, share, scale):
+    residual = rng.normal(size=len(SIZE)) * np.sqrt(1 + (share * SIZE) ** 2)
+    assert error_scale(*case(residual), NOTHING) == pytest.approx(scale, rel=0.1)
+
+
+def test_what_an_effect_explains_is_no_error(rng):
+    hidden = 15.0 * rng.normal(size=len(SIZE)) * (SIZE > 0)
+    base, errors = case(hidden + rng.normal(size=len(SIZE)) * np.sqrt(1 + (0.1 * SIZE) ** 2))
+    assert error_scale(base, errors, NOTHING) == 1.0
+    assert error_scale(base, errors, screened(hidden)) == pytest.approx(0.1 * 2, rel=0.2)
+    assert error_scale(base, errors, screened(hidden, source="numerical")) == 1.0
+    assert error_scale(base, errors, screened(hidden, amount=0.0)) == 1.0  # the sign that physics forbids
+
+
+def test_frames_without_numerical_error_tell_nothing(rng):
+    residual = rng.normal(size=len(SIZE))
+    assert error_scale(*case(residual, 0.5 * np.ones(len(SIZE))), NOTHING) == 1.0
