@@ -18,6 +18,7 @@ VerdictName = Literal["none", "effect", "unknown", "inconclusive"]
 _CLEAR, _WEAK = 4.0, 1.5  # gain of log-evidence over the base model that makes a call, or leaves it open
 _ALIKE = 0.95  # cosine of signatures
 _LISTED = 0.02  # probability
+_FORETOLD = 0.9  # share of the gap on frames that were not fitted, of which a placebo removes no tenth
 _PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
 _BLIND = 0.1  # floor over size or motion above which "none" would say nothing
 _SURE = 30.0  # gain that makes a call although the base model fits the fitted frames within its error
@@ -221,6 +222,11 @@ class _Evidence:
         return self.best.evidence - self.base.evidence
 
     @property
+    def foretold(self) -> bool:
+        """Whether held-out frames leave no doubt, although the evidence counts too few residuals as independent."""
+        return self.gain >= _WEAK and self.share >= _FORETOLD and self.placebo < 1.0 - _FORETOLD
+
+    @property
     def none(self) -> float:
         """Probability of the base model."""
         return self.probability.get("base model", 0.0)
@@ -289,7 +295,7 @@ def _numerical(e: _Evidence) -> Verdict | None:
 
 def _weak(e: _Evidence) -> Verdict | None:
     """A gain too small for a call."""
-    if e.gain >= _CLEAR:
+    if e.gain >= _CLEAR or e.foretold:
         return None
     sentence = (
         f"Inconclusive: {e.best.label} is favoured, but the recording cannot tell it from no effect that is known "
@@ -336,7 +342,7 @@ def _called(e: _Evidence) -> Verdict:
     likely = tuple(n for n in e.named if n.probability >= _LIKELY) or (
         max(e.named, key=lambda n: n.probability),
     )  # of several that are alike none may have half, and it is one of them all the same
-    if e.probability.get(_OTHER, 0.0) + e.none >= _LIKELY:
+    if e.probability.get(_OTHER, 0.0) + e.none >= _LIKELY and not e.foretold:
         shares = ", ".join(f"{n.name} {n.probability:.0%}" for n in e.possible)
         sentence = (
             f"Inconclusive: there is a gap, and {e.best.label} fits best, but leaves so much that "
