@@ -54,7 +54,7 @@ def _fast(motion: Motion, doses: Doses) -> Positions:
 TIME_SCALE = Effect(
     "time_scale",
     "observation",
-    (Dose("relative_error", "", -0.5, 0.5, 2e-3, lambda s: 0.01, plausible=0.1),),
+    (Dose("relative_error", "", -0.5, 0.5, 2e-3, lambda s: 0.01, plausible=0.05),),
     observe=_fast,
     description="the stated frame rate is wrong; within one flight the same as another gravity or size",
     confusable=("air_drag", "focal_length"),
