@@ -37,8 +37,8 @@ lock:
 
 ## bench: speed, memory and label accuracy; results in benchmarks/results
 bench: env
-	@for name in generator friction_passes label_accuracy predict_throughput raster_speed reduced_accuracy reduced_bases \
-	    reduced_speed sand_passes; do \
+	@for name in generator friction_passes label_accuracy predict_throughput raster_limit raster_speed reduced_accuracy \
+	    reduced_bases reduced_speed sand_passes; do \
 	    echo "== $$name"; $(BIN)/python benchmarks/$$name.py || exit 1; done
 
 ## bench-data: what needs a data set: make bench-data DATA=data/drops

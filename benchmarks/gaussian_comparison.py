@@ -91,7 +91,7 @@ def main() -> None:
     parser.add_argument("--names", nargs="+", default=["Schleich_Lion_Action_Figure", "Dino_4", "BUNNY_RACER"])
     parser.add_argument("--size", type=int, default=160)
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--set", dest="settings", nargs="*", default=[], help="settings, as steps=400")
+    parser.add_argument("--set", dest="settings", nargs="*", default=[], help="settings, as steps=120")
     parser.add_argument(
         "--tune", action="store_true", help="try rates of the Gaussians on the first object, store none"
     )

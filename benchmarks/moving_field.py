@@ -6,9 +6,10 @@ a soft body (quadratic tetrahedra, 24 frames) and seen by a camera of its own. T
 object (its surface moved outward by a few per cent of its size), so that every point of the textured surface and of the
 field lies in an element, and both are carried by one continuous map. Beside it, the same convexes moved with their
 centres alone (shifted; shifted and turned by the polar rotation), and Gaussians with as many numbers, fitted to the
-same views through the same loop: moved by their centres, and with their covariances, F Σ Fᵀ.
+same views through the same loop: moved by their centres, and with their covariances, F Σ Fᵀ. Results of other objects
+from runs with the same settings are kept.
 
-python benchmarks/moving_field.py --objects data/gso [--name Schleich_Lion_Action_Figure] [--set steps=400]
+python benchmarks/moving_field.py --objects data/gso [--names Dino_4 …] [--nodes 500] [--set steps=120 budget=12000]
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import json
 import tempfile
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -46,7 +48,7 @@ from physconvex.reconstruction.triangles import welded
 from physconvex.render import View, render
 
 RESULT = Path(__file__).parent / "results" / "moving_field.json"
-PICTURE = Path(__file__).parents[1] / "docs" / "images" / "moving_field.png"
+PICTURES = Path(__file__).parents[1] / "docs" / "images"
 FRAMES, RATE, SIZE = 24, 60.0, 448
 STIFFNESS = 6.0  # E in units of density · gravity · size
 DENSITY, RATIO, GRAVITY = 1000.0, 0.4, 9.81
@@ -202,14 +204,13 @@ def main() -> None:
     parser.add_argument("--names", nargs="+", default=["Schleich_Lion_Action_Figure"])
     parser.add_argument("--nodes", type=int, default=500)
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--set", dest="settings", nargs="*", default=[], help="settings, as steps=400")
+    parser.add_argument("--set", dest="settings", nargs="*", default=[], help="settings, as steps=120")
     parser.add_argument("--work", type=Path, help="folder for captures and fields; kept if given")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     settings = f" --set {' '.join(options.settings)}" if options.settings else ""
-    command = f"python benchmarks/moving_field.py --objects gso --names {' '.join(options.names)}"
-    command += f" --nodes {options.nodes}{settings}"
-    found = {}
+    command = f"python benchmarks/moving_field.py --objects gso --nodes {options.nodes}{settings}"
+    found = stored_objects(command)
     with tempfile.TemporaryDirectory() as scratch:
         for name in options.names:
             config = load_reconstruction_config(overrides=options.settings)
@@ -217,10 +218,15 @@ def main() -> None:
             found[name] = content
             print(json.dumps({entry: value for entry, value in content.items() if entry != "frames"}, indent=1))
             RESULT.write_text(json.dumps({"command": command, "objects": found}, indent=1) + "\n")
-            if name == options.names[0]:
-                worst = content["frame_of_largest_deformation"]
-                shown = [0, worst // 2, worst, FRAMES - 1]
-                Image.fromarray(np.concatenate([pictures[k] for k in shown], axis=1)).save(PICTURE)
+            worst = content["frame_of_largest_deformation"]
+            shown = [pictures[k] for k in (0, worst // 2, worst, FRAMES - 1)]
+            Image.fromarray(np.concatenate(shown, axis=1)).save(PICTURES / f"moving_field_{name}.jpg", quality=90)
+
+
+def stored_objects(command: str) -> dict[str, Any]:
+    """Results that the same command (but for the names) has stored."""
+    content = json.loads(RESULT.read_text()) if RESULT.exists() else {"command": None}
+    return content["objects"] if content["command"] == command else {}
 
 
 def measure(

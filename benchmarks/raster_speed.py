@@ -1,8 +1,8 @@
 """Speed of the rasteriser of convexes on the CPU.
 
-`object`: a ball covered with 24,000 convexes of six points, drawn at 448²; forward, and forward with backward to all
-parameters. `raster_limit`: the blending alone, forward, of 64 octagons of random place and size (radius 5 to 20 % of
-the image) at 448². Each figure is the least of several runs; wall-clock and processor time [ms].
+A ball covered with 24,000 convexes of six points, drawn at 448²: forward, its two parts (projection with hulls and
+lines; blending), and forward with backward to all parameters. Each figure is the least of several runs; wall-clock and
+processor time [ms]. The blending alone against the limit of the processor: `raster_limit.py`.
 
 python benchmarks/raster_speed.py [--convexes 24000] [--repeats 7] [--threads 2] [--no-store]
 """
@@ -21,7 +21,7 @@ import torch
 
 from physconvex.camera import look_at
 from physconvex.convex import ConvexField, FreeParameters, coefficients_of_colour
-from physconvex.render import Splats, View, project, render
+from physconvex.render import View, project, render
 from physconvex.render.kernel import composite_kernel
 from physconvex.render.rasterize import splat
 
@@ -66,22 +66,6 @@ def covered_ball(count: int, *, radius: float = 0.5, seed: int = 0) -> ConvexFie
     return ConvexField(radius * middle + offsets, 8 / width * ones, ones, 0.8 * ones, harmonics)
 
 
-def octagons(count: int = 64, *, seed: int = 0) -> tuple[Splats, torch.Tensor]:
-    """Random regular octagons with edges two pixels soft, and the coordinates of the pixels (width one)."""
-    generator = torch.Generator().manual_seed(seed)
-    middle = torch.rand((count, 1, 2), generator=generator)
-    radius = 0.05 + 0.15 * torch.rand((count, 1, 1), generator=generator)
-    angle = torch.arange(8) * math.pi / 4 + torch.rand((count, 1), generator=generator)
-    normals = torch.stack([angle.cos(), angle.sin()], dim=-1)
-    offsets = -(normals * middle).sum(dim=-1, keepdim=True) - radius
-    lines = (SIZE * torch.cat([normals, offsets], dim=-1)).flatten(0, 1)
-    ones = torch.ones(count)
-    features = torch.rand((count, 4), generator=generator)
-    splats = Splats(torch.arange(count), torch.arange(count + 1) * 8, lines, 0.5 * ones, 0.5 * ones, features)
-    steps = (torch.arange(SIZE) + 0.5) / SIZE
-    return splats, torch.stack(torch.meshgrid(steps, steps, indexing="xy"), dim=-1)
-
-
 def main() -> None:
     """Measure and store."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -97,7 +81,6 @@ def main() -> None:
     free = FreeParameters.of(field)
     target = torch.rand((SIZE, SIZE, 3), generator=torch.Generator().manual_seed(1))
     splats, pixels = project(field, view), view.pixel_coordinates()
-    eight, grid = octagons()
 
     def forward() -> None:
         with torch.no_grad():
@@ -109,15 +92,13 @@ def main() -> None:
         (render(free.field(), view, backend="kernel").colour - target).abs().mean().backward()
 
     rows = []
-    for task, drawn, call in (
-        ("object, forward", splats, forward),
-        ("object, projection alone", splats, lambda: splat(field, view, backend="kernel")),
-        ("object, blending alone", splats, lambda: composite_kernel(splats, pixels)),
-        ("object, forward and backward", splats, both),
-        ("raster_limit, forward", eight, lambda: composite_kernel(eight, grid)),
+    for task, call in (
+        ("forward", forward),
+        ("projection alone", lambda: splat(field, view, backend="kernel")),
+        ("blending alone", lambda: composite_kernel(splats, pixels)),
+        ("forward and backward", both),
     ):
-        times = least(call, options.repeats)
-        rows.append(Row(task, len(drawn), len(drawn.lines), options.threads, *times))
+        rows.append(Row(task, len(splats), len(splats.lines), options.threads, *least(call, options.repeats)))
         print(rows[-1], flush=True)
     assert all(tensor.grad is not None for tensor in free.tensors()), [entry.name for entry in fields(free)]
     if not options.no_store:

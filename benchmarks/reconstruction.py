@@ -2,11 +2,10 @@
 
 Each object (a folder with model.obj and texture.png) is rendered at 448² from 12 cameras to fit (elevations 10, 35 and
 −10 degrees in turn) and 4 held out between them (20 and 0 degrees), with alpha, before white; then reconstructed from
-them and its mesh. Coverage is measured by random points against the mesh, where that is watertight; `margin` is half of
-what a pixel covers. Processor time counts all threads. Rows of other
-objects from runs with the same settings are kept.
+them and its mesh. Coverage is measured against the mesh, where that is watertight; `margin` is half of what a pixel
+covers. Processor time counts all threads. Rows of other objects from runs with the same settings are kept.
 
-python benchmarks/reconstruction.py --objects data/gso [--names Dino_4 …] [--size 448] [--threads 2] [--set steps=400]
+python benchmarks/reconstruction.py --objects data/gso [--names Dino_4 …] [--size 448] [--threads 2] [--set steps=120]
 """
 
 from __future__ import annotations
@@ -104,7 +103,7 @@ def main() -> None:
     parser.add_argument("--names", nargs="*", help="which of them; all if not given")
     parser.add_argument("--size", type=int, default=448)
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--set", dest="settings", nargs="*", default=[], help="settings, as steps=400")
+    parser.add_argument("--set", dest="settings", nargs="*", default=[], help="settings, as steps=120")
     parser.add_argument("--work", type=Path, help="folder for captures and fields; kept if given")
     parser.add_argument("--resume", action="store_true", help="go on where an earlier run in --work was stopped")
     parser.add_argument("--no-store", action="store_true", help="only print")

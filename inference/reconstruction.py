@@ -33,8 +33,8 @@ from physconvex.reconstruction import (
     fit,
     score,
     start_field,
+    start_kind,
 )
-from physconvex.reconstruction.config import StartKind
 from physconvex.reconstruction.state import load_state, save_state
 from physconvex.render.movies import film, orbit
 from physconvex.video import write_video
@@ -139,7 +139,7 @@ def reconstruct(
             return _read(folder, finished, config)
     state = None if folder is None else load_state(folder / STATE, claim=claim)
     mesh = source.mesh()
-    kind = _start_kind(config, mesh is not None, given is not None)
+    kind = start_kind(config.start, mesh=mesh is not None, points=given is not None)
     if state is None:
         state = begin(start_field(views.training, config, mesh=mesh, points=given))
     _fit_and_store(state, views, config, folder, claim, on_step)
@@ -170,12 +170,6 @@ def _closed(state: FitState, surface: trimesh.Trimesh | None, config: Reconstruc
     field = fill_gaps(field, surface, footprint=state.footprint, most=config.budget - len(field))
     state.seconds += time.perf_counter() - clock
     return field
-
-
-def _start_kind(config: ReconstructionConfig, mesh: bool, points: bool) -> StartKind:
-    if config.start != "auto":
-        return config.start
-    return "mesh" if mesh else "points" if points else "hull"
 
 
 def _fit_and_store(

@@ -17,7 +17,7 @@ from physconvex.convex.motion import (
 from physconvex.convex.parameters import FreeParameters
 from physconvex.convex.ply import read_ply, write_ply
 from physconvex.convex.rotation import polar_rotation, rotate_harmonics
-from physconvex.convex.solidity import hull_volumes, inside_union, union_occupancy, union_volume
+from physconvex.convex.solidity import hull_volumes, inside_union, occupancies, union_volume
 from physconvex.convex.spherical_harmonics import coefficients_of_colour, harmonic_basis, view_colours
 from physconvex.convex.splitting import Division, non_affinity, split, split_until_affine
 from physconvex.convex.surface_motion import move_half_spaces, points_of_half_spaces
@@ -44,6 +44,7 @@ __all__ = [
     "merge",
     "move_half_spaces",
     "non_affinity",
+    "occupancies",
     "occupancy",
     "points_of_half_spaces",
     "polar_rotation",
@@ -53,7 +54,6 @@ __all__ = [
     "split",
     "split_until_affine",
     "support",
-    "union_occupancy",
     "union_volume",
     "view_colours",
     "write_glb",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -61,6 +61,11 @@ class ConvexField:
         kinds = {(tensor.dtype, tensor.device) for tensor in self.tensors()}
         if len(kinds) > 1 or not self.points.is_floating_point():
             raise InputError(f"convex field: got types and devices {kinds}; expected one floating type on one device")
+
+    @classmethod
+    def joined(cls, fields: Sequence[ConvexField]) -> ConvexField:
+        """The convexes of several fields, one field after the other; all with as many points and harmonics."""
+        return cls(*(torch.cat(parts) for parts in zip(*(one.tensors() for one in fields), strict=True)))
 
     def __len__(self) -> int:
         return len(self.points)

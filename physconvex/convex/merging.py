@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from physconvex.convex.field import ConvexField
@@ -39,7 +39,7 @@ def merge(
     pairs: list[tuple[int, int]] = []
     hulls: list[np.ndarray] = []
     lost = 0.0
-    for first, second in _neighbours(points.mean(axis=1)):
+    for first, second in _neighbours(points.mean(axis=1)).tolist():
         if limit is not None and len(field) - len(pairs) <= limit:
             break
         if not (free[first] and free[second]):
@@ -62,8 +62,8 @@ def merge(
     return _merged(field, volumes, free, pairs, hulls, lost)
 
 
-def _neighbours(centres: Float[np.ndarray, "N 3"]) -> np.ndarray:
-    """Pairs of convexes whose centres are near, nearest first, shape [P, 2]."""
+def _neighbours(centres: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, "P 2"]:
+    """Pairs of convexes whose centres are near, nearest first."""
     count = min(NEIGHBOURS + 1, len(centres))
     distance, other = cKDTree(centres).query(centres, k=[*range(1, count + 1)])
     mine = np.repeat(np.arange(len(centres)), count)

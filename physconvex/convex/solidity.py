@@ -11,8 +11,9 @@ from scipy.spatial import cKDTree
 
 from physconvex.convex.field import ConvexField
 from physconvex.convex.halfspaces import HalfSpaces, half_spaces
+from physconvex.convex.hull_points import hull_volume
 
-__all__ = ["hull_volumes", "inside_union", "union_occupancy", "union_volume"]
+__all__ = ["hull_volumes", "inside_union", "occupancies", "union_volume"]
 
 PAIRS = 400_000  # point-convex pairs evaluated at once
 LARGEST = (30, 300, 2000)  # convexes looked at one set after the other
@@ -21,8 +22,6 @@ SOFT_REACH = 8.0  # an edge is neglected beyond this many widths 1/(αβ)
 
 def hull_volumes(field: ConvexField) -> Float[np.ndarray, " N"]:
     """Volume of each hull [m³]."""
-    from physconvex.convex.hull_points import hull_volume
-
     return np.array([hull_volume(points) for points in field.points.detach().cpu().double().numpy()])
 
 
@@ -59,16 +58,21 @@ def union_volume(field: ConvexField, *, cells: int = 64) -> float:
     return float(inside_union(field, low + extent * grid).mean() * extent.prod())
 
 
-def union_occupancy(field: ConvexField, positions: Float[np.ndarray, "Q 3"]) -> Float[np.ndarray, " Q"]:
-    """1 − Π_i (1 − opacity_i O_i) at positions [m], with O_i of `ConvexField`."""
+def occupancies(
+    field: ConvexField, positions: Float[np.ndarray, "Q 3"], *, spaces: HalfSpaces | None = None
+) -> tuple[Float[np.ndarray, " Q"], Float[np.ndarray, " Q"]]:
+    """max_i opacity_i O_i and 1 − Π_i (1 − opacity_i O_i) at positions [m], with O_i of `ConvexField`."""
     field = field.to(torch.float64)
-    free = np.ones(len(positions))
+    spaces = half_spaces(field) if spaces is None else spaces
+    greatest, free = np.zeros(len(positions)), np.ones(len(positions))
     reach = (SOFT_REACH / (field.smoothness * field.sharpness)).detach().numpy()
-    for points, convexes, distances in _pairs(field, half_spaces(field), positions, reach):
+    for points, convexes, distances in _pairs(field, spaces, positions, reach):
         scaled = field.smoothness[convexes, None] * distances
         inside = torch.sigmoid(-field.sharpness[convexes] * torch.logsumexp(scaled, dim=1))
-        np.multiply.at(free, points, (1 - field.opacity[convexes] * inside).detach().numpy())
-    return 1 - free
+        opaque = (field.opacity[convexes] * inside).detach().numpy()
+        np.maximum.at(greatest, points, opaque)
+        np.multiply.at(free, points, 1 - opaque)
+    return greatest, 1 - free
 
 
 def _pairs(

@@ -46,11 +46,11 @@ class ReconstructionConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     start: StartKind = "auto"
-    budget: int = Field(default=24_000, ge=50)
+    budget: int = Field(default=16_000, ge=50)
     start_share: Share = 0.8
     filler_share: Share = 0.1
     gap_share: Share = 0.1
-    steps: int = Field(default=400, ge=1)
+    steps: int = Field(default=200, ge=1)
     levels: tuple[Share, ...] = (0.25, 0.5, 1.0)
     level_shares: tuple[Share, ...] = (0.1, 0.2, 0.7)
     refinements: int = Field(default=5, ge=0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 import trimesh
@@ -111,6 +113,4 @@ def _joined_to(field: ConvexField, wedges: Float[np.ndarray, "W 6 3"]) -> Convex
     points = torch.cat([points, points[:, :1].expand(-1, spare, -1)], dim=1)
     near = cKDTree(field.centres.numpy()).query(points.mean(dim=1).numpy())[1]
     new = field.select(torch.as_tensor(near)).with_points(points)
-    joined = [torch.cat(pair) for pair in zip(field.tensors(), new.tensors(), strict=True)]
-    joined[3][len(field) :] = UNPAINTED
-    return ConvexField(*joined)
+    return ConvexField.joined([field, replace(new, opacity=torch.full_like(new.opacity, UNPAINTED))])

@@ -15,7 +15,7 @@ from physconvex.convex import ConvexField, FreeParameters
 from physconvex.reconstruction.adam import RowAdam
 from physconvex.reconstruction.config import ReconstructionConfig
 from physconvex.reconstruction.observation import Observation
-from physconvex.reconstruction.refine import refine
+from physconvex.reconstruction.refine import hidden, refine
 from physconvex.reconstruction.similarity import structural_similarity
 from physconvex.reconstruction.start import Start
 from physconvex.render import RenderedImage, render
@@ -45,7 +45,7 @@ class FitState:
     Attributes:
         parameters: of the field.
         adam: moments of their gradients.
-        fixed: fillers, whose points stay, shape [N].
+        fixed: fillers, and what no view sees: they stay as they are, shape [N].
         footprint: [m].
         step: steps done.
         seconds: time spent.
@@ -98,6 +98,9 @@ def fit(
     """
     levels = {scale: [seen.resized(scale).cropped() for seen in observations] for scale in set(config.levels)}
     refinements = set(config.refinement_steps())
+    if state.step == 0:
+        finest = max(config.levels)
+        state.fixed = state.fixed | hidden(state.field(), levels[finest], footprint=state.footprint / finest)
     while state.step < config.steps:
         clock = time.perf_counter()
         views = levels[config.scale_at(state.step)]
@@ -138,14 +141,14 @@ def _rates(state: FitState, config: ReconstructionConfig) -> tuple[Tensor | floa
     """Rates of points, log α, log β, logit of the opacity, harmonics: fall geometrically after the warm-up."""
     factor = config.final_rate ** (state.step / config.steps) * min(1.0, (state.step + 1) / WARM_UP)
     free = (~state.fixed).float() * factor
-    colour = torch.full((state.parameters.harmonics.shape[1], 1), config.colour_rate * config.view_rate * factor)
-    colour[0] = config.colour_rate * factor
+    colour = torch.full((state.parameters.harmonics.shape[1], 1), config.colour_rate * config.view_rate)
+    colour[0] = config.colour_rate
     return (
         (config.point_rate * state.footprint * free)[:, None, None],
         config.edge_rate * free,
         config.edge_rate * free,
         config.opacity_rate * free,
-        colour,
+        colour * free[:, None, None],
     )
 
 
@@ -157,4 +160,4 @@ def _refine(state: FitState, views: Sequence[Observation], config: Reconstructio
     )
     state.parameters = FreeParameters.of(made.field)
     state.adam = state.adam.select(made.sources, made.fresh)
-    state.fixed = state.fixed[made.sources]
+    state.fixed = made.fixed

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from physconvex.convex import ConvexField, halve
+from physconvex.errors import InputError
 from physconvex.reconstruction.attribution import gather
 from physconvex.reconstruction.observation import Observation
 from physconvex.render import render
 
-__all__ = ["Refinement", "refine"]
+__all__ = ["Refinement", "hidden", "refine", "simplify"]
 
 LEAST_OPACITY = 0.03
+OPAQUE = 0.5  # a convex that is as opaque and hardly explains a pixel is hidden
 DIVISIBLE = 2.5  # extent in footprints from which a convex is split; smaller ones are cloned
 SHARE = 0.2  # of the convexes that one refinement may divide
 CLONE_SHIFT = 0.25  # of its extent by which a clone is moved
@@ -32,12 +34,14 @@ class Refinement:
         field: the convexes.
         sources: the old convex that each is (a part of), shape [M].
         fresh: which are new, shape [M].
+        fixed: which are to stay as they are until the next refinement: fillers, and what no view sees, shape [M].
         pruned, split, cloned: how many were.
     """
 
     field: ConvexField
     sources: Int[Tensor, " M"]
     fresh: Bool[Tensor, " M"]
+    fixed: Bool[Tensor, " M"]
     pruned: int
     split: int
     cloned: int
@@ -56,17 +60,21 @@ def refine(
     """Prune, split and clone.
 
     Every convex is charged with the squared differences of the pixels it explains (by `gather`, over all views). Pruned
-    are transparent ones and those that explain background; if the budget is full, also those seen least, so that the
-    ones charged most can be divided. What no view sees stays: it is part of the body all the same.
+    are transparent ones and those that explain background; if the budget is full, also small ones seen least, so that
+    the ones charged most can be divided. Opaque ones that no view sees (`hidden`) stay as they are, for no pixel says
+    how they should be: they are part of the body all the same.
 
     Args:
         budget: most convexes afterwards.
         footprint: what a pixel covers [m].
-        fixed: convexes that are neither divided nor pruned, shape [N].
+        fixed: those of the last refinement, at first the fillers and what is `hidden`, shape [N].
         generator: of the directions in which clones are moved.
     """
     charge, weight, covered = _charged(field, observations)
     floating = (weight > 1) & (covered < OUTSIDE * weight)
+    extent = _extent(field)
+    fillers = fixed & (field.opacity < LEAST_OPACITY)
+    fixed = fillers | _hidden(field, weight, fixed | (extent > DIVISIBLE * footprint))
     keep = fixed | ((field.opacity > LEAST_OPACITY) & ~floating)
     wanted = int(SHARE * len(field))
     crowded = min(int(keep.sum()) + wanted - budget, wanted // 2)
@@ -76,16 +84,21 @@ def refine(
     room = max(0, min(wanted, budget - int(keep.sum())))
     candidates = (keep & ~fixed & (charge > 0)).nonzero()[:, 0]
     chosen = candidates[charge[candidates].argsort(descending=True)[:room]]
-    extent = torch.linalg.vector_norm(field.points - field.centres[:, None], dim=2).amax(dim=1) * 2
     large = torch.zeros(len(field), dtype=torch.bool)
     large[chosen] = extent[chosen] > DIVISIBLE * footprint
     small = torch.zeros_like(large)
     small[chosen] = ~large[chosen]
-    return _divided(field, keep, large, small, extent, generator)
+    return _divided(field, keep, large, small, extent, fixed, generator)
 
 
 def _divided(
-    field: ConvexField, keep: Tensor, large: Tensor, small: Tensor, extent: Tensor, generator: torch.Generator
+    field: ConvexField,
+    keep: Tensor,
+    large: Tensor,
+    small: Tensor,
+    extent: Tensor,
+    fixed: Tensor,
+    generator: torch.Generator,
 ) -> Refinement:
     """Those kept, the large ones split, the small ones cloned."""
     overlap = 2.0 / (field.smoothness * field.sharpness)
@@ -99,13 +112,48 @@ def _divided(
     shift = CLONE_SHIFT * extent[clones, None] * shift / shift.norm(dim=1, keepdim=True)
     copies = field.select(clones)
     copies = copies.with_points(copies.points + shift[:, None])
-    joined = [torch.cat(pair) for pair in zip(divided.tensors(), copies.tensors(), strict=True)]
+    joined = ConvexField.joined([divided, copies])
     sources = torch.cat([sources, clones])
     fresh = torch.cat([fresh, torch.ones(len(clones), dtype=torch.bool)])
     # a convex and its clone let through together what the convex did: (1 − o')² = 1 − o
     doubled = small[sources]
-    joined[3] = torch.where(doubled, 1 - (1 - joined[3]).clamp(min=0).sqrt(), joined[3])
-    return Refinement(ConvexField(*joined), sources, fresh, int((~keep).sum()), len(parents), len(clones))
+    opacity = torch.where(doubled, 1 - (1 - joined.opacity).clamp(min=0).sqrt(), joined.opacity)
+    new = replace(joined, opacity=opacity)
+    return Refinement(new, sources, fresh, fixed[sources], int((~keep).sum()), len(parents), len(clones))
+
+
+@torch.no_grad()
+def hidden(field: ConvexField, observations: Sequence[Observation], *, footprint: float) -> Bool[Tensor, " N"]:
+    """Convexes that are opaque and large enough to be seen, but explain less than two pixels of all views.
+
+    Args:
+        footprint: what a pixel covers [m].
+    """
+    return _hidden(field, _charged(field, observations)[1], _extent(field) > DIVISIBLE * footprint)
+
+
+def _hidden(field: ConvexField, weight: Tensor, candidates: Tensor) -> Bool[Tensor, " N"]:
+    return candidates & (field.opacity > OPAQUE) & (weight < SLIGHT)
+
+
+def _extent(field: ConvexField) -> Float[Tensor, " N"]:
+    """Twice the greatest distance of a point from the centre [m]."""
+    return 2 * torch.linalg.vector_norm(field.points - field.centres[:, None], dim=2).amax(dim=1)
+
+
+@torch.no_grad()
+def simplify(field: ConvexField, observations: Sequence[Observation], *, budget: int) -> ConvexField:
+    """At most `budget` of the convexes: those that explain most pixels of the views, in their order.
+
+    What no view sees goes first, so images change least and the inside of the body opens.
+
+    Raises:
+        InputError: a budget below one.
+    """
+    if budget < 1:
+        raise InputError(f"budget: got {budget}; expected at least one convex")
+    weight = _charged(field, observations)[1]
+    return field.select(weight.argsort(descending=True, stable=True)[:budget].sort().values)
 
 
 def _charged(

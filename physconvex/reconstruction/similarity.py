@@ -15,8 +15,8 @@ WINDOW, SPREAD = 11, 1.5  # pixels; Wang et al. 2004
 STABILISERS = (0.01**2, 0.03**2)
 
 
-def psnr(image: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> float:
-    """Peak signal-to-noise ratio −10 log10(mean squared difference) of images from 0 to 1 [dB]."""
+def psnr(image: Float[Tensor, "*pixels 3"], reference: Float[Tensor, "*pixels 3"]) -> float:
+    """Peak signal-to-noise ratio −10 log10(mean squared difference) of images, or of pixels, from 0 to 1 [dB]."""
     return float(-10 * torch.log10((image - reference).double().square().mean().clamp(min=1e-12)))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 import trimesh
 from jaxtyping import Float
+from scipy.spatial import cKDTree
 
 from physconvex.convex import ConvexField, coefficients_of_colour
 from physconvex.errors import InputError
@@ -19,7 +20,7 @@ from physconvex.reconstruction.shell import UNPAINTED, fillers, octahedra, prism
 from physconvex.reconstruction.triangles import even_triangles, welded
 from physconvex.reconstruction.visual_hull import footprint, visual_hull
 
-__all__ = ["Start", "body_surface", "start_field"]
+__all__ = ["Start", "body_surface", "start_field", "start_kind"]
 
 OPACITY = 0.97
 DEPTH = 1.3  # of prisms, in mean edges of the triangles
@@ -54,7 +55,7 @@ def start_field(
     Raises:
         InputError: what `config.start` names is not given, or the views contradict each other.
     """
-    kind = _kind(config.start, mesh is not None, points is not None)
+    kind = start_kind(config.start, mesh=mesh is not None, points=points is not None)
     pixel = footprint(observations)
     inner = np.zeros((0, 6, 3))
     if kind == "points":
@@ -84,7 +85,12 @@ def body_surface(
     return welded(mesh) if kind == "mesh" and mesh is not None else visual_hull(observations)
 
 
-def _kind(asked: StartKind, mesh: bool, points: bool) -> StartKind:
+def start_kind(asked: StartKind, *, mesh: bool, points: bool) -> StartKind:
+    """What a start is made from, given whether there are a mesh and points.
+
+    Raises:
+        InputError: what was asked for is not given.
+    """
     if asked == "mesh" and not mesh:
         raise InputError("start: got 'mesh', but the capture holds none; add mesh.obj, or use 'hull' or 'auto'")
     if asked == "points" and not points:
@@ -114,8 +120,6 @@ def _coloured(field: ConvexField, observations: Sequence[Observation]) -> Convex
     colours = total.means(torch.full((3,), 0.5))
     known = total.weights > 0.05
     if known.any() and not known.all():
-        from scipy.spatial import cKDTree
-
         count = min(4, int(known.sum()))
         near = cKDTree(field.centres[known].numpy()).query(field.centres[~known].numpy(), k=[*range(1, count + 1)])[1]
         colours[~known] = colours[known][torch.as_tensor(near)].mean(dim=1)

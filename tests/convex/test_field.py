@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from physconvex import InputError
-from physconvex.convex import ConvexField, FreeParameters, half_spaces, hull_faces, occupancy, support
+from physconvex.convex import ConvexField, FreeParameters, half_spaces, hull_faces, occupancies, occupancy, support
 from tests.convex.fields import cube, random_field
 
 
@@ -100,6 +100,17 @@ def test_occupancy_gradient_against_differences() -> None:
 
     inputs = tuple(tensor.clone().requires_grad_() for tensor in field.tensors()[:3])
     assert torch.autograd.gradcheck(value, inputs, eps=1e-6, atol=1e-6, rtol=1e-4)
+
+
+def test_occupancies_are_those_of_all_convexes_together() -> None:
+    field = random_field(30, seed=5)
+    positions = torch.cat([field.centres, field.points[:, 0]])
+    each = field.opacity * occupancy(field, positions)
+    greatest, union = occupancies(field, positions.numpy())
+    # pairs farther apart than eight widths of the edge, e⁻⁸, are left out
+    np.testing.assert_allclose(greatest, each.amax(dim=1), atol=4e-4)
+    np.testing.assert_allclose(union, 1 - (1 - each).prod(dim=1), atol=30 * 4e-4)
+    assert np.median(greatest) > 0.2 and union.max() <= 1
 
 
 def test_select_and_types() -> None:

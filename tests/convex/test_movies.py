@@ -1,14 +1,20 @@
 """Films: the field stays in view from all round, frames are pictures of the fields given."""
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+import typer
+from PIL import Image
+from typer.testing import CliRunner, Result
 
-from physconvex.convex import advect, affine_map
+from physconvex.convex import advect, affine_map, write_ply
 from physconvex.errors import InputError
 from physconvex.render import film, orbit
+from physconvex.render.film_command import film as command
+from physconvex.video import read_video
 from tests.convex.fields import random_field
 
 
@@ -33,3 +39,29 @@ def test_a_film_shows_each_field_in_turn():
     frames = list(film([field, moved], itertools.repeat(camera), background=torch.zeros(3)))
     assert [frame.shape for frame in frames] == [(24, 24, 3)] * 2 and frames[0].dtype == np.uint8
     assert frames[0].max() > 0 and frames[1].max() == 0  # out of sight
+
+
+def run(*arguments: object) -> Result:
+    """The command `physconvex film`."""
+    app = typer.Typer()
+    app.command()(command)
+    return CliRunner().invoke(app, [*map(str, arguments), "--size", "32", "--no-progress"])
+
+
+def test_the_command_films_still_and_moving_fields_and_draws_pictures(tmp_path: Path) -> None:
+    field = random_field(3, seed=2, dtype=torch.float32)
+    for k in range(3):
+        shift = affine_map(torch.eye(3), torch.tensor([1.0 * k, 0.0, 0.0]))
+        write_ply(advect(field, shift), tmp_path / f"frame{k}.ply")
+    assert run(tmp_path / "frame0.ply", "--out", tmp_path / "round.mp4", "--frames", 5).exit_code == 0
+    assert read_video(tmp_path / "round.mp4").frames.shape == (5, 32, 32, 3)
+    assert run(tmp_path, "--out", tmp_path / "moving.mp4").exit_code == 0
+    moving = read_video(tmp_path / "moving.mp4").frames
+    assert len(moving) == 3
+    middles = [np.argwhere((frame < 200).any(axis=-1))[:, 1].mean() for frame in moving]
+    assert middles[0] < middles[1] - 2 < middles[2] - 4  # seen from −y, x points to the right
+    assert run(tmp_path / "frame0.ply", "--out", tmp_path / "one.png").exit_code == 0
+    expected = next(film([field], orbit(field, 1, width=32, height=32)))
+    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "one.png")), expected)
+    refused = run(tmp_path / "frame0.ply", "--out", tmp_path / "one.gif")
+    assert isinstance(refused.exception, InputError) and ".mp4 or .png" in str(refused.exception)

@@ -48,6 +48,7 @@ def test_cropping_and_resizing_keep_where_points_are_seen():
     assert torch.equal(part.image, seen.image[row : row + height, column : column + width])
 
 
+@pytest.mark.wrong_types
 def test_what_does_not_fit_is_refused():
     camera = ring(1)[0]
     frame, alpha = pictures(camera)
