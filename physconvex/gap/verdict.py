@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from physconvex.gap.comparison import Hypothesis, doses_at_bounds
+from physconvex.gap.caveats import caveats_of, doses_in_sight
+from physconvex.gap.comparison import Hypothesis
 from physconvex.gap.options import GapOptions
 from physconvex.gap.screening import Screening
 
@@ -18,10 +19,10 @@ VerdictName = Literal["none", "effect", "unknown", "inconclusive"]
 _CLEAR, _WEAK = 4.0, 1.5  # gain of log-evidence over the base model that makes a call, or leaves it open
 _ALIKE = 0.95  # cosine of signatures
 _LISTED = 0.02  # probability
+_FORETOLD = 0.9  # share of the gap on frames that were not fitted, of which a placebo removes no tenth
 _PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
 _BLIND = 0.1  # floor over size or motion above which "none" would say nothing
 _SURE = 30.0  # gain that makes a call although the base model fits the fitted frames within its error
-_SEEN = 3.0  # standard errors
 _ASTRAY = 0.5  # distance from the recording over its motion above which the model is no model of it
 _LIKELY = 0.5  # probability from which on an effect is named
 _OTHER = "something else"
@@ -221,6 +222,11 @@ class _Evidence:
         return self.best.evidence - self.base.evidence
 
     @property
+    def foretold(self) -> bool:
+        """Whether held-out frames leave no doubt, although the evidence counts too few residuals as independent."""
+        return self.gain >= _WEAK and self.share >= _FORETOLD and self.placebo < 1.0 - _FORETOLD
+
+    @property
     def none(self) -> float:
         """Probability of the base model."""
         return self.probability.get("base model", 0.0)
@@ -249,8 +255,8 @@ class _Evidence:
         self, name: VerdictName, sentence: str, effects: tuple[NamedEffect, ...] = (), *, power: bool = False
     ) -> Verdict:
         """With the caveats, and with what would have been seen."""
-        caveats = _caveats(self.base, self.best, self.after)
-        more = _power(self.screening) if power else ()
+        caveats = caveats_of(self.base, self.best, self.after)
+        more = doses_in_sight(self.screening) if power else ()
         return Verdict(name, sentence, effects, self.none, self.share, (*caveats, *more))
 
 
@@ -289,7 +295,7 @@ def _numerical(e: _Evidence) -> Verdict | None:
 
 def _weak(e: _Evidence) -> Verdict | None:
     """A gain too small for a call."""
-    if e.gain >= _CLEAR:
+    if e.gain >= _CLEAR or e.foretold:
         return None
     sentence = (
         f"Inconclusive: {e.best.label} is favoured, but the recording cannot tell it from no effect that is known "
@@ -336,7 +342,7 @@ def _called(e: _Evidence) -> Verdict:
     likely = tuple(n for n in e.named if n.probability >= _LIKELY) or (
         max(e.named, key=lambda n: n.probability),
     )  # of several that are alike none may have half, and it is one of them all the same
-    if e.probability.get(_OTHER, 0.0) + e.none >= _LIKELY:
+    if e.probability.get(_OTHER, 0.0) + e.none >= _LIKELY and not e.foretold:
         shares = ", ".join(f"{n.name} {n.probability:.0%}" for n in e.possible)
         sentence = (
             f"Inconclusive: there is a gap, and {e.best.label} fits best, but leaves so much that "
@@ -365,45 +371,3 @@ def _is_slight(hypothesis: Hypothesis) -> bool:
             if not d.shape and effect.source != "numerical"
         ]
     return bool(slight) and all(slight)
-
-
-def _power(screening: Screening) -> tuple[str, ...]:
-    """Which doses would have been seen: three standard errors, of the effects with one dose that are seen best."""
-    limits = []
-    for entry in sorted(screening.one_per_name, key=lambda e: -e.power):
-        screened = np.flatnonzero(entry.errors > 0)
-        dose = entry.effect.doses[int(screened[0])] if len(screened) == 1 else None
-        if dose is not None and not dose.threshold and entry.effect.source != "numerical":
-            unit = f" {dose.unit}" if dose.unit else ""
-            limits.append(f"{entry.effect.name} {_SEEN * float(entry.errors[screened[0]]):.2g}{unit}")
-    return (f"Doses from which on an effect would have been seen here: {', '.join(limits[:6])}.",) if limits else ()
-
-
-def _caveats(base: Hypothesis, best: Hypothesis, after: float) -> tuple[str, ...]:
-    out = ["Density and E cannot be told apart from motion: E holds for the stated density."]
-    moved = _moved(base, best)
-    if moved is not None and abs(moved) > np.log10(1.15):
-        out.append(
-            f"E changed by {10**moved - 1:+.0%} when the effect was added: the plain model's E had absorbed part of it."
-        )
-    if any(effect.source == "numerical" for effect in best.effects):
-        out.append(
-            "The best explanation is a numerical error, of this model or of the program that made the recording."
-        )
-    at_bounds = doses_at_bounds(best)
-    if at_bounds:
-        out.append(
-            f"At the bound of what is physical: {', '.join(at_bounds)}. That effect stands for something else, which "
-            "the dictionary does not have or the other effects do not describe well."
-        )
-    if after > 4.0:
-        out.append("What is left after the best effect is still well above noise and numerical error.")
-    return tuple(out)
-
-
-def _moved(base: Hypothesis, best: Hypothesis) -> float | None:
-    names = base.model.base
-    if "log10_youngs_modulus" not in names:
-        return None
-    index = names.index("log10_youngs_modulus")
-    return float(best.values[index] - base.values[index])

@@ -105,6 +105,14 @@ def test_fits_at_a_bound_give_way_to_others():
     assert within_bounds([blown, plain]) == [blown, plain]
 
 
+def test_held_out_frames_make_up_for_weak_evidence():
+    """Where little of the residual is independent, what an effect foretells and a placebo does not still counts."""
+    fits = [hypothesis(2.5, "damping"), hypothesis(0.0)]
+    assert decide(fits, screening(), 30.0, 1.0, 0.04, OPTIONS, placebo=0.0).name == "effect"
+    assert decide(fits, screening(), 30.0, 1.0, 0.04, OPTIONS, placebo=0.3).name == "inconclusive"
+    assert decide(fits, screening(), 30.0, 1.0, 0.3, OPTIONS, placebo=0.0).name == "inconclusive"
+
+
 def test_a_weak_case_is_inconclusive():
     verdict = decide([hypothesis(2.5, "damping"), hypothesis(0.0)], screening(), 30.0, 1.0, 0.1, OPTIONS)
     assert verdict.name == "inconclusive" and verdict.none_probability > 0.05
