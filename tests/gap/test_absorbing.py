@@ -63,6 +63,7 @@ class Differences(SimpleNamespace):
         return Differences(**(self.__dict__ | changes))
 
 
+@pytest.mark.wrong_types
 def test_what_a_change_of_the_modulus_makes_up_for_is_no_error(base):
     mesh = Bending().positions(base.fit.values) - base.motion.positions
     found = with_absorbed_mesh(base, Differences(fine=("mesh", None), mesh=mesh, absorbed_mesh=None), GapOptions())
@@ -71,6 +72,7 @@ def test_what_a_change_of_the_modulus_makes_up_for_is_no_error(base):
     assert left[0] < 2e-4 and left[1] == pytest.approx(SHARE * 0.02, rel=0.5)  # the shape is no matter of E
 
 
+@pytest.mark.wrong_types
 def test_free_bodies_and_unaffordable_meshes_are_left(base):
     differences = Differences(fine=None, mesh=np.zeros((40, 2, 3)))
     assert with_absorbed_mesh(base, differences, GapOptions()) is differences

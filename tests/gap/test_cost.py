@@ -21,6 +21,7 @@ def test_cost_follows_newton_steps_and_nodes():
     assert full.spent > 2 * before  # a run that was given up is not for nothing
 
 
+@pytest.mark.wrong_types
 @pytest.mark.parametrize(("spent", "begun"), [(4.0, 1), (6.0, 0)])
 def test_no_fit_is_begun_beyond_the_limit(spent, begun):
     cost, fits = Cost(), []

@@ -41,6 +41,7 @@ def test_half_noise_half_lack_of_fit_is_tempered_by_half(rng):
     assert weak == pytest.approx(1 + (strong - 1) / 2, rel=0.02)
 
 
+@pytest.mark.wrong_types
 def test_details_do_not_choose(rng):
     residual = 50 * rng.normal(size=300)
     base = SimpleNamespace(
@@ -63,6 +64,7 @@ def fit(likelihood, dose, name="wind"):
     return Hypothesis((effect,), None, values, None, None, None, None, 5.0, 5.0, 0.0, likelihood, -200.0, 400.0)
 
 
+@pytest.mark.wrong_types
 def test_tempering_leaves_prices_and_priors():
     storm, breeze = fit(-300.0, 30.0), fit(-310.0, 3.0)
     assert storm.tempered(1.0).evidence > breeze.tempered(1.0).evidence - 10
@@ -70,6 +72,7 @@ def test_tempering_leaves_prices_and_priors():
     assert breeze.tempered(20.0).evidence == pytest.approx(-310 / 20 - 0.5 * 2 * np.log(20) - 0.5 * 0.6**2)
 
 
+@pytest.mark.wrong_types
 def test_something_else_is_likely_where_much_is_left():
     poor, good = fit(-1000.0, 0.0).tempered(20.0), fit(-205.0, 0.0).tempered(1.0)
     assert evidence_of_anything(poor) > poor.evidence

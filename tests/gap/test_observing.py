@@ -92,6 +92,7 @@ def test_markers_are_in_metres_already(motion):
     np.testing.assert_allclose(in_metres(markers, motion), 1e-3)
 
 
+@pytest.mark.wrong_types
 def test_nothing_seen(tmp_path):
     with pytest.raises(InputError, match=r"no tracks\.npz and no cameras"):
         observe(Capture(tmp_path, 24.0, 12, 8), None)  # type: ignore[arg-type]

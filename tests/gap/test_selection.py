@@ -10,6 +10,8 @@ from physconvex.gap.score import Score
 from physconvex.gap.screening import Screened, Screening, best_pairs
 from physconvex.gap.selection import _finalists
 
+pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
+
 
 def effect(name):
     return next(e for e in DEFAULT_EFFECTS if e.name == name)

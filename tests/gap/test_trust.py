@@ -8,6 +8,8 @@ import pytest
 from physconvex.gap.score import ErrorModel
 from physconvex.gap.trust import error_scale
 
+pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
+
 FRAMES, EACH = 12, 60
 SIZE = np.repeat(np.r_[np.zeros(6), np.full(6, 20.0)], EACH)  # of the numerical error over noise
 

@@ -9,6 +9,8 @@ from physconvex.gap import DEFAULT_EFFECTS, GapOptions
 from physconvex.gap.selection import within_bounds
 from physconvex.gap.verdict import decide, probabilities
 
+pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
+
 OPTIONS = GapOptions()
 
 
