@@ -26,7 +26,7 @@ from physconvex.identify import (
     clustered_deviations,
     fit_finer,
     frame_errors,
-    noise_covariance,
+    marginal_deviations,
     parameter_shift,
 )
 from physconvex.identify.faithful import faithful_mesh
@@ -55,7 +55,7 @@ def estimates_of(
     """
     worst = max(float(np.mean(found.residuals[where] ** 2)) for where in sources)
     inflation = max(found.reduced_chi_square, worst, 1.0)
-    sigmas = np.sqrt(np.diag(noise_covariance(found)) * inflation)
+    sigmas = marginal_deviations(found) * np.sqrt(inflation)
     sigmas = np.maximum(sigmas, clustered_deviations(found, frames))
     out = []
     for i, parameter in enumerate(found.parameters):

@@ -235,7 +235,7 @@ class Refinement:
                 {
                     "values": dict(zip(names, map(float, run.values), strict=True)),
                     "misfit": _plain(run.misfit),
-                    "rms_to_reduced_m": _plain(run.distance),
+                    "rms_to_start_m": _plain(run.distance),
                 }
                 for run in self.full_runs
             ],

@@ -30,6 +30,7 @@ from physconvex.identify.uncertainty import (
     NullDirection,
     clustered_deviations,
     identifiability,
+    marginal_deviations,
     noise_covariance,
 )
 from physconvex.identify.weighting import WeightedObservations, frame_errors
@@ -72,6 +73,7 @@ __all__ = [
     "fit_full",
     "frame_errors",
     "identifiability",
+    "marginal_deviations",
     "marker_observations",
     "mesh_of_capture",
     "noise_covariance",

@@ -9,7 +9,14 @@ from jaxtyping import Float, Int
 
 from physconvex.identify.levenberg_marquardt import Fit
 
-__all__ = ["Identifiability", "NullDirection", "clustered_deviations", "identifiability", "noise_covariance"]
+__all__ = [
+    "Identifiability",
+    "NullDirection",
+    "clustered_deviations",
+    "identifiability",
+    "marginal_deviations",
+    "noise_covariance",
+]
 
 _LOOSE = 1.0  # a direction is undetermined when its deviation exceeds one typical step …
 _CORRELATED = 0.95
@@ -74,6 +81,19 @@ def noise_covariance(found: Fit) -> Float[np.ndarray, "K K"]:
         inner = (vectors / np.maximum(values, 1e-12)) @ vectors.T
         out[np.ix_(free, free)] = inner * np.outer(scales[free], scales[free])
     return out
+
+
+def marginal_deviations(found: Fit) -> Float[np.ndarray, " K"]:
+    """Standard deviation of each parameter from noise and priors, where none is held at its bound.
+
+    Errors of the data or the model may have driven a parameter to its bound; the others are then off by what that one
+    is. Its true value may lie anywhere in its range, whose half counts as the deviation of a prior.
+    """
+    scales = np.array([p.step for p in found.parameters])
+    half_ranges = np.array([(p.upper - p.lower) / (2 * p.step) for p in found.parameters])
+    information = _information(found) + np.diag(np.where(_at_bounds(found), half_ranges**-2.0, 0.0))
+    values, vectors = np.linalg.eigh(information)
+    return np.asarray(scales * np.sqrt((vectors**2 / np.maximum(values, 1e-12)).sum(axis=1)))
 
 
 def clustered_deviations(found: Fit, frames: Int[np.ndarray, " N"]) -> Float[np.ndarray, " K"]:

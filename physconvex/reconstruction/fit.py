@@ -47,6 +47,7 @@ class FitState:
         adam: moments of their gradients.
         fixed: fillers, and what no view sees: they stay as they are, shape [N].
         footprint: [m].
+        surface_known: whether the start was made from a mesh, so that what no view sees belongs to the body.
         step: steps done.
         seconds: time spent.
         losses: of every step.
@@ -56,6 +57,7 @@ class FitState:
     adam: RowAdam
     fixed: Tensor
     footprint: float
+    surface_known: bool
     step: int = 0
     seconds: float = 0.0
     losses: list[float] = field(default_factory=list)
@@ -70,7 +72,7 @@ def begin(start: Start) -> FitState:
     """The state before the first step."""
     parameters = FreeParameters.of(start.field)
     fixed = torch.arange(len(start.field)) >= len(start.field) - start.fillers
-    return FitState(parameters, RowAdam.of(parameters.tensors()), fixed, start.footprint)
+    return FitState(parameters, RowAdam.of(parameters.tensors()), fixed, start.footprint, start.kind == "mesh")
 
 
 def image_loss(image: RenderedImage, seen: Observation, config: ReconstructionConfig) -> Float[Tensor, ""]:
@@ -98,7 +100,7 @@ def fit(
     """
     levels = {scale: [seen.resized(scale).cropped() for seen in observations] for scale in set(config.levels)}
     refinements = set(config.refinement_steps())
-    if state.step == 0:
+    if state.step == 0 and state.surface_known:
         finest = max(config.levels)
         state.fixed = state.fixed | hidden(state.field(), levels[finest], footprint=state.footprint / finest)
     while state.step < config.steps:
@@ -156,7 +158,13 @@ def _refine(state: FitState, views: Sequence[Observation], config: Reconstructio
     generator = torch.Generator().manual_seed(config.seed + state.step)
     pixel = state.footprint / config.scale_at(state.step)
     made = refine(
-        state.field(), views, budget=config.fit_budget, footprint=pixel, fixed=state.fixed, generator=generator
+        state.field(),
+        views,
+        budget=config.fit_budget,
+        footprint=pixel,
+        fixed=state.fixed,
+        generator=generator,
+        keep_hidden=state.surface_known,
     )
     state.parameters = FreeParameters.of(made.field)
     state.adam = state.adam.select(made.sources, made.fresh)

@@ -56,25 +56,30 @@ def refine(
     footprint: float,
     fixed: Bool[Tensor, " N"],
     generator: torch.Generator,
+    keep_hidden: bool = True,
 ) -> Refinement:
     """Prune, split and clone.
 
     Every convex is charged with the squared differences of the pixels it explains (by `gather`, over all views). Pruned
     are transparent ones and those that explain background; if the budget is full, also small ones seen least, so that
     the ones charged most can be divided. Opaque ones that no view sees (`hidden`) stay as they are, for no pixel says
-    how they should be: they are part of the body all the same.
+    how they should be, unless `keep_hidden` is false.
 
     Args:
         budget: most convexes afterwards.
         footprint: what a pixel covers [m].
         fixed: those of the last refinement, at first the fillers and what is `hidden`, shape [N].
         generator: of the directions in which clones are moved.
+        keep_hidden: whether what no view sees is part of the body, since the surface was known at the start; of a
+            visual hull or of points it may as well lie outside.
     """
     charge, weight, covered = _charged(field, observations)
     floating = (weight > 1) & (covered < OUTSIDE * weight)
     extent = _extent(field)
-    fillers = fixed & (field.opacity < LEAST_OPACITY)
-    fixed = fillers | _hidden(field, weight, fixed | (extent > DIVISIBLE * footprint))
+    were_fixed, fillers = fixed, fixed & (field.opacity < LEAST_OPACITY)
+    fixed = fillers
+    if keep_hidden:
+        fixed = fixed | _hidden(field, weight, were_fixed | (extent > DIVISIBLE * footprint))
     keep = fixed | ((field.opacity > LEAST_OPACITY) & ~floating)
     wanted = int(SHARE * len(field))
     crowded = min(int(keep.sum()) + wanted - budget, wanted // 2)

@@ -30,6 +30,7 @@ def save_state(state: FitState, path: Path, *, claim: str) -> None:
     numbers = {
         "claim": claim,
         "footprint": state.footprint,
+        "surface_known": state.surface_known,
         "step": state.step,
         "seconds": state.seconds,
         "adam_steps": state.adam.steps,
@@ -68,6 +69,7 @@ def load_state(path: Path, *, claim: str) -> FitState | None:
         RowAdam(groups[1], groups[2], numbers["adam_steps"]),
         tensors["fixed"],
         numbers["footprint"],
+        numbers["surface_known"],
         numbers["step"],
         numbers["seconds"],
         tensors["losses"].tolist(),

@@ -16,6 +16,7 @@ from physconvex.identify import (
     default_parameters,
     fit,
     identifiability,
+    marginal_deviations,
     marker_observations,
     noise_covariance,
     scan,
@@ -114,6 +115,23 @@ def test_a_parameter_at_its_bound_is_said_to_be_there():
     assert told.at_bounds == ("poisson_ratio",)
     assert any("bound" in sentence for sentence in told.sentences)
     assert noise_covariance(found)[1, 1] == 0
+
+
+def test_intervals_beside_a_parameter_at_its_bound_still_cover_the_truth():
+    """Noise drives ν to its bound in some third of the draws; E, which goes with it, is off by what ν is."""
+    line, inside = Line(), []
+    line.directions[:, 1] += 5.0 * line.directions[:, 0]
+    for seed in range(300):
+        found = fit(line, line_markers(line, (5.0, 0.488), noise=0.1, seed=seed, sigma=0.1), UNKNOWN)
+        held = np.sqrt(np.diag(noise_covariance(found)))
+        if found.value("poisson_ratio") < 0.495 - 1e-9:
+            np.testing.assert_allclose(marginal_deviations(found), held, rtol=1e-6)
+            continue
+        error = abs(found.values[0] - 5.0)
+        inside.append([error < 1.645 * held[0], error < 1.645 * marginal_deviations(found)[0]])
+    assert len(inside) > 60
+    held, free = np.mean(inside, axis=0)
+    assert held < 0.6 and free > 0.9
 
 
 def test_a_direction_without_effect_is_named():

@@ -127,9 +127,10 @@ def test_correction_and_model_error_by_the_console(folder, tmp_path):
     assert result.exit_code == 0, result.output
     told = json.loads(result.stdout)
     assert told["motion_model"] == "full" and 1 <= len(told["full_model_runs"]) <= 2
-    assert told["full_model_runs"][0]["rms_to_reduced_m"] > 1e-4
     assert told["parameters"]["poisson_ratio"]["model_error"] is not None
-    assert told["reduced_model_alone"]["log10_youngs_modulus"] == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.05)
+    alone = told["reduced_model_alone"]["log10_youngs_modulus"]
+    assert alone == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.05)
+    assert abs(told["parameters"]["log10_youngs_modulus"]["value"] - alone) > 1e-3
 
 
 def test_a_wrong_option_is_named(folder, tmp_path):
