@@ -227,10 +227,6 @@ class EffectModel:
         moved = self.motion(changed) if moves else motion
         return self.observed(moved, changed) - self.observed(motion, values)
 
-    def with_effects(self, *effects: Effect) -> EffectModel:
-        """The same twin with other effects."""
-        return replace(self, effects=effects)
-
 
 def reduced_like(full: EffectModel, motion: Motion, values: np.ndarray) -> tuple[EffectModel, Motion]:
     """The cheaper model with what it lacks to a full-order motion added, and its own motion at the same values.

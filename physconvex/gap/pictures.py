@@ -25,7 +25,7 @@ __all__ = [
     "write_body",
 ]  # fmt: skip
 
-_BLUE, _ORANGE, _GREY, _GREEN = "#2b6ca3", "#d9772b", "#8a8a8a", "#3a8f5a"
+_BLUE, _ORANGE, _GREY = "#2b6ca3", "#d9772b", "#8a8a8a"
 _PHASES = {
     "flight": "#e8f1fa", "impact": "#fde3cf", "contact": "#fbeedd", "rebound": "#e6f4ea", "rest": "#eeeeee",
     "early motion": "#e8f1fa", "late motion": "#e6f4ea",

@@ -81,7 +81,7 @@ class CorrectedModel:
 
 @dataclass(frozen=True, eq=False)
 class FullRun:
-    """One run of the full model: values [K], misfit of what it predicts, rms distance to the reduced model [m]."""
+    """One run of the full model: values [K], misfit of what it predicts, rms distance to the fit it began with [m]."""
 
     values: Float[np.ndarray, " K"]
     misfit: float
