@@ -98,14 +98,7 @@ def draw(seed: int, index: int, count: int, solver: SolverConfig) -> tuple[Case,
 
 
 def run(
-    case: Case,
-    mesh: TetMesh,
-    steps: int,
-    passes: int,
-    tolerance: float,
-    *,
-    log10_shift: float = 0.0,
-    nu_shift: float = 0.0,
+    case: Case, mesh: TetMesh, solver: SolverConfig, *, log10_shift: float = 0.0, nu_shift: float = 0.0
 ) -> np.ndarray:
     """Positions [T, V, 3] m with shifted material, contact law fixed by the unshifted one."""
     body = ElasticBody(
@@ -121,27 +114,40 @@ def run(
         contact_stiffness=50 * case.youngs_modulus / mesh.size,
         contact_smoothing=5e-4 * mesh.size,
     )
-    return simulate(scene, steps_per_frame=steps, friction_passes=passes, tolerance=tolerance).positions
+    return simulate(
+        scene,
+        steps_per_frame=solver.steps_per_frame,
+        flight_steps_per_frame=min(solver.flight_steps_per_frame, solver.steps_per_frame),
+        contact_solver=solver.contact_solver,
+        friction_passes=solver.friction_passes,
+        tolerance=solver.tolerance,
+    ).positions
+
+
+def finer(solver: SolverConfig) -> SolverConfig:
+    """In time: half the steps' length, Newton's tolerance 1e-6."""
+    steps = {name: 2 * getattr(solver, name) for name in ("steps_per_frame", "flight_steps_per_frame")}
+    return solver.model_copy(update=steps | {"tolerance": min(solver.tolerance, 1e-6)})
 
 
 def _rms(difference: np.ndarray) -> float:
     return float(np.sqrt((difference**2).sum(-1).mean()))
 
 
-def measure(index: int, case: Case, family: str, steps: int, passes: int, tolerance: float) -> Offset:
+def measure(index: int, case: Case, family: str, solver: SolverConfig) -> Offset:
     """Offset of one case."""
     clock = time.perf_counter()
-    coarse = run(case, case.mesh, steps, passes, tolerance)
+    coarse = run(case, case.mesh, solver)
     seconds = time.perf_counter() - clock
     fine = refine(case.mesh)
     clock = time.perf_counter()
     nodes = cKDTree(fine.vertices).query(case.mesh.vertices)[1]
-    reference = run(case, fine, 2 * steps, passes, 1e-6)[:, nodes]
+    reference = run(case, fine, finer(solver))[:, nodes]
     reference_seconds = time.perf_counter() - clock
     low, high = max(-STEP_NU, -case.poisson_ratio), min(STEP_NU, 0.495 - case.poisson_ratio)
 
     def shifted(e: float, nu: float) -> np.ndarray:
-        return run(case, case.mesh, steps, passes, tolerance, log10_shift=e, nu_shift=nu)
+        return run(case, case.mesh, solver, log10_shift=e, nu_shift=nu)
 
     by_e = (shifted(STEP_E, 0.0) - shifted(-STEP_E, 0.0)) / (2 * STEP_E)
     by_nu = (shifted(0.0, high) - shifted(0.0, low)) / (high - low)
@@ -186,7 +192,7 @@ def main() -> None:
         if index in (row.index for row in rows) or index not in (options.only or range(options.objects)):
             continue
         case, family = draw(options.seed, index, options.objects, solver)
-        rows.append(measure(index, case, family, solver.steps_per_frame, solver.friction_passes, solver.tolerance))
+        rows.append(measure(index, case, family, solver))
         print(json.dumps(asdict(rows[-1])), flush=True)
         store(sorted(rows, key=lambda row: row.index), options.out, settings)
 

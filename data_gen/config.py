@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from physconvex.configuration import read_tree, set_value, validated
+from physconvex.fem.simulation import ContactSolver
 
 __all__ = [
     "AppearanceConfig",
@@ -125,13 +126,16 @@ class MaterialConfig(Frozen):
 
 class SolverConfig(Frozen):
     """Discretisation: most nodes of the quadratic mesh, most nodes added where the body lands, time steps per video
-    frame, most friction passes per step, Newton's last step relative to the body's size, tries before giving up."""
+    frame, the same at most while it flies before it lands, how contact is solved for (`physconvex.fem.simulate`), most
+    friction passes per step if by passes, Newton's last step relative to the body's size, tries before giving up."""
 
     target_nodes: int = Field(default=1000, ge=20)
     landing_nodes: int = Field(default=400, ge=0)
     steps_per_frame: int = Field(default=24, ge=1)
+    flight_steps_per_frame: int = Field(default=8, ge=1)
+    contact_solver: ContactSolver = "condensed"
     friction_passes: int = Field(default=12, ge=1)
-    tolerance: float = Field(default=1e-6, gt=0)
+    tolerance: float = Field(default=1e-5, gt=0)
     max_attempts: int = Field(default=6, ge=1)
 
 

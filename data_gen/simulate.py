@@ -121,6 +121,8 @@ def simulate_drop(
         frames=video.frames,
         fps=video.fps,
         steps_per_frame=solver.steps_per_frame,
+        flight_steps_per_frame=min(solver.flight_steps_per_frame, solver.steps_per_frame),
+        contact_solver=solver.contact_solver,
         friction_passes=solver.friction_passes,
         tolerance=solver.tolerance,
     )

@@ -50,14 +50,23 @@ class State:
 
 
 def frame_states(
-    advance: Callable[[State, float], State], start: State, *, frames: int, fps: float, steps_per_frame: int
+    advance: Callable[[State, float], State],
+    start: State,
+    *,
+    frames: int,
+    fps: float,
+    steps_per_frame: int | Callable[[State], int],
 ) -> Iterator[State]:
-    """States at the frames: `start`, then those that `steps_per_frame` calls of advance(state, step [s]) lead to."""
+    """States at the frames: `start`, then those that `steps_per_frame` calls of advance(state, step [s]) lead to.
+
+    The number of steps may depend on the state at the frame's start.
+    """
     state = start
     yield state
     for frame in range(1, frames):
-        for _ in range(steps_per_frame):
-            state = advance(state, 1.0 / (fps * steps_per_frame))
+        steps = steps_per_frame if isinstance(steps_per_frame, int) else steps_per_frame(state)
+        for _ in range(steps):
+            state = advance(state, 1.0 / (fps * steps))
         state = replace(state, time=frame / fps)
         yield state
 

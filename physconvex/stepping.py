@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar, runtime_checkable
@@ -27,6 +28,7 @@ from physconvex.integrators import (
 __all__ = ["MAX_HALVINGS", "SolveStatistics", "SolvedPass", "StepObjective", "StepRecord", "Stepper"]
 
 MAX_HALVINGS = 8
+_REMEMBERED = 64  # states: steps may grow so many times at once
 _ENERGY_HALVINGS = 4  # for the energy's sake a step is cut no further
 
 
@@ -109,6 +111,15 @@ class StepObjective(Objective, Protocol):
         """Store what has flowed by the end of a step at x."""
 
 
+def _between(first: State, second: State, time: float) -> State:
+    """The state at a time [s] between two states."""
+    span = second.time - first.time
+    t, rise = (time - first.time) / span, (second.positions - first.positions) / span
+    bend, twist = rise - first.velocities, first.velocities + second.velocities - 2 * rise
+    positions = first.positions + span * t * (first.velocities + t * (bend + (t - 1) * twist))
+    return State(time, positions, first.velocities + t * (2 * bend + (3 * t - 2) * twist))
+
+
 Equations = TypeVar("Equations", bound=StepObjective)
 
 
@@ -122,6 +133,7 @@ class Stepper(Generic[Equations]):
         friction_passes: how often friction is linearised and solved in each step at most.
         stale_rate: contraction of Newton's steps above which a reused factorisation is renewed.
         observer: called with the equations and the record of every converged step.
+        solve: finds the positions at the end of a step from a first guess, in the place of passes.
         energy: total energy [J] of a state, of a scene in which nothing does work from outside.
         energy_tolerance: a step that raises it by more [J] is cut in two as well, four times at most. BDF2 overshoots
             where an impact takes less than a step.
@@ -136,6 +148,7 @@ class Stepper(Generic[Equations]):
         *,
         stale_rate: float,
         observer: Callable[[Equations, StepRecord], None] | None = None,
+        solve: Callable[[np.ndarray], Minimum] | None = None,
         energy: Callable[[State], float] | None = None,
         energy_tolerance: float = math.inf,
     ) -> None:
@@ -143,9 +156,8 @@ class Stepper(Generic[Equations]):
         self._known_energy: tuple[State, float] | None = None
         self.equations, self.integrator = equations, integrator
         self.tolerance, self.friction_passes, self.stale_rate = tolerance, friction_passes, stale_rate
-        self.observer = observer
-        self.previous: State | None = None
-        self.previous_step = math.nan
+        self.observer, self.solve = observer, solve
+        self.recent: deque[State] = deque(maxlen=_REMEMBERED)  # at the starts of the last steps
         self.steps = self.iterations = self.halved = self.projections = 0
 
     def advance(self, state: State, step: float, depth: int = 0) -> State:
@@ -164,11 +176,12 @@ class Stepper(Generic[Equations]):
                     f"time step at t = {state.time:.6g} s failed even at h = {step:.3e} s: {error}"
                 ) from error
             self.halved += 1
-            self.previous, self.equations.factorised = None, False
+            self.recent.clear()
+            self.equations.factorised = False
             middle = self.advance(state, step / 2, depth + 1)
             return self.advance(middle, step / 2, depth + 1)
         self.steps += 1
-        self.previous, self.previous_step = state, step
+        self.recent.append(state)
         self.equations.commit(record.after.positions)
         if self.observer is not None:
             self.observer(self.equations, record)
@@ -176,21 +189,50 @@ class Stepper(Generic[Equations]):
 
     def _try(self, state: State, step: float) -> StepRecord:
         time = state.time + step
-        history = self.previous if math.isclose(self.previous_step, step, rel_tol=1e-9) else None
+        history = self._history(state, step)
         guess = self.equations.first_guess(extrapolate(state, history, step), time)
         two_step = self.integrator == "bdf2" and history is not None
         coefficients = bdf2(state, history, step) if two_step and history else implicit_euler(state, step)
         self.equations.set_step(coefficients, time, guess, state)
-        passes = [self._minimise(guess)]
-        while len(passes) < self.friction_passes and self.equations.freeze_friction(passes[-1].x):
-            passes.append(self._minimise(passes[-1].x))
-            if self.equations.settled(passes[-1].x - passes[-2].x, step):
-                break
+        passes = self._passes(guess, step) if self.solve is None else self._solved_at_once(self.solve, guess)
         x = passes[-1].x
         if not np.isfinite(x).all():
             raise ConvergenceError("the new state is not finite")
         after = State(time, x, coefficients.velocity(x))
         return StepRecord(state, history, two_step, step, coefficients, self.equations.viscous, tuple(passes), after)
+
+    def _history(self, state: State, step: float) -> State | None:
+        """The state one step [s] earlier; between two that are known by Hermite's cubic. None if none is so old.
+
+        An observer follows the last two states alone: for it nothing lies between them.
+        """
+        time, later = state.time - step, state
+        for earlier in reversed(self.recent):
+            if math.isclose(earlier.time, time, rel_tol=0.0, abs_tol=1e-6 * step):
+                return earlier
+            if self.observer is not None:
+                break
+            if earlier.time < time:
+                return _between(earlier, later, time)
+            later = earlier
+        return None
+
+    def _passes(self, guess: np.ndarray, step: float) -> list[SolvedPass]:
+        passes = [self._minimise(guess)]
+        while len(passes) < self.friction_passes and self.equations.freeze_friction(passes[-1].x):
+            passes.append(self._minimise(passes[-1].x))
+            if self.equations.settled(passes[-1].x - passes[-2].x, step):
+                break
+        return passes
+
+    def _solved_at_once(self, solve: Callable[[np.ndarray], Minimum], guess: np.ndarray) -> list[SolvedPass]:
+        """The guess, and the solution with the friction that belongs to it: a last pass that found nothing to do."""
+        first = SolvedPass(guess, self.equations.friction)
+        found = solve(guess)
+        self.iterations += found.iterations
+        self.projections += found.projections
+        self.equations.freeze_friction(found.x)
+        return [first, SolvedPass(found.x, self.equations.friction)]
 
     def _check_energy(self, energy: Callable[[State], float], record: StepRecord) -> None:
         known = self._known_energy

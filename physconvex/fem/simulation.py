@@ -5,6 +5,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -14,13 +15,17 @@ from physconvex.contact import Friction
 from physconvex.errors import InputError
 from physconvex.fem.assembly import Assembler
 from physconvex.fem.carried_contact import CarriedContact
+from physconvex.fem.condensed_contact import CondensedContact
+from physconvex.fem.flight import Flight
 from physconvex.fem.scene import Scene
 from physconvex.inelastic import FlowStep
 from physconvex.integrators import IntegratorName, State, StepCoefficients, check_stepping, frame_states, minimise
 from physconvex.linear_solvers import SymmetricSolver
 from physconvex.stepping import SolveStatistics, Stepper, StepRecord
 
-__all__ = ["StepEquations", "Trajectory", "simulate", "solve_static"]
+__all__ = ["ContactSolver", "StepEquations", "Trajectory", "simulate", "solve_static"]
+
+ContactSolver = Literal["passes", "condensed"]
 
 _STALE_RATE = 0.25
 
@@ -132,6 +137,16 @@ class StepEquations:
         gradient[self.fixed] = 0.0
         return energy, gradient
 
+    def smooth_gradient(self, x: np.ndarray) -> np.ndarray:
+        """The gradient [N] without contact and friction."""
+        _, gradient = self._body_energy_and_gradient(x, with_energy=False)
+        gradient = gradient - self.forces
+        if self.coefficients is not None:
+            gradient = gradient + self._inertia(x, self.coefficients)[1]
+            gradient = gradient + self._resistance(self.coefficients.velocity(x))[1]
+        gradient[self.fixed] = 0.0
+        return gradient
+
     def _body_energy_and_gradient(self, x: np.ndarray, *, with_energy: bool) -> tuple[float, np.ndarray]:
         """Of elasticity, and of viscosity during a time step."""
         if self.coefficients is None or self.viscous is None:
@@ -152,7 +167,13 @@ class StepEquations:
         return 0.5 * float((offset * pull).sum()), pull
 
     def _dissipation(self, velocity: np.ndarray) -> tuple[float, np.ndarray]:
-        loss, force = self.contact.friction_energy_and_gradient(self.friction, velocity)
+        loss, force = self._resistance(velocity)
+        rub, hold = self.contact.friction_energy_and_gradient(self.friction, velocity)
+        return loss + rub, force + hold
+
+    def _resistance(self, velocity: np.ndarray) -> tuple[float, np.ndarray]:
+        """Of the air."""
+        loss, force = 0.0, np.zeros_like(velocity)
         if self.scene.wind is not None:
             power, blow = self.scene.wind.energy_and_gradient(velocity, self.body.mesh.node_areas, self.time)
             loss, force = loss + power, force + blow
@@ -162,17 +183,26 @@ class StepEquations:
         return loss, force
 
     def factorise(self, x: np.ndarray, *, project: bool) -> None:
+        """Factorise Newton's matrix."""
+        self._factorise(x, project=project, contact=True)
+        self.factorised = True
+
+    def factorise_smooth(self, x: np.ndarray, *, project: bool) -> None:
+        """Factorise the derivative of `smooth_gradient`."""
+        self._factorise(x, project=project, contact=False)
+
+    def _factorise(self, x: np.ndarray, *, project: bool, contact: bool) -> None:
         self.factorised = False
         step = np.inf if self.coefficients is None else self.coefficients.step
         ratio = self.scene.damping_time / step
         local = self.body.element_hessians(
             x, project=project, viscous_state=self.viscous, damping_ratio=ratio, response=self.response
         )
-        blocks = self.contact.hessian_blocks(x, self.time)
+        blocks = self.contact.hessian_blocks(x, self.time) if contact else None
         inertia, wind = 0.0, None
         if self.coefficients is not None:
             inertia = 1 / step**2 + self.scene.air_drag / step
-            if self.friction:
+            if self.friction and blocks is not None:
                 blocks += self.contact.friction_blocks(self.friction) / step
             if self.scene.wind is not None:
                 velocity = self.coefficients.velocity(x)
@@ -182,10 +212,11 @@ class StepEquations:
         if wind is not None:
             data = data + self.assembler.blocks(wind)
         self.solver.factorise(data)
-        self.factorised = True
 
-    def _with_contact(self, local: np.ndarray, blocks: np.ndarray) -> np.ndarray:
-        """Entries of the matrix: of the elements, and of contact at nodes or at points that elements carry."""
+    def _with_contact(self, local: np.ndarray, blocks: np.ndarray | None) -> np.ndarray:
+        """Entries of the matrix: of the elements, and of contact at nodes or at points that elements carry, if any."""
+        if blocks is None:
+            return self.assembler.elements(local)
         if isinstance(self.contact, CarriedContact):
             return self.assembler.elements(self.contact.added_to_elements(local, blocks))
         return self.assembler.elements(local) + self.assembler.blocks(blocks)
@@ -208,6 +239,8 @@ def simulate(
     integrator: IntegratorName = "bdf2",
     tolerance: float = 1e-7,
     friction_passes: int = 12,
+    contact_solver: ContactSolver = "passes",
+    flight_steps_per_frame: int | None = None,
     observer: Observer | None = None,
     on_frame: Callable[[State], None] | None = None,
 ) -> Trajectory:
@@ -223,6 +256,11 @@ def simulate(
         friction_passes: how often friction is linearised and solved in each step at most; fewer are made where the
             velocities no longer change by more than the scene's `slip_velocity`. One is explicit in the friction
             weights.
+        contact_solver: "passes" minimises with friction frozen, again and again; "condensed" solves for contact and
+            friction together on the points that touch (`physconvex.fem.condensed_contact`): nothing is frozen, and
+            factors last longer. Where passes converge, both give the same.
+        flight_steps_per_frame: time steps in frames after the first in which the body, which has touched no obstacle
+            yet, will not come near one; `steps_per_frame` unless given.
         observer: told each converged step and its equations.
         on_frame: told the state at each frame after the first.
 
@@ -231,13 +269,23 @@ def simulate(
         ConvergenceError: a step failed even after eight halvings.
     """
     check_stepping(frames, fps, steps_per_frame, integrator, friction_passes)
+    _check_contact_solver(scene, contact_solver)
     length = tolerance * scene.body.mesh.size
+    equations = StepEquations(scene)
+    condensed = CondensedContact(equations, length) if contact_solver == "condensed" else None
     stepper = Stepper(
-        StepEquations(scene), integrator, length, friction_passes, stale_rate=_STALE_RATE, observer=observer
+        equations,
+        integrator,
+        length,
+        friction_passes,
+        stale_rate=_STALE_RATE,
+        observer=observer,
+        solve=None if condensed is None else condensed.solve,
     )
     start = State(0.0, scene.start.copy(), scene.start_velocities())
     states = []
-    for state in frame_states(stepper.advance, start, frames=frames, fps=fps, steps_per_frame=steps_per_frame):
+    flight = Flight(scene, 1 / fps, steps_per_frame, flight_steps_per_frame or steps_per_frame)
+    for state in frame_states(stepper.advance, start, frames=frames, fps=fps, steps_per_frame=flight.steps):
         states.append(state)
         if on_frame is not None and state is not start:
             on_frame(state)
@@ -247,6 +295,15 @@ def simulate(
         velocities=np.stack([s.velocities for s in states]),
         statistics=stepper.statistics(),
     )
+
+
+def _check_contact_solver(scene: Scene, name: str) -> None:
+    if name not in get_args(ContactSolver):
+        raise InputError(f"contact_solver: got {name!r}; expected one of {', '.join(get_args(ContactSolver))}")
+    lagged = scene.body.flow is not None and scene.body.flow.lagged
+    if name == "condensed" and (scene.contact_damping or lagged):
+        what = "contact_damping" if scene.contact_damping else "a flow that takes its pressure from the last pass"
+        raise InputError(f"contact_solver: got 'condensed' with {what}; expected 'passes' there")
 
 
 def solve_static(scene: Scene, *, tolerance: float = 1e-9, load_steps: int = 1) -> Float[np.ndarray, "V 3"]:

@@ -1,0 +1,99 @@
+"""Time steps in which contact and friction are solved for on the touching points alone, nothing frozen.
+
+A time step asks for g(x) + Bᵀ c(B x) = 0, where g is the gradient of what is smooth (inertia, elasticity, viscosity)
+and c the force of contact and Coulomb friction on points B x of the surface. Newton's method with an approximate inverse H
+of ∂g/∂x, without contact in it, asks for a change d = u − H Bᵀ λ with u = −H g and forces λ = c(B (x + d)). With the
+compliance S = B H Bᵀ of the points that is a dense equation in λ alone (static condensation),
+
+    λ = c(B (x + u) − S λ),
+
+solved by `physconvex.fem.dense_contact` in a few steps, whatever sticks, slips or leaves. So nodes that begin or cease
+to touch never ask for a new factor, and normal force and friction agree at the end of the step without any passes. H
+is a factor kept over many steps (`physconvex.fem.kept_factor`).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from physconvex.errors import ConvergenceError
+from physconvex.fem.carried_contact import CarriedContact
+from physconvex.fem.dense_contact import DenseContact
+from physconvex.fem.kept_factor import KeptFactor
+from physconvex.integrators import Minimum
+
+if TYPE_CHECKING:
+    from physconvex.fem.simulation import StepEquations
+
+__all__ = ["CondensedContact"]
+
+_MOST = 60  # Newton steps per time step
+_TIRED = 14  # so many mean that the factor is renewed before the next time step
+_EXACT, _SHARE, _FIRST = 1e-2, 2e-2, 1e-3  # error of the dense equation: of the tolerance, the last step, the first
+_USUAL = 1.0 / 3.0  # what is left of an error that shrinks fourfold, over the last step
+
+
+class CondensedContact:
+    """Solves the time steps that the equations are set to.
+
+    Args:
+        equations: of the steps.
+        tolerance: Newton's last step [m].
+    """
+
+    def __init__(self, equations: StepEquations, tolerance: float) -> None:
+        self.equations, self.tolerance = equations, tolerance
+        contact = equations.contact
+        self.matrix = contact.carried.matrix if isinstance(contact, CarriedContact) else None
+        self.factor = KeptFactor(equations, self.matrix)
+        self.dense = DenseContact(contact.law if isinstance(contact, CarriedContact) else contact)
+        self._last = 0
+
+    def solve(self, guess: np.ndarray) -> Minimum:
+        """Positions [m] at the end of the step, from a first guess.
+
+        Raises:
+            ConvergenceError: Newton's method did not converge.
+        """
+        if not np.isfinite(guess).all():
+            raise ConvergenceError("the first guess is not finite")
+        x, size, since = guess, np.inf, 0
+        fresh = self.factor.prepare(x, renew=self._last > _TIRED)
+        projections = int(fresh and self.factor.projected)
+        self._last = 0
+        for number in range(1, _MOST + 1):
+            gradient = self.equations.smooth_gradient(x)
+            change, previous = self._change(x, gradient, size), size
+            size = float(np.abs(change).max())
+            if not fresh and not (size < previous and since < 2 * _TIRED):
+                fresh, since, previous = self.factor.prepare(x, renew=True), 0, np.inf
+                projections += self.factor.projected
+                change = self._change(x, gradient, previous)
+                size = float(np.abs(change).max())
+            if not size <= self.equations.body.mesh.size:
+                break
+            x, since, fresh = x + change, since + 1, False
+            if size <= self.tolerance * (min(1.0, _USUAL * (previous / size - 1)) if np.isfinite(previous) else _USUAL):
+                self._last = number
+                return Minimum(x, number, size, projections)
+        self.factor.forget()
+        raise ConvergenceError(f"Newton's method with condensed contact left a step of {size:.3e} m")
+
+    def _change(self, x: np.ndarray, gradient: np.ndarray, last: float) -> np.ndarray:
+        """d = u − H Bᵀ λ, after a step of the size `last` [m]."""
+        free = self.factor.apply(x, gradient)
+        time = self.equations.time
+        before, after = (at if self.matrix is None else self.matrix @ at for at in (x, x + free))
+        self.dense.find(before, after, time)
+        points = self.dense.points
+        if not len(points):
+            return free
+        error = _SHARE * last if np.isfinite(last) else _FIRST * float(np.abs(free).max())
+        c = self.equations.coefficients
+        assert c is not None
+        base = (c.base if self.matrix is None else self.matrix @ c.base)[points]
+        compliance = self.factor.compliance(points)
+        self.dense.solve(after[points], compliance, base, c.step, time, goal=max(error, _EXACT * self.tolerance))
+        return free - self.factor.pushed(points, self.dense.total())
