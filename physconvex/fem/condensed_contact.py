@@ -32,6 +32,7 @@ __all__ = ["CondensedContact"]
 _MOST = 60  # Newton steps per time step
 _TIRED = 14  # so many mean that the factor is renewed before the next time step
 _EXACT, _SHARE, _FIRST = 1e-2, 2e-2, 1e-3  # error of the dense equation: of the tolerance, the last step, the first
+_ENOUGH = 0.2  # of the tolerance: error of the dense equation at the end
 _USUAL = 1.0 / 3.0  # what is left of an error that shrinks fourfold, over the last step
 
 
@@ -49,7 +50,8 @@ class CondensedContact:
         self.matrix = contact.carried.matrix if isinstance(contact, CarriedContact) else None
         self.factor = KeptFactor(equations, self.matrix)
         self.dense = DenseContact(contact.law if isinstance(contact, CarriedContact) else contact)
-        self._last = 0
+        self._last = 0  # Newton steps of the last time step
+        self._error = 0.0  # of the last dense equation [m]
 
     def solve(self, guess: np.ndarray) -> Minimum:
         """Positions [m] at the end of the step, from a first guess.
@@ -75,11 +77,16 @@ class CondensedContact:
             if not size <= self.equations.body.mesh.size:
                 break
             x, since, fresh = x + change, since + 1, False
-            if size <= self.tolerance * (min(1.0, _USUAL * (previous / size - 1)) if np.isfinite(previous) else _USUAL):
+            if self._is_enough(size, previous):
                 self._last = number
                 return Minimum(x, number, size, projections)
         self.factor.forget()
         raise ConvergenceError(f"Newton's method with condensed contact left a step of {size:.3e} m")
+
+    def _is_enough(self, size: float, previous: float) -> bool:
+        """Whether a step so long after the previous one [m] leaves as little as one at the tolerance usually does."""
+        share = min(1.0, _USUAL * (previous / max(size, np.finfo(float).tiny) - 1)) if np.isfinite(previous) else _USUAL
+        return size <= share * self.tolerance and self._error <= _ENOUGH * self.tolerance
 
     def _change(self, x: np.ndarray, gradient: np.ndarray, last: float) -> np.ndarray:
         """d = u − H Bᵀ λ, after a step of the size `last` [m]."""
@@ -88,6 +95,7 @@ class CondensedContact:
         before, after = (at if self.matrix is None else self.matrix @ at for at in (x, x + free))
         self.dense.find(before, after, time)
         points = self.dense.points
+        self._error = 0.0
         if not len(points):
             return free
         error = _SHARE * last if np.isfinite(last) else _FIRST * float(np.abs(free).max())
@@ -95,5 +103,6 @@ class CondensedContact:
         assert c is not None
         base = (c.base if self.matrix is None else self.matrix @ c.base)[points]
         compliance = self.factor.compliance(points)
-        self.dense.solve(after[points], compliance, base, c.step, time, goal=max(error, _EXACT * self.tolerance))
+        goal = max(error, _EXACT * self.tolerance)
+        self._error = self.dense.solve(after[points], compliance, base, c.step, time, goal=goal)
         return free - self.factor.pushed(points, self.dense.total())

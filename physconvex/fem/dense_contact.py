@@ -56,8 +56,8 @@ class DenseContact:
         time: float,
         *,
         goal: float,
-    ) -> None:
-        """Find the forces.
+    ) -> float:
+        """Find the forces; the error that is left [m].
 
         Args:
             free: where `points` would be without forces [m].
@@ -65,14 +65,14 @@ class DenseContact:
             base: their velocities are their distances from here over the step [m].
             step: [s].
             time: at the end of the step [s].
-            goal: error left [m].
+            goal: error asked for [m].
 
         Raises:
             ConvergenceError: not found.
         """
         of_pair = self._of_pair
         points = self.points[of_pair]
-        if len(of_pair) > len(self.points):  # some touch two obstacles
+        if not np.array_equal(of_pair, np.arange(len(self.points))):  # more than one obstacle
             dofs = (3 * of_pair[:, None] + np.arange(3)).ravel()
             compliance = compliance[np.ix_(dofs, dofs)]
         problem = _Problem(
@@ -81,12 +81,12 @@ class DenseContact:
         forces = self._forces[self._obstacle, points]
         left, slope = problem.evaluate(forces)
         for _ in range(_MOST):
-            if problem.size(left) <= goal:
+            if (error := problem.size(left)) <= goal:
                 self._forces[:] = 0.0
                 self._forces[self._obstacle, points] = forces
-                return
+                return error
             forces, left, slope = _searched(problem, forces, left, problem.newton_step(left, slope))
-        raise ConvergenceError(f"the forces of contact are left off by {problem.size(left):.3e} m")
+        raise ConvergenceError(f"the forces of contact are left off by {error:.3e} m")
 
 
 class _Problem:

@@ -1,0 +1,151 @@
+"""Contact and friction solved for together on the touching points: the equations hold, impulses obey Coulomb's law."""
+
+import numpy as np
+import pytest
+
+from physconvex.errors import InputError
+from physconvex.fem import ElasticBody, Pins, Plane, Scene, Sphere, SurfacePoints, box_mesh, simulate
+from physconvex.fem.kept_factor import KeptFactor
+from physconvex.fem.simulation import StepEquations
+from physconvex.integrators import State, bdf2
+from physconvex.wind import Wind
+
+BOX = (0.2, 0.2, 0.1)
+FLOOR = Plane(point=(0, 0, -0.02), friction=0.4)
+WALL = Plane(point=(0.21, 0, 0), normal=(-1.0, 0, 0.2), friction=0.7)
+BALL = Sphere(center=(0.05, 0.1, -0.33), radius=0.3, friction=0.5, velocity=(0.2, 0, 0))
+
+
+def thrown(*obstacles, modulus: float = 1e5, **fields) -> Scene:
+    body = ElasticBody(box_mesh(BOX, (2, 2, 1)), youngs_modulus=modulus, poisson_ratio=0.35)
+    motion = {"initial_velocity": (1.0, 0.3, -2.0), "initial_angular_velocity": (2.0, -3.0, 1.0), "damping_time": 1e-3}
+    return Scene(body, obstacles=obstacles, **(motion | fields))
+
+
+def surface_points() -> SurfacePoints:
+    """A grid below the box's bottom, which the box carries."""
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(0, 0.2, 6), np.linspace(0, 0.2, 6)))
+    return SurfacePoints(np.stack([x, y, np.full(36, -0.005)], axis=1), np.full(36, 0.04 / 36))
+
+
+SCENES = {
+    "floor": thrown(FLOOR),
+    "stiff": thrown(FLOOR, modulus=3e6),
+    "two planes": thrown(FLOOR, WALL),
+    "sphere": thrown(BALL),
+    "points": thrown(FLOOR, contact_points=surface_points()),
+    "wind": thrown(FLOOR, wind=Wind(velocity=(5.0, 0, 0)), air_drag=0.5),
+    "pinned": thrown(
+        Plane(point=(0, 0, 0.005), friction=0.5, velocity=(0.3, 0, 0)),
+        pins=Pins(np.flatnonzero(box_mesh(BOX, (2, 2, 1)).vertices[:, 2] > 0.099)),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_every_step_ends_where_all_forces_balance(name):
+    """The gradient with normal forces and slip of the solution itself vanishes, beside that of contact alone."""
+    left, touched = [], []
+
+    def watch(equations, record):
+        x, contact = record.after.positions, equations.contact
+        push = contact.energy_and_gradient(x, record.after.time)[1]
+        if push.any():
+            assert equations.freeze_friction(x)
+            touched.append(np.abs(push).max())
+            left.append(np.abs(equations.gradient(x)).max())
+
+    options = {"frames": 4, "fps": 24, "steps_per_frame": 16, "tolerance": 1e-9}
+    run = simulate(SCENES[name], contact_solver="condensed", observer=watch, **options)
+    assert len(touched) > 3
+    assert max(left) < 1e-4 * max(touched)
+    assert run.statistics.halved_steps == 0
+
+
+@pytest.mark.parametrize(("friction", "modulus"), [(0.2, 1e6), (0.5, 1e5), (0.5, 1e6), (0.8, 1e6)])
+def test_sliding_impact_exchanges_impulses_by_coulombs_law(friction, modulus):
+    """As in `test_contact_motion`, where passes leave up to 3 % on either side.
+
+    Never more than μ times the normal impulse, and little less: the body widens, so that not all slip is straight.
+    """
+    floor = Plane(point=(0, 0, -0.02), friction=friction)
+    still = {"gravity": (0, 0, 0), "initial_angular_velocity": (0, 0, 0), "damping_time": 0.0}
+    scene = thrown(floor, modulus=modulus, initial_velocity=(5.0, 0, -2.0), **still)
+    run = simulate(scene, frames=2, fps=8, steps_per_frame=50, contact_solver="condensed")
+    masses = scene.body.node_masses / scene.body.total_mass
+    start, end = masses @ run.velocities[0], masses @ run.velocities[-1]
+    assert end[2] > 0.8 and end[0] > 1.0  # it bounced, and never stuck
+    assert 0.98 * friction < (start - end)[0] / (end - start)[2] <= friction * (1 + 1e-6)
+
+
+def test_one_factor_lasts_through_flight_turn_and_impact():
+    options = {"frames": 6, "fps": 24, "steps_per_frame": 16, "tolerance": 1e-6}
+    scene = thrown(FLOOR, modulus=3e6, initial_angular_velocity=(8.0, 0, 4.0))
+    kept = simulate(scene, contact_solver="condensed", **options).statistics
+    passes = simulate(scene, **options).statistics
+    assert kept.factorisations == 2  # one for the first step, which is shorter in effect
+    assert passes.factorisations > 10 * kept.factorisations
+    assert kept.newton_iterations < passes.newton_iterations
+
+
+def test_refused_where_a_pass_is_needed():
+    with pytest.raises(InputError, match="contact_damping"):
+        simulate(thrown(FLOOR, contact_damping=1e-3), contact_solver="condensed")
+    with pytest.raises(InputError, match="expected one of passes, condensed"):
+        simulate(thrown(FLOOR), contact_solver="penalty")
+
+
+# --- the kept factor
+
+
+@pytest.fixture
+def turned():
+    """Equations of a step, and where the body lies turned by 40°, a little deformed."""
+    scene = thrown(FLOOR)
+    equations = StepEquations(scene)
+    x = scene.start
+    before, history = State(0.01, x, scene.start_velocities()), State(0.0, x, scene.start_velocities())
+    a = np.radians(40)
+    turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    equations.set_step(bdf2(before, history, 0.01), 0.02, x, before)
+    return equations, x, x @ turn.T
+
+
+def test_the_factor_turns_with_the_body(turned):
+    equations, x, there = turned
+    factor = KeptFactor(equations, None)
+    assert factor.prepare(x, renew=False)
+    assert not factor.prepare(there, renew=False)
+    equations.viscous = equations.body.viscous_state(there)
+    way = np.random.default_rng(0).normal(size=x.shape)
+    change = (equations.smooth_gradient(there + 1e-7 * way) - equations.smooth_gradient(there - 1e-7 * way)) / 2e-7
+    np.testing.assert_allclose(-factor.apply(there, change), way, atol=1e-5)
+
+
+def test_compliance_is_what_forces_on_points_do(turned):
+    equations, x, there = turned
+    factor, rng = KeptFactor(equations, None), np.random.default_rng(1)
+    factor.prepare(x, renew=True)
+    factor.prepare(there, renew=False)
+    place = there.copy()
+    for _ in range(4):  # what is learnt from gradients enters both
+        place = place + 0.3 * factor.apply(place, equations.smooth_gradient(place))
+    for points in (np.array([3, 8]), np.array([1, 8, 20])):  # columns are added
+        forces = rng.normal(size=(len(points), 3))
+        moved = factor.pushed(points, forces)[points]
+        np.testing.assert_allclose((factor.compliance(points) @ forces.ravel()).reshape(-1, 3), moved, rtol=1e-9)
+
+
+def test_what_is_learnt_obeys_the_secant_equation(turned):
+    """Of the last two gradients met: the change of place is H times the change of gradient."""
+    equations, x, there = turned
+    factor, rng = KeptFactor(equations, None), np.random.default_rng(2)
+    factor.prepare(x, renew=True)
+    factor.prepare(there, renew=False)
+    places = there + 0.005 * rng.normal(size=(20, *x.shape))  # more than are kept
+    gradients = [equations.smooth_gradient(place) for place in places]
+    for place, gradient in zip(places, gradients, strict=True):
+        factor.apply(place, gradient)
+    moved = factor.pushed(np.arange(len(x)), gradients[-1] - gradients[-2])
+    np.testing.assert_allclose(moved, places[-1] - places[-2], atol=1e-12)
+    assert equations.factorisations == 1
