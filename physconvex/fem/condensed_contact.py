@@ -1,9 +1,9 @@
 """Time steps in which contact and friction are solved for on the touching points alone, nothing frozen.
 
 A time step asks for g(x) + Bᵀ c(B x) = 0, where g is the gradient of what is smooth (inertia, elasticity, viscosity)
-and c the force of contact and Coulomb friction on points B x of the surface. Newton's method with an approximate inverse H
-of ∂g/∂x, without contact in it, asks for a change d = u − H Bᵀ λ with u = −H g and forces λ = c(B (x + d)). With the
-compliance S = B H Bᵀ of the points that is a dense equation in λ alone (static condensation),
+and c the force of contact and Coulomb friction on points B x of the surface. Newton's method with an approximate
+inverse H of ∂g/∂x, without contact in it, asks for a change d = u − H Bᵀ λ with u = −H g and forces λ = c(B (x + d)).
+With the compliance S = B H Bᵀ of the points that is a dense equation in λ alone (static condensation),
 
     λ = c(B (x + u) − S λ),
 

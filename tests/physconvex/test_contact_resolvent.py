@@ -1,4 +1,4 @@
-"""Contact of a point that gives way: the law of `Contact` at the place it is left at, and the derivative of the force."""
+"""Contact of a point that gives way: the law of `Contact` where the point is left, and the derivative of the force."""
 
 import numpy as np
 import pytest

@@ -1,0 +1,119 @@
+"""Contact by passes and condensed, on the same drops of the generator: cost, and what it does to the motion.
+
+Each drop is simulated with the generator's settings of before (friction frozen and solved for in up to twelve passes,
+steps of equal length, Newton's tolerance 1e-6), with today's, and with today's at half the step and a tolerance of
+1e-6, whose distance to today's is the error of time. Distances are rms over all nodes, at the frames of the impact and
+at the end. Processor time is what counts where other programs run.
+
+    python benchmarks/contact_solvers.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+
+import numpy as np
+import torch
+
+from data_gen.config import SolverConfig, load_config
+from data_gen.scene import draw_drop
+from data_gen.simulate import make_mesh
+from physconvex.fem import ElasticBody, Plane, Scene, simulate
+
+RESULT = Path(__file__).parent / "results" / "contact_solvers.json"
+DROPS = ((2, 2e4), (0, 3e5), (4, 5e6))  # number of the simulation, E [Pa]
+SEED = 11
+BEFORE = {"contact_solver": "passes", "flight_steps_per_frame": 24, "tolerance": 1e-6}
+FINER = {"steps_per_frame": 48, "flight_steps_per_frame": 16, "tolerance": 1e-6}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One drop and setting: cost, and rms distance to the run at half the step [mm] by frame."""
+
+    body: str
+    nodes: int
+    youngs_modulus: float
+    settings: str
+    processor_seconds: float
+    seconds: float
+    steps: int
+    newton_iterations: int
+    factorisations: int
+    halved_steps: int
+    distance_mm: dict[int, float]
+
+
+def main() -> None:
+    """Run all and store the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=24)
+    parser.add_argument("--out", type=Path, default=RESULT)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    rows: list[Row] = []
+    for number, modulus in DROPS:
+        rows += compared(number, modulus, options.frames)
+        content = {
+            "command": " ".join(["python", "benchmarks/contact_solvers.py", *sys.argv[1:]]),
+            "load_average": os.getloadavg()[0],
+            "rows": [asdict(row) for row in rows],
+        }
+        options.out.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def compared(number: int, modulus: float, frames: int) -> list[Row]:
+    """The three runs of one drop."""
+    config = load_config("training", overrides=[f"material.youngs_modulus={modulus}"])
+    drop = draw_drop(config, SEED, number, 0)
+    mesh = make_mesh(drop, config.solver, config.motion.gravity)
+    body = ElasticBody(mesh, youngs_modulus=modulus, poisson_ratio=drop.poisson_ratio, density=drop.density)
+    scene = Scene(
+        body,
+        obstacles=(Plane(friction=drop.friction),),
+        damping_time=drop.damping_time,
+        initial_velocity=drop.initial_velocity,
+        initial_angular_velocity=drop.initial_angular_velocity,
+    )
+    solvers = {name: config.solver.model_copy(update=u) for name, u in (("half the step", FINER), ("today", {}))}
+    solvers["before"] = config.solver.model_copy(update=BEFORE)
+    rows: list[Row] = []
+    best: np.ndarray | None = None
+    for name, solver in solvers.items():
+        run, cost = timed(scene, solver, frames)
+        best = run.positions if best is None else best
+        away = np.sqrt(((run.positions - best) ** 2).sum(-1).mean(1))
+        distance = {k: round(float(1e3 * away[k]), 3) for k in range(3, frames, 4)}
+        s = run.statistics
+        spent = (s.steps, s.newton_iterations, s.factorisations, s.halved_steps)
+        rows.append(Row(drop.body.name, len(mesh.vertices), modulus, name, *cost, *spent, distance))
+        print(rows[-1], flush=True)
+    return rows
+
+
+def timed(scene: Scene, solver: SolverConfig, frames: int) -> tuple[Any, tuple[float, float]]:
+    """A roll-out, and its processor time and time [s]."""
+    start = time.process_time(), time.perf_counter()
+    run = simulate(
+        scene,
+        frames=frames,
+        steps_per_frame=solver.steps_per_frame,
+        flight_steps_per_frame=solver.flight_steps_per_frame,
+        contact_solver=solver.contact_solver,
+        friction_passes=solver.friction_passes,
+        tolerance=solver.tolerance,
+    )
+    return run, (round(time.process_time() - start[0], 2), round(time.perf_counter() - start[1], 2))
+
+
+if __name__ == "__main__":
+    main()
