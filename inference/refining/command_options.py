@@ -15,6 +15,7 @@ __all__ = [
     "Checkpoint",
     "Colours",
     "Correction",
+    "Drift",
     "Exposure",
     "Field",
     "FieldFile",
@@ -122,6 +123,12 @@ Jacobian = Annotated[
 ]
 ModelError = Annotated[
     bool, typer.Option(help="Fit a finer model, and state the error that is left.", rich_help_panel=_MODEL)
+]
+Drift = Annotated[
+    bool,
+    typer.Option(
+        help="Let the recording drift from the model as a rigid body after a contact.", rich_help_panel=_MODEL
+    ),
 ]
 
 Out = Annotated[

@@ -33,6 +33,8 @@ class RefineOptions:
         full_runs: most linearisations (with `jacobian` "reduced": most runs) of the full model.
         jacobian: of the correction: "full", the full model's own derivatives, or "reduced", the reduced model's.
         model_error: runs with a finer mesh and a shorter step, whose difference is added, and the error left stated.
+        drift: from the first contact on, let the recording drift from the model by a rigid motion, where that is
+            likelier (with the full model's derivatives).
         outlines: use the masks of videos.
         colours: last, compare colours instead of points followed in videos.
         exposure: gain and offset of each frame's colours are free.
@@ -57,6 +59,7 @@ class RefineOptions:
     full_runs: int = 8
     jacobian: Literal["full", "reduced"] = "full"
     model_error: bool = True
+    drift: bool = True
     outlines: bool = True
     colours: bool = True
     exposure: bool = True
@@ -90,6 +93,11 @@ class RefineOptions:
                 raise InputError(f"fixed: {name} needs a value, since no capture states it; give {name}=VALUE")
         if self.steps_per_frame is not None and self.steps_per_frame < 1:
             raise InputError(f"steps_per_frame: got {self.steps_per_frame}; expected at least 1")
+
+    @property
+    def own_derivatives(self) -> bool:
+        """Whether the full model is fitted with its own derivatives."""
+        return self.correction and self.jacobian == "full"
 
     def as_json(self) -> dict[str, Any]:
         """All settings, for the result's file."""

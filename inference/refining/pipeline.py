@@ -13,19 +13,21 @@ import numpy as np
 from inference.prediction import Prediction
 from inference.refining.appearance import appearance_of
 from inference.refining.colouring import BLURS, coloured
+from inference.refining.drifting import drift_of, with_drift
 from inference.refining.estimates import estimates_of, finer_mesh, judge
-from inference.refining.fits import arrays_of_correction, arrays_of_fit, arrays_of_scan, fit_of, runs_of, scan_of
+from inference.refining.fits import arrays_of_correction, arrays_of_fit, fit_of, runs_of
 from inference.refining.motion import future_rms, motion_of
 from inference.refining.observing import observe
 from inference.refining.options import RefineOptions
 from inference.refining.problem import Problem
 from inference.refining.result import Refinement
+from inference.refining.searching import ReducedSearch, started_from
 from inference.refining.stages import Stages, key_of
-from inference.refining.starting import scan_range
 from physconvex.capture import Capture, load_capture
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import SurfacePoints
 from physconvex.identify import (
+    DriftingObservations,
     Fit,
     FitOptions,
     FullModel,
@@ -43,7 +45,6 @@ from physconvex.identify import (
     frame_errors,
     identifiability,
     noise_covariance,
-    scan,
 )
 from physconvex.identify.full_fit import FULL_OPTIONS
 from physconvex.identify.nuisance import MarginalObservations
@@ -53,7 +54,7 @@ from physconvex.reduced import parameter_values
 
 __all__ = ["refine"]
 
-_CHEAP_WEIGHTS, _COARSE_RUNS = 6, 6
+_COARSE_RUNS = 6
 _START = FitOptions(relative_tolerance=1e-3, absolute_tolerance=0.1, max_step=1.5)
 _STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses the body; least and most per second
 _NOT_FOLLOWED = 5.0  # standard deviations rms of one source, from which the user is warned
@@ -101,35 +102,37 @@ class _Run:
     def __init__(self, capture: Capture, options: RefineOptions, stages: Stages) -> None:
         self.capture, self.options, self.stages = capture, options, stages
         self.warnings: list[str] = []
+        self.search = ReducedSearch(capture, options, stages, self.warnings)
         self.start_model: FullModel | None = None  # what the points are followed again by
         self.memory = RollOuts()
 
-    @property
-    def own(self) -> bool:
-        """Whether the full model is fitted with its own derivatives."""
-        return self.options.correction and self.options.jacobian == "full"
-
     def refine(self) -> Refinement:
         problem = self._problem()
-        reduced = start = self._reduced_fit(problem)
-        if self.own:
+        reduced = start = self.search.run(problem)
+        if self.options.own_derivatives:
             start = self._coarse_fit(problem, reduced)
         if problem.observed.can_be_anchored:
             problem, start = self._anchored(problem, start)
         problem = self._with_step(problem, start)
-        if self.own and self.start_model is not None:
+        problem = self._with_drift(problem, start, "drift")
+        if self.options.own_derivatives and self.start_model is not None:
             problem = self._with_errors(problem, self.start_model, start)
-        coloured = self.options.colours and (self.own or not self.options.correction) and problem.observed.cameras
+        coloured = (
+            self.options.colours
+            and (self.options.own_derivatives or not self.options.correction)
+            and problem.observed.cameras
+        )
         final, runs, converged = self._corrected(problem, start, last=not coloured)
         if coloured:
             problem, final = self._coloured(problem, final)
+        problem = self._with_drift(problem, final, "drift_last")
         return self._result(problem, reduced, final, runs, converged)
 
     # -- set-up
 
     def _problem(self) -> Problem:
         options = self.options
-        twin = base_twin(self.capture, self._twin_options(options.weights))
+        twin = base_twin(self.capture, TwinOptions(options.weights, options.max_nodes, options.steps_per_frame))
         if "friction" in options.free:
             twin = with_free_friction(twin)
         held = {name: value for name, value in options.fixed.items() if value is not None}
@@ -153,77 +156,7 @@ class _Run:
             return None
         return SurfacePoints.of_triangles(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces))
 
-    def _twin_options(self, weights: int) -> TwinOptions:
-        return TwinOptions(weights, self.options.max_nodes, self.options.steps_per_frame)
-
     # -- stages
-
-    def _reduced_fit(self, problem: Problem) -> Fit:
-        names = problem.names
-        if "log10_youngs_modulus" not in names or "log10_youngs_modulus" in self.options.initial:
-            first = replace(problem, twin=self._cheap(problem)) if self.own else problem
-            return self._fit("reduced", first, problem.parameters)
-        starts = scan_of(self.stages.run("scan", lambda: self._scan(problem)), problem.parameters)
-        return fit_of(self.stages.run("reduced", lambda: self._best(problem, starts)), problem.parameters)
-
-    def _cheap(self, problem: Problem) -> Twin:
-        """Few weights, few nodes and long steps, the same world: for the scan."""
-        options = self._twin_options(min(_CHEAP_WEIGHTS, self.options.weights))
-        twin = base_twin(self.capture, options, mesh=coarse_mesh(self.capture, problem.twin.mesh))
-        own = problem.twin.scene
-        twin = twin.with_scene(
-            obstacles=own.obstacles,
-            initial_velocity=own.initial_velocity,
-            initial_angular_velocity=own.initial_angular_velocity,
-        )
-        held = {n: v for n, v in self.options.fixed.items() if v is not None}
-        if held:
-            twin = twin.with_values(list(held), np.array(list(held.values())))
-        return replace(twin, steps_per_frame=max(4, twin.steps_per_frame // 2))
-
-    def _scan(self, problem: Problem) -> dict[str, np.ndarray]:
-        moduli, ratios, note = scan_range(self.capture, problem.twin.mesh.size, self.options)
-        if note:
-            self.warnings.append(note)
-        frames = problem.windows[0]
-        cheap = replace(problem, twin=self._cheap(problem)).first(frames)
-        found = scan(cheap.reduced(), cheap.seen, problem.parameters, moduli=moduli, ratios=ratios)
-        return arrays_of_scan(found)
-
-    def _best(self, problem: Problem, starts: tuple[tuple[Parameter, ...], ...]) -> dict[str, np.ndarray]:
-        """A few cheap iterations from the two best starts, then the model itself from the better one."""
-        cheap = replace(problem, twin=self._cheap(problem))
-        trials = [trial for start in starts if (trial := self._grown(cheap, start)) is not None]
-        best = min(trials, key=lambda trial: trial.misfit) if trials else None
-        if best is not None and self.own:  # a finer reduced model would cost as much as the full one, which comes next
-            return arrays_of_fit(best)
-        chosen = starts[0] if best is None else _from(problem.parameters, best)
-        return arrays_of_fit(self._fitted(problem, chosen))
-
-    def _fitted(self, problem: Problem, start: tuple[Parameter, ...]) -> Fit:
-        return fit(problem.reduced(), problem.seen, start, options=self._reduced_options())
-
-    def _reduced_options(self) -> FitOptions:
-        """Where the full model is fitted next, the reduced one need not settle to the last digit."""
-        if self.options.correction and self.options.jacobian == "full":
-            return FitOptions(max_iterations=8, relative_tolerance=1e-3, absolute_tolerance=0.1)
-        return FitOptions()
-
-    def _grown(self, cheap: Problem, start: tuple[Parameter, ...]) -> Fit | None:
-        """Fit longer and longer parts of the motion; None where the body cannot be simulated."""
-        found = None
-        for frames in cheap.windows:
-            part = cheap.first(frames)
-            try:
-                found = fit(part.reduced(), part.seen, start, options=FitOptions(max_iterations=6))
-            except ConvergenceError:
-                return None
-            start = _from(cheap.parameters, found)
-        return found
-
-    def _fit(self, name: str, problem: Problem, start: tuple[Parameter, ...]) -> Fit:
-        arrays = self.stages.run(name, lambda: arrays_of_fit(self._fitted(problem, start)))
-        return fit_of(arrays, problem.parameters)
 
     def _coarse_fit(self, problem: Problem, start: Fit) -> Fit:
         """The full model on few nodes, with long steps: a start without the reduced model's stiffness."""
@@ -232,14 +165,26 @@ class _Run:
         coarse = replace(problem.full(self.memory), twin=twin, mesh=None if mesh is twin.mesh else mesh)
 
         def compute() -> Arrays:
-            return arrays_of_fit(fit_full(coarse, problem.seen, start, max_runs=_COARSE_RUNS, options=_START).fit)
+            return arrays_of_fit(fit_full(coarse, seen, start, max_runs=_COARSE_RUNS, options=_START).fit)
 
         self.start_model = coarse
         try:
+            seen = problem.seen
+            if self.options.drift:
+                seen = with_drift(problem, coarse, start, self.stages, "drift_coarse").seen
             return fit_of(self.stages.run("coarse", compute), problem.parameters)
         except ConvergenceError:  # too few nodes to be simulated: from the reduced model then
             self.start_model = None
             return start
+
+    def _with_drift(self, problem: Problem, found: Fit, name: str) -> Problem:
+        """The problem with the rigid drift that is likely at the full model of a fit."""
+        if not (self.options.own_derivatives and self.options.drift):
+            return problem
+        try:
+            return with_drift(problem, problem.full(self.memory), found, self.stages, name)
+        except ConvergenceError:  # the correction will say so
+            return problem
 
     def _anchored(self, problem: Problem, start: Fit) -> tuple[Problem, Fit]:
         """Points followed again from where the fitted model puts them; the reduced model is fitted to them anew."""
@@ -250,9 +195,9 @@ class _Run:
 
         anchored = problem.observed.anchored(self.capture, problem.twin, move, self.stages)
         problem = replace(problem, observed=anchored)
-        if self.own:
+        if self.options.own_derivatives:
             return problem, start
-        return problem, self._fit("reduced_again", problem, _from(problem.parameters, start))
+        return problem, self.search.fit("reduced_again", problem, started_from(problem.parameters, start))
 
     def _with_step(self, problem: Problem, start: Fit) -> Problem:
         """The problem with time steps that suit the body's elastic waves, unless the user gave their number.
@@ -291,7 +236,7 @@ class _Run:
         def compute() -> dict[str, np.ndarray]:
             most = self.options.full_runs
             full = problem.full(self.memory)
-            if self.own:
+            if self.options.own_derivatives:
                 settings = FULL_OPTIONS if last else _START
                 return arrays_of_correction(fit_full(full, problem.weighted, start, max_runs=most, options=settings))
             return arrays_of_correction(correct(problem.reduced(), full, problem.seen, start, max_runs=most))
@@ -317,9 +262,9 @@ class _Run:
         for blur in BLURS:
             model = problem.full(self.memory) if self.options.correction else problem.reduced()
             observed = coloured(problem.observed, self.capture, problem.twin, model, found, self.options, blur)
-            trial = replace(problem, observed=observed)
-            start = _from(problem.parameters, found)
-            model = trial.full(self.memory) if self.own else trial.reduced()
+            trial = self._with_drift(replace(problem, observed=observed), found, f"drift_{blur:g}")
+            start = started_from(problem.parameters, found)
+            model = trial.full(self.memory) if self.options.own_derivatives else trial.reduced()
 
             def compute(model: Model = model, seen: Observations = trial.weighted, start: Start = start) -> Arrays:
                 return arrays_of_fit(fit(model, seen, start, options=FULL_OPTIONS))
@@ -341,9 +286,9 @@ class _Run:
         motion = motion_of(self.capture, full, final, self.options, self.stages, mesh=judged.mesh)
         appearance = appearance_of(self.capture, motion, self.options, self.stages, self.warnings.append)
         told = identifiability(final)
-        seen = problem.observed.observations
-        rms = problem.observed.rms(seen.residuals(final.positions))
-        self.warnings += _not_followed(rms)
+        seen, drift = problem.observed.observations, drift_of(problem, final)
+        rms = problem.observed.rms(seen.residuals(_drifted(problem, final)))
+        self.warnings += [*_not_followed(rms), *(() if drift is None else drift.sentences())]
         held = [n for n in dict.fromkeys(["log10_youngs_modulus", "poisson_ratio", *self.options.fixed])]
         held = [n for n in held if n not in problem.names]
         values = parameter_values(problem.twin.scene, held) if held else np.zeros(0)
@@ -355,6 +300,7 @@ class _Run:
             reduced_chi_square=final.reduced_chi_square,
             residual_rms=rms,
             nuisances=_nuisances(problem, final),
+            drift=drift,
             appearance=appearance,
             frame_errors=judged.frame_errors,
             future_rms=future_rms(self.capture, motion),
@@ -370,10 +316,6 @@ class _Run:
         )
 
 
-def _from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Parameter, ...]:
-    return tuple(p.at(float(v)) for p, v in zip(parameters, found.values, strict=True))
-
-
 def _not_followed(rms: dict[str, float]) -> list[str]:
     return [
         f"The model does not follow {source}: {value:.0f} standard deviations rms. Its mesh, the floor, the camera or "
@@ -383,6 +325,13 @@ def _not_followed(rms: dict[str, float]) -> list[str]:
     ]
 
 
-def _nuisances(problem: Problem, found: Fit) -> dict[str, float]:
+def _drifted(problem: Problem, found: Fit) -> np.ndarray:
+    """Where the points were by the fit, the rigid drift with them [m]."""
     seen = problem.seen
-    return seen.estimates(found.positions) if isinstance(seen, MarginalObservations) else {}
+    drift = seen.drift(found.positions) if isinstance(seen, DriftingObservations) else 0.0
+    return np.asarray(found.positions + drift)
+
+
+def _nuisances(problem: Problem, found: Fit) -> dict[str, float]:
+    seen = problem.undrifted
+    return seen.estimates(_drifted(problem, found)) if isinstance(seen, MarginalObservations) else {}

@@ -8,7 +8,16 @@ import numpy as np
 
 from inference.refining.observing import Observed
 from physconvex.fem import SurfacePoints
-from physconvex.identify import FullModel, Observations, Parameter, ReducedModel, RollOuts, Twin, WeightedObservations
+from physconvex.identify import (
+    DriftingObservations,
+    FullModel,
+    Observations,
+    Parameter,
+    ReducedModel,
+    RollOuts,
+    Twin,
+    WeightedObservations,
+)
 from physconvex.identify.nuisance import MarginalObservations, Nuisance
 
 __all__ = ["Problem"]
@@ -27,6 +36,7 @@ class Problem:
         nuisance: priors of camera and clock.
         surface: points at which obstacles act, in the place of the mesh's nodes.
         errors: of the model by frame, in standard deviations of the noise, shape [T].
+        drift: first frame and standard deviation [m/s] of the rigid drift after a contact; None without.
     """
 
     twin: Twin
@@ -35,6 +45,7 @@ class Problem:
     nuisance: Nuisance = field(default_factory=Nuisance)
     surface: SurfacePoints | None = None
     errors: np.ndarray | None = None
+    drift: tuple[int, float] | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -42,10 +53,18 @@ class Problem:
         return tuple(p.name for p in self.parameters)
 
     @property
-    def seen(self) -> Observations:
-        """What was seen, nuisances eliminated."""
+    def undrifted(self) -> Observations:
+        """What was seen, nuisances of camera and clock eliminated."""
         seen = self.observed.observations
         return MarginalObservations(seen, self.nuisance, 1 / self.twin.fps) if self.nuisance.any else seen
+
+    @property
+    def seen(self) -> Observations:
+        """What was seen, all nuisances eliminated."""
+        seen = self.undrifted
+        return (
+            seen if self.drift is None else DriftingObservations(seen, self.drift[0], 1 / self.twin.fps, self.drift[1])
+        )
 
     @property
     def weighted(self) -> Observations:

@@ -13,9 +13,10 @@ from physconvex.convex import ConvexField
 from physconvex.fem import TetMesh
 from physconvex.identify import FullRun, Identifiability, Iteration
 
-__all__ = ["REFINEMENT_SCHEMA", "UNITS", "Estimate", "MovingField", "RefinedMotion", "Refinement"]
+__all__ = ["REFINEMENT_SCHEMA", "UNITS", "Estimate", "MovingField", "RefinedMotion", "Refinement", "RigidDrift"]
 
 REFINEMENT_SCHEMA = "physconvex/refinement/1"
+_DRIFT_TOLD = 0.01  # of the size: from here on the user is told
 _NINETY = 1.6448536269514722  # of a normal distribution, both sides
 UNITS = {
     "log10_youngs_modulus": "log10(Pa)",
@@ -140,6 +141,38 @@ class RefinedMotion:
 
 
 @dataclass(frozen=True, eq=False)
+class RigidDrift:
+    """How the recording parts from the model as a rigid body.
+
+    Attributes:
+        first_frame: of the first contact.
+        sigma: standard deviation of the change of velocity in each frame [m/s].
+        rms: distance by frame [m], shape [T].
+        size: of the body [m].
+    """
+
+    first_frame: int
+    sigma: float
+    rms: Float[np.ndarray, " T"]
+    size: float
+
+    def to_json(self) -> dict[str, object]:
+        """For `refinement.json`."""
+        return {"first_frame": self.first_frame, "sigma_m_per_s": self.sigma, "rms_m": [float(r) for r in self.rms]}
+
+    def sentences(self) -> tuple[str, ...]:
+        """What the user should know."""
+        share = float(self.rms.max()) / self.size
+        if share < _DRIFT_TOLD:
+            return ()
+        return (
+            f"From the contact by frame {self.first_frame} on the recording drifts from the model as a rigid body, by "
+            f"{100 * share:.0f} % of its size at most; the estimates rest on what is left. Contact points, friction "
+            "or the initial motion may be other than stated.",
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class Refinement:
     """Parameters with uncertainty, motion and history of one capture.
 
@@ -164,6 +197,7 @@ class Refinement:
         warnings: what the user should know.
         nuisances: camera pose and time offset, where they were free, by name and unit.
         appearance: the object as a convex field that moves with the body; None without one.
+        drift: of the recording from the model as a rigid body, after a contact; None where none is likely.
     """
 
     path: str
@@ -185,6 +219,7 @@ class Refinement:
     warnings: tuple[str, ...]
     nuisances: dict[str, float]
     appearance: MovingField | None = None
+    drift: RigidDrift | None = None
 
     def __getitem__(self, name: str) -> Estimate:
         """The estimate of a free parameter."""
@@ -256,4 +291,5 @@ class Refinement:
             "sources": list(self.sources),
             "warnings": list(self.warnings),
             "nuisances": self.nuisances,
+            "rigid_drift": self.drift.to_json() if self.drift else None,
         }

@@ -6,8 +6,9 @@ The solution x of a time step is where the gradient g(x, past states, p) of its 
 
 The left side is one directional derivative of g, taken by central differences of g itself (two evaluations, no
 matrix); dx/dp follows by iteration with the factorisation that Newton's method has left behind. Whatever a step freezes
-(viscosity at the guess, friction at the last pass) is frozen anew on both sides, and so differentiated. Any parameter
-that a scene can be built from will do.
+(viscosity at the guess, friction at the start and at each pass before) is frozen anew on both sides, and so
+differentiated: pass by pass, as the step itself went. (The derivative of passes that had gone on for ever is another
+one, and where a point sticks it can be a hundred times as large.) Any parameter that a scene can be built from will do.
 """
 
 from __future__ import annotations
@@ -67,12 +68,13 @@ class _Side:
         assert self.scene.pins is not None
         return self.scene.pins.positions(time, self.scene.start)
 
-    def gradient(self, record: StepRecord, tangent: np.ndarray) -> np.ndarray:
-        """g at the solution moved along its tangent."""
-        x = record.after.positions + self.change * tangent
-        if len(record.passes) > 1:
-            self.equations.freeze_friction(x)
-        return self.equations.gradient(x)
+    def freeze_friction(self, x: np.ndarray, tangent: np.ndarray) -> None:
+        """Take friction anew, at the solution of a pass moved along its tangent."""
+        self.equations.freeze_friction(x + self.change * tangent)
+
+    def gradient(self, x: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+        """g at a solution moved along its tangent."""
+        return self.equations.gradient(x + self.change * tangent)
 
 
 def _moved(state: State, tangent: State, change: float) -> State:
@@ -105,9 +107,14 @@ class _Tangent:
             guess[pins.nodes] = (self.ahead.pinned(time) - self.behind.pinned(time)) / self.span
         return guess
 
-    def residual(self, record: StepRecord, tangent: np.ndarray) -> np.ndarray:
-        """The directional derivative of g."""
-        return (self.ahead.gradient(record, tangent) - self.behind.gradient(record, tangent)) / self.span
+    def freeze_friction(self, x: np.ndarray, tangent: np.ndarray) -> None:
+        """Begin another pass, from the solution of the last one."""
+        for side in (self.ahead, self.behind):
+            side.freeze_friction(x, tangent)
+
+    def residual(self, x: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+        """The directional derivative of g at a solution."""
+        return (self.ahead.gradient(x, tangent) - self.behind.gradient(x, tangent)) / self.span
 
     def relative(self, update: np.ndarray, tangent: np.ndarray) -> float:
         """Size of an update beside the tangent that it leads to."""
@@ -145,22 +152,32 @@ class _Tangents:
 
     def observe(self, equations: StepEquations, record: StepRecord) -> None:
         found = [tangent.set_step(record) for tangent in self.tangents]
+        for number, solved in enumerate(record.passes):
+            if number:
+                for tangent, x in zip(self.tangents, found, strict=True):
+                    tangent.freeze_friction(record.passes[number - 1].x, x)
+            equations.friction = solved.friction
+            found = self._solved(equations, solved.x, found)
+        for tangent, x in zip(self.tangents, found, strict=True):
+            tangent.advance(record, x)
+
+    def _solved(self, equations: StepEquations, x: np.ndarray, found: list[np.ndarray]) -> list[np.ndarray]:
+        """The tangents at the solution x of one pass."""
         last, renewed = np.inf, False
         for _ in range(_MOST):
-            residuals = [t.residual(record, x) for t, x in zip(self.tangents, found, strict=True)]
+            residuals = [t.residual(x, dx) for t, dx in zip(self.tangents, found, strict=True)]
             updates = [equations.solve(residual) for residual in residuals]
             triples = zip(self.tangents, updates, found, strict=True)
-            size = max(tangent.relative(update, x) for tangent, update, x in triples)
+            size = max(tangent.relative(update, dx) for tangent, update, dx in triples)
             if size > _SLOW * last and not renewed:
-                renewed, last = _renewed(equations, record.after.positions), np.inf
+                renewed, last = _renewed(equations, x), np.inf
                 updates = [equations.solve(residual) for residual in residuals]
             else:
                 last = size
-            found = [x - update for x, update in zip(found, updates, strict=True)]
+            found = [dx - update for dx, update in zip(found, updates, strict=True)]
             if size <= _TOLERANCE:
                 break
-        for tangent, x in zip(self.tangents, found, strict=True):
-            tangent.advance(record, x)
+        return found
 
     def positions(self) -> np.ndarray:
         return np.stack([tangent.state.positions for tangent in self.tangents])

@@ -9,6 +9,7 @@ from physconvex.identify.correction import (
     parameter_shift,
     parameter_shifts,
 )
+from physconvex.identify.drift import DriftingObservations, first_contact, likely_drift
 from physconvex.identify.finer import FinerFit, fit_finer
 from physconvex.identify.full_fit import fit_full
 from physconvex.identify.held_region import HeldRegion
@@ -40,6 +41,7 @@ __all__ = [
     "Clamp",
     "CorrectedModel",
     "Correction",
+    "DriftingObservations",
     "FinerFit",
     "Fit",
     "FitOptions",
@@ -68,11 +70,13 @@ __all__ = [
     "correct",
     "default_parameter",
     "default_parameters",
+    "first_contact",
     "fit",
     "fit_finer",
     "fit_full",
     "frame_errors",
     "identifiability",
+    "likely_drift",
     "marginal_deviations",
     "marker_observations",
     "mesh_of_capture",

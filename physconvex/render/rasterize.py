@@ -19,6 +19,7 @@ from physconvex.render.kernel import composite_kernel, planar_hulls_kernel
 from physconvex.render.native import KernelUnavailable, load_library
 from physconvex.render.projection import NEAR, Splats, project
 from physconvex.render.reference import Layers, composite_reference
+from physconvex.render.trial import draws_rightly
 from physconvex.render.view import View
 
 __all__ = ["Backend", "RenderedImage", "render", "splat"]
@@ -53,11 +54,16 @@ def splat(
     field: ConvexField, view: View, *, near: float = NEAR, backend: Backend = "auto"
 ) -> tuple[Splats, Callable[[Splats, Tensor], Layers]]:
     """The polygons of a field, and what blends them, by the chosen implementation, see `render`."""
-    if backend == "cuda":
+    if backend == "cuda" or (backend == "auto" and _is_fast_on(field.points)):
         return project(field, view, near=near), composite_cuda
     if _uses_kernel(field.points, backend):
         return project(field, view, near=near, hulls=planar_hulls_kernel), composite_kernel
     return project(field, view, near=near), composite_reference
+
+
+def _is_fast_on(tensor: Tensor) -> bool:
+    """Whether the CUDA kernel draws such tensors, and rightly."""
+    return tensor.device.type == "cuda" and tensor.dtype == torch.float32 and draws_rightly(tensor.device)
 
 
 def _uses_kernel(tensor: Tensor, backend: Backend) -> bool:
@@ -94,8 +100,9 @@ def render(
         background: one colour or one per pixel; white if not given.
         near: what is nearer than this is cut away [m].
         backend: `reference` is the definition in plain torch; `kernel` computes the same in float32 on the CPU and
-            needs a C++ compiler; `cuda` computes it on a CUDA device (checked in emulation, not yet on a device);
-            `auto` takes the kernel for float32 on the CPU where it can be had (or warns), else the reference.
+            needs a C++ compiler; `cuda` computes it on a CUDA device; `auto` takes the kernel of the device for float32
+            where it can be had (on a CUDA device: where a small trial scene comes out as the reference draws it), or
+            warns and takes the reference.
 
     Raises:
         InputError: a background of another shape, `near` not positive, no such backend, a view of another type.

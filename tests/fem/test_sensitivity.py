@@ -1,5 +1,7 @@
 """Derivatives of a full-order roll-out against central differences of whole roll-outs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -19,6 +21,12 @@ def thrown(values):
     return Scene(body, obstacles=(floor,), damping_time=values[2], initial_velocity=(0.1, 0.0, values[3]))
 
 
+def rough(values):
+    """The same box on a rough floor, in part sticking."""
+    scene = thrown(values)
+    return replace(scene, obstacles=tuple(replace(plane, friction=0.8) for plane in scene.obstacles))
+
+
 def held(values):
     """A bar that is led sideways at one end, as far as the fourth value says."""
     mesh = box_mesh((0.3, 0.1, 0.1), (3, 1, 1), order=2)
@@ -36,6 +44,16 @@ def test_against_central_differences_of_whole_roll_outs(scene_of):
         moved = [simulate(scene_of(VALUES + s * width * np.eye(4)[k]), **TIMING).positions for s in (1, -1)]
         slope = (moved[0] - moved[1]) / (2 * width)
         assert np.linalg.norm(found.position_tangents[:, k] - slope) < 2e-3 * np.linalg.norm(slope)
+
+
+@pytest.mark.parametrize("passes", [1, 3, pytest.param(12, marks=pytest.mark.slow)])
+def test_friction_is_differentiated_pass_by_pass(passes):
+    timing = TIMING | {"frames": 6, "friction_passes": passes}
+    found = simulate_with_sensitivities(rough, VALUES, steps=STEPS, **timing)
+    for k, width in enumerate(3 * STEPS):
+        moved = [simulate(rough(VALUES + s * width * np.eye(4)[k]), **timing).positions for s in (1, -1)]
+        slope = (moved[0] - moved[1]) / (2 * width)
+        assert np.linalg.norm(found.position_tangents[:, k] - slope) < 1e-3 * np.linalg.norm(slope)
 
 
 def test_at_a_bound_the_difference_is_taken_on_one_side():

@@ -1,0 +1,113 @@
+"""The search with the reduced model: a scan over E and ν, then a fit from the best of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from inference.refining.fits import arrays_of_fit, arrays_of_scan, fit_of, scan_of
+from inference.refining.options import RefineOptions
+from inference.refining.problem import Problem
+from inference.refining.stages import Stages
+from inference.refining.starting import scan_range
+from physconvex.capture import Capture
+from physconvex.errors import ConvergenceError
+from physconvex.identify import Fit, FitOptions, Parameter, Twin, TwinOptions, base_twin, fit, scan
+from physconvex.identify.twin import coarse_mesh
+
+__all__ = ["ReducedSearch", "started_from"]
+
+_CHEAP_WEIGHTS = 6
+
+
+def started_from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Parameter, ...]:
+    """The parameters, starting where a fit has ended."""
+    return tuple(p.at(float(v)) for p, v in zip(parameters, found.values, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedSearch:
+    """The search of one refinement.
+
+    Attributes:
+        capture, options, stages: of the refinement.
+        warnings: what the user should know is added here.
+    """
+
+    capture: Capture
+    options: RefineOptions
+    stages: Stages
+    warnings: list[str]
+
+    def run(self, problem: Problem) -> Fit:
+        """Scan and fit, or fit alone where the start is known."""
+        names = problem.names
+        if "log10_youngs_modulus" not in names or "log10_youngs_modulus" in self.options.initial:
+            first = replace(problem, twin=self._cheap(problem)) if self.options.own_derivatives else problem
+            return self.fit("reduced", first, problem.parameters)
+        starts = scan_of(self.stages.run("scan", lambda: self._scan(problem)), problem.parameters)
+        return fit_of(self.stages.run("reduced", lambda: self._best(problem, starts)), problem.parameters)
+
+    def _cheap(self, problem: Problem) -> Twin:
+        """Few weights, few nodes and long steps, the same world: for the scan."""
+        given = self.options
+        options = TwinOptions(min(_CHEAP_WEIGHTS, given.weights), given.max_nodes, given.steps_per_frame)
+        twin = base_twin(self.capture, options, mesh=coarse_mesh(self.capture, problem.twin.mesh))
+        own = problem.twin.scene
+        twin = twin.with_scene(
+            obstacles=own.obstacles,
+            initial_velocity=own.initial_velocity,
+            initial_angular_velocity=own.initial_angular_velocity,
+        )
+        held = {n: v for n, v in self.options.fixed.items() if v is not None}
+        if held:
+            twin = twin.with_values(list(held), np.array(list(held.values())))
+        return replace(twin, steps_per_frame=max(4, twin.steps_per_frame // 2))
+
+    def _scan(self, problem: Problem) -> dict[str, np.ndarray]:
+        moduli, ratios, note = scan_range(self.capture, problem.twin.mesh.size, self.options)
+        if note:
+            self.warnings.append(note)
+        frames = problem.windows[0]
+        cheap = replace(problem, twin=self._cheap(problem)).first(frames)
+        found = scan(cheap.reduced(), cheap.seen, problem.parameters, moduli=moduli, ratios=ratios)
+        return arrays_of_scan(found)
+
+    def _best(self, problem: Problem, starts: tuple[tuple[Parameter, ...], ...]) -> dict[str, np.ndarray]:
+        """A few cheap iterations from the two best starts, then the model itself from the better one."""
+        cheap = replace(problem, twin=self._cheap(problem))
+        trials = [trial for start in starts if (trial := self._grown(cheap, start)) is not None]
+        best = min(trials, key=lambda trial: trial.misfit) if trials else None
+        if (
+            best is not None and self.options.own_derivatives
+        ):  # a finer reduced model would cost as much as the full one, which comes next
+            return arrays_of_fit(best)
+        chosen = starts[0] if best is None else started_from(problem.parameters, best)
+        return arrays_of_fit(self._fitted(problem, chosen))
+
+    def _fitted(self, problem: Problem, start: tuple[Parameter, ...]) -> Fit:
+        return fit(problem.reduced(), problem.seen, start, options=self._reduced_options())
+
+    def _reduced_options(self) -> FitOptions:
+        """Where the full model is fitted next, the reduced one need not settle to the last digit."""
+        if self.options.correction and self.options.jacobian == "full":
+            return FitOptions(max_iterations=8, relative_tolerance=1e-3, absolute_tolerance=0.1)
+        return FitOptions()
+
+    def _grown(self, cheap: Problem, start: tuple[Parameter, ...]) -> Fit | None:
+        """Fit longer and longer parts of the motion; None where the body cannot be simulated."""
+        found = None
+        for frames in cheap.windows:
+            part = cheap.first(frames)
+            try:
+                found = fit(part.reduced(), part.seen, start, options=FitOptions(max_iterations=6))
+            except ConvergenceError:
+                return None
+            start = started_from(cheap.parameters, found)
+        return found
+
+    def fit(self, name: str, problem: Problem, start: tuple[Parameter, ...]) -> Fit:
+        """The fit of that stage, from a start."""
+        arrays = self.stages.run(name, lambda: arrays_of_fit(self._fitted(problem, start)))
+        return fit_of(arrays, problem.parameters)

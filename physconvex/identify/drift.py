@@ -1,0 +1,171 @@
+"""How a body flies on after it has struck something hangs on details that no model has: rigid drift, eliminated.
+
+A mesh that is off by a hundredth of the size where a body lands turns the rebound by degrees, and a fit that may not
+move the body as a whole bends its material until the rebound is right. So from the first contact on the recording may
+part from the model by a rigid motion that grows: every frame k after it adds a change of velocity δv_k, of spin δω_k,
+
+    x_t → x_t + Σ_{k ≤ t} (t − k + ½) Δt [δv_k + δω_k × (x_t − c_t)],     δv_k, r δω_k ~ N(0, q²) in each axis,
+
+with c_t the points' centre and r their radius of gyration: an integrated random walk, as process noise is in a Kalman
+smoother. The kicks are fitted (a few Gauss–Newton steps, since drift may exceed what images are linear in) and the
+residuals whitened by (I + N Nᵀ)^(−½) about the fitted drift, N their derivatives by the kicks in units of q: estimates
+and intervals hold whatever the drift was. q is where the marginal likelihood is largest, ½ log det(I + N Nᵀ) its price;
+it is zero where the model follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.contact import Plane, Sphere
+from physconvex.identify.observations import Observations, WrappedObservations
+
+__all__ = ["DriftingObservations", "first_contact", "likely_drift"]
+
+_TURNS, _SETTLED = 6, 1e-3  # Gauss–Newton steps of the kicks, and the last of them in standard deviations
+_SHARES = (1e-3, 3e-3, 1e-2, 3e-2, 0.1)  # of the speed at the contact, tried as q
+_TOUCH = 2e-3  # of the body's size
+
+
+def first_contact(
+    positions: Float[np.ndarray, "T P 3"],
+    obstacles: Sequence[Plane | Sphere],
+    times: Float[np.ndarray, " T"],
+    gravity: Sequence[float] | Float[np.ndarray, " 3"],
+) -> int | None:
+    """The first frame by which one of the points has touched an obstacle, at least 1; None where none does.
+
+    A touch between two frames shows in where free flight from the frames before would have ended.
+
+    Args:
+        positions: of points of the surface [m].
+        obstacles: planes and spheres.
+        times: of the frames, equally spaced [s].
+        gravity: [m/s²].
+    """
+    reach = _TOUCH * float(np.ptp(positions[0], axis=0).max())
+    fall = np.asarray(gravity) * (times[1] - times[0]) ** 2 if len(times) > 1 else np.zeros(3)
+    for frame, (points, time) in enumerate(zip(positions, times, strict=True)):
+        free = 2 * positions[frame - 1] - positions[frame - 2] + fall if frame > 1 else points
+        if any((obstacle.gap(x, float(time)) < reach).any() for obstacle in obstacles for x in (points, free)):
+            return max(frame, 1)
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class DriftingObservations(WrappedObservations):
+    """Observations with rigid drift since the first contact eliminated.
+
+    Attributes:
+        seen: the observations.
+        begin: frame of the first contact, at least 1.
+        interval: time between frames Δt [s].
+        sigma: standard deviation q of each frame's change of velocity, and of spin times r [m/s].
+    """
+
+    seen: Observations
+    begin: int
+    interval: float
+    sigma: float
+
+    def in_frames(self, count: int) -> DriftingObservations:
+        """The first `count` frames alone."""
+        return replace(self, seen=self.seen.in_frames(count))
+
+    def residuals(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
+        """Whitened residuals."""
+        return self.linearise(positions, np.zeros((len(positions), 0, *positions.shape[1:])))[0]
+
+    def linearise(
+        self, positions: Float[np.ndarray, "T P 3"], tangents: Float[np.ndarray, "T K P 3"]
+    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+        """Whitened residuals and their derivatives (those of the kicks held fixed)."""
+        fields = self._fields(positions)
+        kicks = self._fitted(positions, fields)
+        count = tangents.shape[1]
+        both = np.concatenate([tangents, fields], axis=1)
+        residuals, jacobian = self.seen.linearise(_moved(positions, fields, kicks), both)
+        straight = residuals - jacobian[:, count:] @ kicks
+        left, values = self._whitening(jacobian[:, count:])
+        columns = np.hstack([straight[:, None], jacobian[:, :count]])
+        columns = columns + left @ ((1 / np.sqrt(1 + values**2) - 1)[:, None] * (left.T @ columns))
+        return columns[:, 0], columns[:, 1:]
+
+    def drift(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, "T P 3"]:
+        """How far the recording has drifted from the model [m]."""
+        fields = self._fields(positions)
+        return _moved(positions, fields, self._fitted(positions, fields)) - positions
+
+    def log_likelihood(self, positions: Float[np.ndarray, "T P 3"]) -> float:
+        """Of the residuals, the kicks integrated out, up to a constant; Huber's loss."""
+        fields = self._fields(positions)
+        kicks = self._fitted(positions, fields)
+        residuals, slopes = self.seen.linearise(_moved(positions, fields, kicks), fields)
+        values = self._whitening(slopes)[1]
+        size, limit = np.abs(residuals), self.robust_scales
+        inside = size <= limit
+        loss = 0.5 * float((size[inside] ** 2).sum())
+        loss += float((limit[~inside] * (size[~inside] - 0.5 * limit[~inside])).sum())
+        return -loss - 0.5 * float(kicks @ kicks) - 0.5 * float(np.log1p(values**2).sum())
+
+    def _fields(self, positions: np.ndarray) -> np.ndarray:
+        """Displacements by the kicks, each of size q [T, C, P, 3] m."""
+        count = len(positions)
+        arms = positions - positions.mean(axis=1, keepdims=True)
+        radius = float(np.sqrt(np.square(arms[0]).sum(-1).mean()))
+        ahead = np.arange(count)[:, None] - np.arange(self.begin, count) + 0.5
+        times = np.where(ahead > 0, ahead, 0.0) * self.interval * self.sigma  # [T, frames with kicks]
+        moves = [np.broadcast_to(axis, arms.shape) for axis in np.eye(3)]
+        moves += [np.cross(axis, arms) / radius for axis in np.eye(3)]
+        fields = np.einsum("tk,atpi->tkapi", times, np.stack(moves))
+        return fields.reshape(count, -1, *arms.shape[1:])
+
+    def _fitted(self, positions: np.ndarray, fields: np.ndarray) -> np.ndarray:
+        """The most likely kicks, in units of q."""
+        kicks = np.zeros(fields.shape[1])
+        limit = self.robust_scales
+        for _ in range(_TURNS if len(kicks) else 0):
+            residuals, slopes = self.seen.linearise(_moved(positions, fields, kicks), fields)
+            weighted = slopes * np.minimum(1.0, limit / np.maximum(np.abs(residuals), 1e-300))[:, None]
+            change = np.linalg.solve(weighted.T @ slopes + np.eye(len(kicks)), weighted.T @ residuals + kicks)
+            kicks = kicks - change
+            if np.abs(change).max() < _SETTLED:
+                break
+        return kicks
+
+    @staticmethod
+    def _whitening(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if not slopes.shape[1]:
+            return np.zeros_like(slopes), np.zeros(0)
+        left, values, _ = np.linalg.svd(slopes, full_matrices=False)
+        return left, values
+
+
+def _moved(positions: np.ndarray, fields: np.ndarray, kicks: np.ndarray) -> np.ndarray:
+    return positions + np.einsum("tcpi,c->tpi", fields, kicks)
+
+
+def likely_drift(
+    seen: Observations, positions: Float[np.ndarray, "T P 3"], begin: int, interval: float
+) -> DriftingObservations | None:
+    """The observations with the drift that is likeliest where the model puts the points; None where none is.
+
+    Args:
+        seen: the observations, without drift.
+        positions: of the points by the model [m].
+        begin: frame of the first contact.
+        interval: time between frames [s].
+    """
+    if begin >= len(positions):
+        return None
+    speed = float(np.sqrt(np.square(np.diff(positions[: begin + 1], axis=0)[-1]).sum(-1).mean())) / interval
+    best, highest = None, DriftingObservations(seen, begin, interval, 0.0).log_likelihood(positions)
+    for share in _SHARES:
+        trial = DriftingObservations(seen, begin, interval, share * speed)
+        if (likelihood := trial.log_likelihood(positions)) > highest:
+            best, highest = trial, likelihood
+    return best

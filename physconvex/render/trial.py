@@ -1,0 +1,71 @@
+"""Before the CUDA kernel draws for anybody on a device, it draws one small scene there and is compared."""
+
+from __future__ import annotations
+
+import warnings
+from functools import cache
+
+import torch
+from torch import Tensor
+
+from physconvex.camera import look_at
+from physconvex.convex.field import ConvexField
+from physconvex.render.cuda import composite_cuda
+from physconvex.render.native import KernelUnavailable
+from physconvex.render.projection import project
+from physconvex.render.reference import composite_reference
+from physconvex.render.view import View
+
+__all__ = ["draws_rightly"]
+
+_CONVEXES, _SIZE = 300, (37, 21)  # more than one round of candidates in a tile, and tiles that are cut off
+_IMAGE, _GRADIENT = 1e-3, 1e-2  # largest differences beside the largest value
+
+
+@cache
+def draws_rightly(device: torch.device) -> bool:
+    """Whether the kernel gives image and gradients of the reference on a device; warns once where it does not."""
+    try:
+        wrong = _differences(device)
+    except (KernelUnavailable, RuntimeError) as error:
+        wrong = str(error) or type(error).__name__
+    if wrong:
+        message = f"drawing on {device} with plain torch, which is slow: the CUDA kernel is not used ({wrong})"
+        warnings.warn(message, RuntimeWarning, stacklevel=5)
+    return not wrong
+
+
+def _differences(device: torch.device) -> str:
+    """What differs, in words; empty if nothing does."""
+    field = _scene()
+    camera = look_at((0.0, -2.0, 0.3), (0.0, 0.0, 0.0), width=_SIZE[0], height=_SIZE[1], vertical_field_of_view=0.7)
+    found = []
+    for place, composite in ((torch.device("cpu"), composite_reference), (device, composite_cuda)):
+        leaves = field.to(place).map(lambda tensor: tensor.clone().requires_grad_())
+        view = View.of(camera, torch.float32).to(place)
+        layers = composite(project(leaves, view), view.pixel_coordinates())
+        loss = layers.features.square().sum() + layers.transmittance.square().sum()
+        gradients = torch.autograd.grad(loss, list(leaves.tensors()), allow_unused=True, materialize_grads=True)
+        found.append([tensor.detach().cpu() for tensor in (layers.features, layers.transmittance, *gradients)])
+    for number, (expected, drawn) in enumerate(zip(*found, strict=True)):
+        limit = _IMAGE if number < 2 else _GRADIENT
+        if not _alike(expected, drawn, limit):
+            return "a trial picture is not the reference's" if number < 2 else "its gradients are not the reference's"
+    return ""
+
+
+def _alike(expected: Tensor, drawn: Tensor, limit: float) -> bool:
+    return bool((drawn - expected).abs().amax() <= limit * expected.abs().amax())
+
+
+def _scene() -> ConvexField:
+    generator = torch.Generator().manual_seed(5)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(shape, generator=generator)
+
+    def uniform(low: float, high: float) -> Tensor:
+        return low + (high - low) * torch.rand(_CONVEXES, generator=generator)
+
+    points = 0.3 * normal(_CONVEXES, 1, 3) + 0.1 * normal(_CONVEXES, 6, 3)
+    return ConvexField(points, uniform(30, 120), uniform(0.5, 2), uniform(0.3, 0.95), 0.3 * normal(_CONVEXES, 4, 3))

@@ -1,0 +1,57 @@
+"""A kernel is taken for a device only if it draws a small scene there as the reference does."""
+
+import warnings
+
+import pytest
+import torch
+
+from physconvex.render import KernelUnavailable, trial
+from physconvex.render.reference import Layers, composite_reference
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """The trial with another function in the place of the CUDA kernel."""
+
+    def ask(composite):
+        monkeypatch.setattr(trial, "composite_cuda", composite)
+        trial.draws_rightly.cache_clear()
+        return trial.draws_rightly(CPU)
+
+    yield ask
+    trial.draws_rightly.cache_clear()
+
+
+def test_the_right_picture_is_accepted_without_a_word(asked):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert asked(composite_reference)
+
+
+def test_another_picture_is_refused_and_that_is_said(asked):
+    def brighter(splats, coordinates):
+        layers = composite_reference(splats, coordinates)
+        return Layers(1.01 * layers.features, layers.transmittance, layers.heaviest)
+
+    with pytest.warns(RuntimeWarning, match="a trial picture is not the reference's"):
+        assert not asked(brighter)
+
+
+def test_a_picture_with_other_gradients_is_refused(asked):
+    def unmoved(splats, coordinates):
+        layers = composite_reference(splats, coordinates)
+        features = 0.9 * layers.features + 0.1 * layers.features.detach()
+        return Layers(features, layers.transmittance, layers.heaviest)
+
+    with pytest.warns(RuntimeWarning, match="its gradients are not the reference's"):
+        assert not asked(unmoved)
+
+
+def test_where_it_cannot_be_had_the_reason_is_told(asked):
+    def missing(splats, coordinates):
+        raise KernelUnavailable("no compiler on board")
+
+    with pytest.warns(RuntimeWarning, match="no compiler on board"):
+        assert not asked(missing)

@@ -1,0 +1,124 @@
+"""Rigid drift after a contact: what it does to residuals, and what becomes of a fit."""
+
+import numpy as np
+import pytest
+
+from physconvex.contact import Plane, Sphere
+from physconvex.identify import (
+    DriftingObservations,
+    LinearModel,
+    MarkerObservations,
+    default_parameter,
+    first_contact,
+    fit,
+    likely_drift,
+)
+
+FRAMES, INTERVAL, BEGIN, SIGMA = 10, 1 / 24, 4, 1e-3
+TIMES = INTERVAL * np.arange(FRAMES)
+G = (0.0, 0.0, -9.81)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(3)
+
+
+def falling(rng, count=30):
+    """Points that fall and rebound in frame BEGIN."""
+    rest = rng.uniform(-0.5, 0.5, (count, 3))
+    before = 0.5 * TIMES**2 * G[2]
+    height = np.where(np.arange(FRAMES) < BEGIN, before, before[BEGIN] + 1.0 * (TIMES - TIMES[BEGIN]))
+    return rest + height[:, None, None] * np.array([0.0, 0.0, 1.0])
+
+
+def kicked(positions, velocity, spin, frame=BEGIN):
+    """The same, flung aside from that frame on."""
+    arms = positions - positions.mean(axis=1, keepdims=True)
+    time = np.clip(TIMES - TIMES[frame] + 0.5 * INTERVAL, 0.0, None) * (np.arange(FRAMES) >= frame)
+    return positions + time[:, None, None] * (np.asarray(velocity) + np.cross(spin, arms))
+
+
+def markers(positions, rng):
+    noise = SIGMA * rng.standard_normal(positions.shape)
+    return MarkerObservations(positions[0], positions + noise, np.full(positions.shape[:2], SIGMA))
+
+
+def bending(positions):
+    """Tangents of two made-up parameters: a stretch and a rise that begin with the contact."""
+    since = np.clip(TIMES - TIMES[BEGIN - 1], 0.0, None)[:, None, None]
+    stretch = since * (positions - positions.mean(axis=1, keepdims=True)) * np.array([1.0, 0.5, -1.0])
+    rise = since * np.array([0.0, 0.1, 1.0]) + 0.3 * stretch
+    return np.stack([stretch, np.broadcast_to(rise, stretch.shape)], axis=1)
+
+
+def test_whitened_squares_are_those_of_the_covariance(rng):
+    x = falling(rng, count=6)
+    seen = markers(x + 0.01 * rng.standard_normal(x.shape), rng)
+    drifting = DriftingObservations(seen, BEGIN, INTERVAL, 0.02)
+    axes, still = np.eye(3), np.zeros(3)
+    units = [*((axis, still) for axis in axes), *((still, axis) for axis in axes)]
+    directions = np.stack([kicked(x, *unit, frame) - x for frame in range(BEGIN, FRAMES) for unit in units], axis=1)
+    arms = x[0] - x[0].mean(axis=0)
+    sizes = np.repeat([1.0, 1 / np.sqrt(np.square(arms).sum(-1).mean())], 3)
+    slopes = 0.02 * np.tile(sizes, FRAMES - BEGIN) * seen.linearise(x, directions)[1]
+    residuals = seen.residuals(x)
+    expected = residuals @ np.linalg.solve(np.eye(len(residuals)) + slopes @ slopes.T, residuals)
+    assert np.isclose(np.square(drifting.residuals(x)).sum(), expected, rtol=1e-9)
+    log_det = np.linalg.slogdet(np.eye(len(residuals)) + slopes @ slopes.T)[1]
+    assert np.isclose(drifting.log_likelihood(x), -0.5 * expected - 0.5 * log_det, rtol=1e-9)
+
+
+def test_derivatives_agree_with_differences(rng):
+    x, t = falling(rng, count=8), 0.1
+    drifting = DriftingObservations(markers(kicked(x, (0.02, 0, 0), (0, 0.04, 0)), rng), BEGIN, INTERVAL, 0.05)
+    tangents = bending(x)
+    jacobian = drifting.linearise(x, tangents)[1]
+    for k in range(2):
+        ahead, behind = (drifting.residuals(x + s * 1e-4 * t * tangents[:, k]) for s in (1, -1))
+        slope = (ahead - behind) / (2e-4 * t)
+        assert np.linalg.norm(jacobian[:, k] - slope) < 1e-2 * np.linalg.norm(slope)  # kicks turn with the arms
+
+
+def test_a_fit_is_right_although_the_recording_was_flung_aside(rng):
+    truth, x = np.array([5.0, 0.3]), falling(rng)
+    tangents = bending(x)
+    recorded = markers(kicked(x, (0.3, -0.2, 0.4), (0.5, 0.3, -0.2)), rng)
+    names = ("log10_youngs_modulus", "poisson_ratio")
+    model = LinearModel(names, truth, x, tangents)
+    parameters = [default_parameter(n, start=v) for n, v in zip(names, (5.1, 0.35), strict=True)]
+    drifting = likely_drift(recorded, x, BEGIN, INTERVAL)
+    assert drifting is not None
+    plain, found = fit(model, recorded, parameters), fit(model, drifting, parameters)
+    deviations = np.sqrt(np.diag(np.linalg.inv(found.jacobian.T @ found.jacobian)))
+    assert (np.abs(found.values - truth) < 3 * deviations).all()
+    assert (np.abs(plain.values - truth) / deviations).max() > 5
+    assert 0.5 < found.reduced_chi_square < 1.5
+    far = np.linalg.norm(drifting.drift(x) - (kicked(x, (0.3, -0.2, 0.4), (0.5, 0.3, -0.2)) - x), axis=-1)
+    assert far.max() < 0.01
+
+
+def test_where_the_model_follows_no_drift_is_likely(rng):
+    x = falling(rng)
+    assert likely_drift(markers(x, rng), x, BEGIN, INTERVAL) is None
+
+
+def test_before_the_contact_nothing_changes(rng):
+    x = falling(rng)
+    seen = markers(kicked(x, (1, 0, 0), (0, 0, 0)), rng)
+    drifting = DriftingObservations(seen, BEGIN, INTERVAL, 0.1)
+    early = seen.frames < BEGIN
+    np.testing.assert_allclose(drifting.residuals(x)[early], seen.residuals(x)[early], rtol=1e-12)
+    assert likely_drift(seen.in_frames(BEGIN), x[:BEGIN], BEGIN, INTERVAL) is None
+
+
+def test_first_contact_is_found_at_a_frame_and_between_frames():
+    x = np.zeros((6, 2, 3))
+    x[:, 1, 0] = 1.0
+    x[:, :, 2] = np.array([0.5, 0.3, 0.12, 0.001, 0.1, 0.2])[:, None]
+    times, floor = 0.1 * np.arange(6), Plane()
+    assert first_contact(x, [floor], times, (0, 0, 0)) == 3
+    x[:, :, 2] = np.array([0.5, 0.3, 0.12, 0.11, 0.3, 0.5])[:, None]  # down to the floor and back between two frames
+    assert first_contact(x, [floor], times, (0, 0, 0)) == 3
+    assert first_contact(x, [Plane((0, 0, -2))], times, (0, 0, 0)) is None
+    assert first_contact(x, [Sphere((0, 0, -1), 1.005)], times, (0, 0, 0)) == 3

@@ -1,0 +1,65 @@
+"""A box whose rebound is another one than the model's: what `refine` makes of it."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from inference.refining import RefineOptions, refine
+from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
+from physconvex.fem import TetMesh, box_mesh
+from physconvex.identify import FullModel, TwinOptions, base_twin
+
+FRAMES, NOISE, FPS = 8, 2e-4, 48.0
+NAMES, TRUTH = ("log10_youngs_modulus", "poisson_ratio"), np.array([4.3, 0.35])
+OPTIONS = RefineOptions(
+    weights=3, steps_per_frame=4, model_error=False, field=False,
+    initial={"log10_youngs_modulus": 4.2, "poisson_ratio": 0.3}, fixed={"damping_time": 0.0},
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory):
+    """Tracks of a box on a rough floor by the full model, as they are and flung aside after the contact."""
+    root = tmp_path_factory.mktemp("drift")
+    box = box_mesh((0.3, 0.2, 0.1), (2, 1, 1), order=1)
+    tets = TetMesh(box.vertices + np.array([0, 0, 0.012]), box.tets)
+    rng = np.random.default_rng(0)
+    points = rng.uniform(size=(12, 3)) * [0.3, 0.2, 0.1] + [0, 0, 0.012]
+    floor = Floor(np.zeros(3), np.array([0.1, 0.05, 1.0]), friction=0.4)
+
+    def save(name, positions):
+        still = {"initial_velocity": np.array([0.0, 0.0, -0.6]), "initial_angular_velocity": np.zeros(3)}
+        capture = Capture(root / name, FPS, FRAMES, FRAMES, floor=floor, **still)
+        save_capture(capture, tets=tets, tracks=Tracks(points, positions, np.full((FRAMES, 12), NOISE)))
+        return load_capture(root / name)
+
+    twin = base_twin(save("plain", np.zeros((FRAMES, 12, 3))), TwinOptions(weights=3, steps_per_frame=4))
+    moved = FullModel(twin, NAMES, points, FRAMES, friction_passes=3).positions(TRUTH)
+    since = np.clip(np.arange(FRAMES) / FPS - 1.5 / FPS, 0, None)[:, None, None]
+    arms = moved - moved.mean(axis=1, keepdims=True)
+    flung = moved + since * (np.array([0.15, -0.1, 0.1]) + np.cross([0.4, 0.6, -0.3], arms))
+    noise = rng.normal(scale=NOISE, size=moved.shape)
+    return save("seen", moved + noise).folder, save("flung", flung + noise).folder
+
+
+@pytest.mark.slow
+def test_the_material_is_found_although_the_rebound_is_another_one(captures):
+    found, plain = (refine(captures[1], options=replace(OPTIONS, drift=drift)) for drift in (True, False))
+    for name, truth in zip(NAMES, TRUTH, strict=True):
+        low, high = found[name].interval
+        assert low < truth < high
+    assert abs(found[NAMES[0]].value - TRUTH[0]) < 0.5 * abs(plain[NAMES[0]].value - TRUTH[0])
+    assert found.reduced_chi_square < 2 < plain.reduced_chi_square
+    assert plain.drift is None and plain.to_json()["rigid_drift"] is None
+    told = json.loads(json.dumps(found.to_json()))["rigid_drift"]
+    assert told["first_frame"] in (1, 2) and max(told["rms_m"]) == pytest.approx(0.02, rel=0.4)
+    assert any("drifts from the model as a rigid body" in sentence for sentence in found.warnings)
+
+
+@pytest.mark.slow
+def test_where_the_model_follows_there_is_none(captures):
+    found = refine(captures[0], options=OPTIONS)
+    assert found.drift is None
+    assert found["log10_youngs_modulus"].value == pytest.approx(TRUTH[0], abs=0.01)
