@@ -30,7 +30,7 @@ from data_gen.simulate import make_mesh
 from physconvex.fem import ElasticBody, Plane, Scene, simulate
 
 RESULT = Path(__file__).parent / "results" / "contact_solvers.json"
-DROPS = ((2, 2e4), (0, 3e5), (4, 5e6))  # number of the simulation, E [Pa]
+DROPS = ((4, 5e6), (7, 3e5), (11, 2e4))  # number of the simulation, E [Pa]; those that land soonest
 SEED = 11
 BEFORE = {"contact_solver": "passes", "flight_steps_per_frame": 24, "tolerance": 1e-6}
 FINER = {"steps_per_frame": 48, "flight_steps_per_frame": 16, "tolerance": 1e-6}
@@ -56,7 +56,7 @@ class Row:
 def main() -> None:
     """Run all and store the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=int, default=24)
+    parser.add_argument("--frames", type=int, default=14)
     parser.add_argument("--out", type=Path, default=RESULT)
     options = parser.parse_args()
     torch.set_num_threads(1)
@@ -92,7 +92,7 @@ def compared(number: int, modulus: float, frames: int) -> list[Row]:
         run, cost = timed(scene, solver, frames)
         best = run.positions if best is None else best
         away = np.sqrt(((run.positions - best) ** 2).sum(-1).mean(1))
-        distance = {k: round(float(1e3 * away[k]), 3) for k in range(3, frames, 4)}
+        distance = {k: round(float(1e3 * away[k]), 3) for k in range(1, frames, 2)}
         s = run.statistics
         spent = (s.steps, s.newton_iterations, s.factorisations, s.halved_steps)
         rows.append(Row(drop.body.name, len(mesh.vertices), modulus, name, *cost, *spent, distance))

@@ -226,13 +226,12 @@ class Stepper(Generic[Equations]):
         return passes
 
     def _solved_at_once(self, solve: Callable[[np.ndarray], Minimum], guess: np.ndarray) -> list[SolvedPass]:
-        """The guess, and the solution with the friction that belongs to it: a last pass that found nothing to do."""
-        first = SolvedPass(guess, self.equations.friction)
+        """The solution, with the friction that belongs to it."""
         found = solve(guess)
         self.iterations += found.iterations
         self.projections += found.projections
         self.equations.freeze_friction(found.x)
-        return [first, SolvedPass(found.x, self.equations.friction)]
+        return [SolvedPass(found.x, self.equations.friction)]
 
     def _check_energy(self, energy: Callable[[State], float], record: StepRecord) -> None:
         known = self._known_energy

@@ -207,15 +207,20 @@ def simulate_with_sensitivities(
         values: of the parameters.
         steps: half widths of the central differences: about 1e-4 of a typical change of each.
         lower, upper: the differences stay within these bounds, on one side alone where need be.
-        options: of `simulate`.
+        options: of `simulate`; contact by passes, and steps of one length.
 
     Raises:
-        InputError: steps that are not positive, or a body that flows.
+        InputError: steps that are not positive, a body that flows, or an option that derivatives do not follow.
         ConvergenceError: as in `simulate`.
     """
     at, widths = np.asarray(values, dtype=np.float64), np.asarray(steps, dtype=np.float64)
     if at.shape != widths.shape or not (widths > 0).all():
         raise InputError(f"steps: got {widths.tolist()} for {len(at)} values; expected one positive width for each")
+    if options.get("contact_solver", "passes") != "passes" or options.get("flight_steps_per_frame") is not None:
+        raise InputError(
+            "simulate_with_sensitivities: got contact_solver or flight_steps_per_frame; expected contact by passes and "
+            "steps of one length, which the derivatives follow. Leave both options out"
+        )
     scene = scene_of(at)
     if scene.body.flow is not None:
         raise InputError("simulate_with_sensitivities: the body flows; expected an elastic one")

@@ -67,3 +67,9 @@ def test_at_a_bound_the_difference_is_taken_on_one_side():
 def test_a_width_that_is_not_positive_is_named():
     with pytest.raises(InputError, match="expected one positive width"):
         simulate_with_sensitivities(thrown, VALUES, steps=[1e-5, 1e-5, 0.0, 1e-5])
+
+
+@pytest.mark.parametrize("option", [{"contact_solver": "condensed"}, {"flight_steps_per_frame": 2}])
+def test_what_derivatives_do_not_follow_is_refused(option):
+    with pytest.raises(InputError, match="contact by passes and steps of one length"):
+        simulate_with_sensitivities(thrown, VALUES, steps=STEPS, **TIMING, **option)

@@ -1,0 +1,44 @@
+"""The solver's options reach the solver."""
+
+import numpy as np
+import pytest
+
+from data_gen.config import load_config
+from data_gen.scene import draw_drop, stream
+from data_gen.simulate import simulate_drop
+
+SMALL = [
+    "video={frames: 6, fps: 24, width: 16, height: 16}",
+    "motion.drop_height=[0.2, 0.2]",
+    "motion.initial_speed=0",
+    "motion.size=[0.5, 0.5]",
+    "material.youngs_modulus=1000000.0",
+    "solver={target_nodes: 200, landing_nodes: 0, steps_per_frame: 8, flight_steps_per_frame: 4}",
+]
+
+
+@pytest.fixture(scope="module")
+def runs():
+    """One drop of 0.1 m, which takes 3.4 frames, by both contact solvers, and with more steps in flight than else."""
+    found = {}
+    for name, more in {
+        "condensed": [],
+        "passes": ["solver.contact_solver=passes"],
+        "many": ["solver.flight_steps_per_frame=50"],
+    }.items():
+        config = load_config("training", overrides=[*SMALL, *more])
+        found[name] = simulate_drop(draw_drop(config, 5, 10, 0), config, stream(5, 7, 0))
+    return found
+
+
+def test_the_contact_solver_is_what_was_asked_for(runs):
+    kept, passes = runs["condensed"].statistics, runs["passes"].statistics
+    assert kept.factorisations < 8 < passes.factorisations
+    assert np.abs(runs["condensed"].surface - runs["passes"].surface).max() < 0.05
+
+
+def test_flight_takes_fewer_steps_and_never_more(runs):
+    halved = runs["condensed"].statistics.halved_steps
+    assert halved == 0
+    assert runs["condensed"].statistics.steps == 5 * 8 - 4  # the second frame
+    assert runs["many"].statistics.steps == 5 * 8
