@@ -31,6 +31,8 @@ __all__ = ["CondensedContact"]
 
 _MOST = 60  # Newton steps per time step
 _TIRED = 14  # so many mean that the factor is renewed before the next time step
+_PATIENCE = 6  # steps before one that grows counts against the factor
+_WILD = 10.0  # growth that counts at once
 _EXACT, _SHARE, _FIRST = 1e-2, 2e-2, 1e-3  # error of the dense equation: of the tolerance, the last step, the first
 _ENOUGH = 0.2  # of the tolerance: error of the dense equation at the end
 _USUAL = 1.0 / 3.0  # what is left of an error that shrinks fourfold, over the last step
@@ -69,7 +71,7 @@ class CondensedContact:
             gradient = self.equations.smooth_gradient(x)
             change, previous = self._change(x, gradient, size), size
             size = float(np.abs(change).max())
-            if not fresh and not (size < previous and since < 2 * _TIRED):
+            if not fresh and self._is_lost(size, previous, since):
                 fresh, since, previous = self.factor.prepare(x, renew=True), 0, np.inf
                 projections += self.factor.projected
                 change = self._change(x, gradient, previous)
@@ -82,6 +84,11 @@ class CondensedContact:
                 return Minimum(x, number, size, projections)
         self.factor.forget()
         raise ConvergenceError(f"Newton's method with condensed contact left a step of {size:.3e} m")
+
+    def _is_lost(self, size: float, previous: float, since: int) -> bool:
+        """Whether so many steps with one factor have come to nothing, by the last two steps [m]."""
+        grows = size >= previous and since >= _PATIENCE  # the first ones may wander where K had to be projected
+        return grows or not size < _WILD * previous or since >= 2 * _TIRED
 
     def _is_enough(self, size: float, previous: float) -> bool:
         """Whether a step so long after the previous one [m] leaves as little as one at the tolerance usually does."""
