@@ -121,6 +121,7 @@ class _Object:
             ("network", self._network),
             ("field", self._field),
             ("refined", self._refined),
+            ("followed", self._followed),
         ]
         if self.options.adam_steps:
             parts.append(("published_way", self._published_way))
@@ -197,6 +198,12 @@ class _Object:
         out |= self._motion(found.motion.mesh, found.motion.nodes)
         twin = base_twin(self.capture, self._twin_options())
         return out | {"changes": self._changes(twin, found)}
+
+    def _followed(self) -> dict[str, Any]:
+        """The same with the rigid drift after the contact."""
+        found = self._refine(self._settings(), "refined")
+        motion = found.followed or found.motion
+        return {"drift": found.drift.to_json() if found.drift else None} | self._motion(motion.mesh, motion.nodes)
 
     def _motion(self, mesh: Any, nodes: np.ndarray) -> dict[str, Any]:
         """Distance of the surface from the truth, and scores of the pictures, observed and future."""

@@ -13,7 +13,12 @@ _WAYS = {"constant": "constant guess", "network": "network alone", "published_wa
          "refined": "refined"}  # fmt: skip
 
 
+_FOLLOWED = "followed"
+
+
 def _label(part: str) -> str:
+    if part == _FOLLOWED:
+        return "refined, with its rigid drift"
     return _WAYS.get(part, part.replace("reduced_M", "reduced model alone, M = "))
 
 
@@ -37,6 +42,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
             "objects": len(good),
         }
         _add_pictures(out["pictures"], way, good)
+    _add_pictures(out["pictures"], _FOLLOWED, [row[_FOLLOWED] for row in rows if _FOLLOWED in row])
     refined = [row["refined"] for row in rows if "errors" in row.get("refined", {})]
     covered = [c for row in refined for c in row["covered"] if c is not None]
     out["coverage_90"], out["intervals"] = (float(np.mean(covered)) if covered else None), len(covered)

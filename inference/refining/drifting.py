@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from inference.refining.problem import Problem
-from inference.refining.result import RigidDrift
+from inference.refining.result import RefinedMotion, RigidDrift
 from inference.refining.stages import Stages
+from physconvex.fem import Embedding
 from physconvex.identify import DriftingObservations, Fit, FullModel, first_contact, likely_drift
 
-__all__ = ["drift_of", "with_drift"]
+__all__ = ["drift_of", "followed_motion", "with_drift"]
 
 
 def with_drift(problem: Problem, model: FullModel, found: Fit, stages: Stages, name: str) -> Problem:
@@ -54,3 +55,21 @@ def drift_of(problem: Problem, found: Fit) -> RigidDrift | None:
         return None
     moved = np.linalg.norm(seen.drift(found.positions), axis=-1)
     return RigidDrift(seen.begin, seen.sigma, np.sqrt(np.square(moved).mean(axis=1)), problem.twin.mesh.size)
+
+
+def followed_motion(problem: Problem, motion: RefinedMotion) -> RefinedMotion:
+    """The motion with the rigid drift added: where the recording has the body; beyond its end the drift goes on."""
+    seen = problem.seen
+    if not isinstance(seen, DriftingObservations):
+        return motion
+    points = Embedding.of_points(motion.mesh, seen.points).apply(motion.nodes)
+
+    def carried(others: np.ndarray) -> np.ndarray:
+        return seen.carried(points, others) if others.shape[1] else others
+
+    return replace(
+        motion,
+        nodes=carried(motion.nodes),
+        vertices=carried(motion.vertices),
+        markers=carried(motion.markers),
+    )

@@ -13,7 +13,7 @@ import numpy as np
 from inference.prediction import Prediction
 from inference.refining.appearance import appearance_of
 from inference.refining.colouring import BLURS, coloured
-from inference.refining.drifting import drift_of, with_drift
+from inference.refining.drifting import drift_of, followed_motion, with_drift
 from inference.refining.estimates import estimates_of, finer_mesh, judge
 from inference.refining.fits import arrays_of_correction, arrays_of_fit, fit_of, runs_of
 from inference.refining.motion import future_rms, motion_of
@@ -301,6 +301,7 @@ class _Run:
             residual_rms=rms,
             nuisances=_nuisances(problem, final),
             drift=drift,
+            followed=followed_motion(problem, motion),
             appearance=appearance,
             frame_errors=judged.frame_errors,
             future_rms=future_rms(self.capture, motion),

@@ -100,6 +100,22 @@ class DriftingObservations(WrappedObservations):
         fields = self._fields(positions)
         return _moved(positions, fields, self._fitted(positions, fields)) - positions
 
+    def carried(
+        self, positions: Float[np.ndarray, "F P 3"], others: Float[np.ndarray, "F V 3"]
+    ) -> Float[np.ndarray, "F V 3"]:
+        """Other points of the body where the recording has them, drift and all [m].
+
+        Frames beyond those that were seen drift on at the last velocity and spin.
+
+        Args:
+            positions: of the observed points by the model, in at least all frames that were seen [m].
+            others: of the others by the model, in the same frames [m].
+        """
+        count = int(self.frames.max()) + 1
+        seen = positions[:count]
+        kicks = self._fitted(seen, self._fields(seen))
+        return np.asarray(_moved(others, self._fields(positions, others, kicked=count), kicks))
+
     def log_likelihood(self, positions: Float[np.ndarray, "T P 3"]) -> float:
         """Of the residuals, the kicks integrated out, up to a constant; Huber's loss."""
         fields = self._fields(positions)
@@ -112,12 +128,12 @@ class DriftingObservations(WrappedObservations):
         loss += float((limit[~inside] * (size[~inside] - 0.5 * limit[~inside])).sum())
         return -loss - 0.5 * float(kicks @ kicks) - 0.5 * float(np.log1p(values**2).sum())
 
-    def _fields(self, positions: np.ndarray) -> np.ndarray:
-        """Displacements by the kicks, each of size q [T, C, P, 3] m."""
-        count = len(positions)
-        arms = positions - positions.mean(axis=1, keepdims=True)
-        radius = float(np.sqrt(np.square(arms[0]).sum(-1).mean()))
-        ahead = np.arange(count)[:, None] - np.arange(self.begin, count) + 0.5
+    def _fields(self, positions: np.ndarray, others: np.ndarray | None = None, kicked: int | None = None) -> np.ndarray:
+        """Displacements by the kicks of the first `kicked` frames, each of size q [T, C, P, 3] m; also of others."""
+        count, centre = len(positions), positions.mean(axis=1, keepdims=True)
+        radius = float(np.sqrt(np.square(positions[0] - centre[0]).sum(-1).mean()))
+        arms = (positions if others is None else others) - centre
+        ahead = np.arange(count)[:, None] - np.arange(self.begin, kicked or count) + 0.5
         times = np.where(ahead > 0, ahead, 0.0) * self.interval * self.sigma  # [T, frames with kicks]
         moves = [np.broadcast_to(axis, arms.shape) for axis in np.eye(3)]
         moves += [np.cross(axis, arms) / radius for axis in np.eye(3)]

@@ -34,9 +34,14 @@ def falling(rng, count=30):
 
 def kicked(positions, velocity, spin, frame=BEGIN):
     """The same, flung aside from that frame on."""
-    arms = positions - positions.mean(axis=1, keepdims=True)
+    return positions + rigid_change(positions, positions, velocity, spin, frame)
+
+
+def rigid_change(positions, others, velocity, spin, frame=BEGIN):
+    """How far `kicked` moves other points of the body."""
+    centre = positions.mean(axis=1, keepdims=True)
     time = np.clip(TIMES - TIMES[frame] + 0.5 * INTERVAL, 0.0, None) * (np.arange(FRAMES) >= frame)
-    return positions + time[:, None, None] * (np.asarray(velocity) + np.cross(spin, arms))
+    return time[:, None, None] * (np.asarray(velocity) + np.cross(spin, others - centre))
 
 
 def markers(positions, rng):
@@ -96,6 +101,9 @@ def test_a_fit_is_right_although_the_recording_was_flung_aside(rng):
     assert 0.5 < found.reduced_chi_square < 1.5
     far = np.linalg.norm(drifting.drift(x) - (kicked(x, (0.3, -0.2, 0.4), (0.5, 0.3, -0.2)) - x), axis=-1)
     assert far.max() < 0.01
+    part, corners = drifting.in_frames(FRAMES - 2), x[:, :4] + np.array([0.3, 0.0, 0.1])  # goes on in the last two
+    expected = corners + rigid_change(x, corners, (0.3, -0.2, 0.4), (0.5, 0.3, -0.2))
+    assert np.linalg.norm(part.carried(x, corners) - expected, axis=-1).max() < 0.02
 
 
 def test_where_the_model_follows_no_drift_is_likely(rng):

@@ -82,7 +82,7 @@ def test_an_object_is_evaluated_part_by_part(benchmark, tmp_path):
     )  # fmt: skip
     parts = []
     (found,) = evaluate_paper(benchmark, tmp_path, options, on_part=lambda *names: parts.append(names[1]))
-    assert parts == ["constant", "network", "field", "refined", "published_way"]
+    assert parts == ["constant", "network", "field", "refined", "followed", "published_way"]
     assert "failure" not in found["refined"], found["refined"]
     assert abs(found["refined"]["errors"][0]) < abs(found["constant"]["errors"][0])
     assert len(found["refined"]["rms_m"]) == 10
