@@ -87,6 +87,7 @@ def test_an_object_is_evaluated_part_by_part(benchmark, tmp_path):
     assert abs(found["refined"]["errors"][0]) < abs(found["constant"]["errors"][0])
     assert len(found["refined"]["rms_m"]) == 10
     assert set(found["refined"]["pictures"]) == {"observed", "future"}
+    assert set(found["followed"]["pictures"]) == {"observed", "future"} and "drift" in found["followed"]
     assert set(found["refined"]["changes"]) == {"softer", "pushed", "moving_floor"}
     assert found["published_way"]["steps"] == 3
     again = []
