@@ -10,7 +10,8 @@ with c_t the points' centre and r their radius of gyration: an integrated random
 smoother. The kicks are fitted (a few Gauss–Newton steps, since drift may exceed what images are linear in) and the
 residuals whitened by (I + N Nᵀ)^(−½) about the fitted drift, N their derivatives by the kicks in units of q: estimates
 and intervals hold whatever the drift was. q is where the marginal likelihood is largest, ½ log det(I + N Nᵀ) its price;
-it is zero where the model follows.
+it is zero where the model follows, and at most a few times what two meshes of the body differ by (`model_drift`): else
+a wrong material would pass for drift.
 """
 
 from __future__ import annotations
@@ -20,14 +21,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from physconvex.contact import Plane, Sphere
 from physconvex.identify.observations import Observations, WrappedObservations
 
-__all__ = ["DriftingObservations", "first_contact", "likely_drift"]
+__all__ = ["DriftingObservations", "first_contact", "likely_drift", "model_drift"]
 
 _TURNS, _SETTLED = 6, 1e-3  # Gauss–Newton steps of the kicks, and the last of them in standard deviations
-_SHARES = (1e-3, 3e-3, 1e-2, 3e-2, 0.1)  # of the speed at the contact, tried as q
+_SHARES = (0.03, 0.1, 0.3, 1.0)  # of the most, tried as q
 _TOUCH = 2e-3  # of the body's size
 
 
@@ -166,7 +168,7 @@ def _moved(positions: np.ndarray, fields: np.ndarray, kicks: np.ndarray) -> np.n
 
 
 def likely_drift(
-    seen: Observations, positions: Float[np.ndarray, "T P 3"], begin: int, interval: float
+    seen: Observations, positions: Float[np.ndarray, "T P 3"], begin: int, interval: float, *, most: float
 ) -> DriftingObservations | None:
     """The observations with the drift that is likeliest where the model puts the points; None where none is.
 
@@ -175,13 +177,36 @@ def likely_drift(
         positions: of the points by the model [m].
         begin: frame of the first contact.
         interval: time between frames [s].
+        most: greatest q that is tried [m/s].
     """
     if begin >= len(positions):
         return None
-    speed = float(np.sqrt(np.square(np.diff(positions[: begin + 1], axis=0)[-1]).sum(-1).mean())) / interval
     best, highest = None, DriftingObservations(seen, begin, interval, 0.0).log_likelihood(positions)
     for share in _SHARES:
-        trial = DriftingObservations(seen, begin, interval, share * speed)
+        trial = DriftingObservations(seen, begin, interval, share * most)
         if (likelihood := trial.log_likelihood(positions)) > highest:
             best, highest = trial, likelihood
     return best
+
+
+def model_drift(
+    one: Float[np.ndarray, "T P 3"], other: Float[np.ndarray, "T P 3"], begin: int, interval: float
+) -> float:
+    """The kicks by which one model's body drifts from another's as a rigid one: their rms in each axis [m/s].
+
+    Args:
+        one, other: positions of the same points [m].
+        begin: frame of the first contact.
+        interval: time between frames [s].
+    """
+    gaps = np.array([_rigid_gap(a, b) for a, b in zip(one, other, strict=True)])
+    kicks = np.diff(gaps, n=2, axis=0, prepend=np.zeros((1, 6)))[max(begin - 1, 0) :] / interval
+    return float(np.sqrt(np.square(kicks).mean())) if kicks.size else 0.0
+
+
+def _rigid_gap(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, " 6"]:
+    """Displacement, and rotation vector times the radius of gyration, that lay `one` best on `other` [m]."""
+    centres = one.mean(axis=0), other.mean(axis=0)
+    arms = one - centres[0]
+    turn, _ = Rotation.align_vectors(other - centres[1], arms)
+    return np.concatenate([centres[1] - centres[0], np.sqrt(np.square(arms).sum(-1).mean()) * turn.as_rotvec()])
