@@ -15,7 +15,7 @@ Arrays = dict[str, np.ndarray]
 Scanned = tuple[tuple[Parameter, ...], ...]
 
 
-def arrays_of_scan(candidates: Sequence[Candidate], keep: int = 4) -> Arrays:
+def arrays_of_scan(candidates: Sequence[Candidate], keep: int = 2) -> Arrays:
     """Pairs tried with their misfits, and the starts of the best ones."""
     best = candidates[:keep]
     return {

@@ -19,6 +19,7 @@ from physconvex.identify.twin import coarse_mesh
 __all__ = ["ReducedSearch", "started_from"]
 
 _CHEAP_WEIGHTS, _FITTED = 6, 2  # and how many pairs of the scan are fitted
+_AROUND, _RATIO = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0), 0.3  # decades; reduced models are too stiff, so that E wants more
 
 
 def started_from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Parameter, ...]:
@@ -50,10 +51,16 @@ class ReducedSearch:
         return fit_of(self.stages.run("reduced", lambda: self._best(problem, starts)), problem.parameters)
 
     def candidates(self, problem: Problem, found: Fit) -> tuple[np.ndarray, ...]:
-        """Where a better model may begin: the fit, and the best pairs of the scan."""
+        """Where a better model may begin: the fit, the best pairs of the scan, and moduli about that of the fit."""
         if "log10_youngs_modulus" not in problem.names or "log10_youngs_modulus" in self.options.initial:
             return (found.values,)
-        return found.values, *(np.array([p.start for p in start]) for start in self._scanned(problem))
+        scanned = [np.array([p.start for p in start]) for start in self._scanned(problem)]
+        around = []
+        for change in _AROUND:
+            values = started_from(problem.parameters, found)
+            by_name = {"log10_youngs_modulus": found.value("log10_youngs_modulus") + change, "poisson_ratio": _RATIO}
+            around.append(np.array([p.at(by_name.get(p.name, p.start)).start for p in values]))
+        return found.values, *scanned, *around
 
     def _scanned(self, problem: Problem) -> Scanned:
         return scan_of(self.stages.run("scan", lambda: self._scan(problem)), problem.parameters)
