@@ -22,6 +22,9 @@ def paper(
     model_error: Annotated[bool, typer.Option(help="Add what a finer mesh says.")] = True,
     adam_steps: Annotated[int, typer.Option(help="Of the published way; 0 leaves it out.")] = 400,
     ablation: Annotated[list[int] | None, typer.Option(help="Weights of the reduced model alone; repeatable.")] = None,
+    points: Annotated[
+        list[int] | None, typer.Option(help="Points per convex of further fields; repeatable; 0: none.")
+    ] = None,
     field_budget: Annotated[int, typer.Option(help="Most convexes of a field.")] = 24_000,
     field_steps: Annotated[int, typer.Option(help="Steps of a field's fit.")] = 400,
     checkpoint: Annotated[str, typer.Option(help="Name or folder of the network's checkpoint.")] = "default",
@@ -43,6 +46,7 @@ def paper(
         model_error=model_error,
         adam_steps=adam_steps,
         ablation=tuple(ablation) if ablation else PaperOptions().ablation,
+        ablation_points=tuple(k for k in points if k) if points else PaperOptions().ablation_points,
         field_budget=field_budget,
         field_steps=field_steps,
         checkpoint=checkpoint,

@@ -46,6 +46,8 @@ class PaperOptions:
         adam_steps: of the published way; 0 leaves it out.
         ablation: M of which the reduced model alone is fitted by `refine`.
         field_budget, field_steps: of the fields.
+        ablation_points: K of further fields, of a quarter of the convexes, scored in the refined motion and in those of
+            the ablation over M.
         checkpoint: of the network.
     """
 
@@ -58,6 +60,7 @@ class PaperOptions:
     ablation: tuple[int, ...] = (8, 10, 12)
     field_budget: int = 24_000
     field_steps: int = 400
+    ablation_points: tuple[int, ...] = (4, 5, 6, 7, 8)
     checkpoint: str = "default"
 
 
@@ -121,10 +124,12 @@ class _Object:
             ("network", self._network),
             ("field", self._field),
             ("refined", self._refined),
+            ("followed", self._followed),
         ]
         if self.options.adam_steps:
             parts.append(("published_way", self._published_way))
         parts += [(f"reduced_M{m}", lambda m=m: self._reduced(m)) for m in self.options.ablation]  # type: ignore[misc]
+        parts += [(f"points_K{k}", lambda k=k: self._points(k)) for k in self.options.ablation_points]  # type: ignore[misc]
         for part, compute in parts:
             self._part(part, compute)
         return self.content
@@ -198,6 +203,12 @@ class _Object:
         twin = base_twin(self.capture, self._twin_options())
         return out | {"changes": self._changes(twin, found)}
 
+    def _followed(self) -> dict[str, Any]:
+        """The same with the rigid drift after the contact."""
+        found = self._refine(self._settings(), "refined")
+        motion = found.followed or found.motion
+        return {"drift": found.drift.to_json() if found.drift else None} | self._motion(motion.mesh, motion.nodes)
+
     def _motion(self, mesh: Any, nodes: np.ndarray) -> dict[str, Any]:
         """Distance of the surface from the truth, and scores of the pictures, observed and future."""
         seen = self.capture.observed_frames
@@ -239,7 +250,25 @@ class _Object:
         out = self._errors(found.values) | {"misfit": found.misfit, "steps": found.steps}
         return out | self._motion(found.twin.mesh, found.nodes)
 
-    def _reduced(self, weights: int) -> dict[str, Any]:
+    def _points(self, count: int) -> dict[str, Any]:
+        """A field of K points per convex: its first images, and its pictures in the motions of several models."""
+        budget = max(50, self.options.field_budget // 4)
+        config = ReconstructionConfig(budget=budget, steps=self.options.field_steps, points_per_convex=count)
+        found = reconstruct(self.first, out=self.work / f"field_{count}", config=config, turntable=False)
+        still = {name: float(np.mean([getattr(s, name) for s in found.training])) for name in ("psnr", "ssim")}
+        motions = {"refined": self._refine(self._settings(), "refined").motion}
+        motions |= {f"M{m}": self._reduced_refinement(m).motion for m in self.options.ablation}
+        observed = range(0, self.capture.observed_frames)
+        moving = {}
+        for name, motion in motions.items():
+            scores = score_pictures(found.field, motion.mesh, motion.nodes, self.cameras, self.truth, observed)
+            moving[name] = {view: asdict(one) for view, one in scores.items()}
+        return {"convexes": len(found.field), "first_images": still, "observed": moving}
+
+    def _reduced_refinement(self, weights: int) -> Refinement:
         settings = replace(self._settings(), weights=weights, correction=False, model_error=False, colours=False)
-        found = self._refine(settings, f"reduced_{weights}")
+        return self._refine(settings, f"reduced_{weights}")
+
+    def _reduced(self, weights: int) -> dict[str, Any]:
+        found = self._reduced_refinement(weights)
         return self._errors(np.array([found[name].value for name in NAMES]))

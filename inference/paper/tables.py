@@ -13,7 +13,12 @@ _WAYS = {"constant": "constant guess", "network": "network alone", "published_wa
          "refined": "refined"}  # fmt: skip
 
 
+_FOLLOWED, _POINTS = "followed", "points_K"
+
+
 def _label(part: str) -> str:
+    if part == _FOLLOWED:
+        return "refined, with its rigid drift"
     return _WAYS.get(part, part.replace("reduced_M", "reduced model alone, M = "))
 
 
@@ -37,6 +42,8 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
             "objects": len(good),
         }
         _add_pictures(out["pictures"], way, good)
+    _add_pictures(out["pictures"], _FOLLOWED, [row[_FOLLOWED] for row in rows if _FOLLOWED in row])
+    out["points"] = _points_of(rows)
     refined = [row["refined"] for row in rows if "errors" in row.get("refined", {})]
     covered = [c for row in refined for c in row["covered"] if c is not None]
     out["coverage_90"], out["intervals"] = (float(np.mean(covered)) if covered else None), len(covered)
@@ -44,6 +51,39 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         values = [(row["changes"][change]["rms_m"], row["changes"][change]["change_rms_m"]) for row in refined]
         out["changes"][change] = dict(zip(("rms_m", "change_rms_m"), np.mean(values, axis=0).tolist(), strict=True))
     return out
+
+
+def _points_of(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Means of the ablation over K: PSNR of the first images, and of the front view in each motion [dB]."""
+    out = {}
+    for part in dict.fromkeys(p for row in rows for p in row if p.startswith(_POINTS)):
+        good = [row[part] for row in rows if "observed" in row.get(part, {})]
+        if good:
+            names = dict.fromkeys(name for one in good for name in one["observed"])
+            front = {n: float(np.mean([g["observed"][n]["front"]["psnr"] for g in good])) for n in names}
+            still = float(np.mean([g["first_images"]["psnr"] for g in good]))
+            convexes = float(np.mean([g["convexes"] for g in good]))
+            out[part.removeprefix(_POINTS)] = {"convexes": convexes, "first_images_psnr": still, "front_psnr": front}
+    return out
+
+
+def _points_table(points: dict[str, Any]) -> list[str]:
+    if not points:
+        return []
+    motions = list(dict.fromkeys(n for p in points.values() for n in p["front_psnr"]))
+    heads = ["refined" if name == "refined" else f"M = {name[1:]}, reduced" for name in motions]
+    lines = [
+        "",
+        "## Points per convex K",
+        "",
+        "PSNR [dB] of the first images, and of the observed frames' front view in",
+    ]
+    lines += ["the motion of each model.", "", "| K | convexes | first images | " + " | ".join(heads) + " |"]
+    lines += ["|---|---|---|" + "---|" * len(motions)]
+    for count, p in points.items():
+        cells = [f"{p['front_psnr'][name]:.2f}" if name in p["front_psnr"] else "–" for name in motions]
+        lines.append(f"| {count} | {p['convexes']:.0f} | {p['first_images_psnr']:.2f} | " + " | ".join(cells) + " |")
+    return lines
 
 
 def _add_pictures(target: dict[str, Any], way: str, good: Sequence[dict[str, Any]]) -> None:
@@ -91,6 +131,7 @@ def markdown(rows: Sequence[dict[str, Any]], note: str) -> str:
     lines += [
         f"| {name} | {1e3 * c['rms_m']:.1f} | {1e3 * c['change_rms_m']:.1f} |" for name, c in told["changes"].items()
     ]
+    lines += _points_table(told["points"])
     if told["failures"]:
         lines += ["", "## Failures", "", *(f"- {text}" for text in told["failures"])]
     return "\n".join(lines) + "\n"

@@ -7,15 +7,43 @@ from dataclasses import replace
 import numpy as np
 
 from inference.refining.problem import Problem
-from inference.refining.result import RigidDrift
+from inference.refining.result import RefinedMotion, RigidDrift
 from inference.refining.stages import Stages
-from physconvex.identify import DriftingObservations, Fit, FullModel, first_contact, likely_drift
+from physconvex.fem import Embedding
+from physconvex.identify import DriftingObservations, Fit, FullModel, first_contact, likely_drift, model_drift
 
-__all__ = ["drift_of", "with_drift"]
+__all__ = ["drift_of", "followed_motion", "with_drift", "with_drift_limit"]
+
+_LIMIT = 2.0  # times what two meshes differ by
+
+
+def with_drift_limit(problem: Problem, model: FullModel, other: FullModel, found: Fit, stages: Stages) -> Problem:
+    """The problem with the drift that two meshes of a body that strikes something differ by, as its greatest.
+
+    Args:
+        problem: what is fitted.
+        model, other: on different meshes; both are run at a fit's values.
+        found: the fit.
+        stages: the answer is kept there.
+    """
+    if not problem.twin.scene.obstacles or problem.twin.clamp is not None:
+        return problem
+    points = problem.twin.mesh.vertices if problem.surface is None else problem.surface.points
+
+    def compute() -> dict[str, np.ndarray]:
+        one, another = (replace(m, points=points).positions(found.values) for m in (model, other))
+        scene, interval = problem.twin.scene, 1 / problem.twin.fps
+        begin = first_contact(one, scene.obstacles, interval * np.arange(len(one)), scene.gravity)
+        if begin is None or begin >= len(one):
+            return {"limit": np.zeros(0)}
+        return {"limit": np.array([begin, _LIMIT * model_drift(one, another, begin, interval)])}
+
+    limit = stages.run("drift_limit", compute)["limit"]
+    return replace(problem, drift_limit=(int(limit[0]), float(limit[1])) if len(limit) else None)
 
 
 def with_drift(problem: Problem, model: FullModel, found: Fit, stages: Stages, name: str) -> Problem:
-    """The problem with the drift that is likely where a model is that has been run at a fit's values.
+    """The problem with the drift that is likely where a model puts the points at a fit's values.
 
     Args:
         problem: a drift that it has is forgotten.
@@ -25,26 +53,17 @@ def with_drift(problem: Problem, model: FullModel, found: Fit, stages: Stages, n
         name: of the stage.
     """
     plain = replace(problem, drift=None)
-    if (problem.surface is None and not problem.twin.scene.obstacles) or problem.twin.clamp is not None:
+    if problem.drift_limit is None:
         return plain
+    begin, most = problem.drift_limit
 
     def compute() -> dict[str, np.ndarray]:
-        begin = _first_contact(plain, model, found.values)
-        likely = None
-        if begin is not None:
-            at = model.linearise(found.values)[0]  # the search that comes next wants these derivatives too
-            likely = likely_drift(plain.undrifted, at, begin, 1 / plain.twin.fps)
-        return {"drift": np.zeros(0) if likely is None else np.array([likely.begin, likely.sigma])}
+        at = model.linearise(found.values)[0]  # the search that comes next wants these derivatives too
+        likely = likely_drift(plain.undrifted, at, begin, 1 / plain.twin.fps, most=most)
+        return {"sigma": np.array(0.0 if likely is None else likely.sigma)}
 
-    arrays = stages.run(name, compute)["drift"]
-    return replace(plain, drift=(int(arrays[0]), float(arrays[1]))) if len(arrays) else plain
-
-
-def _first_contact(problem: Problem, model: FullModel, values: np.ndarray) -> int | None:
-    points = problem.twin.mesh.vertices if problem.surface is None else problem.surface.points
-    moved = replace(model, points=points).positions(values)
-    scene = problem.twin.scene
-    return first_contact(moved, scene.obstacles, np.arange(len(moved)) / problem.twin.fps, scene.gravity)
+    sigma = float(stages.run(name, compute)["sigma"])
+    return replace(plain, drift=(begin, sigma)) if sigma else plain
 
 
 def drift_of(problem: Problem, found: Fit) -> RigidDrift | None:
@@ -54,3 +73,21 @@ def drift_of(problem: Problem, found: Fit) -> RigidDrift | None:
         return None
     moved = np.linalg.norm(seen.drift(found.positions), axis=-1)
     return RigidDrift(seen.begin, seen.sigma, np.sqrt(np.square(moved).mean(axis=1)), problem.twin.mesh.size)
+
+
+def followed_motion(problem: Problem, motion: RefinedMotion) -> RefinedMotion:
+    """The motion with the rigid drift added: where the recording has the body; beyond its end the drift goes on."""
+    seen = problem.seen
+    if not isinstance(seen, DriftingObservations):
+        return motion
+    points = Embedding.of_points(motion.mesh, seen.points).apply(motion.nodes)
+
+    def carried(others: np.ndarray) -> np.ndarray:
+        return seen.carried(points, others) if others.shape[1] else others
+
+    return replace(
+        motion,
+        nodes=carried(motion.nodes),
+        vertices=carried(motion.vertices),
+        markers=carried(motion.markers),
+    )

@@ -12,8 +12,9 @@ import numpy as np
 
 from inference.prediction import Prediction
 from inference.refining.appearance import appearance_of
+from inference.refining.beginning import START_OPTIONS, Beginning
 from inference.refining.colouring import BLURS, coloured
-from inference.refining.drifting import drift_of, with_drift
+from inference.refining.drifting import drift_of, followed_motion, with_drift
 from inference.refining.estimates import estimates_of, finer_mesh, judge
 from inference.refining.fits import arrays_of_correction, arrays_of_fit, fit_of, runs_of
 from inference.refining.motion import future_rms, motion_of
@@ -29,7 +30,6 @@ from physconvex.fem import SurfacePoints
 from physconvex.identify import (
     DriftingObservations,
     Fit,
-    FitOptions,
     FullModel,
     Model,
     Observations,
@@ -49,13 +49,10 @@ from physconvex.identify import (
 from physconvex.identify.full_fit import FULL_OPTIONS
 from physconvex.identify.nuisance import MarginalObservations
 from physconvex.identify.setup import with_free_friction
-from physconvex.identify.twin import coarse_mesh
 from physconvex.reduced import parameter_values
 
 __all__ = ["refine"]
 
-_COARSE_RUNS = 6
-_START = FitOptions(relative_tolerance=1e-3, absolute_tolerance=0.1, max_step=1.5)
 _STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses the body; least and most per second
 _NOT_FOLLOWED = 5.0  # standard deviations rms of one source, from which the user is warned
 _LEFT = 0.5  # of the difference between few and more nodes: what more nodes still err by
@@ -110,7 +107,7 @@ class _Run:
         problem = self._problem()
         reduced = start = self.search.run(problem)
         if self.options.own_derivatives:
-            start = self._coarse_fit(problem, reduced)
+            problem, start = self._begun(problem, reduced)
         if problem.observed.can_be_anchored:
             problem, start = self._anchored(problem, start)
         problem = self._with_step(problem, start)
@@ -158,24 +155,15 @@ class _Run:
 
     # -- stages
 
-    def _coarse_fit(self, problem: Problem, start: Fit) -> Fit:
+    def _begun(self, problem: Problem, reduced: Fit) -> tuple[Problem, Fit]:
         """The full model on few nodes, with long steps: a start without the reduced model's stiffness."""
-        twin = replace(problem.twin, steps_per_frame=max(4, problem.twin.steps_per_frame // 2))
-        mesh = coarse_mesh(self.capture, twin.mesh)
-        coarse = replace(problem.full(self.memory), twin=twin, mesh=None if mesh is twin.mesh else mesh)
-
-        def compute() -> Arrays:
-            return arrays_of_fit(fit_full(coarse, seen, start, max_runs=_COARSE_RUNS, options=_START).fit)
-
-        self.start_model = coarse
+        beginning = Beginning(self.capture, self.stages, self.memory, self.options.drift)
         try:
-            seen = problem.seen
-            if self.options.drift:
-                seen = with_drift(problem, coarse, start, self.stages, "drift_coarse").seen
-            return fit_of(self.stages.run("coarse", compute), problem.parameters)
+            candidates = self.search.candidates(problem, reduced)
+            problem, start, self.start_model = beginning.find(problem, reduced, candidates)
         except ConvergenceError:  # too few nodes to be simulated: from the reduced model then
-            self.start_model = None
-            return start
+            return problem, reduced
+        return problem, start
 
     def _with_drift(self, problem: Problem, found: Fit, name: str) -> Problem:
         """The problem with the rigid drift that is likely at the full model of a fit."""
@@ -237,8 +225,11 @@ class _Run:
             most = self.options.full_runs
             full = problem.full(self.memory)
             if self.options.own_derivatives:
-                settings = FULL_OPTIONS if last else _START
-                return arrays_of_correction(fit_full(full, problem.weighted, start, max_runs=most, options=settings))
+                around = problem.drift_limit is None
+                settings = FULL_OPTIONS if last else START_OPTIONS
+                return arrays_of_correction(
+                    fit_full(full, problem.weighted, start, max_runs=most, options=settings, look_around=around)
+                )
             return arrays_of_correction(correct(problem.reduced(), full, problem.seen, start, max_runs=most))
 
         try:
@@ -301,6 +292,7 @@ class _Run:
             residual_rms=rms,
             nuisances=_nuisances(problem, final),
             drift=drift,
+            followed=followed_motion(problem, motion),
             appearance=appearance,
             frame_errors=judged.frame_errors,
             future_rms=future_rms(self.capture, motion),

@@ -37,6 +37,7 @@ class Problem:
         surface: points at which obstacles act, in the place of the mesh's nodes.
         errors: of the model by frame, in standard deviations of the noise, shape [T].
         drift: first frame and standard deviation [m/s] of the rigid drift after a contact; None without.
+        drift_limit: the same frame, and the greatest deviation that may be thought of; None where there is no contact.
     """
 
     twin: Twin
@@ -46,6 +47,7 @@ class Problem:
     surface: SurfacePoints | None = None
     errors: np.ndarray | None = None
     drift: tuple[int, float] | None = None
+    drift_limit: tuple[int, float] | None = None
 
     @property
     def names(self) -> tuple[str, ...]:

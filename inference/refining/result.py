@@ -198,6 +198,7 @@ class Refinement:
         nuisances: camera pose and time offset, where they were free, by name and unit.
         appearance: the object as a convex field that moves with the body; None without one.
         drift: of the recording from the model as a rigid body, after a contact; None where none is likely.
+        followed: the motion with that drift: where the recording has the body (its handles are the model's).
     """
 
     path: str
@@ -220,6 +221,7 @@ class Refinement:
     nuisances: dict[str, float]
     appearance: MovingField | None = None
     drift: RigidDrift | None = None
+    followed: RefinedMotion | None = None
 
     def __getitem__(self, name: str) -> Estimate:
         """The estimate of a free parameter."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from inference.refining.fits import arrays_of_fit, arrays_of_scan, fit_of, scan_of
+from inference.refining.fits import Scanned, arrays_of_fit, arrays_of_scan, fit_of, scan_of
 from inference.refining.options import RefineOptions
 from inference.refining.problem import Problem
 from inference.refining.stages import Stages
@@ -18,7 +18,8 @@ from physconvex.identify.twin import coarse_mesh
 
 __all__ = ["ReducedSearch", "started_from"]
 
-_CHEAP_WEIGHTS = 6
+_CHEAP_WEIGHTS, _FITTED = 6, 2  # and how many pairs of the scan are fitted
+_AROUND, _RATIO = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0), 0.3  # decades; reduced models are too stiff, so that E wants more
 
 
 def started_from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Parameter, ...]:
@@ -46,8 +47,23 @@ class ReducedSearch:
         if "log10_youngs_modulus" not in names or "log10_youngs_modulus" in self.options.initial:
             first = replace(problem, twin=self._cheap(problem)) if self.options.own_derivatives else problem
             return self.fit("reduced", first, problem.parameters)
-        starts = scan_of(self.stages.run("scan", lambda: self._scan(problem)), problem.parameters)
+        starts = self._scanned(problem)[:_FITTED]
         return fit_of(self.stages.run("reduced", lambda: self._best(problem, starts)), problem.parameters)
+
+    def candidates(self, problem: Problem, found: Fit) -> tuple[np.ndarray, ...]:
+        """Where a better model may begin: the fit, the best pairs of the scan, and moduli about that of the fit."""
+        if "log10_youngs_modulus" not in problem.names or "log10_youngs_modulus" in self.options.initial:
+            return (found.values,)
+        scanned = [np.array([p.start for p in start]) for start in self._scanned(problem)]
+        around = []
+        for change in _AROUND:
+            values = started_from(problem.parameters, found)
+            by_name = {"log10_youngs_modulus": found.value("log10_youngs_modulus") + change, "poisson_ratio": _RATIO}
+            around.append(np.array([p.at(by_name.get(p.name, p.start)).start for p in values]))
+        return found.values, *scanned, *around
+
+    def _scanned(self, problem: Problem) -> Scanned:
+        return scan_of(self.stages.run("scan", lambda: self._scan(problem)), problem.parameters)
 
     def _cheap(self, problem: Problem) -> Twin:
         """Few weights, few nodes and long steps, the same world: for the scan."""
@@ -79,9 +95,8 @@ class ReducedSearch:
         cheap = replace(problem, twin=self._cheap(problem))
         trials = [trial for start in starts if (trial := self._grown(cheap, start)) is not None]
         best = min(trials, key=lambda trial: trial.misfit) if trials else None
-        if (
-            best is not None and self.options.own_derivatives
-        ):  # a finer reduced model would cost as much as the full one, which comes next
+        if best is not None and self.options.own_derivatives:
+            # a finer reduced model would cost as much as the full one, which comes next
             return arrays_of_fit(best)
         chosen = starts[0] if best is None else started_from(problem.parameters, best)
         return arrays_of_fit(self._fitted(problem, chosen))

@@ -53,6 +53,7 @@ def write_refinement(
         handles=motion.handles,
         weight_points=motion.weight_points,
         weights=motion.weights.astype(np.float32),
+        followed_vertices=(found.followed or motion).vertices.astype(np.float32),
     )
     if found.appearance is not None:
         write_ply(found.appearance.field, folder / "field.ply")

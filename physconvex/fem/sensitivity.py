@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.errors import InputError
+from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem.scene import Scene
 from physconvex.fem.simulation import StepEquations, Trajectory, simulate
 from physconvex.integrators import State, bdf2, extrapolate, implicit_euler
@@ -30,8 +30,9 @@ from physconvex.stepping import StepRecord
 __all__ = ["SensitiveTrajectory", "simulate_with_sensitivities"]
 
 _TOLERANCE = 1e-3  # of the largest component of a tangent
-_FLOOR = 2e-8  # of the body's size: a change of positions over the whole difference that is as good as none
-_MOST = 12  # corrections per step
+_FLOOR = 2e-10  # of the body's size: a change of positions over the whole difference that is as good as none
+_MOST = 16  # corrections per pass
+_LOOSE = 1.0  # relative change after the last of them that is still taken
 _SLOW = 0.4  # contraction above which the matrix is factorised anew
 
 
@@ -161,22 +162,28 @@ class _Tangents:
         for tangent, x in zip(self.tangents, found, strict=True):
             tangent.advance(record, x)
 
-    def _solved(self, equations: StepEquations, x: np.ndarray, found: list[np.ndarray]) -> list[np.ndarray]:
-        """The tangents at the solution x of one pass."""
-        last, renewed = np.inf, False
+    def _solved(self, equations: StepEquations, x: np.ndarray, guess: list[np.ndarray]) -> list[np.ndarray]:
+        """The tangents at the solution x of one pass.
+
+        Raises:
+            ConvergenceError: they did not settle.
+        """
+        found, last, renewed = guess, np.inf, False
         for _ in range(_MOST):
             residuals = [t.residual(x, dx) for t, dx in zip(self.tangents, found, strict=True)]
             updates = [equations.solve(residual) for residual in residuals]
             triples = zip(self.tangents, updates, found, strict=True)
             size = max(tangent.relative(update, dx) for tangent, update, dx in triples)
-            if size > _SLOW * last and not renewed:
-                renewed, last = _renewed(equations, x), np.inf
-                updates = [equations.solve(residual) for residual in residuals]
-            else:
-                last = size
-            found = [dx - update for dx, update in zip(found, updates, strict=True)]
+            if not size <= _SLOW * last and not renewed:  # a matrix of another pass may have led anywhere
+                renewed, last, found = _renewed(equations, x), np.inf, guess
+                continue
+            share = 1.0 if size <= _SLOW * last else 0.5  # to and fro about a corner of the contact
+            last = size
+            found = [dx - share * update for dx, update in zip(found, updates, strict=True)]
             if size <= _TOLERANCE:
-                break
+                return found
+        if not last <= _LOOSE:
+            raise ConvergenceError(f"derivatives of a time step did not settle: their last change was {last:.1g}")
         return found
 
     def positions(self) -> np.ndarray:
@@ -211,7 +218,7 @@ def simulate_with_sensitivities(
 
     Raises:
         InputError: steps that are not positive, a body that flows, or an option that derivatives do not follow.
-        ConvergenceError: as in `simulate`.
+        ConvergenceError: as in `simulate`, or the derivatives of a step did not settle.
     """
     at, widths = np.asarray(values, dtype=np.float64), np.asarray(steps, dtype=np.float64)
     if at.shape != widths.shape or not (widths > 0).all():

@@ -9,7 +9,7 @@ from physconvex.identify.correction import (
     parameter_shift,
     parameter_shifts,
 )
-from physconvex.identify.drift import DriftingObservations, first_contact, likely_drift
+from physconvex.identify.drift import DriftingObservations, first_contact, likely_drift, model_drift
 from physconvex.identify.finer import FinerFit, fit_finer
 from physconvex.identify.full_fit import fit_full
 from physconvex.identify.held_region import HeldRegion
@@ -80,6 +80,7 @@ __all__ = [
     "marginal_deviations",
     "marker_observations",
     "mesh_of_capture",
+    "model_drift",
     "noise_covariance",
     "parameter_shift",
     "parameter_shifts",

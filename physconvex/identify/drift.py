@@ -10,7 +10,8 @@ with c_t the points' centre and r their radius of gyration: an integrated random
 smoother. The kicks are fitted (a few Gauss–Newton steps, since drift may exceed what images are linear in) and the
 residuals whitened by (I + N Nᵀ)^(−½) about the fitted drift, N their derivatives by the kicks in units of q: estimates
 and intervals hold whatever the drift was. q is where the marginal likelihood is largest, ½ log det(I + N Nᵀ) its price;
-it is zero where the model follows.
+it is zero where the model follows, and at most a few times what two meshes of the body differ by (`model_drift`): else
+a wrong material would pass for drift.
 """
 
 from __future__ import annotations
@@ -20,14 +21,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from physconvex.contact import Plane, Sphere
 from physconvex.identify.observations import Observations, WrappedObservations
 
-__all__ = ["DriftingObservations", "first_contact", "likely_drift"]
+__all__ = ["DriftingObservations", "first_contact", "likely_drift", "model_drift"]
 
 _TURNS, _SETTLED = 6, 1e-3  # Gauss–Newton steps of the kicks, and the last of them in standard deviations
-_SHARES = (1e-3, 3e-3, 1e-2, 3e-2, 0.1)  # of the speed at the contact, tried as q
+_SHARES = (0.03, 0.1, 0.3, 1.0)  # of the most, tried as q
 _TOUCH = 2e-3  # of the body's size
 
 
@@ -100,6 +102,22 @@ class DriftingObservations(WrappedObservations):
         fields = self._fields(positions)
         return _moved(positions, fields, self._fitted(positions, fields)) - positions
 
+    def carried(
+        self, positions: Float[np.ndarray, "F P 3"], others: Float[np.ndarray, "F V 3"]
+    ) -> Float[np.ndarray, "F V 3"]:
+        """Other points of the body where the recording has them, drift and all [m].
+
+        Frames beyond those that were seen drift on at the last velocity and spin.
+
+        Args:
+            positions: of the observed points by the model, in at least all frames that were seen [m].
+            others: of the others by the model, in the same frames [m].
+        """
+        count = int(self.frames.max()) + 1
+        seen = positions[:count]
+        kicks = self._fitted(seen, self._fields(seen))
+        return np.asarray(_moved(others, self._fields(positions, others, kicked=count), kicks))
+
     def log_likelihood(self, positions: Float[np.ndarray, "T P 3"]) -> float:
         """Of the residuals, the kicks integrated out, up to a constant; Huber's loss."""
         fields = self._fields(positions)
@@ -112,12 +130,12 @@ class DriftingObservations(WrappedObservations):
         loss += float((limit[~inside] * (size[~inside] - 0.5 * limit[~inside])).sum())
         return -loss - 0.5 * float(kicks @ kicks) - 0.5 * float(np.log1p(values**2).sum())
 
-    def _fields(self, positions: np.ndarray) -> np.ndarray:
-        """Displacements by the kicks, each of size q [T, C, P, 3] m."""
-        count = len(positions)
-        arms = positions - positions.mean(axis=1, keepdims=True)
-        radius = float(np.sqrt(np.square(arms[0]).sum(-1).mean()))
-        ahead = np.arange(count)[:, None] - np.arange(self.begin, count) + 0.5
+    def _fields(self, positions: np.ndarray, others: np.ndarray | None = None, kicked: int | None = None) -> np.ndarray:
+        """Displacements by the kicks of the first `kicked` frames, each of size q [T, C, P, 3] m; also of others."""
+        count, centre = len(positions), positions.mean(axis=1, keepdims=True)
+        radius = float(np.sqrt(np.square(positions[0] - centre[0]).sum(-1).mean()))
+        arms = (positions if others is None else others) - centre
+        ahead = np.arange(count)[:, None] - np.arange(self.begin, kicked or count) + 0.5
         times = np.where(ahead > 0, ahead, 0.0) * self.interval * self.sigma  # [T, frames with kicks]
         moves = [np.broadcast_to(axis, arms.shape) for axis in np.eye(3)]
         moves += [np.cross(axis, arms) / radius for axis in np.eye(3)]
@@ -150,7 +168,7 @@ def _moved(positions: np.ndarray, fields: np.ndarray, kicks: np.ndarray) -> np.n
 
 
 def likely_drift(
-    seen: Observations, positions: Float[np.ndarray, "T P 3"], begin: int, interval: float
+    seen: Observations, positions: Float[np.ndarray, "T P 3"], begin: int, interval: float, *, most: float
 ) -> DriftingObservations | None:
     """The observations with the drift that is likeliest where the model puts the points; None where none is.
 
@@ -159,13 +177,36 @@ def likely_drift(
         positions: of the points by the model [m].
         begin: frame of the first contact.
         interval: time between frames [s].
+        most: greatest q that is tried [m/s].
     """
     if begin >= len(positions):
         return None
-    speed = float(np.sqrt(np.square(np.diff(positions[: begin + 1], axis=0)[-1]).sum(-1).mean())) / interval
     best, highest = None, DriftingObservations(seen, begin, interval, 0.0).log_likelihood(positions)
     for share in _SHARES:
-        trial = DriftingObservations(seen, begin, interval, share * speed)
+        trial = DriftingObservations(seen, begin, interval, share * most)
         if (likelihood := trial.log_likelihood(positions)) > highest:
             best, highest = trial, likelihood
     return best
+
+
+def model_drift(
+    one: Float[np.ndarray, "T P 3"], other: Float[np.ndarray, "T P 3"], begin: int, interval: float
+) -> float:
+    """The kicks by which one model's body drifts from another's as a rigid one: their rms in each axis [m/s].
+
+    Args:
+        one, other: positions of the same points [m].
+        begin: frame of the first contact.
+        interval: time between frames [s].
+    """
+    gaps = np.array([_rigid_gap(a, b) for a, b in zip(one, other, strict=True)])
+    kicks = np.diff(gaps, n=2, axis=0, prepend=np.zeros((1, 6)))[max(begin - 1, 0) :] / interval
+    return float(np.sqrt(np.square(kicks).mean())) if kicks.size else 0.0
+
+
+def _rigid_gap(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, " 6"]:
+    """Displacement, and rotation vector times the radius of gyration, that lay `one` best on `other` [m]."""
+    centres = one.mean(axis=0), other.mean(axis=0)
+    arms = one - centres[0]
+    turn, _ = Rotation.align_vectors(other - centres[1], arms)
+    return np.concatenate([centres[1] - centres[0], np.sqrt(np.square(arms).sum(-1).mean()) * turn.as_rotvec()])

@@ -34,6 +34,7 @@ def fit_full(
     *,
     max_runs: int = 8,
     options: FitOptions | None = None,
+    look_around: bool = True,
     on_run: Callable[[Iteration], None] | None = None,
 ) -> Correction:
     """Fit the full model, with its own derivatives.
@@ -44,13 +45,14 @@ def fit_full(
         start: the fit of the cheap model.
         max_runs: most linearisations of the full model.
         options: when to stop otherwise.
+        look_around: try a few moduli first, where the full model's misfit is far above that of `start`.
         on_run: told each accepted state.
 
     Raises:
         ConvergenceError: the full model fails at the start and at the moduli about it.
     """
     parameters = tuple(p.at(float(v)) for p, v in zip(start.parameters, start.values, strict=True))
-    chosen, first = _start(full, observations, parameters, start)
+    chosen, first = _start(full, observations, parameters, start, look_around=look_around)
     settings = replace(options or FULL_OPTIONS, max_iterations=max_runs)
     found = fit(full, observations, chosen, options=settings, on_iteration=on_run)
     distance = float("nan") if first is None else float(np.sqrt(np.square(first - start.positions).sum(-1).mean()))
@@ -60,12 +62,12 @@ def fit_full(
 
 
 def _start(
-    full: Model, observations: Observations, parameters: tuple[Parameter, ...], start: Fit
+    full: Model, observations: Observations, parameters: tuple[Parameter, ...], start: Fit, *, look_around: bool
 ) -> tuple[tuple[Parameter, ...], np.ndarray | None]:
     """Where to begin, and the full model's positions at the reduced model's fit (None where it fails there)."""
     first = _first(full, parameters)
     best = np.inf if first is None else misfit_of(observations, first)
-    if best <= FAR * start.misfit or _MODULUS not in full.names:
+    if not look_around or best <= FAR * start.misfit or _MODULUS not in full.names:
         return parameters, first
     place, chosen = full.names.index(_MODULUS), parameters
     for change in _TRIED:

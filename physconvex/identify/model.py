@@ -10,7 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.errors import InputError
+from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import Scene
 from physconvex.fem import simulate as simulate_full
 from physconvex.fem import simulate_with_sensitivities as full_with_sensitivities
@@ -25,7 +25,8 @@ from physconvex.reduced import simulate, simulate_with_sensitivities
 __all__ = ["FullModel", "LinearModel", "Model", "ReducedModel", "RollOuts"]
 
 PASSES = 12  # most linearisations of friction in each step of a full model
-_DIFFERENCE = 1e-4  # of a typical step: half width of the central differences
+_DIFFERENCE = 1e-6  # of a typical step: half width of the central differences; contact is linear over microns only
+_ROUGH_DIFFERENCE = 0.1  # of a typical step: where friction makes a roll-out rough at smaller scales
 
 
 @runtime_checkable
@@ -167,20 +168,42 @@ class FullModel:
     def linearise(
         self, values: Float[np.ndarray, " K"]
     ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
-        """Positions and their derivatives (`physconvex.fem.simulate_with_sensitivities`)."""
+        """Positions and their derivatives (`physconvex.fem.simulate_with_sensitivities`).
+
+        On a rough floor points stick and slip one after the other, so that a roll-out has corners everywhere, and its
+        derivative at a point may be ten times the slope over any change that matters: differences over a tenth of a
+        typical step are taken there.
+        """
         run = self.memory.get(self._key(values), lambda: self._linearised(values))
         return self._embedding.apply(run.trajectory.positions), self._embedding.apply(run.position_tangents)
 
     def _linearised(self, values: np.ndarray) -> SensitiveTrajectory:
         usual = [default_parameter(name) for name in self.names]
+        steps, lower, upper = step_scales(usual), lower_bounds(usual), upper_bounds(usual)
+        if any(obstacle.friction for obstacle in self.twin.scene.obstacles):
+            return self._differenced(values, _ROUGH_DIFFERENCE * steps, lower, upper)
         return full_with_sensitivities(
-            self.scene,
-            values,
-            steps=_DIFFERENCE * step_scales(usual),
-            lower=lower_bounds(usual),
-            upper=upper_bounds(usual),
-            **self._timing(),
+            self.scene, values, steps=_DIFFERENCE * steps, lower=lower, upper=upper, **self._timing()
         )
+
+    def _differenced(
+        self, values: np.ndarray, steps: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    ) -> SensitiveTrajectory:
+        """Differences of whole roll-outs, upwards unless a bound or a failure is in the way."""
+        base = simulate_full(self.scene(values), **self._timing())
+        tangents = []
+        for place, step in enumerate(steps):
+            change = np.zeros(len(values))
+            change[place] = step if values[place] + step <= upper[place] else -step
+            try:
+                moved = simulate_full(self.scene(values + change), **self._timing())
+            except ConvergenceError:
+                change = -change
+                if values[place] + change[place] < lower[place]:
+                    raise
+                moved = simulate_full(self.scene(values + change), **self._timing())
+            tangents.append((moved.positions - base.positions) / change[place])
+        return SensitiveTrajectory(base, np.stack(tangents, axis=1))
 
 
 @dataclass(frozen=True, eq=False)

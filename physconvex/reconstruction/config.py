@@ -27,6 +27,7 @@ class ReconstructionConfig(BaseModel):
         start: what the first convexes come from: the capture's mesh, the visual hull of the masks, points; `auto` takes
             the mesh if there is one, else points if given, else the hull.
         budget: most convexes.
+        points_per_convex: K, 4 to 9; below six nothing is added to close gaps after the fit.
         start_share: share of the budget that covers the surface at the start; refinement adds the rest.
         filler_share: share of the budget that may fill the inside.
         gap_share: share of the budget that is kept to close, after the fit, what is in no hull; the others are of the
@@ -47,6 +48,7 @@ class ReconstructionConfig(BaseModel):
 
     start: StartKind = "auto"
     budget: int = Field(default=16_000, ge=50)
+    points_per_convex: int = Field(default=6, ge=4, le=9)
     start_share: Share = 0.8
     filler_share: Share = 0.1
     gap_share: Share = 0.1

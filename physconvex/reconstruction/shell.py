@@ -1,4 +1,4 @@
-"""First convexes: prisms under a surface, boxes inside it, octahedra about points."""
+"""First convexes: prisms under a surface, boxes inside it, octahedra about points; with more or fewer points each."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from scipy.spatial import cKDTree
 
 from physconvex.reconstruction.triangles import Triangles
 
-__all__ = ["fillers", "octahedra", "prisms"]
+__all__ = ["fillers", "octahedra", "prisms", "with_count"]
 
 GREATEST_GROWTH = 2.0  # of a sliver whose edges are moved outward
 SHARE_OF_WALL = 0.4  # of the way to the other side of the body that a prism may reach
 SURFACE_SAMPLES = 40_000
 UNPAINTED = 1e-3  # opacity of what fills the inside, below what is drawn: convexes are sorted by their centres
+BULGE = 0.1  # of its distance from the middle by which a point that is added to an edge lies outside
+INNER_EDGES = np.array([[3, 4], [4, 5], [5, 3]])  # of a prism
 LATTICE = 64  # cells along the longest edge at most
 BOX_POINTS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 WEDGES = np.array([[0, 1, 2, 3, 4, 5], [2, 3, 4, 5, 6, 7]])  # of a box, sharing the diagonal plane
@@ -114,3 +116,19 @@ def octahedra(points: Float[np.ndarray, "P 3"], *, neighbours: int = 3) -> Float
     distance = cKDTree(points).query(points, k=[*range(2, 2 + min(neighbours, len(points) - 1))])[0]
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     return points[:, None] + distance.mean(axis=1)[:, None, None] * axes
+
+
+def with_count(hulls: Float[np.ndarray, "N 6 3"], count: int) -> Float[np.ndarray, "N K 3"]:
+    """Hulls of so many points (4 to 9) from prisms of six: outer triangle first, then the inner one.
+
+    With fewer, inner corners are merged to their means; with more, middles of inner edges are added, a little outside,
+    so that they are corners too.
+    """
+    outer, inner = hulls[:, :3], hulls[:, 3:]
+    if count == 4:
+        return np.concatenate([outer, inner.mean(axis=1, keepdims=True)], axis=1)
+    if count == 5:
+        return np.concatenate([outer, inner[:, :1], inner[:, 1:].mean(axis=1, keepdims=True)], axis=1)
+    middle = hulls.mean(axis=1, keepdims=True)
+    added = middle + (1 + BULGE) * (hulls[:, INNER_EDGES[: count - 6]].mean(axis=2) - middle)
+    return np.concatenate([hulls, added], axis=1)

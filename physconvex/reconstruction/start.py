@@ -16,7 +16,7 @@ from physconvex.errors import InputError
 from physconvex.reconstruction.attribution import Gathered, gather
 from physconvex.reconstruction.config import ReconstructionConfig, StartKind
 from physconvex.reconstruction.observation import Observation
-from physconvex.reconstruction.shell import UNPAINTED, fillers, octahedra, prisms
+from physconvex.reconstruction.shell import UNPAINTED, fillers, octahedra, prisms, with_count
 from physconvex.reconstruction.triangles import even_triangles, welded
 from physconvex.reconstruction.visual_hull import footprint, visual_hull
 
@@ -68,7 +68,8 @@ def start_field(
         depth = DEPTH * float(np.sqrt(4 / np.sqrt(3) * triangles.areas.mean()))
         outer = prisms(triangles, surface, depth=depth, overhang=0.5 * config.edge_width * pixel)
         inner = fillers(surface, depth=depth, most=round(config.filler_share * config.fit_budget))
-    both = torch.as_tensor(np.concatenate([outer, inner]), dtype=torch.float32)
+    hulls = with_count(np.concatenate([outer, inner]), config.points_per_convex)
+    both = torch.as_tensor(hulls, dtype=torch.float32)
     ones = torch.ones(len(both))
     grey = coefficients_of_colour(torch.full((len(both), 3), 0.5))
     opacity = torch.where(torch.arange(len(both)) < len(outer), OPACITY, UNPAINTED)

@@ -12,6 +12,7 @@ from physconvex.identify import (
     first_contact,
     fit,
     likely_drift,
+    model_drift,
 )
 
 FRAMES, INTERVAL, BEGIN, SIGMA = 10, 1 / 24, 4, 1e-3
@@ -34,9 +35,14 @@ def falling(rng, count=30):
 
 def kicked(positions, velocity, spin, frame=BEGIN):
     """The same, flung aside from that frame on."""
-    arms = positions - positions.mean(axis=1, keepdims=True)
+    return positions + rigid_change(positions, positions, velocity, spin, frame)
+
+
+def rigid_change(positions, others, velocity, spin, frame=BEGIN):
+    """How far `kicked` moves other points of the body."""
+    centre = positions.mean(axis=1, keepdims=True)
     time = np.clip(TIMES - TIMES[frame] + 0.5 * INTERVAL, 0.0, None) * (np.arange(FRAMES) >= frame)
-    return positions + time[:, None, None] * (np.asarray(velocity) + np.cross(spin, arms))
+    return time[:, None, None] * (np.asarray(velocity) + np.cross(spin, others - centre))
 
 
 def markers(positions, rng):
@@ -87,7 +93,7 @@ def test_a_fit_is_right_although_the_recording_was_flung_aside(rng):
     names = ("log10_youngs_modulus", "poisson_ratio")
     model = LinearModel(names, truth, x, tangents)
     parameters = [default_parameter(n, start=v) for n, v in zip(names, (5.1, 0.35), strict=True)]
-    drifting = likely_drift(recorded, x, BEGIN, INTERVAL)
+    drifting = likely_drift(recorded, x, BEGIN, INTERVAL, most=0.4)
     assert drifting is not None
     plain, found = fit(model, recorded, parameters), fit(model, drifting, parameters)
     deviations = np.sqrt(np.diag(np.linalg.inv(found.jacobian.T @ found.jacobian)))
@@ -96,11 +102,14 @@ def test_a_fit_is_right_although_the_recording_was_flung_aside(rng):
     assert 0.5 < found.reduced_chi_square < 1.5
     far = np.linalg.norm(drifting.drift(x) - (kicked(x, (0.3, -0.2, 0.4), (0.5, 0.3, -0.2)) - x), axis=-1)
     assert far.max() < 0.01
+    part, corners = drifting.in_frames(FRAMES - 2), x[:, :4] + np.array([0.3, 0.0, 0.1])  # goes on in the last two
+    expected = corners + rigid_change(x, corners, (0.3, -0.2, 0.4), (0.5, 0.3, -0.2))
+    assert np.linalg.norm(part.carried(x, corners) - expected, axis=-1).max() < 0.02
 
 
 def test_where_the_model_follows_no_drift_is_likely(rng):
     x = falling(rng)
-    assert likely_drift(markers(x, rng), x, BEGIN, INTERVAL) is None
+    assert likely_drift(markers(x, rng), x, BEGIN, INTERVAL, most=0.4) is None
 
 
 def test_before_the_contact_nothing_changes(rng):
@@ -109,7 +118,7 @@ def test_before_the_contact_nothing_changes(rng):
     drifting = DriftingObservations(seen, BEGIN, INTERVAL, 0.1)
     early = seen.frames < BEGIN
     np.testing.assert_allclose(drifting.residuals(x)[early], seen.residuals(x)[early], rtol=1e-12)
-    assert likely_drift(seen.in_frames(BEGIN), x[:BEGIN], BEGIN, INTERVAL) is None
+    assert likely_drift(seen.in_frames(BEGIN), x[:BEGIN], BEGIN, INTERVAL, most=0.4) is None
 
 
 def test_first_contact_is_found_at_a_frame_and_between_frames():
@@ -122,3 +131,11 @@ def test_first_contact_is_found_at_a_frame_and_between_frames():
     assert first_contact(x, [floor], times, (0, 0, 0)) == 3
     assert first_contact(x, [Plane((0, 0, -2))], times, (0, 0, 0)) is None
     assert first_contact(x, [Sphere((0, 0, -1), 1.005)], times, (0, 0, 0)) == 3
+
+
+def test_the_drift_between_two_models_is_the_kick_that_one_has_and_the_other_has_not(rng):
+    x = falling(rng)
+    other = kicked(x, (0.3, 0.0, 0.0), (0.0, 0.0, 0.0)) + 1e-5 * rng.standard_normal(x.shape)
+    kicks = 6 * (FRAMES - BEGIN)  # one axis of one frame; half of it shows in the frame before the next
+    assert model_drift(x, other, BEGIN, INTERVAL) == pytest.approx(0.3 * np.sqrt(0.5 / kicks), rel=0.15)
+    assert model_drift(x, x, BEGIN, INTERVAL) < 1e-12

@@ -78,17 +78,20 @@ def test_a_benchmark_keeps_truth_apart(benchmark):
 def test_an_object_is_evaluated_part_by_part(benchmark, tmp_path):
     options = PaperOptions(
         max_nodes=120, weights=3, full_runs=2, model_error=False, adam_steps=3, ablation=(), field_budget=200,
-        field_steps=4, steps_per_frame=4,
+        field_steps=4, steps_per_frame=4, ablation_points=(4,),
     )  # fmt: skip
     parts = []
     (found,) = evaluate_paper(benchmark, tmp_path, options, on_part=lambda *names: parts.append(names[1]))
-    assert parts == ["constant", "network", "field", "refined", "published_way"]
+    assert parts == ["constant", "network", "field", "refined", "followed", "published_way", "points_K4"]
     assert "failure" not in found["refined"], found["refined"]
     assert abs(found["refined"]["errors"][0]) < abs(found["constant"]["errors"][0])
     assert len(found["refined"]["rms_m"]) == 10
     assert set(found["refined"]["pictures"]) == {"observed", "future"}
+    assert set(found["followed"]["pictures"]) == {"observed", "future"} and "drift" in found["followed"]
     assert set(found["refined"]["changes"]) == {"softer", "pushed", "moving_floor"}
     assert found["published_way"]["steps"] == 3
+    assert set(found["points_K4"]["observed"]) == {"refined"} and found["points_K4"]["first_images"]["psnr"] > 10
+    assert "| 4 | " in markdown([found], "One object.")
     again = []
     evaluate_paper(benchmark, tmp_path, options, on_part=lambda *names: again.append(names))
     assert not again

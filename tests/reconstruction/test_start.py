@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from scipy.spatial import ConvexHull
 
 from physconvex.camera import look_at
 from physconvex.convex import ConvexField, coefficients_of_colour, hull_volumes, inside_union
 from physconvex.errors import InputError
 from physconvex.reconstruction import (
     ReconstructionConfig,
+    begin,
+    fit,
     load_reconstruction_config,
     measure_coverage,
     score,
@@ -20,7 +23,7 @@ from physconvex.reconstruction import (
     visual_hull,
 )
 from physconvex.reconstruction.attribution import gather
-from physconvex.reconstruction.shell import fillers, octahedra, prisms
+from physconvex.reconstruction.shell import fillers, octahedra, prisms, with_count
 from physconvex.reconstruction.triangles import even_triangles, welded
 from physconvex.render import render
 from tests.reconstruction.scenes import RADIUS, ball_mesh, striped_ball
@@ -163,3 +166,25 @@ def test_wrong_settings_are_refused(tmp_path):
     assert load_reconstruction_config(path, overrides=["steps=9"], seed=4, start=None).model_dump(
         include={"budget", "steps", "seed", "start"}
     ) == {"budget": 700, "steps": 9, "seed": 4, "start": "auto"}
+
+
+@pytest.mark.parametrize("count", [4, 5, 6, 7, 8, 9])
+def test_hulls_of_more_or_fewer_points(count):
+    wedge = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, -1], [1, 0, -1], [0, 1, -1]], dtype=float)
+    octahedron = octahedra(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float))[0]
+    for hull in (wedge, octahedron):
+        (found,) = with_count(hull[None], count)
+        assert found.shape == (count, 3)
+        np.testing.assert_array_equal(found[:3], hull[:3])
+        assert len(ConvexHull(found).vertices) == count  # each point is a corner
+        volume = ConvexHull(hull).volume
+        assert 0.2 * volume < ConvexHull(found).volume < 1.3 * volume
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [4, 8])
+def test_a_reconstruction_has_the_points_that_were_asked_for(seen, count):
+    config = ReconstructionConfig(budget=600, steps=12, refinements=2, points_per_convex=count)
+    field = fit(begin(start_field(seen, config, mesh=ball_mesh())), seen, config).field()
+    assert field.points.shape[1] == count
+    assert np.mean([one.psnr for one, _ in score(field, seen)]) > 18

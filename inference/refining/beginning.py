@@ -1,0 +1,103 @@
+"""Where the full model's search begins: the best of several places, improved on few nodes with long steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from inference.refining.drifting import with_drift, with_drift_limit
+from inference.refining.estimates import finer_mesh
+from inference.refining.fits import arrays_of_fit, fit_of
+from inference.refining.problem import Problem
+from inference.refining.stages import Stages
+from physconvex.capture import Capture
+from physconvex.errors import ConvergenceError
+from physconvex.identify import DriftingObservations, Fit, FitOptions, FullModel, RollOuts, fit_full
+from physconvex.identify.twin import coarse_mesh
+
+__all__ = ["START_OPTIONS", "Beginning"]
+
+START_OPTIONS = FitOptions(relative_tolerance=1e-3, absolute_tolerance=0.1, max_step=1.5)
+_RUNS = 6
+_FEW = 0.7  # of the nodes: a mesh with more of them is hardly cheaper
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """The search for a start.
+
+    Attributes:
+        capture, stages: of the refinement.
+        memory: of roll-outs.
+        drift: whether rigid drift is thought of.
+    """
+
+    capture: Capture
+    stages: Stages
+    memory: RollOuts
+    drift: bool
+
+    def find(self, problem: Problem, reduced: Fit, candidates: Sequence[np.ndarray]) -> tuple[Problem, Fit, FullModel]:
+        """The problem with a bound on its drift, the start, and the model of few nodes.
+
+        Args:
+            problem: what is fitted.
+            reduced: the reduced model's fit.
+            candidates: values from which the full model may begin, that of the fit among them.
+
+        Raises:
+            ConvergenceError: a body of few nodes cannot be simulated.
+        """
+        swift = replace(problem.twin, steps_per_frame=max(4, problem.twin.steps_per_frame // 2))
+        half = replace(problem.full(self.memory), twin=swift)
+        mesh = coarse_mesh(self.capture, swift.mesh)
+        coarse = half if mesh is swift.mesh else replace(half, mesh=mesh)
+        if self.drift:
+            problem = self._limited(problem, half, coarse, reduced)
+        start = self._best(problem, half, reduced, candidates)
+        model = coarse if len(mesh.vertices) < _FEW * len(swift.mesh.vertices) else half
+        return problem, self._fitted(problem, model, half, start), coarse
+
+    def _limited(self, problem: Problem, half: FullModel, coarse: FullModel, reduced: Fit) -> Problem:
+        other = coarse
+        if coarse is half and problem.twin.scene.obstacles:
+            finer = finer_mesh(problem.twin)
+            other = half if finer is None else replace(half, mesh=finer)
+        return problem if other is half else with_drift_limit(problem, half, other, reduced, self.stages)
+
+    def _best(self, problem: Problem, half: FullModel, reduced: Fit, candidates: Sequence[np.ndarray]) -> Fit:
+        """The candidate that the full model likes best, where a rebound may have led the reduced one astray."""
+        if problem.drift_limit is None or len(candidates) < 2:
+            return reduced
+        arrays = self.stages.run("start", lambda: {"misfits": self._misfits(problem, half, candidates)})
+        values = candidates[int(np.argmin(arrays["misfits"]))]
+        return reduced if values is candidates[0] else replace(reduced, values=values)
+
+    def _fitted(self, problem: Problem, model: FullModel, half: FullModel, start: Fit) -> Fit:
+        seen = with_drift(problem, model, start, self.stages, "drift_coarse").seen if self.drift else problem.seen
+        around = problem.drift_limit is None
+
+        def compute() -> dict[str, np.ndarray]:
+            found = fit_full(model, seen, start, max_runs=_RUNS, options=START_OPTIONS, look_around=around).fit
+            if not around and model is not half:
+                before, after = self._misfits(problem, half, (start.values, found.values))
+                if before < after:  # few nodes have led astray
+                    found = replace(found, values=start.values)
+            return arrays_of_fit(found)
+
+        return fit_of(self.stages.run("coarse", compute), problem.parameters)
+
+    def _misfits(self, problem: Problem, model: FullModel, candidates: Sequence[np.ndarray]) -> np.ndarray:
+        """Minus the log-likelihood of each, with all the drift there may be; infinite where nothing comes out."""
+        assert problem.drift_limit is not None
+        begin, most = problem.drift_limit
+        seen = DriftingObservations(problem.undrifted, begin, 1 / problem.twin.fps, most)
+        out = np.full(len(candidates), np.inf)
+        for number, values in enumerate(candidates):
+            try:
+                out[number] = -seen.log_likelihood(model.positions(values))
+            except ConvergenceError:
+                continue
+        return out
