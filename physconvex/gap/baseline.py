@@ -334,8 +334,8 @@ def fit_baseline(
             return replace(here, fit=found) if here is best else best
         twin = twin_at(rough.model.twin, names, found.values)
         here = run_base(rough.capture, rough.observations, split, twin, found, mesh=mesh)
-        kept = {"correction": correction, "surrogate_stiffer": rough.model.surrogate_stiffer}
-        here = replace(here, model=replace(here.model, **kept))
+        stiffer = rough.model.surrogate_stiffer
+        here = replace(here, model=replace(here.model, correction=correction, surrogate_stiffer=stiffer))
         misfit = misfit_of_base(here, variance)
         if misfit < least:
             best, least = here, misfit

@@ -60,7 +60,7 @@ def _loaded(axis: int, side: int, *, loose: bool = False) -> Effect:
         "external",
         (_RATIO, _SLACK) if loose else (_RATIO,),
         scene=scene,
-        applies=lambda situation: situation.clamped and (not loose or np.linalg.norm(situation.gravity) > 0),
+        applies=lambda situation: situation.clamped and (not loose or any(situation.gravity)),
         variant=f"{end}, loose" if loose else end,
         description=(
             "a load that hangs on one end by a slack string: it falls by itself first, then tears the body down"
