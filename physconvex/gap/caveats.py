@@ -61,8 +61,8 @@ def _floor(base: Hypothesis) -> list[str]:
     stiffness = 10 ** base.values[names.index("log10_contact_stiffness")]
     dashpot = base.values[names.index("contact_damping")]
     return [
-        f"The floor gives way: its stiffness ({stiffness:.2g} Pa/m) and its dashpot ({1e3 * dashpot:.2g} ms) were fitted "
-        "beside E, as properties of the floor that the capture does not state. If the real floor is hard, read the "
+        f"The floor gives way: its stiffness ({stiffness:.2g} Pa/m) and dashpot ({1e3 * dashpot:.2g} ms) were "
+        "fitted beside E: the capture does not state them. If the real floor is hard, read the "
         "dashpot as `restitution`."
     ]
 
