@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import TetMesh
+from physconvex.fem import TetMesh, vibration_modes
 from physconvex.gap.baseline import Baseline, fit_baseline, misfit_of_base
 from physconvex.gap.model import EffectModel
 from physconvex.gap.numerics import Numerics
@@ -24,7 +24,7 @@ __all__ = ["own_elements", "with_own_elements"]
 
 _WORK = 600_000  # nodes times steps that can be afforded
 _BETTER = 0.5  # share of the squares that the own elements may leave to be the model
-_DECADES = (0.0, 0.06, -0.06, 0.12, -0.12)  # of E about the fit
+_DECADES = (0.0, 0.04, -0.04, 0.1, -0.1)  # of E about that at which the lowest vibration keeps its frequency
 _FINER = (-0.04, -0.02, 0.0, 0.02, 0.04)
 _HOPELESS = 4.0  # times the squares of the fit, by the best E of a coarse scan: then no fit is begun
 _MODULUS, _RATIO, _RATIOS = "log10_youngs_modulus", "poisson_ratio", (0.25, 0.45)
@@ -71,11 +71,12 @@ def with_own_elements(
         if _RATIO in base.model.base:
             at = base.model.base.index(_RATIO)
             values[at] = np.clip(values[at], *_RATIOS)
+        values[index] += _decades(base.model, model, values)
         least, values[index] = _best_modulus(base, model, values, variance)
         if least > _HOPELESS * before:
             return base, numerics
         motion = model.motion(values)
-        stiffer = _surrogate(base, values, motion.positions) if base.situation.clamped else 0.0
+        stiffer = _surrogate(base, mesh, values, motion.positions) if base.situation.clamped else 0.0
         start = replace(
             rough, fit=replace(rough.fit, values=values), model=replace(rough.model, surrogate_stiffer=stiffer)
         )
@@ -91,7 +92,7 @@ def with_own_elements(
 def _best_modulus(
     base: Baseline, model: EffectModel, start: np.ndarray, variance: Float[np.ndarray, " N"]
 ) -> tuple[float, float]:
-    """Least misfit in the fitted frames, and the log10 E at which it is reached."""
+    """Least misfit in the fitted frames, and the log10 E, near the start, at which it is reached."""
     index, count = base.model.base.index(_MODULUS), int(base.split.fitted[-1]) + 1
     shorter, tried = replace(model, frames=count), []
     for decades in _DECADES:
@@ -103,7 +104,7 @@ def _best_modulus(
     return min(tried)
 
 
-def _surrogate(base: Baseline, values: np.ndarray, target: Float[np.ndarray, "T P 3"]) -> float:
+def _surrogate(base: Baseline, mesh: TetMesh, values: np.ndarray, target: Float[np.ndarray, "T P 3"]) -> float:
     """Decades of E by which the cheaper model must be stiffer to vibrate as the own elements do."""
     count = int(base.split.fitted[-1]) + 1
     coarse = replace(base.model, mesh=None, correction=None, frames=count)
@@ -112,5 +113,20 @@ def _surrogate(base: Baseline, values: np.ndarray, target: Float[np.ndarray, "T 
         moved = replace(coarse, stiffer=decades).motion(values).positions
         return float(np.linalg.norm(moved - target[:count]))
 
-    first = min(_DECADES, key=missed)
+    first = _decades(replace(base.model, mesh=mesh), coarse, values)
     return first + min(_FINER, key=lambda more: missed(first + more))
+
+
+def _decades(one: EffectModel, other: EffectModel, values: np.ndarray) -> float:
+    """Decades of E by which another mesh must be stiffer to vibrate as the one does, by their lowest frequencies."""
+    return 2 * float(np.log10(_lowest(one, values) / _lowest(other, values)))
+
+
+def _lowest(model: EffectModel, values: np.ndarray) -> float:
+    """Lowest frequency of the body's vibrations on the model's mesh [Hz]."""
+    scene = model.full_scene(values)
+    if scene.pins is None:
+        return float(vibration_modes(scene.body, 7)[0][6])
+    held = np.zeros(len(scene.body.mesh.vertices), dtype=bool)
+    held[scene.pins.nodes] = True
+    return float(vibration_modes(scene.body, 1, clamped=held)[0][0])
