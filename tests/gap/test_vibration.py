@@ -8,7 +8,7 @@ from physconvex.errors import InputError
 from physconvex.fem import box_mesh
 from physconvex.gap.ledger import _rigid_motion
 from physconvex.gap.observing import _check_on_body, starts_elsewhere, with_honest_noise
-from physconvex.gap.vibration import _deformation, ringing
+from physconvex.gap.ringing import deformation, ringing
 from physconvex.identify import MarkerObservations
 
 
@@ -38,7 +38,7 @@ def test_rigid_motion_of_markers():
         velocity[4] - np.cross([0, 0, 2.0], turned[4].mean(0) - [0.02, 0, -0.01]), [1, 0, -0.5], atol=1e-3
     )
     np.testing.assert_allclose(spin[4], [0, 0, 2.0], atol=1e-3)
-    np.testing.assert_allclose(_deformation(np.stack(turned), cloud, held=False), 0, atol=1e-12)
+    np.testing.assert_allclose(deformation(np.stack(turned), cloud, held=False), 0, atol=1e-12)
     assert centre.shape == (9, 3)
 
 
