@@ -2,7 +2,7 @@
 
 Frequency and damping ratio of the shape that moves most tell a held body's stiffness, mass and damping, whatever began
 its motion and when: an explanation must reproduce them. Evidence that is tempered, for residuals which are alike, has
-lost most of that, so that it enters once more, as two observations of their own with what a good model may miss them by.
+lost most of that, so that it enters once more, as two observations with what a good model may miss them by.
 """
 
 from __future__ import annotations

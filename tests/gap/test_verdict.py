@@ -28,7 +28,7 @@ def hypothesis(evidence, *names, log10_modulus=5.0, dose=0.1):
         evidence=evidence,
         fitted=9.0 if not names else 1.0,
         values=np.array([log10_modulus]),
-        model=SimpleNamespace(base=("log10_youngs_modulus",)),
+        model=SimpleNamespace(base=("log10_youngs_modulus",), mesh=None),
         doses=lambda one: (values[effects.index(one)], 0.1 * values[effects.index(one)]),
     )
 
