@@ -20,6 +20,7 @@ from physconvex.gap.giving_floor import with_giving_floor
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
 from physconvex.gap.mapping import as_reduced
 from physconvex.gap.numerics import Numerics, correction_of, detail_errors, error_model, numerical_differences
+from physconvex.gap.observing import lost_points
 from physconvex.gap.options import GapOptions
 from physconvex.gap.own_elements import with_own_elements
 from physconvex.gap.report import GapReport, Provenance
@@ -100,6 +101,7 @@ def diagnose(
         other = second_take if isinstance(second_take, Capture) else load_capture(second_take)
         again = second_take_shrinkage(base, best, other, options, report)
         shrinkage = (*shrinkage, *(() if again is None else (again,)))
+    verdict = replace(verdict, caveats=(*verdict.caveats, *lost_points(base.observations)))
     if capture.frames == MOST_FRAMES:
         verdict = replace(verdict, caveats=(*verdict.caveats, f"At most the first {MOST_FRAMES} frames were used."))
     report("report")
