@@ -116,7 +116,7 @@ def _drawn(
     side = 9.5 / len(chosen)
     figure = Figure(figsize=(9.5 + 1.0, count * side * height / width + 0.3), layout="constrained")
     panels = figure.subplots(count, len(chosen), squeeze=False)
-    for line, (name, pictures) in zip(panels, [*rows, *differences], strict=True):
+    for number, (line, (name, pictures)) in enumerate(zip(panels, [*rows, *differences], strict=True)):
         for axes, picture, frame in zip(line, pictures, chosen, strict=True):
             axes.set_xticks([])
             axes.set_yticks([])
@@ -128,7 +128,7 @@ def _drawn(
                 axes.imshow(shown, cmap="RdBu", vmin=-0.5, vmax=0.5)
             else:
                 axes.imshow(shown[..., :3])
-            if line is panels[0]:
+            if number == 0:
                 axes.set_title(f"frame {frame}, {1e3 * frame / fps:.0f} ms", fontsize=8)
         line[0].set_ylabel(name.replace(" + ", "\n+ ").replace("observed − ", "observed −\n"), fontsize=7)
     return figure
