@@ -1,10 +1,10 @@
-"""What `physconvex diagnose` says of soft cubes that MuJoCo drops, with a hidden effect or none.
+"""What `physconvex diagnose` says of soft cubes that MuJoCo drops and of beams that it lets go, effects hidden or not.
 
 python benchmarks/gap_mujoco.py --out mujoco_bank [--cases none,damping,friction] [--captures-only]
 
 Another program with another law (Saint Venant–Kirchhoff), linear tetrahedra that lock, semi-implicit Euler, and a soft
-contact that loses energy by itself (the cube sinks in by 6 % of its size). Needs `pip install mujoco`, which is no
-dependency of this package.
+contact that loses energy by itself (the cube sinks in by 6 % of its size). The captures hold its mesh. Needs
+`pip install mujoco`, which is no dependency of this package.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
-from physconvex.capture import Capture, Floor, Tracks, save_capture
+from physconvex.capture import Boundary, Capture, Floor, Tracks, save_capture
 from physconvex.errors import PhysconvexError
 from physconvex.fem import TetMesh
 from physconvex.gap import diagnose
 
 SIZE, COUNT, GAP, DENSITY, STEP, FPS, FRAMES, MARKERS, SIGMA = 0.12, 7, 0.2, 1000.0, 1e-4, 50.0, 30, 30, 6e-5
 GRAVITY = 9.81
+BEAM, GRID, BEAM_DENSITY, BEAM_STEP, BEAM_FPS, BEAM_FRAMES = (0.1, 0.03, 0.03), (11, 4, 4), 1070.0, 2e-5, 100.0, 45
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,23 @@ CASES = {
     "gravity_tilt": Drop(tilt=(2.5, -1.0)),
     "air_drag": Drop(drag=0.4),
     "initial_spin": Drop(spin=(0.8, -0.5, 0.3)),
+}
+
+
+@dataclass(frozen=True)
+class Release:
+    """A beam held at one end: MuJoCo's damping [s], tilt of gravity [deg], load at the free end over its own mass."""
+
+    damping: float = 5e-5
+    tilt: tuple[float, float] = (0.0, 0.0)
+    load: float = 0.0
+
+
+BEAMS = {
+    "beam_none": Release(),
+    "beam_damping": Release(damping=5e-4),
+    "beam_gravity_tilt": Release(tilt=(0.0, 6.0)),
+    "beam_attached_mass": Release(load=0.6),
 }
 
 
@@ -81,14 +99,68 @@ def simulated(drop: Drop) -> tuple[TetMesh, np.ndarray]:
             data.xfrc_applied[bodies, :3] = -drop.drag * np.linalg.norm(mean) * masses[:, None] * mean
             mujoco.mj_step(model, data)
         out.append(data.flexvert_xpos.copy())
-    tets = model.flex_elem[: 4 * model.flex_elemnum[0]].reshape(-1, 4).astype(int)
+    return _mesh(model, rest), np.array(out)
+
+
+def _mesh(model: object, rest: np.ndarray) -> TetMesh:
+    tets = model.flex_elem[: 4 * model.flex_elemnum[0]].reshape(-1, 4).astype(int)  # type: ignore[attr-defined]
     inverted = np.linalg.det(rest[tets[:, 1:]] - rest[tets[:, :1]]) < 0
     tets[inverted] = tets[inverted][:, [0, 2, 1, 3]]
-    return TetMesh(rest, tets), np.array(out)
+    return TetMesh(rest, tets)
+
+
+def released(release: Release) -> tuple[TetMesh, np.ndarray]:
+    """The beam's mesh at t = 0 and its nodes at the frames, shape [T, V, 3]."""
+    import mujoco
+
+    x, y = GRAVITY * np.sin(np.radians(release.tilt))
+    spacing = " ".join(str(length / (n - 1)) for length, n in zip(BEAM, GRID, strict=True))
+    mass = BEAM_DENSITY * float(np.prod(BEAM))
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option timestep="{BEAM_STEP}" gravity="{x} {y} {-np.sqrt(GRAVITY**2 - x**2 - y**2)}" solver="CG"
+        tolerance="1e-8" iterations="50" integrator="Euler"/><size memory="500M"/><worldbody>
+        <flexcomp name="b" type="grid" dim="3" count="{GRID[0]} {GRID[1]} {GRID[2]}" spacing="{spacing}"
+        pos="{BEAM[0] / 2} 0 0" mass="{mass}" radius="0.0005"><contact selfcollide="none" contype="0" conaffinity="0"/>
+        <elasticity young="2.5e5" poisson="0.45" damping="{release.damping}"/>
+        <pin gridrange="0 0 0 0 {GRID[1] - 1} {GRID[2] - 1}"/></flexcomp></worldbody></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    rest = data.flexvert_xpos.copy()
+    end = np.unique(model.flex_vertbodyid[rest[:, 0] > rest[:, 0].max() - 1e-6])
+    weight = release.load * mass / len(end)
+    model.body_mass[end] += weight
+    model.body_inertia[end] += 1e-9
+    mujoco.mj_setConst(model, data)
+    out = [rest]
+    for _ in range(1, BEAM_FRAMES):
+        for _ in range(round(1 / BEAM_FPS / BEAM_STEP)):
+            mujoco.mj_step(model, data)
+        out.append(data.flexvert_xpos.copy())
+    return _mesh(model, rest), np.array(out)
+
+
+def write_beam(folder: Path, name: str) -> None:
+    """Marker tracks of sixteen nodes of the surface; the end that is held is a box."""
+    mesh, trajectory = released(BEAMS[name])
+    rng = np.random.default_rng(sum(map(ord, name)))
+    outer = np.unique(mesh.boundary_faces[:, :3])
+    seen = rng.choice(outer[mesh.vertices[outer, 0] > 0.3 * BEAM[0]], 16, replace=False)
+    positions = trajectory[:, seen] + SIGMA * rng.normal(size=(BEAM_FRAMES, 16, 3))
+    capture = Capture(
+        folder, BEAM_FPS, BEAM_FRAMES, 2 * BEAM_FRAMES // 3, density=BEAM_DENSITY,
+        gravity=np.array([0.0, 0.0, -GRAVITY]),
+    )  # fmt: skip
+    held = Boundary(clamped_box=np.array([[-1e-4, -1.0, -1.0], [1e-4, 1.0, 1.0]]))
+    tracks = Tracks(mesh.vertices[seen], positions, np.full(positions.shape[:2], SIGMA))
+    save_capture(capture, tets=mesh, tracks=tracks, boundary=held)
 
 
 def write_capture(folder: Path, name: str) -> None:
     """Marker tracks of thirty nodes of the surface."""
+    if name in BEAMS:
+        write_beam(folder, name)
+        return
     mesh, trajectory = simulated(CASES[name])
     rng = np.random.default_rng(sum(map(ord, name)))
     outer = np.unique(mesh.boundary_faces[:, :3])
@@ -127,7 +199,7 @@ def main() -> None:
     """Every case: captures, then answers, one line each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--cases", default=",".join(CASES))
+    parser.add_argument("--cases", default=",".join([*CASES, *BEAMS]))
     parser.add_argument("--captures-only", action="store_true")
     arguments = parser.parse_args()
     for name in arguments.cases.split(","):

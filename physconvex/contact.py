@@ -174,7 +174,7 @@ class Contact:
         stiffness: kc [Pa/m].
         smoothing: ε [m].
         slip_velocity: v_s [m/s], below which friction ramps to zero.
-        damping: τ [s] of a dashpot kc ψ'' A τ beside the spring of nodes that move inwards; it costs bounce.
+        damping: τ [s] of a dashpot kc ψ'' A τ beside the spring, both together never pulling; it costs bounce.
     """
 
     obstacles: tuple[Obstacle, ...]
@@ -255,10 +255,14 @@ class Contact:
     def _dashpot(
         self, obstacle: Obstacle, nodes: np.ndarray, depth: np.ndarray, x: np.ndarray, v: np.ndarray, time: float
     ) -> Friction:
-        """Normal damping of the nodes that move inwards, frozen like friction."""
+        """Normal damping, frozen like friction; it does not pull: of nodes that leave it undoes the spring at most."""
         speed, normals = obstacle.velocity_at(time), obstacle.normals(x[nodes], time)
-        inwards = ((v[nodes] - speed) * normals).sum(1) < 0
-        weights = self.damping * self.areas[nodes] * self._hinge(depth)[2] * inwards
+        outwards = ((v[nodes] - speed) * normals).sum(1)
+        _, slope, curvature = self._hinge(depth)
+        weights = self.damping * curvature
+        leaving = outwards > 0
+        weights[leaving] = np.minimum(weights[leaving], slope[leaving] / outwards[leaving])
+        weights *= self.areas[nodes]
         return Friction(nodes, weights, normals, speed, along_normal=True)
 
     def friction_energy_and_gradient(

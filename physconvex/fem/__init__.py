@@ -4,6 +4,7 @@ from physconvex.contact import Plane, Sphere
 from physconvex.fem.body import ElasticBody
 from physconvex.fem.carried_contact import CarriedContact, SurfacePoints
 from physconvex.fem.embedding import Embedding, sample_interior
+from physconvex.fem.hanging import HangingLoad
 from physconvex.fem.implicit_meshing import tetrahedralize_implicit
 from physconvex.fem.loads import surface_load
 from physconvex.fem.mesh import TetMesh, box_mesh, refine, to_quadratic
@@ -19,6 +20,7 @@ __all__ = [
     "CarriedContact",
     "ElasticBody",
     "Embedding",
+    "HangingLoad",
     "Pins",
     "Plane",
     "Scene",

@@ -13,6 +13,7 @@ from physconvex.errors import InputError
 from physconvex.fem.body import ElasticBody
 from physconvex.fem.carried_contact import CarriedContact, SurfacePoints
 from physconvex.fem.embedding import Embedding
+from physconvex.fem.hanging import HangingLoad
 from physconvex.wind import Wind
 
 __all__ = ["Loads", "Pins", "Scene"]
@@ -84,13 +85,14 @@ class Scene:
         wind: moving or still air around the body.
         pins: nodes with prescribed motion.
         loads: forces on the nodes [N], shape [V, 3], constant or a function of time.
+        hanging: a load that hangs on nodes, loosely at first.
         initial_positions: state at t = 0 [m], shape [V, 3]; the rest state unless given.
         initial_velocity: of the centre of mass [m/s].
         initial_angular_velocity: about the centre of mass [rad/s].
         contact_stiffness: kc [Pa/m]; 50 × (largest E) / (size of the body) unless given.
         contact_smoothing: depth over which contact sets in [m]; 5e-4 of the body's size unless given.
         slip_velocity: speed below which friction ramps to zero [m/s]; 2e-3 √(9.81 × size) unless given.
-        contact_damping: τ [s] of a dashpot beside the contact's spring while a node moves inwards: pressure kc τ v.
+        contact_damping: τ [s] of a dashpot beside the contact's spring: pressure kc (depth + τ v), never below zero.
         contact_points: points of the surface at which obstacles act, in the place of the boundary's nodes.
     """
 
@@ -110,6 +112,7 @@ class Scene:
     slip_velocity: float | None = None
     contact_damping: float = 0.0
     contact_points: SurfacePoints | None = None
+    hanging: HangingLoad | None = None
 
     def __post_init__(self) -> None:
         for name in ("gravity", "initial_velocity", "initial_angular_velocity"):
@@ -124,6 +127,10 @@ class Scene:
             value = getattr(self, name)
             if value is not None and not callable(value) and np.shape(value) != shape:
                 raise InputError(f"{name}: got shape {np.shape(value)}; expected {shape}")
+        if self.hanging is not None and np.shape(self.hanging.masses) != shape[:1]:
+            raise InputError(f"hanging.masses: got shape {np.shape(self.hanging.masses)}; expected {shape[:1]}")
+        if self.hanging is not None and self.contact_points is not None:
+            raise InputError("hanging: got a load and contact_points; expected contact at the nodes where a load hangs")
         if self.pins is not None:
             self._check_pins(self.pins)
 

@@ -229,8 +229,8 @@ def simulate_with_sensitivities(
             "steps of one length, which the derivatives follow. Leave both options out"
         )
     scene = scene_of(at)
-    if scene.body.flow is not None:
-        raise InputError("simulate_with_sensitivities: the body flows; expected an elastic one")
+    if scene.body.flow is not None or scene.hanging is not None:
+        raise InputError("simulate_with_sensitivities: the body flows or carries a hanging load; expected neither")
     low = -widths if lower is None else np.maximum(-widths, np.asarray(lower) - at)
     high = widths if upper is None else np.minimum(widths, np.asarray(upper) - at)
     carried = _Tangents([_tangent(scene_of, at, k, float(low[k]), float(high[k])) for k in range(len(at))])

@@ -17,6 +17,7 @@ from physconvex.fem.assembly import Assembler
 from physconvex.fem.carried_contact import CarriedContact
 from physconvex.fem.condensed_contact import CondensedContact
 from physconvex.fem.flight import Flight
+from physconvex.fem.hanging import Hanging
 from physconvex.fem.scene import Scene
 from physconvex.inelastic import FlowStep
 from physconvex.integrators import IntegratorName, State, StepCoefficients, check_stepping, frame_states, minimise
@@ -62,6 +63,8 @@ class StepEquations:
         self.undo = None if self.body.flow is None else self.body.unflowed()  # F_f⁻¹, stored from step to step
         self.response: FlowStep | None = None
         self._duration = 0.0
+        gravity, load = np.asarray(scene.gravity, dtype=np.float64), scene.hanging
+        self.hanging = None if load is None else Hanging(load, gravity, scene.start)
 
     def _assemble_mass(self) -> np.ndarray:
         pattern = self.assembler.pattern.tocoo()
@@ -93,6 +96,11 @@ class StepEquations:
         self.forces = self.scene.external_forces(time)
         if self.factorised and not np.isclose(coefficients.step, self._factorised_step):
             self.factorised = False
+        if self.hanging is not None:
+            before = self.hanging.share
+            self.hanging.set_step(coefficients, time, guess, last)
+            self.forces = self.forces + self.hanging.force()
+            self.factorised = self.factorised and self.hanging.share == before
         self.viscous = self.body.viscous_state(guess) if self.scene.damping_time > 0 else None
         self._freeze(last.positions, coefficients.velocity(guess), last.time)
 
@@ -108,6 +116,8 @@ class StepEquations:
 
     def commit(self, x: np.ndarray) -> None:
         """Store what has flowed by the end of a step at positions x."""
+        if self.hanging is not None and self.coefficients is not None:
+            self.hanging.commit(self.coefficients.velocity(x))
         if self.response is not None:
             self.undo = self.response.flowed(self.body.deformation_gradient(x))
 
@@ -164,7 +174,12 @@ class StepEquations:
     def _inertia(self, x: np.ndarray, c: StepCoefficients) -> tuple[float, np.ndarray]:
         offset = x - c.target
         pull = self.body.mass @ offset / c.step**2
-        return 0.5 * float((offset * pull).sum()), pull
+        energy = 0.5 * float((offset * pull).sum())
+        if self.hanging is not None:
+            offset = x - self.hanging.target
+            own = self.hanging.active[:, None] * offset / c.step**2
+            energy, pull = energy + 0.5 * float((offset * own).sum()), pull + own
+        return energy, pull
 
     def _dissipation(self, velocity: np.ndarray) -> tuple[float, np.ndarray]:
         loss, force = self._resistance(velocity)
@@ -204,6 +219,8 @@ class StepEquations:
             inertia = 1 / step**2 + self.scene.air_drag / step
             if self.friction and blocks is not None:
                 blocks += self.contact.friction_blocks(self.friction) / step
+            if self.hanging is not None and blocks is not None:
+                blocks = blocks + (self.hanging.active / step**2)[:, None, None] * np.eye(3)
             if self.scene.wind is not None:
                 velocity = self.coefficients.velocity(x)
                 wind = self.scene.wind.blocks(velocity, self.body.mesh.node_areas, self.time) / step
@@ -301,8 +318,9 @@ def _check_contact_solver(scene: Scene, name: str) -> None:
     if name not in get_args(ContactSolver):
         raise InputError(f"contact_solver: got {name!r}; expected one of {', '.join(get_args(ContactSolver))}")
     lagged = scene.body.flow is not None and scene.body.flow.lagged
-    if name == "condensed" and (scene.contact_damping or lagged):
+    if name == "condensed" and (scene.contact_damping or lagged or scene.hanging is not None):
         what = "contact_damping" if scene.contact_damping else "a flow that takes its pressure from the last pass"
+        what = what if scene.hanging is None else "a hanging load"
         raise InputError(f"contact_solver: got 'condensed' with {what}; expected 'passes' there")
 
 

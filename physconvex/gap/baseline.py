@@ -13,6 +13,7 @@ from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import TetMesh, simulate
 from physconvex.gap.boxes import box_of_held_body
 from physconvex.gap.effects import Motion, Situation
+from physconvex.gap.floor_law import FLOOR_LAW, twin_at
 from physconvex.gap.independence import temperature
 from physconvex.gap.model import ACCURACY, EffectModel, SecantModel, reduced_like
 from physconvex.gap.observing import Seen, components, in_metres, observe, starts_elsewhere, widened, with_honest_noise
@@ -34,7 +35,16 @@ from physconvex.identify import (
 )
 from physconvex.identify.setup import start_motion
 
-__all__ = ["Baseline", "Split", "fit_baseline", "rough_baseline", "split_frames"]
+__all__ = [
+    "Baseline",
+    "Split",
+    "fit_baseline",
+    "misfit_of_base",
+    "rough_baseline",
+    "run_base",
+    "split_frames",
+    "steps_per_frame",
+]
 
 Report = Callable[[str], None]
 _STEPS_PER_WAVE = 8  # time steps in the time an elastic wave takes through the body
@@ -93,7 +103,7 @@ class Baseline:
     @property
     def twin(self) -> Twin:
         """The twin with the fitted values."""
-        return self.model.twin.with_values(self.model.base, self.fit.values[: len(self.model.base)])
+        return twin_at(self.model.twin, self.model.base, self.fit.values)
 
     @property
     def components(self) -> int:
@@ -197,7 +207,7 @@ def _windows(frames: int, *, held: bool) -> tuple[int, ...]:
     return tuple(sorted({min(frames, max(10, frames // 2)), frames}))
 
 
-def _steps(twin: Twin, values: dict[str, float]) -> int:
+def steps_per_frame(twin: Twin, values: dict[str, float]) -> int:
     """Time steps per frame that resolve the body's vibrations, within what can be afforded."""
     wave = twin.mesh.size * np.sqrt(twin.capture.density / 10 ** values["log10_youngs_modulus"])
     wanted = int(np.ceil((_STEPS_PER_WAVE if twin.clamp is None else _HELD) / (wave * twin.fps)))
@@ -205,7 +215,7 @@ def _steps(twin: Twin, values: dict[str, float]) -> int:
     return int(np.clip(wanted, twin.steps_per_frame, most))
 
 
-def _situation(twin: Twin, seen: Seen, peak_stress: float, touches: bool) -> Situation:
+def _situation(twin: Twin, seen: Seen, peak_stress: float, touches: bool, giving: bool) -> Situation:
     scene, capture = twin.scene, twin.capture
     return Situation(
         size=twin.mesh.size,
@@ -216,6 +226,7 @@ def _situation(twin: Twin, seen: Seen, peak_stress: float, touches: bool) -> Sit
         floor=bool(scene.obstacles),
         clamped=twin.clamp is not None,
         touches=touches,
+        giving_floor=giving,
         friction=max((o.friction for o in scene.obstacles), default=0.0),
         states_velocity=capture.initial_velocity is not None or twin.clamp is not None,
         states_spin=capture.initial_angular_velocity is not None or twin.clamp is not None,
@@ -257,23 +268,24 @@ def rough_baseline(capture: Capture, options: GapOptions, report: Report) -> Bas
     starts = _first_values(capture, fitted, count, options)
     values = {p.name: p.start for p in starts}
     twin = _twin(capture, options.weights, options.max_nodes, 6)
-    twin = replace(twin, steps_per_frame=_steps(twin, values))
+    twin = replace(twin, steps_per_frame=steps_per_frame(twin, values))
     names = tuple(values)
     twin = twin.with_values(names, np.array(list(values.values())))
     report("fit of the reduced base model")
     rough = fit(ReducedModel(twin, names, fitted.points, count), fitted, starts, options=FitOptions(max_iterations=6))
-    return _run_base(capture, observations, split, twin.with_values(names, rough.values), rough)
+    return run_base(capture, observations, split, twin.with_values(names, rough.values), rough)
 
 
-def _run_base(
+def run_base(
     capture: Capture, observations: Seen, split: Split, twin: Twin, found: Fit, *, mesh: TetMesh | None = None
 ) -> Baseline:  # fmt: skip
-    """The full-order model at fitted values, all frames."""
-    situation = _situation(twin, observations, 1e3, bool(twin.scene.obstacles))
+    """The full-order model at fitted values, all frames, without tangents."""
+    giving = bool(set(FLOOR_LAW) & set(found.names))
+    situation = _situation(twin, observations, 1e3, bool(twin.scene.obstacles), giving)
     points, camera = np.asarray(observations.points), situation.camera
     model = EffectModel(twin, found.names, points, capture.frames, situation, camera=camera, mesh=mesh)
     peak, force, motion = _stress_and_contact(model, found.values)
-    situation = _situation(twin, observations, peak, bool((force > 0).any()))
+    situation = _situation(twin, observations, peak, bool((force > 0).any()), giving)
     nothing = np.zeros((capture.frames, len(found.names), *motion.positions.shape[1:]))
     return Baseline(
         capture, observations, split, replace(model, situation=situation), found, motion, nothing, situation, force
@@ -308,7 +320,7 @@ def fit_baseline(
     mesh, motion = (None, rough.motion) if fine is None else fine
     here = replace(rough, model=replace(rough.model, correction=correction, mesh=mesh), motion=motion)
     scales = np.array([p.step for p in here.model.parameters(here.fit.values)])
-    best, least = here, _misfit(here, variance)
+    best, least = here, misfit_of_base(here, variance)
     for number in range(_ROUNDS):
         report(f"fit of the full-order base model, round {number + 1}")
         model, motion = reduced_like(here.model, here.motion, here.fit.values)
@@ -320,10 +332,11 @@ def fit_baseline(
         found = fit(secant, weighted, shorter.parameters(here.fit.values), options=stop)
         if np.abs((found.values - here.fit.values) / scales).max() < _STILL:
             return replace(here, fit=found) if here is best else best
-        twin = rough.model.twin.with_values(names, found.values)
-        here = _run_base(rough.capture, rough.observations, split, twin, found, mesh=mesh)
-        here = replace(here, model=replace(here.model, correction=correction))
-        misfit = _misfit(here, variance)
+        twin = twin_at(rough.model.twin, names, found.values)
+        here = run_base(rough.capture, rough.observations, split, twin, found, mesh=mesh)
+        stiffer = rough.model.surrogate_stiffer
+        here = replace(here, model=replace(here.model, correction=correction, surrogate_stiffer=stiffer))
+        misfit = misfit_of_base(here, variance)
         if misfit < least:
             best, least = here, misfit
     if not best.tangents.any():
@@ -340,6 +353,7 @@ def _doubt(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
     return max(float(np.mean(whitened**2)), 1.0) * temperature(whitened, base.observations.frames[rows], columns)
 
 
-def _misfit(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
+def misfit_of_base(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
+    """Mean square of the residuals of the fitted frames over their variance."""
     rows = base.rows(base.split.fitted)
     return float(np.mean(base.residual(base.positions)[rows] ** 2 / variance[rows]))

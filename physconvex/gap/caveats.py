@@ -27,6 +27,12 @@ def doses_in_sight(screening: Screening) -> tuple[str, ...]:
 def caveats_of(base: Hypothesis, best: Hypothesis, after: float) -> tuple[str, ...]:
     """What limits an answer."""
     out = ["Density and E cannot be told apart from motion: E holds for the stated density."]
+    out += _floor(base)
+    if base.model.mesh is not None and base.model.mesh.order == 1:
+        out.append(
+            "The model has the linear elements of the capture's own mesh, which fit better than other ones: the "
+            "program that made the recording seems to have used them."
+        )
     moved = _moved(base, best)
     if moved is not None and abs(moved) > np.log10(1.15):
         out.append(
@@ -45,6 +51,20 @@ def caveats_of(base: Hypothesis, best: Hypothesis, after: float) -> tuple[str, .
     if after > 4.0:
         out.append("What is left after the best effect is still well above noise and numerical error.")
     return tuple(out)
+
+
+def _floor(base: Hypothesis) -> list[str]:
+    """What was taken as a property of the floor."""
+    names = base.model.base
+    if "contact_damping" not in names:
+        return []
+    stiffness = 10 ** base.values[names.index("log10_contact_stiffness")]
+    dashpot = base.values[names.index("contact_damping")]
+    return [
+        f"The floor gives way: its stiffness ({stiffness:.2g} Pa/m) and dashpot ({1e3 * dashpot:.2g} ms) were "
+        "fitted beside E: the capture does not state them. If the real floor is hard, read the "
+        "dashpot as `restitution`."
+    ]
 
 
 def _moved(base: Hypothesis, best: Hypothesis) -> float | None:

@@ -15,6 +15,7 @@ from physconvex.gap.independence import temperature
 from physconvex.gap.model import EffectModel, SecantModel
 from physconvex.gap.observing import widened
 from physconvex.gap.options import GapOptions
+from physconvex.gap.ringing import ringing_likelihood
 from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screened
 from physconvex.identify import FitOptions, fit, noise_covariance
@@ -52,6 +53,7 @@ class Hypothesis:
         attainable: what that would be if nothing but noise and numerical error were left.
         information: number of fitted residuals.
         divisor: residuals per independent one that the evidence is tempered with.
+        ringing: log-likelihood of how the recording rings, part of the evidence that is not tempered.
     """
 
     effects: tuple[Effect, ...]
@@ -68,6 +70,7 @@ class Hypothesis:
     attainable: float = 0.0
     information: float = 2.0
     divisor: float = 1.0
+    ringing: float = 0.0
 
     @property
     def label(self) -> str:
@@ -87,7 +90,7 @@ class Hypothesis:
     def tempered(self, divisor: float) -> Hypothesis:
         """With the evidence that it has if only one in `divisor` residuals is independent."""
         evidence = _evidence(self.likelihood, self.information, self.effects, self.values, divisor)
-        return replace(self, evidence=evidence, divisor=divisor)
+        return replace(self, evidence=evidence + self.ringing, divisor=divisor)
 
 
 def _mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
@@ -149,10 +152,11 @@ def hypothesis_at(
     selecting = _mean_square(base, errors, positions, base.split.selecting)
     likelihood = _likelihood(base, errors, fitted, selecting)
     information = _information(base, errors, base.split.fitted)
-    evidence = _evidence(likelihood, information, model.effects, values)
+    ringing = ringing_likelihood(base, positions)
+    evidence = _evidence(likelihood, information, model.effects, values) + ringing
     return Hypothesis(
         model.effects, model, values, deviations, positions, motion, tangents, fitted, selecting, evidence, likelihood,
-        _likelihood(base, errors, 1.0, 1.0), information,
+        _likelihood(base, errors, 1.0, 1.0), information, ringing=ringing,
     )  # fmt: skip
 
 

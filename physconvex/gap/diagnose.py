@@ -16,10 +16,13 @@ from physconvex.gap.advice import next_experiment
 from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
 from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
 from physconvex.gap.effects import Effect, choose
+from physconvex.gap.giving_floor import with_giving_floor
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
 from physconvex.gap.mapping import as_reduced
 from physconvex.gap.numerics import Numerics, correction_of, detail_errors, error_model, numerical_differences
+from physconvex.gap.observing import lost_points
 from physconvex.gap.options import GapOptions
+from physconvex.gap.own_elements import with_own_elements
 from physconvex.gap.report import GapReport, Provenance
 from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screening, screen
@@ -68,10 +71,11 @@ def diagnose(
     capture = shortened(capture if isinstance(capture, Capture) else load_capture(capture))
     dictionary = choose(effects, without=without, extra=extra)
     report: Report = on_progress or (lambda _: None)
-    rough = rough_baseline(capture, options, report)
+    rough = with_giving_floor(rough_baseline(capture, options, report), options, report)
     numerics = numerical_differences(rough, options, report)
     rough_errors = error_model(rough, numerics, options)
     base = fit_baseline(rough, correction_of(numerics), numerics.fine, rough_errors.variance, options, report)
+    base, numerics = with_own_elements(base, rough, numerics, rough_errors.variance, options, report)
     base = _with_directions(base, numerics)
     numerics = with_absorbed_mesh(base, numerics, options)
     base, errors, screening = _trusted(base, numerics, dictionary, options, report)
@@ -97,6 +101,7 @@ def diagnose(
         other = second_take if isinstance(second_take, Capture) else load_capture(second_take)
         again = second_take_shrinkage(base, best, other, options, report)
         shrinkage = (*shrinkage, *(() if again is None else (again,)))
+    verdict = replace(verdict, caveats=(*verdict.caveats, *lost_points(base.observations)))
     if capture.frames == MOST_FRAMES:
         verdict = replace(verdict, caveats=(*verdict.caveats, f"At most the first {MOST_FRAMES} frames were used."))
     report("report")

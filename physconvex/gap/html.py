@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from physconvex.gap import pictures
+from physconvex.gap.video_strip import video_strip
 
 if TYPE_CHECKING:
     from physconvex.gap.report import GapReport
@@ -158,6 +159,18 @@ def _provenance(report: GapReport) -> str:
     return _table(["", ""], rows)
 
 
+def _video(report: GapReport) -> list[str]:
+    """The section with the video, where there is one."""
+    figure = video_strip(report)
+    if figure is None:
+        return []
+    note = (
+        "The first image, carried along as the models move the body; grey where it does not tell what is seen. Last "
+        "rows: brightness of the video less the model's, red darker, blue brighter."
+    )
+    return [_section("Where: video", note, f'<img alt="video and models" src="{pictures.png_of(figure)}">')]
+
+
 def write_html(report: GapReport, path: Path) -> None:
     """Write the page; it needs no other file and no network."""
     verdict = report.verdict
@@ -176,6 +189,7 @@ def write_html(report: GapReport, path: Path) -> None:
                  pictures.svg_of(pictures.timeline(report))),
         _section("Where: body", "The plain model's distance, carried from the observed points to the surface.",
                  f'<img alt="body coloured by the gap" src="{pictures.png_of(pictures.body_map(report.where))}">'),
+        *_video(report),
         _section("Where: numbers", "Root mean squares; 90 % intervals by resampling blocks of frames.", phases),
         _section("Where: vibrations", "Shapes that the observed deformation is made of, each fitted by a damped sine: "
                  "frequency and damping ratio.", _modes(report)),

@@ -18,26 +18,20 @@ from physconvex.fem import Scene as FullScene
 from physconvex.fem import simulate as simulate_full
 from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Effect, Motion, Situation
+from physconvex.gap.floor_law import NamedParameter, base_parameter, base_values, twin_at
 from physconvex.identify import Parameter, Twin
-from physconvex.identify.parameters import default_parameter
 from physconvex.integrators import IntegratorName
-from physconvex.reduced import ReducedScene, parameter_values, simulate
+from physconvex.reduced import ReducedScene, simulate
 
-__all__ = ["ACCURACY", "DoseParameter", "EffectModel", "SecantModel", "reduced_like"]
+__all__ = ["ACCURACY", "EffectModel", "SecantModel", "reduced_like"]
 
 Positions = Float[np.ndarray, "T P 3"]
 Vector = Float[np.ndarray, " K"]
 _RATIO = (0.4, 0.1)  # mean and deviation of ν of soft bodies
+_MODULUS = "log10_youngs_modulus"
 _BASE_STEP = 0.1  # of a typical step, for differences
 # of the full-order runs: their errors stay below 1e-5 of the size, a hundredth of what the mesh leaves
 ACCURACY: dict[str, Any] = {"tolerance": 1e-6, "friction_passes": 4}
-
-
-class DoseParameter(Parameter):
-    """An unknown that is a dose: its name is free."""
-
-    def __post_init__(self) -> None:
-        assert self.lower <= self.start <= self.upper and self.step > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +54,8 @@ class EffectModel:
         doubt: how much the stated noise overrates what the fit says, by which priors weigh more; see
             `physconvex.gap.independence`.
         reduced: whether motions come from the reduced model; `correction` then makes up for the difference.
+        stiffer: decades of E added in every run.
+        surrogate_stiffer: the same for the cheaper model that `reduced_like` makes.
         cost: what the runs of this model, and of all that were made of it by `replace`, have cost.
     """
 
@@ -77,6 +73,8 @@ class EffectModel:
     integrator: IntegratorName = "bdf2"
     doubt: float = 1.0
     reduced: bool = False
+    stiffer: float = 0.0
+    surrogate_stiffer: float = 0.0
     cost: Cost = field(default_factory=Cost)
 
     @property
@@ -93,7 +91,7 @@ class EffectModel:
     def parameters(self, values: Vector) -> tuple[Parameter, ...]:
         """The unknowns, starting at `values`."""
         out: list[Parameter] = [
-            self._weighed(default_parameter(name).at(float(value)), name)
+            self._weighed(base_parameter(name, float(value)), name)
             for name, value in zip(self.base, values, strict=False)
         ]
         for effect, where in zip(self.effects, self.slices, strict=True):
@@ -101,7 +99,7 @@ class EffectModel:
                 step = 2 * dose.smallest if dose.shape else max(abs(dose.trial(self.situation)), dose.smallest)
                 start = float(np.clip(value, dose.lower, dose.upper))
                 sigma = dose.plausible / float(np.sqrt(self.doubt)) if self.situation.clamped else np.inf
-                out.append(DoseParameter(name, start, dose.lower, dose.upper, step, dose.null, sigma))
+                out.append(NamedParameter(name, start, dose.lower, dose.upper, step, dose.null, sigma))
         return tuple(out)
 
     def _weighed(self, parameter: Parameter, name: str) -> Parameter:
@@ -113,7 +111,7 @@ class EffectModel:
 
     def null_values(self) -> Vector:
         """The twin's base parameters, and doses at which the effects are absent."""
-        return np.concatenate([parameter_values(self.twin.scene, self.base), *(e.null for e in self.effects)])
+        return np.concatenate([base_values(self.twin, self.base), *(e.null for e in self.effects)])
 
     # -- scenes
 
@@ -124,7 +122,10 @@ class EffectModel:
         return scene
 
     def _based(self, values: Vector) -> Twin:
-        return self.twin.with_values(self.base, values[: len(self.base)])
+        if self.stiffer and _MODULUS in self.base:
+            values = values.copy()
+            values[self.base.index(_MODULUS)] += self.stiffer
+        return twin_at(self.twin, self.base, values)
 
     def full_scene(self, values: Vector) -> FullScene:
         """Full-order scene with the effects."""
@@ -234,7 +235,9 @@ def reduced_like(full: EffectModel, motion: Motion, values: np.ndarray) -> tuple
     Cheaper is the reduced model; of a held body the full-order one on the twin's own, coarser mesh: what the reduced
     one lacks there is a vibration of another frequency, which an added motion makes up for only while nothing damps it.
     """
-    reduced = replace(full, reduced=not full.situation.clamped, mesh=None, correction=None)
+    reduced = replace(
+        full, reduced=not full.situation.clamped, mesh=None, correction=None, stiffer=full.surrogate_stiffer
+    )
     own = reduced.motion(values)
     exact = motion.positions if full.correction is None else motion.positions + full.correction[: full.frames]
     return replace(reduced, correction=exact - own.positions), own

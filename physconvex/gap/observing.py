@@ -14,11 +14,12 @@ from physconvex.gap.effects import Motion
 from physconvex.identify import MarkerObservations, PixelObservations, Twin, marker_observations
 from physconvex.identify.video_tracks import follow, seed_points
 
-__all__ = ["Seen", "in_metres", "observe", "starts_elsewhere", "widened", "with_honest_noise"]
+__all__ = ["Seen", "in_metres", "lost_points", "observe", "starts_elsewhere", "widened", "with_honest_noise"]
 
 Seen = MarkerObservations | PixelObservations
 # of a followed point [pixels]: the flow drifts by more than a single step's error, and by the same amount for a while
 PIXEL_SIGMA = 1.0
+_FOLLOWED = 6  # points in a frame below which it tells little
 _AWAY = 0.3  # of the body's size: markers further from its bounding box are not on it
 
 
@@ -101,6 +102,20 @@ def starts_elsewhere(seen: Seen) -> bool:
     count = len(residual) / 3
     shift = residual.reshape(-1, 3).mean(0) * np.sqrt(count)  # unit variance each, where there is noise alone
     return bool((residual**2).mean() > 1 + 3 * np.sqrt(2 / len(residual)) or np.abs(shift).max() > 4)
+
+
+def lost_points(seen: Seen) -> tuple[str, ...]:
+    """A caveat if most of the points followed in a video are lost on the way: what came later was not compared."""
+    if isinstance(seen, MarkerObservations):
+        return ()
+    alive = np.isfinite(seen.pixels).all(-1).sum(1)
+    gone = np.flatnonzero(alive < max(_FOLLOWED, alive[0] // 4))
+    if not len(gone):
+        return ()
+    return (
+        f"Of {alive[0]} points followed in the video, {alive[gone[0]]} are left in frame {gone[0]} of {len(alive)}: "
+        "little is known of what came later. A smoother motion, a faster camera or markers would tell more.",
+    )
 
 
 def components(seen: Seen) -> int:

@@ -10,6 +10,8 @@ from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.baseline import Baseline, Report, rough_baseline
 from physconvex.gap.comparison import Hypothesis, hypothesis_at
+from physconvex.gap.floor_law import FLOOR_LAW
+from physconvex.gap.giving_floor import with_giving_floor
 from physconvex.gap.how_far import HowFar, shrinkage_on
 from physconvex.gap.numerics import other_mesh
 from physconvex.gap.options import GapOptions
@@ -17,7 +19,7 @@ from physconvex.gap.score import ErrorModel
 
 __all__ = ["second_take_shrinkage"]
 
-_MATERIAL = ("log10_youngs_modulus", "poisson_ratio")
+_MATERIAL = ("log10_youngs_modulus", "poisson_ratio", *FLOOR_LAW)
 
 
 def second_take_shrinkage(
@@ -39,6 +41,8 @@ def second_take_shrinkage(
         InputError: the take lacks something, or an effect of the fit makes no sense there (no floor, not held).
     """
     own = rough_baseline(take, options, report)
+    if base.situation.giving_floor:
+        own = with_giving_floor(own, options, report)
     lost = [e.label for e in best.effects if not e.applies(replace(own.situation, touches=own.situation.floor))]
     if lost:
         raise InputError(

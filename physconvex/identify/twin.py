@@ -107,6 +107,7 @@ class Twin:
             initial_velocity=scene.initial_velocity,
             initial_angular_velocity=scene.initial_angular_velocity,
             contact_stiffness=scene.contact().stiffness,
+            contact_damping=scene.contact_damping,
         )
 
     def _clamp_on(self, mesh: TetMesh) -> Clamp | None:

@@ -45,7 +45,7 @@ class ReducedScene:
         contact_stiffness: kc [Pa/m]; 50 × (largest E) / (size of the body) unless given.
         contact_smoothing: depth over which contact sets in [m]; 5e-4 of the body's size unless given.
         slip_velocity: speed below which friction ramps to zero [m/s]; 2e-3 √(9.81 × size) unless given.
-        contact_damping: τ [s] of a dashpot beside the contact's spring while a point moves inwards: pressure kc τ v.
+        contact_damping: τ [s] of a dashpot beside the contact's spring: pressure kc (depth + τ v), never below zero.
 
     Raises:
         InputError: a value out of its range or of the wrong shape.

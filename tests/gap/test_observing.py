@@ -9,7 +9,7 @@ from physconvex.camera import Camera
 from physconvex.capture import Capture
 from physconvex.errors import InputError
 from physconvex.gap import DEFAULT_EFFECTS, Motion
-from physconvex.gap.observing import components, in_metres, observe, widened
+from physconvex.gap.observing import components, in_metres, lost_points, observe, widened
 from physconvex.identify import MarkerObservations, PixelObservations
 
 
@@ -84,6 +84,17 @@ def test_lengths_and_widening(camera, motion):
     moved = motion.positions + 0.01
     ratio = filmed.residuals(moved) / wide.residuals(moved)
     np.testing.assert_allclose(ratio, np.sqrt(variance))
+
+
+def test_points_that_a_video_loses_are_told(camera):
+    rest = np.random.default_rng(4).uniform(-0.1, 0.1, (12, 3))
+    pixels = np.repeat(pixels_of(camera, rest[None]), 8, axis=0)
+    sigma = np.ones(pixels.shape[:2])
+    assert lost_points(PixelObservations(camera, rest, pixels, sigma)) == ()
+    pixels[5:, 3:] = np.nan
+    (caveat,) = lost_points(PixelObservations(camera, rest, pixels, sigma))
+    assert "12 points" in caveat and "3 are left in frame 5 of 8" in caveat
+    assert lost_points(MarkerObservations(rest, np.repeat(rest[None], 8, axis=0), sigma)) == ()
 
 
 def test_markers_are_in_metres_already(motion):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions
+from physconvex.gap.caveats import caveats_of
 from physconvex.gap.selection import within_bounds
 from physconvex.gap.verdict import decide, probabilities
 
@@ -28,7 +29,7 @@ def hypothesis(evidence, *names, log10_modulus=5.0, dose=0.1):
         evidence=evidence,
         fitted=9.0 if not names else 1.0,
         values=np.array([log10_modulus]),
-        model=SimpleNamespace(base=("log10_youngs_modulus",)),
+        model=SimpleNamespace(base=("log10_youngs_modulus",), mesh=None),
         doses=lambda one: (values[effects.index(one)], 0.1 * values[effects.index(one)]),
     )
 
@@ -178,3 +179,14 @@ def test_a_clear_gap_that_no_effect_explains_better_is_not_none():
     found = [hypothesis(0.9, "damping"), hypothesis(0.0)]
     assert decide(found, screening(), 30.0, 9.0, 0.05, OPTIONS).name == "inconclusive"
     assert decide(found, screening(), 2.0, 1.0, 0.05, OPTIONS).name == "none"
+
+
+def test_what_was_taken_from_the_recording_is_told():
+    plain = hypothesis(0.0)
+    assert not any("floor" in c or "elements" in c for c in caveats_of(plain, plain, 1.0))
+    soft = hypothesis(0.0)
+    soft.model.base = ("log10_youngs_modulus", "log10_contact_stiffness", "contact_damping")
+    soft.values = np.array([4.7, 6.0, 9e-3])
+    soft.model.mesh = SimpleNamespace(order=1)
+    told = " ".join(caveats_of(soft, soft, 1.0))
+    assert "1e+06 Pa/m" in told and "9 ms" in told and "restitution" in told and "linear elements" in told

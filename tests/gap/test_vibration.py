@@ -1,5 +1,7 @@
 """Frequency and damping of signals; rigid motion of markers; noise of the first frame."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from physconvex.errors import InputError
 from physconvex.fem import box_mesh
 from physconvex.gap.ledger import _rigid_motion
 from physconvex.gap.observing import _check_on_body, starts_elsewhere, with_honest_noise
-from physconvex.gap.vibration import _deformation, ringing
+from physconvex.gap.ringing import deformation, ringing, ringing_likelihood
 from physconvex.identify import MarkerObservations
 
 
@@ -26,6 +28,35 @@ def test_a_ramp_does_not_ring():
     assert np.isnan(ringing(np.zeros(20), 50.0)[0]).all()
 
 
+def swinging(frequency: float, ratio: float, late: float = 0.0) -> np.ndarray:
+    """A tip of three markers that swings about where it hangs, from some time on."""
+    times = np.maximum(np.arange(45) / 100 - late, 0.0)
+    omega = 2 * np.pi * frequency
+    height = -0.01 * (1 - np.exp(-ratio * omega * times) * np.cos(omega * times))
+    return np.stack([np.zeros((45, 3)), np.zeros((45, 3)), np.outer(height, [1.0, 0.99, 0.97])], axis=-1)
+
+
+def test_an_explanation_that_rings_otherwise_is_the_worse_one():
+    rest = np.zeros((3, 3))
+    seen = swinging(3.4, 0.07) + 1e-5 * np.random.default_rng(1).normal(size=(45, 3, 3))
+    base = SimpleNamespace(
+        observations=MarkerObservations(rest, seen, np.full((45, 3), 1e-5)),
+        situation=SimpleNamespace(clamped=True),
+        motion=SimpleNamespace(rest=rest),
+        split=SimpleNamespace(fitted=np.arange(30), selecting=np.arange(30, 38)),
+        capture=SimpleNamespace(fps=100.0),
+    )
+    right = ringing_likelihood(base, swinging(3.4, 0.07, late=0.02))  # whatever began the motion and when
+    elastic = ringing_likelihood(base, swinging(3.4, 0.0))
+    overdamped = ringing_likelihood(base, swinging(3.6, 0.31))
+    another_frequency = ringing_likelihood(base, swinging(4.8, 0.0))
+    assert -0.6 < right <= 0
+    assert -4 < elastic < right - 1
+    assert overdamped < elastic - 10 and another_frequency < elastic - 10
+    base.situation.clamped = False
+    assert ringing_likelihood(base, swinging(4.8, 0.0)) == 0.0
+
+
 def test_rigid_motion_of_markers():
     rng = np.random.default_rng(1)
     cloud, times = rng.normal(size=(9, 3)), np.arange(9) / 200
@@ -38,7 +69,7 @@ def test_rigid_motion_of_markers():
         velocity[4] - np.cross([0, 0, 2.0], turned[4].mean(0) - [0.02, 0, -0.01]), [1, 0, -0.5], atol=1e-3
     )
     np.testing.assert_allclose(spin[4], [0, 0, 2.0], atol=1e-3)
-    np.testing.assert_allclose(_deformation(np.stack(turned), cloud, held=False), 0, atol=1e-12)
+    np.testing.assert_allclose(deformation(np.stack(turned), cloud, held=False), 0, atol=1e-12)
     assert centre.shape == (9, 3)
 
 

@@ -36,6 +36,7 @@ class Situation:
         floor: whether there is an obstacle to touch.
         clamped: whether part of the body is held.
         touches: whether the base model touches the floor within the frames.
+        giving_floor: whether stiffness and dashpot of the floor are fitted with the base parameters.
         friction: stated coefficient of the floor.
         states_velocity, states_spin: whether the capture states the initial motion (else it is estimated freely).
         starts_elsewhere: whether the first frame differs from the rest state by more than noise.
@@ -52,6 +53,7 @@ class Situation:
     floor: bool = False
     clamped: bool = False
     touches: bool = False
+    giving_floor: bool = False
     friction: float = 0.0
     states_velocity: bool = True
     states_spin: bool = True

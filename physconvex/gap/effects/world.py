@@ -40,12 +40,19 @@ FRICTION = Effect(
     description="the floor rubs: tangential force up to the coefficient times the normal force",
     confusable=("gravity_tilt", "initial_spin", "wind"),
 )
+
+
+def _touches_a_hard_floor(situation: Situation) -> bool:
+    """The give and the dashpot of a soft floor are base parameters already."""
+    return situation.touches and not situation.giving_floor
+
+
 RESTITUTION = Effect(
     "restitution",
     "contact",
     (Dose("contact_damping_time", "s", 0.0, 1.0, 2e-4, lambda s: 0.05 * s.wave_time),),
     scene=lambda scene, doses: with_fields(scene, contact_damping=scene.contact_damping + float(doses[0])),
-    applies=lambda s: s.touches,
+    applies=_touches_a_hard_floor,
     description="impact costs energy in the contact itself",
     confusable=("damping", "contact_stiffness"),
 )
@@ -54,7 +61,7 @@ CONTACT_STIFFNESS = Effect(
     "numerical",
     (Dose("log10_contact_stiffness_change", "decades", -2.5, 1.5, 0.1, lambda s: -0.3),),
     scene=lambda scene, doses: with_fields(scene, contact_stiffness=scene.contact().stiffness * 10 ** float(doses[0])),
-    applies=lambda s: s.touches,
+    applies=_touches_a_hard_floor,
     description="the floor gives way more, or less, than the model's",
     confusable=("restitution", "nonlinear_elasticity"),
 )

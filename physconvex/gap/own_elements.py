@@ -1,0 +1,132 @@
+"""The recording's own elements: where linear tetrahedra on the capture's mesh fit better, they are the model.
+
+A program that made a recording often leaves its mesh in `tets.npz`. Its linear tetrahedra lock, and bend sideways where
+their diagonals all run one way; a model on other elements errs by that, which may hide or mimic an effect. The same
+elements make the same error. Which of the two is the model, the fitted frames decide, before any effect is tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.fem import TetMesh, vibration_modes
+from physconvex.gap.baseline import Baseline, fit_baseline, misfit_of_base
+from physconvex.gap.model import EffectModel
+from physconvex.gap.numerics import Numerics
+from physconvex.gap.options import GapOptions
+
+__all__ = ["own_elements", "with_own_elements"]
+
+_WORK = 600_000  # nodes times steps that can be afforded
+_BETTER = 0.5  # share of the squares that the own elements may leave to be the model
+_DECADES = (0.0, 0.04, -0.04, 0.1, -0.1)  # of E about that at which the lowest vibration keeps its frequency
+_FINER = (-0.04, -0.02, 0.0, 0.02, 0.04)
+_HOPELESS = 4.0  # times the squares of the fit, by the best E of a coarse scan: then no fit is begun
+_MODULUS, _RATIO, _RATIOS = "log10_youngs_modulus", "poisson_ratio", (0.25, 0.45)
+
+
+def own_elements(base: Baseline) -> TetMesh | None:
+    """The capture's linear tetrahedra, if it has some and they can be afforded."""
+    mesh = base.capture.tets()
+    steps = base.model.frames * base.model.twin.steps_per_frame
+    if mesh is None or mesh.order != 1 or len(mesh.vertices) * steps > _WORK or _MODULUS not in base.model.base:
+        return None
+    return mesh
+
+
+def with_own_elements(
+    base: Baseline,
+    rough: Baseline,
+    numerics: Numerics,
+    variance: Float[np.ndarray, " N"],
+    options: GapOptions,
+    report: Callable[[str], None],
+) -> tuple[Baseline, Numerics]:
+    """The base fit on the capture's own linear elements, if they halve the squares; else as it is.
+
+    Args:
+        base: the base fit on elements of the diagnosis.
+        rough: where the fits begin.
+        numerics: differences of runs; of a held body on its own elements, the mesh is no error any more.
+        variance: of the residuals of a free body, all frames; those of a held one weigh alike.
+        options: settings.
+        report: told what is done.
+    """
+    mesh = own_elements(base)
+    if mesh is None or not base.tangents.any():
+        return base, numerics
+    report("base model on the capture's own elements")
+    if base.situation.clamped:  # the error of the other mesh, which widens the variance, is what is on trial
+        variance = np.ones_like(variance)
+    before, index = misfit_of_base(base, variance), base.model.base.index(_MODULUS)
+    model = replace(base.model, mesh=mesh)
+    try:
+        model.embedding  # noqa: B018 markers may lie off that mesh
+        values = base.fit.values.copy()
+        if _RATIO in base.model.base:
+            at = base.model.base.index(_RATIO)
+            values[at] = np.clip(values[at], *_RATIOS)
+        values[index] += _decades(base.model, model, values)
+        least, values[index] = _best_modulus(base, model, values, variance)
+        if least > _HOPELESS * before:
+            return base, numerics
+        motion = model.motion(values)
+        stiffer = _surrogate(base, mesh, values, motion.positions) if base.situation.clamped else 0.0
+        start = replace(
+            rough, fit=replace(rough.fit, values=values), model=replace(rough.model, surrogate_stiffer=stiffer)
+        )
+        own = fit_baseline(start, numerics.steps, (mesh, motion), variance, options, report)
+    except (ConvergenceError, InputError):
+        return base, numerics
+    if misfit_of_base(own, variance) > _BETTER * before:
+        return base, numerics
+    still = np.zeros_like(numerics.mesh)
+    return own, replace(numerics, mesh=still) if base.situation.clamped else numerics
+
+
+def _best_modulus(
+    base: Baseline, model: EffectModel, start: np.ndarray, variance: Float[np.ndarray, " N"]
+) -> tuple[float, float]:
+    """Least misfit in the fitted frames, and the log10 E, near the start, at which it is reached."""
+    index, count = base.model.base.index(_MODULUS), int(base.split.fitted[-1]) + 1
+    shorter, tried = replace(model, frames=count), []
+    for decades in _DECADES:
+        values = start.copy()
+        values[index] += decades
+        positions = np.concatenate([shorter.positions(values), base.positions[count:]])
+        rows = base.rows(base.split.fitted)
+        tried.append((float(np.mean(base.residual(positions)[rows] ** 2 / variance[rows])), values[index]))
+    return min(tried)
+
+
+def _surrogate(base: Baseline, mesh: TetMesh, values: np.ndarray, target: Float[np.ndarray, "T P 3"]) -> float:
+    """Decades of E by which the cheaper model must be stiffer to vibrate as the own elements do."""
+    count = int(base.split.fitted[-1]) + 1
+    coarse = replace(base.model, mesh=None, correction=None, frames=count)
+
+    def missed(decades: float) -> float:
+        moved = replace(coarse, stiffer=decades).motion(values).positions
+        return float(np.linalg.norm(moved - target[:count]))
+
+    first = _decades(replace(base.model, mesh=mesh), coarse, values)
+    return first + min(_FINER, key=lambda more: missed(first + more))
+
+
+def _decades(one: EffectModel, other: EffectModel, values: np.ndarray) -> float:
+    """Decades of E by which another mesh must be stiffer to vibrate as the one does, by their lowest frequencies."""
+    return 2 * float(np.log10(_lowest(one, values) / _lowest(other, values)))
+
+
+def _lowest(model: EffectModel, values: np.ndarray) -> float:
+    """Lowest frequency of the body's vibrations on the model's mesh [Hz]."""
+    scene = model.full_scene(values)
+    if scene.pins is None:
+        return float(vibration_modes(scene.body, 7)[0][6])
+    held = np.zeros(len(scene.body.mesh.vertices), dtype=bool)
+    held[scene.pins.nodes] = True
+    return float(vibration_modes(scene.body, 1, clamped=held)[0][0])

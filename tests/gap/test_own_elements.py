@@ -1,0 +1,72 @@
+"""A recording made with linear elements that lock is modelled with those elements; one made with better ones is not."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from physconvex.capture import Boundary, Capture, Tracks, save_capture
+from physconvex.fem import ElasticBody, Pins, Scene, TetMesh, box_mesh, simulate
+from physconvex.gap import GapOptions
+from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
+from physconvex.gap.numerics import Numerics
+from physconvex.gap.own_elements import own_elements, with_own_elements
+
+MODULUS, SIGMA, FPS, FRAMES = 2e5, 2e-5, 60.0, 18
+OPTIONS = GapOptions(max_nodes=100, weights=4, iterations=6)
+
+
+def released(folder: Path, order: int) -> Capture:
+    """A beam that is held at one end and let go, simulated with elements of some order on the capture's mesh."""
+    size, cells = (0.12, 0.03, 0.03), (6, 1, 1)
+    mesh, corners = box_mesh(size, cells, order=order), box_mesh(size, cells, order=1)
+    body = ElasticBody(mesh, youngs_modulus=MODULUS, poisson_ratio=0.4, density=1000.0)
+    held = np.flatnonzero(mesh.vertices[:, 0] < mesh.vertices[:, 0].min() + 1e-9)
+    run = simulate(Scene(body, pins=Pins(held)), frames=FRAMES, fps=FPS, steps_per_frame=8)
+    shown = np.flatnonzero(mesh.vertices[:, 0] > mesh.vertices[:, 0].max() - 0.03)
+    rng = np.random.default_rng(1)
+    positions = run.positions[:, shown] + SIGMA * rng.normal(size=(FRAMES, len(shown), 3))
+    capture = Capture(
+        folder / "capture", FPS, FRAMES, 12, gravity=np.array([0.0, 0.0, -9.81]), density=1000.0,
+    )  # fmt: skip
+    x = float(mesh.vertices[:, 0].min())
+    boundary = Boundary(clamped_box=np.array([[x - 1e-4, -1.0, -1.0], [x + 1e-4, 1.0, 1.0]]))
+    tracks = Tracks(mesh.vertices[shown], positions, np.full(positions.shape[:2], SIGMA))
+    save_capture(capture, tets=TetMesh(corners.vertices, corners.tets), tracks=tracks, boundary=boundary)
+    return capture
+
+
+def fitted(capture: Capture) -> tuple[Baseline, Baseline, Numerics, np.ndarray]:
+    """The base fit and what it came from, without numerical errors."""
+    rough = rough_baseline(capture, OPTIONS, lambda text: None)
+    still = np.zeros_like(rough.motion.positions)
+    numerics = Numerics(still, still, still, still, still)
+    variance = np.ones(len(rough.residual(rough.positions)))
+    base = fit_baseline(rough, still, None, variance, OPTIONS, lambda text: None)
+    return rough, base, numerics, variance
+
+
+@pytest.mark.slow
+def test_elements_that_lock_become_the_model(tmp_path: Path) -> None:
+    rough, base, numerics, variance = fitted(released(tmp_path, 1))
+    own, _ = with_own_elements(base, rough, numerics, variance, OPTIONS, lambda text: None)
+    assert own.model.mesh is not None and own.model.mesh.order == 1
+    assert own.fit.value("log10_youngs_modulus") == pytest.approx(np.log10(MODULUS), abs=0.03)
+    # E of other elements had to stand in for the locking
+    assert abs(base.fit.value("log10_youngs_modulus") - np.log10(MODULUS)) > 0.1
+    left, before = (np.linalg.norm(b.residual(b.positions)) for b in (own, base))
+    assert left < 0.5 * before
+    assert own.model.surrogate_stiffer > 0.05  # the mesh that searches is made as stiff
+
+
+@pytest.mark.slow
+def test_other_elements_stay_where_they_fit_better(tmp_path: Path) -> None:
+    rough, base, numerics, variance = fitted(released(tmp_path, 2))
+    own, _ = with_own_elements(base, rough, numerics, variance, OPTIONS, lambda text: None)
+    assert own is base
+
+
+def test_only_linear_tetrahedra_are_own_elements(tmp_path: Path) -> None:
+    rough = rough_baseline(released(tmp_path, 1), OPTIONS, lambda text: None)
+    found = own_elements(rough)
+    assert found is not None and found.order == 1 and len(found.vertices) == 28
