@@ -134,6 +134,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5, help="drops per point of the other parts")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=11)
+    parser.add_argument("--no-growth", action="store_true", help="leave part 3 out")
     parser.add_argument("--quick", action="store_true", help="small images and few nodes, to see that it works")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "generator.json")
     arguments = parser.parse_args()
@@ -151,7 +152,7 @@ def main() -> None:
         "stages_seconds_per_simulation": medians(config, arguments.seed, arguments.repeats),
         "growth": {},
     }
-    for label, points in VARIATIONS.items():
+    for label, points in ({} if arguments.no_growth else VARIATIONS).items():
         chosen = points[:2] if arguments.quick else points
         result["growth"][label] = [
             {label: value} | medians(varied(overrides, name, value), arguments.seed, arguments.repeats)
