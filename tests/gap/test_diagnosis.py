@@ -110,8 +110,9 @@ def test_a_second_take_without_the_floor_is_refused(capture, second_take, tmp_pa
     (folder / "capture.json").write_text(json.dumps(content))
     friction = next(e for e in DEFAULT_EFFECTS if e.name == "friction")
     best = SimpleNamespace(effects=(friction,))
+    base = SimpleNamespace(situation=SimpleNamespace(giving_floor=False))
     with pytest.raises(InputError, match="friction cannot act there"):
-        second_take_shrinkage(None, best, load_capture(folder), GapOptions(max_nodes=60), lambda _: None)
+        second_take_shrinkage(base, best, load_capture(folder), GapOptions(max_nodes=60), lambda _: None)
 
 
 @pytest.mark.slow

@@ -64,11 +64,12 @@ def test_several_objects_land_on_each_other(cubes, tmp_path):
 def test_a_convex_field_moves_with_its_body(field_file, tmp_path):
     out = tmp_path / "played"
     turn = settings(
-        "object.drop_height=0.02",
+        "object.drop_height=0.05",  # lands after 0.10 of 0.125 s
         "object.size=0.5",
         "object.angular_velocity=[0,2,0]",
         "time.frames=4",
         "basis.max_nodes=200",
+        "basis.mesher=lattice",  # the other one does not repeat itself
     )
     result = CliRunner().invoke(app, [field_file, "--out", str(out), "--video", "--json", *turn])
     assert result.exit_code == 0, result.output
@@ -77,8 +78,8 @@ def test_a_convex_field_moves_with_its_body(field_file, tmp_path):
     assert len(fields) == 4 and read_video(out / "video.mp4").frames.std() > 5
     with np.load(out / "half_spaces.npz") as arrays:
         normals, offsets = arrays["normals"], arrays["offsets"]
-    moved = (fields[-1].centres - fields[0].centres).norm(dim=1)
-    assert (moved > 0.02).all()
+    fall = -(fields[-1].centres - fields[0].centres)[:, 2].mean()
+    assert 0.026 < fall < 0.0766  # what a rebound without loss leaves, and free fall
     for frame, tolerance in ((0, 1e-5), (3, 0.01)):
         # every plane carries its face: no vertex lies outside, and some lie on it
         points = np.broadcast_to(fields[frame].points.numpy()[:, None], (*offsets.shape[1:], 8, 3))
