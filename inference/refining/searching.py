@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from physconvex.identify.twin import coarse_mesh
 
 __all__ = ["ReducedSearch", "started_from"]
 
-_CHEAP_WEIGHTS, _FITTED = 6, 2  # and how many pairs of the scan are fitted
+_CHEAP_WEIGHTS = 6
 _AROUND, _RATIO = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0), 0.3  # decades; reduced models are too stiff, so that E wants more
 
 
@@ -40,6 +40,7 @@ class ReducedSearch:
     options: RefineOptions
     stages: Stages
     warnings: list[str]
+    _made: dict[str, dict[str, np.ndarray]] = field(default_factory=dict, init=False, repr=False)
 
     def run(self, problem: Problem) -> Fit:
         """Scan and fit, or fit alone where the start is known."""
@@ -47,7 +48,7 @@ class ReducedSearch:
         if "log10_youngs_modulus" not in names or "log10_youngs_modulus" in self.options.initial:
             first = replace(problem, twin=self._cheap(problem)) if self.options.own_derivatives else problem
             return self.fit("reduced", first, problem.parameters)
-        starts = self._scanned(problem)[:_FITTED]
+        starts = self._scanned(problem)
         return fit_of(self.stages.run("reduced", lambda: self._best(problem, starts)), problem.parameters)
 
     def candidates(self, problem: Problem, found: Fit) -> tuple[np.ndarray, ...]:
@@ -63,7 +64,10 @@ class ReducedSearch:
         return found.values, *scanned, *around
 
     def _scanned(self, problem: Problem) -> Scanned:
-        return scan_of(self.stages.run("scan", lambda: self._scan(problem)), problem.parameters)
+        """The best pairs of the scan, which is made once even where stages are not kept."""
+        if "scan" not in self._made:
+            self._made["scan"] = self.stages.run("scan", lambda: self._scan(problem))
+        return scan_of(self._made["scan"], problem.parameters)
 
     def _cheap(self, problem: Problem) -> Twin:
         """Few weights, few nodes and long steps, the same world: for the scan."""
