@@ -14,7 +14,7 @@ from inference.refining.problem import Problem
 from inference.refining.stages import Stages
 from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError
-from physconvex.identify import DriftingObservations, Fit, FitOptions, FullModel, RollOuts, fit_full
+from physconvex.identify import Fit, FitOptions, FullModel, RollOuts, fit_full
 from physconvex.identify.twin import coarse_mesh
 
 __all__ = ["START_OPTIONS", "Beginning"]
@@ -62,7 +62,7 @@ class Beginning:
 
     def _limited(self, problem: Problem, half: FullModel, coarse: FullModel, reduced: Fit) -> Problem:
         other = coarse
-        if coarse is half and problem.twin.scene.obstacles:
+        if coarse is half and problem.twin.may_strike:
             finer = finer_mesh(problem.twin)
             other = half if finer is None else replace(half, mesh=finer)
         return problem if other is half else with_drift_limit(problem, half, other, reduced, self.stages)
@@ -76,7 +76,7 @@ class Beginning:
         return reduced if values is candidates[0] else replace(reduced, values=values)
 
     def _fitted(self, problem: Problem, model: FullModel, half: FullModel, start: Fit) -> Fit:
-        seen = with_drift(problem, model, start, self.stages, "drift_coarse").seen if self.drift else problem.seen
+        seen = with_drift(problem, model, start, self.stages, "drift_coarse").seen
         around = problem.drift_limit is None
 
         def compute() -> dict[str, np.ndarray]:
@@ -92,8 +92,7 @@ class Beginning:
     def _misfits(self, problem: Problem, model: FullModel, candidates: Sequence[np.ndarray]) -> np.ndarray:
         """Minus the log-likelihood of each, with all the drift there may be; infinite where nothing comes out."""
         assert problem.drift_limit is not None
-        begin, most = problem.drift_limit
-        seen = DriftingObservations(problem.undrifted, begin, 1 / problem.twin.fps, most)
+        seen = problem.drifting(problem.drift_limit[1])
         out = np.full(len(candidates), np.inf)
         for number, values in enumerate(candidates):
             try:

@@ -17,6 +17,7 @@ from physconvex.errors import ConvergenceError, InputError
 from physconvex.identify.model import Model, check_names
 from physconvex.identify.observations import Observations
 from physconvex.identify.parameters import Parameter, lower_bounds, starts, step_scales, upper_bounds
+from physconvex.robust import huber_loss, huber_weights
 
 __all__ = ["Fit", "FitOptions", "Iteration", "fit"]
 
@@ -177,12 +178,8 @@ class _Search:
         residuals, jacobian = self.observations.linearise(positions, tangents)
         if len(residuals) == 0:
             raise InputError("observations: nothing was seen; expected at least one residual")
-        size, limit = np.abs(residuals), self.observations.robust_scales
-        weights = np.minimum(1.0, limit / np.maximum(size, 1e-300))
-        inside = size <= limit
-        outside = ~inside
-        loss = 0.5 * float((residuals[inside] ** 2).sum())
-        loss += float((limit[outside] * (size[outside] - 0.5 * limit[outside])).sum())
+        limits = self.observations.robust_scales
+        loss, weights = huber_loss(residuals, limits), huber_weights(residuals, limits)
         prior = (values - self.mean) * self.precision
         return _Point(values, positions, residuals, jacobian, weights, loss + 0.5 * float(prior @ prior))
 

@@ -93,7 +93,7 @@ def _of_obstacle(
     s = speed / contact.slip_velocity
     ds = _dot(slip, dslip) / (np.maximum(speed, 1e-300) * contact.slip_velocity)
     ratio, slope = np.where(s < 1, 2 - s, 1 / np.maximum(s, 1)), np.where(s < 1, -1.0, -1 / np.maximum(s, 1) ** 2)
-    _, pressure, stiffness = (contact.areas[nodes] * h for h in contact._hinge(depth))  # A ψ', A ψ''
+    _, pressure, stiffness = (contact.areas[nodes] * h for h in contact.hinge(depth))  # A ψ', A ψ''
     unit = pressure[:, None] * ratio / contact.slip_velocity  # weight per friction coefficient
     dunit = (-stiffness[:, None] * _dot(n, dx) * ratio + pressure[:, None] * slope * ds) / contact.slip_velocity
     dunit = dunit + unit * frozen.dlog_stiffness[:, None, None]
