@@ -13,7 +13,6 @@ from physconvex.capture import Capture
 from physconvex.fem import Embedding, TetMesh
 from physconvex.identify import Fit, FullModel, Twin
 from physconvex.identify.enrich import enriched
-from physconvex.identify.model import PASSES
 from physconvex.reduced import simulate
 
 __all__ = ["future_rms", "motion_of"]
@@ -51,7 +50,7 @@ def motion_of(
                 "weights": _weights(twin),
                 "gap": np.zeros(0),
             }
-        finest = replace(full, frames=capture.frames, mesh=mesh, friction_passes=PASSES)
+        finest = replace(full, frames=capture.frames, mesh=mesh)
         moved = finest.node_positions(found.values)
         carried = Embedding.of_points(body, nodes).apply(moved)
         better = enriched(fitted, carried)

@@ -22,8 +22,6 @@ from physconvex.identify.nuisance import MarginalObservations, Nuisance
 
 __all__ = ["Problem"]
 
-_FRICTION_PASSES = 3  # in each step of the search; as many as are needed in the motion
-
 
 @dataclass(frozen=True, eq=False)
 class Problem:
@@ -87,7 +85,6 @@ class Problem:
             self.names,
             self.seen.points,
             self.frames,
-            friction_passes=_FRICTION_PASSES,
             surface=self.surface,
             memory=memory,
         )

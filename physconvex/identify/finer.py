@@ -19,7 +19,7 @@ from physconvex.fem import TetMesh
 from physconvex.identify.correction import parameter_shifts
 from physconvex.identify.full_fit import FULL_OPTIONS
 from physconvex.identify.levenberg_marquardt import Fit, fit
-from physconvex.identify.model import PASSES, FullModel, LinearModel, Model
+from physconvex.identify.model import FullModel, LinearModel, Model
 from physconvex.identify.observations import Observations
 from physconvex.identify.uncertainty import noise_covariance
 from physconvex.identify.weighting import WeightedObservations, frame_errors
@@ -72,7 +72,7 @@ def fit_finer(
     Raises:
         ConvergenceError: a finer model fails.
     """
-    finest = replace(coarse, mesh=coarse.mesh if mesh is None else mesh, friction_passes=PASSES)
+    finest = replace(coarse, mesh=coarse.mesh if mesh is None else mesh)
     scales = np.array([p.step for p in found.parameters])
     values, last, there = found.values, found, None
     for _ in range(turns):

@@ -18,15 +18,15 @@ from physconvex.fem.carried_contact import SurfacePoints
 from physconvex.fem.embedding import Embedding
 from physconvex.fem.mesh import TetMesh
 from physconvex.fem.sensitivity import SensitiveTrajectory
+from physconvex.fem.simulation import ContactSolver, Trajectory
 from physconvex.identify.parameters import default_parameter, lower_bounds, step_scales, upper_bounds
 from physconvex.identify.twin import Twin
 from physconvex.reduced import simulate, simulate_with_sensitivities
 
 __all__ = ["FullModel", "LinearModel", "Model", "ReducedModel", "RollOuts"]
 
-PASSES = 12  # most linearisations of friction in each step of a full model
-_DIFFERENCE = 1e-6  # of a typical step: half width of the central differences; contact is linear over microns only
-_ROUGH_DIFFERENCE = 0.1  # of a typical step: where friction makes a roll-out rough at smaller scales
+_DIFFERENCE = 1e-6  # of a typical step: half width of the central differences of gradients
+_WHOLE_DIFFERENCE = 1e-2  # of a typical step: of whole roll-outs
 
 
 @runtime_checkable
@@ -121,7 +121,6 @@ class FullModel:
         frames: number of frames T.
         mesh: another mesh of the same geometry; the twin's own unless given.
         refinement: factor on the number of time steps.
-        friction_passes: most linearisations of friction in each step, see `physconvex.fem.simulate`.
         surface: points at which obstacles act, in the place of the boundary's nodes.
         memory: of the last linearised roll-outs; may be shared among models.
     """
@@ -132,7 +131,6 @@ class FullModel:
     frames: int
     mesh: TetMesh | None = None
     refinement: int = 1
-    friction_passes: int = PASSES
     surface: SurfacePoints | None = None
     memory: RollOuts = field(default_factory=RollOuts)
 
@@ -143,22 +141,26 @@ class FullModel:
     def node_positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T V 3"]:
         """Positions of the nodes of the mesh at the frames [m]."""
         kept = self.memory.find(self._key(values))
-        run = simulate_full(self.scene(values), **self._timing()) if kept is None else kept.trajectory
-        return run.positions
+        return (self._run(values) if kept is None else kept.trajectory).positions
 
     def scene(self, values: Float[np.ndarray, " K"]) -> Scene:
         """The scene with the parameters set."""
         scene = self.twin.with_values(self.names, values).full_scene(self.mesh)
         return scene if self.surface is None else replace(scene, contact_points=self.surface)
 
+    def _run(self, values: np.ndarray) -> Trajectory:
+        """Contact and friction solved for together; with a dashpot in the contact by passes, which err by more."""
+        scene = self.scene(values)
+        solver: ContactSolver = "condensed" if scene.obstacles and not scene.contact_damping else "passes"
+        return simulate_full(scene, **self._timing(), contact_solver=solver)
+
     def _timing(self) -> dict[str, Any]:
         timing = self.twin.timing(self.frames)
-        steps = timing["steps_per_frame"] * self.refinement
-        return timing | {"steps_per_frame": steps, "friction_passes": self.friction_passes}
+        return timing | {"steps_per_frame": timing["steps_per_frame"] * self.refinement}
 
     def _key(self, values: np.ndarray) -> Hashable:
         grid = id(self.twin.mesh if self.mesh is None else self.mesh)
-        how = (self.refinement, self.friction_passes, self.frames, id(self.surface))
+        how = (self.refinement, self.frames, id(self.surface))
         return (self.twin, grid, self.names, *how, np.asarray(values, dtype=np.float64).tobytes())
 
     def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
@@ -168,11 +170,11 @@ class FullModel:
     def linearise(
         self, values: Float[np.ndarray, " K"]
     ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
-        """Positions and their derivatives (`physconvex.fem.simulate_with_sensitivities`).
+        """Positions and their derivatives.
 
-        On a rough floor points stick and slip one after the other, so that a roll-out has corners everywhere, and its
-        derivative at a point may be ten times the slope over any change that matters: differences over a tenth of a
-        typical step are taken there.
+        Without obstacles they come of the step equations (`physconvex.fem.simulate_with_sensitivities`). With them they
+        are differences of whole roll-outs over a hundredth of a typical step, over which a roll-out with condensed
+        contact is straight; P + 1 such roll-outs cost less than one with derivatives, which needs friction by passes.
         """
         run = self.memory.get(self._key(values), lambda: self._linearised(values))
         return self._embedding.apply(run.trajectory.positions), self._embedding.apply(run.position_tangents)
@@ -180,8 +182,8 @@ class FullModel:
     def _linearised(self, values: np.ndarray) -> SensitiveTrajectory:
         usual = [default_parameter(name) for name in self.names]
         steps, lower, upper = step_scales(usual), lower_bounds(usual), upper_bounds(usual)
-        if any(obstacle.friction for obstacle in self.twin.with_values(self.names, values).scene.obstacles):
-            return self._differenced(values, _ROUGH_DIFFERENCE * steps, lower, upper)
+        if self.twin.scene.obstacles:
+            return self._differenced(values, _WHOLE_DIFFERENCE * steps, lower, upper)
         return full_with_sensitivities(
             self.scene, values, steps=_DIFFERENCE * steps, lower=lower, upper=upper, **self._timing()
         )
@@ -190,18 +192,18 @@ class FullModel:
         self, values: np.ndarray, steps: np.ndarray, lower: np.ndarray, upper: np.ndarray
     ) -> SensitiveTrajectory:
         """Differences of whole roll-outs, upwards unless a bound or a failure is in the way."""
-        base = simulate_full(self.scene(values), **self._timing())
+        base = self._run(values)
         tangents = []
         for place, step in enumerate(steps):
             change = np.zeros(len(values))
             change[place] = step if values[place] + step <= upper[place] else -step
             try:
-                moved = simulate_full(self.scene(values + change), **self._timing())
+                moved = self._run(values + change)
             except ConvergenceError:
                 change = -change
                 if values[place] + change[place] < lower[place]:
                     raise
-                moved = simulate_full(self.scene(values + change), **self._timing())
+                moved = self._run(values + change)
             tangents.append((moved.positions - base.positions) / change[place])
         return SensitiveTrajectory(base, np.stack(tangents, axis=1))
 

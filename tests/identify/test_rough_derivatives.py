@@ -18,7 +18,7 @@ def model(tmp_path, friction):
     floor = Floor(np.zeros(3), np.array([0.1, 0.05, 1.0]), friction=friction)
     save_capture(Capture(tmp_path / "box", 48.0, 6, 6, floor=floor, **still), tets=tets)
     twin = base_twin(load_capture(tmp_path / "box"), TwinOptions(weights=3, steps_per_frame=4))
-    return FullModel(twin, NAMES, tets.vertices, 6, friction_passes=3)
+    return FullModel(twin, NAMES, tets.vertices, 6)
 
 
 def slopes(full, share):

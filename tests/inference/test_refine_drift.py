@@ -36,7 +36,7 @@ def captures(tmp_path_factory):
         return load_capture(root / name)
 
     twin = base_twin(save("plain", np.zeros((FRAMES, 12, 3))), TwinOptions(weights=3, steps_per_frame=4))
-    moved = FullModel(twin, NAMES, points, FRAMES, friction_passes=3).positions(TRUTH)
+    moved = FullModel(twin, NAMES, points, FRAMES).positions(TRUTH)
     since = np.clip(np.arange(FRAMES) / FPS - 1.5 / FPS, 0, None)[:, None, None]
     arms = moved - moved.mean(axis=1, keepdims=True)
     flung = moved + since * (np.array([0.15, -0.1, 0.1]) + np.cross([0.4, 0.6, -0.3], arms))
