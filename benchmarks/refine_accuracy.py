@@ -109,6 +109,7 @@ def make_capture(folder: Path, case: int, noise: float) -> None:
         frames=FRAMES,
         fps=FPS,
         steps_per_frame=TRUE_STEPS,
+        contact_solver="passes" if held is not None else "condensed",
     )
     surface = np.flatnonzero(body_mesh.node_areas > 0)
     rest = body_mesh.vertices[rng.choice(surface, MARKERS, replace=False)]

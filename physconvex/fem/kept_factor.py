@@ -53,6 +53,8 @@ class KeptFactor:
         self._columns = np.zeros(len(self._matrix.indptr) - 1, dtype=np.int64) - 1  # of each point, if it has any
         self._points = np.zeros(0, dtype=np.int64)
         self._compliance = np.zeros((0, 0))
+        free = self._on_free.shape[1]
+        self._at_node, self._of_nodes = np.zeros(free, dtype=np.int64) - 1, np.zeros((3 * free, 0))
 
     def prepare(self, x: Float[np.ndarray, "V 3"], *, renew: bool) -> bool:
         """Make ready for a time step, or for the rest of one with a new factor; whether there is a new one."""
@@ -102,18 +104,35 @@ class KeptFactor:
         new = points[self._columns[points] < 0]
         if not len(new):
             return
-        rows = self._on_free[new].tocoo()
         free, count = self._on_free.shape[1], len(new)
-        columns = np.zeros((free, 3, count, 3))
-        for axis in range(3):
-            columns[rows.col, axis, rows.row, axis] = rows.data
-        solved = self.equations.solver.solve(columns.reshape(3 * free, 3 * count)).reshape(free, 9 * count)
+        solved = self._solved(self._on_free[new]).reshape(free, 9 * count)
         known = len(self._points)
         self._points = np.concatenate([self._points, new])
         self._columns[new] = known + np.arange(count)
         at = (self._on_free[self._points] @ solved).reshape(3 * len(self._points), 3 * count)
         cross, own = at[: 3 * known], at[3 * known :]
         self._compliance = np.block([[self._compliance, cross], [cross.T, 0.5 * (own + own.T)]])
+
+    def _solved(self, rows: csr_matrix) -> Float[np.ndarray, "M 3C"]:
+        """K⁻¹ Bᵀ, from the columns of the nodes that carry the points where those to be solved for are fewer."""
+        carriers = np.unique(rows.indices)
+        new = carriers[self._at_node[carriers] < 0]
+        if len(new) >= rows.shape[0]:
+            return self._solved_for(rows)
+        if len(new):
+            ones = csr_matrix((np.ones(len(new)), (np.arange(len(new)), new)), shape=(len(new), rows.shape[1]))
+            self._at_node[new] = self._of_nodes.shape[1] // 3 + np.arange(len(new))
+            self._of_nodes = np.concatenate([self._of_nodes, self._solved_for(ones)], axis=1)
+        by_node = self._of_nodes.reshape(len(self._of_nodes), -1, 3)[:, self._at_node[carriers]]
+        spread = rows[:, carriers] @ by_node.transpose(1, 0, 2).reshape(len(carriers), -1)
+        return spread.reshape(rows.shape[0], -1, 3).transpose(1, 0, 2).reshape(len(self._of_nodes), -1)
+
+    def _solved_for(self, rows: csr_matrix) -> Float[np.ndarray, "M 3C"]:
+        entries = rows.tocoo()
+        columns = np.zeros((rows.shape[1], 3, rows.shape[0], 3))
+        for axis in range(3):
+            columns[entries.col, axis, entries.row, axis] = entries.data
+        return self.equations.solver.solve(columns.reshape(3 * rows.shape[1], 3 * rows.shape[0]))
 
 
 class _Secants:
