@@ -74,6 +74,10 @@ class Parameter:
         """The same with another start, moved inside the bounds."""
         return replace(self, start=float(np.clip(start, self.lower, self.upper)))
 
+    def held(self) -> Parameter:
+        """The same, free no more."""
+        return replace(self, lower=self.start, upper=self.start)
+
 
 def default_parameter(name: str, *, start: float | None = None) -> Parameter:
     """A parameter with the bounds and the step that suit its name.
