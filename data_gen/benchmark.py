@@ -227,7 +227,10 @@ def _scene(mesh: TetMesh, truth: dict[str, float], shown: ObjectMesh) -> Scene:
 
 def _rolled(scene: Scene, options: BenchmarkOptions, *, share: float = 1.0) -> np.ndarray:
     steps = max(1, round(share * options.steps_per_frame))
-    return simulate(scene, frames=options.frames, fps=options.fps, steps_per_frame=steps).positions
+    run = simulate(
+        scene, frames=options.frames, fps=options.fps, steps_per_frame=steps, contact_solver="condensed"
+    )  # fmt: skip
+    return run.positions
 
 
 def _errors(body: ObjectMesh, truth: dict[str, float], moved: np.ndarray, options: BenchmarkOptions) -> dict[str, Any]:

@@ -147,11 +147,11 @@ class _Run:
         return Problem(twin, started, observed, options.nuisance, self._surface(twin))
 
     def _surface(self, twin: Twin) -> SurfacePoints | None:
-        """Where obstacles act on a body that was meshed from its surface; exact tetrahedra have their own nodes."""
-        mesh = self.capture.mesh()
-        if mesh is None or not twin.scene.obstacles:
+        """Where obstacles act: on the surface that the capture states, not on the nodes of whatever mesh carries it."""
+        if not twin.scene.obstacles:
             return None
-        return SurfacePoints.of_triangles(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces))
+        tets = None if self.capture.mesh() is not None else self.capture.tets()
+        return SurfacePoints.of_triangles(*(twin.surface if tets is None else tets.surface))
 
     # -- stages
 

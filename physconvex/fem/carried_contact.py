@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_matrix
 from scipy.spatial import ConvexHull, QhullError, cKDTree
+from trimesh.remesh import subdivide
 
 from physconvex.contact import Contact, Friction
 from physconvex.errors import InputError
@@ -49,11 +50,18 @@ class SurfacePoints:
     def of_triangles(
         cls, vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"], *, count: int = 1500
     ) -> SurfacePoints:
-        """About `count` vertices of a surface: all corners of its convex hull, and others evenly spread."""
+        """About `count` vertices of a surface: all corners of its convex hull, and others evenly spread.
+
+        Triangles are cut in four as long as there are fewer vertices than half of that.
+        """
+        vertices, triangles, most = np.asarray(vertices), np.asarray(triangles), count
+        while len(np.unique(triangles)) < count / 2:
+            vertices, triangles = subdivide(vertices, triangles)
+            most = max(most, len(vertices))
         corners = vertices[triangles]
         areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
         shares = np.bincount(triangles.ravel(), np.repeat(areas / 3, 3), minlength=len(vertices))
-        chosen = _spread(vertices, np.flatnonzero(shares > 0), areas.sum(), count)
+        chosen = _spread(vertices, np.flatnonzero(shares > 0), areas.sum(), most)
         nearest = cKDTree(vertices[chosen]).query(vertices)[1]
         gathered = np.bincount(nearest, shares, minlength=len(chosen))
         return cls(vertices[chosen], gathered)

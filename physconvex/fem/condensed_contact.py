@@ -3,7 +3,7 @@
 A time step asks for g(x) + Bᵀ c(B x) = 0, where g is the gradient of what is smooth (inertia, elasticity, viscosity)
 and c the force of contact and Coulomb friction on points B x of the surface. Newton's method with an approximate
 inverse H of ∂g/∂x, without contact in it, asks for a change d = u − H Bᵀ λ with u = −H g and forces λ = c(B (x + d)).
-With the compliance S = B H Bᵀ of the points that is a dense equation in λ alone (static condensation),
+With the compliance S = B H Bᵀ of the points that is an equation in λ alone (static condensation),
 
     λ = c(B (x + u) − S λ),
 
@@ -17,6 +17,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.sparse import csr_matrix
 
 from physconvex.errors import ConvergenceError
 from physconvex.fem.carried_contact import CarriedContact
@@ -50,8 +51,9 @@ class CondensedContact:
         self.equations, self.tolerance = equations, tolerance
         contact = equations.contact
         self.matrix = contact.carried.matrix if isinstance(contact, CarriedContact) else None
-        self.factor = KeptFactor(equations, self.matrix)
+        self.factor = KeptFactor(equations)
         self.dense = DenseContact(contact.law if isinstance(contact, CarriedContact) else contact)
+        self._free = equations.assembler.free
         self._last = 0  # Newton steps of the last time step
         self._error = 0.0  # of the last dense equation [m]
 
@@ -109,7 +111,20 @@ class CondensedContact:
         c = self.equations.coefficients
         assert c is not None
         base = (c.base if self.matrix is None else self.matrix @ c.base)[points]
-        compliance = self.factor.compliance(points)
+        nodes, carried = self._carriers(points)
+        compliance = self.factor.compliance(nodes)
         goal = max(error, _EXACT * self.tolerance)
-        self._error = self.dense.solve(after[points], compliance, base, c.step, time, goal=goal)
-        return free - self.factor.pushed(points, self.dense.total())
+        self._error = self.dense.solve(after[points], carried, compliance, base, c.step, time, goal=goal)
+        forces = np.zeros_like(x)
+        forces[nodes] = carried.T @ self.dense.total()
+        return free - self.factor.pushed(forces)
+
+    def _carriers(self, points: np.ndarray) -> tuple[np.ndarray, csr_matrix]:
+        """The free nodes that carry some points, and the matrix that takes them to the points."""
+        if self.matrix is None:
+            rows = csr_matrix((np.ones(len(points)), (np.arange(len(points)), points)), (len(points), len(self._free)))
+        else:
+            rows = self.matrix[points]
+        nodes = np.unique(rows.indices)
+        nodes = nodes[self._free[nodes]]
+        return nodes, csr_matrix(rows[:, nodes])

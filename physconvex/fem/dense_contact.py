@@ -7,8 +7,11 @@ The equation λ = c(y − S λ) is solved by a semi-smooth Newton method on its 
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from jaxtyping import Float
+from scipy.sparse import bsr_matrix, csr_matrix
 
 from physconvex.contact import Contact
 from physconvex.contact_resolvent import resolve
@@ -50,6 +53,7 @@ class DenseContact:
     def solve(
         self,
         free: Float[np.ndarray, "C 3"],
+        carried: csr_matrix,
         compliance: Float[np.ndarray, "N N"],
         base: Float[np.ndarray, "C 3"],
         step: float,
@@ -61,7 +65,8 @@ class DenseContact:
 
         Args:
             free: where `points` would be without forces [m].
-            compliance: S [m/N], N = 3 C.
+            carried: B, takes the nodes that carry `points` to them, shape [C, M].
+            compliance: H of those nodes [m/N], N = 3 M.
             base: their velocities are their distances from here over the step [m].
             step: [s].
             time: at the end of the step [s].
@@ -72,12 +77,10 @@ class DenseContact:
         """
         of_pair = self._of_pair
         points = self.points[of_pair]
-        if not np.array_equal(of_pair, np.arange(len(self.points))):  # more than one obstacle
-            dofs = (3 * of_pair[:, None] + np.arange(3)).ravel()
-            compliance = compliance[np.ix_(dofs, dofs)]
         problem = _Problem(
-            self.law, points, self._obstacle, free[of_pair], compliance, base=base[of_pair], step=step, time=time
-        )
+            self.law, points, self._obstacle, free[of_pair], carried[of_pair], compliance,
+            base=base[of_pair], step=step, time=time,
+        )  # fmt: skip
         forces = self._forces[self._obstacle, points]
         left, slope = problem.evaluate(forces)
         for _ in range(_MOST):
@@ -98,6 +101,7 @@ class _Problem:
         points: np.ndarray,
         obstacles: np.ndarray,
         free: np.ndarray,
+        carried: csr_matrix,
         compliance: np.ndarray,
         *,
         base: np.ndarray,
@@ -106,10 +110,15 @@ class _Problem:
     ) -> None:
         self.law, self.obstacles, self.free, self.time = law, obstacles, free, time
         self.areas, self.base, self.step = law.areas[points], base, step
-        own = compliance.diagonal().reshape(-1, 3).sum(axis=1)
+        self.carried, self.compliance = carried, compliance  # S = B H Bᵀ
+        count = carried.shape[1]
+        traces = np.einsum("nimi->nm", compliance.reshape(count, 3, count, 3))
+        own = np.asarray(carried.multiply(carried @ traces).sum(axis=1)).ravel()
         self.stiffness = 3.0 / np.maximum(own, np.finfo(float).tiny)  # ρ; a pinned point has no compliance
-        self.compliance, self.less = compliance, compliance.copy()  # S, S − 1/ρ
-        self.less.flat[:: len(compliance) + 1] -= np.repeat(1 / self.stiffness, 3)
+
+    def moved(self, forces: np.ndarray) -> np.ndarray:
+        """S λ [m]."""
+        return np.asarray(self.carried @ (self.compliance @ (self.carried.T @ forces).ravel()).reshape(-1, 3))
 
     def size(self, left: np.ndarray) -> float:
         """Error of the forces, as a length [m]."""
@@ -120,7 +129,7 @@ class _Problem:
 
     def evaluate(self, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """λ − R [C, 3], and the derivative of R by its argument [C, 3, 3]."""
-        place = self.free - (self.compliance @ forces.ravel()).reshape(-1, 3)
+        place = self.free - self.moved(forces)
         left, slope = forces.copy(), np.zeros((len(forces), 3, 3))
         give = forces / self.stiffness[:, None]
         for number, obstacle in enumerate(self.law.obstacles):
@@ -143,17 +152,54 @@ class _Problem:
         return left, slope
 
     def newton_step(self, left: np.ndarray, slope: np.ndarray) -> np.ndarray:
-        """Change of the forces; those of pairs that do not touch go to zero at once."""
-        touching = slope.any(axis=(1, 2))
-        rows, others = np.flatnonzero(np.repeat(touching, 3)), np.flatnonzero(np.repeat(~touching, 3))
-        step = -left.ravel()
-        moved = (
-            slope[touching] @ self.less[rows].reshape(-1, 3, len(step)) if len(rows) else np.zeros((0, 3, len(step)))
-        )
-        matrix = moved.reshape(len(rows), len(step))
-        right = step[rows] - matrix[:, others] @ step[others]
-        step[rows] = np.linalg.solve(np.eye(len(rows)) + matrix[:, rows], right)
-        return step.reshape(-1, 3)
+        """Change δ of the forces, (1 − D/ρ + D S) δ = −left with D = `slope`.
+
+        Solved for in Bᵀ δ, of the nodes that carry points that touch: many points may stand on few nodes. Forces of pairs
+        that do not touch go to zero at once.
+        """
+        inverse = np.linalg.inv(np.eye(3) - slope / self.stiffness[:, None, None])
+        alone = -(inverse @ left[:, :, None])[:, :, 0]
+        stiff = inverse @ slope
+        active, own = self._on_carriers(stiff)
+        if not len(active):
+            return alone
+        dofs = (3 * active[:, None] + np.arange(3)).ravel()
+        matrix = (own.T @ self.compliance[np.ix_(dofs, dofs)]).T  # both of them times each other, H being symmetric
+        matrix.flat[:: len(dofs) + 1] += 1.0
+        right = self.compliance[dofs] @ (self.carried.T @ alone).ravel()
+        moved = np.zeros((self.carried.shape[1], 3))
+        moved[active] = np.linalg.solve(matrix, right).reshape(-1, 3)
+        return alone - (stiff @ (self.carried @ moved)[:, :, None])[:, :, 0]
+
+    def _on_carriers(self, stiff: np.ndarray) -> tuple[np.ndarray, bsr_matrix]:
+        """Which nodes carry pairs that touch, and Bᵀ (1 − D/ρ)⁻¹ D B among them."""
+        count = self.carried.shape[1]
+        gather, first, second = self._pairs_of_carriers
+        touched = np.zeros(count, dtype=bool)
+        touched[self.carried[stiff.any(axis=(1, 2))].indices] = True
+        number = np.cumsum(touched) - 1
+        kept = touched[first] & touched[second]
+        rows = number[first[kept]]
+        starts = np.searchsorted(rows, np.arange(touched.sum() + 1))
+        blocks = (gather[np.flatnonzero(kept)] @ stiff.reshape(-1, 9)).reshape(-1, 3, 3)
+        size = 3 * int(touched.sum())
+        return np.flatnonzero(touched), bsr_matrix((blocks, number[second[kept]], starts), shape=(size, size))
+
+    @cached_property
+    def _pairs_of_carriers(self) -> tuple[csr_matrix, np.ndarray, np.ndarray]:
+        """For each two nodes that carry a point in common: the products of their weights by point, and which they are."""
+        counts = np.diff(self.carried.indptr)
+        point = np.repeat(np.arange(len(counts)), counts)
+        slot = np.arange(len(point)) - np.repeat(self.carried.indptr[:-1], counts)
+        node, weight = np.zeros((2, len(counts), int(counts.max(initial=0))))
+        node[point, slot], weight[point, slot] = self.carried.indices, self.carried.data
+        keys = (node[:, :, None] * self.carried.shape[1] + node[:, None, :]).astype(np.int64)
+        products = weight[:, :, None] * weight[:, None, :]
+        where = products != 0
+        found, place = np.unique(keys[where], return_inverse=True)
+        columns = np.broadcast_to(np.arange(len(counts))[:, None, None], keys.shape)[where]
+        gather = csr_matrix((products[where], (place, columns)), shape=(len(found), len(counts)))
+        return gather, found // max(self.carried.shape[1], 1), found % max(self.carried.shape[1], 1)
 
 
 def _searched(

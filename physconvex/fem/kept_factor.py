@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csr_matrix, identity
 
 from physconvex.kabsch import best_rotation
 from physconvex.linear_solvers import NotPositiveDefiniteError
@@ -32,14 +31,12 @@ class KeptFactor:
 
     Args:
         equations: of the time steps.
-        matrix: takes the nodes to the points at which forces act, [S, V]; None: the nodes themselves.
     """
 
-    def __init__(self, equations: StepEquations, matrix: csr_matrix | None) -> None:
+    def __init__(self, equations: StepEquations) -> None:
         self.equations = equations
-        count = len(equations.body.mesh.vertices)
-        self._matrix = csr_matrix(identity(count)) if matrix is None else matrix
-        self._on_free = csr_matrix(self._matrix[:, equations.assembler.free])
+        free = equations.assembler.free
+        self._place_of = np.where(free, np.cumsum(free) - 1, -1)  # of each node among the free ones
         self._masses = equations.body.node_masses
         self.turn = np.eye(3)  # R, of the body since the factorisation
         self.projected = False  # the factorised matrix was not positive definite as it was
@@ -50,11 +47,9 @@ class KeptFactor:
         self._stamp, self._step = -1, np.nan
         self._place = self.equations.body.mesh.vertices
         self._secants = _Secants(_ROUNDED * self.equations.body.mesh.size)
-        self._columns = np.zeros(len(self._matrix.indptr) - 1, dtype=np.int64) - 1  # of each point, if it has any
-        self._points = np.zeros(0, dtype=np.int64)
+        self._columns = np.full(len(self._masses), -1)  # of each node, if it has any
+        self._nodes = np.zeros(0, dtype=np.int64)
         self._compliance = np.zeros((0, 0))
-        free = self._on_free.shape[1]
-        self._at_node, self._of_nodes = np.zeros(free, dtype=np.int64) - 1, np.zeros((3 * free, 0))
 
     def prepare(self, x: Float[np.ndarray, "V 3"], *, renew: bool) -> bool:
         """Make ready for a time step, or for the rest of one with a new factor; whether there is a new one."""
@@ -82,57 +77,38 @@ class KeptFactor:
         self._secants.note(x @ self.turn, turned, out)
         return -(out + self._secants.correction(turned)) @ self.turn.T
 
-    def compliance(self, points: Int[np.ndarray, " C"]) -> Float[np.ndarray, "N N"]:
-        """B H Bᵀ [m/N] of some points, N = 3 C."""
-        self._extend(points)
-        at, size = self._columns[points], 3 * len(points)
-        dofs = (3 * at[:, None] + np.arange(3)).ravel()
+    def compliance(self, nodes: Int[np.ndarray, " M"]) -> Float[np.ndarray, "N N"]:
+        """H [m/N] of some free nodes, N = 3 M."""
+        self._extend(nodes)
+        size = 3 * len(nodes)
+        dofs = (3 * self._columns[nodes][:, None] + np.arange(3)).ravel()
         out = self._compliance[np.ix_(dofs, dofs)]
-        out += self._secants.correction_at(self._matrix[points])
-        for _ in range(2):  # R S Rᵀ, block by block
-            out = (self.turn @ out.reshape(len(points), 3, size)).reshape(size, size).T
+        out += self._secants.correction_at(nodes)
+        for _ in range(2):  # R H Rᵀ, block by block
+            out = (self.turn @ out.reshape(len(nodes), 3, size)).reshape(size, size).T
         return np.ascontiguousarray(out)
 
-    def pushed(self, points: Int[np.ndarray, " C"], forces: Float[np.ndarray, "C 3"]) -> Float[np.ndarray, "V 3"]:
-        """H Bᵀ λ [m] of forces on some points [N]."""
-        spread = self._matrix[points].T @ (forces @ self.turn)
-        spread[self.equations.fixed] = 0.0
-        return (self.equations.solve(spread) + self._secants.correction(spread)) @ self.turn.T
+    def pushed(self, forces: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+        """H f [m] of forces [N] on the nodes."""
+        turned = forces @ self.turn
+        turned[self.equations.fixed] = 0.0
+        return (self.equations.solve(turned) + self._secants.correction(turned)) @ self.turn.T
 
-    def _extend(self, points: np.ndarray) -> None:
-        """Solve for the columns of points that have none yet."""
-        new = points[self._columns[points] < 0]
+    def _extend(self, nodes: np.ndarray) -> None:
+        """Solve for the columns of nodes that have none yet."""
+        new = nodes[self._columns[nodes] < 0]
         if not len(new):
             return
-        free, count = self._on_free.shape[1], len(new)
-        solved = self._solved(self._on_free[new]).reshape(free, 9 * count)
-        known = len(self._points)
-        self._points = np.concatenate([self._points, new])
+        free, count, known = int((self._place_of >= 0).sum()), len(new), len(self._nodes)
+        columns = np.zeros((free, 3, count, 3))
+        for axis in range(3):
+            columns[self._place_of[new], axis, np.arange(count), axis] = 1.0
+        solved = self.equations.solver.solve(columns.reshape(3 * free, 3 * count)).reshape(free, -1)
+        self._nodes = np.concatenate([self._nodes, new])
         self._columns[new] = known + np.arange(count)
-        at = (self._on_free[self._points] @ solved).reshape(3 * len(self._points), 3 * count)
+        at = solved[self._place_of[self._nodes]].reshape(-1, 3 * count)
         cross, own = at[: 3 * known], at[3 * known :]
         self._compliance = np.block([[self._compliance, cross], [cross.T, 0.5 * (own + own.T)]])
-
-    def _solved(self, rows: csr_matrix) -> Float[np.ndarray, "M 3C"]:
-        """K⁻¹ Bᵀ, from the columns of the nodes that carry the points where those to be solved for are fewer."""
-        carriers = np.unique(rows.indices)
-        new = carriers[self._at_node[carriers] < 0]
-        if len(new) >= rows.shape[0]:
-            return self._solved_for(rows)
-        if len(new):
-            ones = csr_matrix((np.ones(len(new)), (np.arange(len(new)), new)), shape=(len(new), rows.shape[1]))
-            self._at_node[new] = self._of_nodes.shape[1] // 3 + np.arange(len(new))
-            self._of_nodes = np.concatenate([self._of_nodes, self._solved_for(ones)], axis=1)
-        by_node = self._of_nodes.reshape(len(self._of_nodes), -1, 3)[:, self._at_node[carriers]]
-        spread = rows[:, carriers] @ by_node.transpose(1, 0, 2).reshape(len(carriers), -1)
-        return spread.reshape(rows.shape[0], -1, 3).transpose(1, 0, 2).reshape(len(self._of_nodes), -1)
-
-    def _solved_for(self, rows: csr_matrix) -> Float[np.ndarray, "M 3C"]:
-        entries = rows.tocoo()
-        columns = np.zeros((rows.shape[1], 3, rows.shape[0], 3))
-        for axis in range(3):
-            columns[entries.col, axis, entries.row, axis] = entries.data
-        return self.equations.solver.solve(columns.reshape(3 * rows.shape[1], 3 * rows.shape[0]))
 
 
 class _Secants:
@@ -177,10 +153,9 @@ class _Secants:
             return np.zeros_like(vector)
         return ((self._m @ (self._w @ vector.ravel())) @ self._w).reshape(vector.shape)
 
-    def correction_at(self, matrix: csr_matrix) -> Float[np.ndarray, "N N"] | float:
-        """B (H − K⁻¹) Bᵀ."""
+    def correction_at(self, nodes: np.ndarray) -> Float[np.ndarray, "N N"] | float:
+        """H − K⁻¹ of some nodes."""
         if not self._pairs:
             return 0.0
-        by_node = self._w.reshape(len(self._w), -1, 3).transpose(1, 2, 0).reshape(matrix.shape[1], -1)
-        at = (matrix @ by_node).reshape(3 * matrix.shape[0], -1)
-        return at @ self._m @ at.T
+        at = self._w.reshape(len(self._w), -1, 3)[:, nodes].reshape(len(self._w), -1)
+        return at.T @ (self._m @ at)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 
 from physconvex.errors import InputError
 from physconvex.fem import (
@@ -74,3 +75,12 @@ def test_a_body_lands_on_the_surface_that_is_shown_and_not_on_its_mesh(shown, in
         lowest[name] = moved[:, 2].min() + 0.0705
     assert abs(lowest["surface"]) < 1e-3
     assert lowest["nodes"] == pytest.approx(-0.01, abs=1.5e-3)
+
+
+def test_a_surface_of_few_triangles_is_cut_into_many_points():
+    box = trimesh.creation.box((0.3, 0.2, 0.1))
+    points = SurfacePoints.of_triangles(box.vertices, box.faces, count=1500)
+    assert 750 <= len(points.areas) <= 3000
+    assert np.isclose(points.areas.sum(), box.area)
+    on_top = points.points[:, 2] > 0.0499
+    assert cKDTree(points.points[on_top][:, :2]).query([[0.013, 0.021]])[0] < 0.02

@@ -2,9 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
+from scipy.sparse import csr_matrix
 
+from physconvex.contact import Contact
 from physconvex.errors import InputError
 from physconvex.fem import ElasticBody, Pins, Plane, Scene, Sphere, SurfacePoints, box_mesh, simulate
+from physconvex.fem.dense_contact import _Problem
 from physconvex.fem.kept_factor import KeptFactor
 from physconvex.fem.simulation import StepEquations
 from physconvex.integrators import State, bdf2
@@ -113,7 +117,7 @@ def turned():
 
 def test_the_factor_turns_with_the_body(turned):
     equations, x, there = turned
-    factor = KeptFactor(equations, None)
+    factor = KeptFactor(equations)
     assert factor.prepare(x, renew=False)
     assert not factor.prepare(there, renew=False)
     equations.viscous = equations.body.viscous_state(there)
@@ -124,28 +128,52 @@ def test_the_factor_turns_with_the_body(turned):
 
 def test_compliance_is_what_forces_on_points_do(turned):
     equations, x, there = turned
-    factor, rng = KeptFactor(equations, None), np.random.default_rng(1)
+    factor, rng = KeptFactor(equations), np.random.default_rng(1)
     factor.prepare(x, renew=True)
     factor.prepare(there, renew=False)
     place = there.copy()
     for _ in range(4):  # what is learnt from gradients enters both
         place = place + 0.3 * factor.apply(place, equations.smooth_gradient(place))
     for points in (np.array([3, 8]), np.array([1, 8, 20])):  # columns are added
-        forces = rng.normal(size=(len(points), 3))
-        moved = factor.pushed(points, forces)[points]
-        np.testing.assert_allclose((factor.compliance(points) @ forces.ravel()).reshape(-1, 3), moved, rtol=1e-9)
+        forces = np.zeros_like(x)
+        forces[points] = rng.normal(size=(len(points), 3))
+        moved = factor.pushed(forces)[points]
+        np.testing.assert_allclose(
+            (factor.compliance(points) @ forces[points].ravel()).reshape(-1, 3), moved, rtol=1e-9
+        )
 
 
 def test_what_is_learnt_obeys_the_secant_equation(turned):
     """Of the last two gradients met: the change of place is H times the change of gradient."""
     equations, x, there = turned
-    factor, rng = KeptFactor(equations, None), np.random.default_rng(2)
+    factor, rng = KeptFactor(equations), np.random.default_rng(2)
     factor.prepare(x, renew=True)
     factor.prepare(there, renew=False)
     places = there + 0.005 * rng.normal(size=(20, *x.shape))  # more than are kept
     gradients = [equations.smooth_gradient(place) for place in places]
     for place, gradient in zip(places, gradients, strict=True):
         factor.apply(place, gradient)
-    moved = factor.pushed(np.arange(len(x)), gradients[-1] - gradients[-2])
+    moved = factor.pushed(gradients[-1] - gradients[-2])
     np.testing.assert_allclose(moved, places[-1] - places[-2], atol=1e-12)
     assert equations.factorisations == 1
+
+
+def test_forces_on_many_points_are_found_through_the_few_nodes_that_carry_them():
+    """Newton's step of the forces is that of the dense equation, whatever touches, sticks or slips."""
+    rng = np.random.default_rng(3)
+    carried = csr_matrix(np.where(rng.random((40, 5)) < 0.5, rng.random((40, 5)), 0.0))
+    root = rng.normal(size=(15, 15))
+    compliance = 1e-5 * (root @ root.T + np.eye(15))
+    law = Contact((FLOOR,), np.full(40, 1e-3), stiffness=1e6, smoothing=1e-4, slip_velocity=1e-3)
+    free = rng.normal(scale=0.01, size=(40, 3)) + [0, 0, -0.022]
+    everything = np.arange(40), np.zeros(40, dtype=np.int64)
+    motion = {"base": free - rng.normal(scale=1e-3, size=free.shape), "step": 1e-3, "time": 0.0}
+    problem = _Problem(law, *everything, free, carried, compliance, **motion)
+    forces = rng.normal(scale=0.1, size=(40, 3))
+    left, slope = problem.evaluate(forces)
+    assert 5 < slope.any(axis=(1, 2)).sum() < 35
+    matrix = np.kron(carried.toarray(), np.eye(3))
+    diagonal = block_diag(*slope)
+    dense = np.eye(120) - diagonal @ (np.diag(np.repeat(1 / problem.stiffness, 3)) - matrix @ compliance @ matrix.T)
+    expected = np.linalg.solve(dense, -left.ravel()).reshape(-1, 3)
+    np.testing.assert_allclose(problem.newton_step(left, slope), expected, rtol=1e-7, atol=1e-9)

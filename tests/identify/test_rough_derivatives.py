@@ -1,10 +1,12 @@
-"""Derivatives of the full model of a body that strikes a floor: exact on a smooth one, slopes on a rough one."""
+"""Derivatives of the full model of a body that strikes a floor, smooth or rough: its roll-outs are straight, not rugged."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from physconvex.capture import Capture, Floor, load_capture, save_capture
-from physconvex.fem import TetMesh, box_mesh
+from physconvex.fem import TetMesh, box_mesh, simulate
 from physconvex.identify import FullModel, TwinOptions, base_twin
 
 NAMES = ("log10_youngs_modulus", "poisson_ratio", "damping_time")
@@ -29,21 +31,33 @@ def slopes(full, share):
     return np.stack(out, axis=1)
 
 
-@pytest.mark.parametrize(("friction", "tolerance"), [(0.0, 2e-2), (0.6, 0.15)])
-def test_they_are_slopes_over_changes_that_matter(tmp_path, friction, tolerance):
+@pytest.mark.parametrize("friction", [0.0, 0.6])
+def test_slopes_are_the_same_over_small_and_large_changes(tmp_path, friction):
+    """With friction frozen pass by pass, as many times as it takes, they differ by a third and more."""
     full = model(tmp_path, friction)
     positions, tangents = full.linearise(VALUES)
     np.testing.assert_array_equal(positions, full.positions(VALUES))
-    expected = slopes(full, 0.05 if friction == 0 else 1.0)
-    for k in range(len(NAMES)):
-        error = np.linalg.norm(tangents[:, k] - expected[:, k])
-        assert error < tolerance * np.linalg.norm(expected[:, k])
+    for share in (1e-3, 1e-2, 1e-1):
+        expected = slopes(full, share)
+        for k in range(len(NAMES)):
+            error = np.linalg.norm(tangents[:, k] - expected[:, k])
+            assert error < 0.03 * np.linalg.norm(expected[:, k]), (share, NAMES[k])
+
+
+def test_contact_and_friction_are_solved_for_together_where_the_law_allows_it(tmp_path):
+    full = model(tmp_path, 0.6)
+    timing = full.twin.timing(6)
+    expected = simulate(full.scene(VALUES), contact_solver="condensed", **timing)
+    np.testing.assert_array_equal(full.node_positions(VALUES), expected.positions)
+    damped = replace(full, twin=full.twin.with_scene(contact_damping=1e-3))
+    expected = simulate(damped.scene(VALUES), **timing)
+    np.testing.assert_array_equal(damped.node_positions(VALUES), expected.positions)
 
 
 def test_at_a_bound_the_other_side_is_taken(tmp_path):
     full = model(tmp_path, 0.6)
-    at_the_top = np.array([8.0, 0.495, 0.1])
+    at_the_top = np.array([4.3, 0.495, 1e-3])
     _, tangents = full.linearise(at_the_top)
-    lower = at_the_top - [0, STEPS[1], 0]
-    expected = (full.positions(at_the_top) - full.positions(lower)) / STEPS[1]
-    np.testing.assert_allclose(tangents[:, 1], expected, atol=1e-9)
+    lower = at_the_top - [0, 0.1 * STEPS[1], 0]
+    expected = (full.positions(at_the_top) - full.positions(lower)) / (0.1 * STEPS[1])
+    np.testing.assert_allclose(tangents[:, 1], expected, atol=1e-6)
