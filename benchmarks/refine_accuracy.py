@@ -3,10 +3,11 @@
 python benchmarks/refine_accuracy.py --cases 6          (goes on where it stopped)
 
 Truth: quadratic finite elements on a finer mesh of the same body (2,025 and 2,431 nodes; the model begins with 275 and
-175), with half the time step of the model's, the floor acting on points all over the block's surface. Two scenes: a bar clamped at one end that swings (no contact: the truth
-converges), and a block that is thrown onto a tilted, rough floor. Twenty markers on the surface, noise in each
-coordinate (--noise, metres), 12 of 16 frames are fitted; damping is unknown, and for the block the initial velocity
-too. E is drawn log-uniform, ν uniform. The constant predictor says the middle of both ranges.
+175), with half the time step of the model's, the floor acting on points all over the block's surface. Two scenes: a bar
+clamped at one end that swings (no contact: the truth converges), and a block that is thrown onto a tilted, rough floor.
+Twenty markers on the surface, noise in each coordinate (--noise, metres), 12 of 16 frames are fitted; damping is
+unknown, and for the block the initial velocity too. E is drawn log-uniform, ν uniform.
+The constant predictor says the middle of both ranges.
 """
 
 from __future__ import annotations

@@ -154,8 +154,8 @@ class _Problem:
     def newton_step(self, left: np.ndarray, slope: np.ndarray) -> np.ndarray:
         """Change δ of the forces, (1 − D/ρ + D S) δ = −left with D = `slope`.
 
-        Solved for in Bᵀ δ, of the nodes that carry points that touch: many points may stand on few nodes. Forces of pairs
-        that do not touch go to zero at once.
+        Solved for in Bᵀ δ, of the nodes that carry points that touch: many points may stand on few nodes. Forces of
+        pairs that do not touch go to zero at once.
         """
         inverse = np.linalg.inv(np.eye(3) - slope / self.stiffness[:, None, None])
         alone = -(inverse @ left[:, :, None])[:, :, 0]
@@ -187,7 +187,7 @@ class _Problem:
 
     @cached_property
     def _pairs_of_carriers(self) -> tuple[csr_matrix, np.ndarray, np.ndarray]:
-        """For each two nodes that carry a point in common: the products of their weights by point, and which they are."""
+        """For each two nodes that carry a point in common: products of their weights by point, and which they are."""
         counts = np.diff(self.carried.indptr)
         point = np.repeat(np.arange(len(counts)), counts)
         slot = np.arange(len(point)) - np.repeat(self.carried.indptr[:-1], counts)

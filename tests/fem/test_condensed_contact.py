@@ -165,7 +165,7 @@ def test_forces_on_many_points_are_found_through_the_few_nodes_that_carry_them()
     root = rng.normal(size=(15, 15))
     compliance = 1e-5 * (root @ root.T + np.eye(15))
     law = Contact((FLOOR,), np.full(40, 1e-3), stiffness=1e6, smoothing=1e-4, slip_velocity=1e-3)
-    free = rng.normal(scale=0.01, size=(40, 3)) + [0, 0, -0.022]
+    free = np.array([0, 0, -0.022]) + rng.normal(scale=0.01, size=(40, 3))
     everything = np.arange(40), np.zeros(40, dtype=np.int64)
     motion = {"base": free - rng.normal(scale=1e-3, size=free.shape), "step": 1e-3, "time": 0.0}
     problem = _Problem(law, *everything, free, carried, compliance, **motion)

@@ -1,4 +1,4 @@
-"""Derivatives of the full model of a body that strikes a floor, smooth or rough: its roll-outs are straight, not rugged."""
+"""Derivatives of the full model of a body that strikes a floor, smooth or rough: slopes that hold at every scale."""
 
 from dataclasses import replace
 
