@@ -1,8 +1,8 @@
 """Derivative of the frozen forces of friction and dashpots with respect to the state they were frozen at.
 
 `Contact.freeze_friction` fixes weights w = μ A ψ'(p) f₁(s)/s / v_s and normals n at positions x_f and velocities v_f,
-s = |t_f|/v_s, t = (I − n nᵀ)(v − u); the force of the solve is then w t(v). Of a dashpot w = τ A ψ''(p), of points that leave
-with the normal velocity v_n at most A ψ'(p)/v_n, and the force is w n nᵀ(v − u).
+s = |t_f|/v_s, t = (I − n nᵀ)(v − u); the force of the solve is then w t(v). Of a dashpot w = τ A ψ''(p), of
+points that leave with the normal velocity v_n at most A ψ'(p)/v_n, and the force is w n nᵀ(v − u).
 """
 
 from __future__ import annotations
