@@ -11,12 +11,13 @@ from pathlib import Path
 from docs.figures.fem_cases.beam_capture import beam_capture
 
 RECORDINGS = ("gravity", "load101")
+BUNDLED = Path(__file__).parent / "captures"
 
 
 def main() -> None:
     """Write one folder for each recording."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "captures")
+    parser.add_argument("--out", type=Path, default=BUNDLED)
     out = parser.parse_args().out
     for name in RECORDINGS:
         folder = out / f"silicone_beam_{name}"

@@ -200,7 +200,8 @@ class Contact:
         slope = np.where(soft, depth**2 / (2 * e), depth - e / 2)
         return k * energy, k * slope, k * np.where(soft, depth / e, 1.0)
 
-    def _touching(self, obstacle: Obstacle, x: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
+    def touching(self, obstacle: Obstacle, x: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes inside an obstacle, and how deep they are [m]."""
         depth = -obstacle.gap(x[self.nodes], time)
         inside = depth > 0
         return self.nodes[inside], depth[inside]
@@ -209,7 +210,7 @@ class Contact:
         """Contact energy [J] and its derivative [N]."""
         total, gradient = 0.0, np.zeros_like(x)
         for obstacle in self.obstacles:
-            nodes, depth = self._touching(obstacle, x, time)
+            nodes, depth = self.touching(obstacle, x, time)
             if len(nodes):
                 energy, slope, _ = self.hinge(depth)
                 total += float(self.areas[nodes] @ energy)
@@ -220,7 +221,7 @@ class Contact:
         """Diagonal blocks of the Hessian [N/m]; the negative curvature term of spheres is left out (stays definite)."""
         blocks = np.zeros((len(x), 3, 3))
         for obstacle in self.obstacles:
-            nodes, depth = self._touching(obstacle, x, time)
+            nodes, depth = self.touching(obstacle, x, time)
             if len(nodes):
                 normals = obstacle.normals(x[nodes], time)
                 stiffness = self.areas[nodes] * self.hinge(depth)[2]
@@ -239,7 +240,7 @@ class Contact:
         for obstacle in self.obstacles:
             if not obstacle.friction and not self.damping:
                 continue
-            nodes, depth = self._touching(obstacle, x, time)
+            nodes, depth = self.touching(obstacle, x, time)
             if len(nodes) and self.damping:
                 frozen.append(self._dashpot(obstacle, nodes, depth, x, velocity, time))
             if len(nodes) and obstacle.friction:
