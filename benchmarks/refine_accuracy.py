@@ -16,7 +16,7 @@ import argparse
 import json
 import tempfile
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +77,29 @@ class Row:
     process_seconds: float
 
 
+@dataclass(frozen=True)
+class Throw:
+    """What is drawn of one case: material, initial velocity [m/s], and the seed of the pose."""
+
+    log10_youngs_modulus: float
+    poisson_ratio: float
+    damping_time: float
+    velocity: tuple[float, float, float]
+    pose: int
+
+    def moved(self, name: str, change: float) -> Throw:
+        """The same with one number changed."""
+        return replace(self, **{name: getattr(self, name) + change})
+
+
+def throw_of(scene: str, rng: np.random.Generator) -> Throw:
+    """Draw a case."""
+    modulus, ratio = float(rng.uniform(*MODULUS)), float(rng.uniform(*RATIO))
+    damping = float(np.exp(rng.uniform(*np.log(DAMPING))))
+    velocity = (0.0, 0.0, 0.0) if scene == "bar" else tuple(rng.uniform([-0.2, -0.2, -0.8], [0.2, 0.2, -0.4]))
+    return Throw(modulus, ratio, damping, velocity, int(rng.integers(2**32)))
+
+
 def turned(scene: str, cells: tuple[int, int, int], rng: np.random.Generator) -> TetMesh:
     """The body where it starts; the block stands askew, 20 to 40 mm over the floor."""
     mesh = box_mesh(BAR if scene == "bar" else BLOCK, cells, order=1)
@@ -91,16 +114,10 @@ def turned(scene: str, cells: tuple[int, int, int], rng: np.random.Generator) ->
 
 def make_capture(folder: Path, case: int, noise: float) -> None:
     """Simulate the truth and write the capture; what is true is stored in `truth.json`."""
-    scene = ("bar", "block")[case % 2]
-    rng = np.random.default_rng([7, case])
-    truth = {
-        "log10_youngs_modulus": float(rng.uniform(*MODULUS)),
-        "poisson_ratio": float(rng.uniform(*RATIO)),
-        "damping_time": float(np.exp(rng.uniform(*np.log(DAMPING)))),
-    }
-    velocity = (0.0, 0.0, 0.0) if scene == "bar" else tuple(rng.uniform([-0.2, -0.2, -0.8], [0.2, 0.2, -0.4]))
-    pose = rng.integers(2**32)
-    coarse, fine = (turned(scene, cells, np.random.default_rng(pose)) for cells in CELLS[scene])
+    scene, rng = ("bar", "block")[case % 2], np.random.default_rng([7, case])
+    throw = throw_of(scene, rng)
+    truth = {name: getattr(throw, name) for name in ("log10_youngs_modulus", "poisson_ratio", "damping_time")}
+    coarse, fine = (turned(scene, cells, np.random.default_rng(throw.pose)) for cells in CELLS[scene])
     body_mesh = to_quadratic(fine)
     body = ElasticBody(
         body_mesh,
@@ -116,7 +133,7 @@ def make_capture(folder: Path, case: int, noise: float) -> None:
             obstacles=() if scene == "bar" else (floor,),
             damping_time=truth["damping_time"],
             pins=None if held is None else Pins(held),
-            initial_velocity=velocity,
+            initial_velocity=throw.velocity,
             contact_points=None if scene == "bar" else SurfacePoints.of_triangles(*fine.surface),
         ),
         frames=FRAMES,

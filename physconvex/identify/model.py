@@ -26,7 +26,8 @@ from physconvex.reduced import simulate, simulate_with_sensitivities
 __all__ = ["FullModel", "LinearModel", "Model", "ReducedModel", "RollOuts"]
 
 _DIFFERENCE = 1e-6  # of a typical step: half width of the central differences of gradients
-_WHOLE_DIFFERENCE = 1e-2  # of a typical step: of whole roll-outs
+# of a typical step, of whole roll-outs; friction by passes makes them rough at smaller scales
+_WHOLE_DIFFERENCE: dict[ContactSolver, float] = {"condensed": 1e-2, "passes": 0.1}
 
 
 @runtime_checkable
@@ -148,11 +149,15 @@ class FullModel:
         scene = self.twin.with_values(self.names, values).full_scene(self.mesh)
         return scene if self.surface is None else replace(scene, contact_points=self.surface)
 
+    @property
+    def _solver(self) -> ContactSolver:
+        """Contact and friction are solved for together; with a dashpot in the contact by passes, which err by more."""
+        scene = self.twin.scene
+        damped = scene.contact_damping > 0 or "contact_damping" in self.names
+        return "condensed" if scene.obstacles and not damped else "passes"
+
     def _run(self, values: np.ndarray) -> Trajectory:
-        """Contact and friction solved for together; with a dashpot in the contact by passes, which err by more."""
-        scene = self.scene(values)
-        solver: ContactSolver = "condensed" if scene.obstacles and not scene.contact_damping else "passes"
-        return simulate_full(scene, **self._timing(), contact_solver=solver)
+        return simulate_full(self.scene(values), **self._timing(), contact_solver=self._solver)
 
     def _timing(self) -> dict[str, Any]:
         timing = self.twin.timing(self.frames)
@@ -173,8 +178,9 @@ class FullModel:
         """Positions and their derivatives.
 
         Without obstacles they come of the step equations (`physconvex.fem.simulate_with_sensitivities`). With them they
-        are differences of whole roll-outs over a hundredth of a typical step, over which a roll-out with condensed
-        contact is straight; P + 1 such roll-outs cost less than one with derivatives, which needs friction by passes.
+        are differences of whole roll-outs over a hundredth of a typical step (a tenth with a dashpot in the contact),
+        over which condensed contact is straight; P + 1 such roll-outs cost less than one with derivatives, which needs
+        friction by passes.
         """
         run = self.memory.get(self._key(values), lambda: self._linearised(values))
         return self._embedding.apply(run.trajectory.positions), self._embedding.apply(run.position_tangents)
@@ -183,7 +189,7 @@ class FullModel:
         usual = [default_parameter(name) for name in self.names]
         steps, lower, upper = step_scales(usual), lower_bounds(usual), upper_bounds(usual)
         if self.twin.scene.obstacles:
-            return self._differenced(values, _WHOLE_DIFFERENCE * steps, lower, upper)
+            return self._differenced(values, _WHOLE_DIFFERENCE[self._solver] * steps, lower, upper)
         return full_with_sensitivities(
             self.scene, values, steps=_DIFFERENCE * steps, lower=lower, upper=upper, **self._timing()
         )

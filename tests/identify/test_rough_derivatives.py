@@ -49,6 +49,7 @@ def test_contact_and_friction_are_solved_for_together_where_the_law_allows_it(tm
     timing = full.twin.timing(6)
     expected = simulate(full.scene(VALUES), contact_solver="condensed", **timing)
     np.testing.assert_array_equal(full.node_positions(VALUES), expected.positions)
+    assert replace(full, names=(*NAMES, "contact_damping")).linearise(np.append(VALUES, 0.0))[1].shape[1] == 4
     damped = replace(full, twin=full.twin.with_scene(contact_damping=1e-3))
     expected = simulate(damped.scene(VALUES), **timing)
     np.testing.assert_array_equal(damped.node_positions(VALUES), expected.positions)

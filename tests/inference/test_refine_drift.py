@@ -8,7 +8,7 @@ import pytest
 
 from inference.refining import RefineOptions, refine
 from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
-from physconvex.fem import TetMesh, box_mesh
+from physconvex.fem import SurfacePoints, TetMesh, box_mesh
 from physconvex.identify import FullModel, TwinOptions, base_twin
 
 FRAMES, NOISE, FPS = 8, 2e-4, 48.0
@@ -36,7 +36,8 @@ def captures(tmp_path_factory):
         return load_capture(root / name)
 
     twin = base_twin(save("plain", np.zeros((FRAMES, 12, 3))), TwinOptions(weights=3, steps_per_frame=4))
-    moved = FullModel(twin, NAMES, points, FRAMES).positions(TRUTH)
+    surface = SurfacePoints.of_triangles(*tets.surface)
+    moved = FullModel(twin, NAMES, points, FRAMES, surface=surface).positions(TRUTH)
     since = np.clip(np.arange(FRAMES) / FPS - 1.5 / FPS, 0, None)[:, None, None]
     arms = moved - moved.mean(axis=1, keepdims=True)
     flung = moved + since * (np.array([0.15, -0.1, 0.1]) + np.cross([0.4, 0.6, -0.3], arms))
