@@ -259,6 +259,7 @@ def main() -> None:
     parser.add_argument("--scene", choices=("bar", "block"), help="that one alone")
     parser.add_argument("--noise", type=float, default=2e-4)
     parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "refine_accuracy")
+    parser.add_argument("--result", default="", help="added to the name of the stored table")
     given = parser.parse_args()
     name = f"{1e3 * given.noise:g}mm"
     work = given.work / name
@@ -269,9 +270,9 @@ def main() -> None:
             kept.write_text(json.dumps(asdict(measure(work, case, given.noise))))
             print(kept.read_text(), flush=True)
     rows = [Row(**json.loads(path.read_text())) for path in sorted(work.glob("row_*.json"))]
-    content = {"command": f"python benchmarks/refine_accuracy.py --noise {given.noise:g}", "noise_m": given.noise}
+    content = {"command": f"python benchmarks/refine_accuracy.py --noise {given.noise:g} --result={given.result}", "noise_m": given.noise}
     content |= {"summary": summary(rows), "rows": [asdict(row) for row in rows]}
-    (RESULTS / f"refine_accuracy_{name}.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    (RESULTS / f"refine_accuracy_{name}{given.result}.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(summary(rows), indent=1))
 
 
