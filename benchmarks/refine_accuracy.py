@@ -270,9 +270,14 @@ def main() -> None:
             kept.write_text(json.dumps(asdict(measure(work, case, given.noise))))
             print(kept.read_text(), flush=True)
     rows = [Row(**json.loads(path.read_text())) for path in sorted(work.glob("row_*.json"))]
-    content = {"command": f"python benchmarks/refine_accuracy.py --noise {given.noise:g} --result={given.result}", "noise_m": given.noise}
+    content = {
+        "command": f"python benchmarks/refine_accuracy.py --noise {given.noise:g} --result={given.result}",
+        "noise_m": given.noise,
+    }
     content |= {"summary": summary(rows), "rows": [asdict(row) for row in rows]}
-    (RESULTS / f"refine_accuracy_{name}{given.result}.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    (RESULTS / f"refine_accuracy_{name}{given.result}.json").write_text(
+        json.dumps(content, indent=1) + "\n", encoding="utf-8"
+    )
     print(json.dumps(summary(rows), indent=1))
 
 
