@@ -179,8 +179,8 @@ class FullModel:
 
         Without obstacles they come of the step equations (`physconvex.fem.simulate_with_sensitivities`). With them they
         are differences of whole roll-outs over a hundredth of a typical step (a tenth with a dashpot in the contact),
-        over which condensed contact is straight; P + 1 such roll-outs cost about as much as one with derivatives, which needs
-        friction by passes.
+        over which condensed contact is straight; P + 1 such roll-outs cost about as much as one with derivatives, which
+        needs friction by passes.
         """
         run = self.memory.get(self._key(values), lambda: self._linearised(values))
         return self._embedding.apply(run.trajectory.positions), self._embedding.apply(run.position_tangents)
