@@ -89,8 +89,8 @@ class Selection:
         return self.base.model.cost.over
 
     def attempt(self, text: str, run: Callable[[], Hypothesis]) -> Hypothesis | None:
-        """Fit and keep, unless the runs have cost too much or it fails."""
-        if self.late:
+        """Fit and keep, unless it fails or the runs have cost too much; the first one is begun all the same."""
+        if self.late and len(self.found) > 1:
             return None
         self.report(f"fit: {text}")
         try:
