@@ -10,41 +10,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import tempfile
 from pathlib import Path
 
 import numpy as np
 import torch
-from scipy.interpolate import CubicSpline
 
-from docs.figures.fem_cases.measured import GRAVITY, recording
-from physconvex.capture import Boundary, Capture, Tracks, save_capture
-from physconvex.fem import TetMesh, box_mesh
+from physconvex.capture import load_capture
 from physconvex.gap import GapReport, diagnose
 from physconvex.identify import MarkerObservations
 
 RESULTS = Path(__file__).parent / "results"
-SIGMA = 1e-4  # m: what markers that shake on 6 mm feet are off by; the camera system's own noise is 5 to 15 µm
-FRAMES, OBSERVED, OFFSET_MS = 45, 30, -2.5  # the release lies within a frame
-
-
-def beam_capture(folder: Path, name: str) -> Capture:
-    """The recording from its release on, as a capture: six-marker tracks of the tip, clamped at the base."""
-    run = recording(name)
-    rest = run.held(run.tips)
-    times = run.times[run.release_frame] + 1e-3 * OFFSET_MS + np.arange(FRAMES) / 100
-    positions = CubicSpline(run.times, run.tips)(times)
-    positions[0] = rest
-    capture = Capture(
-        folder, 100.0, FRAMES, OBSERVED, gravity=np.array(GRAVITY), density=1070.0, initial_velocity=np.zeros(3),
-        initial_angular_velocity=np.zeros(3),
-    )  # fmt: skip
-    box = box_mesh((0.1, 0.03, 0.03), (8, 1, 1), order=1)
-    tets = TetMesh(box.vertices - np.array([0.1, 0, 0]), box.tets)
-    clamp = Boundary(clamped_box=np.array([[-0.1001, -1, -1], [-0.0999, 1, 1]]))
-    tracks = Tracks(rest, positions, np.full(positions.shape[:2], SIGMA))
-    save_capture(capture, tets=tets, tracks=tracks, boundary=clamp)
-    return capture
+CAPTURES = Path(__file__).parents[1] / "examples" / "captures"
 
 
 def tip_heights(report: GapReport) -> dict[str, list[float]]:
@@ -67,8 +43,7 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     for name in arguments.recordings:
-        with tempfile.TemporaryDirectory() as folder:
-            report = diagnose(beam_capture(Path(folder) / name, name), on_progress=print)
+        report = diagnose(load_capture(CAPTURES / f"silicone_beam_{name}"), on_progress=print)
         report.save(arguments.out / name)
         print(name, report.verdict.sentence, report.how_far[0], sep="\n")
         content = report.to_json()

@@ -20,11 +20,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from scipy.interpolate import CubicSpline
 
+from docs.figures.fem_cases.beam_capture import beam_capture
 from docs.figures.fem_cases.beams import silicone_beam
 from docs.figures.fem_cases.measured import (
-    GRAVITY,
     LOAD,
     held_zero_scatter,
     marker_displacement,
@@ -32,37 +31,12 @@ from docs.figures.fem_cases.measured import (
     static_state,
 )
 from inference.refining import RefineOptions, refine, write_refinement
-from physconvex.capture import Boundary, Capture, Tracks, save_capture
-from physconvex.fem import ElasticBody, box_mesh
+from physconvex.fem import ElasticBody
 
 RESULT = Path(__file__).parent / "results" / "silicone_beam.json"
 AUTHORS = {"youngs_modulus": 263824.0, "poisson_ratio": 0.499}
-SIGMA = 1e-4  # m: the camera system's own 5 to 15 µm at rest say nothing of markers that shake on 6 mm feet
 FRAMES, OBSERVED = 40, 20
 START = {"log10_youngs_modulus": 5.35}
-
-
-def beam_capture(folder: Path, offset_ms: float) -> Capture:
-    """The recording as a capture that starts `offset_ms` after the first frame that moves."""
-    run = recording("gravity")
-    begin = run.release_frame
-    rest = run.held(run.tips)
-    spline = CubicSpline(run.times, run.tips)
-    times = run.times[begin] + 1e-3 * offset_ms + np.arange(FRAMES) / 100
-    positions = spline(times)
-    positions[0] = rest
-    capture = Capture(
-        folder, 100.0, FRAMES, OBSERVED,
-        gravity=np.array(GRAVITY), density=1070.0,
-        initial_velocity=np.zeros(3), initial_angular_velocity=np.zeros(3),
-    )  # fmt: skip
-    box = box_mesh((0.1, 0.03, 0.03), (8, 2, 2), order=1)
-    tets = type(box)(box.vertices - np.array([0.1, 0, 0]), box.tets)
-    clamp = Boundary(clamped_box=np.array([[-0.1001, -1, -1], [-0.0999, 1, 1]]))
-    save_capture(
-        capture, tets=tets, tracks=Tracks(rest, positions, np.full(positions.shape[:2], SIGMA)), boundary=clamp
-    )
-    return capture
 
 
 @dataclass(frozen=True)
@@ -115,7 +89,7 @@ def best_offset(root: Path, offsets: list[float], ratio: float) -> tuple[float, 
     for offset in offsets:
         folder = root / f"capture_{offset:+.1f}ms"
         if not folder.exists():
-            beam_capture(folder, offset)
+            beam_capture(folder, "gravity", frames=FRAMES, observed=OBSERVED, offset_ms=offset, cells=(8, 2, 2))
         chosen = options(ratio, correction=False, initial=first)
         found = refine(folder, out=root / f"reduced_{offset:+.1f}ms", options=chosen)
         first = {e.name: e.value for e in found.estimates}

@@ -192,15 +192,16 @@ class Contact:
                 raise InputError(f"{name}: got {value}; expected a finite number > 0")
         object.__setattr__(self, "nodes", np.flatnonzero(self.areas > 0))
 
-    def _hinge(self, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """ψ, ψ', ψ'' for the depths p > 0."""
+    def hinge(self, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """ψ [N/m], ψ' [N/m²] and ψ'' [N/m³] at depths p > 0 [m], per area of contact."""
         k, e = self.stiffness, self.smoothing
         soft = depth < e
         energy = np.where(soft, depth**3 / (6 * e), depth**2 / 2 - depth * e / 2 + e * e / 6)
         slope = np.where(soft, depth**2 / (2 * e), depth - e / 2)
         return k * energy, k * slope, k * np.where(soft, depth / e, 1.0)
 
-    def _touching(self, obstacle: Obstacle, x: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
+    def touching(self, obstacle: Obstacle, x: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes inside an obstacle, and how deep they are [m]."""
         depth = -obstacle.gap(x[self.nodes], time)
         inside = depth > 0
         return self.nodes[inside], depth[inside]
@@ -209,9 +210,9 @@ class Contact:
         """Contact energy [J] and its derivative [N]."""
         total, gradient = 0.0, np.zeros_like(x)
         for obstacle in self.obstacles:
-            nodes, depth = self._touching(obstacle, x, time)
+            nodes, depth = self.touching(obstacle, x, time)
             if len(nodes):
-                energy, slope, _ = self._hinge(depth)
+                energy, slope, _ = self.hinge(depth)
                 total += float(self.areas[nodes] @ energy)
                 gradient[nodes] -= (self.areas[nodes] * slope)[:, None] * obstacle.normals(x[nodes], time)
         return total, gradient
@@ -220,10 +221,10 @@ class Contact:
         """Diagonal blocks of the Hessian [N/m]; the negative curvature term of spheres is left out (stays definite)."""
         blocks = np.zeros((len(x), 3, 3))
         for obstacle in self.obstacles:
-            nodes, depth = self._touching(obstacle, x, time)
+            nodes, depth = self.touching(obstacle, x, time)
             if len(nodes):
                 normals = obstacle.normals(x[nodes], time)
-                stiffness = self.areas[nodes] * self._hinge(depth)[2]
+                stiffness = self.areas[nodes] * self.hinge(depth)[2]
                 blocks[nodes] += stiffness[:, None, None] * normals[:, :, None] * normals[:, None, :]
         return blocks
 
@@ -239,7 +240,7 @@ class Contact:
         for obstacle in self.obstacles:
             if not obstacle.friction and not self.damping:
                 continue
-            nodes, depth = self._touching(obstacle, x, time)
+            nodes, depth = self.touching(obstacle, x, time)
             if len(nodes) and self.damping:
                 frozen.append(self._dashpot(obstacle, nodes, depth, x, velocity, time))
             if len(nodes) and obstacle.friction:
@@ -248,7 +249,7 @@ class Contact:
                 relative = np.linalg.norm(part.slip(velocity), axis=1) / self.slip_velocity
                 # f₁(y)/y with f₁ = 2y − y² below one, 1 above
                 ratio = np.where(relative < 1, 2 - relative, 1 / np.maximum(relative, 1.0))
-                limits = obstacle.friction * self.areas[nodes] * self._hinge(depth)[1]
+                limits = obstacle.friction * self.areas[nodes] * self.hinge(depth)[1]
                 frozen.append(Friction(nodes, limits * ratio / self.slip_velocity, part.normals, speed))
         return tuple(frozen)
 
@@ -258,7 +259,7 @@ class Contact:
         """Normal damping, frozen like friction; it does not pull: of nodes that leave it undoes the spring at most."""
         speed, normals = obstacle.velocity_at(time), obstacle.normals(x[nodes], time)
         outwards = ((v[nodes] - speed) * normals).sum(1)
-        _, slope, curvature = self._hinge(depth)
+        _, slope, curvature = self.hinge(depth)
         weights = self.damping * curvature
         leaving = outwards > 0
         weights[leaving] = np.minimum(weights[leaving], slope[leaving] / outwards[leaving])

@@ -69,8 +69,8 @@ def _normal(law: Contact, areas: np.ndarray, depth: np.ndarray, stiffness: np.nd
     soft = depth < e + 0.5 * ratio * e
     in_ramp = 2 * depth / (1 + np.sqrt(1 + 2 * ratio * depth / e))
     left = np.where(soft, in_ramp, (depth + 0.5 * ratio * e) / (1 + ratio))
-    push = full * np.where(soft, left**2 / (2 * e), left - e / 2)
-    rise = full * np.where(soft, left / e, 1.0)
+    _, push, rise = law.hinge(left)
+    push, rise = areas * push, areas * rise
     return push, rise / (1 + rise / stiffness)
 
 

@@ -115,6 +115,7 @@ class _Object:
         self.work, self.file = out / "work" / name, out / "objects" / f"{name}.json"
         self.true = json.loads((self.truth / "truth.json").read_text(encoding="utf-8"))
         self.cameras = [Camera.from_json(c) for c in json.loads((self.truth / "cameras.json").read_text("utf-8"))]
+        self.refinements: dict[str, Refinement] = {}
         self.content: dict[str, Any] = json.loads(self.file.read_text("utf-8")) if self.file.exists() else {}
 
     def evaluate(self) -> dict[str, Any]:
@@ -170,7 +171,9 @@ class _Object:
         return {"convexes": len(found.field), "psnr": float(np.mean([score.psnr for score in found.training]))}
 
     def _refine(self, options: RefineOptions, name: str) -> Refinement:
-        return refine(self.capture.folder, out=self.work / name, options=options)
+        if name not in self.refinements:
+            self.refinements[name] = refine(self.capture.folder, out=self.work / name, options=options)
+        return self.refinements[name]
 
     def _twin_options(self) -> TwinOptions:
         return TwinOptions(max_nodes=self.options.max_nodes, steps_per_frame=self.options.steps_per_frame)

@@ -14,7 +14,8 @@ from inference.refining.problem import Problem
 from inference.refining.stages import Stages
 from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError
-from physconvex.identify import DriftingObservations, Fit, FitOptions, FullModel, RollOuts, fit_full
+from physconvex.identify import Fit, FitOptions, FullModel, RollOuts, fit_full
+from physconvex.identify.correction import misfit_of
 from physconvex.identify.twin import coarse_mesh
 
 __all__ = ["START_OPTIONS", "Beginning"]
@@ -58,30 +59,29 @@ class Beginning:
             problem = self._limited(problem, half, coarse, reduced)
         start = self._best(problem, half, reduced, candidates)
         model = coarse if len(mesh.vertices) < _FEW * len(swift.mesh.vertices) else half
-        return problem, self._fitted(problem, model, half, start), coarse
+        return problem, self._fitted(problem, model, half, start, around=len(candidates) < 2), coarse
 
     def _limited(self, problem: Problem, half: FullModel, coarse: FullModel, reduced: Fit) -> Problem:
         other = coarse
-        if coarse is half and problem.twin.scene.obstacles:
+        if coarse is half and problem.twin.may_strike:
             finer = finer_mesh(problem.twin)
             other = half if finer is None else replace(half, mesh=finer)
         return problem if other is half else with_drift_limit(problem, half, other, reduced, self.stages)
 
     def _best(self, problem: Problem, half: FullModel, reduced: Fit, candidates: Sequence[np.ndarray]) -> Fit:
-        """The candidate that the full model likes best, where a rebound may have led the reduced one astray."""
-        if problem.drift_limit is None or len(candidates) < 2:
+        """The candidate that the full model likes best: a rebound, or locking, may have led the reduced one astray."""
+        if len(candidates) < 2:
             return reduced
         arrays = self.stages.run("start", lambda: {"misfits": self._misfits(problem, half, candidates)})
         values = candidates[int(np.argmin(arrays["misfits"]))]
         return reduced if values is candidates[0] else replace(reduced, values=values)
 
-    def _fitted(self, problem: Problem, model: FullModel, half: FullModel, start: Fit) -> Fit:
-        seen = with_drift(problem, model, start, self.stages, "drift_coarse").seen if self.drift else problem.seen
-        around = problem.drift_limit is None
+    def _fitted(self, problem: Problem, model: FullModel, half: FullModel, start: Fit, *, around: bool) -> Fit:
+        seen = with_drift(problem, model, start, self.stages, "drift_coarse").seen
 
         def compute() -> dict[str, np.ndarray]:
             found = fit_full(model, seen, start, max_runs=_RUNS, options=START_OPTIONS, look_around=around).fit
-            if not around and model is not half:
+            if model is not half:
                 before, after = self._misfits(problem, half, (start.values, found.values))
                 if before < after:  # few nodes have led astray
                     found = replace(found, values=start.values)
@@ -90,14 +90,14 @@ class Beginning:
         return fit_of(self.stages.run("coarse", compute), problem.parameters)
 
     def _misfits(self, problem: Problem, model: FullModel, candidates: Sequence[np.ndarray]) -> np.ndarray:
-        """Minus the log-likelihood of each, with all the drift there may be; infinite where nothing comes out."""
-        assert problem.drift_limit is not None
-        begin, most = problem.drift_limit
-        seen = DriftingObservations(problem.undrifted, begin, 1 / problem.twin.fps, most)
+        """Of each, infinite where nothing comes out; with drift, all there may be, minus its log-likelihood."""
+        limit = problem.drift_limit
+        drifting = None if limit is None else problem.drifting(limit[1])
         out = np.full(len(candidates), np.inf)
         for number, values in enumerate(candidates):
             try:
-                out[number] = -seen.log_likelihood(model.positions(values))
+                at = model.positions(values)
+                out[number] = misfit_of(problem.undrifted, at) if drifting is None else -drifting.log_likelihood(at)
             except ConvergenceError:
                 continue
         return out

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from inference.refining.motion import surface_of_capture
 from inference.refining.observing import Observed
 from inference.refining.options import RefineOptions
 from physconvex.capture import Capture
@@ -32,7 +31,7 @@ def coloured(
 
     Which points are seen where is taken from the fitted model. A camera that sees none keeps its followed points.
     """
-    vertices, triangles = surface_of_capture(capture, twin)
+    vertices, triangles = twin.surface
     parts: list[Observations] = []
     sources = []
     for part, source in zip(observed.observations.parts, observed.sources, strict=True):

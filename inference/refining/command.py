@@ -20,10 +20,9 @@ _STAGES = {
     "scan": "scanning Young's modulus",
     "reduced": "fitting the reduced model",
     "coarse": "fitting the full model on few nodes",
-    "drift_coarse": "looking for rigid drift after a contact",
+    "drift_limit": "bounding rigid drift by two meshes",
     "drift": "looking for rigid drift after a contact",
-    "drift_1.5": "looking for rigid drift after a contact",
-    "drift_last": "looking for rigid drift after a contact",
+    "start": "comparing starts",
     "frame_errors": "comparing few nodes with more",
     "anchored": "following the points again from the model",
     "reduced_again": "fitting the reduced model again",
@@ -106,7 +105,8 @@ def refine(
     def say(stage: str, stored: bool) -> None:
         if not no_progress:
             note = " (read again)" if stored else " …"
-            print(f"physconvex refine: {_STAGES.get(stage, stage)}{note}", file=sys.stderr, flush=True)
+            told = _STAGES.get(stage) or _STAGES.get(stage.partition("_")[0], stage)
+            print(f"physconvex refine: {told}{note}", file=sys.stderr, flush=True)
 
     found = run_refine(capture, out=out, options=options, on_stage=say)
     write_refinement(found, out, options=options, pictures=pictures)

@@ -26,7 +26,7 @@ def with_drift_limit(problem: Problem, model: FullModel, other: FullModel, found
         found: the fit.
         stages: the answer is kept there.
     """
-    if not problem.twin.scene.obstacles or problem.twin.clamp is not None:
+    if not problem.twin.may_strike:
         return problem
     points = problem.twin.mesh.vertices if problem.surface is None else problem.surface.points
 
@@ -52,7 +52,7 @@ def with_drift(problem: Problem, model: FullModel, found: Fit, stages: Stages, n
         stages: the answer is kept there.
         name: of the stage.
     """
-    plain = replace(problem, drift=None)
+    plain = replace(problem, drift=0.0)
     if problem.drift_limit is None:
         return plain
     begin, most = problem.drift_limit
@@ -62,8 +62,7 @@ def with_drift(problem: Problem, model: FullModel, found: Fit, stages: Stages, n
         likely = likely_drift(plain.undrifted, at, begin, 1 / plain.twin.fps, most=most)
         return {"sigma": np.array(0.0 if likely is None else likely.sigma)}
 
-    sigma = float(stages.run(name, compute)["sigma"])
-    return replace(plain, drift=(begin, sigma)) if sigma else plain
+    return replace(plain, drift=float(stages.run(name, compute)["sigma"]))
 
 
 def drift_of(problem: Problem, found: Fit) -> RigidDrift | None:

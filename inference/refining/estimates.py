@@ -150,9 +150,7 @@ def judge(
         )
     last = fit_of(arrays, found.parameters) if "values" in arrays else found
     left = arrays["left"]
-    if (
-        twin.scene.obstacles and twin.clamp is None
-    ):  # after an impact meshes do not converge: all that a finer one moved
+    if twin.may_strike:  # after an impact meshes do not converge: all that a finer one moved
         left = np.hypot(left, np.abs(last.values - found.values))
     return Judged(last, left, arrays["errors"], mesh)
 

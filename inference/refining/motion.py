@@ -16,16 +16,7 @@ from physconvex.identify.enrich import enriched
 from physconvex.identify.model import PASSES
 from physconvex.reduced import simulate
 
-__all__ = ["future_rms", "motion_of", "surface_of_capture"]
-
-
-def surface_of_capture(capture: Capture, twin: Twin) -> tuple[np.ndarray, np.ndarray]:
-    """Rest vertices [V, 3] m and triangles [F, 3] of the surface: of the capture's mesh, else of the tetrahedra."""
-    mesh = capture.mesh()
-    if mesh is not None:
-        return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
-    used, faces = np.unique(twin.mesh.boundary_faces[:, :3], return_inverse=True)
-    return twin.mesh.vertices[used], faces.reshape(-1, 3)
+__all__ = ["future_rms", "motion_of"]
 
 
 def motion_of(
@@ -44,7 +35,7 @@ def motion_of(
         mesh: of the full model, if it is not the twin's.
     """
     twin = full.twin
-    vertices, faces = surface_of_capture(capture, twin)
+    vertices, faces = twin.surface
     tracks = capture.tracks()
     markers = np.zeros((0, 3)) if tracks is None else tracks.rest
     body = mesh if options.correction and mesh is not None else twin.mesh

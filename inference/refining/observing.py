@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from inference.refining.motion import surface_of_capture
 from inference.refining.options import RefineOptions
 from inference.refining.stages import Stages
 from physconvex.camera import Camera
@@ -56,7 +55,7 @@ class Observed:
         return replace(self, observations=StackedObservations.of(parts), sources=tuple(sources))
 
     def _follow_again(self, capture: Capture, twin: Twin, move: Callable[[np.ndarray], np.ndarray]) -> Arrays:
-        vertices, triangles = surface_of_capture(capture, twin)
+        vertices, triangles = twin.surface
         parts = [part for part in self.observations.parts if isinstance(part, PixelObservations)]
         everything = move(np.concatenate([vertices, *(part.points for part in parts)]))
         moved, places = everything[:, : len(vertices)], len(vertices)
@@ -122,7 +121,7 @@ def _video_parts(
     capture: Capture, twin: Twin, cameras: Sequence[Camera], options: RefineOptions, stages: Stages
 ) -> list[Observations]:
     """Points and outlines of each camera."""
-    vertices, triangles = surface_of_capture(capture, twin)
+    vertices, triangles = twin.surface
     arrays = stages.run("points", lambda: _followed(capture, cameras, vertices, triangles))
     parts: list[Observations] = []
     sigma = FollowOptions().sigma

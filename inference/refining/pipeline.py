@@ -167,8 +167,6 @@ class _Run:
 
     def _with_drift(self, problem: Problem, found: Fit, name: str) -> Problem:
         """The problem with the rigid drift that is likely at the full model of a fit."""
-        if not (self.options.own_derivatives and self.options.drift):
-            return problem
         try:
             return with_drift(problem, problem.full(self.memory), found, self.stages, name)
         except ConvergenceError:  # the correction will say so
@@ -193,7 +191,7 @@ class _Run:
         A body that strikes something rings with periods of about twice its size over the speed of its waves.
         """
         twin = problem.twin
-        if self.options.steps_per_frame is not None or not twin.scene.obstacles or twin.clamp is not None:
+        if self.options.steps_per_frame is not None or not twin.may_strike:
             return problem
         values = parameter_values(
             twin.with_values(start.names, start.values).scene, ["log10_youngs_modulus", "density"]

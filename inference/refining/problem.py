@@ -36,8 +36,9 @@ class Problem:
         nuisance: priors of camera and clock.
         surface: points at which obstacles act, in the place of the mesh's nodes.
         errors: of the model by frame, in standard deviations of the noise, shape [T].
-        drift: first frame and standard deviation [m/s] of the rigid drift after a contact; None without.
-        drift_limit: the same frame, and the greatest deviation that may be thought of; None where there is no contact.
+        drift: standard deviation of the rigid drift after a contact [m/s].
+        drift_limit: the frame from which there is drift, and the greatest deviation that may be thought of [m/s]; None
+            where nothing is struck.
     """
 
     twin: Twin
@@ -46,7 +47,7 @@ class Problem:
     nuisance: Nuisance = field(default_factory=Nuisance)
     surface: SurfacePoints | None = None
     errors: np.ndarray | None = None
-    drift: tuple[int, float] | None = None
+    drift: float = 0.0
     drift_limit: tuple[int, float] | None = None
 
     @property
@@ -63,10 +64,12 @@ class Problem:
     @property
     def seen(self) -> Observations:
         """What was seen, all nuisances eliminated."""
-        seen = self.undrifted
-        return (
-            seen if self.drift is None else DriftingObservations(seen, self.drift[0], 1 / self.twin.fps, self.drift[1])
-        )
+        return self.drifting(self.drift) if self.drift else self.undrifted
+
+    def drifting(self, sigma: float) -> DriftingObservations:
+        """What was seen, with rigid drift of that deviation [m/s] eliminated too."""
+        assert self.drift_limit is not None
+        return DriftingObservations(self.undrifted, self.drift_limit[0], 1 / self.twin.fps, sigma)
 
     @property
     def weighted(self) -> Observations:

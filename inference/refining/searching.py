@@ -18,8 +18,10 @@ from physconvex.identify.twin import coarse_mesh
 
 __all__ = ["ReducedSearch", "started_from"]
 
+_MODULUS, _RATIO = "log10_youngs_modulus", "poisson_ratio"
 _CHEAP_WEIGHTS = 6
-_AROUND, _RATIO = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0), 0.3  # decades; reduced models are too stiff, so that E wants more
+_AROUND = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0)  # decades; reduced models are too stiff, so that E wants more
+_USUAL_RATIO = 0.3
 
 
 def started_from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Parameter, ...]:
@@ -45,7 +47,7 @@ class ReducedSearch:
     def run(self, problem: Problem) -> Fit:
         """Scan and fit, or fit alone where the start is known."""
         names = problem.names
-        if "log10_youngs_modulus" not in names or "log10_youngs_modulus" in self.options.initial:
+        if _MODULUS not in names or _MODULUS in self.options.initial:
             first = replace(problem, twin=self._cheap(problem)) if self.options.own_derivatives else problem
             return self.fit("reduced", first, problem.parameters)
         starts = self._scanned(problem)
@@ -53,13 +55,13 @@ class ReducedSearch:
 
     def candidates(self, problem: Problem, found: Fit) -> tuple[np.ndarray, ...]:
         """Where a better model may begin: the fit, the best pairs of the scan, and moduli about that of the fit."""
-        if "log10_youngs_modulus" not in problem.names or "log10_youngs_modulus" in self.options.initial:
+        if _MODULUS not in problem.names or _MODULUS in self.options.initial:
             return (found.values,)
         scanned = [np.array([p.start for p in start]) for start in self._scanned(problem)]
         around = []
         for change in _AROUND:
             values = started_from(problem.parameters, found)
-            by_name = {"log10_youngs_modulus": found.value("log10_youngs_modulus") + change, "poisson_ratio": _RATIO}
+            by_name = {_MODULUS: found.value(_MODULUS) + change, _RATIO: _USUAL_RATIO}
             around.append(np.array([p.at(by_name.get(p.name, p.start)).start for p in values]))
         return found.values, *scanned, *around
 
@@ -115,12 +117,16 @@ class ReducedSearch:
         return FitOptions()
 
     def _grown(self, cheap: Problem, start: tuple[Parameter, ...]) -> Fit | None:
-        """Fit longer and longer parts of the motion; None where the body cannot be simulated."""
+        """Fit longer and longer parts of the motion; None where the body cannot be simulated.
+
+        Parts that serve to find the right swing leave ν alone, of which they tell next to nothing.
+        """
         found = None
         for frames in cheap.windows:
             part = cheap.first(frames)
+            free = start if frames == cheap.frames else tuple(p.held() if p.name == _RATIO else p for p in start)
             try:
-                found = fit(part.reduced(), part.seen, start, options=FitOptions(max_iterations=6))
+                found = fit(part.reduced(), part.seen, free, options=FitOptions(max_iterations=6))
             except ConvergenceError:
                 return None
             start = started_from(cheap.parameters, found)

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import csr_matrix, identity
 
+from physconvex.kabsch import best_rotation
 from physconvex.linear_solvers import NotPositiveDefiniteError
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ class KeptFactor:
         step = equations.coefficients.step
         self._secants.interrupt()
         if not renew and equations.factorisations == self._stamp and np.isclose(step, self._step):
-            self.turn = _rotation(self._place, x, self._masses)
+            self.turn = best_rotation(self._place, x, self._masses)
             return False
         self.forget()
         self.projected, self.turn, self._place, self._step = False, np.eye(3), x, step
@@ -164,11 +165,3 @@ class _Secants:
         by_node = self._w.reshape(len(self._w), -1, 3).transpose(1, 2, 0).reshape(matrix.shape[1], -1)
         at = (matrix @ by_node).reshape(3 * matrix.shape[0], -1)
         return at @ self._m @ at.T
-
-
-def _rotation(start: np.ndarray, now: np.ndarray, masses: np.ndarray) -> np.ndarray:
-    """Best rotation R from one place to another, now ≈ R start, shape [3, 3] (Kabsch 1976)."""
-    shares = masses / masses.sum()
-    a, b = start - shares @ start, now - shares @ now
-    u, _, vt = np.linalg.svd(b.T @ (a * shares[:, None]))
-    return u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt

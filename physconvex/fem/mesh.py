@@ -104,6 +104,12 @@ class TetMesh:
         return faces[np.sort(first[count == 1])]
 
     @cached_property
+    def surface(self) -> tuple[Float[np.ndarray, "S 3"], Int[np.ndarray, "F 3"]]:
+        """The corners of the boundary [m], and its triangles between them."""
+        used, triangles = np.unique(self.boundary_faces[:, :3], return_inverse=True)
+        return self.vertices[used], triangles.reshape(-1, 3)
+
+    @cached_property
     def node_areas(self) -> Float[np.ndarray, " V"]:
         """Share of the boundary area carried by each node [m²], zero inside.
 

@@ -318,10 +318,14 @@ def _check_contact_solver(scene: Scene, name: str) -> None:
     if name not in get_args(ContactSolver):
         raise InputError(f"contact_solver: got {name!r}; expected one of {', '.join(get_args(ContactSolver))}")
     lagged = scene.body.flow is not None and scene.body.flow.lagged
-    if name == "condensed" and (scene.contact_damping or lagged or scene.hanging is not None):
-        what = "contact_damping" if scene.contact_damping else "a flow that takes its pressure from the last pass"
-        what = what if scene.hanging is None else "a hanging load"
-        raise InputError(f"contact_solver: got 'condensed' with {what}; expected 'passes' there")
+    only_by_passes = {
+        "contact_damping": scene.contact_damping > 0,
+        "a flow that takes its pressure from the last pass": lagged,
+        "a hanging load": scene.hanging is not None,
+    }
+    found = [what for what, there in only_by_passes.items() if there]
+    if name == "condensed" and found:
+        raise InputError(f"contact_solver: got 'condensed' with {' and '.join(found)}; expected 'passes' there")
 
 
 def solve_static(scene: Scene, *, tolerance: float = 1e-9, load_steps: int = 1) -> Float[np.ndarray, "V 3"]:

@@ -129,8 +129,7 @@ def other_mesh(base: Baseline, options: GapOptions, steps: int) -> TetMesh:
     mesh = mesh_of_capture(base.capture, max_nodes=wanted)
     if len(mesh.vertices) > 1.3 * len(own.vertices):
         return mesh
-    used, faces = np.unique(own.boundary_faces[:, :3], return_inverse=True)
-    return tetrahedralize((own.vertices[used], faces.reshape(-1, 3)), max_nodes=wanted, order=2, method="auto")
+    return tetrahedralize(own.surface, max_nodes=wanted, order=2, method="auto")
 
 
 def correction_of(numerics: Numerics) -> Positions:

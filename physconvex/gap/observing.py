@@ -41,11 +41,7 @@ def observe(capture: Capture, twin: Twin) -> Seen:
     camera = capture.cameras[0]
     frames = capture.video(camera.name).frames[: capture.frames]
     masks = capture.mask(camera.name)
-    used, triangles = np.unique(twin.mesh.boundary_faces[:, :3], return_inverse=True)
-    vertices, triangles = twin.mesh.vertices[used], triangles.reshape(-1, 3)
-    surface = capture.mesh()
-    if surface is not None:
-        vertices, triangles = np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces)
+    vertices, triangles = twin.surface
     seeds = seed_points(camera, frames[0], vertices, triangles, mask=None if masks is None else masks[0] > 0)
     if len(seeds.points) < 6:
         raise InputError(

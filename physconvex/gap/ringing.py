@@ -13,6 +13,7 @@ from scipy.optimize import least_squares
 
 from physconvex.gap.baseline import Baseline
 from physconvex.identify import MarkerObservations
+from physconvex.kabsch import best_rotation
 
 __all__ = ["deformation", "ringing", "ringing_likelihood"]
 
@@ -64,13 +65,8 @@ def deformation(positions: Float[np.ndarray, "T P 3"], rest: Float[np.ndarray, "
     """Displacements, of a free body in the frame that turns and moves with it (Kabsch), shape [T, P, 3]."""
     if held:
         return np.asarray(positions - rest)
-    out, centred = np.empty_like(positions), rest - rest.mean(0)
-    for t, now in enumerate(positions):
-        local = now - now.mean(0)
-        u, _, v = np.linalg.svd(local.T @ centred)
-        turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v
-        out[t] = local @ turn - centred
-    return out
+    centred = rest - rest.mean(0)
+    return np.stack([(now - now.mean(0)) @ best_rotation(rest, now) - centred for now in positions])
 
 
 def ringing_likelihood(base: Baseline, positions: Float[np.ndarray, "T P 3"]) -> float:

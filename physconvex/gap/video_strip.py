@@ -35,7 +35,7 @@ def video_strip(report: GapReport) -> Figure | None:
     if not isinstance(seen, PixelObservations):
         return None
     frames = base.capture.video(seen.camera.name).frames[: base.model.frames]
-    vertices, triangles = _surface(report)
+    vertices, triangles = base.model.twin.surface
     first = next(h for h in report.hypotheses if not h.effects)
     models = [("base model", first)]
     if report.best.effects:
@@ -50,16 +50,6 @@ def video_strip(report: GapReport) -> Figure | None:
     differences = [(f"observed − {name}", [_difference(frames[t], picture) for t, picture in zip(chosen, shown)])  # noqa: B905
                    for name, shown in rows[1:]]  # fmt: skip
     return _drawn(rows, differences, chosen, base.capture.fps, _window(report, [x for _, x in moved], frames))
-
-
-def _surface(report: GapReport) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles of the body's surface at rest, inside the model's mesh."""
-    mesh = report.base.model.twin.mesh
-    surface = report.base.capture.mesh()
-    if surface is not None:
-        return np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces)
-    used, triangles = np.unique(mesh.boundary_faces[:, :3], return_inverse=True)
-    return mesh.vertices[used], triangles.reshape(-1, 3)
 
 
 def _moved(hypothesis: Hypothesis, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "T V 3"]:

@@ -25,6 +25,7 @@ from physconvex.identify.model import Model
 from physconvex.identify.observations import MarkerObservations, Observations
 from physconvex.identify.parameters import Parameter, lower_bounds, step_scales, upper_bounds
 from physconvex.identify.uncertainty import noise_covariance
+from physconvex.robust import huber_loss
 
 __all__ = [
     "FAR",
@@ -237,9 +238,7 @@ def _broyden(
 
 def misfit_of(observations: Observations, positions: Float[np.ndarray, "T P 3"]) -> float:
     """Half the squares of the residuals, Huber's loss where they are large; without priors."""
-    size, limit = np.abs(observations.residuals(positions)), observations.robust_scales
-    with np.errstate(invalid="ignore"):
-        return float(np.where(size <= limit, 0.5 * size**2, limit * (size - 0.5 * limit)).sum())
+    return huber_loss(observations.residuals(positions), observations.robust_scales)
 
 
 def _prior(start: Fit) -> Callable[[np.ndarray], float]:

@@ -24,7 +24,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from physconvex.contact import Plane, Sphere
+from physconvex.identify.elimination import Elimination
 from physconvex.identify.observations import Observations, WrappedObservations
+from physconvex.kabsch import best_rotation
+from physconvex.robust import huber_loss, huber_weights
 
 __all__ = ["DriftingObservations", "first_contact", "likely_drift", "model_drift"]
 
@@ -92,9 +95,8 @@ class DriftingObservations(WrappedObservations):
         both = np.concatenate([tangents, fields], axis=1)
         residuals, jacobian = self.seen.linearise(_moved(positions, fields, kicks), both)
         straight = residuals - jacobian[:, count:] @ kicks
-        left, values = self._whitening(jacobian[:, count:])
         columns = np.hstack([straight[:, None], jacobian[:, :count]])
-        columns = columns + left @ ((1 / np.sqrt(1 + values**2) - 1)[:, None] * (left.T @ columns))
+        columns = Elimination.of(jacobian[:, count:]).whitened(columns)
         return columns[:, 0], columns[:, 1:]
 
     def drift(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, "T P 3"]:
@@ -123,12 +125,8 @@ class DriftingObservations(WrappedObservations):
         fields = self._fields(positions)
         kicks = self._fitted(positions, fields)
         residuals, slopes = self.seen.linearise(_moved(positions, fields, kicks), fields)
-        values = self._whitening(slopes)[1]
-        size, limit = np.abs(residuals), self.robust_scales
-        inside = size <= limit
-        loss = 0.5 * float((size[inside] ** 2).sum())
-        loss += float((limit[~inside] * (size[~inside] - 0.5 * limit[~inside])).sum())
-        return -loss - 0.5 * float(kicks @ kicks) - 0.5 * float(np.log1p(values**2).sum())
+        loss = huber_loss(residuals, self.robust_scales)
+        return -loss - 0.5 * float(kicks @ kicks) - 0.5 * Elimination.of(slopes).log_determinant
 
     def _fields(self, positions: np.ndarray, others: np.ndarray | None = None, kicked: int | None = None) -> np.ndarray:
         """Displacements by the kicks of the first `kicked` frames, each of size q [T, C, P, 3] m; also of others."""
@@ -145,22 +143,15 @@ class DriftingObservations(WrappedObservations):
     def _fitted(self, positions: np.ndarray, fields: np.ndarray) -> np.ndarray:
         """The most likely kicks, in units of q."""
         kicks = np.zeros(fields.shape[1])
-        limit = self.robust_scales
+        limits = self.robust_scales
         for _ in range(_TURNS if len(kicks) else 0):
             residuals, slopes = self.seen.linearise(_moved(positions, fields, kicks), fields)
-            weighted = slopes * np.minimum(1.0, limit / np.maximum(np.abs(residuals), 1e-300))[:, None]
+            weighted = slopes * huber_weights(residuals, limits)[:, None]
             change = np.linalg.solve(weighted.T @ slopes + np.eye(len(kicks)), weighted.T @ residuals + kicks)
             kicks = kicks - change
             if np.abs(change).max() < _SETTLED:
                 break
         return kicks
-
-    @staticmethod
-    def _whitening(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        if not slopes.shape[1]:
-            return np.zeros_like(slopes), np.zeros(0)
-        left, values, _ = np.linalg.svd(slopes, full_matrices=False)
-        return left, values
 
 
 def _moved(positions: np.ndarray, fields: np.ndarray, kicks: np.ndarray) -> np.ndarray:
@@ -208,5 +199,5 @@ def _rigid_gap(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, " 6"]:
     """Displacement, and rotation vector times the radius of gyration, that lay `one` best on `other` [m]."""
     centres = one.mean(axis=0), other.mean(axis=0)
     arms = one - centres[0]
-    turn, _ = Rotation.align_vectors(other - centres[1], arms)
+    turn = Rotation.from_matrix(best_rotation(one, other))
     return np.concatenate([centres[1] - centres[0], np.sqrt(np.square(arms).sum(-1).mean()) * turn.as_rotvec()])

@@ -21,6 +21,7 @@ from physconvex.identify.full_fit import FULL_OPTIONS
 from physconvex.identify.levenberg_marquardt import Fit, fit
 from physconvex.identify.model import PASSES, FullModel, LinearModel, Model
 from physconvex.identify.observations import Observations
+from physconvex.identify.parameters import Parameter
 from physconvex.identify.uncertainty import noise_covariance
 from physconvex.identify.weighting import WeightedObservations, frame_errors
 
@@ -30,6 +31,8 @@ _EXTRAPOLATED = 4.0 / 3.0
 _MESH_LEFT, _STEP_LEFT = 0.5, 1.0 / 3.0
 _SETTLED = 0.3  # of a standard deviation
 _FAR = 0.2  # typical steps
+_BELIEVED = 1.0  # typical steps
+_LINEAR_OPTIONS = replace(FULL_OPTIONS, max_iterations=30)  # a straight line costs nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,9 +84,10 @@ def fit_finer(
             best = there.finest
         else:
             best = finest.positions(values)
-        start = [p.at(float(v)) for p, v in zip(found.parameters, values, strict=True)]
+        start = tuple(p.at(float(v)) for p, v in zip(found.parameters, values, strict=True))
         model = LinearModel(cheap.names, values, best + _EXTRAPOLATED * there.by_step, there.tangents)
-        last = fit(model, there.weighted, start, options=FULL_OPTIONS)
+        last = fit(model, there.weighted, [_near(p) for p in start], options=_LINEAR_OPTIONS)
+        last = replace(last, parameters=start)
         moved, values = np.abs(last.values - values), last.values
         if (moved <= _SETTLED * np.sqrt(np.diag(noise_covariance(last)))).all():
             break
@@ -113,6 +117,12 @@ class _Differences:
         change = self.weighted.residuals(self.coarse + difference) - self.weighted.residuals(self.coarse)
         by_frame = parameter_shifts(found, change, np.asarray(self.weighted.frames))
         return np.maximum(np.abs(by_frame.sum(0)), np.sqrt(np.square(by_frame).sum(0)))
+
+
+def _near(parameter: Parameter) -> Parameter:
+    """The same, bounded to where straight lines from its start are believed."""
+    lower, upper = parameter.start - _BELIEVED * parameter.step, parameter.start + _BELIEVED * parameter.step
+    return replace(parameter, lower=max(parameter.lower, lower), upper=min(parameter.upper, upper))
 
 
 def _differences(

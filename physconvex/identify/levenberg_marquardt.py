@@ -1,7 +1,8 @@
 """Levenberg–Marquardt on whitened residuals with bounds, Gaussian priors and Huber's loss.
 
 Nocedal & Wright 2006, §10.3, with Marquardt's scaling; the damped step is a bounded linear least-squares problem, so
-that a parameter at its bound leaves the others free. Huber's loss enters by reweighting (weights min(1, k/|r|)).
+that a parameter at its bound leaves the others free. Steps are taken in `SearchCoordinates`, and no longer than half of
+one that has failed. Huber's loss enters by reweighting (weights min(1, k/|r|)).
 """
 
 from __future__ import annotations
@@ -14,9 +15,11 @@ from jaxtyping import Float
 from scipy.optimize import lsq_linear
 
 from physconvex.errors import ConvergenceError, InputError
+from physconvex.identify.coordinates import SearchCoordinates
 from physconvex.identify.model import Model, check_names
 from physconvex.identify.observations import Observations
 from physconvex.identify.parameters import Parameter, lower_bounds, starts, step_scales, upper_bounds
+from physconvex.robust import huber_loss, huber_weights
 
 __all__ = ["Fit", "FitOptions", "Iteration", "fit"]
 
@@ -28,7 +31,8 @@ class FitOptions:
     Attributes:
         max_iterations: most linearisations.
         relative_tolerance: stop when a step promises to lower the misfit by less than this share of it …
-        absolute_tolerance: … or by less than this much (half a squared standard deviation is 0.5).
+        absolute_tolerance: … or by less than this much (half a squared standard deviation is 0.5); of noise as large as
+            the residuals are where they exceed what is stated.
         max_step: longest step of a parameter, in its typical steps.
         start_damping: Marquardt's λ at the start.
     """
@@ -127,26 +131,31 @@ def fit(
     options = options or FitOptions()
     search = _Search(model, observations, parameters, options)
     point = search.linearise(starts(parameters))
-    damping, growth, converged = options.start_damping, 2.0, False
+    damping, growth, longest, converged = options.start_damping, 2.0, options.max_step, False
     history = [Iteration(point.values, point.misfit, damping)]
     while search.evaluations < options.max_iterations and not converged:
-        step, promised = search.step(point, damping)
-        threshold = max(options.absolute_tolerance, options.relative_tolerance * point.misfit)
+        step, promised = search.step(point, damping, longest)
+        # noise over what is stated, by the residuals
+        excess = max(1.0, 2 * point.misfit / max(len(point.residuals) - len(parameters), 1))
+        threshold = max(options.absolute_tolerance * excess, options.relative_tolerance * point.misfit)
         if promised < threshold:
             converged = True
             break
-        trial = search.try_linearise(point.values + step)
+        trial = search.try_linearise(search.moved(point, step))
         gain = -1.0 if trial is None else (point.misfit - trial.misfit) / promised
         if trial is not None and gain > 1e-3:
             converged = point.misfit - trial.misfit < threshold and promised < 10 * threshold
             point, growth = trial, 2.0
+            if not 0.25 < gain < 0.75:
+                longest = min(options.max_step, 2 * longest) if gain > 0.75 else 0.5 * float(np.abs(step).max())
             damping *= max(0.1, 1 - (2 * gain - 1) ** 3) if gain > 0.1 else 2.0
             history.append(Iteration(point.values, point.misfit, damping))
             if on_iteration is not None:
                 on_iteration(history[-1])
         else:
-            damping, growth = damping * growth, growth * 2.0
-            converged = bool(np.abs(step / step_scales(parameters)).max() < 1e-5)
+            # a bounded step hardly feels the damping: what was too long is halved
+            damping, growth, longest = damping * growth, growth * 2.0, 0.5 * float(np.abs(step).max())
+            converged = longest < 5e-6
     return Fit(
         parameters,
         point.values,
@@ -165,8 +174,9 @@ class _Search:
         self, model: Model, observations: Observations, parameters: tuple[Parameter, ...], options: FitOptions
     ) -> None:
         self.model, self.observations, self.parameters = model, observations, parameters
-        self.scales, self.max_step = step_scales(parameters), options.max_step
+        self.scales = step_scales(parameters)
         self.lower, self.upper = lower_bounds(parameters), upper_bounds(parameters)
+        self.coordinates = SearchCoordinates([p.name for p in parameters])
         self.mean = np.array([p.prior_mean for p in parameters])
         self.precision = np.array([1 / p.prior_sigma for p in parameters])  # zero where there is no prior
         self.evaluations = 0
@@ -177,12 +187,8 @@ class _Search:
         residuals, jacobian = self.observations.linearise(positions, tangents)
         if len(residuals) == 0:
             raise InputError("observations: nothing was seen; expected at least one residual")
-        size, limit = np.abs(residuals), self.observations.robust_scales
-        weights = np.minimum(1.0, limit / np.maximum(size, 1e-300))
-        inside = size <= limit
-        outside = ~inside
-        loss = 0.5 * float((residuals[inside] ** 2).sum())
-        loss += float((limit[outside] * (size[outside] - 0.5 * limit[outside])).sum())
+        limits = self.observations.robust_scales
+        loss, weights = huber_loss(residuals, limits), huber_weights(residuals, limits)
         prior = (values - self.mean) * self.precision
         return _Point(values, positions, residuals, jacobian, weights, loss + 0.5 * float(prior @ prior))
 
@@ -193,21 +199,29 @@ class _Search:
             return None
         return point if np.isfinite(point.misfit) else None
 
-    def step(self, point: _Point, damping: float) -> tuple[np.ndarray, float]:
-        """Damped step within the bounds, and the fall of the misfit that the linearisation promises."""
+    def step(self, point: _Point, damping: float, longest: float) -> tuple[np.ndarray, float]:
+        """Damped step within the bounds and no longer than that, in typical steps, and the fall of the misfit that the
+        linearisation promises."""
+        scales, place = self.scales * self.coordinates.slopes(point.values), self.coordinates.of(point.values)
         root = np.sqrt(point.weights)
-        rows = np.vstack([root[:, None] * point.jacobian, np.diag(self.precision)]) * self.scales
+        rows = np.vstack([root[:, None] * point.jacobian, np.diag(self.precision)]) * scales
         target = -np.concatenate([root * point.residuals, (point.values - self.mean) * self.precision])
         q, triangle = np.linalg.qr(rows)
         right = q.T @ target
         norms = np.linalg.norm(triangle, axis=0)
         scaling = np.sqrt(damping) * np.maximum(norms, 1e-3 * norms.max(initial=1e-30))
-        low = np.maximum((self.lower - point.values) / self.scales, -self.max_step)
-        high = np.minimum((self.upper - point.values) / self.scales, self.max_step)
+        low = np.maximum((self.coordinates.of(self.lower) - place) / self.scales, -longest)
+        high = np.minimum((self.coordinates.of(self.upper) - place) / self.scales, longest)
         high = np.maximum(high, low + 1e-12)
         matrix = np.vstack([triangle, np.diag(scaling)])
         found = lsq_linear(matrix, np.concatenate([right, np.zeros(len(scaling))]), bounds=(low, high))
         step = found.x
         promised = 0.5 * float(right @ right) - 0.5 * float(np.square(triangle @ step - right).sum())
-        moved = np.clip(point.values + step * self.scales, self.lower, self.upper)
-        return moved - point.values, promised
+        return step, promised
+
+    def moved(self, point: _Point, step: np.ndarray) -> np.ndarray:
+        """Values after a step."""
+        values = self.coordinates.values(self.coordinates.of(point.values) + step * self.scales)
+        near = 1e-9 * self.scales
+        values = np.where(values < self.lower + near, self.lower, values)
+        return np.asarray(np.where(values > self.upper - near, self.upper, values))

@@ -180,8 +180,7 @@ class FullModel:
     def _linearised(self, values: np.ndarray) -> SensitiveTrajectory:
         usual = [default_parameter(name) for name in self.names]
         steps, lower, upper = step_scales(usual), lower_bounds(usual), upper_bounds(usual)
-        scene = self.scene(values)
-        if scene.hanging is not None or any(obstacle.friction for obstacle in scene.obstacles):
+        if any(obstacle.friction for obstacle in self.twin.with_values(self.names, values).scene.obstacles):
             return self._differenced(values, _ROUGH_DIFFERENCE * steps, lower, upper)
         return full_with_sensitivities(
             self.scene, values, steps=_DIFFERENCE * steps, lower=lower, upper=upper, **self._timing()

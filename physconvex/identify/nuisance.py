@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from physconvex.errors import InputError
 from physconvex.identify.colours import ColourObservations
+from physconvex.identify.elimination import Elimination
 from physconvex.identify.observations import Observations, PixelObservations, StackedObservations, WrappedObservations
 
 __all__ = ["MarginalObservations", "Nuisance"]
@@ -106,8 +107,7 @@ class MarginalObservations(WrappedObservations):
         return dict(zip(self.names, map(float, found), strict=True))
 
     def _whitened(self, columns: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        left, values, _ = np.linalg.svd(self._directions(positions)[0], full_matrices=False)
-        return columns + left @ ((1 / np.sqrt(1 + values**2) - 1)[:, None] * (left.T @ columns))
+        return Elimination.of(self._directions(positions)[0]).whitened(columns)
 
     def _directions(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """N Σ^½ [N, C], and Σ^½ [C]."""

@@ -25,6 +25,7 @@ _MATERIAL = {
     "damping_time": (1e-3, 0.0, 0.1, 2e-3),
     "air_drag": (0.05, 0.0, 10.0, 0.1),
     "friction": (0.3, 0.0, 2.0, 0.1),
+    "contact_damping": (1e-3, 1e-6, 0.5, 1e-3),
     "log10_contact_stiffness": (7.0, 3.0, 11.0, 0.3),
 }
 _VECTORS = {
@@ -73,6 +74,10 @@ class Parameter:
     def at(self, start: float) -> Parameter:
         """The same with another start, moved inside the bounds."""
         return replace(self, start=float(np.clip(start, self.lower, self.upper)))
+
+    def held(self) -> Parameter:
+        """The same, free no more."""
+        return replace(self, lower=self.start, upper=self.start)
 
 
 def default_parameter(name: str, *, start: float | None = None) -> Parameter:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -99,5 +99,4 @@ def _moved(parameter: Parameter, values: dict[str, float]) -> Parameter:
 def _held(parameter: Parameter, values: dict[str, float]) -> Parameter:
     if parameter.name not in values:
         return parameter
-    at = parameter.at(values[parameter.name])
-    return replace(at, lower=at.start, upper=at.start)
+    return parameter.at(values[parameter.name]).held()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from physconvex.capture import Capture
 from physconvex.contact import Plane
@@ -66,6 +66,19 @@ class Twin:
     def fps(self) -> float:
         """Frames per second."""
         return self.capture.fps
+
+    @property
+    def may_strike(self) -> bool:
+        """Whether the body is free to strike an obstacle."""
+        return bool(self.scene.obstacles) and self.clamp is None
+
+    @property
+    def surface(self) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
+        """Rest vertices [m] and triangles of the body's surface: of the capture's mesh, else of the tetrahedra."""
+        mesh = self.capture.mesh()
+        if mesh is None:
+            return self.mesh.surface
+        return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
 
     def with_scene(self, **changes: Any) -> Twin:
         """The same twin with fields of its reduced scene replaced (an effect added, for example)."""
@@ -137,8 +150,7 @@ def mesh_of_capture(capture: Capture, *, max_nodes: int = 700) -> TetMesh:
         quadratic = to_quadratic(tets)
         if len(quadratic.vertices) <= max_nodes:
             return quadratic
-        used, faces = np.unique(tets.boundary_faces[:, :3], return_inverse=True)
-        return faithful_mesh(tets.vertices[used], faces.reshape(-1, 3), max_nodes=max_nodes)
+        return faithful_mesh(*tets.surface, max_nodes=max_nodes)
     surface = capture.mesh()
     if surface is None:
         raise InputError(

@@ -167,9 +167,9 @@ class _Sweep:
         for kind in range(3):
             for axis in range(3):
                 probes[kind, 3 * kind + axis, :, axis] = 1.0
-        stiffness, coefficients = np.zeros(9 + named), np.zeros(9 + named)
-        stiffness[9:], coefficients[9:] = self.derivatives.dlog_stiffness, self.derivatives.dfriction
-        frozen = FreezeTangent(surface @ y, surface @ v, time, probes[0], probes[1], stiffness, coefficients)
+        rates = np.zeros((3, 9 + named))
+        rates[:, 9:] = self.derivatives.dlog_stiffness, self.derivatives.dfriction, self.derivatives.ddamping
+        frozen = FreezeTangent(surface @ y, surface @ v, time, probes[0], probes[1], *rates)
         maps = friction_tangent(contact, frozen, surface @ c.velocity(record.passes[number].x), probes[2])
         pulled = (maps * (surface @ force_bar)).sum(-1)  # [9 + P, S]
         self.named += pulled[9:].sum(1)

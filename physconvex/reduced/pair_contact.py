@@ -180,14 +180,14 @@ class PairContact:
         touch = self.touching(y)
         if not len(touch.samples):
             return 0.0, np.zeros_like(y)
-        energy, slope, _ = self.law._hinge(touch.depth)
+        energy, slope, _ = self.law.hinge(touch.depth)
         areas = 0.5 * self.law.areas[touch.samples]
         return float(areas @ energy), -(self.rows(touch).T @ ((areas * slope)[:, None] * touch.normals))
 
     def stiffness(self, y: Float[np.ndarray, "R 3"]) -> tuple[Float[np.ndarray, "C R"], Float[np.ndarray, "C 3 3"]]:
         """Rows and blocks of the positive Hessian Σ_c rowᵀ block row [N/m]."""
         touch = self.touching(y)
-        curvature = 0.5 * self.law.areas[touch.samples] * self.law._hinge(touch.depth)[2]
+        curvature = 0.5 * self.law.areas[touch.samples] * self.law.hinge(touch.depth)[2]
         return self.rows(touch), curvature[:, None, None] * touch.normals[:, :, None] * touch.normals[:, None, :]
 
     def freeze(self, y: Float[np.ndarray, "R 3"], velocity: Float[np.ndarray, "R 3"]) -> FrozenPairs | None:
@@ -200,5 +200,5 @@ class PairContact:
         bare = FrozenPairs(self.rows(touch), np.zeros(len(touch.samples)), touch.normals)
         speed = np.linalg.norm(bare.slip(velocity), axis=1) / self.law.slip_velocity
         ratio = np.where(speed < 1, 2 - speed, 1 / np.maximum(speed, 1.0))  # f₁(s)/s
-        limits = 0.5 * self.coefficient * self.law.areas[touch.samples] * self.law._hinge(touch.depth)[1]
+        limits = 0.5 * self.coefficient * self.law.areas[touch.samples] * self.law.hinge(touch.depth)[1]
         return FrozenPairs(bare.rows, limits * ratio / self.law.slip_velocity, touch.normals)

@@ -26,6 +26,7 @@ ParameterName = Literal[
     "gravity_z",  # [m/s²]
     "damping_time",  # [s]
     "air_drag",  # [1/s]
+    "contact_damping",  # time of the contact's dashpot [s], which costs bounce
     "friction",  # mean coefficient of the obstacles that have one [-]; shifted as a whole
     "wind_x",
     "wind_y",
@@ -64,6 +65,8 @@ def check_parameters(scene: ReducedScene, names: Sequence[str]) -> None:
         raise InputError(f"parameters: got {both[0]} of the body and of its regions; name one or the others")
     if "friction" in names and not _rough(scene):
         raise InputError("parameters: got 'friction', but no obstacle has a friction coefficient > 0; give it one")
+    if "contact_damping" in names and not scene.obstacles:
+        raise InputError("parameters: got 'contact_damping', but the scene has no obstacle; give it one")
     if any(name.startswith("wind") for name in names) and (scene.wind is None or callable(scene.wind.velocity)):
         raise InputError(
             "parameters: got a wind velocity, but the scene has no constant wind; give it `wind=Wind(...)`"
@@ -140,7 +143,7 @@ def _read(scene: ReducedScene, name: str) -> float:
             return mean_constant(body, body.poisson_ratio, region)
         case "density":
             return mean_density(body, region)
-        case "damping_time" | "air_drag":
+        case "damping_time" | "air_drag" | "contact_damping":
             return float(getattr(scene, name))
         case "friction":
             return float(np.mean(_rough(scene)))
@@ -189,6 +192,8 @@ def _set(scene: ReducedScene, name: str, value: float) -> ReducedScene:
             return replace(scene, damping_time=value)
         case "air_drag":
             return replace(scene, air_drag=value)
+        case "contact_damping":
+            return replace(scene, contact_damping=value)
         case "friction":
             return replace(scene, obstacles=tuple(_rougher(o, change) if o.friction else o for o in scene.obstacles))
         case "log10_contact_stiffness":

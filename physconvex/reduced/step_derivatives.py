@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from physconvex.errors import InputError
 from physconvex.integrators import State, StepCoefficients
 from physconvex.reduced.body import viscous_stress
 from physconvex.reduced.equations import StepEquations
@@ -39,6 +38,7 @@ class StepDerivatives:
     Attributes:
         dlog_stiffness: derivative of ln kc, shape [P]; a default contact stiffness follows E unless it is named too.
         dfriction: derivative of the friction coefficients, shape [P].
+        ddamping: derivative of the time of the contact's dashpot, shape [P].
 
     Raises:
         InputError: unknown names, or the same twice.
@@ -46,11 +46,6 @@ class StepDerivatives:
 
     def __init__(self, scene: ReducedScene, names: Sequence[str]) -> None:
         check_parameters(scene, names)
-        if scene.contact_damping > 0:
-            raise InputError(
-                f"scene: its contact_damping is {scene.contact_damping:g} s; derivatives of roll-outs exist without "
-                "it: set it to zero, or take finite differences of `simulate`"
-            )
         self.scene, self.body, self.names = scene, scene.body, tuple(names)
         self.surface = scene.body.space.surface_values
         self.contact = scene.contact()
@@ -60,6 +55,7 @@ class StepDerivatives:
         )
         self._heavier = {name: self._mass_of(name) for name in names if region_of(name)[0] == "density"}
         self.dfriction = np.array([float(name == "friction") for name in names])
+        self.ddamping = np.array([float(name == "contact_damping") for name in names])
         self._moved = self.start().positions
         body, device = self.body, self.body.device
         cells = torch.as_tensor(body.space.samples.interior.cells, device=device)
@@ -129,7 +125,8 @@ class StepDerivatives:
     ) -> FreezeTangent:
         """Friction frozen at coordinates y with velocities v, and how that moves."""
         s = self.surface
-        return FreezeTangent(s @ y, s @ v, time, s @ dy, s @ dv, self.dlog_stiffness, self.dfriction)
+        rates = self.dlog_stiffness, self.dfriction, self.ddamping
+        return FreezeTangent(s @ y, s @ v, time, s @ dy, s @ dv, *rates)
 
     def explicit(
         self, equations: StepEquations, c: StepCoefficients, x: Float[np.ndarray, "R 3"], state: Tensor

@@ -27,6 +27,11 @@ def rough(values):
     return replace(scene, obstacles=tuple(replace(plane, friction=0.8) for plane in scene.obstacles))
 
 
+def damped(values):
+    """A box on a smooth floor whose contact has a dashpot."""
+    return replace(thrown(values), contact_damping=2e-3)
+
+
 def held(values):
     """A bar that is led sideways at one end, as far as the fourth value says."""
     mesh = box_mesh((0.3, 0.1, 0.1), (3, 1, 1), order=2)
@@ -46,12 +51,14 @@ def test_against_central_differences_of_whole_roll_outs(scene_of):
         assert np.linalg.norm(found.position_tangents[:, k] - slope) < 2e-3 * np.linalg.norm(slope)
 
 
-@pytest.mark.parametrize("passes", [1, 3, pytest.param(12, marks=pytest.mark.slow)])
-def test_friction_is_differentiated_pass_by_pass(passes):
+@pytest.mark.parametrize(
+    ("scene_of", "passes"), [(rough, 1), (rough, 3), pytest.param(rough, 12, marks=pytest.mark.slow), (damped, 3)]
+)
+def test_friction_and_dashpots_are_differentiated_pass_by_pass(scene_of, passes):
     timing = TIMING | {"frames": 6, "friction_passes": passes}
-    found = simulate_with_sensitivities(rough, VALUES, steps=STEPS, **timing)
+    found = simulate_with_sensitivities(scene_of, VALUES, steps=STEPS, **timing)
     for k, width in enumerate(3 * STEPS):
-        moved = [simulate(rough(VALUES + s * width * np.eye(4)[k]), **timing).positions for s in (1, -1)]
+        moved = [simulate(scene_of(VALUES + s * width * np.eye(4)[k]), **timing).positions for s in (1, -1)]
         slope = (moved[0] - moved[1]) / (2 * width)
         assert np.linalg.norm(found.position_tangents[:, k] - slope) < 1e-3 * np.linalg.norm(slope)
 

@@ -9,6 +9,7 @@ from physconvex.errors import InputError
 from physconvex.identify import (
     FitOptions,
     FullModel,
+    MarkerObservations,
     Parameter,
     ReducedModel,
     correct,
@@ -47,6 +48,17 @@ def test_constants_are_recovered_where_the_start_is_half_a_decade_off(model, see
     np.testing.assert_allclose(found.values, [*TRUTH, -0.5], atol=1e-3)
     assert found.misfit < 1e-2 < found.history[0].misfit
     assert found.value("poisson_ratio") == found.values[1]
+
+
+def test_the_dashpot_of_the_floor_is_found(box_twin, seen):
+    names, truth = ("log10_youngs_modulus", "poisson_ratio", "contact_damping"), np.array([*TRUTH, 4e-3])
+    bouncing = ReducedModel(box_twin, names, seen.points, 7)
+    motion = bouncing.positions(truth)
+    assert np.abs(motion - bouncing.positions(np.array([*TRUTH, 1e-6]))).max() > 1e-3  # it costs bounce
+    tracks = MarkerObservations(seen.points, motion, np.full(motion.shape[:2], 2e-4))
+    found = fit(bouncing, tracks, [default_parameter(n, start=v) for n, v in zip(names, (4.4, 0.3, 0.0), strict=True)])
+    assert found.converged
+    np.testing.assert_allclose(found.values, truth, rtol=2e-3)
 
 
 def test_a_scan_escapes_a_wrong_start(model, seen, unknowns):

@@ -62,7 +62,7 @@ def test_a_moving_plane_takes_its_gap_along():
 
 def test_hinge_has_the_stated_values():
     kc, e = 50.0, SMOOTHING
-    energy, slope, curvature = contact_with(TILTED)._hinge(np.array([e / 2, e, 3 * e]))
+    energy, slope, curvature = contact_with(TILTED).hinge(np.array([e / 2, e, 3 * e]))
     np.testing.assert_allclose(energy, kc * e**2 * np.array([1 / 48, 1 / 6, 9 / 2 - 3 / 2 + 1 / 6]))
     np.testing.assert_allclose(slope, kc * e * np.array([1 / 8, 1 / 2, 5 / 2]))
     np.testing.assert_allclose(curvature, kc * np.array([1 / 2, 1.0, 1.0]))
@@ -71,8 +71,8 @@ def test_hinge_has_the_stated_values():
 @pytest.mark.parametrize("where", [0.0, SMOOTHING])
 def test_hinge_is_twice_continuous(where):
     contact, eps = contact_with(TILTED), 1e-12
-    left = contact._hinge(np.array([max(where - eps, 0.0)]))
-    right = contact._hinge(np.array([where + eps]))
+    left = contact.hinge(np.array([max(where - eps, 0.0)]))
+    right = contact.hinge(np.array([where + eps]))
     scale = (SMOOTHING**2, SMOOTHING, 1.0)
     for a, b, unit in zip(left, right, scale, strict=True):
         np.testing.assert_allclose(a, b, atol=50 * unit * 10 * eps / SMOOTHING)
@@ -162,7 +162,7 @@ def test_frozen_dissipation_bounds_the_true_one_from_above():
         np.array([[2.0, -1.0, 0.0]]) / np.sqrt(5),
     )  # tangential
     still = np.asarray(TILTED.velocity)
-    limit = TILTED.friction * contact._hinge(np.array([0.05]))[1][0]
+    limit = TILTED.friction * contact.hinge(np.array([0.05]))[1][0]
     speeds = np.linspace(0.0, 0.5, 26)
     y = np.minimum(speeds / SLIP_VELOCITY, 1.0)
     true = limit * np.where(speeds < SLIP_VELOCITY, SLIP_VELOCITY * (y**2 - y**3 / 3), speeds - SLIP_VELOCITY / 3)

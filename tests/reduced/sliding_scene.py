@@ -14,6 +14,7 @@ def sliding(body: ReducedBody, seed: int = 0, **fields) -> ReducedScene:
             Sphere(center=(0.36, 0.1, 0.05), radius=0.05, friction=0.15),
         ),
         "damping_time": 3e-3,
+        "contact_damping": 2e-3,
         "air_drag": 0.5,
         "push": lambda t: (20 * t, -1.0, 0.5),
         "wind": Wind((3.0, 1.0, -0.5), drag_coefficient=20.0),

@@ -24,6 +24,7 @@ STEPS = {
     "poisson_ratio": 1e-5,
     "density": 1e-2,
     "damping_time": 1e-7,
+    "contact_damping": 1e-7,
 }
 CONSTANTS = ("youngs_modulus", "poisson_ratio", "density")
 TIMING = {"frames": 4, "fps": 48, "steps_per_frame": 4, "tolerance": 1e-11}
