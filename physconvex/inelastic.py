@@ -16,7 +16,7 @@ As r → 0 all of them are Hencky's law, linear elasticity with E and ν at F = 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -28,6 +28,7 @@ from physconvex.principal import PrincipalFrame, principal_hessian, principal_st
 
 __all__ = ["FlowRule", "FlowStep", "Plasticine", "Sand", "StandardLinearSolid"]
 
+Strains = tuple[PrincipalFrame, Tensor, Tensor, Tensor]  # frame of F_e; t, d and r
 _TINY = 1e-100  # its square is a number still
 
 
@@ -50,14 +51,19 @@ class FlowStep:
     limit: Tensor
     left: float
     tension: bool
+    _last: list[tuple[Tensor, Strains]] = field(default_factory=list, init=False, repr=False, compare=False)
 
-    def _frame(self, f: Tensor) -> tuple[PrincipalFrame, Tensor, Tensor, Tensor]:
-        """Frame of the trial F_e; t, d and r."""
+    def _frame(self, f: Tensor) -> Strains:
+        """Of the trial F_e; kept, since energy and stress are asked for at the same F."""
+        if self._last and self._last[0][0] is f:
+            return self._last[0][1]
         frame = PrincipalFrame.of(f @ self.undo)
         strain = frame.strains
         trace = strain.sum(-1)
         deviator = strain - trace.unsqueeze(-1) / 3
-        return frame, trace, deviator, torch.linalg.vector_norm(deviator, dim=-1)
+        found = frame, trace, deviator, torch.linalg.vector_norm(deviator, dim=-1)
+        self._last[:] = [(f, found)]
+        return found
 
     def _limit(self, trace: Tensor) -> Tensor:
         return self.limit if self.tension else torch.where(trace > 0, 0.0, self.limit)

@@ -16,6 +16,7 @@ from torch import Tensor
 __all__ = ["PrincipalFrame", "principal_hessian", "principal_stress"]
 
 _SMALLEST = 1e-30
+_FLAT = 1e-2  # smallest stretch over the largest one
 _CLOSE = 1e-6  # relative distance of two stretches below which their difference quotient is a derivative
 
 
@@ -38,13 +39,29 @@ class PrincipalFrame:
     @classmethod
     def of(cls, f: Tensor) -> PrincipalFrame:
         """The frame of deformation gradients of shape [..., 3, 3]."""
-        u, s, vt = torch.linalg.svd(f)
-        return cls(u, s.clamp_min(_SMALLEST), vt, torch.linalg.det(f) > 0)
+        u, s, vt = _singular_values(f)
+        volume = (f[..., 0, :] * torch.linalg.cross(f[..., 1, :], f[..., 2, :])).sum(-1)
+        return cls(u, s.clamp_min(_SMALLEST), vt, volume > 0)
 
     @property
     def strains(self) -> Tensor:
         """ln σ, shape [..., 3]."""
         return self.stretches.log()
+
+
+def _singular_values(f: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """U, σ and Vᵀ by the eigenvectors of FᵀF, in a third of the time; by themselves where F is nearly flat.
+
+    What is lost is the square of the ratio of two stretches, in units of rounding.
+    """
+    square = f.mT @ f
+    if bool(torch.isfinite(square).all()):
+        values, vectors = torch.linalg.eigh(square)
+        s, v = values.flip(-1).clamp_min(0.0).sqrt(), vectors.flip(-1)
+        if bool((s[..., 2] > _FLAT * s[..., 0]).all()):
+            return (f @ v) / s.unsqueeze(-2), s, v.mT
+    u, s, vt = torch.linalg.svd(f)
+    return u, s, vt
 
 
 def principal_stress(frame: PrincipalFrame, slopes: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import TetMesh, simulate
 from physconvex.gap.boxes import box_of_held_body
+from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Motion, Situation
 from physconvex.gap.floor_law import FLOOR_LAW, twin_at
 from physconvex.gap.independence import temperature
@@ -241,6 +242,7 @@ def _stress_and_contact(model: EffectModel, values: np.ndarray) -> tuple[float, 
     """Peak von Mises stress [Pa] (99th percentile), normal force per frame [N], and the motion of the points."""
     scene = model.full_scene(values)
     run = simulate(scene, **model.twin.timing(model.frames), **ACCURACY)
+    model.cost.add(scene, len(scene.body.mesh.vertices), run.statistics)
     contact, peak, force = scene.contact(), 0.0, np.zeros(len(run.times))
     for frame, x in enumerate(run.positions):
         stress = scene.body.stress(x).cpu().numpy()
@@ -253,8 +255,16 @@ def _stress_and_contact(model: EffectModel, values: np.ndarray) -> tuple[float, 
     return peak, force, Motion(model.points, run.times, positions, velocities, model.camera)
 
 
-def rough_baseline(capture: Capture, options: GapOptions, report: Report) -> Baseline:
+def rough_baseline(
+    capture: Capture, options: GapOptions, report: Report, *, cost: Cost | None = None
+) -> Baseline:  # fmt: skip
     """Fit what the capture leaves free of the reduced base model, and run the full-order one there.
+
+    Args:
+        capture: the capture.
+        options: settings.
+        report: told what is done.
+        cost: where the runs of all models derived from it are counted.
 
     Raises:
         InputError: no tracks, no rest geometry, or too few frames.
@@ -273,17 +283,20 @@ def rough_baseline(capture: Capture, options: GapOptions, report: Report) -> Bas
     twin = twin.with_values(names, np.array(list(values.values())))
     report("fit of the reduced base model")
     rough = fit(ReducedModel(twin, names, fitted.points, count), fitted, starts, options=FitOptions(max_iterations=6))
-    return run_base(capture, observations, split, twin.with_values(names, rough.values), rough)
+    return run_base(capture, observations, split, twin.with_values(names, rough.values), rough, cost=cost)
 
 
 def run_base(
-    capture: Capture, observations: Seen, split: Split, twin: Twin, found: Fit, *, mesh: TetMesh | None = None
+    capture: Capture, observations: Seen, split: Split, twin: Twin, found: Fit, *, mesh: TetMesh | None = None,
+    cost: Cost | None = None,
 ) -> Baseline:  # fmt: skip
     """The full-order model at fitted values, all frames, without tangents."""
     giving = bool(set(FLOOR_LAW) & set(found.names))
     situation = _situation(twin, observations, 1e3, bool(twin.scene.obstacles), giving)
     points, camera = np.asarray(observations.points), situation.camera
-    model = EffectModel(twin, found.names, points, capture.frames, situation, camera=camera, mesh=mesh)
+    model = EffectModel(
+        twin, found.names, points, capture.frames, situation, camera=camera, mesh=mesh, cost=cost or Cost()
+    )
     peak, force, motion = _stress_and_contact(model, found.values)
     situation = _situation(twin, observations, peak, bool((force > 0).any()), giving)
     nothing = np.zeros((capture.frames, len(found.names), *motion.positions.shape[1:]))
@@ -333,12 +346,14 @@ def fit_baseline(
         if np.abs((found.values - here.fit.values) / scales).max() < _STILL:
             return replace(here, fit=found) if here is best else best
         twin = twin_at(rough.model.twin, names, found.values)
-        here = run_base(rough.capture, rough.observations, split, twin, found, mesh=mesh)
+        here = run_base(rough.capture, rough.observations, split, twin, found, mesh=mesh, cost=here.model.cost)
         stiffer = rough.model.surrogate_stiffer
         here = replace(here, model=replace(here.model, correction=correction, surrogate_stiffer=stiffer))
         misfit = misfit_of_base(here, variance)
         if misfit < least:
             best, least = here, misfit
+        if here.model.cost.over:
+            break
     if not best.tangents.any():
         model, motion = reduced_like(best.model, best.motion, best.fit.values)
         best = replace(best, tangents=model.tangents(best.fit.values, motion))

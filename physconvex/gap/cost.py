@@ -1,36 +1,110 @@
-"""What model runs cost, counted and not timed: a search ends at the same fit on a busy machine and an idle one."""
+"""What model runs cost, counted and not timed: a search ends at the same fit on a busy machine and an idle one.
+
+A Newton step costs the more the more its material does: damping has a stiffness of its own, laws other than the base
+one have no fast arithmetic, and flow and the corotated law take the stretches of every sample. A deadline by the clock
+stands behind the count, for machines so slow or so busy that the count would mean a report too late.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
 
+from physconvex.errors import ConvergenceError
 from physconvex.fem import SolveStatistics
+from physconvex.reduced.volumetric import is_volumetric
 
-__all__ = ["Cost"]
+__all__ = ["Cost", "OutOfBudget", "newton_step"]
 
-# seconds of one core, measured on boxes of 200 to 1500 nodes: one Newton step of the full-order model by node, and of
-# the reduced one with what a fit does around it
-_FULL, _REDUCED = 8e-6, 5e-4
+# seconds of one core, measured on boxes and a toy bus of 200 to 1500 nodes: one Newton step of the base law by the
+# full-order model, by node, and by the reduced one, with what a fit does around it; then what else adds to these, in
+# their units, for the (full-order, reduced) model
+_FULL, _REDUCED = 9e-6, 4.5e-4
+_DAMPED, _OTHER_LAW, _FLOWS, _STRETCHES = (0.35, 1.6), (0.25, 2.5), (1.0, 3.5), (1.5, 11.0)
 _FAILED = 4  # Newton steps by time step that a run which did not converge counts as
+
+
+class OutOfBudget(ConvergenceError):
+    """A fit ends where it is: its runs have cost what they may."""
+
+
+def newton_step(scene: Any, nodes: int | None) -> float:
+    """About what one Newton step of a scene costs [s of one core].
+
+    Args:
+        scene: full-order or reduced.
+        nodes: of the full-order mesh, None for the reduced model.
+    """
+    model, body = int(nodes is None), scene.body
+    factor = 1.0
+    if scene.damping_time > 0:
+        factor += _DAMPED[model]
+    if body.flow is not None:
+        factor += _OTHER_LAW[model] + _FLOWS[model]
+    elif "corotated" in body.law.name:
+        factor += _STRETCHES[model]
+    elif not is_volumetric(body.law):
+        factor += _OTHER_LAW[model]
+    return factor * (_REDUCED if nodes is None else _FULL * nodes)
 
 
 @dataclass(eq=False)
 class Cost:
-    """Sum over runs, shared by all models that are derived from one.
+    """Sum over runs, shared by all models that are derived from one, and what they may cost.
 
     Attributes:
+        deadline: seconds after which the whole diagnosis ought to be through.
         spent: about so many seconds of one core.
+        limit: of `spent`, from which on no step of a fit is begun.
+        share: of the deadline, from which on the same holds.
+        begun: by the clock [s].
+        cut: whether the clock has ended something.
     """
 
+    deadline: float = float("inf")
     spent: float = 0.0
+    limit: float = float("inf")
+    share: float = 1.0
+    begun: float = field(default_factory=time.monotonic)
+    cut: bool = False
 
-    def add(self, statistics: SolveStatistics, nodes: int | None) -> None:
+    def allow(self, budget: float, share: float) -> None:
+        """From here on so much more may be spent, up to a share of the deadline."""
+        self.limit, self.share = self.spent + budget, share
+
+    @contextmanager
+    def at_most(self, budget: float) -> Iterator[None]:
+        """For what is run inside, so much and no more than what is left."""
+        before = self.limit
+        self.limit = min(before, self.spent + budget)
+        try:
+            yield
+        finally:
+            self.limit = before
+
+    @property
+    def over(self) -> bool:
+        """Whether no further step of a fit is to begin."""
+        late = time.monotonic() - self.begun > self.share * self.deadline
+        self.cut |= late
+        return late or self.spent > self.limit
+
+    def check(self) -> None:
+        """End a fit in progress.
+
+        Raises:
+            OutOfBudget: no further step is to begin.
+        """
+        if self.over:
+            raise OutOfBudget("the runs have cost what they may")
+
+    def add(self, scene: Any, nodes: int | None, statistics: SolveStatistics) -> None:
         """A run of the full-order model on so many nodes, or of the reduced one (None)."""
-        self._count(statistics.newton_iterations, nodes)
+        self.spent += statistics.newton_iterations * newton_step(scene, nodes)
 
-    def add_failed(self, steps: int, nodes: int | None) -> None:
+    def add_failed(self, scene: Any, nodes: int | None, steps: int) -> None:
         """A run that was given up, of so many time steps."""
-        self._count(_FAILED * steps, nodes)
-
-    def _count(self, iterations: int, nodes: int | None) -> None:
-        self.spent += iterations * (_REDUCED if nodes is None else _FULL * nodes)
+        self.spent += _FAILED * steps * newton_step(scene, nodes)

@@ -15,6 +15,7 @@ from physconvex.gap.absorbing import with_absorbed_mesh
 from physconvex.gap.advice import next_experiment
 from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
 from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
+from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Effect, choose
 from physconvex.gap.giving_floor import with_giving_floor
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
@@ -36,6 +37,12 @@ from physconvex.gap.where import locate_gap
 __all__ = ["diagnose"]
 
 Report = Callable[[str], None]
+_BASE, _LAST = 0.45, 0.95  # of the deadline: for the base fit, for the placebo
+_PLACEBO_COST = 30.0  # of model runs
+_CUT = (
+    "The search was cut short after the {:.0f} seconds that it is given: this is the best of what had been found. A "
+    "faster machine, or one with less else to do, might find more."
+)
 _WORTH = 0.8  # factor on the numerical error from which on down the base fit is made anew
 
 
@@ -71,7 +78,9 @@ def diagnose(
     capture = shortened(capture if isinstance(capture, Capture) else load_capture(capture))
     dictionary = choose(effects, without=without, extra=extra)
     report: Report = on_progress or (lambda _: None)
-    rough = with_giving_floor(rough_baseline(capture, options, report), options, report)
+    cost = Cost(options.deadline)
+    cost.allow(np.inf, _BASE)
+    rough = with_giving_floor(rough_baseline(capture, options, report, cost=cost), options, report)
     numerics = numerical_differences(rough, options, report)
     rough_errors = error_model(rough, numerics, options)
     base = fit_baseline(rough, correction_of(numerics), numerics.fine, rough_errors.variance, options, report)
@@ -82,6 +91,7 @@ def diagnose(
     weights = detail_errors(base, errors, options.detail)
     hypotheses, screening = select_effects(base, weights, numerics, dictionary, options, report, screening=screening)
     best = next((h for h in hypotheses if h.effects), hypotheses[0])
+    cost.allow(_PLACEBO_COST, _LAST)
     report("placebo")
     placebo = _placebo(base, weights, screening, best, options)
     shrinkage = _shrinkages(base, errors, best, placebo, options)
@@ -102,6 +112,8 @@ def diagnose(
         again = second_take_shrinkage(base, best, other, options, report)
         shrinkage = (*shrinkage, *(() if again is None else (again,)))
     verdict = replace(verdict, caveats=(*verdict.caveats, *lost_points(base.observations)))
+    if cost.cut:
+        verdict = replace(verdict, caveats=(*verdict.caveats, _CUT.format(options.deadline)))
     if capture.frames == MOST_FRAMES:
         verdict = replace(verdict, caveats=(*verdict.caveats, f"At most the first {MOST_FRAMES} frames were used."))
     report("report")

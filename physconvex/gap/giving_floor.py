@@ -80,7 +80,9 @@ def with_giving_floor(base: Baseline, options: GapOptions, report: Callable[[str
     if best is None or 2 * best.misfit > _BETTER * before or _softness(base, names, best.values) > _SOFTER:
         return base
     twin = _reduced(base, names, best.values, count).twin
-    return run_base(base.capture, base.observations, base.split, twin_at(twin, names, best.values), best)
+    return run_base(
+        base.capture, base.observations, base.split, twin_at(twin, names, best.values), best, cost=base.model.cost
+    )
 
 
 def _softness(base: Baseline, names: tuple[str, ...], values: np.ndarray) -> float:

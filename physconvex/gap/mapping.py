@@ -18,7 +18,7 @@ from physconvex.gap.model import reduced_like
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
 
-__all__ = ["as_reduced", "confirmed"]
+__all__ = ["as_reduced", "confirmed", "improved"]
 
 _ROUNDS = 2  # of full-order run and search
 _STILL = 0.02  # of typical steps: a change of the values below which another round is not worth it
@@ -30,40 +30,41 @@ def as_reduced(base: Baseline) -> Baseline:
     return replace(base, model=model, motion=motion)
 
 
-def confirmed(base: Baseline, errors: ErrorModel, found: Hypothesis, options: GapOptions) -> Hypothesis:
-    """A fit of the reduced model, carried over to the full-order one.
+def confirmed(base: Baseline, errors: ErrorModel, found: Hypothesis) -> Hypothesis:
+    """What a fit of the reduced model is worth by the full-order one.
 
     Args:
         base: the full-order base fit.
         errors: weights of the residuals.
         found: what the reduced model came to.
-        options: settings.
 
     Raises:
         ConvergenceError: the full-order model cannot be run there.
     """
     full = replace(base.model, effects=found.model.effects)
-    scales = np.array([p.step for p in full.parameters(found.values)])
-    best, values, last = None, found.values, found
-    for number in range(_ROUNDS + 1):
+    motion = full.motion(found.values)
+    return hypothesis_at(base, errors, full, found.values, found.errors, motion, found.tangents)
+
+
+def improved(base: Baseline, errors: ErrorModel, here: Hypothesis, options: GapOptions) -> Hypothesis | None:
+    """A better fit of the full-order model, searched with the reduced one about the one that is there.
+
+    None where there is none, or where it is no better.
+    """
+    scales = np.array([p.step for p in here.model.parameters(here.values)])
+    first = best = last = here
+    for _ in range(_ROUNDS):
         try:
-            motion = full.motion(values)
-        except ConvergenceError:
-            if best is None:
-                raise
-            break
-        here = hypothesis_at(base, errors, full, values, last.errors, motion, last.tangents)
-        if best is None or here.fitted < best.fitted:
-            best = here
-        if number == _ROUNDS or here.fitted > 1.5 * best.fitted:
-            break
-        model, _ = reduced_like(full, motion, values)
-        try:
-            last = refit(base, errors, model, values, last.tangents, options)
+            base.model.cost.check()
+            model, _ = reduced_like(here.model, here.motion, here.values)
+            last = refit(base, errors, model, here.values, last.tangents, options)
+            if np.abs((last.values - here.values) / scales).max() < _STILL:
+                break
+            motion = here.model.motion(last.values)
         except ConvergenceError:
             break
-        if np.abs((last.values - values) / scales).max() < _STILL:
+        here = hypothesis_at(base, errors, here.model, last.values, last.errors, motion, last.tangents)
+        if here.fitted > 1.5 * best.fitted:
             break
-        values = last.values
-    assert best is not None
-    return best
+        best = here if here.fitted < best.fitted else best
+    return None if best.fitted >= first.fitted else best

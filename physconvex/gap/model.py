@@ -156,20 +156,20 @@ class EffectModel:
         try:
             run = simulate_full(scene, integrator=self.integrator, **timing, **ACCURACY)
         except ConvergenceError:
-            self.cost.add_failed(self.frames * timing["steps_per_frame"], nodes)
+            self.cost.add_failed(scene, nodes, self.frames * timing["steps_per_frame"])
             raise
-        self.cost.add(run.statistics, nodes)
+        self.cost.add(scene, nodes, run.statistics)
         return self._motion(run.times, self.embedding.apply(run.positions), self.embedding.apply(run.velocities))
 
     def reduced_motion(self, values: Vector) -> Motion:
         """The same by the reduced model."""
-        timing = self.twin.timing(self.frames)
+        timing, scene = self.twin.timing(self.frames), self.reduced_scene(values)
         try:
-            run = simulate(self.reduced_scene(values), **timing, **ACCURACY)
+            run = simulate(scene, **timing, **ACCURACY)
         except ConvergenceError:
-            self.cost.add_failed(self.frames * timing["steps_per_frame"], None)
+            self.cost.add_failed(scene, None, self.frames * timing["steps_per_frame"])
             raise
-        self.cost.add(run.statistics, None)
+        self.cost.add(scene, None, run.statistics)
         shapes = self.twin.scene.body.space.shape_values(self.points)
         return self._motion(run.times, shapes @ run.coordinates, shapes @ run.velocities)
 
@@ -276,11 +276,12 @@ class SecantModel:
         """Positions, and the derivatives updated by what the last step showed.
 
         Raises:
-            ConvergenceError: the model cannot be run there.
+            ConvergenceError: the model cannot be run there, or the runs have cost what they may.
         """
         old, before = self._last
         if np.array_equal(values, old):
             return before, self._tangents
+        self.model.cost.check()
         positions = self.model.positions(values)
         if not np.isfinite(positions).all():
             raise ConvergenceError("the motion is not finite")

@@ -23,6 +23,9 @@ class GapOptions:
         most_effects: that are looked for together.
         search_cost: model runs after which the search begins no further fit, in seconds of one core; counted
             (`physconvex.gap.cost`), so that the answer does not depend on what else the machine does.
+        decision_cost: the same of the full-order fits that decide.
+        deadline: seconds by the clock in which a diagnosis ought to be through: what has been found by then is
+            reported, with a caveat. Only where the machine is slow or busy does that come before the costs above.
         error_scale: κ, how much numerical differences widen the noise.
         discretisation: numerical error that any model of finite size is credited with, relative to the distance the
             points have moved; only where the differences of runs say less.
@@ -41,7 +44,9 @@ class GapOptions:
     starts: tuple[float, ...] = (1.0,)
     iterations: int = 9
     most_effects: int = 3
-    search_cost: float = 300.0
+    search_cost: float = 240.0
+    decision_cost: float = 180.0
+    deadline: float = 840.0
     error_scale: float = 1.0
     discretisation: float = 2e-3
     detail: float = 0.1
@@ -55,6 +60,9 @@ class GapOptions:
         for name in ("max_nodes", "fine_nodes", "weights", "candidates", "iterations", "most_effects", "bootstraps"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name}: got {getattr(self, name)}; expected at least 1")
+        for name in ("search_cost", "decision_cost", "deadline"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"{name}: got {getattr(self, name)}; expected seconds, more than 0")
         for name in ("significance", "explained", "confidence"):
             if not 0 < getattr(self, name) < 1:
                 raise InputError(f"{name}: got {getattr(self, name)}; expected between 0 and 1")

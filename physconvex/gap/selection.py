@@ -27,7 +27,7 @@ from physconvex.gap.comparison import (
     residuals_per_one,
 )
 from physconvex.gap.effects import Effect
-from physconvex.gap.mapping import as_reduced, confirmed
+from physconvex.gap.mapping import as_reduced, confirmed, improved
 from physconvex.gap.model import EffectModel
 from physconvex.gap.numerics import Numerics
 from physconvex.gap.options import GapOptions
@@ -38,13 +38,14 @@ __all__ = ["FAILURES", "Selection", "evidence_of_anything", "plausible_pairs", "
 
 # of a run with doses that no body can bear: such a fit is left out, and the report says so
 FAILURES = (ConvergenceError, InputError, np.linalg.LinAlgError)
-_LATEST = 1.5  # of the cost of the search: then no further full-order fit is begun
+_SEARCHED, _DECIDED = 0.6, 0.85  # of the deadline: then the search ends, then the full-order fits
+_LONGEST = 0.15  # of the cost of the search that a single fit may take
 _CLOSED = 1.5  # mean square over the expected one below which there is no gap to explain
 _LATE_GAP = 5.0  # the same of the frames that choose: an impact near the end of the fitted ones shows after them
 _LEFT = 2.5  # above which a further effect is looked for
 _SINGLES, _PAIRS, _ADDED, _EARLY = 7, 4, 3, 4  # fits: alone, two at once, in each further round, from the first frames
 _STEMS, _POLISHED = 2, 3  # fits that the first further round goes on from; fits with derivatives taken anew
-_HELD = 0.5  # of the search of a held body: its full-order fits, which come after, cost as much again
+_HELD = 0.7  # of the costs allowed, for a held body: its screening and its base fit cost more
 _ANYTHING = 8  # doses and effects that an unknown effect is priced at
 _MANY = 40  # pairs that are ranked
 _WORTH = 4.0  # gain of evidence for which the search goes on
@@ -59,7 +60,6 @@ class Selection:
         errors: weights of the residuals.
         options: settings.
         report: told what is done.
-        limit: cost of model runs after which no further fit is begun.
         found: fits so far, the base model first.
         polished: ids of the motions of fits that need not be fitted again.
         independent: number of independent residuals in what the base model leaves.
@@ -69,7 +69,6 @@ class Selection:
     errors: ErrorModel
     options: GapOptions
     report: Report
-    limit: float
     found: list[Hypothesis] = field(default_factory=list)
     polished: set[int] = field(default_factory=set)
     independent: float = 1.0
@@ -87,15 +86,16 @@ class Selection:
     @property
     def late(self) -> bool:
         """Whether the runs so far have cost what they may."""
-        return self.base.model.cost.spent > self.limit
+        return self.base.model.cost.over
 
     def attempt(self, text: str, run: Callable[[], Hypothesis]) -> Hypothesis | None:
-        """Fit and keep, unless the runs have cost too much or it fails."""
-        if self.late:
+        """Fit and keep, unless it fails or the runs have cost too much; the first one is begun all the same."""
+        if self.late and len(self.found) > 1:
             return None
         self.report(f"fit: {text}")
         try:
-            hypothesis = run()
+            with self.base.model.cost.at_most(_LONGEST * self.options.search_cost):
+                hypothesis = run()
         except FAILURES:
             self.report(f"fit: {text} failed")
             return None
@@ -129,9 +129,8 @@ def select_effects(
     cheap, dictionary = as_reduced(base), tuple(dictionary)
     screening = screening or screen(cheap, errors, numerics, dictionary, report)
     cost = cheap.model.cost
-    begun = cost.spent
-    budget = options.search_cost * (_HELD if base.situation.clamped else 1.0)
-    search = Selection(cheap, errors, options, report, begun + budget)
+    cost.allow(options.search_cost * (_HELD if base.situation.clamped else 1.0), _SEARCHED)
+    search = Selection(cheap, errors, options, report)
     search.found.append(base_hypothesis(cheap, errors))
     rows = len(base.rows(base.split.fitted))
     search.independent = rows / residuals_per_one(base, errors, base.positions, base.split.fitted)
@@ -146,17 +145,37 @@ def select_effects(
             if not _one_more(search, numerics, dictionary, 1 if number else _STEMS):
                 break
         _leave_out(search)
-    out = [base_hypothesis(base, errors)]
     finalists = _finalists(search.ranked, options.candidates if open_gap else 1)
+    return judged(base, errors, _decided(base, errors, finalists, options, report)), screening
+
+
+def _decided(
+    base: Baseline, errors: ErrorModel, finalists: Sequence[Hypothesis], options: GapOptions, report: Report
+) -> list[Hypothesis]:
+    """The base model and the finalists by the full-order model: each as it was found, then the best ones fitted on.
+
+    A finalist for which there was no time is left out; if there was none for any, the reduced model's word is taken.
+    """
+    cost, out = base.model.cost, [base_hypothesis(base, errors)]
+    cost.allow(options.decision_cost * (_HELD if base.situation.clamped else 1.0), _DECIDED)
     for hypothesis in sorted(finalists, key=lambda h: len(h.effects)):  # the simple ones first, should time run out
-        if len(out) > 3 and cost.spent > begun + _LATEST * budget:
-            break
+        report(f"full-order run: {hypothesis.label}")
+        try:
+            if len(out) > 1:
+                cost.check()
+            out.append(confirmed(base, errors, hypothesis))
+        except FAILURES as error:
+            report(f"full-order run: {hypothesis.label}: {error}")
+    for hypothesis in [h for h in judged(base, errors, out) if h.effects]:
         report(f"full-order fit: {hypothesis.label}")
         try:
-            out.append(confirmed(base, errors, hypothesis, options))
-        except FAILURES:
-            report(f"full-order fit: {hypothesis.label} failed")
-    return judged(base, errors, out), screening
+            better = improved(base, errors, hypothesis, options)
+        except FAILURES as error:
+            report(f"full-order fit: {hypothesis.label}: {error}")
+            continue
+        if better is not None:
+            out[next(i for i, h in enumerate(out) if h.motion is hypothesis.motion)] = better
+    return out if len(out) > 1 else [*out, *finalists[:1]]
 
 
 def evidence_of_anything(best: Hypothesis) -> float:
@@ -228,10 +247,10 @@ def plausible_pairs(screening: Screening, independent: float, *, held: bool) -> 
 
 def _from_first_frames(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
     """Screen and fit again from where the first frames alone put the base model, if that is elsewhere."""
-    if search.best.fitted < _LEFT:
+    if search.best.fitted < _LEFT or search.late:
         return
     point = early_point(search.base, search.errors, search.options, search.report)
-    if point is not None:
+    if point is not None and not search.base.model.cost.over:
         screening = screen(point, search.errors, numerics, dictionary, search.report)
         for entry in screening.one_per_name[:_EARLY]:
             search.fit([entry], starts=point)

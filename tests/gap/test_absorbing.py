@@ -7,6 +7,7 @@ import pytest
 
 from physconvex.gap import GapOptions
 from physconvex.gap.absorbing import with_absorbed_mesh
+from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Motion
 from physconvex.gap.numerics import Numerics
 from physconvex.identify.parameters import default_parameter
@@ -23,7 +24,7 @@ class Bending:
     points = REST
 
     def __init__(self, frames=40, stiffer=FINE, other=SHARE):
-        self.frames, self.stiffer, self.other = frames, stiffer, other
+        self.frames, self.stiffer, self.other, self.cost = frames, stiffer, other, Cost()
 
     def parameters(self, values):
         return (default_parameter("log10_youngs_modulus").at(float(values[0])),)

@@ -118,6 +118,11 @@ def test_stiffening_shortens_the_squeeze(scene, plain):
         assert changed(scene, label, *doses)[2][:, 2].min() > squeezed + 5e-4, label
 
 
+def test_saint_venant_and_kirchhoff_lengthen_the_squeeze(scene, plain):
+    squeezed = changed(scene, "nonlinear_elasticity (softening)", 0.5)[2][:, 2].min()
+    assert squeezed < plain[2][:, 2].min() - 5e-4
+
+
 def test_attached_mass_is_at_its_end(scene):
     loaded = effect("attached_mass (+x)").scene(scene, np.array([0.5]))
     assert loaded.body.total_mass == pytest.approx(1.5 * scene.body.total_mass, rel=1e-9)

@@ -1,5 +1,6 @@
 """A soft, damped floor is found beside E; a hard one is left alone."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,11 +8,13 @@ import pytest
 
 from physconvex.capture import Capture, Floor, Tracks, save_capture
 from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, box_mesh, simulate
-from physconvex.gap import GapOptions, Situation
+from physconvex.gap import GapOptions, Situation, numerics
 from physconvex.gap.baseline import Baseline, rough_baseline
 from physconvex.gap.effects import DEFAULT_EFFECTS, applicable
 from physconvex.gap.floor_law import FLOOR_LAW, base_parameter, base_values, twin_at
 from physconvex.gap.giving_floor import depth_seen, with_giving_floor
+from physconvex.gap.model import EffectModel
+from physconvex.gap.numerics import numerical_differences
 
 MODULUS, SIGMA, FPS = 4e4, 1e-5, 100.0
 OPTIONS = GapOptions(max_nodes=130, weights=4)
@@ -67,6 +70,19 @@ def test_a_hard_floor_stays_as_it_is(tmp_path: Path) -> None:
 def test_a_shifted_frame_of_the_markers_is_no_depth(tmp_path: Path) -> None:
     base = rough(dropped(tmp_path, frames=8, lowered=0.03))
     assert depth_seen(base) < 0.01 * base.situation.size
+
+
+def test_the_fitted_stiffness_of_a_giving_floor_is_no_numerical_error(tmp_path: Path, monkeypatch) -> None:
+    """Else the frames after the impact count for nothing, and the first of them decide E alone."""
+    base = rough(dropped(tmp_path, frames=8))
+    assert base.situation.touches
+    monkeypatch.setattr(EffectModel, "motion", lambda self, values: base.motion)
+    monkeypatch.setattr(EffectModel, "reduced_motion", lambda self, values: base.motion)
+    monkeypatch.setattr(numerics, "other_mesh", lambda *arguments: base.model.twin.mesh)
+    for giving in (False, True):
+        there = replace(base, situation=replace(base.situation, giving_floor=giving))
+        found = numerical_differences(there, OPTIONS, lambda text: None)
+        assert found.contact.any() == (not giving)
 
 
 def test_the_dashpot_of_a_giving_floor_is_no_cause_beside() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Float
 
@@ -134,8 +136,11 @@ def mixed_law(law: Law, other: Law, share: float) -> Law:
     )
 
 
-def _other_law(scene: AnyScene, doses: Doses) -> AnyScene:
-    return with_material(scene, law=lambda law: mixed_law(law, get_law("corotated"), float(doses[0])))
+def _towards(name: str) -> Callable[[AnyScene, Doses], AnyScene]:
+    def scene(scene: AnyScene, doses: Doses) -> AnyScene:
+        return with_material(scene, law=lambda law: mixed_law(law, get_law(name), float(doses[0])))
+
+    return scene
 
 
 _CONFUSED = ("anisotropy", "contact_stiffness")
@@ -148,14 +153,25 @@ STIFFENING = Effect(
     description="shear stiffness grows with strain (Yeoh's second term)",
     confusable=_CONFUSED,
 )
-OTHER_LAW = Effect(
-    "nonlinear_elasticity",
-    "material",
-    (Dose("corotated_share", "", -0.5, 1.0, 0.2, lambda s: 0.3),),
-    scene=_other_law,
-    variant="law",
-    description="another elastic law at large strain: on the way from the base law to the corotated one",
-    confusable=_CONFUSED,
+OTHER_LAWS = (
+    Effect(
+        "nonlinear_elasticity",
+        "material",
+        (Dose("corotated_share", "", -0.5, 1.0, 0.2, lambda s: 0.3),),
+        scene=_towards("corotated"),
+        variant="law",
+        description="another elastic law at large strain: on the way from the base law to the corotated one",
+        confusable=_CONFUSED,
+    ),
+    Effect(
+        "nonlinear_elasticity",
+        "material",
+        (Dose("green_share", "", 0.0, 1.0, 0.2, lambda s: 0.3),),
+        scene=_towards("stvk"),
+        variant="softening",
+        description="softer the more it is pressed: on the way from the base law to Saint Venant and Kirchhoff's",
+        confusable=_CONFUSED,
+    ),
 )
 
 MATERIAL_EFFECTS: tuple[Effect, ...] = (
@@ -168,5 +184,5 @@ MATERIAL_EFFECTS: tuple[Effect, ...] = (
     HETEROGENEITY,
     *(_with_fibres(axis) for axis in range(3)),
     STIFFENING,
-    OTHER_LAW,
+    *OTHER_LAWS,
 )

@@ -1,0 +1,60 @@
+"""A fit carried over to the full-order model is fitted on there, and kept only if that is better."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from physconvex.gap import mapping
+from physconvex.gap.cost import Cost
+from physconvex.gap.options import GapOptions
+
+pytestmark = pytest.mark.wrong_types
+
+
+@pytest.fixture
+def runs(monkeypatch):
+    """Stand-ins: the reduced model's fits go one to the right each time, the full-order model's misfit is given."""
+    made, misfits = [], {}
+
+    def at(base, errors, model, values, deviations, motion, tangents):
+        return SimpleNamespace(
+            model=model, values=values, errors=deviations, motion=motion, tangents=tangents, fitted=misfits[values[0]]
+        )
+
+    def motion(values):
+        made.append(float(values[0]))
+        return object()
+
+    model = SimpleNamespace(parameters=lambda values: [SimpleNamespace(step=1.0)], motion=motion)
+    monkeypatch.setattr(mapping, "hypothesis_at", at)
+    monkeypatch.setattr(mapping, "reduced_like", lambda full, motion, values: (None, None))
+    monkeypatch.setattr(
+        mapping, "refit", lambda *a: SimpleNamespace(values=a[3] + 1, errors=np.zeros(1), tangents=None)
+    )
+    start = SimpleNamespace(
+        model=model, values=np.zeros(1), errors=np.zeros(1), motion=object(), tangents=None, fitted=5.0
+    )
+    return SimpleNamespace(made=made, misfits=misfits, start=start, cost=Cost())
+
+
+def improved(runs):
+    base = SimpleNamespace(model=SimpleNamespace(cost=runs.cost))
+    return mapping.improved(base, None, runs.start, GapOptions())
+
+
+def test_the_best_full_order_run_counts(runs):
+    runs.misfits |= {1.0: 2.0, 2.0: 2.5}
+    found = improved(runs)
+    assert found.fitted == 2.0 and runs.made == [1.0, 2.0]
+
+
+def test_a_worse_one_is_left(runs):
+    runs.misfits |= {1.0: 9.0}
+    assert improved(runs) is None and runs.made == [1.0]
+
+
+def test_nothing_is_run_once_the_costs_are_spent(runs):
+    runs.cost.spent = 2.0
+    runs.cost.allow(-1.0, 1.0)
+    assert improved(runs) is None and not runs.made
