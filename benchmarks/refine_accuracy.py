@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import tempfile
 import time
 from dataclasses import asdict, dataclass, replace
@@ -269,9 +270,11 @@ def main() -> None:
         if not kept.exists() and given.scene in (None, ("bar", "block")[case % 2]):
             kept.write_text(json.dumps(asdict(measure(work, case, given.noise))))
             print(kept.read_text(), flush=True)
+    told = [f"--cases={given.cases}", f"--noise={given.noise:g}"]
+    told += [f"--scene={given.scene}"] * bool(given.scene) + [f"--result={given.result}"] * bool(given.result)
     rows = [Row(**json.loads(path.read_text())) for path in sorted(work.glob("row_*.json"))]
     content = {
-        "command": f"python benchmarks/refine_accuracy.py --noise {given.noise:g} --result={given.result}",
+        "command": shlex.join(["python", "benchmarks/refine_accuracy.py", *told]),
         "noise_m": given.noise,
     }
     content |= {"summary": summary(rows), "rows": [asdict(row) for row in rows]}
