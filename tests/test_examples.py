@@ -32,6 +32,18 @@ def test_bundled_captures_are_the_recordings(made, name):
     assert (sunk < (-0.008 if "gravity" in name else -0.03)).all()  # it is let go, and a load pulls it farther down
 
 
+def test_the_film_of_the_toy_can_be_compared():
+    bus = load_capture(make_captures.BUNDLED / "school_bus")
+    assert bus.tracks() is None and len(bus.mesh().faces) > 1000
+    camera = bus.cameras[0]
+    frames, masks = bus.video(camera.name).frames, bus.mask(camera.name)
+    assert len(frames) == len(masks) == bus.frames == 24
+    low, high = bus.mesh().bounds
+    pixels, _ = camera.project(np.array([(low + high) / 2]))
+    column, row = pixels[0].astype(int)
+    assert masks[0][row, column] > 0  # frame 0 is the rest state
+
+
 @pytest.mark.parametrize("name", FOLDERS)
 def test_they_do_not_tell_what_is_to_be_found(name):
     files = {path.name for path in (make_captures.BUNDLED / name).iterdir()}

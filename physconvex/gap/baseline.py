@@ -14,7 +14,6 @@ from physconvex.fem import TetMesh, simulate
 from physconvex.gap.boxes import box_of_held_body
 from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Motion, Situation
-from physconvex.gap.floor_law import FLOOR_LAW, twin_at
 from physconvex.gap.independence import temperature
 from physconvex.gap.model import ACCURACY, EffectModel, SecantModel, reduced_like
 from physconvex.gap.observing import Seen, components, in_metres, observe, starts_elsewhere, widened, with_honest_noise
@@ -37,6 +36,7 @@ from physconvex.identify import (
 from physconvex.identify.setup import start_motion
 
 __all__ = [
+    "FLOOR_LAW",
     "Baseline",
     "Split",
     "fit_baseline",
@@ -48,6 +48,7 @@ __all__ = [
 ]
 
 Report = Callable[[str], None]
+FLOOR_LAW = ("log10_contact_stiffness", "contact_damping")  # joins the base parameters where the floor gives way
 _STEPS_PER_WAVE = 8  # time steps in the time an elastic wave takes through the body
 _HELD = 4  # the same for a held body, which bends slowly and is not struck
 _STARTS = 3  # of the rough fit of a held body
@@ -104,7 +105,7 @@ class Baseline:
     @property
     def twin(self) -> Twin:
         """The twin with the fitted values."""
-        return twin_at(self.model.twin, self.model.base, self.fit.values)
+        return self.model.twin.with_values(self.model.base, self.fit.values[: len(self.model.base)])
 
     @property
     def components(self) -> int:
@@ -345,7 +346,7 @@ def fit_baseline(
         found = fit(secant, weighted, shorter.parameters(here.fit.values), options=stop)
         if np.abs((found.values - here.fit.values) / scales).max() < _STILL:
             return replace(here, fit=found) if here is best else best
-        twin = twin_at(rough.model.twin, names, found.values)
+        twin = rough.model.twin.with_values(names, found.values)
         here = run_base(rough.capture, rough.observations, split, twin, found, mesh=mesh, cost=here.model.cost)
         stiffer = rough.model.surrogate_stiffer
         here = replace(here, model=replace(here.model, correction=correction, surrogate_stiffer=stiffer))

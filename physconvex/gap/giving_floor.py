@@ -15,8 +15,7 @@ from itertools import product
 import numpy as np
 
 from physconvex.errors import ConvergenceError
-from physconvex.gap.baseline import Baseline, run_base, steps_per_frame
-from physconvex.gap.floor_law import FLOOR_LAW, twin_at
+from physconvex.gap.baseline import FLOOR_LAW, Baseline, run_base, steps_per_frame
 from physconvex.gap.model import EffectModel, SecantModel
 from physconvex.gap.options import GapOptions
 from physconvex.identify import Fit, FitOptions, MarkerObservations, fit
@@ -81,13 +80,13 @@ def with_giving_floor(base: Baseline, options: GapOptions, report: Callable[[str
         return base
     twin = _reduced(base, names, best.values, count).twin
     return run_base(
-        base.capture, base.observations, base.split, twin_at(twin, names, best.values), best, cost=base.model.cost
+        base.capture, base.observations, base.split, twin.with_values(names, best.values), best, cost=base.model.cost
     )
 
 
 def _softness(base: Baseline, names: tuple[str, ...], values: np.ndarray) -> float:
     """Stiffness of the floor over that which the base model gives it for the same E."""
-    own = twin_at(base.model.twin, base.model.base, values).scene.contact().stiffness
+    own = base.model.twin.with_values(base.model.base, values[: len(base.model.base)]).scene.contact().stiffness
     return float(10 ** values[names.index(FLOOR_LAW[0])] / own)
 
 

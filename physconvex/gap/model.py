@@ -18,10 +18,9 @@ from physconvex.fem import Scene as FullScene
 from physconvex.fem import simulate as simulate_full
 from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Effect, Motion, Situation
-from physconvex.gap.floor_law import NamedParameter, base_parameter, base_values, twin_at
-from physconvex.identify import Parameter, Twin
+from physconvex.identify import Parameter, Twin, default_parameter
 from physconvex.integrators import IntegratorName
-from physconvex.reduced import ReducedScene, simulate
+from physconvex.reduced import ReducedScene, parameter_values, simulate
 
 __all__ = ["ACCURACY", "EffectModel", "SecantModel", "reduced_like"]
 
@@ -91,7 +90,7 @@ class EffectModel:
     def parameters(self, values: Vector) -> tuple[Parameter, ...]:
         """The unknowns, starting at `values`."""
         out: list[Parameter] = [
-            self._weighed(base_parameter(name, float(value)), name)
+            self._weighed(default_parameter(name).at(float(value)), name)
             for name, value in zip(self.base, values, strict=False)
         ]
         for effect, where in zip(self.effects, self.slices, strict=True):
@@ -99,7 +98,7 @@ class EffectModel:
                 step = 2 * dose.smallest if dose.shape else max(abs(dose.trial(self.situation)), dose.smallest)
                 start = float(np.clip(value, dose.lower, dose.upper))
                 sigma = dose.plausible / float(np.sqrt(self.doubt)) if self.situation.clamped else np.inf
-                out.append(NamedParameter(name, start, dose.lower, dose.upper, step, dose.null, sigma))
+                out.append(_DoseParameter(name, start, dose.lower, dose.upper, step, dose.null, sigma))
         return tuple(out)
 
     def _weighed(self, parameter: Parameter, name: str) -> Parameter:
@@ -111,7 +110,7 @@ class EffectModel:
 
     def null_values(self) -> Vector:
         """The twin's base parameters, and doses at which the effects are absent."""
-        return np.concatenate([base_values(self.twin, self.base), *(e.null for e in self.effects)])
+        return np.concatenate([parameter_values(self.twin.scene, self.base), *(e.null for e in self.effects)])
 
     # -- scenes
 
@@ -125,7 +124,7 @@ class EffectModel:
         if self.stiffer and _MODULUS in self.base:
             values = values.copy()
             values[self.base.index(_MODULUS)] += self.stiffer
-        return twin_at(self.twin, self.base, values)
+        return self.twin.with_values(self.base, values[: len(self.base)])
 
     def full_scene(self, values: Vector) -> FullScene:
         """Full-order scene with the effects."""
@@ -227,6 +226,14 @@ class EffectModel:
         )
         moved = self.motion(changed) if moves else motion
         return self.observed(moved, changed) - self.observed(motion, values)
+
+
+@dataclass(frozen=True)
+class _DoseParameter(Parameter):
+    """An unknown whose name is none of `physconvex.reduced.PARAMETERS`."""
+
+    def __post_init__(self) -> None:
+        assert self.lower <= self.start <= self.upper and self.step > 0
 
 
 def reduced_like(full: EffectModel, motion: Motion, values: np.ndarray) -> tuple[EffectModel, Motion]:

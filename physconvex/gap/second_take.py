@@ -8,9 +8,8 @@ import numpy as np
 
 from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.gap.baseline import Baseline, Report, rough_baseline
+from physconvex.gap.baseline import FLOOR_LAW, Baseline, Report, rough_baseline
 from physconvex.gap.comparison import Hypothesis, hypothesis_at
-from physconvex.gap.floor_law import FLOOR_LAW
 from physconvex.gap.giving_floor import with_giving_floor
 from physconvex.gap.how_far import HowFar, shrinkage_on
 from physconvex.gap.numerics import other_mesh

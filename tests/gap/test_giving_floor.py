@@ -9,12 +9,12 @@ import pytest
 from physconvex.capture import Capture, Floor, Tracks, save_capture
 from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, box_mesh, simulate
 from physconvex.gap import GapOptions, Situation, numerics
-from physconvex.gap.baseline import Baseline, rough_baseline
+from physconvex.gap.baseline import FLOOR_LAW, Baseline, rough_baseline
 from physconvex.gap.effects import DEFAULT_EFFECTS, applicable
-from physconvex.gap.floor_law import FLOOR_LAW, base_parameter, base_values, twin_at
 from physconvex.gap.giving_floor import depth_seen, with_giving_floor
 from physconvex.gap.model import EffectModel
 from physconvex.gap.numerics import numerical_differences
+from physconvex.reduced import parameter_values
 
 MODULUS, SIGMA, FPS = 4e4, 1e-5, 100.0
 OPTIONS = GapOptions(max_nodes=130, weights=4)
@@ -96,7 +96,6 @@ def test_floor_parameters_go_into_a_twin_and_come_out_again(tmp_path: Path) -> N
     twin = rough(dropped(tmp_path, frames=6)).model.twin
     names = ("log10_youngs_modulus", *FLOOR_LAW)
     values = np.array([4.5, 5.9, 2e-3])
-    changed = twin_at(twin, names, values)
-    np.testing.assert_allclose(base_values(changed, names), values)
+    changed = twin.with_values(names, values)
+    np.testing.assert_allclose(parameter_values(changed.scene, names), values)
     assert changed.full_scene().contact_damping == 2e-3
-    assert base_parameter("contact_damping", -1.0).start == 0.0
