@@ -268,11 +268,7 @@ def _nothing(e: _Evidence) -> Verdict | None:
     if not (little or not significant or closed or _is_slight(e.best)):
         return None
     if e.floor > _BLIND:
-        sentence = (
-            f"Inconclusive: the model's own numerical error and the noise ({e.floor:.0%} of the body's size or "
-            "motion) hide whatever gap there is. Allow a finer mesh, or record a motion with less contact."
-        )
-        return e.verdict("inconclusive", sentence, power=True)
+        return _blind(e)
     reason = "is no more than chance"
     if closed:
         reason = "lies within these errors"
@@ -282,10 +278,20 @@ def _nothing(e: _Evidence) -> Verdict | None:
     return e.verdict("none", sentence, power=True)
 
 
+def _blind(e: _Evidence) -> Verdict:
+    sentence = (
+        f"Inconclusive: the model's own numerical error and the noise ({e.floor:.0%} of the body's size or "
+        "motion) hide whatever gap there is. Allow a finer mesh, or record a motion with less contact."
+    )
+    return e.verdict("inconclusive", sentence, power=True)
+
+
 def _numerical(e: _Evidence) -> Verdict | None:
-    """All effects of the best fit are numerical."""
+    """All effects of the best fit are numerical; where such errors are large, that says nothing either."""
     if any(effect.source != "numerical" for effect in e.best.effects):
         return None
+    if e.floor > _BLIND:
+        return _blind(e)
     sentence = (
         f"No physical cause: what the recording differs by is numerical error ({e.best.label}), of this model or of "
         "the program that made the recording."

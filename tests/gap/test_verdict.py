@@ -145,6 +145,12 @@ def test_numerical_error_is_no_cause():
     assert "numerical error" in found.sentence
 
 
+def test_numerical_error_that_hides_everything_is_no_answer():
+    hypotheses = [hypothesis(30.0, "time_step"), hypothesis(0.0)]
+    found = decide(hypotheses, screening(), 9.0, 1.0, 0.1, OPTIONS, floor=0.3)
+    assert found.name == "inconclusive" and "hide whatever gap there is" in found.sentence
+
+
 def test_nothing_found_tells_what_would_have_been():
     found = decide([hypothesis(0.0), hypothesis(-3.0, "damping")], screening(0.5), 1.0, 1.0, 0.9, OPTIONS)
     assert found.name == "none" and any("damping 0.03 s" in c and "friction 0.03" in c for c in found.caveats)
