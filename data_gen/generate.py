@@ -5,15 +5,13 @@ from __future__ import annotations
 import json
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from data_gen.config import GeneratorConfig
 from data_gen.dataset import (
@@ -31,6 +29,7 @@ from data_gen.scene import LOOK, Drop, Look, draw_drop, draw_look, split_of, str
 from data_gen.simulate import SimulatedDrop, simulate_drop
 from physconvex import __version__
 from physconvex.errors import ConvergenceError, InputError
+from physconvex.threads import one_torch_thread
 from physconvex.video import write_video
 
 __all__ = [
@@ -141,23 +140,12 @@ def _encode(frames: np.ndarray, fps: float, crf: int) -> bytes:
         return path.read_bytes()
 
 
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Torch sums in one order inside, whatever the number of cores."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
 def simulate_with_replacements(config: GeneratorConfig, seed: int, simulation: int) -> Attempts:
     """Draw and simulate a drop; failed attempts are replaced by new draws, at most `solver.max_attempts` in all."""
     failures: list[str] = []
     for attempt in range(config.solver.max_attempts):
         try:
-            with _one_thread():
+            with one_torch_thread():
                 drop = draw_drop(config, seed, simulation, attempt)
                 simulated = simulate_drop(drop, config, stream(seed, LOOK, simulation, attempt, _SAMPLING))
         except ConvergenceError as error:

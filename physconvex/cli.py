@@ -8,6 +8,7 @@ Exit codes: 0 all done, 1 some inputs failed (the command raises `typer.Exit(1)`
 """
 
 import ast
+import os
 import sys
 import traceback
 from importlib.metadata import EntryPoint, entry_points
@@ -119,6 +120,8 @@ def _root(
 def main(arguments: list[str] | None = None) -> None:
     """Run the program with `arguments` (default: those of the process) and exit with its code."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    # numpy's BLAS works on small matrices here; its threads and torch's hinder each other. Read when numpy is loaded.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         typer.main.get_command(app).main(arguments, prog_name="physconvex")
     except PhysconvexError as error:

@@ -26,6 +26,7 @@ from physconvex.fem.simulation import StepEquations, Trajectory, simulate
 from physconvex.integrators import State, bdf2, extrapolate, implicit_euler
 from physconvex.linear_solvers import NotPositiveDefiniteError
 from physconvex.stepping import StepRecord
+from physconvex.threads import one_torch_thread
 
 __all__ = ["SensitiveTrajectory", "simulate_with_sensitivities"]
 
@@ -198,6 +199,7 @@ def _renewed(equations: StepEquations, x: np.ndarray) -> bool:
     return True
 
 
+@one_torch_thread()
 def simulate_with_sensitivities(
     scene_of: Callable[[Float[np.ndarray, " K"]], Scene],
     values: Sequence[float] | Float[np.ndarray, " K"],

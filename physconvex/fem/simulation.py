@@ -23,6 +23,7 @@ from physconvex.inelastic import FlowStep
 from physconvex.integrators import IntegratorName, State, StepCoefficients, check_stepping, frame_states, minimise
 from physconvex.linear_solvers import SymmetricSolver
 from physconvex.stepping import SolveStatistics, Stepper, StepRecord
+from physconvex.threads import one_torch_thread
 
 __all__ = ["ContactSolver", "StepEquations", "Trajectory", "simulate", "solve_static"]
 
@@ -247,6 +248,7 @@ class StepEquations:
 Observer = Callable[[StepEquations, StepRecord], None]
 
 
+@one_torch_thread()
 def simulate(
     scene: Scene,
     *,
@@ -328,6 +330,7 @@ def _check_contact_solver(scene: Scene, name: str) -> None:
         raise InputError(f"contact_solver: got 'condensed' with {' and '.join(found)}; expected 'passes' there")
 
 
+@one_torch_thread()
 def solve_static(scene: Scene, *, tolerance: float = 1e-9, load_steps: int = 1) -> Float[np.ndarray, "V 3"]:
     """Static equilibrium positions [m], shape [V, 3], of a pinned body under its forces.
 

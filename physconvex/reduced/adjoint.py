@@ -28,6 +28,7 @@ from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.simulation import ReducedTrajectory, simulate
 from physconvex.reduced.step_derivatives import StepDerivatives
 from physconvex.stepping import SolvedPass, StepRecord
+from physconvex.threads import one_torch_thread
 
 __all__ = ["LossGradient", "simulate_with_adjoint"]
 
@@ -240,6 +241,7 @@ def _back_coefficients(record: StepRecord, bars: _StepBars, before: _Bar, histor
         before.velocities += step * bars.target
 
 
+@one_torch_thread()
 def simulate_with_adjoint(
     scene: ReducedScene, loss: Loss, *, parameters: Sequence[str] = ("log10_youngs_modulus",), **options: Any
 ) -> LossGradient:

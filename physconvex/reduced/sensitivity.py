@@ -28,6 +28,7 @@ from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.simulation import ReducedTrajectory, simulate
 from physconvex.reduced.step_derivatives import StepDerivatives
 from physconvex.stepping import StepRecord
+from physconvex.threads import one_torch_thread
 
 __all__ = ["SensitiveTrajectory", "simulate_with_sensitivities"]
 
@@ -131,6 +132,7 @@ class _Tangents:
         return out
 
 
+@one_torch_thread()
 def simulate_with_sensitivities(
     scene: ReducedScene, parameters: Sequence[str], *, frames: int = 24, **options: Any
 ) -> SensitiveTrajectory:

@@ -13,6 +13,7 @@ from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.space import ReducedSpace
 from physconvex.stepping import SolveStatistics, Stepper, StepRecord
+from physconvex.threads import one_torch_thread
 
 __all__ = ["STALE_RATE", "ReducedTrajectory", "simulate"]
 
@@ -55,6 +56,7 @@ class ReducedTrajectory:
 Observer = Callable[[StepEquations, StepRecord], None]
 
 
+@one_torch_thread()
 def simulate(
     scene: ReducedScene,
     *,

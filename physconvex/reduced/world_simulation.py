@@ -13,6 +13,7 @@ from physconvex.reduced.simulation import STALE_RATE, ReducedTrajectory
 from physconvex.reduced.world import ReducedWorld
 from physconvex.reduced.world_equations import WorldEquations
 from physconvex.stepping import SolveStatistics, Stepper
+from physconvex.threads import one_torch_thread
 
 __all__ = ["WorldTrajectory", "simulate_world"]
 
@@ -32,6 +33,7 @@ class WorldTrajectory:
     statistics: SolveStatistics
 
 
+@one_torch_thread()
 def simulate_world(
     world: ReducedWorld,
     *,
