@@ -72,6 +72,13 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (a * b).sum(-1, keepdims=True)
 
 
+def _normals(obstacle: Obstacle, frozen: FreezeTangent, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Normals at some points, their derivatives, and those of the positions."""
+    x, dx = frozen.x[nodes], frozen.dx[:, nodes]
+    n = obstacle.normals(x, frozen.time)
+    return n, obstacle.curvature(x, frozen.time)[:, None] * (dx - n * _dot(n, dx)), dx
+
+
 def _of_obstacle(
     contact: Contact,
     obstacle: Obstacle,
@@ -81,9 +88,7 @@ def _of_obstacle(
     velocity: np.ndarray,
     dvelocity: np.ndarray,
 ) -> np.ndarray:
-    x, dx = frozen.x[nodes], frozen.dx[:, nodes]
-    n = obstacle.normals(x, frozen.time)
-    dn = obstacle.curvature(x, frozen.time)[:, None] * (dx - n * _dot(n, dx))
+    n, dn, dx = _normals(obstacle, frozen, nodes)
 
     def tangential(u: np.ndarray) -> np.ndarray:
         return u - n * _dot(n, u)
@@ -118,9 +123,7 @@ def _of_dashpot(
     velocity: np.ndarray,
     dvelocity: np.ndarray,
 ) -> np.ndarray:
-    x, dx = frozen.x[nodes], frozen.dx[:, nodes]
-    n = obstacle.normals(x, frozen.time)
-    dn = obstacle.curvature(x, frozen.time)[:, None] * (dx - n * _dot(n, dx))
+    n, dn, dx = _normals(obstacle, frozen, nodes)
     belt = obstacle.velocity_at(frozen.time)
     outwards = _dot(n, frozen.v[nodes] - belt)
     doutwards = _dot(n, frozen.dv[:, nodes]) + _dot(dn, frozen.v[nodes] - belt)
