@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
+from scipy.stats import binomtest
 
 from inference.refining import Refinement, RefineOptions, refine
 from physconvex.capture import Boundary, Capture, Floor, Tracks, load_capture, save_capture
@@ -232,6 +233,7 @@ def summary(rows: list[Row]) -> dict[str, object]:
         if not chosen:
             continue
         covered = [c for row in chosen for c in (row.covered_log10, row.covered_poisson) if c is not None]
+        held = binomtest(sum(covered), len(covered)).proportion_ci(0.95) if covered else None
         out[scene] = {
             "captures": len(chosen),
             "log10_error": mean("log10_error", chosen),
@@ -245,6 +247,7 @@ def summary(rows: list[Row]) -> dict[str, object]:
             "constant_log10_error": float(np.mean([abs(r.log10_youngs_modulus - np.mean(MODULUS)) for r in chosen])),
             "constant_poisson_error": float(np.mean([abs(r.poisson_ratio - np.mean(RATIO)) for r in chosen])),
             "coverage_90": float(np.mean(covered)) if covered else None,
+            "coverage_95_percent_interval": None if held is None else [held.low, held.high],
             "intervals": len(covered),
             "process_seconds": float(np.mean([row.process_seconds for row in chosen])),
         }
@@ -270,7 +273,7 @@ def main() -> None:
         if not kept.exists() and given.scene in (None, ("bar", "block")[case % 2]):
             kept.write_text(json.dumps(asdict(measure(work, case, given.noise))))
             print(kept.read_text(), flush=True)
-    told = [f"--cases={given.cases}", f"--noise={given.noise:g}"]
+    told = [f"--first={given.first}"] * bool(given.first) + [f"--cases={given.cases}", f"--noise={given.noise:g}"]
     told += [f"--scene={given.scene}"] * bool(given.scene) + [f"--result={given.result}"] * bool(given.result)
     rows = [Row(**json.loads(path.read_text())) for path in sorted(work.glob("row_*.json"))]
     content = {
