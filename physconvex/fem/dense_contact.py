@@ -171,7 +171,7 @@ class _Problem:
         moved[active] = np.linalg.solve(matrix, right).reshape(-1, 3)
         return alone - (stiff @ (self.carried @ moved)[:, :, None])[:, :, 0]
 
-    def _on_carriers(self, stiff: np.ndarray) -> tuple[np.ndarray, bsr_matrix]:
+    def _on_carriers(self, stiff: np.ndarray) -> tuple[np.ndarray, csr_matrix]:
         """Which nodes carry pairs that touch, and Bᵀ (1 − D/ρ)⁻¹ D B among them."""
         count = self.carried.shape[1]
         gather, first, second = self._pairs_of_carriers
@@ -183,7 +183,8 @@ class _Problem:
         starts = np.searchsorted(rows, np.arange(touched.sum() + 1))
         blocks = (gather[np.flatnonzero(kept)] @ stiff.reshape(-1, 9)).reshape(-1, 3, 3)
         size = 3 * int(touched.sum())
-        return np.flatnonzero(touched), bsr_matrix((blocks, number[second[kept]], starts), shape=(size, size))
+        own = bsr_matrix((blocks, number[second[kept]], starts), shape=(size, size))
+        return np.flatnonzero(touched), own.tocsr()  # times a dense matrix twice as fast as by blocks
 
     @cached_property
     def _pairs_of_carriers(self) -> tuple[csr_matrix, np.ndarray, np.ndarray]:

@@ -25,13 +25,16 @@ from scipy.spatial.transform import Rotation
 
 from physconvex.contact import Plane, Sphere
 from physconvex.identify.elimination import Elimination
+from physconvex.identify.nuisance import MarginalObservations
 from physconvex.identify.observations import Observations, WrappedObservations
+from physconvex.identify.outlines import with_drawn_outlines
 from physconvex.kabsch import best_rotation
 from physconvex.robust import huber_loss, huber_weights
 
 __all__ = ["DriftingObservations", "first_contact", "likely_drift", "model_drift"]
 
 _TURNS, _SETTLED = 6, 1e-3  # Gauss–Newton steps of the kicks, and the last of them in standard deviations
+_DRAWN = 2  # of these, in which a model's outline is sought anew
 _SHARES = (0.03, 0.1, 0.3, 1.0)  # of the most, tried as q
 _TOUCH = 2e-3  # of the body's size
 
@@ -89,20 +92,17 @@ class DriftingObservations(WrappedObservations):
         self, positions: Float[np.ndarray, "T P 3"], tangents: Float[np.ndarray, "T K P 3"]
     ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
         """Whitened residuals and their derivatives (those of the kicks held fixed)."""
-        fields = self._fields(positions)
-        kicks = self._fitted(positions, fields)
-        count = tangents.shape[1]
-        both = np.concatenate([tangents, fields], axis=1)
-        residuals, jacobian = self.seen.linearise(_moved(positions, fields, kicks), both)
-        straight = residuals - jacobian[:, count:] @ kicks
-        columns = np.hstack([straight[:, None], jacobian[:, :count]])
-        columns = Elimination.of(jacobian[:, count:]).whitened(columns)
+        kicks = self._kicks(positions)
+        fitted = self._fitted(positions, kicks)
+        residuals, jacobian, slopes = self._by_kicks(self.seen, kicks.moved(positions, fitted), kicks, tangents)
+        columns = np.hstack([(residuals - slopes @ fitted)[:, None], jacobian])
+        columns = Elimination.of(slopes).whitened(columns)
         return columns[:, 0], columns[:, 1:]
 
     def drift(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, "T P 3"]:
         """How far the recording has drifted from the model [m]."""
-        fields = self._fields(positions)
-        return _moved(positions, fields, self._fitted(positions, fields)) - positions
+        kicks = self._kicks(positions)
+        return kicks.moved(positions, self._fitted(positions, kicks)) - positions
 
     def carried(
         self, positions: Float[np.ndarray, "F P 3"], others: Float[np.ndarray, "F V 3"]
@@ -117,45 +117,86 @@ class DriftingObservations(WrappedObservations):
         """
         count = int(self.frames.max()) + 1
         seen = positions[:count]
-        kicks = self._fitted(seen, self._fields(seen))
-        return np.asarray(_moved(others, self._fields(positions, others, kicked=count), kicks))
+        fitted = self._fitted(seen, self._kicks(seen))
+        return self._kicks(positions, others, kicked=count).moved(others, fitted)
 
     def log_likelihood(self, positions: Float[np.ndarray, "T P 3"]) -> float:
         """Of the residuals, the kicks integrated out, up to a constant; Huber's loss."""
-        fields = self._fields(positions)
-        kicks = self._fitted(positions, fields)
-        residuals, slopes = self.seen.linearise(_moved(positions, fields, kicks), fields)
+        kicks = self._kicks(positions)
+        fitted = self._fitted(positions, kicks)
+        residuals, _, slopes = self._by_kicks(self.seen, kicks.moved(positions, fitted), kicks)
         loss = huber_loss(residuals, self.robust_scales)
-        return -loss - 0.5 * float(kicks @ kicks) - 0.5 * Elimination.of(slopes).log_determinant
+        return -loss - 0.5 * float(fitted @ fitted) - 0.5 * Elimination.of(slopes).log_determinant
 
-    def _fields(self, positions: np.ndarray, others: np.ndarray | None = None, kicked: int | None = None) -> np.ndarray:
-        """Displacements by the kicks of the first `kicked` frames, each of size q [T, C, P, 3] m; also of others."""
+    def _kicks(self, positions: np.ndarray, others: np.ndarray | None = None, kicked: int | None = None) -> _Kicks:
+        """What the kicks of the first `kicked` frames, each of size q, do to the points, or to others."""
         count, centre = len(positions), positions.mean(axis=1, keepdims=True)
         radius = float(np.sqrt(np.square(positions[0] - centre[0]).sum(-1).mean()))
         arms = (positions if others is None else others) - centre
         ahead = np.arange(count)[:, None] - np.arange(self.begin, kicked or count) + 0.5
-        times = np.where(ahead > 0, ahead, 0.0) * self.interval * self.sigma  # [T, frames with kicks]
         moves = [np.broadcast_to(axis, arms.shape) for axis in np.eye(3)]
         moves += [np.cross(axis, arms) / radius for axis in np.eye(3)]
-        fields = np.einsum("tk,atpi->tkapi", times, np.stack(moves))
-        return fields.reshape(count, -1, *arms.shape[1:])
+        return _Kicks(np.where(ahead > 0, ahead, 0.0) * self.interval * self.sigma, np.stack(moves, axis=1))
 
-    def _fitted(self, positions: np.ndarray, fields: np.ndarray) -> np.ndarray:
-        """The most likely kicks, in units of q."""
-        kicks = np.zeros(fields.shape[1])
-        limits = self.robust_scales
-        for _ in range(_TURNS if len(kicks) else 0):
-            residuals, slopes = self.seen.linearise(_moved(positions, fields, kicks), fields)
+    def _by_kicks(
+        self, seen: Observations, moved: np.ndarray, kicks: _Kicks, tangents: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residuals [N], derivatives by the parameters [N, K] and by the kicks [N, C], at the moved points.
+
+        A residual of one frame feels kicks by what the six rigid motions do to that frame alone; nuisances mix frames.
+        """
+        alone = not isinstance(seen, MarginalObservations)
+        fields = kicks.moves if alone else kicks.fields()
+        both = fields if tangents is None else np.concatenate([tangents, fields], axis=1)
+        residuals, jacobian = seen.linearise(moved, both)
+        by_parameters, by_fields = np.split(jacobian, [both.shape[1] - fields.shape[1]], axis=1)
+        if not alone:
+            return residuals, by_parameters, by_fields
+        slopes = kicks.times[seen.frames][:, :, None] * by_fields[:, None, :]
+        return residuals, by_parameters, slopes.reshape(len(residuals), -1)
+
+    def _fitted(self, positions: np.ndarray, kicks: _Kicks) -> np.ndarray:
+        """The most likely kicks, in units of q; outlines are drawn anew in the first turns only."""
+        found, seen, limits = np.zeros(kicks.count), self.seen, self.robust_scales
+        for turn in range(_TURNS if kicks.count else 0):
+            moved = kicks.moved(positions, found)
+            if turn < _DRAWN:
+                seen = with_drawn_outlines(self.seen, moved)
+            residuals, _, slopes = self._by_kicks(seen, moved, kicks)
             weighted = slopes * huber_weights(residuals, limits)[:, None]
-            change = np.linalg.solve(weighted.T @ slopes + np.eye(len(kicks)), weighted.T @ residuals + kicks)
-            kicks = kicks - change
+            change = np.linalg.solve(weighted.T @ slopes + np.eye(len(found)), weighted.T @ residuals + found)
+            found = found - change
             if np.abs(change).max() < _SETTLED:
                 break
-        return kicks
+        return found
 
 
-def _moved(positions: np.ndarray, fields: np.ndarray, kicks: np.ndarray) -> np.ndarray:
-    return positions + np.einsum("tcpi,c->tpi", fields, kicks)
+@dataclass(frozen=True, eq=False)
+class _Kicks:
+    """Rigid displacements by kicks.
+
+    Attributes:
+        times: what a kick of each frame does to the six rigid motions in each frame, shape [T, C/6].
+        moves: displacements of the points by the six, shape [T, 6, P, 3].
+    """
+
+    times: np.ndarray
+    moves: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """C, of kicks: six in each frame."""
+        return 6 * self.times.shape[1]
+
+    def fields(self) -> Float[np.ndarray, "T C P 3"]:
+        """Displacements by each kick [m]."""
+        fields = self.times[:, :, None, None, None] * self.moves[:, None]
+        return fields.reshape(len(fields), -1, *self.moves.shape[2:])
+
+    def moved(self, points: np.ndarray, kicks: np.ndarray) -> np.ndarray:
+        """The points [T, P, 3] after kicks [C]."""
+        amounts = self.times @ kicks.reshape(-1, 6)  # [T, 6]
+        return np.asarray(points + np.einsum("ta,tapi->tpi", amounts, self.moves))
 
 
 def likely_drift(

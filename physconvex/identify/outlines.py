@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,9 +13,9 @@ from scipy.spatial import cKDTree
 
 from physconvex.camera import Camera
 from physconvex.errors import InputError
-from physconvex.identify.observations import camera_jacobian
+from physconvex.identify.observations import Observations, StackedObservations, WrappedObservations, camera_jacobian
 
-__all__ = ["OutlineObservations", "outline_of_mask"]
+__all__ = ["OutlineObservations", "outline_of_mask", "with_drawn_outlines"]
 
 _SHARES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])  # where a silhouette edge is sampled
 _RIM = 1.6  # pixels inside the model's mask that still count as its outline
@@ -58,6 +59,7 @@ class OutlineObservations:
         frames: frame of each outline point, shape [N].
         sigma: standard deviation [pixels].
         robust_scale: Huber's threshold in standard deviations.
+        drawn: edges [S, 2] and shares [S] of samples of the model's outline by frame, where it is not sought anew.
 
     Raises:
         InputError: no outline point.
@@ -71,6 +73,7 @@ class OutlineObservations:
     frames: Int[np.ndarray, " N"]
     sigma: float = 0.7
     robust_scale: float = 3.0
+    drawn: Mapping[int, tuple[np.ndarray, np.ndarray]] | None = None
 
     def __post_init__(self) -> None:
         if not len(self.pixels):
@@ -121,23 +124,32 @@ class OutlineObservations:
 
     def _matches(self, frame: int, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """For the outline points of a frame: the edges [n, 2] and shares [n] of the model's nearest outline points."""
-        samples, vertices, shares = self._model_outline(x)
+        samples, vertices, shares = self._model_outline(frame, x)
         seen = self.pixels[self.frames == frame]
         if not len(samples):
             return np.zeros((len(seen), 2), dtype=int), np.full(len(seen), np.nan), seen
         _, nearest = cKDTree(samples).query(seen)
         return vertices[nearest], shares[nearest], samples[nearest]
 
-    def _model_outline(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def with_drawn(self, positions: Float[np.ndarray, "T P 3"]) -> OutlineObservations:
+        """The same with the model's outline as it is seen where the vertices are at these positions [m]."""
+        fresh = self if self.drawn is None else replace(self, drawn=None)
+        found = {int(f): fresh._model_outline(int(f), positions[f])[1:] for f in np.unique(self.frames)}
+        return replace(self, drawn=found)
+
+    def _model_outline(self, frame: int, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pixels [S, 2], edges [S, 2] and shares [S] of samples of the model's outline, vertices at x [m]."""
+        if self.drawn is not None:
+            vertices, shares = self.drawn[frame]
+            pixels, _ = self.camera.project(_between(x, vertices, shares))
+            return np.nan_to_num(pixels, nan=1e6), vertices, shares
         corners = x[self.triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         facing = ((self.camera.position - corners[:, 0]) * normals).sum(1) > 0
         edges, owners = self._edges
         edges = edges[facing[owners[:, 0]] != facing[owners[:, 1]]]
         vertices, shares = np.repeat(edges, len(_SHARES), axis=0), np.tile(_SHARES, len(edges))
-        places = (1 - shares[:, None]) * x[vertices[:, 0]] + shares[:, None] * x[vertices[:, 1]]
-        pixels, _ = self.camera.project(places)
+        pixels, _ = self.camera.project(_between(x, vertices, shares))
         rim = self._on_rim(x[self.triangles[facing]], pixels)
         return pixels[rim], vertices[rim], shares[rim]
 
@@ -176,8 +188,28 @@ class OutlineObservations:
             if tangents is None or not known.all():
                 continue
             a, b = vertices.T
-            place = (1 - share[:, None]) * x[a] + share[:, None] * x[b]
+            place = _between(x, vertices, share)
             by_place = np.einsum("nc,nci->ni", normals, np.nan_to_num(camera_jacobian(self.camera, place)))
             moved = (1 - share[:, None]) * tangents[frame][:, a] + share[:, None] * tangents[frame][:, b]
             jacobian[rows] = np.einsum("ni,kni->nk", by_place, moved)
         return residuals, jacobian
+
+
+def _between(x: np.ndarray, edges: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Places [S, 3] at shares [S] of edges [S, 2] between vertices at x."""
+    return np.asarray((1 - shares[:, None]) * x[edges[:, 0]] + shares[:, None] * x[edges[:, 1]])
+
+
+def with_drawn_outlines(seen: Observations, positions: Float[np.ndarray, "T P 3"]) -> Observations:
+    """The observations with the model's outlines as they are at these positions, for small changes of them.
+
+    To find which edges lie on the border of what a camera sees, all triangles are drawn; nothing else takes as long.
+    """
+    if isinstance(seen, OutlineObservations):
+        return seen.with_drawn(positions)
+    if isinstance(seen, StackedObservations):
+        pairs = zip(seen.parts, seen.point_slices, strict=True)
+        return StackedObservations(tuple(with_drawn_outlines(part, positions[:, where]) for part, where in pairs))
+    if isinstance(seen, WrappedObservations):
+        return replace(seen, seen=with_drawn_outlines(seen.seen, positions))
+    return seen
