@@ -45,6 +45,7 @@ FPS, FRAMES, OBSERVED, MARKERS = 48.0, 16, 12, 20
 MODULUS, RATIO, DAMPING = (4.3, 5.7), (0.2, 0.45), (5e-4, 2e-3)
 BAR, BLOCK = (0.3, 0.1, 0.1), (0.2, 0.15, 0.12)
 CELLS = {"bar": ((5, 2, 2), (12, 4, 4)), "block": ((3, 2, 2), (8, 6, 5))}  # of the model, of the truth
+COARSE = {"bar": ((3, 1, 1), (12, 4, 4))}  # the truth's cells half as long as the finer model's
 TRUE_STEPS = {"bar": 16, "block": 32}  # per frame; 8 and 16 of the model
 FLOOR = Floor(np.zeros(3), np.array([0.12, 0.06, 1.0]), friction=0.4)
 OPTIONS = RefineOptions(weights=6, max_nodes=2000, start="scan")
@@ -261,10 +262,13 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=6)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--scene", choices=("bar", "block"), help="that one alone")
+    parser.add_argument("--coarse", action="store_true", help="bars of fewer cells: a truth that is much finer")
     parser.add_argument("--noise", type=float, default=2e-4)
     parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "refine_accuracy")
     parser.add_argument("--result", default="", help="added to the name of the stored table")
     given = parser.parse_args()
+    if given.coarse:
+        CELLS.update(COARSE)
     name = f"{1e3 * given.noise:g}mm"
     work = given.work / name
     work.mkdir(parents=True, exist_ok=True)
@@ -274,6 +278,7 @@ def main() -> None:
             kept.write_text(json.dumps(asdict(measure(work, case, given.noise))))
             print(kept.read_text(), flush=True)
     told = [f"--first={given.first}"] * bool(given.first) + [f"--cases={given.cases}", f"--noise={given.noise:g}"]
+    told += ["--coarse"] * given.coarse
     told += [f"--scene={given.scene}"] * bool(given.scene) + [f"--result={given.result}"] * bool(given.result)
     rows = [Row(**json.loads(path.read_text())) for path in sorted(work.glob("row_*.json"))]
     content = {

@@ -3,8 +3,8 @@
 python benchmarks/refine_time.py --capture examples/captures/school_bus
 
 Everything `physconvex refine` does is made anew, convex field included, but for the files it writes. A stage's seconds
-last until the next one begins. Beside the clock stands the processor time of all threads and processes: where it is
-well below what the clock says times the cores used, the machine was shared.
+last until the next one begins. Beside the clock stands the processor time of all threads, that of other processes in the
+last stage and in the sum: where it is well below what the clock says times the cores used, the machine was shared.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from typing import Any
 
 import torch
 
-import physconvex.identify.model as model
 from inference.refining import Refinement, RefineOptions, refine
+from physconvex.crew import Crew
+from physconvex.identify.roll_outs import RollOut
 
 RESULT = Path(__file__).parent / "results" / "refine_time.json"
 TRUTHS = {"school_bus": {"log10_youngs_modulus": 5.3, "poisson_ratio": 0.4, "damping_time": 1e-3}}
@@ -31,7 +32,7 @@ TRUTHS = {"school_bus": {"log10_youngs_modulus": 5.3, "poisson_ratio": 0.4, "dam
 
 @dataclass
 class Stage:
-    """Seconds by the clock and of the processor until the next stage begins; roll-outs by nodes and steps."""
+    """Seconds by the clock and of this process until the next stage begins; roll-outs by nodes and steps."""
 
     name: str
     wall_seconds: float = 0.0
@@ -61,20 +62,22 @@ class Watch:
         stage.roll_out_seconds = round(stage.roll_out_seconds, 1)
         self._began = now
 
-    def counted(self, simulate: Any) -> Any:
-        """The roll-out, counted."""
+    def counted(self, run: Any) -> Any:
+        """The crew's method, its jobs counted."""
 
-        def run(scene: Any, *args: Any, **options: Any) -> Any:
-            nodes, steps = len(scene.body.mesh.vertices), options["steps_per_frame"]
-            clock = _processor()
-            try:
-                return simulate(scene, *args, **options)
-            finally:
-                stage, kind = self.stages[-1], f"{nodes} nodes, {options['frames']} x {steps} steps"
+        def counting(crew: Crew, function: Any, jobs: list[RollOut]) -> Any:
+            stage = self.stages[-1]
+            for job in jobs:
+                kind = f"{len(job.scene.body.mesh.vertices)} nodes, "
+                kind += f"{job.timing['frames']} x {job.timing['steps_per_frame']} steps"
                 stage.roll_outs[kind] = stage.roll_outs.get(kind, 0) + 1
-                stage.roll_out_seconds += _processor() - clock
+            clock = time.perf_counter()
+            try:
+                return run(crew, function, jobs)
+            finally:
+                stage.roll_out_seconds += time.perf_counter() - clock
 
-        return run
+        return counting
 
 
 def _processor() -> float:
@@ -102,19 +105,21 @@ def main() -> None:
     """Refine, and store the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--capture", type=Path, default=Path("examples/captures/school_bus"))
+    parser.add_argument("--processes", type=int, default=1, help="roll-outs made at once")
     parser.add_argument("--threads", type=int, default=1, help="of torch")
     parser.add_argument("--note", default="", help="what else the machine did")
     parser.add_argument("--result", type=Path, default=RESULT)
     given = parser.parse_args()
     torch.set_num_threads(given.threads)
     watch = Watch()
-    for name in ("simulate_full", "full_with_sensitivities"):
-        setattr(model, name, watch.counted(getattr(model, name)))
+    Crew.run = watch.counted(Crew.run)  # type: ignore[method-assign]
     with tempfile.TemporaryDirectory() as out:
-        found = refine(given.capture, out=out, options=RefineOptions(), on_stage=watch)
+        options = RefineOptions(processes=given.processes)
+        found = refine(given.capture, out=out, options=options, on_stage=watch)
     watch.close()
     content = {
-        "command": f"python benchmarks/refine_time.py --capture {given.capture} --threads {given.threads}",
+        "command": f"python benchmarks/refine_time.py --capture {given.capture} --processes {given.processes} "
+        f"--threads {given.threads}",
         "machine": f"{os.cpu_count()} cores, {platform.machine()}; {given.note or 'nothing else ran'}",
     }
     content |= row_of(found, TRUTHS.get(given.capture.name, {}), watch)

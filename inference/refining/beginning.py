@@ -14,13 +14,13 @@ from inference.refining.problem import Problem
 from inference.refining.stages import Stages
 from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError
-from physconvex.identify import Fit, FitOptions, FullModel, RollOuts, fit_full
+from physconvex.identify import Fit, FitOptions, FullModel, RollOuts, fit_full, roll_out_together
 from physconvex.identify.correction import misfit_of
 from physconvex.identify.twin import coarse_mesh
 
 __all__ = ["START_OPTIONS", "Beginning"]
 
-START_OPTIONS = FitOptions(relative_tolerance=1e-3, absolute_tolerance=0.1, max_step=1.5)
+START_OPTIONS = FitOptions(relative_tolerance=1e-3, absolute_tolerance=0.1, max_step=1.5, fresh_end=False)
 _RUNS = 6
 _FEW = 0.7  # of the nodes: a mesh with more of them is hardly cheaper
 
@@ -94,6 +94,7 @@ class Beginning:
         limit = problem.drift_limit
         drifting = None if limit is None else problem.drifting(limit[1])
         out = np.full(len(candidates), np.inf)
+        roll_out_together((model, values) for values in candidates)
         for number, values in enumerate(candidates):
             try:
                 at = model.positions(values)

@@ -62,6 +62,7 @@ def refine(
     field: has.Field = True,
     field_file: has.FieldFile = None,
     field_steps: has.FieldSteps = 150,
+    processes: has.Processes = None,
     pictures: has.Pictures = True,
     as_json: has.Json = False,
     no_progress: has.NoProgress = False,
@@ -100,6 +101,7 @@ def refine(
         field_steps=field_steps,
         nuisance=Nuisance(camera_rotation, camera_position, time_offset),
         checkpoint=checkpoint,
+        processes=processes,
     )
 
     def say(stage: str, stored: bool) -> None:

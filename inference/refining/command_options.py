@@ -34,6 +34,7 @@ __all__ = [
     "Outlines",
     "Pictures",
     "Prior",
+    "Processes",
     "Start",
     "StepsPerFrame",
     "TimeOffset",
@@ -142,6 +143,10 @@ FieldFile = Annotated[
     str | None, typer.Option(help="A field (PLY) of the body at rest, in place of that.", rich_help_panel=_RESULT)
 ]
 FieldSteps = Annotated[int, typer.Option(help="Steps of the field's fit.", rich_help_panel=_RESULT)]
+Processes = Annotated[
+    int | None,
+    typer.Option(help="Roll-outs made at once; as many as there are cores unless given.", rich_help_panel=_RESULT),
+]
 Pictures = Annotated[bool, typer.Option(help="Write fit.png and side_by_side.mp4.", rich_help_panel=_RESULT)]
 Json = Annotated[
     bool, typer.Option("--json", help="Print refinement.json to standard output, alone.", rich_help_panel=_RESULT)

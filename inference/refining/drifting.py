@@ -10,7 +10,15 @@ from inference.refining.problem import Problem
 from inference.refining.result import RefinedMotion, RigidDrift
 from inference.refining.stages import Stages
 from physconvex.fem import Embedding
-from physconvex.identify import DriftingObservations, Fit, FullModel, first_contact, likely_drift, model_drift
+from physconvex.identify import (
+    DriftingObservations,
+    Fit,
+    FullModel,
+    first_contact,
+    likely_drift,
+    model_drift,
+    roll_out_together,
+)
 
 __all__ = ["drift_of", "followed_motion", "with_drift", "with_drift_limit"]
 
@@ -31,6 +39,7 @@ def with_drift_limit(problem: Problem, model: FullModel, other: FullModel, found
     points = problem.twin.mesh.vertices if problem.surface is None else problem.surface.points
 
     def compute() -> dict[str, np.ndarray]:
+        roll_out_together((m, found.values) for m in (model, other))
         one, another = (replace(m, points=points).positions(found.values) for m in (model, other))
         scene, interval = problem.twin.scene, 1 / problem.twin.fps
         begin = first_contact(one, scene.obstacles, interval * np.arange(len(one)), scene.gravity)
@@ -58,7 +67,7 @@ def with_drift(problem: Problem, model: FullModel, found: Fit, stages: Stages, n
     begin, most = problem.drift_limit
 
     def compute() -> dict[str, np.ndarray]:
-        at = model.linearise(found.values)[0]  # the search that comes next wants these derivatives too
+        at = model.begun(found.values)
         likely = likely_drift(plain.undrifted, at, begin, 1 / plain.twin.fps, most=most)
         return {"sigma": np.array(0.0 if likely is None else likely.sigma)}
 

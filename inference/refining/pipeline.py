@@ -25,6 +25,7 @@ from inference.refining.result import Refinement
 from inference.refining.searching import ReducedSearch, started_from
 from inference.refining.stages import Stages, key_of
 from physconvex.capture import Capture, load_capture
+from physconvex.crew import Crew
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import SurfacePoints
 from physconvex.identify import (
@@ -45,6 +46,7 @@ from physconvex.identify import (
     frame_errors,
     identifiability,
     noise_covariance,
+    roll_out_together,
 )
 from physconvex.identify.full_fit import FULL_OPTIONS
 from physconvex.identify.nuisance import MarginalObservations
@@ -87,21 +89,23 @@ def refine(
         start = {"log10_youngs_modulus": math.log10(initial.youngs_modulus), "poisson_ratio": initial.poisson_ratio}
         options = replace(options, initial={**start, **options.initial})
     capture = load_capture(Path(path))
-    run = _Run(capture, options, Stages(None if out is None else Path(out), _key(capture, options), on_stage))
-    return run.refine()
+    stages = Stages(None if out is None else Path(out), _key(capture, options), on_stage)
+    with Crew(options.processes) as crew:
+        return _Run(capture, options, stages, crew).refine()
 
 
 def _key(capture: Capture, options: RefineOptions) -> str:
-    return key_of(capture.folder, options.as_json())
+    settings = {name: value for name, value in options.as_json().items() if name != "processes"}
+    return key_of(capture.folder, settings)
 
 
 class _Run:
-    def __init__(self, capture: Capture, options: RefineOptions, stages: Stages) -> None:
+    def __init__(self, capture: Capture, options: RefineOptions, stages: Stages, crew: Crew) -> None:
         self.capture, self.options, self.stages = capture, options, stages
         self.warnings: list[str] = []
         self.search = ReducedSearch(capture, options, stages, self.warnings)
         self.start_model: FullModel | None = None  # what the points are followed again by
-        self.memory = RollOuts()
+        self.memory = RollOuts(crew=crew)
 
     def refine(self) -> Refinement:
         problem = self._problem()
@@ -205,9 +209,12 @@ class _Run:
 
         def compute() -> Arrays:
             full = problem.full(self.memory)
-            here = full.linearise(start.values)[0]  # the search begins with these derivatives
             mesh = finer_mesh(problem.twin) if coarse.mesh is None else coarse.mesh
-            there = here if mesh is None else replace(full, mesh=mesh).positions(start.values)
+            other = full if mesh is None else replace(full, mesh=mesh)
+            if full.differenced:  # the search begins with these derivatives
+                values = (start.values, *full.beside(start.values))
+                roll_out_together([*((full, v) for v in values), (other, start.values)])
+            here, there = full.begun(start.values), other.positions(start.values)
             return {"errors": _LEFT * frame_errors(problem.seen, here, there)}
 
         try:
@@ -262,9 +269,17 @@ class _Run:
                 found = fit_of(self.stages.run(f"colours_{blur:g}", compute), problem.parameters)
             except ConvergenceError as error:
                 self.warnings.append(f"Colours were not compared: the model failed ({error}).")
-                return kept, found
+                return kept, self._with_fresh_derivatives(kept, found)
             kept = trial
         return kept, found
+
+    def _with_fresh_derivatives(self, problem: Problem, found: Fit) -> Fit:
+        """The fit after which another should have come."""
+        if not self.options.own_derivatives:
+            return found
+        model, start = problem.full(self.memory), started_from(problem.parameters, found)
+        last = fit(model, problem.weighted, start, options=replace(FULL_OPTIONS, max_iterations=1))
+        return replace(last, history=found.history, converged=found.converged)
 
     def _result(
         self, problem: Problem, start: Fit, final: Fit, arrays: dict[str, np.ndarray], converged: bool

@@ -14,7 +14,7 @@ from physconvex.identify.finer import FinerFit, fit_finer
 from physconvex.identify.full_fit import fit_full
 from physconvex.identify.held_region import HeldRegion
 from physconvex.identify.levenberg_marquardt import Fit, FitOptions, Iteration, fit
-from physconvex.identify.model import FullModel, LinearModel, Model, ReducedModel, RollOuts
+from physconvex.identify.model import FullModel, LinearModel, Model, ReducedModel, roll_out_together
 from physconvex.identify.observations import (
     MarkerObservations,
     Observations,
@@ -23,6 +23,7 @@ from physconvex.identify.observations import (
     camera_jacobian,
 )
 from physconvex.identify.parameters import Parameter, default_parameter
+from physconvex.identify.roll_outs import RollOuts
 from physconvex.identify.scan import Candidate, scan, scan_values
 from physconvex.identify.setup import default_parameters, marker_observations
 from physconvex.identify.twin import Twin, TwinOptions, base_twin, mesh_of_capture
@@ -84,6 +85,7 @@ __all__ = [
     "noise_covariance",
     "parameter_shift",
     "parameter_shifts",
+    "roll_out_together",
     "scan",
     "scan_values",
 ]

@@ -24,6 +24,7 @@ from physconvex.identify.levenberg_marquardt import Fit, FitOptions, fit
 from physconvex.identify.model import Model
 from physconvex.identify.observations import MarkerObservations, Observations
 from physconvex.identify.parameters import Parameter, lower_bounds, step_scales, upper_bounds
+from physconvex.identify.secants import broyden_update
 from physconvex.identify.uncertainty import noise_covariance
 from physconvex.robust import huber_loss
 
@@ -150,7 +151,7 @@ def correct(
             continue
         shift = exact - model.positions(values)
         if previous is not None:
-            slope = _broyden(slope, previous, values, shift, scales)
+            slope = broyden_update(slope, values - previous[0], shift - previous[1], scales)
         previous = (values, shift)
         misfit = misfit_of(observations, exact) + prior(values)
         runs.append(FullRun(values, misfit, float(np.sqrt(np.square(shift).sum(-1).mean()))))
@@ -218,22 +219,6 @@ def _refit(
 def _no_slope(start: Fit) -> np.ndarray:
     frames, points, _ = start.positions.shape
     return np.zeros((frames, len(start.values), points, 3))
-
-
-def _broyden(
-    slope: np.ndarray,
-    previous: tuple[np.ndarray, np.ndarray],
-    values: np.ndarray,
-    shift: np.ndarray,
-    scales: np.ndarray,
-) -> np.ndarray:
-    """Least change of the slope that explains the last two shifts (steps in typical lengths)."""
-    step = (values - previous[0]) / scales
-    square = float(step @ step)
-    if square < 1e-8:
-        return slope
-    unexplained = shift - previous[1] - np.einsum("tkpi,k->tpi", slope, values - previous[0])
-    return slope + unexplained[:, None] * (step / scales / square)[None, :, None, None]
 
 
 def misfit_of(observations: Observations, positions: Float[np.ndarray, "T P 3"]) -> float:

@@ -3,10 +3,9 @@
     x(p) ≈ x_coarse(p) + [x_fine(p₀) − x_coarse(p₀)] + 4/3 [x_half(p₀) − x_coarse(p₀)],
 
 fitted from p₀ and again from where that ends, with the derivatives at p₀. The time step is extrapolated (BDF2 is of
-second order); the mesh is not, since corners of a clamp and contact spoil its order. What is left is taken as a third of
-the step's difference and a share of the mesh's (`mesh_share`). Its effect on a parameter is Σ_t g_t with g_t the
-first-order shift by frame t; as the error of one frame says little of the next one's after an impact, √Σ g_t² is taken
-where it is larger.
+second order); the mesh is not, since corners of a clamp and contact spoil its order. What is left is taken as half of
+the mesh's difference and a third of the step's. Its effect on a parameter is Σ_t g_t with g_t the first-order shift by
+frame t; as the error of one frame says little of the next one's after an impact, √Σ g_t² is taken where it is larger.
 """
 
 from __future__ import annotations
@@ -20,18 +19,17 @@ from physconvex.fem import TetMesh
 from physconvex.identify.correction import parameter_shifts
 from physconvex.identify.full_fit import FULL_OPTIONS
 from physconvex.identify.levenberg_marquardt import Fit, fit
-from physconvex.identify.model import FullModel, LinearModel, Model
+from physconvex.identify.model import FullModel, LinearModel, Model, roll_out_together
 from physconvex.identify.observations import Observations
 from physconvex.identify.parameters import Parameter
 from physconvex.identify.uncertainty import noise_covariance
 from physconvex.identify.weighting import WeightedObservations, frame_errors
 
-__all__ = ["FinerFit", "fit_finer", "mesh_share"]
+__all__ = ["FinerFit", "fit_finer"]
 
 _EXTRAPOLATED = 4.0 / 3.0
-_STEP_LEFT = 1.0 / 3.0
-_MESH_LEFT = 0.5  # where nobody knows how meshes converge
-_HALVED_LEFT = 1.0 / (2.0**3 - 1.0)  # Richardson: displacements of quadratic elements are of third order
+# of the mesh's difference: clamped bars of quadratic elements, halved twice, leave .37 to .54 (benchmarks/mesh_order.py)
+_MESH_LEFT, _STEP_LEFT = 0.5, 1.0 / 3.0
 _SETTLED = 0.3  # of a standard deviation
 _FAR = 0.2  # typical steps
 _BELIEVED = 1.0  # typical steps
@@ -78,12 +76,12 @@ def fit_finer(
     Raises:
         ConvergenceError: a finer model fails.
     """
-    finest, share = replace(coarse, mesh=coarse.mesh if mesh is None else mesh), mesh_share(coarse, mesh)
+    finest = replace(coarse, mesh=coarse.mesh if mesh is None else mesh)
     scales = np.array([p.step for p in found.parameters])
     values, last, there = found.values, found, None
     for _ in range(turns):
         if there is None or (np.abs(values - there.anchor) > _FAR * scales).any():
-            there = _differences(cheap, coarse, finest, observations, values, share)
+            there = _differences(cheap, coarse, finest, observations, values)
             best = there.finest
         else:
             best = finest.positions(values)
@@ -95,23 +93,8 @@ def fit_finer(
         if (moved <= _SETTLED * np.sqrt(np.diag(noise_covariance(last)))).all():
             break
     assert there is not None
-    left = np.hypot(share * there.effect(last, there.by_mesh), _STEP_LEFT * there.effect(last, there.by_step))
+    left = np.hypot(_MESH_LEFT * there.effect(last, there.by_mesh), _STEP_LEFT * there.effect(last, there.by_step))
     return FinerFit(last, left, there.errors)
-
-
-def mesh_share(coarse: FullModel, mesh: TetMesh | None) -> float:
-    """What a finer mesh still errs by, as a share of what it differs from the coarse one by.
-
-    A seventh where nothing can be struck and all edges are halved, since errors then shrink eightfold; else a half: after
-    an impact, and between meshes made apart, no order is known.
-
-    Args:
-        coarse: the full model.
-        mesh: the finer mesh.
-    """
-    own = coarse.twin.mesh if coarse.mesh is None else coarse.mesh
-    halved = mesh is not None and len(mesh.tets) == 8 * len(own.tets)
-    return _HALVED_LEFT if halved and not coarse.twin.scene.obstacles else _MESH_LEFT
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,19 +127,16 @@ def _near(parameter: Parameter) -> Parameter:
 
 
 def _differences(
-    cheap: Model,
-    coarse: FullModel,
-    finest: FullModel,
-    observations: Observations,
-    values: np.ndarray,
-    share: float,
+    cheap: Model, coarse: FullModel, finest: FullModel, observations: Observations, values: np.ndarray
 ) -> _Differences:
+    half = replace(coarse, refinement=2 * coarse.refinement)
+    beside = coarse.beside(values) if cheap is coarse and coarse.differenced else []
+    roll_out_together([(finest, values), (half, values), (coarse, values), *((coarse, v) for v in beside)])
     tangents = cheap.linearise(values)[1]
     x = coarse.positions(values)
-    by_mesh = finest.positions(values) - x
-    by_step = replace(coarse, refinement=2 * coarse.refinement).positions(values) - x
+    by_mesh, by_step = finest.positions(values) - x, half.positions(values) - x
     errors = np.hypot(
-        share * frame_errors(observations, x + by_mesh, x),
+        _MESH_LEFT * frame_errors(observations, x + by_mesh, x),
         _STEP_LEFT * frame_errors(observations, x + by_step, x),
     )
     return _Differences(

@@ -15,7 +15,7 @@ import numpy as np
 from physconvex.errors import ConvergenceError
 from physconvex.identify.correction import FAR, Correction, FullRun, misfit_of
 from physconvex.identify.levenberg_marquardt import Fit, FitOptions, Iteration, fit
-from physconvex.identify.model import Model
+from physconvex.identify.model import FullModel, Model
 from physconvex.identify.observations import Observations
 from physconvex.identify.parameters import Parameter
 
@@ -80,9 +80,10 @@ def _start(
 
 
 def _first(full: Model, parameters: tuple[Parameter, ...]) -> np.ndarray | None:
-    """With derivatives, which the search wants next if it begins here."""
+    """With derivatives, which the search wants next if it begins here, where they come with the positions."""
+    values = np.array([p.start for p in parameters])
     try:
-        return full.linearise(np.array([p.start for p in parameters]))[0]
+        return full.begun(values) if isinstance(full, FullModel) else full.linearise(values)[0]
     except ConvergenceError:
         return None
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -12,18 +12,18 @@ from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import Scene
-from physconvex.fem import simulate as simulate_full
 from physconvex.fem import simulate_with_sensitivities as full_with_sensitivities
 from physconvex.fem.carried_contact import SurfacePoints
 from physconvex.fem.embedding import Embedding
 from physconvex.fem.mesh import TetMesh
-from physconvex.fem.sensitivity import SensitiveTrajectory
-from physconvex.fem.simulation import ContactSolver, Trajectory
+from physconvex.fem.simulation import ContactSolver
 from physconvex.identify.parameters import default_parameter, lower_bounds, step_scales, upper_bounds
+from physconvex.identify.roll_outs import RollOut, RollOuts, Tangents
+from physconvex.identify.secants import broyden_update
 from physconvex.identify.twin import Twin
 from physconvex.reduced import simulate, simulate_with_sensitivities
 
-__all__ = ["FullModel", "LinearModel", "Model", "ReducedModel", "RollOuts"]
+__all__ = ["FollowingModel", "FullModel", "LinearModel", "Model", "ReducedModel", "roll_out_together"]
 
 _DIFFERENCE = 1e-6  # of a typical step: half width of the central differences of gradients
 # of a typical step, of whole roll-outs; friction by passes makes them rough at smaller scales
@@ -45,6 +45,25 @@ class Model(Protocol):
         self, values: Float[np.ndarray, " K"]
     ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
         """Positions and their derivatives by the parameters."""
+
+
+@runtime_checkable
+class FollowingModel(Model, Protocol):
+    """A model whose derivatives cost much more than its positions, and may be carried on from place to place."""
+
+    @property
+    def differenced(self) -> bool:
+        """Whether they do."""
+
+    def known(
+        self, values: Float[np.ndarray, " K"]
+    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"], bool] | None:
+        """Positions, derivatives and whether these are fresh, if some are known there."""
+
+    def followed(
+        self, values: Float[np.ndarray, " K"], last: Float[np.ndarray, " K"]
+    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
+        """Positions, and derivatives carried on from those known at the last values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,31 +105,6 @@ class ReducedModel:
         return self._shapes @ run.trajectory.coordinates, self._shapes @ run.coordinate_tangents
 
 
-class RollOuts:
-    """The last roll-outs of full models, so that a fit which begins where another one has ended need not make it again.
-
-    Args:
-        most: how many are kept.
-    """
-
-    def __init__(self, most: int = 6) -> None:
-        self.most = most
-        self._kept: dict[Hashable, SensitiveTrajectory] = {}
-
-    def find(self, key: Hashable) -> SensitiveTrajectory | None:
-        """A linearised roll-out that is kept."""
-        return self._kept.get(key)
-
-    def get(self, key: Hashable, compute: Callable[[], SensitiveTrajectory]) -> SensitiveTrajectory:
-        """The same, made and kept if it is not there."""
-        if key not in self._kept:
-            made = compute()
-            while len(self._kept) >= self.most:
-                self._kept.pop(next(iter(self._kept)))
-            self._kept[key] = made
-        return self._kept[key]
-
-
 @dataclass(frozen=True, eq=False)
 class FullModel:
     """The full-order finite elements as a model.
@@ -123,7 +117,7 @@ class FullModel:
         mesh: another mesh of the same geometry; the twin's own unless given.
         refinement: factor on the number of time steps.
         surface: points at which obstacles act, in the place of the boundary's nodes.
-        memory: of the last linearised roll-outs; may be shared among models.
+        memory: of the last roll-outs; may be shared among models.
     """
 
     twin: Twin
@@ -139,10 +133,14 @@ class FullModel:
     def _embedding(self) -> Embedding:
         return Embedding.of_points(self.twin.mesh if self.mesh is None else self.mesh, self.points)
 
+    @property
+    def differenced(self) -> bool:
+        """Whether derivatives are differences of whole roll-outs, and so cost one more for each parameter."""
+        return bool(self.twin.scene.obstacles)
+
     def node_positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T V 3"]:
         """Positions of the nodes of the mesh at the frames [m]."""
-        kept = self.memory.find(self._key(values))
-        return (self._run(values) if kept is None else kept.trajectory).positions
+        return self.memory.positions(self.key(values), lambda: self.roll_out(values))
 
     def scene(self, values: Float[np.ndarray, " K"]) -> Scene:
         """The scene with the parameters set."""
@@ -156,14 +154,16 @@ class FullModel:
         damped = scene.contact_damping > 0 or "contact_damping" in self.names
         return "condensed" if scene.obstacles and not damped else "passes"
 
-    def _run(self, values: np.ndarray) -> Trajectory:
-        return simulate_full(self.scene(values), **self._timing(), contact_solver=self._solver)
+    def roll_out(self, values: Float[np.ndarray, " K"]) -> RollOut:
+        """What is to be simulated."""
+        return RollOut(self.scene(values), self._timing(), self._solver)
 
     def _timing(self) -> dict[str, Any]:
         timing = self.twin.timing(self.frames)
         return timing | {"steps_per_frame": timing["steps_per_frame"] * self.refinement}
 
-    def _key(self, values: np.ndarray) -> Hashable:
+    def key(self, values: Float[np.ndarray, " K"]) -> Hashable:
+        """By which the memory knows a roll-out."""
         grid = id(self.twin.mesh if self.mesh is None else self.mesh)
         how = (self.refinement, self.frames, id(self.surface))
         return (self.twin, grid, self.names, *how, np.asarray(values, dtype=np.float64).tobytes())
@@ -171,6 +171,10 @@ class FullModel:
     def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
         """Positions of the points at the frames [m]."""
         return self._embedding.apply(self.node_positions(values))
+
+    def begun(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
+        """The same where a search is about to begin: with derivatives, where they are cheap only together."""
+        return self.positions(values) if self.differenced else self.linearise(values)[0]
 
     def linearise(
         self, values: Float[np.ndarray, " K"]
@@ -182,36 +186,77 @@ class FullModel:
         over which condensed contact is straight; P + 1 such roll-outs cost about as much as one with derivatives, which
         needs friction by passes.
         """
-        run = self.memory.get(self._key(values), lambda: self._linearised(values))
-        return self._embedding.apply(run.trajectory.positions), self._embedding.apply(run.position_tangents)
+        known = self.memory.tangents(self.key(values))
+        if known is None or not known.fresh:
+            known = Tangents(self._differences(values) if self.differenced else self._sensitivities(values), fresh=True)
+            self.memory.keep_tangents(self.key(values), known)
+        return self.positions(values), self._embedding.apply(known.values)
 
-    def _linearised(self, values: np.ndarray) -> SensitiveTrajectory:
+    def known(
+        self, values: Float[np.ndarray, " K"]
+    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"], bool] | None:
+        """Positions, the derivatives that are in memory, and whether these are fresh; None where there are none."""
+        known = self.memory.tangents(self.key(values))
+        return None if known is None else (self.positions(values), self._embedding.apply(known.values), known.fresh)
+
+    def followed(
+        self, values: Float[np.ndarray, " K"], last: Float[np.ndarray, " K"]
+    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
+        """Positions by one roll-out, and the derivatives known at the last values, changed by Broyden's update.
+
+        Raises:
+            ConvergenceError: the roll-out fails.
+        """
+        before = self.memory.tangents(self.key(last))
+        assert before is not None
+        change = self.node_positions(values) - self.node_positions(last)
+        scales = step_scales([default_parameter(name) for name in self.names])
+        updated = Tangents(broyden_update(before.values, values - last, change, scales), fresh=False)
+        self.memory.keep_tangents(self.key(values), updated)
+        return self.positions(values), self._embedding.apply(updated.values)
+
+    def _usual(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Typical steps and bounds."""
         usual = [default_parameter(name) for name in self.names]
-        steps, lower, upper = step_scales(usual), lower_bounds(usual), upper_bounds(usual)
-        if self.twin.scene.obstacles:
-            return self._differenced(values, _WHOLE_DIFFERENCE[self._solver] * steps, lower, upper)
-        return full_with_sensitivities(
+        return step_scales(usual), lower_bounds(usual), upper_bounds(usual)
+
+    def _sensitivities(self, values: np.ndarray) -> np.ndarray:
+        steps, lower, upper = self._usual()
+        found = full_with_sensitivities(
             self.scene, values, steps=_DIFFERENCE * steps, lower=lower, upper=upper, **self._timing()
         )
+        self.memory.keep(self.key(values), found.trajectory.positions)
+        return found.position_tangents
 
-    def _differenced(
-        self, values: np.ndarray, steps: np.ndarray, lower: np.ndarray, upper: np.ndarray
-    ) -> SensitiveTrajectory:
-        """Differences of whole roll-outs, upwards unless a bound or a failure is in the way."""
-        base = self._run(values)
+    def beside(self, values: Float[np.ndarray, " K"]) -> list[Float[np.ndarray, " K"]]:
+        """Values of the roll-outs whose differences are the derivatives: upwards, unless a bound is in the way."""
+        steps, _, upper = self._usual()
+        changes = np.diag(_WHOLE_DIFFERENCE[self._solver] * steps)
+        return [values + c if (values + c <= upper).all() else values - c for c in changes]
+
+    def _differences(self, values: np.ndarray) -> np.ndarray:
+        moved = self.beside(values)
+        roll_out_together((self, v) for v in (values, *moved))
+        base, lower = self.node_positions(values), self._usual()[1]
         tangents = []
-        for place, step in enumerate(steps):
-            change = np.zeros(len(values))
-            change[place] = step if values[place] + step <= upper[place] else -step
+        for place, trial in enumerate(moved):
             try:
-                moved = self._run(values + change)
+                there = self.node_positions(trial)
             except ConvergenceError:
-                change = -change
-                if values[place] + change[place] < lower[place]:
+                trial = 2 * values - trial
+                if trial[place] < lower[place]:
                     raise
-                moved = self._run(values + change)
-            tangents.append((moved.positions - base.positions) / change[place])
-        return SensitiveTrajectory(base, np.stack(tangents, axis=1))
+                there = self.node_positions(trial)
+            tangents.append((there - base) / (trial - values)[place])
+        return np.stack(tangents, axis=1)
+
+
+def roll_out_together(wanted: Iterable[tuple[FullModel, Float[np.ndarray, " K"]]]) -> None:
+    """Have roll-outs made that are wanted next; the models share a memory. What fails is told when it is asked for."""
+    wanted = list(wanted)
+    if wanted:
+        jobs = {model.key(values): partial(model.roll_out, values) for model, values in wanted}
+        wanted[0][0].memory.prepare(jobs)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,32 @@
+"""Derivatives carried on from place to place by what the function itself has done (Broyden 1965)."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+__all__ = ["broyden_update"]
+
+_STILL = 1e-8  # square of a step, in typical ones, that tells nothing
+
+
+def broyden_update(
+    slope: Float[np.ndarray, "T K P 3"],
+    step: Float[np.ndarray, " K"],
+    change: Float[np.ndarray, "T P 3"],
+    scales: Float[np.ndarray, " K"],
+) -> Float[np.ndarray, "T K P 3"]:
+    """The slope nearest to the given one, steps in typical lengths, that explains a change.
+
+    Args:
+        slope: D.
+        step: Δp.
+        change: what the function changed by.
+        scales: typical lengths of the K steps.
+    """
+    scaled = step / scales
+    square = float(scaled @ scaled)
+    if square < _STILL:
+        return slope
+    unexplained = change - np.einsum("tkpi,k->tpi", slope, step)
+    return np.asarray(slope + unexplained[:, None] * (scaled / scales / square)[None, :, None, None])
