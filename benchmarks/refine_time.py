@@ -65,7 +65,7 @@ class Watch:
     def counted(self, run: Any) -> Any:
         """The crew's method, its jobs counted."""
 
-        def counting(crew: Crew, function: Any, jobs: list[RollOut]) -> Any:
+        def counting(crew: Crew, function: Any, jobs: list[RollOut], **options: Any) -> Any:
             stage = self.stages[-1]
             for job in jobs:
                 kind = f"{len(job.scene.body.mesh.vertices)} nodes, "
@@ -73,7 +73,7 @@ class Watch:
                 stage.roll_outs[kind] = stage.roll_outs.get(kind, 0) + 1
             clock = time.perf_counter()
             try:
-                return run(crew, function, jobs)
+                return run(crew, function, jobs, **options)
             finally:
                 stage.roll_out_seconds += time.perf_counter() - clock
 

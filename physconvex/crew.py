@@ -9,6 +9,7 @@ started, or dies, its jobs are done here.
 from __future__ import annotations
 
 import os
+import pickle  # as it is: a pipe's own `send` would share the memory of torch's tensors
 import signal
 import subprocess
 import sys
@@ -62,14 +63,19 @@ class Crew:
         while self._workers:
             self._workers.pop().end()
 
-    def run(self, function: Callable[[Job], Result], jobs: Sequence[Job]) -> list[Result | PhysconvexError]:
+    def run(
+        self, function: Callable[[Job], Result], jobs: Sequence[Job], *, at_once: bool = True
+    ) -> list[Result | PhysconvexError]:
         """What the function gives for each job, or the error of this package that it raised; all others are raised.
 
         Args:
             function: of a module, which workers import.
             jobs: must be picklable; so must the results.
+            at_once: without it, one after the other in this process.
         """
-        self._grow(min(self.size, len(jobs)) - 1)
+        at_once = at_once and len(jobs) > 1
+        if at_once:
+            self._grow(min(self.size, len(jobs)) - 1)
         left, done = deque(enumerate(jobs)), {}
         given_back: list[tuple[int, Job]] = []
 
@@ -82,7 +88,8 @@ class Crew:
                     worker.dead = True
                     return
 
-        threads = [threading.Thread(target=feed, args=(worker,), daemon=True) for worker in self._workers]
+        helping = self._workers if at_once else []
+        threads = [threading.Thread(target=feed, args=(worker,), daemon=True) for worker in helping]
         for thread in threads:
             thread.start()
         while (item := _next(left)) is not None:
@@ -136,8 +143,8 @@ class _Worker:
         Raises:
             EOFError, OSError: the process has died.
         """
-        self._pipe.send((function, job))
-        return self._pipe.recv()
+        self._pipe.send_bytes(pickle.dumps((function, job)))
+        return pickle.loads(self._pipe.recv_bytes())
 
     def end(self) -> None:
         self._pipe.close()
@@ -169,7 +176,7 @@ def serve(descriptor: int) -> None:
     with Connection(descriptor) as pipe:
         while True:
             try:
-                function, job = pipe.recv()
-                pipe.send(_outcome(function, job))
+                function, job = pickle.loads(pipe.recv_bytes())
+                pipe.send_bytes(pickle.dumps(_outcome(function, job)))
             except (EOFError, ConnectionResetError, BrokenPipeError):
                 return

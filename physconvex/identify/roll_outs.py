@@ -64,8 +64,7 @@ class RollOuts:
         """Make those that are not kept, several at once where that pays; failures are kept too."""
         missing = {key: make() for key, make in wanted.items() if key not in self._kept}
         jobs = list(missing.values())
-        at_once = len(jobs) > 1 and max(job.work for job in jobs) > _LIGHT
-        results = (self.crew if at_once else Crew(1)).run(rolled_out, jobs)
+        results = self.crew.run(rolled_out, jobs, at_once=max((job.work for job in jobs), default=0) > _LIGHT)
         for key, result in zip(missing, results, strict=True):
             self.keep(key, result)
 
