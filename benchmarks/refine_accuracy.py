@@ -48,7 +48,7 @@ CELLS = {"bar": ((5, 2, 2), (12, 4, 4)), "block": ((3, 2, 2), (8, 6, 5))}  # of 
 COARSE = {"bar": ((3, 1, 1), (12, 4, 4))}  # the truth's cells half as long as the finer model's
 TRUE_STEPS = {"bar": 16, "block": 32}  # per frame; 8 and 16 of the model
 FLOOR = Floor(np.zeros(3), np.array([0.12, 0.06, 1.0]), friction=0.4)
-OPTIONS = RefineOptions(weights=6, max_nodes=2000, start="scan")
+OPTIONS = RefineOptions(weights=6, max_nodes=2000, start="scan", processes=1)
 
 
 @dataclass(frozen=True)
