@@ -3,14 +3,15 @@
 python benchmarks/mesh_order.py
 
 With x₀, x₁, x₂ the markers' positions on the first mesh and with all edges halved once and twice, the ratio
-r = |x₂ − x₁| / |x₁ − x₀| is what a halving leaves of a difference; of x₁ − x₀ then r/(1 − r) is left in x₁ if it goes on
-so. An eighth would be the third order that smooth displacements have, a seventh what is left.
+r = |x₂ − x₁| / |x₁ − x₀| is what a halving leaves of a difference; of x₁ − x₀ then r/(1 − r) is left in x₁ if it goes
+on so. An eighth would be the third order that smooth displacements have, a seventh what is left.
 """
 
 from __future__ import annotations
 
 import json
 import tempfile
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,7 @@ def measure(root: Path, case: int) -> dict[str, object]:
     meshes = [twin.mesh, subdivided(twin.mesh)]
     meshes.append(subdivided(meshes[1]))
     x = [FullModel(twin, NAMES, tracks.rest, SHOWN, mesh).positions(values) for mesh in meshes]
-    first, second = (np.square(b - a).sum((1, 2))[1:] for a, b in zip(x[:-1], x[1:], strict=True))
+    first, second = (np.square(b - a).sum((1, 2))[1:] for a, b in pairwise(x))
     ratio = float(np.sqrt(second.sum() / first.sum()))
     return {
         "case": case,

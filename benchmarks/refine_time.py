@@ -3,8 +3,8 @@
 python benchmarks/refine_time.py --capture examples/captures/school_bus
 
 Everything `physconvex refine` does is made anew, convex field included, but for the files it writes. A stage's seconds
-last until the next one begins. Beside the clock stands the processor time of all threads, that of other processes in the
-last stage and in the sum: where it is well below what the clock says times the cores used, the machine was shared.
+last until the next one begins. Beside the clock stands the processor time of all threads, that of other processes in
+the last stage and in the sum: where it is well below what the clock says times the cores used, the machine was shared.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ from physconvex.identify.weighting import WeightedObservations, frame_errors
 __all__ = ["FinerFit", "fit_finer"]
 
 _EXTRAPOLATED = 4.0 / 3.0
-# of the mesh's difference: clamped bars of quadratic elements, halved twice, leave .37 to .54 (benchmarks/mesh_order.py)
+# of the mesh's difference: bars of quadratic elements, halved twice, leave .37 to .54 (benchmarks/mesh_order.py)
 _MESH_LEFT, _STEP_LEFT = 0.5, 1.0 / 3.0
 _SETTLED = 0.3  # of a standard deviation
 _FAR = 0.2  # typical steps

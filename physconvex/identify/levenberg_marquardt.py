@@ -4,8 +4,9 @@ Nocedal & Wright 2006, §10.3, with Marquardt's scaling; the damped step is a bo
 that a parameter at its bound leaves the others free. Steps are taken in `SearchCoordinates`, and no longer than half of
 one that has failed. Huber's loss enters by reweighting (weights min(1, k/|r|)).
 
-Where derivatives cost several roll-outs (`FollowingModel`), those of a new state are the last ones with Broyden's update.
-They are made anew where a step fails or brings little, and at the end, before the search believes that it has settled.
+Where derivatives cost several roll-outs (`FollowingModel`), those of a new state are the last ones with Broyden's
+update. They are made anew where a step fails or brings little, and at the end, before the search believes that it has
+settled.
 """
 
 from __future__ import annotations

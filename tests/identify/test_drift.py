@@ -8,12 +8,14 @@ from physconvex.identify import (
     DriftingObservations,
     LinearModel,
     MarkerObservations,
+    StackedObservations,
     default_parameter,
     first_contact,
     fit,
     likely_drift,
     model_drift,
 )
+from physconvex.identify.nuisance import MarginalObservations, Nuisance
 
 FRAMES, INTERVAL, BEGIN, SIGMA = 10, 1 / 24, 4, 1e-3
 TIMES = INTERVAL * np.arange(FRAMES)
@@ -105,6 +107,18 @@ def test_a_fit_is_right_although_the_recording_was_flung_aside(rng):
     part, corners = drifting.in_frames(FRAMES - 2), x[:, :4] + np.array([0.3, 0.0, 0.1])  # goes on in the last two
     expected = corners + rigid_change(x, corners, (0.3, -0.2, 0.4), (0.5, 0.3, -0.2))
     assert np.linalg.norm(part.carried(x, corners) - expected, axis=-1).max() < 0.02
+
+
+def test_six_motions_in_each_frame_say_what_all_kicks_do(rng):
+    """A nuisance mixes frames, so that every kick is followed by itself; one that hardly counts changes nothing."""
+    x = falling(rng, count=8)
+    seen = StackedObservations((markers(kicked(x, (0.1, 0, 0), (0, 0.2, 0)), rng),))
+    mixed = MarginalObservations(seen, Nuisance(time_offset=1e-12), INTERVAL)
+    short, full = (DriftingObservations(s, BEGIN, INTERVAL, 0.05) for s in (seen, mixed))
+    for one, other in zip(short.linearise(x, bending(x)), full.linearise(x, bending(x)), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * np.abs(other).max())
+    assert short.log_likelihood(x) == pytest.approx(full.log_likelihood(x), rel=1e-9)
+    np.testing.assert_allclose(short.drift(x), full.drift(x), atol=1e-9)
 
 
 def test_where_the_model_follows_no_drift_is_likely(rng):

@@ -81,7 +81,8 @@ def searched(model, **options):
     seen = model.positions(TRUTH) + 0.01 * np.random.default_rng(2).normal(size=(5, 12, 3))
     start = [default_parameter(n).at(v) for n, v in zip(NAMES, TRUTH + SCALES * [0.8, -0.7, 0.9], strict=True)]
     model.made.clear()
-    return fit(model, MarkerObservations(model.points, seen, np.full((5, 12), 0.01)), start, options=options_of(options))
+    markers = MarkerObservations(model.points, seen, np.full((5, 12), 0.01))
+    return fit(model, markers, start, options=options_of(options))
 
 
 def options_of(options):

@@ -7,7 +7,8 @@ import pytest
 from physconvex.camera import look_at
 from physconvex.errors import InputError
 from physconvex.fem import box_mesh
-from physconvex.identify.outlines import OutlineObservations, outline_of_mask
+from physconvex.identify import StackedObservations
+from physconvex.identify.outlines import OutlineObservations, outline_of_mask, with_drawn_outlines
 from physconvex.identify.raster import cast_camera_rays
 from physconvex.identify.video_tracks import FollowOptions, follow, follow_from_model, seed_points
 
@@ -116,3 +117,14 @@ def test_outline_residuals_vanish_at_the_truth_and_measure_a_shift(film):
     np.testing.assert_allclose(jacobian[:, 0], expected, atol=0.25)
     assert np.median(np.abs(change - expected)) < 0.3
     assert len(seen.point_indices) == len(seen.frames) == len(seen.robust_scales)
+
+
+def test_an_outline_that_is_drawn_once_serves_for_small_changes(film):
+    vertices, faces, moved, _, masks = film
+    seen = OutlineObservations.of_masks(CAMERA, masks, vertices, faces, sigma=1.0)
+    drawn = with_drawn_outlines(StackedObservations((seen,)), moved)
+    np.testing.assert_array_equal(drawn.residuals(moved), seen.residuals(moved))
+    shifted = moved + CAMERA.rotation[:, 0] * 0.003
+    assert np.median(np.abs(drawn.residuals(shifted) - seen.residuals(shifted))) < 0.02
+    again = drawn.parts[0].with_drawn(shifted)
+    np.testing.assert_array_equal(again.residuals(shifted), seen.residuals(shifted))

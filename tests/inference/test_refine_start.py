@@ -58,6 +58,7 @@ def test_options_are_checked():
     for bad, message in (
         ({"weights": 0}, "weights: got 0"),
         ({"steps_per_frame": 0}, "at least 1"),
+        ({"processes": 0}, "processes: got 0"),
         ({"fixed": {"poisson_ratio": None}}, "needs a value"),
     ):
         with pytest.raises(InputError, match=message):
