@@ -117,7 +117,7 @@ Correction = Annotated[
     bool, typer.Option(help="Remove the reduced model's error with the full model.", rich_help_panel=_MODEL)
 ]
 FullRuns = Annotated[
-    int, typer.Option(help="Most linearisations of the full model in the correction.", rich_help_panel=_MODEL)
+    int, typer.Option(help="Most states of the full model that the correction tries.", rich_help_panel=_MODEL)
 ]
 Jacobian = Annotated[
     str, typer.Option(help="Derivatives of the correction: of the full or reduced model.", rich_help_panel=_MODEL)

@@ -30,7 +30,7 @@ class RefineOptions:
         start: where the scan looks: "predict" around the network's prediction (videos), "scan" everywhere, "auto" the
             first of the two that works.
         correction: remove the reduced model's error with runs of the full one.
-        full_runs: most linearisations (with `jacobian` "reduced": most runs) of the full model.
+        full_runs: most states (with `jacobian` "reduced": most runs) of the full model that the correction tries.
         jacobian: of the correction: "full", the full model's own derivatives, or "reduced", the reduced model's.
         model_error: runs with a finer mesh and a shorter step, whose difference is added, and the error left stated.
         drift: from the first contact on, let the recording drift from the model by a rigid motion, where that is

@@ -43,7 +43,7 @@ def fit_full(
         full: of the same names and points as the model that was fitted in `start`.
         observations: what was seen.
         start: the fit of the cheap model.
-        max_runs: most linearisations of the full model.
+        max_runs: most states of the full model that are tried.
         options: when to stop otherwise.
         look_around: try a few moduli first, where the full model's misfit is far above that of `start`.
         on_run: told each accepted state.

@@ -35,7 +35,7 @@ class FitOptions:
     """When to stop.
 
     Attributes:
-        max_iterations: most linearisations.
+        max_iterations: most states tried.
         relative_tolerance: stop when a step promises to lower the misfit by less than this share of it …
         absolute_tolerance: … or by less than this much (half a squared standard deviation is 0.5); of noise as large as
             the residuals are where they exceed what is stated.
