@@ -31,7 +31,6 @@ from physconvex.fem import SurfacePoints
 from physconvex.identify import (
     DriftingObservations,
     Fit,
-    FitOptions,
     FullModel,
     Model,
     Observations,
@@ -232,7 +231,7 @@ class _Run:
             full = problem.full(self.memory)
             if self.options.own_derivatives:
                 around = problem.drift_limit is None
-                settings = self._last_options() if last else START_OPTIONS
+                settings = FULL_OPTIONS if last else START_OPTIONS
                 return arrays_of_correction(
                     fit_full(full, problem.weighted, start, max_runs=most, options=settings, look_around=around)
                 )
@@ -253,12 +252,6 @@ class _Run:
             self.warnings.append(f"The correction did not settle in {count} runs of the full model; allow more.")
         return final, arrays, converged and final.converged
 
-    def _last_options(self) -> FitOptions:
-        """Of the last search; where a finer model is fitted next, with these derivatives, that takes the last step."""
-        finer = self.options.own_derivatives and self.options.model_error
-        loose = {name: getattr(START_OPTIONS, name) for name in ("relative_tolerance", "absolute_tolerance")}
-        return replace(FULL_OPTIONS, **loose) if finer else FULL_OPTIONS
-
     def _coloured(self, problem: Problem, found: Fit) -> tuple[Problem, Fit]:
         """Fit the colours, from a wide blur to a narrow one."""
         kept = problem
@@ -270,7 +263,7 @@ class _Run:
             model = trial.full(self.memory) if self.options.own_derivatives else trial.reduced()
 
             def compute(model: Model = model, seen: Observations = trial.weighted, start: Start = start) -> Arrays:
-                return arrays_of_fit(fit(model, seen, start, options=self._last_options()))
+                return arrays_of_fit(fit(model, seen, start, options=FULL_OPTIONS))
 
             try:
                 found = fit_of(self.stages.run(f"colours_{blur:g}", compute), problem.parameters)
