@@ -105,6 +105,19 @@ class ReducedModel:
         return self._shapes @ run.trajectory.coordinates, self._shapes @ run.coordinate_tangents
 
 
+class _Same:
+    """An object as a key: equal to itself alone, and kept, so that no other one can take its place in memory."""
+
+    def __init__(self, of: object) -> None:
+        self.of = of
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self.of is other.of
+
+    def __hash__(self) -> int:
+        return id(self.of)
+
+
 @dataclass(frozen=True, eq=False)
 class FullModel:
     """The full-order finite elements as a model.
@@ -164,8 +177,8 @@ class FullModel:
 
     def key(self, values: Float[np.ndarray, " K"]) -> Hashable:
         """By which the memory knows a roll-out."""
-        grid = id(self.twin.mesh if self.mesh is None else self.mesh)
-        how = (self.refinement, self.frames, id(self.surface))
+        grid = _Same(self.twin.mesh if self.mesh is None else self.mesh)
+        how = (self.refinement, self.frames, _Same(self.surface))
         return (self.twin, grid, self.names, *how, np.asarray(values, dtype=np.float64).tobytes())
 
     def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:

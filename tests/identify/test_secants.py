@@ -1,5 +1,7 @@
 """Derivatives carried on by Broyden's update: a search with them ends where one with fresh derivatives does."""
 
+import gc
+import weakref
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -8,7 +10,7 @@ import pytest
 from physconvex.capture import Capture, Floor, load_capture, save_capture
 from physconvex.crew import Crew
 from physconvex.errors import ConvergenceError
-from physconvex.fem import TetMesh, box_mesh
+from physconvex.fem import TetMesh, box_mesh, refine
 from physconvex.identify import (
     FitOptions,
     FullModel,
@@ -182,6 +184,16 @@ def test_no_roll_out_is_made_twice_and_failures_are_remembered(tmp_path, monkeyp
             with pytest.raises(ConvergenceError, match="no"):
                 model.positions(TRUTH + SCALES)
         assert crew.jobs == 6
+
+
+def test_a_mesh_that_nobody_else_keeps_is_not_mistaken_for_a_later_one(tmp_path):
+    model = box(tmp_path, RollOuts())
+    mesh = refine(model.twin.mesh)
+    replace(model, mesh=mesh).node_positions(TRUTH)
+    kept = weakref.ref(mesh)
+    del mesh
+    gc.collect()
+    assert kept() is not None  # else its place in memory, by which it is known, might be given away
 
 
 def test_two_processes_find_the_same_to_the_last_bit(tmp_path, monkeypatch):
