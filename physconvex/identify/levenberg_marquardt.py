@@ -4,8 +4,8 @@ Nocedal & Wright 2006, §10.3, with Marquardt's scaling; the damped step is a bo
 that a parameter at its bound leaves the others free. Steps are taken in `SearchCoordinates`, and no longer than half of
 one that has failed. Huber's loss enters by reweighting (weights min(1, k/|r|)).
 
-Where derivatives cost several roll-outs (`FollowingModel`), those of a new state are the last ones with Broyden's
-update. They are made anew where a step fails or brings little, and at the end, before the search believes that it has
+Where derivatives cost several roll-outs (`FollowingModel`), those of a new state may be the last ones with Broyden's
+update (`FitOptions.secants`). They are then made anew where a step fails or brings little, and at the end, before the search believes that it has
 settled.
 """
 
@@ -41,7 +41,8 @@ class FitOptions:
             the residuals are where they exceed what is stated.
         max_step: longest step of a parameter, in its typical steps.
         start_damping: Marquardt's λ at the start.
-        secants: carry derivatives on by Broyden's update where the model offers it.
+        secants: carry derivatives on by Broyden's update where the model offers it; cheaper, but more states are needed,
+            and with six unknowns of a thrown block eight were not enough.
         fresh_end: the last derivatives are no such ones; without it, they are only for the next search to begin with.
     """
 
@@ -50,7 +51,7 @@ class FitOptions:
     absolute_tolerance: float = 1e-3
     max_step: float = 3.0
     start_damping: float = 1e-3
-    secants: bool = True
+    secants: bool = False
     fresh_end: bool = True
 
 

@@ -88,7 +88,7 @@ def searched(model, **options):
 
 
 def options_of(options):
-    return FitOptions(max_iterations=30, absolute_tolerance=1e-4, **options)
+    return FitOptions(max_iterations=30, absolute_tolerance=1e-4, **({"secants": True} | options))
 
 
 def test_a_search_with_them_ends_where_one_with_fresh_derivatives_does(bent):
@@ -107,7 +107,7 @@ def test_the_last_derivatives_are_fresh_unless_another_search_follows(bent):
     expected = np.moveaxis(tangents, 1, -1).reshape(-1, 3) / 0.01
     np.testing.assert_allclose(found.jacobian, expected, rtol=1e-9, atol=1e-9)
     bent.kept.clear()
-    searched(bent, fresh_end=False, secants=True)
+    searched(bent, fresh_end=False)
     assert not list(bent.kept.values())[-1][1]
 
 
