@@ -5,8 +5,8 @@ that a parameter at its bound leaves the others free. Steps are taken in `Search
 one that has failed. Huber's loss enters by reweighting (weights min(1, k/|r|)).
 
 Where derivatives cost several roll-outs (`FollowingModel`), those of a new state may be the last ones with Broyden's
-update (`FitOptions.secants`). They are then made anew where a step fails or brings little, and at the end, before the search believes that it has
-settled.
+update (`FitOptions.secants`). They are then made anew where a step fails or brings little, and at the end, before the
+search believes that it has settled.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class FitOptions:
             the residuals are where they exceed what is stated.
         max_step: longest step of a parameter, in its typical steps.
         start_damping: Marquardt's λ at the start.
-        secants: carry derivatives on by Broyden's update where the model offers it; cheaper, but more states are needed,
-            and with six unknowns of a thrown block eight were not enough.
+        secants: carry derivatives on by Broyden's update where the model offers it. That takes more states: eight were
+            not enough for six unknowns of a thrown block.
         fresh_end: the last derivatives are no such ones; without it, they are only for the next search to begin with.
     """
 
