@@ -16,6 +16,7 @@ import platform
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,8 +24,7 @@ from typing import Any
 import torch
 
 from inference.refining import Refinement, RefineOptions, refine
-from physconvex.crew import Crew
-from physconvex.identify.roll_outs import RollOut
+from physconvex.identify.roll_outs import RollOut, RollOuts
 
 RESULT = Path(__file__).parent / "results" / "refine_time.json"
 TRUTHS = {"school_bus": {"log10_youngs_modulus": 5.3, "poisson_ratio": 0.4, "damping_time": 1e-3}}
@@ -63,9 +63,9 @@ class Watch:
         self._began = now
 
     def counted(self, run: Any) -> Any:
-        """The crew's method, its jobs counted."""
+        """The memory's method that makes roll-outs, these counted."""
 
-        def counting(crew: Crew, function: Any, jobs: list[RollOut], **options: Any) -> Any:
+        def counting(memory: RollOuts, jobs: Sequence[RollOut]) -> Any:
             stage = self.stages[-1]
             for job in jobs:
                 kind = f"{len(job.scene.body.mesh.vertices)} nodes, "
@@ -73,7 +73,7 @@ class Watch:
                 stage.roll_outs[kind] = stage.roll_outs.get(kind, 0) + 1
             clock = time.perf_counter()
             try:
-                return run(crew, function, jobs, **options)
+                return run(memory, jobs)
             finally:
                 stage.roll_out_seconds += time.perf_counter() - clock
 
@@ -112,7 +112,7 @@ def main() -> None:
     given = parser.parse_args()
     torch.set_num_threads(given.threads)
     watch = Watch()
-    Crew.run = watch.counted(Crew.run)  # type: ignore[method-assign]
+    RollOuts._made = watch.counted(RollOuts._made)  # type: ignore[method-assign]
     with tempfile.TemporaryDirectory() as out:
         options = RefineOptions(processes=given.processes)
         found = refine(given.capture, out=out, options=options, on_stage=watch)

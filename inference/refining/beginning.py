@@ -20,7 +20,7 @@ from physconvex.identify.twin import coarse_mesh
 
 __all__ = ["START_OPTIONS", "Beginning"]
 
-START_OPTIONS = FitOptions(relative_tolerance=1e-3, absolute_tolerance=0.1, max_step=1.5, fresh_end=False)
+START_OPTIONS = FitOptions(relative_tolerance=1e-3, absolute_tolerance=0.1, max_step=1.5)
 _RUNS = 6
 _FEW = 0.7  # of the nodes: a mesh with more of them is hardly cheaper
 

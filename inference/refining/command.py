@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -101,7 +102,7 @@ def refine(
         field_steps=field_steps,
         nuisance=Nuisance(camera_rotation, camera_position, time_offset),
         checkpoint=checkpoint,
-        processes=processes,
+        processes=processes or os.cpu_count() or 1,
     )
 
     def say(stage: str, stored: bool) -> None:

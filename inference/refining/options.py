@@ -43,7 +43,8 @@ class RefineOptions:
         field_file: a field (PLY) of the body at rest, in the place of that.
         field_budget, field_steps: most convexes, and steps of their fit.
         checkpoint: of the network.
-        processes: roll-outs that are made at once; None: as many as there are cores. Results do not depend on it.
+        processes: in which roll-outs wanted together are made. Results do not depend on it. With more than one,
+            a script that calls `refine` needs `if __name__ == "__main__"`, as for all of Python's worker processes.
     """
 
     observations: Literal["auto", "tracks", "video", "both"] = "auto"
@@ -70,7 +71,7 @@ class RefineOptions:
     field_budget: int = 6000
     field_steps: int = 150
     checkpoint: str = "default"
-    processes: int | None = None
+    processes: int = 1
 
     def __post_init__(self) -> None:
         choices = {
@@ -93,7 +94,7 @@ class RefineOptions:
         for name in ("log10_youngs_modulus", "poisson_ratio"):
             if name in self.fixed and self.fixed[name] is None:
                 raise InputError(f"fixed: {name} needs a value, since no capture states it; give {name}=VALUE")
-        if self.processes is not None and self.processes < 1:
+        if self.processes < 1:
             raise InputError(f"processes: got {self.processes}; expected at least 1")
         if self.steps_per_frame is not None and self.steps_per_frame < 1:
             raise InputError(f"steps_per_frame: got {self.steps_per_frame}; expected at least 1")

@@ -25,7 +25,6 @@ from inference.refining.result import Refinement
 from inference.refining.searching import ReducedSearch, started_from
 from inference.refining.stages import Stages, key_of
 from physconvex.capture import Capture, load_capture
-from physconvex.crew import Crew
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import SurfacePoints
 from physconvex.identify import (
@@ -90,8 +89,8 @@ def refine(
         options = replace(options, initial={**start, **options.initial})
     capture = load_capture(Path(path))
     stages = Stages(None if out is None else Path(out), _key(capture, options), on_stage)
-    with Crew(options.processes) as crew:
-        return _Run(capture, options, stages, crew).refine()
+    with RollOuts(processes=options.processes) as memory:
+        return _Run(capture, options, stages, memory).refine()
 
 
 def _key(capture: Capture, options: RefineOptions) -> str:
@@ -100,12 +99,12 @@ def _key(capture: Capture, options: RefineOptions) -> str:
 
 
 class _Run:
-    def __init__(self, capture: Capture, options: RefineOptions, stages: Stages, crew: Crew) -> None:
+    def __init__(self, capture: Capture, options: RefineOptions, stages: Stages, memory: RollOuts) -> None:
         self.capture, self.options, self.stages = capture, options, stages
         self.warnings: list[str] = []
         self.search = ReducedSearch(capture, options, stages, self.warnings)
         self.start_model: FullModel | None = None  # what the points are followed again by
-        self.memory = RollOuts(crew=crew)
+        self.memory = memory
 
     def refine(self) -> Refinement:
         problem = self._problem()
@@ -269,17 +268,9 @@ class _Run:
                 found = fit_of(self.stages.run(f"colours_{blur:g}", compute), problem.parameters)
             except ConvergenceError as error:
                 self.warnings.append(f"Colours were not compared: the model failed ({error}).")
-                return kept, self._with_fresh_derivatives(kept, found)
+                return kept, found
             kept = trial
         return kept, found
-
-    def _with_fresh_derivatives(self, problem: Problem, found: Fit) -> Fit:
-        """The fit after which another should have come."""
-        if not self.options.own_derivatives:
-            return found
-        model, start = problem.full(self.memory), started_from(problem.parameters, found)
-        last = fit(model, problem.weighted, start, options=replace(FULL_OPTIONS, max_iterations=1))
-        return replace(last, history=found.history, converged=found.converged)
 
     def _result(
         self, problem: Problem, start: Fit, final: Fit, arrays: dict[str, np.ndarray], converged: bool

@@ -3,16 +3,12 @@
 Nocedal & Wright 2006, §10.3, with Marquardt's scaling; the damped step is a bounded linear least-squares problem, so
 that a parameter at its bound leaves the others free. Steps are taken in `SearchCoordinates`, and no longer than half of
 one that has failed. Huber's loss enters by reweighting (weights min(1, k/|r|)).
-
-Where derivatives cost several roll-outs (`FollowingModel`), those of a new state may be the last ones with Broyden's
-update (`FitOptions.secants`). They are then made anew where a step fails or brings little, and at the end, before the
-search believes that it has settled.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -20,14 +16,12 @@ from scipy.optimize import lsq_linear
 
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.identify.coordinates import SearchCoordinates
-from physconvex.identify.model import FollowingModel, Model, check_names
+from physconvex.identify.model import Model, check_names
 from physconvex.identify.observations import Observations
 from physconvex.identify.parameters import Parameter, lower_bounds, starts, step_scales, upper_bounds
 from physconvex.robust import huber_loss, huber_weights
 
 __all__ = ["Fit", "FitOptions", "Iteration", "fit"]
-
-_POOR = 0.25  # share of what carried derivatives have promised below which they are made anew
 
 
 @dataclass(frozen=True)
@@ -35,15 +29,12 @@ class FitOptions:
     """When to stop.
 
     Attributes:
-        max_iterations: most states tried.
+        max_iterations: most linearisations.
         relative_tolerance: stop when a step promises to lower the misfit by less than this share of it …
         absolute_tolerance: … or by less than this much (half a squared standard deviation is 0.5); of noise as large as
             the residuals are where they exceed what is stated.
         max_step: longest step of a parameter, in its typical steps.
         start_damping: Marquardt's λ at the start.
-        secants: carry derivatives on by Broyden's update where the model offers it. That takes more states: eight were
-            not enough for six unknowns of a thrown block.
-        fresh_end: the last derivatives are no such ones; without it, they are only for the next search to begin with.
     """
 
     max_iterations: int = 15
@@ -51,8 +42,6 @@ class FitOptions:
     absolute_tolerance: float = 1e-3
     max_step: float = 3.0
     start_damping: float = 1e-3
-    secants: bool = False
-    fresh_end: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +66,7 @@ class Fit:
         weights: of Huber's loss, shape [N].
         history: accepted states, the start first.
         converged: whether a tolerance was met.
-        evaluations: states tried.
+        evaluations: simulations made.
     """
 
     parameters: tuple[Parameter, ...]
@@ -113,7 +102,7 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """A linearisation; its derivatives are fresh, or carried on."""
+    """A linearisation."""
 
     values: np.ndarray
     positions: np.ndarray
@@ -121,7 +110,6 @@ class _Point:
     jacobian: np.ndarray
     weights: np.ndarray
     misfit: float
-    fresh: bool
 
 
 def fit(
@@ -142,7 +130,7 @@ def fit(
     check_names(model.names, [p.name for p in parameters])
     options = options or FitOptions()
     search = _Search(model, observations, parameters, options)
-    point = search.begin(starts(parameters))
+    point = search.linearise(starts(parameters))
     damping, growth, longest, converged = options.start_damping, 2.0, options.max_step, False
     history = [Iteration(point.values, point.misfit, damping)]
     while search.evaluations < options.max_iterations and not converged:
@@ -151,30 +139,23 @@ def fit(
         excess = max(1.0, 2 * point.misfit / max(len(point.residuals) - len(parameters), 1))
         threshold = max(options.absolute_tolerance * excess, options.relative_tolerance * point.misfit)
         if promised < threshold:
-            converged = point.fresh or not options.fresh_end
-            point = point if converged else search.renewed(point)
-            continue
-        trial = search.tried(search.moved(point, step), point)
+            converged = True
+            break
+        trial = search.try_linearise(search.moved(point, step))
         gain = -1.0 if trial is None else (point.misfit - trial.misfit) / promised
         if trial is not None and gain > 1e-3:
-            settled = point.misfit - trial.misfit < threshold and promised < 10 * threshold
-            renewal = not trial.fresh and (gain < _POOR or (settled and options.fresh_end))
-            converged = settled and not renewal
-            point, growth = search.renewed(trial) if renewal else trial, 2.0
+            converged = point.misfit - trial.misfit < threshold and promised < 10 * threshold
+            point, growth = trial, 2.0
             if not 0.25 < gain < 0.75:
                 longest = min(options.max_step, 2 * longest) if gain > 0.75 else 0.5 * float(np.abs(step).max())
             damping *= max(0.1, 1 - (2 * gain - 1) ** 3) if gain > 0.1 else 2.0
             history.append(Iteration(point.values, point.misfit, damping))
             if on_iteration is not None:
                 on_iteration(history[-1])
-        elif not point.fresh:  # its derivatives may be to blame
-            point = search.renewed(point)
         else:
             # a bounded step hardly feels the damping: what was too long is halved
             damping, growth, longest = damping * growth, growth * 2.0, 0.5 * float(np.abs(step).max())
             converged = longest < 5e-6
-    if options.fresh_end and not point.fresh:
-        point = search.renewed(point)
     return Fit(
         parameters,
         point.values,
@@ -198,42 +179,25 @@ class _Search:
         self.coordinates = SearchCoordinates([p.name for p in parameters])
         self.mean = np.array([p.prior_mean for p in parameters])
         self.precision = np.array([1 / p.prior_sigma for p in parameters])  # zero where there is no prior
-        self.follows = options.secants and isinstance(model, FollowingModel) and model.differenced
         self.evaluations = 0
 
-    def begin(self, values: np.ndarray) -> _Point:
-        """The first point; derivatives that an earlier search has left there will do."""
+    def linearise(self, values: np.ndarray) -> _Point:
         self.evaluations += 1
-        known = self.model.known(values) if self.follows and isinstance(self.model, FollowingModel) else None
-        return self._seen(values, *(known or (*self.model.linearise(values), True)))
-
-    def renewed(self, point: _Point) -> _Point:
-        """The point with fresh derivatives; if none can be had, it must do with those it has."""
-        try:
-            return self._seen(point.values, *self.model.linearise(point.values), fresh=True)
-        except ConvergenceError:
-            return replace(point, fresh=True)
-
-    def tried(self, values: np.ndarray, last: _Point) -> _Point | None:
-        """A new point, beside the last one; None where the model fails."""
-        self.evaluations += 1
-        try:
-            if self.follows and isinstance(self.model, FollowingModel):
-                point = self._seen(values, *self.model.followed(values, last.values), fresh=False)
-            else:
-                point = self._seen(values, *self.model.linearise(values), fresh=True)
-        except ConvergenceError:  # too far: the step is shortened
-            return None
-        return point if np.isfinite(point.misfit) else None
-
-    def _seen(self, values: np.ndarray, positions: np.ndarray, tangents: np.ndarray, fresh: bool) -> _Point:
+        positions, tangents = self.model.linearise(values)
         residuals, jacobian = self.observations.linearise(positions, tangents)
         if len(residuals) == 0:
             raise InputError("observations: nothing was seen; expected at least one residual")
         limits = self.observations.robust_scales
         loss, weights = huber_loss(residuals, limits), huber_weights(residuals, limits)
         prior = (values - self.mean) * self.precision
-        return _Point(values, positions, residuals, jacobian, weights, loss + 0.5 * float(prior @ prior), fresh)
+        return _Point(values, positions, residuals, jacobian, weights, loss + 0.5 * float(prior @ prior))
+
+    def try_linearise(self, values: np.ndarray) -> _Point | None:
+        try:
+            point = self.linearise(values)
+        except ConvergenceError:  # too far: the step is shortened
+            return None
+        return point if np.isfinite(point.misfit) else None
 
     def step(self, point: _Point, damping: float, longest: float) -> tuple[np.ndarray, float]:
         """Damped step within the bounds and no longer than that, in typical steps, and the fall of the misfit that the

@@ -18,12 +18,11 @@ from physconvex.fem.embedding import Embedding
 from physconvex.fem.mesh import TetMesh
 from physconvex.fem.simulation import ContactSolver
 from physconvex.identify.parameters import default_parameter, lower_bounds, step_scales, upper_bounds
-from physconvex.identify.roll_outs import RollOut, RollOuts, Tangents
-from physconvex.identify.secants import broyden_update
+from physconvex.identify.roll_outs import RollOut, RollOuts
 from physconvex.identify.twin import Twin
 from physconvex.reduced import simulate, simulate_with_sensitivities
 
-__all__ = ["FollowingModel", "FullModel", "LinearModel", "Model", "ReducedModel", "roll_out_together"]
+__all__ = ["FullModel", "LinearModel", "Model", "ReducedModel", "roll_out_together"]
 
 _DIFFERENCE = 1e-6  # of a typical step: half width of the central differences of gradients
 # of a typical step, of whole roll-outs; friction by passes makes them rough at smaller scales
@@ -45,25 +44,6 @@ class Model(Protocol):
         self, values: Float[np.ndarray, " K"]
     ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
         """Positions and their derivatives by the parameters."""
-
-
-@runtime_checkable
-class FollowingModel(Model, Protocol):
-    """A model whose derivatives cost much more than its positions, and may be carried on from place to place."""
-
-    @property
-    def differenced(self) -> bool:
-        """Whether they do."""
-
-    def known(
-        self, values: Float[np.ndarray, " K"]
-    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"], bool] | None:
-        """Positions, derivatives and whether these are fresh, if some are known there."""
-
-    def followed(
-        self, values: Float[np.ndarray, " K"], last: Float[np.ndarray, " K"]
-    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
-        """Positions, and derivatives carried on from those known at the last values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,33 +180,10 @@ class FullModel:
         needs friction by passes.
         """
         known = self.memory.tangents(self.key(values))
-        if known is None or not known.fresh:
-            known = Tangents(self._differences(values) if self.differenced else self._sensitivities(values), fresh=True)
+        if known is None:
+            known = self._differences(values) if self.differenced else self._sensitivities(values)
             self.memory.keep_tangents(self.key(values), known)
-        return self.positions(values), self._embedding.apply(known.values)
-
-    def known(
-        self, values: Float[np.ndarray, " K"]
-    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"], bool] | None:
-        """Positions, the derivatives that are in memory, and whether these are fresh; None where there are none."""
-        known = self.memory.tangents(self.key(values))
-        return None if known is None else (self.positions(values), self._embedding.apply(known.values), known.fresh)
-
-    def followed(
-        self, values: Float[np.ndarray, " K"], last: Float[np.ndarray, " K"]
-    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
-        """Positions by one roll-out, and the derivatives known at the last values, changed by Broyden's update.
-
-        Raises:
-            ConvergenceError: the roll-out fails.
-        """
-        before = self.memory.tangents(self.key(last))
-        assert before is not None
-        change = self.node_positions(values) - self.node_positions(last)
-        scales = step_scales([default_parameter(name) for name in self.names])
-        updated = Tangents(broyden_update(before.values, values - last, change, scales), fresh=False)
-        self.memory.keep_tangents(self.key(values), updated)
-        return self.positions(values), self._embedding.apply(updated.values)
+        return self.positions(values), self._embedding.apply(known)
 
     def _usual(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Typical steps and bounds."""

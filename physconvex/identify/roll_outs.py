@@ -1,21 +1,27 @@
-"""Roll-outs of full models, remembered, and made several at once where there are cores for it."""
+"""Roll-outs of full models, remembered, and made several at once where processes are allowed for it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+import pickle
+import warnings
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from multiprocessing import get_context
+from types import TracebackType
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.crew import Crew
-from physconvex.errors import ConvergenceError, PhysconvexError
+from physconvex.errors import ConvergenceError
 from physconvex.fem import Scene
 from physconvex.fem import simulate as simulate_full
 from physconvex.fem.simulation import ContactSolver
+from physconvex.processes import end_with_parent
 
-__all__ = ["RollOut", "RollOuts", "Tangents"]
+__all__ = ["RollOut", "RollOuts"]
 
 _LIGHT = 1e4  # nodes times time steps: less work than to start a process
 
@@ -34,17 +40,17 @@ class RollOut:
         return len(self.scene.body.mesh.vertices) * self.timing["frames"] * self.timing["steps_per_frame"]
 
 
-def rolled_out(job: RollOut) -> Float[np.ndarray, "T V 3"]:
-    """Positions of the nodes at the frames [m]."""
-    return simulate_full(job.scene, **job.timing, contact_solver=job.solver).positions
+def _rolled_out(job: RollOut) -> Float[np.ndarray, "T V 3"] | ConvergenceError:
+    """Positions of the nodes at the frames [m], or why there are none."""
+    try:
+        return simulate_full(job.scene, **job.timing, contact_solver=job.solver).positions
+    except ConvergenceError as error:
+        return error
 
 
-@dataclass(frozen=True, eq=False)
-class Tangents:
-    """Derivatives of the nodes' positions, shape [T, K, V, 3]; fresh, or carried on by Broyden's update."""
-
-    values: Float[np.ndarray, "T K V 3"]
-    fresh: bool
+def _from_bytes(job: bytes) -> Float[np.ndarray, "T V 3"] | ConvergenceError:
+    """The same in another process; as bytes, since torch would share its tensors' memory with that."""
+    return _rolled_out(pickle.loads(job))
 
 
 class RollOuts:
@@ -52,21 +58,44 @@ class RollOuts:
 
     Args:
         most: how many are kept.
-        crew: makes several at once; None: one after the other.
+        processes: in which those that are wanted together are made; 1: one after the other in this process. Started
+            with the first that are worth it; they import the program's main module, as all of Python's do.
     """
 
-    def __init__(self, most: int = 32, crew: Crew | None = None) -> None:
-        self.most, self.crew = most, Crew(1) if crew is None else crew
-        self._kept: dict[Hashable, np.ndarray | PhysconvexError] = {}
-        self._tangents: dict[Hashable, Tangents] = {}
+    def __init__(self, most: int = 32, processes: int = 1) -> None:
+        self.most, self.processes = most, processes
+        self._pool: ProcessPoolExecutor | None = None
+        self._kept: dict[Hashable, np.ndarray | ConvergenceError] = {}
+        self._tangents: dict[Hashable, np.ndarray] = {}
+
+    def __enter__(self) -> RollOuts:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+            self._pool = None
 
     def prepare(self, wanted: Mapping[Hashable, Callable[[], RollOut]]) -> None:
         """Make those that are not kept, several at once where that pays; failures are kept too."""
         missing = {key: make() for key, make in wanted.items() if key not in self._kept}
-        jobs = list(missing.values())
-        results = self.crew.run(rolled_out, jobs, at_once=max((job.work for job in jobs), default=0) > _LIGHT)
-        for key, result in zip(missing, results, strict=True):
+        for key, result in zip(missing, self._made(list(missing.values())), strict=True):
             self.keep(key, result)
+
+    def _made(self, jobs: Sequence[RollOut]) -> list[np.ndarray | ConvergenceError]:
+        if self.processes > 1 and len(jobs) > 1 and max(job.work for job in jobs) > _LIGHT:
+            if self._pool is None:
+                self._pool = ProcessPoolExecutor(
+                    self.processes, mp_context=get_context("spawn"), initializer=end_with_parent
+                )
+            try:
+                return list(self._pool.map(_from_bytes, [pickle.dumps(job) for job in jobs]))
+            except BrokenProcessPool:
+                warnings.warn("a worker process died: roll-outs are made one after the other", RuntimeWarning, 2)
+                self.processes = 1
+        return [_rolled_out(job) for job in jobs]
 
     def positions(self, key: Hashable, make: Callable[[], RollOut]) -> Float[np.ndarray, "T V 3"]:
         """Positions of the nodes [m], made if they are not kept.
@@ -77,21 +106,19 @@ class RollOuts:
         if key not in self._kept:
             self.prepare({key: make})
         found = self._kept[key]
-        if isinstance(found, PhysconvexError):
+        if isinstance(found, ConvergenceError):
             raise found
         return found
 
-    def keep(self, key: Hashable, positions: np.ndarray | PhysconvexError) -> None:
+    def keep(self, key: Hashable, positions: np.ndarray | ConvergenceError) -> None:
         """Remember positions, or a failure."""
-        if isinstance(positions, PhysconvexError) and not isinstance(positions, ConvergenceError):
-            raise positions
         _put(self._kept, key, positions, self.most)
 
-    def tangents(self, key: Hashable) -> Tangents | None:
+    def tangents(self, key: Hashable) -> Float[np.ndarray, "T K V 3"] | None:
         """The derivatives that are known there."""
         return self._tangents.get(key)
 
-    def keep_tangents(self, key: Hashable, tangents: Tangents) -> None:
+    def keep_tangents(self, key: Hashable, tangents: Float[np.ndarray, "T K V 3"]) -> None:
         """Remember derivatives."""
         _put(self._tangents, key, tangents, self.most)
 
