@@ -17,7 +17,6 @@ from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
 from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
 from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Effect, choose
-from physconvex.gap.giving_floor import with_giving_floor
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
 from physconvex.gap.mapping import as_reduced
 from physconvex.gap.numerics import Numerics, correction_of, detail_errors, error_model, numerical_differences
@@ -29,6 +28,7 @@ from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screening, screen
 from physconvex.gap.second_take import second_take_shrinkage
 from physconvex.gap.selection import FAILURES, evidence_of_anything, select_effects
+from physconvex.gap.setting import find_setting
 from physconvex.gap.shortening import MOST_FRAMES, shortened
 from physconvex.gap.trust import error_scale
 from physconvex.gap.verdict import decide
@@ -80,11 +80,12 @@ def diagnose(
     report: Report = on_progress or (lambda _: None)
     cost = Cost(options.deadline)
     cost.allow(np.inf, _BASE)
-    rough = with_giving_floor(rough_baseline(capture, options, report, cost=cost), options, report)
+    setting = find_setting(rough_baseline(capture, options, report, cost=cost), options, report)
+    rough = setting.base
     numerics = numerical_differences(rough, options, report)
     rough_errors = error_model(rough, numerics, options)
     base = fit_baseline(rough, correction_of(numerics), numerics.fine, rough_errors.variance, options, report)
-    base, numerics = with_own_elements(base, rough, numerics, rough_errors.variance, options, report)
+    base, numerics = with_own_elements(base, rough, numerics, rough_errors.variance, options, report, known=setting.own)
     base = _with_directions(base, numerics)
     numerics = with_absorbed_mesh(base, numerics, options)
     base, errors, screening = _trusted(base, numerics, dictionary, options, report)
