@@ -22,10 +22,11 @@ from physconvex.gap.observing import Seen
 from physconvex.gap.options import GapOptions
 from physconvex.gap.rough_errors import with_rough_errors
 from physconvex.identify import Fit, FitOptions, fit
+from physconvex.identify.correction import misfit_of
 
-__all__ = ["Company"]
+__all__ = ["RIGID", "Company"]
 
-_NAMES = ("friction", "gravity_tilt", "initial_spin")
+RIGID = ("friction", "gravity_tilt", "initial_spin")
 _ROUNDS = 2  # of a fit of the reduced model: derivatives taken anew once
 _FULL_RUNS = 6
 
@@ -36,13 +37,13 @@ class Company:
     Args:
         base: the rough base fit.
         options: settings.
+        labels: of the effects; those that move a body as a whole unless given.
     """
 
-    def __init__(self, base: Baseline, options: GapOptions) -> None:
+    def __init__(self, base: Baseline, options: GapOptions, labels: Sequence[str] = RIGID) -> None:
         self.base = base
-        self.effects: tuple[Effect, ...] = tuple(
-            e for e in applicable(DEFAULT_EFFECTS, base.situation) if e.label in _NAMES
-        )
+        known = {e.label: e for e in applicable(DEFAULT_EFFECTS, base.situation)}
+        self.effects: tuple[Effect, ...] = tuple(known[label] for label in labels if label in known)
         self.frames = int(base.split.fitted[-1]) + 1
         self.seen: Seen = with_rough_errors(base.observations, base.twin, self.frames)
         self._iterations = options.iterations
@@ -67,9 +68,9 @@ class Company:
         )  # fmt: skip
 
     def misfit(self, names: tuple[str, ...], values: np.ndarray) -> float:
-        """Half the squares that the reduced model leaves; infinite where it cannot be run."""
+        """What the reduced model leaves, by the observations' loss; infinite where it cannot be run."""
         try:
-            return 0.5 * float((self.seen.residuals(self.model(names, values).positions(values)) ** 2).sum())
+            return misfit_of(self.seen, self.model(names, values).positions(values))
         except ConvergenceError:
             return np.inf
 

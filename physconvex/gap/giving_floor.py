@@ -17,7 +17,7 @@ from physconvex.gap.baseline import FLOOR_LAW, Baseline
 from physconvex.gap.company import Company
 from physconvex.identify import Fit, MarkerObservations
 
-__all__ = ["depth_seen", "on_giving_floor", "softness"]
+__all__ = ["depth_seen", "on_giving_floor", "sinks_in", "softness"]
 
 _DEPTH = 0.01  # of the size of the body: markers lie deeper in a floor that gives way
 _FACTORS = (0.0, 0.25, 0.45, 0.6, 0.75)  # decades of E above the fit with the hard floor, which is too soft
@@ -44,18 +44,21 @@ def depth_seen(base: Baseline) -> float:
     return max(float(deep[-2]), 0.0) if len(deep) > 1 else 0.0
 
 
+def sinks_in(base: Baseline) -> bool:
+    """Whether markers lie deeper in the floor than a stiff one allows."""
+    return depth_seen(base) >= _DEPTH * base.situation.size
+
+
 def on_giving_floor(company: Company, doses: Float[np.ndarray, " D"]) -> Fit | None:
     """The reduced model's fit with stiffness and dashpot of the floor free, from the best of a scan.
 
-    None where markers do not sink in, or where no start can be simulated.
+    None where no start can be simulated.
 
     Args:
         company: the rough base fit and the effects beside.
         doses: of these, where the scan is made.
     """
     base = company.base
-    if base.situation.clamped or not base.situation.touches or depth_seen(base) < _DEPTH * base.situation.size:
-        return None
     names = (*base.model.base, *FLOOR_LAW)
     starts = [np.append(values, doses) for values in _starts(base)]
     misfits = [company.misfit(names, values) for values in starts]
