@@ -26,7 +26,7 @@ from physconvex.identify.correction import misfit_of
 
 __all__ = ["RIGID", "Company"]
 
-RIGID = ("friction", "gravity_tilt", "initial_spin")
+RIGID = ("friction", "gravity_tilt", "air_drag (linear)", "initial_velocity", "initial_spin")
 _ROUNDS = 2  # of a fit of the reduced model: derivatives taken anew once
 _FULL_RUNS = 6
 

@@ -23,7 +23,7 @@ from physconvex.identify import Fit
 __all__ = ["Setting", "find_setting"]
 
 _SOFTER = 1 / 3  # of the stiffness that a floor has in the base model
-_BETTER = 0.6  # share of the squares that a giving floor, or the own elements, may leave to be believed; both: squared
+_BETTER = 0.7  # share of the squares that a giving floor, or the own elements, may leave to be believed; both: squared
 
 
 @dataclass(frozen=True, eq=False)
