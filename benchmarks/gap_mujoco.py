@@ -21,8 +21,8 @@ from physconvex.errors import PhysconvexError
 from physconvex.fem import TetMesh
 from physconvex.gap import GapOptions, diagnose
 from physconvex.gap.baseline import fit_baseline, rough_baseline
-from physconvex.gap.giving_floor import with_giving_floor
 from physconvex.gap.numerics import correction_of, error_model, numerical_differences
+from physconvex.gap.setting import find_setting
 
 SIZE, COUNT, GAP, DENSITY, STEP, FPS, FRAMES, MARKERS, SIGMA = 0.12, 7, 0.2, 1000.0, 1e-4, 50.0, 30, 30, 6e-5
 GRAVITY = 9.81
@@ -203,7 +203,7 @@ def answer(folder: Path, out: Path) -> dict[str, object]:
 def base_fit(folder: Path) -> dict[str, object]:
     """Of the base model alone, before any effect is tried."""
     options, silent = GapOptions(), lambda text: None
-    rough = with_giving_floor(rough_baseline(load_capture(folder), options, silent), options, silent)
+    rough = find_setting(rough_baseline(load_capture(folder), options, silent), options, silent).base
     numerics = numerical_differences(rough, options, silent)
     variance = error_model(rough, numerics, options).variance
     base = fit_baseline(rough, correction_of(numerics), numerics.fine, variance, options, silent)

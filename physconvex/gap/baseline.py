@@ -11,13 +11,14 @@ from jaxtyping import Float, Int
 from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import TetMesh, simulate
-from physconvex.gap.boxes import box_of_held_body
+from physconvex.gap.boxes import box_of_body
 from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Motion, Situation
 from physconvex.gap.independence import temperature
 from physconvex.gap.model import ACCURACY, EffectModel, SecantModel, reduced_like
 from physconvex.gap.observing import Seen, components, in_metres, observe, starts_elsewhere, widened, with_honest_noise
 from physconvex.gap.options import GapOptions
+from physconvex.gap.rough_errors import with_rough_errors
 from physconvex.identify import (
     Fit,
     FitOptions,
@@ -159,7 +160,7 @@ def _twin(capture: Capture, weights: int, max_nodes: int, steps: int) -> Twin:
     for factor in (1, 2, 4):
         chosen = TwinOptions(weights=weights, max_nodes=factor * max_nodes, steps_per_frame=steps)
         try:
-            return base_twin(capture, chosen, mesh=box_of_held_body(capture, chosen.max_nodes))
+            return base_twin(capture, chosen, mesh=box_of_body(capture, chosen.max_nodes))
         except InputError as error:
             if factor == 4 or not str(error).startswith("boundary"):
                 raise
@@ -176,6 +177,7 @@ def _first_values(capture: Capture, observations: Seen, frames: int, options: Ga
     twin = _cheap(capture, options)
     if isinstance(observations, MarkerObservations):
         twin = start_motion(twin, observations)
+        observations = with_rough_errors(observations, twin, frames)
     parameters = default_parameters(twin)
     gravity = float(np.linalg.norm(capture.gravity))
     moduli = scan_values(density=capture.density, gravity=gravity, size=twin.mesh.size)
@@ -283,6 +285,7 @@ def rough_baseline(
     names = tuple(values)
     twin = twin.with_values(names, np.array(list(values.values())))
     report("fit of the reduced base model")
+    fitted = with_rough_errors(fitted, twin, count)
     rough = fit(ReducedModel(twin, names, fitted.points, count), fitted, starts, options=FitOptions(max_iterations=6))
     return run_base(capture, observations, split, twin.with_values(names, rough.values), rough, cost=cost)
 

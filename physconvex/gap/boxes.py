@@ -1,7 +1,8 @@
-"""A regular mesh for a held body that is a box, as test beams are, in the place of one made for any shape.
+"""A regular mesh for a body that is a box, as test beams and cubes are, in the place of one made for any shape.
 
 A mesh of few and irregular tetrahedra bends to one side, and its surface is not quite that of the box: of a held beam
-that leaves a numerical error as large as many an effect. Cells that follow the box have neither.
+that leaves a numerical error as large as many an effect, and a cube that falls flat tumbles after its first impact.
+Cells that follow the box have neither.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from jaxtyping import Float
 from physconvex.capture import Capture
 from physconvex.fem import TetMesh, box_mesh
 
-__all__ = ["box_cells", "box_of_held_body"]
+__all__ = ["box_cells", "box_of_body"]
 
 _SAME = 2e-3  # volume missing in the box of a box, and distance of its vertices from its faces over its size
 _SLENDER = 3.0  # longest edge over the others from which on one cell across is enough for quadratic elements
@@ -22,10 +23,8 @@ _FLAT = 0.4  # length of a slender box's cells over their width
 _MOST = 16  # cells along an edge
 
 
-def box_of_held_body(capture: Capture, max_nodes: int) -> TetMesh | None:
-    """Quadratic mesh of a held body that is a box along the axes; None for others, and where its own tets are few."""
-    if capture.boundary() is None:
-        return None
+def box_of_body(capture: Capture, max_nodes: int) -> TetMesh | None:
+    """Quadratic mesh of a body that is a box along the axes; None for others, and where its own tets are few."""
     tets, surface = capture.tets(), capture.mesh()
     if tets is not None:
         vertices, volume = tets.vertices, float(tets.element_volumes.sum())

@@ -11,13 +11,13 @@ import numpy as np
 
 import physconvex
 from physconvex.capture import Capture, load_capture
+from physconvex.fem import TetMesh
 from physconvex.gap.absorbing import with_absorbed_mesh
 from physconvex.gap.advice import next_experiment
 from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
 from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
 from physconvex.gap.cost import Cost
-from physconvex.gap.effects import Effect, choose
-from physconvex.gap.giving_floor import with_giving_floor
+from physconvex.gap.effects import Effect, Motion, choose
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
 from physconvex.gap.mapping import as_reduced
 from physconvex.gap.numerics import Numerics, correction_of, detail_errors, error_model, numerical_differences
@@ -29,6 +29,7 @@ from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screening, screen
 from physconvex.gap.second_take import second_take_shrinkage
 from physconvex.gap.selection import FAILURES, evidence_of_anything, select_effects
+from physconvex.gap.setting import find_setting
 from physconvex.gap.shortening import MOST_FRAMES, shortened
 from physconvex.gap.trust import error_scale
 from physconvex.gap.verdict import decide
@@ -80,16 +81,21 @@ def diagnose(
     report: Report = on_progress or (lambda _: None)
     cost = Cost(options.deadline)
     cost.allow(np.inf, _BASE)
-    rough = with_giving_floor(rough_baseline(capture, options, report, cost=cost), options, report)
-    numerics = numerical_differences(rough, options, report)
-    rough_errors = error_model(rough, numerics, options)
-    base = fit_baseline(rough, correction_of(numerics), numerics.fine, rough_errors.variance, options, report)
-    base, numerics = with_own_elements(base, rough, numerics, rough_errors.variance, options, report)
+    setting = find_setting(rough_baseline(capture, options, report, cost=cost), options, report)
+    rough = setting.base
+    near = setting.damped or rough  # the recording: errors count where it is
+    numerics = numerical_differences(near, options, report)
+    rough_errors = error_model(near, numerics, options)
+    fine = numerics.fine if near is rough else _motion_on_fine_mesh(rough, numerics)
+    base = fit_baseline(rough, correction_of(numerics), fine, rough_errors.variance, options, report)
+    base, numerics = with_own_elements(base, rough, numerics, rough_errors.variance, options, report, known=setting.own)
     base = _with_directions(base, numerics)
     numerics = with_absorbed_mesh(base, numerics, options)
     base, errors, screening = _trusted(base, numerics, dictionary, options, report)
     weights = detail_errors(base, errors, options.detail)
-    hypotheses, screening = select_effects(base, weights, numerics, dictionary, options, report, screening=screening)
+    hypotheses, screening = select_effects(
+        base, weights, numerics, dictionary, options, report, screening=screening, near=setting.damped
+    )
     best = next((h for h in hypotheses if h.effects), hypotheses[0])
     cost.allow(_PLACEBO_COST, _LAST)
     report("placebo")
@@ -129,6 +135,14 @@ def diagnose(
         provenance=_provenance(base, numerics, screening, time.monotonic() - begun),
         options=options,
     )
+
+
+def _motion_on_fine_mesh(rough: Baseline, numerics: Numerics) -> tuple[TetMesh, Motion] | None:
+    """That of the base model itself, where the numerical differences are those of another."""
+    if numerics.fine is None:
+        return None
+    mesh = numerics.fine[0]
+    return mesh, replace(rough.model, mesh=mesh).motion(rough.fit.values)
 
 
 def _trusted(

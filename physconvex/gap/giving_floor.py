@@ -8,27 +8,22 @@ which a dashpot of the contact leaves alone and damping of the body does not.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
+from jaxtyping import Float
 
-from physconvex.errors import ConvergenceError
-from physconvex.gap.baseline import FLOOR_LAW, Baseline, run_base, steps_per_frame
-from physconvex.gap.model import EffectModel, SecantModel
-from physconvex.gap.options import GapOptions
-from physconvex.identify import Fit, FitOptions, MarkerObservations, fit
+from physconvex.gap.baseline import FLOOR_LAW, Baseline
+from physconvex.gap.company import Company
+from physconvex.identify import Fit, MarkerObservations
 
-__all__ = ["depth_seen", "with_giving_floor"]
+__all__ = ["depth_seen", "on_giving_floor", "sinks_in", "softness"]
 
 _DEPTH = 0.01  # of the size of the body: markers lie deeper in a floor that gives way
-_SOFTER = 1 / 3  # of the stiffness that a floor has in the base model
 _FACTORS = (0.0, 0.25, 0.45, 0.6, 0.75)  # decades of E above the fit with the hard floor, which is too soft
 _STIFFNESSES = (-0.7, -0.3, 0.1)  # decades about the stiffness that stops the body at the depth seen
 _DASHPOTS = (0.0, 1.0, 3.0)  # in times that the body takes to sink in
-_FITS, _ROUNDS = 3, 2
-_BETTER = 0.5  # share of the squares that a giving floor may leave to be believed
+_FITS = 2
 
 
 def depth_seen(base: Baseline) -> float:
@@ -49,42 +44,29 @@ def depth_seen(base: Baseline) -> float:
     return max(float(deep[-2]), 0.0) if len(deep) > 1 else 0.0
 
 
-def with_giving_floor(base: Baseline, options: GapOptions, report: Callable[[str], None]) -> Baseline:
-    """The rough base fit with stiffness and dashpot of the floor free, if the recording shows that it gives way.
+def sinks_in(base: Baseline) -> bool:
+    """Whether markers lie deeper in the floor than a stiff one allows."""
+    return depth_seen(base) >= _DEPTH * base.situation.size
 
-    Unchanged where markers do not sink in, where the floor's give does not halve the squares, or where that asks for a
-    floor about as stiff as the model's own.
+
+def on_giving_floor(company: Company, doses: Float[np.ndarray, " D"]) -> Fit | None:
+    """The reduced model's fit with stiffness and dashpot of the floor free, from the best of a scan.
+
+    None where no start can be simulated.
+
+    Args:
+        company: the rough base fit and the effects beside.
+        doses: of these, where the scan is made.
     """
-    if base.situation.clamped or not base.situation.touches or depth_seen(base) < _DEPTH * base.situation.size:
-        return base
-    report("fit of the floor's give")
+    base = company.base
     names = (*base.model.base, *FLOOR_LAW)
-    count = int(base.split.fitted[-1]) + 1
-    seen = base.observations.in_frames(count)
-    before = float((seen.residuals(base.motion.positions[:count]) ** 2).sum())
-    tried = []
-    for values in _starts(base):
-        model = _reduced(base, names, values, count)
-        try:
-            tried.append((float((seen.residuals(model.positions(values)) ** 2).sum()), values))
-        except ConvergenceError:
-            continue
-    found: list[Fit] = []
-    for _, values in sorted(tried, key=lambda pair: pair[0])[:_FITS]:
-        try:
-            found.append(_fitted(base, names, values, count, options))
-        except ConvergenceError:
-            continue
-    best = min(found, key=lambda f: f.misfit, default=None)
-    if best is None or 2 * best.misfit > _BETTER * before or _softness(base, names, best.values) > _SOFTER:
-        return base
-    twin = _reduced(base, names, best.values, count).twin
-    return run_base(
-        base.capture, base.observations, base.split, twin.with_values(names, best.values), best, cost=base.model.cost
-    )
+    starts = [np.append(values, doses) for values in _starts(base)]
+    misfits = [company.misfit(names, values) for values in starts]
+    order = [i for i in np.argsort(misfits)[:_FITS] if np.isfinite(misfits[i])]
+    return company.best(names, [starts[i] for i in order])
 
 
-def _softness(base: Baseline, names: tuple[str, ...], values: np.ndarray) -> float:
+def softness(base: Baseline, names: tuple[str, ...], values: Float[np.ndarray, " K"]) -> float:
     """Stiffness of the floor over that which the base model gives it for the same E."""
     own = base.model.twin.with_values(base.model.base, values[: len(base.model.base)]).scene.contact().stiffness
     return float(10 ** values[names.index(FLOOR_LAW[0])] / own)
@@ -104,27 +86,3 @@ def _starts(base: Baseline) -> list[np.ndarray]:
         pressure = np.sqrt(10 ** values[at] * base.capture.density) * speed  # of a body that stops within a wave's time
         out.append(np.append(values, [np.log10(pressure / depth) + shift, dashpot * depth / speed]))
     return out
-
-
-def _reduced(base: Baseline, names: tuple[str, ...], values: np.ndarray, count: int) -> EffectModel:
-    """The reduced base model of the first frames, with time steps that suit the values."""
-    twin = base.model.twin
-    steps = steps_per_frame(replace(twin, steps_per_frame=6), dict(zip(names, values, strict=True)))
-    twin = replace(twin, steps_per_frame=steps)
-    return replace(base.model, twin=twin, base=names, frames=count, reduced=True, mesh=None, correction=None)
-
-
-def _fitted(base: Baseline, names: tuple[str, ...], values: np.ndarray, count: int, options: GapOptions) -> Fit:
-    """A fit of the reduced model, its derivatives taken anew once.
-
-    Raises:
-        ConvergenceError: it cannot be simulated there.
-    """
-    seen, model = base.observations.in_frames(count), _reduced(base, names, values, count)
-    stop = FitOptions(max_iterations=options.iterations + 3, relative_tolerance=1e-3, absolute_tolerance=0.05)
-    for _ in range(_ROUNDS):
-        motion = model.motion(values)
-        secant = SecantModel(model, values, motion.positions, model.tangents(values, motion))
-        found = fit(secant, seen, model.parameters(values), options=stop)
-        values = found.values
-    return found

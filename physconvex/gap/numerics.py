@@ -15,6 +15,7 @@ from jaxtyping import Float
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import TetMesh, refine, simulate, tetrahedralize
 from physconvex.gap.baseline import Baseline, Report
+from physconvex.gap.boxes import box_of_body
 from physconvex.gap.effects import Motion
 from physconvex.gap.model import ACCURACY
 from physconvex.gap.options import GapOptions
@@ -126,7 +127,8 @@ def other_mesh(base: Baseline, options: GapOptions, steps: int) -> TetMesh:
             raise InputError(f"mesh: {len(split.vertices)} nodes are too many for {steps} steps")
         return split
     wanted = max(min(options.fine_nodes, _WORK // steps), int(2.5 * len(own.vertices)))
-    mesh = mesh_of_capture(base.capture, max_nodes=wanted)
+    box = box_of_body(base.capture, wanted)
+    mesh = mesh_of_capture(base.capture, max_nodes=wanted) if box is None else box
     if len(mesh.vertices) > 1.3 * len(own.vertices):
         return mesh
     return tetrahedralize(own.surface, max_nodes=wanted, order=2, method="auto")

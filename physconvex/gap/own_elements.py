@@ -46,8 +46,10 @@ def with_own_elements(
     variance: Float[np.ndarray, " N"],
     options: GapOptions,
     report: Callable[[str], None],
+    *,
+    known: bool | None = None,
 ) -> tuple[Baseline, Numerics]:
-    """The base fit on the capture's own linear elements, if they halve the squares; else as it is.
+    """The base fit on the capture's own linear elements, if they are the recording's; else as it is.
 
     Args:
         base: the base fit on elements of the diagnosis.
@@ -56,9 +58,11 @@ def with_own_elements(
         variance: of the residuals of a free body, all frames; those of a held one weigh alike.
         options: settings.
         report: told what is done.
+        known: whether they are, where that has been asked (`physconvex.gap.setting`); else they are if they halve the
+            squares.
     """
     mesh = own_elements(base)
-    if mesh is None or not base.tangents.any():
+    if mesh is None or not base.tangents.any() or known is False:
         return base, numerics
     report("base model on the capture's own elements")
     if base.situation.clamped:  # the error of the other mesh, which widens the variance, is what is on trial
@@ -73,7 +77,7 @@ def with_own_elements(
             values[at] = np.clip(values[at], *_RATIOS)
         values[index] += _decades(base.model, model, values)
         least, values[index] = _best_modulus(base, model, values, variance)
-        if least > _HOPELESS * before:
+        if not known and least > _HOPELESS * before:
             return base, numerics
         motion = model.motion(values)
         stiffer = _surrogate(base, mesh, values, motion.positions) if base.situation.clamped else 0.0
@@ -83,7 +87,7 @@ def with_own_elements(
         own = fit_baseline(start, numerics.steps, (mesh, motion), variance, options, report)
     except (ConvergenceError, InputError):
         return base, numerics
-    if misfit_of_base(own, variance) > _BETTER * before:
+    if not known and misfit_of_base(own, variance) > _BETTER * before:
         return base, numerics
     still = np.zeros_like(numerics.mesh)
     return own, replace(numerics, mesh=still) if base.situation.clamped else numerics

@@ -10,11 +10,11 @@ from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.baseline import FLOOR_LAW, Baseline, Report, rough_baseline
 from physconvex.gap.comparison import Hypothesis, hypothesis_at
-from physconvex.gap.giving_floor import with_giving_floor
 from physconvex.gap.how_far import HowFar, shrinkage_on
 from physconvex.gap.numerics import other_mesh
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
+from physconvex.gap.setting import find_setting
 
 __all__ = ["second_take_shrinkage"]
 
@@ -41,7 +41,7 @@ def second_take_shrinkage(
     """
     own = rough_baseline(take, options, report)
     if base.situation.giving_floor:
-        own = with_giving_floor(own, options, report)
+        own = find_setting(own, options, report).base
     lost = [e.label for e in best.effects if not e.applies(replace(own.situation, touches=own.situation.floor))]
     if lost:
         raise InputError(

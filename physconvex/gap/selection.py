@@ -1,7 +1,8 @@
 """Which effects, one or several: forward selection from screenings, pairs that help only together, and leaving out.
 
 1. Fit the effects that screening ranks first, each alone, and the pairs whose signatures explain most together; do
-   so again from where the first frames alone put the base model (`physconvex.gap.anchoring`).
+   so again from where the first frames alone put the base model (`physconvex.gap.anchoring`). Begin with damping where
+   E was found together with it.
 2. While something is left of the best fit, screen all other effects at that fit and add those that rank first.
 3. Fit the best combination without each of its effects.
 4. Carry the best few over to the full-order model (`physconvex.gap.mapping`), which decides.
@@ -28,7 +29,7 @@ from physconvex.gap.comparison import (
 )
 from physconvex.gap.effects import Effect
 from physconvex.gap.mapping import as_reduced, confirmed, improved
-from physconvex.gap.model import EffectModel
+from physconvex.gap.model import EffectModel, reduced_like
 from physconvex.gap.numerics import Numerics
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
@@ -113,7 +114,7 @@ class Selection:
 
 def select_effects(
     base: Baseline, errors: ErrorModel, numerics: Numerics, dictionary: Iterable[Effect], options: GapOptions,
-    report: Report, *, screening: Screening | None = None,
+    report: Report, *, screening: Screening | None = None, near: Baseline | None = None,
 ) -> tuple[list[Hypothesis], Screening]:  # fmt: skip
     """The base model and the fits of effects, best evidence first, and the screening at the base fit.
 
@@ -125,6 +126,7 @@ def select_effects(
         options: settings.
         report: told what is done.
         screening: at the base fit, if there is one already.
+        near: the base model with an effect, near the recording: see `physconvex.gap.dissipation`.
     """
     cheap, dictionary = as_reduced(base), tuple(dictionary)
     screening = screening or screen(cheap, errors, numerics, dictionary, report)
@@ -135,6 +137,8 @@ def select_effects(
     rows = len(base.rows(base.split.fitted))
     search.independent = rows / residuals_per_one(base, errors, base.positions, base.split.fitted)
     open_gap = search.found[0].fitted > _CLOSED or search.found[0].selecting > _LATE_GAP
+    if open_gap and near is not None:
+        _from_near(search, base, near, {effect.name for effect in dictionary})
     for entry in screening.one_per_name[: _SINGLES if open_gap else 2]:
         search.fit([entry])
     if open_gap:
@@ -214,6 +218,22 @@ def judged(base: Baseline, errors: ErrorModel, hypotheses: Sequence[Hypothesis])
     best = max(hypotheses, key=lambda h: h.evidence)
     divisor = residuals_per_one(base, errors, best.positions, np.union1d(base.split.fitted, base.split.selecting))
     return sorted((h.tempered(divisor) for h in hypotheses), key=lambda h: -h.evidence)
+
+
+def _from_near(search: Selection, full: Baseline, near: Baseline, known: set[str]) -> None:
+    """Fit the effects that were found with E from there, where they are in the dictionary."""
+    effects, values = near.model.effects, near.fit.values
+    if not {effect.name for effect in effects} <= known:
+        return
+    count = int(search.base.split.fitted[-1]) + 1
+
+    def run() -> Hypothesis:
+        model = replace(full.model, effects=effects)
+        cheap, motion = reduced_like(model, model.motion(values), values)
+        tangents = replace(cheap, frames=count).tangents(values, motion.first(count))
+        return refit(search.base, search.errors, cheap, values, tangents, search.options)
+
+    search.attempt(" + ".join(effect.label for effect in effects), run)
 
 
 def _together(search: Selection, screening: Screening) -> None:

@@ -11,21 +11,27 @@ from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, box_mesh, simulat
 from physconvex.gap import GapOptions, Situation, numerics
 from physconvex.gap.baseline import FLOOR_LAW, Baseline, rough_baseline
 from physconvex.gap.effects import DEFAULT_EFFECTS, applicable
-from physconvex.gap.giving_floor import depth_seen, with_giving_floor
+from physconvex.gap.giving_floor import depth_seen
 from physconvex.gap.model import EffectModel
 from physconvex.gap.numerics import numerical_differences
+from physconvex.gap.setting import find_setting
 from physconvex.reduced import parameter_values
 
 MODULUS, SIGMA, FPS = 4e4, 1e-5, 100.0
 OPTIONS = GapOptions(max_nodes=130, weights=4)
 
 
-def dropped(folder: Path, *, frames: int, lowered: float = 0.0, **contact: float) -> Capture:
-    """A cube that falls on a floor; the markers' frame may be lowered [m]."""
+def dropped(
+    folder: Path, *, frames: int, lowered: float = 0.0, leaning: float = 0.0, friction: float = 0.0, **world: float
+) -> Capture:
+    """A cube that falls on a floor; the markers' frame may be lowered [m], and gravity lean unsaid [m/s²]."""
     box = box_mesh((0.1, 0.1, 0.1), (2, 2, 2), order=2)
     mesh = TetMesh(box.vertices - box.vertices.min(0) + [0, 0, 0.02], box.tets)
     body = ElasticBody(mesh, youngs_modulus=MODULUS, poisson_ratio=0.35)
-    scene = Scene(body, obstacles=(Plane(),), initial_velocity=(0.0, 0.0, -1.5), **contact)
+    scene = Scene(
+        body, obstacles=(Plane(friction=friction),), initial_velocity=(0.0, 0.0, -1.5), gravity=(leaning, 0.0, -9.81),
+        **world,
+    )  # fmt: skip
     run = simulate(scene, frames=frames, fps=FPS, steps_per_frame=8)
     shown = np.unique(mesh.boundary_faces)[::2]
     rng = np.random.default_rng(0)
@@ -51,7 +57,7 @@ def rough(capture: Capture) -> Baseline:
 def test_a_floor_that_gives_way_is_found_with_the_right_modulus(tmp_path: Path) -> None:
     capture = dropped(tmp_path, frames=18, contact_stiffness=8e5, contact_damping=6e-3)
     hard = rough(capture)
-    soft = with_giving_floor(hard, OPTIONS, lambda text: None)
+    soft = find_setting(hard, OPTIONS, lambda text: None).base
     assert abs(hard.fit.value("log10_youngs_modulus") - np.log10(MODULUS)) > 0.15  # E stands in for the floor
     assert soft.model.base[-2:] == FLOOR_LAW and soft.situation.giving_floor
     assert soft.fit.value("log10_youngs_modulus") == pytest.approx(np.log10(MODULUS), abs=0.08)
@@ -62,9 +68,35 @@ def test_a_floor_that_gives_way_is_found_with_the_right_modulus(tmp_path: Path) 
 
 
 @pytest.mark.slow
+def test_a_floor_that_gives_way_is_found_under_a_tilt_that_is_not_known(tmp_path: Path) -> None:
+    """The tilt makes most of the squares, which the floor's give alone does not halve."""
+    capture = dropped(tmp_path, frames=18, leaning=2.0, contact_stiffness=8e5, contact_damping=6e-3)
+    hard = rough(capture)
+    soft = find_setting(hard, OPTIONS, lambda text: None).base
+    left, before = (np.square(b.residual(b.positions)).sum() for b in (soft, hard))
+    assert left > 0.5 * before
+    assert soft.situation.giving_floor
+    assert soft.fit.value("log10_youngs_modulus") == pytest.approx(np.log10(MODULUS), abs=0.1)
+
+
+@pytest.mark.slow
+def test_a_damped_body_is_found_soft_and_damped_and_not_stiff(tmp_path: Path) -> None:
+    hard = rough(dropped(tmp_path, frames=18, damping_time=8e-3))
+    found = find_setting(hard, OPTIONS, lambda text: None)
+    assert found.damped is not None and [e.name for e in found.damped.model.effects] == ["damping"]
+    modulus, _, damping = found.damped.fit.values
+    assert modulus == pytest.approx(np.log10(MODULUS), abs=0.1)
+    assert damping == pytest.approx(8e-3, rel=0.3)
+    assert found.base.fit.value("log10_youngs_modulus") == modulus  # where the base fit begins
+    left, before = (np.linalg.norm(b.residual(b.positions)) for b in (found.damped, hard))
+    assert left < 0.3 * before
+
+
+@pytest.mark.slow
 def test_a_hard_floor_stays_as_it_is(tmp_path: Path) -> None:
     hard = rough(dropped(tmp_path, frames=18))
-    assert with_giving_floor(hard, OPTIONS, lambda text: None) is hard
+    found = find_setting(hard, OPTIONS, lambda text: None)
+    assert found.base is hard and found.damped is None and not found.own
 
 
 def test_a_shifted_frame_of_the_markers_is_no_depth(tmp_path: Path) -> None:
