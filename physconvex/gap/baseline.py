@@ -177,10 +177,12 @@ def _first_values(capture: Capture, observations: Seen, frames: int, options: Ga
     twin = _cheap(capture, options)
     if isinstance(observations, MarkerObservations):
         twin = start_motion(twin, observations)
-        observations = with_rough_errors(observations, twin, frames)
     parameters = default_parameters(twin)
     gravity = float(np.linalg.norm(capture.gravity))
     moduli = scan_values(density=capture.density, gravity=gravity, size=twin.mesh.size)
+    if isinstance(observations, MarkerObservations):
+        middle = twin.with_values(["log10_youngs_modulus"], np.array(moduli[len(moduli) // 2 : len(moduli) // 2 + 1]))
+        observations = with_rough_errors(observations, middle, frames)
     names = tuple(p.name for p in parameters)
     windows = _windows(frames, held=twin.clamp is not None)
     model = ReducedModel(twin, names, observations.points, windows[0])

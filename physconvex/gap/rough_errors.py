@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from physconvex.errors import ConvergenceError
 from physconvex.gap.effects import Motion
 from physconvex.gap.observing import Seen, in_metres, widened
 from physconvex.identify import Twin
@@ -26,18 +27,20 @@ _PUSHED = 0.2  # of gravity, beside it: what only a contact does, should it be o
 def with_rough_errors(seen: Seen, twin: Twin, frames: int) -> Seen:
     """Observations of the first frames, their noise widened by what a rough model of a free body errs by.
 
+    As they are of a held body, and where the twin cannot be simulated.
+
     Args:
         seen: the observations.
         twin: rough as it is, it flies as the body does.
         frames: so many.
-
-    Raises:
-        ConvergenceError: the twin cannot be simulated.
     """
     seen = seen.in_frames(frames)
     if twin.clamp is not None:
         return seen
-    run = simulate(twin.scene, **twin.timing(frames))
+    try:
+        run = simulate(twin.scene, **twin.timing(frames))
+    except ConvergenceError:
+        return seen
     space = twin.scene.body.space
     shapes = space.shape_values(seen.points)
     motion = Motion(

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from physconvex.errors import ConvergenceError
 from physconvex.gap.baseline import FLOOR_LAW, Baseline, run_base
 from physconvex.gap.company import Company
 from physconvex.gap.dissipation import damped_fit
@@ -48,26 +49,34 @@ def find_setting(base: Baseline, options: GapOptions, report: Callable[[str], No
         base: the rough base fit, on a hard floor.
         options: settings.
         report: told what is done.
+
+    Returns:
+        The base fit as it is where none of that is so, or where a model of it cannot be simulated.
     """
     if base.situation.clamped or not base.situation.touches:
         return Setting(base, None)
+    try:
+        return _asked(base, options, report)
+    except ConvergenceError:
+        return Setting(base, None)
+
+
+def _asked(base: Baseline, options: GapOptions, report: Callable[[str], None]) -> Setting:
     own, sinks = own_elements(base), sinks_in(base)
     if own is None and not sinks:
-        return _damped(base, options)
+        return _damped(base, options, report)
     company, names = Company(base, options), (base.model.base, (*base.model.base, *FLOOR_LAW))
-    report("fit of the floor's give")
+    report("fits in the company of effects")
     hard = company.best(names[0], [np.append(base.fit.values, company.nothing)])
     doses = company.nothing if hard is None else hard.values[len(names[0]) :]
     soft = on_giving_floor(company, doses) if sinks else None
     if soft is not None and softness(base, names[1], soft.values) > _SOFTER:
         soft = None
     if own is None and soft is None:
-        return _damped(base, options)
+        return _damped(base, options, report)
     report("floor and elements of the recording")
     floors: list[tuple[tuple[str, ...], Fit]] = [(n, f) for n, f in zip(names, (hard, soft), strict=True) if f]
-    tried: dict[
-        tuple[bool, bool], Fit
-    ] = {}  # by whether the elements are the own ones, and whether the floor gives way
+    tried: dict[tuple[bool, bool], Fit] = {}  # by whether the elements are the own ones, and the floor gives way
     for mesh in (None,) if own is None else (None, own):
         for which, start in floors:
             found = company.full(which, start, mesh)
@@ -75,15 +84,15 @@ def find_setting(base: Baseline, options: GapOptions, report: Callable[[str], No
                 tried[mesh is not None, which is names[1]] = found
     if not tried:
         return Setting(base, None)
-
     theirs, gives = min(tried, key=lambda case: tried[case].misfit / _BETTER ** sum(case))
     if gives:
         return Setting(_moved(base, company, names[1], tried[theirs, gives]), None if own is None else theirs)
-    return replace(_damped(base, options), own=None if own is None else theirs)
+    return replace(_damped(base, options, report), own=None if own is None else theirs)
 
 
-def _damped(base: Baseline, options: GapOptions) -> Setting:
+def _damped(base: Baseline, options: GapOptions, report: Callable[[str], None]) -> Setting:
     """On a floor that does not give way, damping is what takes the energy of an impact."""
+    report("scan over E and damping")
     damped = damped_fit(base, options)
     if damped is None:
         return Setting(base, None)
