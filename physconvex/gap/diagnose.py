@@ -11,6 +11,7 @@ import numpy as np
 
 import physconvex
 from physconvex.capture import Capture, load_capture
+from physconvex.errors import ConvergenceError
 from physconvex.fem import TetMesh
 from physconvex.gap.absorbing import with_absorbed_mesh
 from physconvex.gap.advice import next_experiment
@@ -138,11 +139,14 @@ def diagnose(
 
 
 def _motion_on_fine_mesh(rough: Baseline, numerics: Numerics) -> tuple[TetMesh, Motion] | None:
-    """That of the base model itself, where the numerical differences are those of another."""
+    """That of the base model itself, where the numerical differences are those of another; None where it has none."""
     if numerics.fine is None:
         return None
     mesh = numerics.fine[0]
-    return mesh, replace(rough.model, mesh=mesh).motion(rough.fit.values)
+    try:
+        return mesh, replace(rough.model, mesh=mesh).motion(rough.fit.values)
+    except ConvergenceError:
+        return None
 
 
 def _trusted(

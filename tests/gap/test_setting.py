@@ -1,0 +1,53 @@
+"""Where a model of the recording's setting cannot be simulated, the diagnosis goes on without it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from physconvex.errors import ConvergenceError
+from physconvex.gap import GapOptions, diagnose, setting
+from physconvex.gap.setting import find_setting
+
+
+def silent(text):
+    """No progress."""
+
+
+def failing(*arguments, **options):
+    """A model that cannot be simulated."""
+    raise ConvergenceError("no")
+
+
+def base_that(**situation):
+    """As much of a rough base fit as the questions look at first."""
+    return SimpleNamespace(situation=SimpleNamespace(**situation))
+
+
+@pytest.mark.parametrize("situation", [{"clamped": True, "touches": True}, {"clamped": False, "touches": False}])
+def test_nothing_is_asked_of_held_bodies_and_of_those_that_strike_nothing(situation, monkeypatch):
+    monkeypatch.setattr(setting, "own_elements", failing)
+    base = base_that(**situation)
+    found = find_setting(base, GapOptions(), silent)
+    assert found.base is base and found.own is None and found.damped is None
+
+
+def test_a_setting_that_cannot_be_simulated_leaves_the_base_fit_as_it_is(monkeypatch):
+    monkeypatch.setattr(setting, "own_elements", lambda base: None)
+    monkeypatch.setattr(setting, "sinks_in", lambda base: False)
+    monkeypatch.setattr(setting, "damped_fit", lambda base, options: (None, None))
+    monkeypatch.setattr(setting, "_moved", failing)
+    base = base_that(clamped=False, touches=True)
+    base.model = SimpleNamespace(base=())
+    found = find_setting(base, GapOptions(), silent)
+    assert found.base is base and found.damped is None
+
+
+def test_a_base_model_that_fails_on_the_finer_mesh_is_fitted_without_it(monkeypatch):
+    import importlib
+
+    module = importlib.import_module(diagnose.__module__)
+    monkeypatch.setattr(module, "replace", lambda model, mesh: SimpleNamespace(motion=failing))
+    rough = SimpleNamespace(model=None, fit=SimpleNamespace(values=np.zeros(2)))
+    assert module._motion_on_fine_mesh(rough, SimpleNamespace(fine=None)) is None
+    assert module._motion_on_fine_mesh(rough, SimpleNamespace(fine=("mesh", "motion"))) is None
