@@ -6,25 +6,16 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
 from typing import Any, Literal, TypeVar
 
 from physconvex.errors import InputError
-from physconvex.processes import end_with_parent
+from physconvex.processes import ONE_THREAD, end_with_parent, one_thread_each
 
 __all__ = ["EngineName", "run_tasks"]
 
 EngineName = Literal["local", "ray", "dask"]
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-
-# One thread per worker; and MKL's conditional reproducibility, without which sums depend on where arrays lie in memory.
-_ENVIRONMENT = {
-    "OMP_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_CBWR": "AUTO",
-}
 
 
 def run_tasks(
@@ -43,25 +34,10 @@ def run_tasks(
     yield from engines[engine](function, tasks, workers)
 
 
-@contextmanager
-def _repeatable() -> Iterator[None]:
-    """Child processes started inside use one thread each and give the same bits every time."""
-    before = {name: os.environ.get(name) for name in _ENVIRONMENT}
-    os.environ.update(_ENVIRONMENT)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-
-
 def _local(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int) -> Iterator[Any]:
     # Fresh processes: a forked one would inherit OpenGL contexts and thread pools that do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with _repeatable(), ProcessPoolExecutor(workers, context, end_with_parent) as pool:
+    with one_thread_each(), ProcessPoolExecutor(workers, context, end_with_parent) as pool:
         futures = [pool.submit(function, task) for task in tasks]
         try:
             for future in as_completed(futures):
@@ -79,7 +55,7 @@ def _ray(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int) -> 
         # A running cluster knows how many processors it has, and refuses to be told.
         local = {} if os.environ.get("RAY_ADDRESS") else {"num_cpus": workers, "include_dashboard": False}
         ray.init(log_to_driver=False, **local)
-    remote = ray.remote(num_cpus=1, runtime_env={"env_vars": _ENVIRONMENT})(function)
+    remote = ray.remote(num_cpus=1, runtime_env={"env_vars": ONE_THREAD})(function)
     waiting = [remote.remote(task) for task in tasks]
     while waiting:
         done, waiting = ray.wait(waiting)
@@ -92,7 +68,7 @@ def _dask(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int) ->
     except ImportError as error:
         raise InputError('engine: "dask" is not installed; expected it (pip install "physconvex[dask]")') from error
     address = os.environ.get("DASK_SCHEDULER_ADDRESS")
-    with _repeatable():
+    with one_thread_each():
         cluster = None if address else LocalCluster(workers, threads_per_worker=1, dashboard_address=None)
         with Client(address or cluster) as client:
             futures = client.map(function, tasks, pure=False)

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from physconvex.contact import Friction
 from physconvex.errors import ConvergenceError
+from physconvex.guide import Guide
 from physconvex.integrators import (
     IntegratorName,
     Minimum,
@@ -137,6 +138,8 @@ class Stepper(Generic[Equations]):
         energy: total energy [J] of a state, of a scene in which nothing does work from outside.
         energy_tolerance: a step that raises it by more [J] is cut in two as well, four times at most. BDF2 overshoots
             where an impact takes less than a step.
+        guide: of a roll-out that is much like this one; Newton's method begins where it says.
+        noted: told what each step's first guess missed by.
     """
 
     def __init__(
@@ -151,7 +154,10 @@ class Stepper(Generic[Equations]):
         solve: Callable[[np.ndarray], Minimum] | None = None,
         energy: Callable[[State], float] | None = None,
         energy_tolerance: float = math.inf,
+        guide: Guide | None = None,
+        noted: Guide | None = None,
     ) -> None:
+        self.guide, self.noted = guide, noted
         self.energy, self.energy_tolerance = energy, energy_tolerance
         self._known_energy: tuple[State, float] | None = None
         self.equations, self.integrator = equations, integrator
@@ -194,10 +200,14 @@ class Stepper(Generic[Equations]):
         two_step = self.integrator == "bdf2" and history is not None
         coefficients = bdf2(state, history, step) if two_step and history else implicit_euler(state, step)
         self.equations.set_step(coefficients, time, guess, state)
-        passes = self._passes(guess, step) if self.solve is None else self._solved_at_once(self.solve, guess)
+        begin = guess if self.guide is None else self.guide.corrected(guess, time, step)
+        last = self.equations.first_guess(state.positions.copy(), time)
+        passes = self._passes(begin, last, step) if self.solve is None else self._solved_at_once(self.solve, begin)
         x = passes[-1].x
         if not np.isfinite(x).all():
             raise ConvergenceError("the new state is not finite")
+        if self.noted is not None:
+            self.noted.note(time, step, x - guess)
         after = State(time, x, coefficients.velocity(x))
         return StepRecord(state, history, two_step, step, coefficients, self.equations.viscous, tuple(passes), after)
 
@@ -217,8 +227,8 @@ class Stepper(Generic[Equations]):
             later = earlier
         return None
 
-    def _passes(self, guess: np.ndarray, step: float) -> list[SolvedPass]:
-        passes = [self._minimise(guess)]
+    def _passes(self, guess: np.ndarray, last: np.ndarray, step: float) -> list[SolvedPass]:
+        passes = [self._minimise(guess, fallback=last)]
         while len(passes) < self.friction_passes and self.equations.freeze_friction(passes[-1].x):
             passes.append(self._minimise(passes[-1].x))
             if self.equations.settled(passes[-1].x - passes[-2].x, step):
@@ -241,8 +251,10 @@ class Stepper(Generic[Equations]):
             raise ConvergenceError(f"the energy rose by {after - before:.3g} J")
         self._known_energy = record.after, after
 
-    def _minimise(self, start: np.ndarray) -> SolvedPass:
-        found: Minimum = minimise(self.equations, start, tolerance=self.tolerance, stale_rate=self.stale_rate)
+    def _minimise(self, start: np.ndarray, fallback: np.ndarray | None = None) -> SolvedPass:
+        found: Minimum = minimise(
+            self.equations, start, tolerance=self.tolerance, stale_rate=self.stale_rate, fallback=fallback
+        )
         self.iterations += found.iterations
         self.projections += found.projections
         return SolvedPass(found.x, self.equations.friction)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from inference.reconstruction_views import capture_views
 from inference.refining.options import RefineOptions
 from inference.refining.result import RefinedMotion
-from inference.refining.stages import Stages
+from inference.refining.stages import Arrays, Stages
 from physconvex.camera import Camera
 from physconvex.capture import Capture
 from physconvex.convex import BoundField, ConvexField, bind_to_tets, read_ply
@@ -25,8 +25,9 @@ from physconvex.errors import InputError
 from physconvex.identify.raster import cast_camera_rays
 from physconvex.reconstruction import Observation, ReconstructionConfig, begin, fit, observe, score, start_field
 from physconvex.render import render
+from physconvex.workers import Workers
 
-__all__ = ["Appearance", "appearance_of"]
+__all__ = ["Appearance", "appearance_of", "begun_field"]
 
 _PARTS = ("points", "smoothness", "sharpness", "opacity", "harmonics")
 
@@ -69,10 +70,27 @@ class Appearance:
         return colour, found.alpha.numpy()
 
 
+def begun_field(
+    capture: Capture, options: RefineOptions, stages: Stages, workers: Workers
+) -> Callable[[], Arrays] | None:
+    """Begin to fit a field to the first images of all cameras, beside other work; None where none is wanted.
+
+    A field is fitted from the capture's mesh, if there is one: one camera will then do.
+    """
+    if options.field_file is not None or not options.field or not capture.cameras:
+        return None
+    call = partial(_fitted, capture, options)
+    return call if stages.known("field") else workers.start(call)
+
+
 def appearance_of(
-    capture: Capture, motion: RefinedMotion, options: RefineOptions, stages: Stages, warn: Callable[[str], None]
+    motion: RefinedMotion,
+    options: RefineOptions,
+    stages: Stages,
+    begun: Callable[[], Arrays] | None,
+    warn: Callable[[str], None],
 ) -> Appearance | None:
-    """A field fitted to the first images of all cameras, from the capture's mesh (one camera will then do).
+    """The field that was begun, or is given.
 
     None where it is not wanted, or where the first images do not say which pixels the object covers (told to `warn`).
 
@@ -81,10 +99,10 @@ def appearance_of(
     """
     if options.field_file is not None:
         return Appearance(read_ply(Path(options.field_file)), motion, "field given", {})
-    if not options.field or not capture.cameras:
+    if begun is None:
         return None
     try:
-        arrays = stages.run("field", lambda: _fitted(capture, options))
+        arrays = stages.run("field", begun)
     except InputError as error:
         warn(f"No convex field: {error}")
         return None
@@ -93,7 +111,7 @@ def appearance_of(
     return Appearance(field, motion, f"first images of {len(scores)} cameras, from {arrays['kind']}", scores)
 
 
-def _fitted(capture: Capture, options: RefineOptions) -> dict[str, np.ndarray]:
+def _fitted(capture: Capture, options: RefineOptions) -> Arrays:
     mesh = capture.mesh()
     views = capture_views(capture, least=2 if mesh is None else 1).training
     config = ReconstructionConfig(budget=options.field_budget, steps=options.field_steps)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -91,14 +92,19 @@ class Beginning:
 
     def _misfits(self, problem: Problem, model: FullModel, candidates: Sequence[np.ndarray]) -> np.ndarray:
         """Of each, infinite where nothing comes out; with drift, all there may be, minus its log-likelihood."""
-        limit = problem.drift_limit
-        drifting = None if limit is None else problem.drifting(limit[1])
-        out = np.full(len(candidates), np.inf)
         roll_out_together((model, values) for values in candidates)
-        for number, values in enumerate(candidates):
+        found: list[np.ndarray | None] = []
+        for values in candidates:
             try:
-                at = model.positions(values)
-                out[number] = misfit_of(problem.undrifted, at) if drifting is None else -drifting.log_likelihood(at)
+                found.append(model.positions(values))
             except ConvergenceError:
-                continue
-        return out
+                found.append(None)
+        return np.array(self.memory.workers.map(partial(_misfit, problem), found))
+
+
+def _misfit(problem: Problem, positions: np.ndarray | None) -> float:
+    if positions is None:
+        return np.inf
+    if problem.drift_limit is None:
+        return misfit_of(problem.undrifted, positions)
+    return -problem.drifting(problem.drift_limit[1]).log_likelihood(positions)

@@ -68,7 +68,7 @@ def with_drift(problem: Problem, model: FullModel, found: Fit, stages: Stages, n
 
     def compute() -> dict[str, np.ndarray]:
         at = model.begun(found.values)
-        likely = likely_drift(plain.undrifted, at, begin, 1 / plain.twin.fps, most=most)
+        likely = likely_drift(plain.undrifted, at, begin, 1 / plain.twin.fps, most=most, workers=model.memory.workers)
         return {"sigma": np.array(0.0 if likely is None else likely.sigma)}
 
     return replace(plain, drift=float(stages.run(name, compute)["sigma"]))

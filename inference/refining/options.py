@@ -43,7 +43,7 @@ class RefineOptions:
         field_file: a field (PLY) of the body at rest, in the place of that.
         field_budget, field_steps: most convexes, and steps of their fit.
         checkpoint: of the network.
-        processes: in which roll-outs wanted together are made. Results do not depend on it. With more than one,
+        processes: in which what is wanted together is made. Results depend on it by rounding alone. With more than one,
             a script that calls `refine` needs `if __name__ == "__main__"`, as for all of Python's worker processes.
     """
 

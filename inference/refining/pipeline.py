@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from inference.prediction import Prediction
-from inference.refining.appearance import appearance_of
+from inference.refining.appearance import appearance_of, begun_field
 from inference.refining.beginning import START_OPTIONS, Beginning
 from inference.refining.colouring import BLURS, coloured
 from inference.refining.drifting import drift_of, followed_motion, with_drift
@@ -51,6 +51,7 @@ from physconvex.identify.full_fit import FULL_OPTIONS
 from physconvex.identify.nuisance import MarginalObservations
 from physconvex.identify.setup import with_free_friction
 from physconvex.reduced import parameter_values
+from physconvex.workers import Workers
 
 __all__ = ["refine"]
 
@@ -89,8 +90,8 @@ def refine(
         options = replace(options, initial={**start, **options.initial})
     capture = load_capture(Path(path))
     stages = Stages(None if out is None else Path(out), _key(capture, options), on_stage)
-    with RollOuts(processes=options.processes) as memory:
-        return _Run(capture, options, stages, memory).refine()
+    with Workers(options.processes) as workers:
+        return _Run(capture, options, stages, workers).refine()
 
 
 def _key(capture: Capture, options: RefineOptions) -> str:
@@ -99,12 +100,12 @@ def _key(capture: Capture, options: RefineOptions) -> str:
 
 
 class _Run:
-    def __init__(self, capture: Capture, options: RefineOptions, stages: Stages, memory: RollOuts) -> None:
+    def __init__(self, capture: Capture, options: RefineOptions, stages: Stages, workers: Workers) -> None:
         self.capture, self.options, self.stages = capture, options, stages
         self.warnings: list[str] = []
-        self.search = ReducedSearch(capture, options, stages, self.warnings)
+        self.search = ReducedSearch(capture, options, stages, self.warnings, workers)
         self.start_model: FullModel | None = None  # what the points are followed again by
-        self.memory = memory
+        self.workers, self.memory = workers, RollOuts(workers=workers)
 
     def refine(self) -> Refinement:
         problem = self._problem()
@@ -114,9 +115,10 @@ class _Run:
         if problem.observed.can_be_anchored:
             problem, start = self._anchored(problem, start)
         problem = self._with_step(problem, start)
+        other = self._beside(problem, start)
         problem = self._with_drift(problem, start, "drift")
-        if self.options.own_derivatives and self.start_model is not None:
-            problem = self._with_errors(problem, self.start_model, start)
+        if other is not None:
+            problem = self._with_errors(problem, other, start)
         coloured = (
             self.options.colours
             and (self.options.own_derivatives or not self.options.correction)
@@ -203,17 +205,23 @@ class _Run:
         rate = float(np.clip(_STEPS_PER_CROSSING * speed / twin.mesh.size, *_RATES))
         return replace(problem, twin=replace(twin, steps_per_frame=max(4, math.ceil(rate / twin.fps))))
 
-    def _with_errors(self, problem: Problem, coarse: FullModel, start: Fit) -> Problem:
+    def _beside(self, problem: Problem, start: Fit) -> FullModel | None:
+        """The full model on another mesh, to compare with; what is asked of both there is rolled out ahead."""
+        coarse = self.start_model
+        if not self.options.own_derivatives or coarse is None:
+            return None
+        full = problem.full(self.memory)
+        mesh = finer_mesh(problem.twin) if coarse.mesh is None else coarse.mesh
+        other = full if mesh is None else replace(full, mesh=mesh)
+        if full.differenced and not self.stages.known("frame_errors"):  # the search begins with these derivatives
+            roll_out_together([(other, start.values)], beside=[(full, start.values)])
+        return other
+
+    def _with_errors(self, problem: Problem, other: FullModel, start: Fit) -> Problem:
         """The problem with what more nodes change by frame: after an impact bodies of few nodes soon go astray."""
 
         def compute() -> Arrays:
-            full = problem.full(self.memory)
-            mesh = finer_mesh(problem.twin) if coarse.mesh is None else coarse.mesh
-            other = full if mesh is None else replace(full, mesh=mesh)
-            if full.differenced:  # the search begins with these derivatives
-                values = (start.values, *full.beside(start.values))
-                roll_out_together([*((full, v) for v in values), (other, start.values)])
-            here, there = full.begun(start.values), other.positions(start.values)
+            here, there = problem.full(self.memory).begun(start.values), other.positions(start.values)
             return {"errors": _LEFT * frame_errors(problem.seen, here, there)}
 
         try:
@@ -278,8 +286,9 @@ class _Run:
         full = problem.full(self.memory)
         judged = judge(full, final, problem.seen, self.options, self.stages, self.warnings)
         final = judged.fit
+        field = begun_field(self.capture, self.options, self.stages, self.workers)
         motion = motion_of(self.capture, full, final, self.options, self.stages, mesh=judged.mesh)
-        appearance = appearance_of(self.capture, motion, self.options, self.stages, self.warnings.append)
+        appearance = appearance_of(motion, self.options, self.stages, field, self.warnings.append)
         told = identifiability(final)
         seen, drift = problem.observed.observations, drift_of(problem, final)
         rms = problem.observed.rms(seen.residuals(_drifted(problem, final)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError
 from physconvex.identify import Fit, FitOptions, Parameter, Twin, TwinOptions, base_twin, fit, scan
 from physconvex.identify.twin import coarse_mesh
+from physconvex.workers import Workers
 
 __all__ = ["ReducedSearch", "started_from"]
 
@@ -36,12 +38,14 @@ class ReducedSearch:
     Attributes:
         capture, options, stages: of the refinement.
         warnings: what the user should know is added here.
+        workers: for what can be done at once.
     """
 
     capture: Capture
     options: RefineOptions
     stages: Stages
     warnings: list[str]
+    workers: Workers = field(default_factory=Workers)
     _made: dict[str, dict[str, np.ndarray]] = field(default_factory=dict, init=False, repr=False)
 
     def run(self, problem: Problem) -> Fit:
@@ -88,18 +92,22 @@ class ReducedSearch:
         return replace(twin, steps_per_frame=max(4, twin.steps_per_frame // 2))
 
     def _scan(self, problem: Problem) -> dict[str, np.ndarray]:
+        self.workers.begin()
         moduli, ratios, note = scan_range(self.capture, problem.twin.mesh.size, self.options)
         if note:
             self.warnings.append(note)
         frames = problem.windows[0]
         cheap = replace(problem, twin=self._cheap(problem)).first(frames)
-        found = scan(cheap.reduced(), cheap.seen, problem.parameters, moduli=moduli, ratios=ratios)
+        found = scan(
+            cheap.reduced(), cheap.seen, problem.parameters, moduli=moduli, ratios=ratios, workers=self.workers
+        )
         return arrays_of_scan(found)
 
     def _best(self, problem: Problem, starts: tuple[tuple[Parameter, ...], ...]) -> dict[str, np.ndarray]:
         """A few cheap iterations from the two best starts, then the model itself from the better one."""
         cheap = replace(problem, twin=self._cheap(problem))
-        trials = [trial for start in starts if (trial := self._grown(cheap, start)) is not None]
+        grown = self.workers.map(partial(_grown, cheap, self._rough_options(held=cheap.twin.clamp is not None)), starts)
+        trials = [trial for trial in grown if trial is not None]
         best = min(trials, key=lambda trial: trial.misfit) if trials else None
         if best is not None and self.options.own_derivatives:
             # a finer reduced model would cost as much as the full one, which comes next
@@ -116,23 +124,30 @@ class ReducedSearch:
             return FitOptions(max_iterations=8, relative_tolerance=1e-3, absolute_tolerance=0.1)
         return FitOptions()
 
-    def _grown(self, cheap: Problem, start: tuple[Parameter, ...]) -> Fit | None:
-        """Fit longer and longer parts of the motion; None where the body cannot be simulated.
-
-        Parts that serve to find the right swing leave ν alone, of which they tell next to nothing.
-        """
-        found = None
-        for frames in cheap.windows:
-            part = cheap.first(frames)
-            free = start if frames == cheap.frames else tuple(p.held() if p.name == _RATIO else p for p in start)
-            try:
-                found = fit(part.reduced(), part.seen, free, options=FitOptions(max_iterations=6))
-            except ConvergenceError:
-                return None
-            start = started_from(cheap.parameters, found)
-        return found
+    def _rough_options(self, *, held: bool) -> FitOptions:
+        """Of the cheap fits: where the full model goes on, from several places, what few steps leave is enough."""
+        if self.options.own_derivatives and not held:
+            return FitOptions(max_iterations=4, relative_tolerance=0.03)
+        return FitOptions(max_iterations=6)
 
     def fit(self, name: str, problem: Problem, start: tuple[Parameter, ...]) -> Fit:
         """The fit of that stage, from a start."""
         arrays = self.stages.run(name, lambda: arrays_of_fit(self._fitted(problem, start)))
         return fit_of(arrays, problem.parameters)
+
+
+def _grown(cheap: Problem, options: FitOptions, start: tuple[Parameter, ...]) -> Fit | None:
+    """Fit longer and longer parts of the motion; None where the body cannot be simulated.
+
+    Parts that serve to find the right swing leave ν alone, of which they tell next to nothing.
+    """
+    found = None
+    for frames in cheap.windows:
+        part = cheap.first(frames)
+        free = start if frames == cheap.frames else tuple(p.held() if p.name == _RATIO else p for p in start)
+        try:
+            found = fit(part.reduced(), part.seen, free, options=options)
+        except ConvergenceError:
+            return None
+        start = started_from(cheap.parameters, found)
+    return found

@@ -18,7 +18,7 @@ import numpy as np
 from physconvex import __version__
 from physconvex.errors import InputError
 
-__all__ = ["Stages", "key_of"]
+__all__ = ["Arrays", "Stages", "key_of"]
 
 Arrays = dict[str, np.ndarray]
 _KEY = "stage_key"
@@ -65,6 +65,10 @@ class Stages:
         arrays = compute()
         self._write(name, arrays)
         return arrays
+
+    def known(self, name: str) -> bool:
+        """Whether a stage can be read again."""
+        return self._read(name) is not None
 
     def _read(self, name: str) -> Arrays | None:
         if self.folder is None or not (path := self.folder / f"{name}.npz").exists():

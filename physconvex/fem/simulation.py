@@ -19,6 +19,7 @@ from physconvex.fem.condensed_contact import CondensedContact
 from physconvex.fem.flight import Flight
 from physconvex.fem.hanging import Hanging
 from physconvex.fem.scene import Scene
+from physconvex.guide import Guide
 from physconvex.inelastic import FlowStep
 from physconvex.integrators import IntegratorName, State, StepCoefficients, check_stepping, frame_states, minimise
 from physconvex.linear_solvers import SymmetricSolver
@@ -34,12 +35,13 @@ _STALE_RATE = 0.25
 
 @dataclass(frozen=True)
 class Trajectory:
-    """States at the frames: times [T] s, positions [T, V, 3] m, velocities [T, V, 3] m/s, and the cost."""
+    """States at the frames: times [T] s, positions [T, V, 3] m, velocities [T, V, 3] m/s, cost, and a guide."""
 
     times: Float[np.ndarray, " T"]
     positions: Float[np.ndarray, "T V 3"]
     velocities: Float[np.ndarray, "T V 3"]
     statistics: SolveStatistics
+    guide: Guide | None = None
 
 
 class StepEquations:
@@ -260,6 +262,8 @@ def simulate(
     friction_passes: int = 12,
     contact_solver: ContactSolver = "passes",
     flight_steps_per_frame: int | None = None,
+    guide: Guide | None = None,
+    keep_guide: bool = False,
     observer: Observer | None = None,
     on_frame: Callable[[State], None] | None = None,
 ) -> Trajectory:
@@ -280,6 +284,9 @@ def simulate(
             factors last longer. Where passes converge, both give the same.
         flight_steps_per_frame: time steps in frames after the first in which the body, which has touched no obstacle
             yet, will not come near one; `steps_per_frame` unless given.
+        guide: of a roll-out (`Trajectory.guide`) on the same mesh, with the same steps and nearly the same parameters:
+            Newton's method then takes fewer steps to the same tolerance.
+        keep_guide: whether to return one; it holds the positions of all steps.
         observer: told each converged step and its equations.
         on_frame: told the state at each frame after the first.
 
@@ -292,6 +299,7 @@ def simulate(
     length = tolerance * scene.body.mesh.size
     equations = StepEquations(scene)
     condensed = CondensedContact(equations, length) if contact_solver == "condensed" else None
+    noted = Guide() if keep_guide else None
     stepper = Stepper(
         equations,
         integrator,
@@ -300,6 +308,8 @@ def simulate(
         stale_rate=_STALE_RATE,
         observer=observer,
         solve=None if condensed is None else condensed.solve,
+        guide=guide,
+        noted=noted,
     )
     start = State(0.0, scene.start.copy(), scene.start_velocities())
     states = []
@@ -313,6 +323,7 @@ def simulate(
         positions=np.stack([s.positions for s in states]),
         velocities=np.stack([s.velocities for s in states]),
         statistics=stepper.statistics(),
+        guide=noted,
     )
 
 

@@ -22,13 +22,14 @@ from physconvex.identify import Parameter, Twin, default_parameter
 from physconvex.integrators import IntegratorName
 from physconvex.reduced import ReducedScene, parameter_values, simulate
 
-__all__ = ["ACCURACY", "EffectModel", "SecantModel", "reduced_like"]
+__all__ = ["ACCURACY", "EffectModel", "SecantModel", "is_small", "reduced_like"]
 
 Positions = Float[np.ndarray, "T P 3"]
 Vector = Float[np.ndarray, " K"]
 _RATIO = (0.4, 0.1)  # mean and deviation of ν of soft bodies
 _MODULUS = "log10_youngs_modulus"
 _BASE_STEP = 0.1  # of a typical step, for differences
+_SMALL = 1.5  # times the nodes of the coarse mesh
 # of the full-order runs: their errors stay below 1e-5 of the size, a hundredth of what the mesh leaves
 ACCURACY: dict[str, Any] = {"tolerance": 1e-6, "friction_passes": 4}
 
@@ -241,13 +242,22 @@ def reduced_like(full: EffectModel, motion: Motion, values: np.ndarray) -> tuple
 
     Cheaper is the reduced model; of a held body the full-order one on the twin's own, coarser mesh: what the reduced
     one lacks there is a vibration of another frequency, which an added motion makes up for only while nothing damps it.
+    Where the mesh of a held body is itself no larger, it is the cheaper one.
     """
-    reduced = replace(
-        full, reduced=not full.situation.clamped, mesh=None, correction=None, stiffer=full.surrogate_stiffer
-    )
+    if full.situation.clamped and full.mesh is not None and is_small(full.mesh, full.twin.mesh):
+        reduced = replace(full, correction=None)
+    else:
+        reduced = replace(
+            full, reduced=not full.situation.clamped, mesh=None, correction=None, stiffer=full.surrogate_stiffer
+        )
     own = reduced.motion(values)
     exact = motion.positions if full.correction is None else motion.positions + full.correction[: full.frames]
     return replace(reduced, correction=exact - own.positions), own
+
+
+def is_small(mesh: TetMesh, coarse: TetMesh) -> bool:
+    """Whether a run on one mesh costs hardly more than on the coarse one."""
+    return len(mesh.vertices) <= _SMALL * len(coarse.vertices) and mesh.order <= coarse.order
 
 
 class SecantModel:

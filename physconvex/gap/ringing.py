@@ -7,15 +7,17 @@ lost most of that, so that it enters once more, as two observations with what a 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.optimize import least_squares
 
 from physconvex.gap.baseline import Baseline
 from physconvex.identify import MarkerObservations
 from physconvex.kabsch import best_rotation
 
-__all__ = ["deformation", "ringing", "ringing_likelihood"]
+__all__ = ["Recorded", "deformation", "recorded_ringing", "ringing", "ringing_likelihood"]
 
 _FEWEST = 8  # frames that a damped sine is fitted to
 _FIT = 0.5  # share of a signal that a damped sine must explain to be one
@@ -69,33 +71,65 @@ def deformation(positions: Float[np.ndarray, "T P 3"], rest: Float[np.ndarray, "
     return np.stack([(now - now.mean(0)) @ best_rotation(rest, now) - centred for now in positions])
 
 
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """How the shape that moves most in a recording of a held body rings.
+
+    Attributes:
+        frequency, ratio: [Hz], and the damping ratio.
+        errors: standard errors of the two.
+        shape: of the observed coordinates, shape [3 P], of unit length.
+        mean: that the shape is about [m], shape [3 P].
+        points: that are seen in every frame.
+        frames: number of frames that were looked at; those that only report were not.
+    """
+
+    frequency: float
+    ratio: float
+    errors: tuple[float, float]
+    shape: Float[np.ndarray, " N"]
+    mean: Float[np.ndarray, " N"]
+    points: Int[np.ndarray, " P"]
+    frames: int
+
+
+def _displacements(base: Baseline, positions: Float[np.ndarray, "T P 3"], points: np.ndarray, count: int) -> np.ndarray:
+    return deformation(positions[:count, points], base.motion.rest[points], held=True).reshape(count, -1)
+
+
+def recorded_ringing(base: Baseline) -> Recorded | None:
+    """How the recording of a held body rings; None where it does not, or is none of markers."""
+    seen = base.observations
+    if not base.situation.clamped or not isinstance(seen, MarkerObservations):
+        return None
+    points = np.flatnonzero(np.isfinite(seen.positions).all((0, 2)))
+    count = int(max(base.split.fitted.max(), base.split.selecting.max(initial=0))) + 1
+    if not len(points) or count < _FEWEST:
+        return None
+    shown = _displacements(base, seen.positions, points, count)
+    mean = shown.mean(0)
+    _, strengths, shapes = np.linalg.svd(shown - mean, full_matrices=False)
+    if strengths[0] ** 2 < _MAIN * float((strengths**2).sum()):
+        return None
+    (frequency, ratio), errors = ringing((shown - mean) @ shapes[0], base.capture.fps)
+    if not np.isfinite(frequency) or not errors[0] < _TOLD * frequency:
+        return None
+    return Recorded(frequency, ratio, errors, shapes[0], mean, points, count)
+
+
 def ringing_likelihood(base: Baseline, positions: Float[np.ndarray, "T P 3"]) -> float:
     """Log-likelihood of the recorded frequency and damping ratio if a model rings as `positions` do; of held bodies.
 
     Zero where the recording does not ring, or is none of markers. Frames that only report are left out.
     """
-    seen = base.observations
-    if not base.situation.clamped or not isinstance(seen, MarkerObservations):
+    recorded = recorded_ringing(base)
+    if recorded is None:
         return 0.0
-    points = np.flatnonzero(np.isfinite(seen.positions).all((0, 2)))
-    count = int(max(base.split.fitted.max(), base.split.selecting.max(initial=0))) + 1
-    if not len(points) or count < _FEWEST:
-        return 0.0
-    rest = base.motion.rest[points]
-    shown, modelled = (
-        deformation(x[:count, points], rest, held=True).reshape(count, -1) for x in (seen.positions, positions)
-    )
-    mean = shown.mean(0)
-    _, strengths, shapes = np.linalg.svd(shown - mean, full_matrices=False)
-    if strengths[0] ** 2 < _MAIN * float((strengths**2).sum()):
-        return 0.0
-    fps = base.capture.fps
-    (frequency, ratio), (error, ratio_error) = ringing((shown - mean) @ shapes[0], fps)
-    if not np.isfinite(frequency) or not error < _TOLD * frequency:
-        return 0.0
-    own_frequency, own_ratio = ringing((modelled - mean) @ shapes[0], fps)[0]
+    modelled = _displacements(base, positions, recorded.points, recorded.frames)
+    own_frequency, own_ratio = ringing((modelled - recorded.mean) @ recorded.shape, base.capture.fps)[0]
     if not np.isfinite(own_frequency):
         return -0.5 * _FARTHEST**2
+    (error, ratio_error), frequency, ratio = recorded.errors, recorded.frequency, recorded.ratio
     missed = np.array([
         (own_frequency - frequency) / np.hypot(error, _FREQUENCY * frequency),
         (own_ratio - ratio) / np.hypot(ratio_error, max(_DAMPING * abs(ratio), _LEAST)),

@@ -2,7 +2,7 @@
 
 1. Fit the effects that screening ranks first, each alone, and the pairs whose signatures explain most together; do
    so again from where the first frames alone put the base model (`physconvex.gap.anchoring`). Begin with damping where
-   E was found together with it.
+   E was found together with it, and with a load at the end of a held body (`physconvex.gap.loads`).
 2. While something is left of the best fit, screen all other effects at that fit and add those that rank first.
 3. Fit the best combination without each of its effects.
 4. Carry the best few over to the full-order model (`physconvex.gap.mapping`), which decides.
@@ -27,7 +27,8 @@ from physconvex.gap.comparison import (
     refit,
     residuals_per_one,
 )
-from physconvex.gap.effects import Effect
+from physconvex.gap.effects import Effect, applicable
+from physconvex.gap.loads import loaded_starts
 from physconvex.gap.mapping import as_reduced, confirmed, improved
 from physconvex.gap.model import EffectModel, reduced_like
 from physconvex.gap.numerics import Numerics
@@ -137,8 +138,11 @@ def select_effects(
     rows = len(base.rows(base.split.fitted))
     search.independent = rows / residuals_per_one(base, errors, base.positions, base.split.fitted)
     open_gap = search.found[0].fitted > _CLOSED or search.found[0].selecting > _LATE_GAP
-    if open_gap and near is not None:
-        _from_near(search, base, near, {effect.name for effect in dictionary})
+    if open_gap and near is not None and {effect.name for effect in near.model.effects} <= {e.name for e in dictionary}:
+        _from_there(search, base, near.model.effects, near.fit.values)
+    if open_gap and base.situation.clamped:
+        for effects, values in loaded_starts(cheap, errors, applicable(dictionary, base.situation)):
+            _from_there(search, base, effects, values)
     for entry in screening.one_per_name[: _SINGLES if open_gap else 2]:
         search.fit([entry])
     if open_gap:
@@ -220,11 +224,8 @@ def judged(base: Baseline, errors: ErrorModel, hypotheses: Sequence[Hypothesis])
     return sorted((h.tempered(divisor) for h in hypotheses), key=lambda h: -h.evidence)
 
 
-def _from_near(search: Selection, full: Baseline, near: Baseline, known: set[str]) -> None:
-    """Fit the effects that were found with E from there, where they are in the dictionary."""
-    effects, values = near.model.effects, near.fit.values
-    if not {effect.name for effect in effects} <= known:
-        return
+def _from_there(search: Selection, full: Baseline, effects: tuple[Effect, ...], values: np.ndarray) -> None:
+    """Fit effects from values at which they were found together with E."""
     count = int(search.base.split.fitted[-1]) + 1
 
     def run() -> Hypothesis:
@@ -233,7 +234,7 @@ def _from_near(search: Selection, full: Baseline, near: Baseline, known: set[str
         tangents = replace(cheap, frames=count).tangents(values, motion.first(count))
         return refit(search.base, search.errors, cheap, values, tangents, search.options)
 
-    search.attempt(" + ".join(effect.label for effect in effects), run)
+    search.attempt(" + ".join(effect.label for effect in effects) + ", from a scan", run)
 
 
 def _together(search: Selection, screening: Screening) -> None:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -30,6 +31,7 @@ from physconvex.identify.observations import Observations, WrappedObservations
 from physconvex.identify.outlines import with_drawn_outlines
 from physconvex.kabsch import best_rotation
 from physconvex.robust import huber_loss, huber_weights
+from physconvex.workers import Workers
 
 __all__ = ["DriftingObservations", "first_contact", "likely_drift", "model_drift"]
 
@@ -200,7 +202,13 @@ class _Kicks:
 
 
 def likely_drift(
-    seen: Observations, positions: Float[np.ndarray, "T P 3"], begin: int, interval: float, *, most: float
+    seen: Observations,
+    positions: Float[np.ndarray, "T P 3"],
+    begin: int,
+    interval: float,
+    *,
+    most: float,
+    workers: Workers | None = None,
 ) -> DriftingObservations | None:
     """The observations with the drift that is likeliest where the model puts the points; None where none is.
 
@@ -210,15 +218,18 @@ def likely_drift(
         begin: frame of the first contact.
         interval: time between frames [s].
         most: greatest q that is tried [m/s].
+        workers: try several at once.
     """
     if begin >= len(positions):
         return None
-    best, highest = None, DriftingObservations(seen, begin, interval, 0.0).log_likelihood(positions)
-    for share in _SHARES:
-        trial = DriftingObservations(seen, begin, interval, share * most)
-        if (likelihood := trial.log_likelihood(positions)) > highest:
-            best, highest = trial, likelihood
-    return best
+    trials = [DriftingObservations(seen, begin, interval, share * most) for share in (0.0, *_SHARES)]
+    likelihoods = (workers or Workers()).map(partial(_log_likelihood, positions), trials)
+    best = int(np.argmax(likelihoods))
+    return trials[best] if best else None
+
+
+def _log_likelihood(positions: np.ndarray, seen: DriftingObservations) -> float:
+    return seen.log_likelihood(positions)
 
 
 def model_drift(

@@ -130,8 +130,9 @@ def _differences(
     cheap: Model, coarse: FullModel, finest: FullModel, observations: Observations, values: np.ndarray
 ) -> _Differences:
     half = replace(coarse, refinement=2 * coarse.refinement)
-    beside = coarse.beside(values) if cheap is coarse and coarse.differenced else []
-    roll_out_together([(finest, values), (half, values), (coarse, values), *((coarse, v) for v in beside)])
+    roll_out_together(
+        [(finest, values), (half, values), (coarse, values)], beside=[(coarse, values)] if cheap is coarse else []
+    )
     tangents = cheap.linearise(values)[1]
     x = coarse.positions(values)
     by_mesh, by_step = finest.positions(values) - x, half.positions(values) - x

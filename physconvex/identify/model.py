@@ -27,6 +27,7 @@ __all__ = ["FullModel", "LinearModel", "Model", "ReducedModel", "roll_out_togeth
 _DIFFERENCE = 1e-6  # of a typical step: half width of the central differences of gradients
 # of a typical step, of whole roll-outs; friction by passes makes them rough at smaller scales
 _WHOLE_DIFFERENCE: dict[ContactSolver, float] = {"condensed": 1e-2, "passes": 0.1}
+_TOLERANCE = 1e-6  # of Newton's last step, over the size: a thousandth of what such a difference moves
 
 
 @runtime_checkable
@@ -153,7 +154,8 @@ class FullModel:
 
     def _timing(self) -> dict[str, Any]:
         timing = self.twin.timing(self.frames)
-        return timing | {"steps_per_frame": timing["steps_per_frame"] * self.refinement}
+        timing["steps_per_frame"] *= self.refinement
+        return timing | {"tolerance": _TOLERANCE} if self.differenced else timing
 
     def key(self, values: Float[np.ndarray, " K"]) -> Hashable:
         """By which the memory knows a roll-out."""
@@ -206,7 +208,7 @@ class FullModel:
 
     def _differences(self, values: np.ndarray) -> np.ndarray:
         moved = self.beside(values)
-        roll_out_together((self, v) for v in (values, *moved))
+        roll_out_together([(self, values)], beside=[(self, values)])
         base, lower = self.node_positions(values), self._usual()[1]
         tangents = []
         for place, trial in enumerate(moved):
@@ -221,12 +223,24 @@ class FullModel:
         return np.stack(tangents, axis=1)
 
 
-def roll_out_together(wanted: Iterable[tuple[FullModel, Float[np.ndarray, " K"]]]) -> None:
-    """Have roll-outs made that are wanted next; the models share a memory. What fails is told when it is asked for."""
-    wanted = list(wanted)
+_Wanted = tuple[FullModel, Float[np.ndarray, " K"]]
+
+
+def roll_out_together(wanted: Iterable[_Wanted], *, beside: Iterable[_Wanted] = ()) -> None:
+    """Have roll-outs made that are wanted next; the models share a memory. What fails is told when it is asked for.
+
+    Args:
+        wanted: models and values.
+        beside: those whose derivatives are wanted too, where they are differences; they guide what these ask for.
+    """
+    wanted, near = list(wanted), dict[Hashable, Hashable]()
+    for model, values in beside:
+        if model.differenced:
+            wanted += [(model, values), *((model, moved) for moved in model.beside(values))]
+            near |= {model.key(moved): model.key(values) for moved in model.beside(values)}
     if wanted:
         jobs = {model.key(values): partial(model.roll_out, values) for model, values in wanted}
-        wanted[0][0].memory.prepare(jobs)
+        wanted[0][0].memory.prepare(jobs, near)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import pickle
-import warnings
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
-from multiprocessing import get_context
-from types import TracebackType
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -19,7 +14,8 @@ from physconvex.errors import ConvergenceError
 from physconvex.fem import Scene
 from physconvex.fem import simulate as simulate_full
 from physconvex.fem.simulation import ContactSolver
-from physconvex.processes import end_with_parent
+from physconvex.guide import Guide
+from physconvex.workers import Workers
 
 __all__ = ["RollOut", "RollOuts"]
 
@@ -28,11 +24,12 @@ _LIGHT = 1e4  # nodes times time steps: less work than to start a process
 
 @dataclass(frozen=True, eq=False)
 class RollOut:
-    """One that is asked for: the scene, arguments of `physconvex.fem.simulate`, how contact is solved for."""
+    """One that is asked for: the scene, arguments of `physconvex.fem.simulate`, how contact is solved for, a guide."""
 
     scene: Scene
     timing: Mapping[str, Any]
     solver: ContactSolver
+    guide: Guide | None = None
 
     @property
     def work(self) -> int:
@@ -40,17 +37,16 @@ class RollOut:
         return len(self.scene.body.mesh.vertices) * self.timing["frames"] * self.timing["steps_per_frame"]
 
 
-def _rolled_out(job: RollOut) -> Float[np.ndarray, "T V 3"] | ConvergenceError:
-    """Positions of the nodes at the frames [m], or why there are none."""
+_Made = tuple[np.ndarray, Guide | None] | ConvergenceError
+
+
+def _rolled_out(job: RollOut) -> _Made:
+    """Positions of the nodes at the frames [m], shape [T, V, 3], and a guide, or why there are none."""
     try:
-        return simulate_full(job.scene, **job.timing, contact_solver=job.solver).positions
+        run = simulate_full(job.scene, **job.timing, contact_solver=job.solver, guide=job.guide, keep_guide=True)
     except ConvergenceError as error:
         return error
-
-
-def _from_bytes(job: bytes) -> Float[np.ndarray, "T V 3"] | ConvergenceError:
-    """The same in another process; as bytes, since torch would share its tensors' memory with that."""
-    return _rolled_out(pickle.loads(job))
+    return run.positions, run.guide
 
 
 class RollOuts:
@@ -58,43 +54,39 @@ class RollOuts:
 
     Args:
         most: how many are kept.
-        processes: in which those that are wanted together are made; 1: one after the other in this process. Started
-            with the first that are worth it; they import the program's main module, as all of Python's do.
+        workers: make those that are wanted together, where they are worth another process.
     """
 
-    def __init__(self, most: int = 32, processes: int = 1) -> None:
-        self.most, self.processes = most, processes
-        self._pool: ProcessPoolExecutor | None = None
+    def __init__(self, most: int = 32, workers: Workers | None = None) -> None:
+        self.most, self.workers = most, workers or Workers()
         self._kept: dict[Hashable, np.ndarray | ConvergenceError] = {}
+        self._guides: dict[Hashable, Guide | None] = {}
         self._tangents: dict[Hashable, np.ndarray] = {}
 
-    def __enter__(self) -> RollOuts:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    def prepare(
+        self,
+        wanted: Mapping[Hashable, Callable[[], RollOut]],
+        near: Mapping[Hashable, Hashable] = MappingProxyType({}),
     ) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
-            self._pool = None
+        """Make those that are not kept, several at once where that pays; failures are kept too.
 
-    def prepare(self, wanted: Mapping[Hashable, Callable[[], RollOut]]) -> None:
-        """Make those that are not kept, several at once where that pays; failures are kept too."""
-        missing = {key: make() for key, make in wanted.items() if key not in self._kept}
-        for key, result in zip(missing, self._made(list(missing.values())), strict=True):
-            self.keep(key, result)
+        Args:
+            wanted: how each is made.
+            near: roll-outs that differ little from another one, which is their guide and is made before, if it is
+                wanted too.
+        """
+        missing = {key: make for key, make in wanted.items() if key not in self._kept}
+        later = {key for key in missing if near.get(key, key) != key and near[key] in missing}
+        for keys in ([key for key in missing if key not in later], [key for key in missing if key in later]):
+            jobs = [replace(missing[key](), guide=self._guides.get(near.get(key))) for key in keys]
+            for key, made in zip(keys, self._made(jobs), strict=True):
+                positions, guide = (made, None) if isinstance(made, ConvergenceError) else made
+                self.keep(key, positions)
+                _put(self._guides, key, guide, self.most)
 
-    def _made(self, jobs: Sequence[RollOut]) -> list[np.ndarray | ConvergenceError]:
-        if self.processes > 1 and len(jobs) > 1 and max(job.work for job in jobs) > _LIGHT:
-            if self._pool is None:
-                self._pool = ProcessPoolExecutor(
-                    self.processes, mp_context=get_context("spawn"), initializer=end_with_parent
-                )
-            try:
-                return list(self._pool.map(_from_bytes, [pickle.dumps(job) for job in jobs]))
-            except BrokenProcessPool:
-                warnings.warn("a worker process died: roll-outs are made one after the other", RuntimeWarning, 2)
-                self.processes = 1
+    def _made(self, jobs: Sequence[RollOut]) -> list[_Made]:
+        if jobs and max(job.work for job in jobs) > _LIGHT:
+            return self.workers.map(_rolled_out, jobs)
         return [_rolled_out(job) for job in jobs]
 
     def positions(self, key: Hashable, make: Callable[[], RollOut]) -> Float[np.ndarray, "T V 3"]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from physconvex.identify.levenberg_marquardt import FitOptions, fit
 from physconvex.identify.model import Model
 from physconvex.identify.observations import Observations
 from physconvex.identify.parameters import Parameter
+from physconvex.workers import Workers
 
 __all__ = ["Candidate", "scan", "scan_values"]
 
@@ -42,7 +44,7 @@ def scan(
     *,
     moduli: Sequence[float],
     ratios: Sequence[float] = (0.25, 0.45),
-    on_candidate: Callable[[Candidate], None] | None = None,
+    workers: Workers | None = None,
 ) -> list[Candidate]:
     """Candidates for the start, best first.
 
@@ -55,26 +57,32 @@ def scan(
         parameters: the unknowns, among them log10 E; ν if it is free.
         moduli: log10 E.
         ratios: ν; only the present one where it is not free.
+        workers: evaluate the model, several pairs at once.
 
     Raises:
         ConvergenceError: the model cannot be evaluated at any pair.
     """
     free = any(p.name == _RATIO for p in parameters)
     parameters = _rigid_fitted(model, observations, parameters, moduli[len(moduli) // 2], ratios[0])
-    found = []
-    for modulus in moduli:
-        for ratio in ratios if free else (float("nan"),):
-            start = tuple(_moved(p, {_MODULUS: modulus, _RATIO: ratio}) for p in parameters)
-            try:
-                positions = model.positions(np.array([p.start for p in start]))
-            except ConvergenceError:  # too soft to be simulated: no start
-                continue
-            found.append(Candidate(modulus, ratio, misfit_of(observations, positions), start))
-            if on_candidate is not None:
-                on_candidate(found[-1])
+    pairs = [(modulus, ratio) for modulus in moduli for ratio in (ratios if free else (float("nan"),))]
+    starts = [tuple(_moved(p, {_MODULUS: m, _RATIO: r}) for p in parameters) for m, r in pairs]
+    misfits = (workers or Workers()).map(partial(_misfit, model, observations), starts)
+    found = [
+        Candidate(*pair, misfit, start)
+        for pair, start, misfit in zip(pairs, starts, misfits, strict=True)
+        if misfit is not None
+    ]
     if not found:
         raise ConvergenceError(f"scan: the model fails at all of log10 E = {[round(m, 2) for m in moduli]}")
     return sorted(found, key=lambda candidate: candidate.misfit)
+
+
+def _misfit(model: Model, observations: Observations, start: tuple[Parameter, ...]) -> float | None:
+    """Of the model there; None where the body is too soft to be simulated, which is no start."""
+    try:
+        return misfit_of(observations, model.positions(np.array([p.start for p in start])))
+    except ConvergenceError:
+        return None
 
 
 def _rigid_fitted(

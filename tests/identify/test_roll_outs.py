@@ -1,10 +1,8 @@
 """Roll-outs that are remembered, and made in several processes."""
 
 import gc
-import os
 import pickle
 import weakref
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +10,9 @@ import pytest
 
 from physconvex.capture import Capture, Floor, load_capture, save_capture
 from physconvex.errors import ConvergenceError
-from physconvex.fem import TetMesh, box_mesh, refine
+from physconvex.fem import TetMesh, box_mesh, refine, simulate
 from physconvex.identify import FullModel, RollOuts, TwinOptions, base_twin, roll_out_together, roll_outs
+from physconvex.workers import Workers
 
 NAMES, TRUTH = ("log10_youngs_modulus", "poisson_ratio", "damping_time"), np.array([4.3, 0.35, 1e-3])
 SCALES = np.array([0.2, 0.1, 2e-3])
@@ -75,37 +74,48 @@ def test_a_mesh_that_nobody_else_keeps_is_not_mistaken_for_a_later_one(tmp_path)
     assert kept() is not None  # else its place in memory, by which it is known, might be given away
 
 
-def test_two_processes_find_the_same_to_the_last_bit(tmp_path, jobs):
+def test_two_processes_find_the_same(tmp_path, jobs):
+    """But for rounding: they use one thread each, and MKL's reproducible sums."""
     found = []
     for processes in (1, 2):
-        with RollOuts(processes=processes) as memory:
-            found.append(box(tmp_path, memory).linearise(TRUTH))
-            assert (memory._pool is None) == (processes == 1)
-        assert memory._pool is None
-    for one, other in zip(*found, strict=True):
-        np.testing.assert_array_equal(one, other)
+        with Workers(processes) as workers:
+            found.append(box(tmp_path, RollOuts(workers=workers)).linearise(TRUTH))
+            assert workers.running == (processes == 2)
+        assert not workers.running
+    (here, slopes), (there, others) = found
+    np.testing.assert_allclose(here, there, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(slopes * SCALES[:, None, None], others * SCALES[:, None, None], rtol=0, atol=1e-10)
 
 
-def test_a_failure_comes_back_from_another_process_as_a_result(tmp_path, monkeypatch):
-    job = pickle.dumps(box(tmp_path, RollOuts()).roll_out(TRUTH))
+def test_light_work_starts_no_process(tmp_path):
+    with Workers(2) as workers:
+        box(tmp_path, RollOuts(workers=workers)).linearise(TRUTH)
+        assert not workers.running
 
+
+def test_a_failure_is_a_result(tmp_path, monkeypatch):
     def fail(*arguments, **options):
         raise ConvergenceError("no")
 
     monkeypatch.setattr(roll_outs, "simulate_full", fail)
-    assert str(pickle.loads(pickle.dumps(roll_outs._from_bytes(job)))) == "no"
+    made = roll_outs._rolled_out(box(tmp_path, RollOuts()).roll_out(TRUTH))
+    assert str(pickle.loads(pickle.dumps(made))) == "no"
 
 
-def test_where_processes_die_the_work_is_done_here(tmp_path, jobs):
-    with RollOuts(processes=2) as memory:
-        model = box(tmp_path, memory)
-        memory._pool = ProcessPoolExecutor(1, initializer=os._exit, initargs=(1,))
-        with pytest.warns(RuntimeWarning, match="one after the other"):
-            roll_out_together([(model, TRUTH), (model, TRUTH + SCALES)])
-        assert np.isfinite(model.positions(TRUTH)).all() and memory.processes == 1
+def test_a_guided_roll_out_is_the_same_in_fewer_iterations(tmp_path):
+    model = box(tmp_path, RollOuts())
+    scene, beside = (model.scene(values) for values in (TRUTH, TRUTH + 0.01 * SCALES))
+    how = {"frames": 6, "fps": 48.0, "steps_per_frame": 8, "contact_solver": "condensed"}
+    guide = simulate(scene, **how, keep_guide=True).guide
+    alone, guided = simulate(beside, **how), simulate(beside, **how, guide=guide)
+    assert len(guide) == 40 and alone.guide is None
+    assert np.abs(alone.positions - guided.positions).max() < 1e-6 * 0.3
+    assert np.abs(alone.positions - simulate(scene, **how).positions).max() > 1e-5 * 0.3  # they do differ
+    assert guided.statistics.newton_iterations < 0.8 * alone.statistics.newton_iterations
 
 
-def test_light_work_starts_no_process(tmp_path):
-    with RollOuts(processes=2) as memory:
-        box(tmp_path, memory).linearise(TRUTH)
-        assert memory._pool is None
+def test_differences_are_guided_by_the_roll_out_they_are_taken_from(tmp_path, jobs):
+    model = box(tmp_path, RollOuts())
+    model.linearise(TRUTH)
+    base, *beside = jobs
+    assert base.guide is None and all(len(job.guide) == 20 for job in beside) and len(beside) == 3

@@ -46,7 +46,7 @@ def test_slopes_are_the_same_over_small_and_large_changes(tmp_path, friction):
 
 def test_contact_and_friction_are_solved_for_together_where_the_law_allows_it(tmp_path):
     full = model(tmp_path, 0.6)
-    timing = full.twin.timing(6)
+    timing = full.roll_out(VALUES).timing
     expected = simulate(full.scene(VALUES), contact_solver="condensed", **timing)
     np.testing.assert_array_equal(full.node_positions(VALUES), expected.positions)
     assert replace(full, names=(*NAMES, "contact_damping")).linearise(np.append(VALUES, 0.0))[1].shape[1] == 4

@@ -276,3 +276,14 @@ def test_where_work_is_done_from_outside_energy_may_rise(changes):
 def test_the_tolerance_of_the_energy_is_a_positive_share():
     with pytest.raises(InputError, match=r"energy_tolerance: got -1\.0"):
         simulate(stiff_plate(), frames=2, energy_tolerance=-1.0)
+
+
+def test_a_body_that_its_weight_crushes_is_followed_though_extrapolation_turns_it_inside_out():
+    """E is a tenth of ρ g L; the law's energy is infinite where a point of the first guess is turned inside out."""
+    mesh = box_mesh((10.0, 10.0, 10.0), (2, 2, 2), order=2)
+    space = ReducedSpace(eigenmode_weights(ElasticBody(mesh), 4), BodySamples.of_mesh(mesh))
+    body = ReducedBody(space, law="neo_hookean_log", youngs_modulus=1.5e4, poisson_ratio=0.1, density=1500.0)
+    scene = ReducedScene(body, obstacles=(Plane(point=(0.0, 0.0, -1.0)),), initial_velocity=(0.0, 0.0, -4.0))
+    run = simulate(scene, frames=32, steps_per_frame=8)
+    assert np.isfinite(run.coordinates).all()
+    assert np.ptp(run.positions(mesh.vertices)[..., 2], axis=1).min() < 8.5  # of 10 m

@@ -1,0 +1,38 @@
+"""What the first guesses of a roll-out's time steps missed by: a guide for roll-outs that differ little from it.
+
+Newton's method begins each step at positions extrapolated from the states before. Where another roll-out begins alike
+and its parameters differ by little, that misses by nearly the same, so that adding it leaves a small error of a small
+difference.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ["Guide"]
+
+_GRAIN = 1e-9  # times nearer than that are the same [s]
+
+
+class Guide:
+    """Misses [m] of the steps of one roll-out, known by when a step ended and how long it was."""
+
+    def __init__(self) -> None:
+        self._missed: dict[tuple[int, int], np.ndarray] = {}
+
+    def note(self, time: float, step: float, missed: np.ndarray) -> None:
+        """A step that ended at a time [s] and was so long [s] missed by so much [m]."""
+        self._missed[_key(time, step)] = missed
+
+    def corrected(self, guess: np.ndarray, time: float, step: float) -> np.ndarray:
+        """The first guess [m] of a step, with what was missed there, if such a step was made."""
+        missed = self._missed.get(_key(time, step))
+        return guess if missed is None else guess + missed
+
+    def __len__(self) -> int:
+        """Number of steps."""
+        return len(self._missed)
+
+
+def _key(time: float, step: float) -> tuple[int, int]:
+    return round(time / _GRAIN), round(step / _GRAIN)

@@ -1,0 +1,74 @@
+"""A load at the free end of a held body is found together with E, which alone would be far off."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from physconvex.capture import Boundary, Capture, Tracks, save_capture
+from physconvex.fem import ElasticBody, Pins, Scene, TetMesh, box_mesh, simulate
+from physconvex.gap import DEFAULT_EFFECTS, GapOptions
+from physconvex.gap.baseline import fit_baseline, rough_baseline
+from physconvex.gap.effects import applicable
+from physconvex.gap.loads import loaded_starts
+from physconvex.gap.mapping import as_reduced
+from physconvex.gap.numerics import Numerics, error_model
+
+MODULUS, SIGMA, FPS, FRAMES = 2e5, 5e-5, 80.0, 30
+OPTIONS = GapOptions(max_nodes=100, weights=4, iterations=6)
+
+
+def released(folder: Path, ratio: float) -> Capture:
+    """A beam that is held at its right end and let go, a load of so many of its own masses at its left end."""
+    mesh = box_mesh((0.12, 0.03, 0.03), (8, 1, 1), order=2)
+    corners = box_mesh((0.12, 0.03, 0.03), (8, 1, 1), order=1)
+    body = ElasticBody(mesh, youngs_modulus=MODULUS, poisson_ratio=0.4, density=1000.0)
+    x = mesh.vertices[:, 0]
+    outer = mesh.vertices[mesh.tets, 0].mean(1) < x.min() + 0.015
+    density = np.where(outer, 1000.0 * (1 + 8 * ratio), 1000.0)
+    body = ElasticBody(mesh, youngs_modulus=MODULUS, poisson_ratio=0.4, density=density)
+    held = np.flatnonzero(x > x.max() - 1e-9)
+    run = simulate(Scene(body, pins=Pins(held)), frames=FRAMES, fps=FPS, steps_per_frame=8)
+    shown = np.flatnonzero(x < x.min() + 0.06)[::5]
+    positions = run.positions[:, shown] + SIGMA * np.random.default_rng(1).normal(size=(FRAMES, len(shown), 3))
+    capture = Capture(folder / "capture", FPS, FRAMES, 20, gravity=np.array([0.0, 0.0, -9.81]), density=1000.0)
+    box = np.array([[x.max() - 1e-4, -1.0, -1.0], [x.max() + 1e-4, 1.0, 1.0]])
+    tracks = Tracks(mesh.vertices[shown], positions, np.full(positions.shape[:2], SIGMA))
+    save_capture(
+        capture, tets=TetMesh(corners.vertices, corners.tets), tracks=tracks, boundary=Boundary(clamped_box=box)
+    )
+    return capture
+
+
+def starts(capture: Capture) -> tuple[list[tuple[tuple[str, ...], np.ndarray]], float]:
+    """Labels and values, and E of the base fit."""
+    rough = rough_baseline(capture, OPTIONS, lambda text: None)
+    still = np.zeros_like(rough.motion.positions)
+    variance = np.ones(len(rough.residual(rough.positions)))
+    base = as_reduced(fit_baseline(rough, still, None, variance, OPTIONS, lambda text: None))
+    errors = error_model(base, Numerics(still, still, still, still, still), OPTIONS)
+    found = loaded_starts(base, errors, applicable(DEFAULT_EFFECTS, base.situation))
+    return [(tuple(e.label for e in effects), values) for effects, values in found], base.fit.values[0]
+
+
+@pytest.mark.slow
+def test_a_load_is_found_with_its_modulus(tmp_path: Path) -> None:
+    found, alone = starts(released(tmp_path, 0.8))
+    assert [labels for labels, _ in found] == [
+        ("attached_mass (-x)", "damping"), ("attached_mass (-x)",), ("attached_mass (-x, loose)", "damping"),
+    ]  # fmt: skip
+    modulus, _, ratio = found[1][1]
+    assert modulus == pytest.approx(np.log10(MODULUS), abs=0.15) and 0.4 <= ratio <= 1.6
+    assert alone < np.log10(MODULUS) - 0.2  # a fit without the load is far off
+
+
+@pytest.mark.slow
+def test_none_is_begun_with_where_there_is_none(tmp_path: Path) -> None:
+    assert starts(released(tmp_path, 0.0))[0] == []
+
+
+def test_without_the_effect_there_is_nothing_to_begin_with(tmp_path: Path) -> None:
+    rough = rough_baseline(released(tmp_path, 0.8), replace(OPTIONS, max_nodes=60), lambda text: None)
+    errors = error_model(rough, Numerics(*[np.zeros_like(rough.motion.positions)] * 5), OPTIONS)
+    assert loaded_starts(rough, errors, [e for e in DEFAULT_EFFECTS if e.name != "attached_mass"]) == []
