@@ -52,9 +52,9 @@ class Workers:
         """Whether processes have been started."""
         return self._pool is not None
 
-    def begin(self) -> None:
-        """Start the processes now, beside other work: they take seconds to import what they need."""
-        for _ in range(self.processes if self.processes > 1 else 0):
+    def begin(self, calls: int) -> None:
+        """Start processes for so many calls now, beside other work: they take seconds to import what they need."""
+        for _ in range(min(self.processes, calls) if self.processes > 1 else 0):
             self.start(os.getpid)
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:

@@ -24,6 +24,7 @@ _MODULUS, _RATIO = "log10_youngs_modulus", "poisson_ratio"
 _CHEAP_WEIGHTS = 6
 _AROUND = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0)  # decades; reduced models are too stiff, so that E wants more
 _USUAL_RATIO = 0.3
+_PAIRS = 10  # of E and ν that are scanned at least
 
 
 def started_from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Parameter, ...]:
@@ -92,7 +93,7 @@ class ReducedSearch:
         return replace(twin, steps_per_frame=max(4, twin.steps_per_frame // 2))
 
     def _scan(self, problem: Problem) -> dict[str, np.ndarray]:
-        self.workers.begin()
+        self.workers.begin(_PAIRS)  # while the network looks where
         moduli, ratios, note = scan_range(self.capture, problem.twin.mesh.size, self.options)
         if note:
             self.warnings.append(note)

@@ -39,6 +39,13 @@ def test_several_work_elsewhere_with_one_thread_and_raise_what_is_raised_there(m
     assert not workers.running
 
 
+def test_processes_are_begun_for_as_many_calls_as_come():
+    with Workers() as alone, Workers(4) as workers:
+        alone.begin(2)
+        workers.begin(2)
+        assert not alone.running and len(workers._pool._processes) == 2
+
+
 def test_a_single_item_starts_no_process():
     with Workers(2) as workers:
         assert workers.map(place, [0])[0][0] == os.getpid() and not workers.running
