@@ -197,7 +197,7 @@ def minimise(
     max_iterations: int = 100,
     reuse: bool = True,
     stale_rate: float = _STALE_RATE,
-    fallback: np.ndarray | None = None,
+    fallback: Callable[[], np.ndarray] | None = None,
 ) -> Minimum:
     """Newton's method with line search; the factorisation is kept while it contracts well.
 
@@ -209,14 +209,15 @@ def minimise(
         reuse: start with the objective's last factorisation, and keep it while steps shrink fast enough.
         stale_rate: ratio of one step to the one before it above which a reused factorisation is renewed; where it is
             above 1/4, the last step must be smaller than `tolerance`, so that the error left is the same.
-        fallback: where to start if the value at x is infinite: an extrapolated state may be turned inside out.
+        fallback: tells where to start if the value at x is infinite: an extrapolated state may be turned inside out.
 
     Raises:
         ConvergenceError: no finite value at the start, no descent possible, or the bound on steps reached.
     """
     at = _Trial(x, *objective.evaluate(x))
     if not np.isfinite(at.value) and fallback is not None:
-        at = _Trial(fallback, *objective.evaluate(fallback))
+        x = fallback()
+        at = _Trial(x, *objective.evaluate(x))
     if not np.isfinite(at.value):
         raise ConvergenceError(f"the start has no finite energy ({at.value})")
     fresh, projected, projections = False, False, 0

@@ -201,8 +201,10 @@ class Stepper(Generic[Equations]):
         coefficients = bdf2(state, history, step) if two_step and history else implicit_euler(state, step)
         self.equations.set_step(coefficients, time, guess, state)
         begin = guess if self.guide is None else self.guide.corrected(guess, time, step)
-        last = self.equations.first_guess(state.positions.copy(), time)
-        passes = self._passes(begin, last, step) if self.solve is None else self._solved_at_once(self.solve, begin)
+        if self.solve is None:
+            passes = self._passes(begin, lambda: self.equations.first_guess(state.positions.copy(), time), step)
+        else:
+            passes = self._solved_at_once(self.solve, begin)
         x = passes[-1].x
         if not np.isfinite(x).all():
             raise ConvergenceError("the new state is not finite")
@@ -227,7 +229,7 @@ class Stepper(Generic[Equations]):
             later = earlier
         return None
 
-    def _passes(self, guess: np.ndarray, last: np.ndarray, step: float) -> list[SolvedPass]:
+    def _passes(self, guess: np.ndarray, last: Callable[[], np.ndarray], step: float) -> list[SolvedPass]:
         passes = [self._minimise(guess, fallback=last)]
         while len(passes) < self.friction_passes and self.equations.freeze_friction(passes[-1].x):
             passes.append(self._minimise(passes[-1].x))
@@ -251,7 +253,7 @@ class Stepper(Generic[Equations]):
             raise ConvergenceError(f"the energy rose by {after - before:.3g} J")
         self._known_energy = record.after, after
 
-    def _minimise(self, start: np.ndarray, fallback: np.ndarray | None = None) -> SolvedPass:
+    def _minimise(self, start: np.ndarray, fallback: Callable[[], np.ndarray] | None = None) -> SolvedPass:
         found: Minimum = minimise(
             self.equations, start, tolerance=self.tolerance, stale_rate=self.stale_rate, fallback=fallback
         )

@@ -27,6 +27,7 @@ __all__ = [
     "doses_at_bounds",
     "fit_effects",
     "hypothesis_at",
+    "mean_square",
     "refit",
     "residuals_per_one",
 ]
@@ -93,7 +94,8 @@ class Hypothesis:
         return replace(self, evidence=evidence + self.ringing, divisor=divisor)
 
 
-def _mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
+def mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
+    """Mean square of some frames' residuals over that of noise and numerical error; NaN without any."""
     rows = base.rows(frames)
     if not len(rows):
         return float("nan")
@@ -148,8 +150,8 @@ def hypothesis_at(
 ) -> Hypothesis:  # fmt: skip
     """A model at fitted values, with what it says and how well that fits."""
     positions = model.observed(motion, values)
-    fitted = _mean_square(base, errors, positions, base.split.fitted)
-    selecting = _mean_square(base, errors, positions, base.split.selecting)
+    fitted = mean_square(base, errors, positions, base.split.fitted)
+    selecting = mean_square(base, errors, positions, base.split.selecting)
     likelihood = _likelihood(base, errors, fitted, selecting)
     information = _information(base, errors, base.split.fitted)
     ringing = ringing_likelihood(base, positions)
@@ -234,7 +236,7 @@ def refit(
 
 def _doubt(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> float:
     """Square of what is left over what is expected, times the residuals that count for one, in the fitted frames."""
-    return max(_mean_square(base, errors, positions, base.split.fitted), 1.0) * residuals_per_one(
+    return max(mean_square(base, errors, positions, base.split.fitted), 1.0) * residuals_per_one(
         base, errors, positions, base.split.fitted
     )
 

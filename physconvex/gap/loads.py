@@ -13,10 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import vibration_modes
 from physconvex.gap.baseline import Baseline
+from physconvex.gap.comparison import mean_square
 from physconvex.gap.effects import Effect
 from physconvex.gap.model import EffectModel
+from physconvex.gap.own_elements import lowest_frequency
 from physconvex.gap.ringing import recorded_ringing
 from physconvex.gap.score import ErrorModel
 
@@ -77,12 +78,7 @@ def _free_end(base: Baseline) -> str:
 
 def _moduli(model: EffectModel, values: np.ndarray, frequency: float) -> list[float]:
     """log10 E at which the loaded body's lowest vibration has a frequency [Hz], and some about it."""
-    scene = model.full_scene(values)
-    assert scene.pins is not None
-    held = np.zeros(len(scene.body.mesh.vertices), dtype=bool)
-    held[scene.pins.nodes] = True
-    own = float(vibration_modes(scene.body, 1, clamped=held)[0][0])
-    at = float(values[model.base.index(_MODULUS)]) + 2 * np.log10(frequency / own)
+    at = float(values[model.base.index(_MODULUS)]) + 2 * np.log10(frequency / lowest_frequency(model, values))
     return [float(np.clip(at + more, *_BOUNDS)) for more in _ABOUT]
 
 
@@ -92,6 +88,5 @@ def _misfit(base: Baseline, errors: ErrorModel, model: EffectModel, values: np.n
         positions = model.positions(values)
     except (ConvergenceError, InputError):
         return np.inf
-    rows = base.rows(base.split.fitted)
     whole = np.concatenate([positions, base.positions[len(positions) :]])
-    return float(np.mean(base.residual(whole)[rows] ** 2 / errors.expected[rows]))
+    return mean_square(base, errors, whole, base.split.fitted)

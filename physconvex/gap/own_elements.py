@@ -20,7 +20,7 @@ from physconvex.gap.model import EffectModel, is_small
 from physconvex.gap.numerics import Numerics
 from physconvex.gap.options import GapOptions
 
-__all__ = ["own_elements", "with_own_elements"]
+__all__ = ["lowest_frequency", "own_elements", "with_own_elements"]
 
 _WORK = 600_000  # nodes times steps that can be afforded
 _BETTER = 0.5  # share of the squares that the own elements may leave to be the model
@@ -126,10 +126,10 @@ def _surrogate(base: Baseline, mesh: TetMesh, values: np.ndarray, target: Float[
 
 def _decades(one: EffectModel, other: EffectModel, values: np.ndarray) -> float:
     """Decades of E by which another mesh must be stiffer to vibrate as the one does, by their lowest frequencies."""
-    return 2 * float(np.log10(_lowest(one, values) / _lowest(other, values)))
+    return 2 * float(np.log10(lowest_frequency(one, values) / lowest_frequency(other, values)))
 
 
-def _lowest(model: EffectModel, values: np.ndarray) -> float:
+def lowest_frequency(model: EffectModel, values: np.ndarray) -> float:
     """Lowest frequency of the body's vibrations on the model's mesh [Hz]."""
     scene = model.full_scene(values)
     if scene.pins is None:
