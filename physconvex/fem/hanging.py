@@ -4,7 +4,8 @@ While the string is slack the load falls freely, g t²/2. Once the nodes that it
 load's masses) have come down by less than that minus the slack, the string is taut: an inelastic impact, after which
 the load's mass is the nodes'. Of the time step in which that happens, the part before leaves the load alone, so that
 the motion depends smoothly on the slack. The load keeps a velocity history of its own, by which BDF2 gives it the
-momentum it arrives with. A string that is taut once stays so.
+momentum it arrives with. A string that is taut once stays so. Without slack the load is fixed to the nodes, whose
+velocity it has from the start.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ __all__ = ["Hanging", "HangingLoad"]
 
 @dataclass(frozen=True, eq=False)
 class HangingLoad:
-    """Masses [kg] by node, shape [V], and the slack of the string they hang by [m].
+    """Masses [kg] by node, shape [V], and the slack of the string they hang by [m]; fixed to the nodes without any.
 
     Raises:
         InputError: a negative mass or slack, or no mass at all.
@@ -74,6 +75,8 @@ class Hanging:
         self._pending = None
         if self._last is not None:
             self.share, last_velocity, before = 1.0, self._last, self._before
+        elif self.load.slack == 0:
+            self.share, last_velocity, before = 1.0, last.velocities, last.velocities
         else:
             now, then = self._reach(last.positions, last.time), self._reach(guess, time)
             if then <= 0:

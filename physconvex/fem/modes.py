@@ -27,18 +27,29 @@ def _smallest(stiffness: sp.csr_matrix, mass: sp.csr_matrix, count: int) -> tupl
 
 
 def vibration_modes(
-    body: ElasticBody, count: int, *, clamped: Bool[np.ndarray, " V"] | None = None
+    body: ElasticBody,
+    count: int,
+    *,
+    clamped: Bool[np.ndarray, " V"] | None = None,
+    carried: Float[np.ndarray, " V"] | None = None,
 ) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, "K V 3"]]:
     """Frequencies [Hz] and mass-normalised shapes of the smallest vibrations about the rest state.
 
     A free body has six rigid modes of frequency zero, which are among them.
+
+    Args:
+        body: the body.
+        count: number of vibrations K.
+        clamped: nodes that are held.
+        carried: masses that move with the nodes, beside the body's own [kg].
     """
     free = np.ones(len(body.mesh.vertices), dtype=bool) if clamped is None else ~np.asarray(clamped, dtype=bool)
     assembler = Assembler(body.mesh.tets, free)
     upper = assembler.pattern.copy()
     upper.data = assembler.elements(body.element_hessians(body.mesh.vertices))
     stiffness = upper + sp.triu(upper, 1).T
-    mass = sp.kron(body.mass[free][:, free], sp.eye(3)).tocsr()
+    own = body.mass if carried is None else body.mass + sp.diags(carried)
+    mass = sp.kron(own[free][:, free], sp.eye(3)).tocsr()
     values, vectors = _smallest(stiffness, mass, count)
     shapes = np.zeros((count, len(free), 3))
     shapes[:, free] = vectors.T.reshape(count, -1, 3)

@@ -18,7 +18,7 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.ringing import ringing_likelihood
 from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screened
-from physconvex.identify import FitOptions, fit, noise_covariance
+from physconvex.identify import Fit, FitOptions, fit, marginal_deviations
 
 __all__ = [
     "Hypothesis",
@@ -164,7 +164,7 @@ def hypothesis_at(
 
 def base_hypothesis(base: Baseline, errors: ErrorModel) -> Hypothesis:
     """The base model as one of those compared."""
-    deviations = np.sqrt(np.diag(noise_covariance(base.fit)))
+    deviations = _deviations(base, errors, base.fit, base.positions)
     return hypothesis_at(base, errors, base.model, base.fit.values, deviations, base.motion, base.tangents)
 
 
@@ -229,9 +229,15 @@ def refit(
     secant = SecantModel(shorter, values, here, tangents)
     stop = FitOptions(max_iterations=options.iterations + 1, relative_tolerance=2e-3, absolute_tolerance=0.1)
     found = fit(secant, weighted, shorter.parameters(values), options=stop)
-    spread = max(found.reduced_chi_square, 1.0)
-    deviations = np.sqrt(np.diag(noise_covariance(found)) * spread)
-    return hypothesis_at(base, errors, model, found.values, deviations, model.motion(found.values), secant.tangents)
+    motion = model.motion(found.values)
+    deviations = _deviations(base, errors, found, model.observed(motion, found.values))
+    return hypothesis_at(base, errors, model, found.values, deviations, motion, secant.tangents)
+
+
+def _deviations(base: Baseline, errors: ErrorModel, found: Fit, positions: np.ndarray) -> np.ndarray:
+    """Standard errors of fitted values: what is left is no noise, and many residuals of it tell as much as a few."""
+    alike = residuals_per_one(base, errors, positions, base.split.fitted)
+    return marginal_deviations(found) * np.sqrt(max(found.reduced_chi_square * alike, 1.0))
 
 
 def _doubt(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> float:

@@ -24,7 +24,7 @@ from physconvex.gap.score import ErrorModel
 __all__ = ["loaded_starts"]
 
 _RATIOS = (0.0, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # masses of the load over the body's
-_ABOUT = (-0.05, 0.0, 0.05, 0.1, 0.15)  # decades of E about that frequency: a body that sags far swings otherwise
+_STEP, _FARTHEST = 0.05, 4  # decades of E about that frequency, and steps: a body that sags far swings otherwise
 _BOUNDS = (3.0, 8.0)  # of log10 E
 _LABELS = ("attached_mass ({})", "attached_mass ({}, loose)", "damping")
 _MODULUS = "log10_youngs_modulus"
@@ -47,21 +47,18 @@ def loaded_starts(base: Baseline, errors: ErrorModel, dictionary: Iterable[Effec
     # what damps the main shape by the ratio that was recorded, E in proportion to viscosity
     dose = max(recorded.ratio, 0.0) / (np.pi * recorded.frequency)
     model = replace(base.model, effects=(load, *damped), correction=None, frames=int(base.split.fitted[-1]) + 1)
-    tried: list[tuple[float, float, np.ndarray]] = []
-    for ratio in _RATIOS:
-        values = np.concatenate([base.fit.values[: len(model.base)], [ratio], np.full(len(damped), dose)])
-        for log_modulus in _moduli(model, values, recorded.frequency):
-            values = values.copy()
-            values[model.base.index(_MODULUS)] = log_modulus
-            tried.append((_misfit(base, errors, model, values), ratio, values))
-    misfit, ratio, values = min(tried, key=lambda one: one[0])
-    if not np.isfinite(misfit) or ratio == 0.0:
+    tried = []
+    for ratio in _RATIOS:  # at the very end: further in, a larger one looks nearly alike
+        values = np.concatenate([base.fit.values[: len(model.base)], [ratio, 0.0], np.full(len(damped), dose)])
+        tried.append(_best_modulus(base, errors, model, values, recorded.frequency))
+    misfit, values = min(tried, key=lambda one: one[0])
+    if not np.isfinite(misfit) or values[len(model.base)] == 0.0:
         return []
-    plain, doses, place = values[: len(model.base)], values[len(model.base) + 1 :], len(model.base)
-    starts: list[Start] = [((load, *damped), values), ((load,), values[: place + 1])]
+    loaded = len(model.base) + len(load.doses)
+    starts: list[Start] = [((load, *damped), values), ((load,), values[:loaded])]
     if loose is not None:
-        slack = loose.doses[1].trial(base.situation)
-        starts.append(((loose, *damped), np.concatenate([plain, [ratio, slack], doses])))
+        slack = loose.doses[-1].trial(base.situation)
+        starts.append(((loose, *damped), np.concatenate([values[:loaded], [slack], values[loaded:]])))
     return starts
 
 
@@ -76,10 +73,25 @@ def _free_end(base: Baseline) -> str:
     return f"{'-' if away[axis] < 0 else '+'}{'xyz'[axis]}"
 
 
-def _moduli(model: EffectModel, values: np.ndarray, frequency: float) -> list[float]:
-    """log10 E at which the loaded body's lowest vibration has a frequency [Hz], and some about it."""
-    at = float(values[model.base.index(_MODULUS)]) + 2 * np.log10(frequency / lowest_frequency(model, values))
-    return [float(np.clip(at + more, *_BOUNDS)) for more in _ABOUT]
+def _best_modulus(
+    base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray, frequency: float
+) -> tuple[float, np.ndarray]:
+    """Misfit and values with the E that fits best, down from where the lowest vibration has a frequency [Hz]."""
+    index = model.base.index(_MODULUS)
+    line = float(values[index]) + 2 * np.log10(frequency / lowest_frequency(model, values))
+
+    def at(step: int) -> tuple[float, np.ndarray]:
+        changed = values.copy()
+        changed[index] = np.clip(line + _STEP * step, *_BOUNDS)
+        return _misfit(base, errors, model, changed), changed
+
+    best, where = at(0), 0
+    for way in (1, -1):
+        while abs(where + way) <= _FARTHEST and (found := at(where + way))[0] < best[0]:
+            best, where = found, where + way
+        if where:
+            break
+    return best
 
 
 def _misfit(base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray) -> float:

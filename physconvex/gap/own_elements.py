@@ -130,10 +130,11 @@ def _decades(one: EffectModel, other: EffectModel, values: np.ndarray) -> float:
 
 
 def lowest_frequency(model: EffectModel, values: np.ndarray) -> float:
-    """Lowest frequency of the body's vibrations on the model's mesh [Hz]."""
+    """Lowest frequency of the body's vibrations on the model's mesh [Hz], with what hangs on it."""
     scene = model.full_scene(values)
+    carried = None if scene.hanging is None else scene.hanging.masses
     if scene.pins is None:
-        return float(vibration_modes(scene.body, 7)[0][6])
+        return float(vibration_modes(scene.body, 7, carried=carried)[0][6])
     held = np.zeros(len(scene.body.mesh.vertices), dtype=bool)
     held[scene.pins.nodes] = True
-    return float(vibration_modes(scene.body, 1, clamped=held)[0][0])
+    return float(vibration_modes(scene.body, 1, clamped=held, carried=carried)[0][0])

@@ -10,6 +10,7 @@ import numpy as np
 
 from physconvex.gap.caveats import caveats_of, doses_in_sight
 from physconvex.gap.comparison import Hypothesis
+from physconvex.gap.effects import Effect
 from physconvex.gap.options import GapOptions
 from physconvex.gap.screening import Screening
 
@@ -118,8 +119,25 @@ def _by_weight(named: list[NamedEffect], hypotheses: Sequence[Hypothesis]) -> li
     return sorted(named, key=lambda effect: -alone.get(effect.name, -np.inf))
 
 
+def _errors(
+    effect: Effect, chosen: Hypothesis, hypotheses: Sequence[Hypothesis], probability: dict[str, float]
+) -> np.ndarray:
+    """Standard errors of an effect's doses, where other fits that have it differ counted in by their probability."""
+    others = [h for h in hypotheses if effect in h.effects]
+    weights = np.array([probability.get(h.label, 0.0) for h in others])
+    own, errors = chosen.doses(effect)
+    if not weights.sum() > 0:
+        return errors
+    squares = np.array([e**2 + (v - own) ** 2 for v, e in (h.doses(effect) for h in others)])
+    return np.asarray(np.sqrt(weights @ squares / weights.sum()))
+
+
 def _named(
-    hypothesis: Hypothesis, probability: dict[str, float], screening: Screening, options: GapOptions
+    hypothesis: Hypothesis,
+    hypotheses: Sequence[Hypothesis],
+    probability: dict[str, float],
+    screening: Screening,
+    options: GapOptions,
 ) -> list[NamedEffect]:
     from scipy.stats import norm
 
@@ -127,7 +145,7 @@ def _named(
     by_label = {entry.effect.label: entry for entry in screening.ranked}
     out = []
     for effect in hypothesis.effects:
-        values, errors = hypothesis.doses(effect)
+        values, errors = hypothesis.doses(effect)[0], _errors(effect, hypothesis, hypotheses, probability)
         doses = tuple(
             NamedDose(
                 d.name, d.unit, float(v), float(np.clip(v - width * e, d.lower, d.upper)),
@@ -234,7 +252,7 @@ class _Evidence:
     @property
     def named(self) -> tuple[NamedEffect, ...]:
         """Effects of the best fit."""
-        found = _named(self.best, self.probability, self.screening, self.options)
+        found = _named(self.best, self.hypotheses, self.probability, self.screening, self.options)
         return tuple(_by_weight(found, self.hypotheses))
 
     @property
@@ -247,7 +265,7 @@ class _Evidence:
             and h is not self.best
             and h.names[0] not in self.best.names
             and self.probability.get(h.label, 0.0) > _LISTED
-            for effect in _named(h, self.probability, self.screening, self.options)
+            for effect in _named(h, self.hypotheses, self.probability, self.screening, self.options)
         ]
         return (*self.named, *others)
 

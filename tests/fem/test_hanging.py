@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, HangingLoad, Pins, Scene, box_mesh, simulate, solve_static
+from physconvex.fem import ElasticBody, HangingLoad, Pins, Scene, box_mesh, simulate, solve_static, vibration_modes
 
 MESH = box_mesh((0.1, 0.02, 0.02), (4, 1, 1), order=1)
 
@@ -51,6 +51,24 @@ def test_a_load_comes_to_rest_where_its_weight_holds() -> None:
     bare = simulate(held(None), frames=4, fps=50.0, steps_per_frame=6)
     loose = simulate(held(HangingLoad(masses, 1.0)), frames=4, fps=50.0, steps_per_frame=6)
     np.testing.assert_allclose(loose.positions, bare.positions, atol=1e-9)
+
+
+def test_without_slack_it_is_thrown_with_the_body() -> None:
+    run = simulate(free(0.5, 0.0), frames=4, fps=100.0, steps_per_frame=8)
+    expected = np.broadcast_to([0, 0, 1.0 - 9.81 * 0.03], run.velocities[-1].shape)
+    np.testing.assert_allclose(run.velocities[-1], expected, atol=1e-6)
+
+
+def test_without_slack_it_swings_as_its_modes_say() -> None:
+    load, pins = HangingLoad(tip_masses()), held(None).pins
+    body, fixed = held(None).body, np.isin(np.arange(len(MESH.vertices)), pins.nodes)
+    (frequency,), (shape,) = vibration_modes(body, 1, clamped=fixed, carried=load.masses)
+    assert frequency < 0.6 * vibration_modes(body, 1, clamped=fixed)[0][0]
+    start = MESH.vertices + 1e-4 * shape / np.abs(shape).max()
+    scene = Scene(body, pins=pins, hanging=load, gravity=(0, 0, 0), initial_positions=start)
+    run = simulate(scene, frames=3, fps=2 * frequency, steps_per_frame=64)
+    for frame, sign in ((1, -1.0), (2, 1.0)):  # after half a period, and a whole one
+        np.testing.assert_allclose(run.positions[frame], MESH.vertices + sign * (start - MESH.vertices), atol=5e-6)
 
 
 def test_the_motion_depends_smoothly_on_the_slack() -> None:

@@ -61,6 +61,19 @@ def test_a_clear_effect_is_named_with_its_dose():
     assert verdict.effects[0].probability > 0.99
 
 
+def test_other_fits_that_have_the_effect_widen_its_interval():
+    def width(*others):
+        found = decide([hypothesis(20.0, "damping"), *others, hypothesis(0.0)], screening(), 30.0, 1.0, 0.05, OPTIONS)
+        dose = found.effects[0].doses[0]
+        assert dose.value == pytest.approx(0.1)
+        return dose.upper - dose.value
+
+    alone = width()
+    assert width(hypothesis(20.0, "damping", "wind", dose=0.13)) > 1.5 * alone
+    assert width(hypothesis(0.1, "damping", "wind", dose=0.13)) == pytest.approx(alone, rel=1e-3)
+    assert width(hypothesis(20.0, "friction", dose=0.3)) == pytest.approx(alone)
+
+
 def test_no_gap_is_none():
     verdict = decide([hypothesis(0.5, "damping"), hypothesis(0.0)], screening(0.3), 1.0, 1.0, 0.9, OPTIONS)
     assert verdict.name == "none" and not verdict.effects

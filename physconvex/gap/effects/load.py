@@ -2,63 +2,73 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
 from physconvex.errors import InputError
 from physconvex.fem import HangingLoad, Scene
 from physconvex.gap.effects.effect import AnyScene, Dose, Effect
-from physconvex.gap.effects.scenes import cell_coordinates, cell_masses, with_fields, with_material
+from physconvex.gap.effects.scenes import cell_coordinates, cell_masses, with_material
 
 __all__ = ["LOAD_EFFECTS"]
 
-_END = 0.4  # of the half length: how far inward the load is spread
+_SPREAD = 0.05  # of the length: standard deviation of where the load acts
 
 
-def _end(x: Float[np.ndarray, "C 3"], axis: int, side: int) -> np.ndarray:
-    """Which cells carry the load."""
-    along = side * x[:, axis]
-    return np.asarray(along >= along.max() - _END)
+def _weights(along: Float[np.ndarray, " N"], inset: float) -> np.ndarray:
+    """How much of the load acts at places along the body, from 0 at the loaded end to 1."""
+    return np.asarray(np.exp(-0.5 * ((along - inset) / _SPREAD) ** 2))
 
 
-def _fixed(scene: AnyScene, axis: int, side: int, ratio: float) -> AnyScene:
-    """The load moves with the body from the start."""
+def _cells(scene: AnyScene, axis: int, side: int, inset: float) -> np.ndarray:
+    """Share of the load that each cell carries."""
+    along = 0.5 * (1.0 - side * cell_coordinates(scene)[:, axis])
+    carried = cell_masses(scene) * _weights(along - along.min(), inset)
+    return np.asarray(carried / carried.sum())
+
+
+def _in_cells(scene: AnyScene, axis: int, side: int, ratio: float, inset: float) -> AnyScene:
+    """The cells near the end are heavier."""
 
     def densities(x: Float[np.ndarray, "C 3"], masses: Float[np.ndarray, " C"]) -> np.ndarray:
-        end = _end(x, axis, side)
-        return np.where(end, 1 + ratio * masses.sum() / masses[end].sum(), 1.0)
+        return 1 + ratio * masses.sum() * _cells(scene, axis, side, inset) / masses
 
     return with_material(scene, density=densities)
 
 
-def _loose(scene: Scene, axis: int, side: int, ratio: float, slack: float) -> AnyScene:
-    """The load hangs on a slack string."""
+def _on_nodes(scene: Scene, axis: int, side: int, ratio: float, inset: float, slack: float) -> Scene:
+    """The nodes near the end carry it, by a string of that slack, or fixed to them where there is none."""
     if scene.hanging is not None:
         raise InputError("hanging: a load hangs there already; one at a time")
     mesh, masses = scene.body.mesh, cell_masses(scene)
-    end = _end(cell_coordinates(scene), axis, side)
-    share = np.where(end, ratio * masses.sum() * masses / masses[end].sum(), 0.0) / mesh.tets.shape[1]
-    nodes = np.bincount(mesh.tets.reshape(-1), np.repeat(share, mesh.tets.shape[1]), minlength=len(mesh.vertices))
-    return with_fields(scene, hanging=HangingLoad(nodes, slack))
+    along = side * mesh.vertices[:, axis]
+    shares = np.repeat(masses / mesh.tets.shape[1], mesh.tets.shape[1])
+    carried = np.bincount(mesh.tets.reshape(-1), shares, minlength=len(mesh.vertices))
+    carried = carried * _weights((along.max() - along) / np.ptp(along), inset)
+    return replace(scene, hanging=HangingLoad(ratio * masses.sum() * carried / carried.sum(), slack))
 
 
 _RATIO = Dose("mass_ratio", "", 0.0, 10.0, 0.02, lambda s: 0.3, plausible=2.0)
+_INSET = Dose("inset", "", 0.0, 0.5, 0.01, lambda s: 0.02, shape=True, plausible=0.04)  # of the length
 _SLACK = Dose("slack", "m", 0.0, 0.2, 1e-3, lambda s: 0.05 * s.size, shape=True)
 
 
 def _loaded(axis: int, side: int, *, loose: bool = False) -> Effect:
     def scene(scene: AnyScene, doses: Float[np.ndarray, " D"]) -> AnyScene:
-        if doses[0] <= 0:
+        ratio, inset, slack = float(doses[0]), max(float(doses[1]), 0.0), max(float(doses[2]), 0.0) if loose else 0.0
+        if ratio <= 0:
             return scene
-        if loose and isinstance(scene, Scene):  # the reduced model has it fixed from the start
-            return _loose(scene, axis, side, float(doses[0]), max(float(doses[1]), 0.0))
-        return _fixed(scene, axis, side, float(doses[0]))
+        if isinstance(scene, Scene) and scene.contact_points is None:
+            return _on_nodes(scene, axis, side, ratio, inset, slack)
+        return _in_cells(scene, axis, side, ratio, inset)  # fixed from the start
 
     end = f"{'-' if side < 0 else '+'}{'xyz'[axis]}"
     return Effect(
         "attached_mass",
         "external",
-        (_RATIO, _SLACK) if loose else (_RATIO,),
+        (_RATIO, _INSET, _SLACK) if loose else (_RATIO, _INSET),
         scene=scene,
         applies=lambda situation: situation.clamped and (not loose or any(situation.gravity)),
         variant=f"{end}, loose" if loose else end,
