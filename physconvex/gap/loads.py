@@ -24,6 +24,7 @@ from physconvex.gap.score import ErrorModel
 __all__ = ["loaded_starts"]
 
 _RATIOS = (0.0, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # masses of the load over the body's
+_SLACKS = (0.5, 1.0, 2.0, 3.0)  # times the slack with which a loose load is screened
 _STEP, _FARTHEST = 0.05, 4  # decades of E about that frequency, and steps: a body that sags far swings otherwise
 _BOUNDS = (3.0, 8.0)  # of log10 E
 _LABELS = ("attached_mass ({})", "attached_mass ({}, loose)", "damping")
@@ -57,8 +58,10 @@ def loaded_starts(base: Baseline, errors: ErrorModel, dictionary: Iterable[Effec
     loaded = len(model.base) + len(load.doses)
     starts: list[Start] = [((load, *damped), values), ((load,), values[:loaded])]
     if loose is not None:
-        slack = loose.doses[-1].trial(base.situation)
-        starts.append(((loose, *damped), np.concatenate([values[:loaded], [slack], values[loaded:]])))
+        effects, trial = (loose, *damped), loose.doses[-1].trial(base.situation)
+        hanging = [np.insert(values, loaded, share * trial) for share in _SLACKS]
+        model = replace(model, effects=effects)
+        starts.append((effects, min(hanging, key=lambda one: _misfit(base, errors, model, one))))
     return starts
 
 

@@ -245,6 +245,13 @@ class _Evidence:
         return self.gain >= _WEAK and self.share >= _FORETOLD and self.placebo < 1.0 - _FORETOLD
 
     @property
+    def clear(self) -> bool:
+        """Whether fitted and held-out frames together make a call: the less sure the ones, the more the others do."""
+        asked = float(np.interp(self.gain, (_WEAK, _CLEAR), (_FORETOLD, self.options.explained)))
+        kept = self.share >= asked and self.placebo < 1.0 - _FORETOLD
+        return self.gain >= _CLEAR or (self.gain >= _WEAK and kept)
+
+    @property
     def none(self) -> float:
         """Probability of the base model."""
         return self.probability.get("base model", 0.0)
@@ -319,7 +326,7 @@ def _numerical(e: _Evidence) -> Verdict | None:
 
 def _weak(e: _Evidence) -> Verdict | None:
     """A gain too small for a call."""
-    if e.gain >= _CLEAR or e.foretold:
+    if e.clear:
         return None
     sentence = (
         f"Inconclusive: {e.best.label} is favoured, but the recording cannot tell it from no effect that is known "

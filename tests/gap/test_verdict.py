@@ -74,6 +74,24 @@ def test_other_fits_that_have_the_effect_widen_its_interval():
     assert width(hypothesis(20.0, "friction", dose=0.3)) == pytest.approx(alone)
 
 
+@pytest.mark.parametrize(
+    ("gain", "remaining", "placebo", "name"),
+    [
+        (3.2, 0.2, 0.0, "effect"),
+        (3.2, 0.4, 0.0, "inconclusive"),  # of such a gain two thirds must go on held-out frames
+        (2.0, 0.2, 0.0, "inconclusive"),
+        (2.0, 0.05, 0.0, "effect"),
+        (3.2, 0.2, 0.2, "inconclusive"),
+        (4.5, 0.4, 0.0, "effect"),
+        (1.2, 0.01, 0.0, "inconclusive"),
+    ],
+)
+def test_what_is_foretold_makes_up_for_a_smaller_gain(gain, remaining, placebo, name):
+    hypotheses = [hypothesis(gain, "damping"), hypothesis(0.0)]
+    verdict = decide(hypotheses, screening(), 30.0, 9.0, remaining, OPTIONS, placebo=placebo)
+    assert verdict.name == name
+
+
 def test_no_gap_is_none():
     verdict = decide([hypothesis(0.5, "damping"), hypothesis(0.0)], screening(0.3), 1.0, 1.0, 0.9, OPTIONS)
     assert verdict.name == "none" and not verdict.effects
