@@ -111,6 +111,7 @@ def diagnose(
         options,
         floor=shrinkage[-1].noise_floor / _extent(base),
         placebo=shrinkage[-1].placebo,
+        above_error=shrinkage[-1].above_error,
         astray=_astray(base, best),
         other=evidence_of_anything(best),
     )

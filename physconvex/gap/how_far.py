@@ -42,6 +42,12 @@ class HowFar:
     placebo_effect: str
     net_shrinkage: float
 
+    @property
+    def above_error(self) -> float:
+        """Share that the effects remove of the gap above noise and numerical error."""
+        squares = np.square([self.gap_before, self.gap_after, self.noise_floor])
+        return float(_share(*squares))
+
 
 def gap_squares(base: Baseline, positions: Float[np.ndarray, "T P 3"], frames: np.ndarray) -> Float[np.ndarray, " n"]:
     """Mean square distance between model and observation in some frames [m²], shape [n]."""

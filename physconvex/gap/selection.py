@@ -51,6 +51,7 @@ _HELD = 0.7  # of the costs allowed, for a held body: its screening and its base
 _ANYTHING = 8  # doses and effects that an unknown effect is priced at
 _MANY = 40  # pairs that are ranked
 _WORTH = 4.0  # gain of evidence for which the search goes on
+_TIED = 1.0  # difference of evidence that hardly tells two forms of an effect apart
 
 
 @dataclass(eq=False)
@@ -153,7 +154,7 @@ def select_effects(
             if not _one_more(search, numerics, dictionary, 1 if number else _STEMS):
                 break
         _leave_out(search)
-    finalists = _finalists(search.ranked, options.candidates if open_gap else 1)
+    finalists = _finalists(search.ranked, options.candidates if open_gap else 1, tied=_TIED)
     return judged(base, errors, _decided(base, errors, finalists, options, report)), screening
 
 
@@ -201,13 +202,22 @@ def within_bounds(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     return kept if any(h.effects for h in kept) else list(hypotheses)
 
 
-def _finalists(found: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
-    """The best fits with effects, one of each set of names; two single effects are among them."""
+def _finalists(found: Sequence[Hypothesis], count: int, *, tied: float = 0.0) -> list[Hypothesis]:
+    """The best fits with effects, one of each set of names; two single effects are among them.
+
+    Args:
+        found: fits.
+        count: how many of the best, at most two single effects not counted.
+        tied: another form of the same effects is kept too where its evidence is less than this below the best one's.
+    """
     best: dict[frozenset[str], Hypothesis] = {}
+    forms: dict[frozenset[str], Hypothesis] = {}
     for hypothesis in sorted(found, key=lambda h: -h.evidence):
-        if hypothesis.effects:
-            best.setdefault(frozenset(hypothesis.names), hypothesis)
-    ranked = list(best.values())
+        names = frozenset(hypothesis.names)
+        first = best.setdefault(names, hypothesis)
+        if hypothesis.effects and (hypothesis is first or hypothesis.evidence > first.evidence - tied):
+            forms.setdefault(frozenset(effect.label for effect in hypothesis.effects), hypothesis)
+    ranked = list(forms.values())
     chosen = ranked[:count]
     singles = [h for h in ranked if len(h.effects) == 1][: min(2, count)]
     return [*chosen, *(h for h in singles if h not in chosen)]
@@ -295,7 +305,7 @@ def _one_more(search: Selection, numerics: Numerics, dictionary: tuple[Effect, .
 
 def _polish(search: Selection) -> None:
     """Fit the best ones again, with derivatives taken where they are now."""
-    for hypothesis in _finalists(search.ranked, _POLISHED)[:_POLISHED]:
+    for hypothesis in _finalists(search.ranked, _POLISHED, tied=_TIED)[:_POLISHED]:
         if id(hypothesis.motion) in search.polished or search.late:
             continue
         count = int(search.base.split.fitted[-1]) + 1

@@ -181,6 +181,7 @@ def decide(
     *,
     floor: float = 0.0,
     placebo: float = float("nan"),
+    above_error: float = float("-inf"),
     astray: float = 0.0,
     other: float = -np.inf,
 ) -> Verdict:
@@ -191,11 +192,13 @@ def decide(
         screening: for what is alike.
         before: mean square of the base model's residual over its expected square, all frames.
         after: the same with the best effects, held-out frames; one = nothing left above noise and numerical error.
-        remaining: share of the held-out gap above the floor that the best effects leave, 0 to 1 and more.
+        remaining: share of the held-out gap above noise that the best effects leave, 0 to 1 and more.
         options: settings.
         floor: numerical error and noise over the size of the body, or over its motion if that is less; a model that
             errs by a tenth of it tells nothing.
         placebo: share of the held-out gap that an effect removes which screening ranked last; NaN where none was tried.
+        above_error: share that the best effects remove of the held-out gap above noise and numerical error; −inf where
+            that is not known.
         astray: distance of the best model from the recording over how far that moves, rms.
         other: evidence of something that is not among the hypotheses.
     """
@@ -207,7 +210,7 @@ def decide(
         return Verdict("inconclusive", "No effect could be tried on this capture.", (), none, 0.0, ())
     evidence = _Evidence(
         base, best, tuple(hypotheses), screening, probability, before, after, 1.0 - remaining, options, floor, placebo,
-        astray,
+        above_error, astray,
     )  # fmt: skip
     rules = (_nothing, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo)
     for rule in rules:
@@ -232,6 +235,7 @@ class _Evidence:
     options: GapOptions
     floor: float
     placebo: float
+    above_error: float
     astray: float
 
     @property
@@ -347,8 +351,8 @@ def _off_the_recording(e: _Evidence) -> Verdict | None:
 
 
 def _unexplained(e: _Evidence) -> Verdict | None:
-    """A gap that the best effects leave."""
-    if e.share >= e.options.explained or e.after <= 2.0:
+    """A gap that the best effects leave; what the model's own error may be is not for effects to explain."""
+    if max(e.share, e.above_error) >= e.options.explained or e.after <= 2.0:
         return None
     sentence = (
         f"There is a gap that none of the known effects explains: the best of them, {e.best.label}, removes "

@@ -53,10 +53,18 @@ def test_pairs_are_named_once(screening):
     assert len(names) == len(set(names)) <= 3
 
 
-def test_the_best_single_effects_are_carried_over():
-    def fit(evidence, *names):
-        return SimpleNamespace(effects=names, names=names, evidence=evidence)
+def fitted(evidence, *labels):
+    names = tuple(label.split(" (")[0] for label in labels)
+    return SimpleNamespace(effects=tuple(SimpleNamespace(label=one) for one in labels), names=names, evidence=evidence)
 
-    found = [fit(0), fit(9, "a", "b"), fit(8, "a", "c"), fit(5, "a"), fit(4, "a"), fit(3, "c")]
+
+def test_the_best_single_effects_are_carried_over():
+    found = [fitted(0), fitted(9, "a", "b"), fitted(8, "a", "c"), fitted(5, "a"), fitted(4, "a"), fitted(3, "c")]
     chosen = _finalists(found, 2)
     assert [h.names for h in chosen] == [("a", "b"), ("a", "c"), ("a",), ("c",)] and chosen[2].evidence == 5
+
+
+def test_a_form_that_is_as_likely_is_carried_over():
+    found = [fitted(9.0, "a (x)", "b"), fitted(8.7, "a (y)", "b"), fitted(8.6, "a (y)", "b"), fitted(6.0, "a (z)", "b")]
+    assert [h.evidence for h in _finalists(found, 4, tied=1.0)] == [9.0, 8.7]
+    assert [h.evidence for h in _finalists(found, 4)] == [9.0]

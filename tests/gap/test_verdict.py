@@ -113,6 +113,13 @@ def test_a_gap_that_nothing_explains_is_unknown():
     assert verdict.name == "unknown" and "none of the known effects" in verdict.sentence
 
 
+@pytest.mark.parametrize(("above_error", "name"), [(0.7, "effect"), (0.3, "unknown")])
+def test_what_is_within_the_models_error_is_not_left_unexplained(above_error, name):
+    hypotheses = [hypothesis(20.0, "damping"), hypothesis(0.0)]
+    verdict = decide(hypotheses, screening(), 5.0, 2.3, 0.6, OPTIONS, placebo=0.0, above_error=above_error)
+    assert verdict.name == name
+
+
 def test_an_effect_no_better_than_a_placebo_is_not_named():
     hypotheses = [hypothesis(20.0, "damping"), hypothesis(0.0)]
     verdict = decide(hypotheses, screening(), 30.0, 1.0, 0.05, OPTIONS, placebo=0.86)
