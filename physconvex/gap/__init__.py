@@ -11,10 +11,11 @@ from physconvex.gap.diagnose import diagnose
 from physconvex.gap.effects import DEFAULT_EFFECTS, Dose, Effect, Motion, Situation, choose
 from physconvex.gap.how_far import HowFar
 from physconvex.gap.model import EffectModel
+from physconvex.gap.naming import NamedDose, NamedEffect
 from physconvex.gap.options import GapOptions
 from physconvex.gap.report import GapReport, ImprovedTwin
 from physconvex.gap.score import ErrorModel, Projector, Score, score
-from physconvex.gap.verdict import NamedDose, NamedEffect, Verdict
+from physconvex.gap.verdict import Verdict
 from physconvex.gap.where import Part, Where
 
 __all__ = [

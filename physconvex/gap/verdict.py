@@ -1,4 +1,4 @@
-"""From fits to a verdict: which effect, with what probability, and what it cannot be told apart from."""
+"""From fits to a verdict, by a list of rules."""
 
 from __future__ import annotations
 
@@ -10,15 +10,21 @@ import numpy as np
 
 from physconvex.gap.caveats import caveats_of, doses_in_sight
 from physconvex.gap.comparison import Hypothesis
-from physconvex.gap.effects import Effect
+from physconvex.gap.naming import (
+    SOMETHING_ELSE,
+    NamedEffect,
+    beside_something_else,
+    by_weight,
+    named_effects,
+    probabilities,
+)
 from physconvex.gap.options import GapOptions
 from physconvex.gap.screening import Screening
 
-__all__ = ["NamedDose", "NamedEffect", "Verdict", "VerdictName", "decide", "probabilities"]
+__all__ = ["Verdict", "VerdictName", "decide"]
 
 VerdictName = Literal["none", "effect", "unknown", "inconclusive"]
 _CLEAR, _WEAK = 4.0, 1.5  # gain of log-evidence over the base model that makes a call, or leaves it open
-_ALIKE = 0.95  # cosine of signatures
 _LISTED = 0.02  # probability
 _FORETOLD = 0.9  # share of the gap on frames that were not fitted, of which a placebo removes no tenth
 _PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
@@ -26,33 +32,8 @@ _BLIND = 0.1  # floor over size or motion above which "none" would say nothing
 _SURE = 30.0  # gain that makes a call although the base model fits the fitted frames within its error
 _ASTRAY = 0.5  # distance from the recording over its motion above which the model is no model of it
 _LIKELY = 0.5  # probability from which on an effect is named
-_OTHER = "something else"
 _OPEN = 4.0  # times the expected square: a gap, whether or not an effect explains it
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
-
-
-@dataclass(frozen=True)
-class NamedDose:
-    """A fitted dose with its interval, in its unit."""
-
-    name: str
-    unit: str
-    value: float
-    lower: float
-    upper: float
-    null: float
-
-
-@dataclass(frozen=True)
-class NamedEffect:
-    """One effect with its probability, doses, and the effects it may be confused with."""
-
-    name: str
-    variant: str
-    source: str
-    probability: float
-    doses: tuple[NamedDose, ...]
-    confused_with: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -74,101 +55,6 @@ class Verdict:
     none_probability: float
     share: float
     caveats: tuple[str, ...]
-
-
-def probabilities(hypotheses: Sequence[Hypothesis], other: float = -np.inf) -> dict[str, float]:
-    """Probability by label: softmax of the evidence, one hypothesis per set of names.
-
-    Args:
-        hypotheses: what was fitted.
-        other: evidence of something that is not among them.
-    """
-    best: dict[tuple[str, ...], Hypothesis] = {}
-    for hypothesis in hypotheses:
-        names = tuple(sorted(hypothesis.names))
-        if names not in best or hypothesis.evidence > best[names].evidence:
-            best[names] = hypothesis
-    kept = list(best.values())
-    evidence = np.array([*(h.evidence for h in kept), other])
-    weights = np.exp(evidence - evidence.max())
-    labels = [*(h.label for h in kept), _OTHER]
-    return {label: float(w) for label, w in zip(labels, weights / weights.sum(), strict=True) if w > 0}
-
-
-def _beside_something_else(probability: dict[str, float], share: float) -> dict[str, float]:
-    """Probability of something else only for what the best effects leave: what they remove is theirs all the same."""
-    other = probability.get(_OTHER, 0.0)
-    left = other * float(np.clip(1.0 - share, 0.0, 1.0))
-    known = {label: p for label, p in probability.items() if label != _OTHER}
-    total = max(sum(known.values()), 1e-300)
-    return {**{label: p / total * (1.0 - left) for label, p in known.items()}, **({_OTHER: left} if left > 0 else {})}
-
-
-def _of_name(name: str, probability: dict[str, float]) -> float:
-    """Probability that an effect is there: of all fits that have it."""
-    return min(sum(p for label, p in probability.items() if name in _names(label)), 1.0)
-
-
-def _names(label: str) -> list[str]:
-    return [part.split(" (")[0] for part in label.split(" + ")]
-
-
-def _by_weight(named: list[NamedEffect], hypotheses: Sequence[Hypothesis]) -> list[NamedEffect]:
-    """Effects of one fit, the one first that explains most by itself."""
-    alone = {h.names[0]: h.evidence for h in reversed(hypotheses) if len(h.effects) == 1}
-    return sorted(named, key=lambda effect: -alone.get(effect.name, -np.inf))
-
-
-def _errors(
-    effect: Effect, chosen: Hypothesis, hypotheses: Sequence[Hypothesis], probability: dict[str, float]
-) -> np.ndarray:
-    """Standard errors of an effect's doses, where other fits that have it differ counted in by their probability."""
-    others = [h for h in hypotheses if effect in h.effects]
-    weights = np.array([probability.get(h.label, 0.0) for h in others])
-    own, errors = chosen.doses(effect)
-    if not weights.sum() > 0:
-        return errors
-    squares = np.array([e**2 + (v - own) ** 2 for v, e in (h.doses(effect) for h in others)])
-    return np.asarray(np.sqrt(weights @ squares / weights.sum()))
-
-
-def _named(
-    hypothesis: Hypothesis,
-    hypotheses: Sequence[Hypothesis],
-    probability: dict[str, float],
-    screening: Screening,
-    options: GapOptions,
-) -> list[NamedEffect]:
-    from scipy.stats import norm
-
-    width = float(norm.ppf(0.5 + options.confidence / 2))
-    by_label = {entry.effect.label: entry for entry in screening.ranked}
-    out = []
-    for effect in hypothesis.effects:
-        values, errors = hypothesis.doses(effect)[0], _errors(effect, hypothesis, hypotheses, probability)
-        doses = tuple(
-            NamedDose(
-                d.name, d.unit, float(v), float(np.clip(v - width * e, d.lower, d.upper)),
-                float(np.clip(v + width * e, d.lower, d.upper)), d.null,
-            )
-            for d, v, e in zip(effect.doses, values, errors, strict=True)
-        )  # fmt: skip
-        own = by_label[effect.label]
-        alike = [
-            e.effect.name
-            for e in screening.one_per_name
-            if e.effect.name != effect.name and screening.similarity(own, e) > _ALIKE
-        ]
-        rivals = [
-            label.split(" (")[0]
-            for label, p in probability.items()
-            if p > 0.1 and label != hypothesis.label and label not in ("base model", _OTHER) and " + " not in label
-        ]
-        confused = tuple(dict.fromkeys(n for n in [*alike, *rivals] if n != effect.name))
-        out.append(
-            NamedEffect(effect.name, effect.variant, effect.source, _of_name(effect.name, probability), doses, confused)
-        )
-    return out
 
 
 def decide(
@@ -204,7 +90,7 @@ def decide(
     """
     base = next(h for h in hypotheses if not h.effects)
     best = next((h for h in hypotheses if h.effects), None)
-    probability = _beside_something_else(probabilities(hypotheses, other), 1.0 - remaining)
+    probability = beside_something_else(probabilities(hypotheses, other), 1.0 - remaining)
     none = probability.get("base model", 0.0)
     if best is None:
         return Verdict("inconclusive", "No effect could be tried on this capture.", (), none, 0.0, ())
@@ -263,8 +149,8 @@ class _Evidence:
     @property
     def named(self) -> tuple[NamedEffect, ...]:
         """Effects of the best fit."""
-        found = _named(self.best, self.hypotheses, self.probability, self.screening, self.options)
-        return tuple(_by_weight(found, self.hypotheses))
+        found = named_effects(self.best, self.hypotheses, self.probability, self.screening, self.options)
+        return tuple(by_weight(found, self.hypotheses))
 
     @property
     def possible(self) -> tuple[NamedEffect, ...]:
@@ -276,7 +162,7 @@ class _Evidence:
             and h is not self.best
             and h.names[0] not in self.best.names
             and self.probability.get(h.label, 0.0) > _LISTED
-            for effect in _named(h, self.hypotheses, self.probability, self.screening, self.options)
+            for effect in named_effects(h, self.hypotheses, self.probability, self.screening, self.options)
         ]
         return (*self.named, *others)
 
@@ -377,11 +263,11 @@ def _called(e: _Evidence) -> Verdict:
     likely = tuple(n for n in e.named if n.probability >= _LIKELY) or (
         max(e.named, key=lambda n: n.probability),
     )  # of several that are alike none may have half, and it is one of them all the same
-    if e.probability.get(_OTHER, 0.0) + e.none >= _LIKELY and not e.foretold:
+    if e.probability.get(SOMETHING_ELSE, 0.0) + e.none >= _LIKELY and not e.foretold:
         shares = ", ".join(f"{n.name} {n.probability:.0%}" for n in e.possible)
         sentence = (
             f"Inconclusive: there is a gap, and {e.best.label} fits best, but leaves so much that "
-            f"none is likely ({shares}; something else {e.probability.get(_OTHER, 0.0):.0%})."
+            f"none is likely ({shares}; something else {e.probability.get(SOMETHING_ELSE, 0.0):.0%})."
         )
         return e.verdict("inconclusive", sentence, e.possible)
     doses = "; ".join(f"{d.name} = {d.value:.3g} {d.unit}".strip() for n in likely for d in n.doses)

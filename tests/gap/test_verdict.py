@@ -7,8 +7,9 @@ import pytest
 
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions
 from physconvex.gap.caveats import caveats_of
+from physconvex.gap.naming import probabilities
 from physconvex.gap.selection import within_bounds
-from physconvex.gap.verdict import decide, probabilities
+from physconvex.gap.verdict import decide
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 
