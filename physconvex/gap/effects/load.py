@@ -60,7 +60,7 @@ def _loaded(axis: int, side: int, *, loose: bool = False) -> Effect:
         ratio, inset, slack = float(doses[0]), max(float(doses[1]), 0.0), max(float(doses[2]), 0.0) if loose else 0.0
         if ratio <= 0:
             return scene
-        if isinstance(scene, Scene) and scene.contact_points is None:
+        if isinstance(scene, Scene) and (loose or scene.contact_points is None):
             return _on_nodes(scene, axis, side, ratio, inset, slack)
         return _in_cells(scene, axis, side, ratio, inset)  # fixed from the start
 
