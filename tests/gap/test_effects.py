@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from physconvex.errors import InputError
+from physconvex.fem import SurfacePoints
 from physconvex.fem import simulate as simulate_full
 from physconvex.gap.effects import DEFAULT_EFFECTS, EFFECT_NAMES, Dose, Effect, Motion, applicable, choose
 from physconvex.gap.effects.observation import at_times
@@ -142,6 +143,14 @@ def test_attached_mass_is_at_its_end(scene):
     high = np.array([0.0, 0.0, 4.0])  # no contact
     bare, loaded = [run(effect("initial_velocity").scene(one, high))[1] for one in (scene, loads[0])]
     np.testing.assert_allclose(loaded, bare, atol=2e-2)  # it is thrown too, and falls as fast
+
+
+def test_attached_mass_with_contact_on_the_surface_is_in_the_cells(falling):
+    on_surface = replace(falling, contact_points=SurfacePoints.of_triangles(*falling.body.mesh.surface))
+    loaded = effect("attached_mass (+x)").scene(on_surface, np.array([0.5, 0.0]))
+    assert loaded.hanging is None and loaded.body.total_mass == pytest.approx(1.5 * falling.body.total_mass)
+    with pytest.raises(InputError, match="contact_points"):
+        effect("attached_mass (+x, loose)").scene(on_surface, np.array([0.5, 0.0, 0.01]))
 
 
 def test_attached_mass_is_for_held_bodies(situation):
