@@ -22,7 +22,7 @@ from physconvex.identify import Parameter, Twin, default_parameter
 from physconvex.integrators import IntegratorName
 from physconvex.reduced import ReducedScene, parameter_values, simulate
 
-__all__ = ["ACCURACY", "EffectModel", "SecantModel", "is_small", "reduced_like"]
+__all__ = ["ACCURACY", "EffectModel", "SecantModel", "reduced_like", "searches_itself"]
 
 Positions = Float[np.ndarray, "T P 3"]
 Vector = Float[np.ndarray, " K"]
@@ -244,7 +244,7 @@ def reduced_like(full: EffectModel, motion: Motion, values: np.ndarray) -> tuple
     one lacks there is a vibration of another frequency, which an added motion makes up for only while nothing damps it.
     Where the mesh of a held body is itself no larger, it is the cheaper one.
     """
-    if full.situation.clamped and full.mesh is not None and is_small(full.mesh, full.twin.mesh):
+    if searches_itself(full):
         reduced = replace(full, correction=None)
     else:
         reduced = replace(
@@ -255,8 +255,11 @@ def reduced_like(full: EffectModel, motion: Motion, values: np.ndarray) -> tuple
     return replace(reduced, correction=exact - own.positions), own
 
 
-def is_small(mesh: TetMesh, coarse: TetMesh) -> bool:
-    """Whether a run on one mesh costs hardly more than on the coarse one."""
+def searches_itself(full: EffectModel) -> bool:
+    """Whether no other model of a held body is cheaper: a run on its mesh costs hardly more than on the coarse one."""
+    mesh, coarse = full.mesh, full.twin.mesh
+    if mesh is None or not full.situation.clamped:
+        return False
     return len(mesh.vertices) <= _SMALL * len(coarse.vertices) and mesh.order <= coarse.order
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import TetMesh, vibration_modes
 from physconvex.gap.baseline import Baseline, fit_baseline, misfit_of_base
-from physconvex.gap.model import EffectModel, is_small
+from physconvex.gap.model import EffectModel, searches_itself
 from physconvex.gap.numerics import Numerics
 from physconvex.gap.options import GapOptions
 
@@ -80,10 +80,8 @@ def with_own_elements(
         if not known and least > _HOPELESS * before:
             return base, numerics
         motion = model.motion(values)
-        cheaper = base.situation.clamped and not is_small(
-            mesh, base.model.twin.mesh
-        )  # than they: another mesh searches
-        stiffer = _surrogate(base, mesh, values, motion.positions) if cheaper else 0.0
+        another = base.situation.clamped and not searches_itself(model)  # mesh searches in its place
+        stiffer = _surrogate(base, mesh, values, motion.positions) if another else 0.0
         start = replace(
             rough, fit=replace(rough.fit, values=values), model=replace(rough.model, surrogate_stiffer=stiffer)
         )

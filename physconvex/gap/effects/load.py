@@ -10,7 +10,7 @@ from jaxtyping import Float
 from physconvex.errors import InputError
 from physconvex.fem import HangingLoad, Scene
 from physconvex.gap.effects.effect import AnyScene, Dose, Effect
-from physconvex.gap.effects.scenes import cell_coordinates, cell_masses, with_material
+from physconvex.gap.effects.scenes import cell_masses, with_material
 
 __all__ = ["LOAD_EFFECTS"]
 
@@ -22,18 +22,13 @@ def _weights(along: Float[np.ndarray, " N"], inset: float) -> np.ndarray:
     return np.asarray(np.exp(-0.5 * ((along - inset) / _SPREAD) ** 2))
 
 
-def _cells(scene: AnyScene, axis: int, side: int, inset: float) -> np.ndarray:
-    """Share of the load that each cell carries."""
-    along = 0.5 * (1.0 - side * cell_coordinates(scene)[:, axis])
-    carried = cell_masses(scene) * _weights(along - along.min(), inset)
-    return np.asarray(carried / carried.sum())
-
-
 def _in_cells(scene: AnyScene, axis: int, side: int, ratio: float, inset: float) -> AnyScene:
     """The cells near the end are heavier."""
 
     def densities(x: Float[np.ndarray, "C 3"], masses: Float[np.ndarray, " C"]) -> np.ndarray:
-        return 1 + ratio * masses.sum() * _cells(scene, axis, side, inset) / masses
+        along = -0.5 * side * x[:, axis]
+        weights = _weights(along - along.min(), inset)
+        return 1 + ratio * masses.sum() * weights / (masses @ weights)
 
     return with_material(scene, density=densities)
 
