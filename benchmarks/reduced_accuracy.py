@@ -16,7 +16,7 @@ import argparse
 import json
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -36,10 +36,13 @@ from physconvex.reduced import (
     WeightField,
     contact_weights,
     eigenmode_weights,
+    elastic_weights,
+    even_loads,
     parameter_values,
     simulate_with_sensitivities,
     snapshot_weights,
     train_neural_weights,
+    with_elastic_weights,
     with_parameters,
 )
 from physconvex.render.native import cache_folder
@@ -66,8 +69,10 @@ ITERATIONS, LARGEST_STEP, SETTLED = 8, 0.15, 1e-3
 class Case:
     """One setting: body, E [Pa], ν, basis and number of weights, and what happens to the body.
 
-    basis: eigenmodes, contact (a third of them eigenmodes, the others answers to loads on patches, interpolated at the
-    nodes), neural, snapshots, or paper. scene: "drop", or "release" (stretched, sheared, let go in free space).
+    basis: elastic (vibrations and answers to forces where the floor touches, found by two roll-outs, the first one with
+    20 eigenmodes; on patches where nothing touches), eigenmodes, contact (a third of them eigenmodes, the others
+    answers to loads on patches), neural, snapshots, or paper. Elastic and contact weights are interpolated at nodes.
+    scene: "drop", or "release" (stretched, sheared, let go in free space).
     """
 
     body: str
@@ -100,6 +105,15 @@ class Row:
 def cases(bodies: list[str]) -> Iterator[Case]:
     """The most telling first."""
     grid = [(e, nu) for nu in (0.3, 0.45) for e in (3e5, 3e4, 3e6)]
+    for modulus, ratio in grid:
+        for body in bodies:
+            yield Case(body, modulus, ratio, "elastic", 60)
+    for modulus, ratio in grid[:2] + grid[3:5]:
+        for body in bodies[:3]:
+            yield Case(body, modulus, ratio, "elastic", 60, "release")
+    for modulus, ratio in grid:
+        for body in bodies:
+            yield Case(body, modulus, ratio, "elastic", 30)
     for modulus, ratio in ((3e5, 0.3), (3e5, 0.45), (3e4, 0.3), (3e4, 0.45)):
         for body in bodies:
             yield Case(body, modulus, ratio, "contact", 30)
@@ -109,8 +123,10 @@ def cases(bodies: list[str]) -> Iterator[Case]:
         for body in bodies[:3]:
             yield Case(body, modulus, ratio, "contact", 60)
     first = [("eigenmodes", 10), ("paper", 10), ("eigenmodes", 20), ("contact", 40)]
-    rest = [("neural", 10), ("eigenmodes", 40), ("eigenmodes", 4), ("snapshots", 10)]
-    last = [("eigenmodes", m) for m in (8, 12)] + [(b, m) for b in ("neural", "snapshots") for m in (4, 8, 12, 20, 40)]
+    rest = [("elastic", 10), ("neural", 10), ("eigenmodes", 40), ("eigenmodes", 4), ("snapshots", 10)]
+    last = [("eigenmodes", m) for m in (8, 12)] + [
+        (b, m) for b in ("elastic", "neural", "snapshots") for m in (4, 8, 12, 20, 40)
+    ]
     for stage in (first, rest, last):
         for modulus, ratio in grid:
             for body in bodies:
@@ -167,8 +183,12 @@ def full_motion(name: str, mesh: TetMesh, modulus: float, ratio: float, scene: s
 
 def reduced_scene(case: Case, mesh: TetMesh, data: Path) -> ReducedScene:
     """The reduced body of a case and what happens to it."""
+    if case.basis == "elastic" and case.scene == "drop":
+        rough = reduced_scene(replace(case, basis="eigenmodes", weights=20), mesh, data)
+        return with_elastic_weights(rough, mesh, case.weights, **TIMING)
     samples = BodySamples.of_mesh(mesh)
-    space = ReducedSpace(weights_of(case, mesh, data), samples, interpolated=case.basis == "contact")
+    interpolated = case.basis in ("contact", "elastic")
+    space = ReducedSpace(weights_of(case, mesh, data), samples, interpolated=interpolated)
     body = ReducedBody(space, youngs_modulus=case.youngs_modulus, poisson_ratio=case.poisson_ratio)
     if case.scene == "release":
         return ReducedScene(body, gravity=(0, 0, 0), initial_coordinates=space.affine(PULL, np.zeros(3)))
@@ -185,6 +205,8 @@ def neural_weights(name: str, count: int, data: Path) -> WeightField:
 
 def weights_of(case: Case, mesh: TetMesh, data: Path) -> WeightField:
     """The basis of a case; snapshots come from a body half as stiff."""
+    if case.basis == "elastic":
+        return elastic_weights(ElasticBody(mesh), case.weights, even_loads(mesh, 20))
     if case.basis == "eigenmodes":
         return eigenmode_weights(ElasticBody(mesh), case.weights)
     if case.basis == "contact":

@@ -9,7 +9,14 @@ from physconvex.fem.implicit_meshing import tetrahedralize_implicit
 from physconvex.fem.loads import surface_load
 from physconvex.fem.mesh import TetMesh, box_mesh, refine, to_quadratic
 from physconvex.fem.meshing import tetrahedralize
-from physconvex.fem.modes import skinning_eigenmodes, skinning_responses, vibration_modes
+from physconvex.fem.modes import (
+    elastic_responses,
+    rest_stiffness,
+    skinning_eigenmodes,
+    skinning_responses,
+    skinning_stiffness,
+    vibration_modes,
+)
 from physconvex.fem.quality import mesh_quality
 from physconvex.fem.scene import Pins, Scene
 from physconvex.fem.sensitivity import SensitiveTrajectory, simulate_with_sensitivities
@@ -31,13 +38,16 @@ __all__ = [
     "TetMesh",
     "Trajectory",
     "box_mesh",
+    "elastic_responses",
     "mesh_quality",
     "refine",
+    "rest_stiffness",
     "sample_interior",
     "simulate",
     "simulate_with_sensitivities",
     "skinning_eigenmodes",
     "skinning_responses",
+    "skinning_stiffness",
     "solve_static",
     "surface_load",
     "tetrahedralize",

@@ -12,7 +12,14 @@ from physconvex.errors import InputError
 from physconvex.fem.assembly import Assembler
 from physconvex.fem.body import ElasticBody
 
-__all__ = ["skinning_eigenmodes", "skinning_responses", "vibration_modes"]
+__all__ = [
+    "elastic_responses",
+    "rest_stiffness",
+    "skinning_eigenmodes",
+    "skinning_responses",
+    "skinning_stiffness",
+    "vibration_modes",
+]
 
 
 def _smallest(stiffness: sp.csr_matrix, mass: sp.csr_matrix, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -24,6 +31,46 @@ def _smallest(stiffness: sp.csr_matrix, mass: sp.csr_matrix, count: int) -> tupl
     values, vectors = eigsh(stiffness.tocsc(), k=count, M=mass.tocsc(), sigma=-1e-6 * scale, v0=start)
     order = np.argsort(values)
     return values[order], vectors[:, order]
+
+
+def rest_stiffness(body: ElasticBody, *, free: Bool[np.ndarray, " V"] | None = None) -> sp.csr_matrix:
+    """Second derivative of the energy at rest by the free nodes' coordinates, x, y, z by turns [N/m], [3 V', 3 V']."""
+    assembler = Assembler(body.mesh.tets, np.ones(len(body.mesh.vertices), dtype=bool) if free is None else free)
+    upper = assembler.pattern.copy()
+    upper.data = assembler.elements(body.element_hessians(body.mesh.vertices))
+    return (upper + sp.triu(upper, 1).T).tocsr()
+
+
+def elastic_responses(body: ElasticBody, forces: Float[np.ndarray, "K V 3"]) -> Float[np.ndarray, "K V 3"]:
+    """Static displacements of a free body under forces at its nodes, each with elastic energy ½ J.
+
+    The body's inertia carries what the forces do not balance, and the displacement has no rigid part: the attachment
+    modes with inertia relief of component mode synthesis (Craig & Kurdila 2006, §17.3).
+
+    Args:
+        body: mesh, law, stiffness and density; linear about its rest state.
+        forces: any unit, since the answers are scaled.
+
+    Raises:
+        InputError: forces of another shape, or one that only moves the body as a whole.
+    """
+    vertices, size = body.mesh.vertices, 3 * len(body.mesh.vertices)
+    if np.ndim(forces) != 3 or np.shape(forces)[1:] != vertices.shape or not np.isfinite(forces).all():
+        raise InputError(f"forces: got shape {np.shape(forces)}; expected finite [K, {len(vertices)}, 3]")
+    arms = vertices - vertices.mean(0)
+    turns = np.cross(np.eye(3)[:, None], arms)
+    rigid = np.concatenate([np.broadcast_to(np.eye(3)[:, None], turns.shape), turns]).reshape(6, size)
+    stiffness, mass = rest_stiffness(body), sp.kron(body.mass, sp.eye(3)).tocsc()
+    rigid = np.linalg.solve(np.linalg.cholesky(rigid @ (mass @ rigid.T)), rigid)
+    columns = np.reshape(forces, (-1, size)).T
+    balanced = columns - mass @ (rigid.T @ (rigid @ columns))
+    shift = 1e-8 * stiffness.diagonal().sum() / mass.diagonal().sum()  # takes the rigid motions away
+    answers = splu((stiffness + shift * mass).tocsc()).solve(balanced)
+    answers = answers - rigid.T @ (rigid @ (mass @ answers))
+    energies = np.einsum("vk,vk->k", answers, stiffness @ answers)
+    if (np.abs(balanced).max(0) < 1e-9 * np.abs(columns).max(0)).any():
+        raise InputError("forces: one of them only moves the body as a whole; leave it out")
+    return (answers / np.sqrt(energies)).T.reshape(np.shape(forces))
 
 
 def vibration_modes(
@@ -44,10 +91,7 @@ def vibration_modes(
         carried: masses that move with the nodes, beside the body's own [kg].
     """
     free = np.ones(len(body.mesh.vertices), dtype=bool) if clamped is None else ~np.asarray(clamped, dtype=bool)
-    assembler = Assembler(body.mesh.tets, free)
-    upper = assembler.pattern.copy()
-    upper.data = assembler.elements(body.element_hessians(body.mesh.vertices))
-    stiffness = upper + sp.triu(upper, 1).T
+    stiffness = rest_stiffness(body, free=free)
     own = body.mass if carried is None else body.mass + sp.diags(carried)
     mass = sp.kron(own[free][:, free], sp.eye(3)).tocsr()
     values, vectors = _smallest(stiffness, mass, count)
@@ -66,8 +110,8 @@ def _direction_tensor(body: ElasticBody) -> Float[np.ndarray, "E q 3 3"]:
     return tensor
 
 
-def _weighted_laplacian(body: ElasticBody) -> sp.csr_matrix:
-    """Matrix of ∫ E ∇w · A ∇w at the nodes [N/m]."""
+def skinning_stiffness(body: ElasticBody) -> sp.csr_matrix:
+    """Matrix of ∫ E ∇w · A ∇w at the nodes [N/m], the energy of `skinning_eigenmodes`, shape [V, V]."""
     gradients = body._gradients.cpu().numpy()
     weights = body._weights.cpu().numpy() * body.youngs_modulus[:, None]
     local = np.einsum("eq,eqai,eqij,eqbj->eab", weights, gradients, _direction_tensor(body), gradients, optimize=True)
@@ -88,7 +132,7 @@ def skinning_eigenmodes(body: ElasticBody, count: int) -> tuple[Float[np.ndarray
     Returns:
         weights [V, K] at the nodes, normalised to ∫ ρ w² = total mass, and the eigenvalues [1/s²].
     """
-    values, vectors = _smallest(_weighted_laplacian(body), body.mass, count + 1)
+    values, vectors = _smallest(skinning_stiffness(body), body.mass, count + 1)
     vectors = vectors[:, 1:] * np.sqrt(body.total_mass)
     signs = np.sign(vectors[np.abs(vectors).argmax(0), np.arange(count)])
     return vectors * signs, values[1:]
@@ -107,7 +151,7 @@ def skinning_responses(body: ElasticBody, loads: Float[np.ndarray, "V K"]) -> Fl
     Returns:
         answers at the nodes, normalised to ∫ ρ w² = total mass.
     """
-    stiffness, ones = _weighted_laplacian(body), np.ones(len(body.mesh.vertices))
+    stiffness, ones = skinning_stiffness(body), np.ones(len(body.mesh.vertices))
     share = body.mass @ ones
     total = share.sum()
     balanced = loads - np.outer(share, loads.sum(0)) / total

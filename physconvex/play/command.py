@@ -42,7 +42,7 @@ def simulate(
     orientation: Annotated[
         tuple[float, float, float] | None, typer.Option(help="Turns about x, then y, then z [degrees].")
     ] = None,
-    basis: Annotated[str | None, typer.Option(help="Skinning weights: eigenmodes, contact or neural.")] = None,
+    basis: Annotated[str | None, typer.Option(help="Skinning weights: eigenmodes, elastic or neural.")] = None,
     modes: Annotated[int | None, typer.Option(help="Number of skinning weights beside the constant one.")] = None,
     frames: Annotated[int | None, typer.Option(help="Frames, the first at t = 0.")] = None,
     fps: Annotated[float | None, typer.Option(help="Frames per second [1/s].")] = None,

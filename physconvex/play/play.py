@@ -29,11 +29,13 @@ from physconvex.reduced import (
     Shell,
     WeightField,
     Wind,
-    contact_weights,
     eigenmode_weights,
+    elastic_weights,
+    even_loads,
     simulate,
     simulate_world,
     train_neural_weights,
+    with_elastic_weights,
 )
 
 __all__ = ["PlayedObject", "play", "play_together"]
@@ -127,7 +129,8 @@ def play_together(
     first, ground, prepared = configs[0], 0.0, []
     for asset, config in zip(assets, configs, strict=True):
         shared = config.model_copy(update={"floor": first.floor, "forces": first.forces})
-        prepared.append(_prepare(Asset(asset) if isinstance(asset, RestSurface) else asset, shared, ground))
+        asset = Asset(asset) if isinstance(asset, RestSurface) else asset
+        prepared.append(_prepare(asset, shared, ground, alone=len(assets) == 1))
         ground = float(prepared[-1].surface.vertices[:, 2].max())
     options = first.time.model_dump()
     scenes = tuple(one.scene for one in prepared)
@@ -153,11 +156,10 @@ def play_together(
     )
 
 
-def _prepare(asset: Asset, config: PlayConfig, ground: float) -> _Prepared:
-    """Place an object and make its body."""
+def _prepare(asset: Asset, config: PlayConfig, ground: float, *, alone: bool) -> _Prepared:
+    """Place an object and make its body; `alone`: nothing but the floor can touch it."""
     linear, shift = asset.surface.placement(config.object, ground=ground)
-    placed, material = asset.surface.moved(linear, shift), config.material
-    convexes = asset.convexes
+    placed, convexes = asset.surface.moved(linear, shift), asset.convexes
     if convexes is not None:
         kind = convexes.points
         convexes = advect(convexes, affine_map(torch.as_tensor(linear).to(kind), torch.as_tensor(shift).to(kind)))
@@ -175,27 +177,48 @@ def _prepare(asset: Asset, config: PlayConfig, ground: float) -> _Prepared:
         closed = enclosed_volume(placed.vertices, placed.faces) is not None
         shell = Shell(placed.vertices, placed.faces) if closed else samples.shell
         samples = replace(samples, surface_points=points, surface_areas=areas, shell=shell)
+    return _Prepared(placed, convexes, _scene(config, mesh, samples, alone=alone))
+
+
+def _scene(config: PlayConfig, mesh: TetMesh, samples: BodySamples, *, alone: bool) -> ReducedScene:
+    """The body with its skinning weights, and what acts on it."""
+    basis, material, forces = config.basis, config.material, config.forces
+    weights = _weights(config, mesh, samples, alone=alone)
     body = ReducedBody(
-        ReducedSpace(_field(config, mesh, samples), samples, interpolated=config.basis.kind == "contact"),
+        ReducedSpace(weights, samples, interpolated=basis.kind == "elastic" and not alone),
         law=_law(material),
         flow=_flow(material),
         youngs_modulus=material.youngs_modulus,
         poisson_ratio=material.poisson_ratio,
         density=material.density,
     )
-    return _Prepared(placed, convexes, _scene(body, config))
+    scene = ReducedScene(
+        body,
+        obstacles=() if config.floor is None else (_floor(config.floor),),
+        gravity=forces.gravity,
+        push=forces.push,
+        wind=None if forces.wind is None else Wind(forces.wind, forces.drag_coefficient),
+        damping_time=material.damping_time,
+        initial_velocity=config.object.velocity,
+        initial_angular_velocity=config.object.angular_velocity,
+    )
+    if basis.kind == "elastic" and alone:
+        return with_elastic_weights(scene, mesh, basis.modes, **config.time.model_dump())
+    return scene
 
 
-def _field(config: PlayConfig, mesh: TetMesh, samples: BodySamples) -> WeightField:
-    """Skinning weights; those of a body of one material depend on its fibres, not on its stiffness."""
-    basis, body = config.basis, ElasticBody(mesh, law=_law(config.material))
+def _weights(config: PlayConfig, mesh: TetMesh, samples: BodySamples, *, alone: bool) -> WeightField:
+    """Skinning weights; of elastic ones that are yet to be found, the rough ones that they start from."""
+    basis, material = config.basis, config.material
+    body = ElasticBody(mesh, law=_law(material), poisson_ratio=material.poisson_ratio)
+    if basis.kind == "neural":
+        generator = torch.Generator().manual_seed(basis.seed)
+        return train_neural_weights(samples, basis.modes, generator=generator, poisson_ratio=material.poisson_ratio)
     if basis.kind == "eigenmodes":
         return eigenmode_weights(body, basis.modes)
-    if basis.kind == "contact":
-        smooth = basis.modes // 3
-        return contact_weights(body, basis.modes - smooth, eigenmodes=smooth)
-    generator = torch.Generator().manual_seed(basis.seed)
-    return train_neural_weights(samples, basis.modes, generator=generator, poisson_ratio=config.material.poisson_ratio)
+    if alone:
+        return eigenmode_weights(body, min(20, len(mesh.vertices) - 2))
+    return elastic_weights(body, basis.modes, even_loads(mesh, 20))  # another object may touch it anywhere
 
 
 def _law(material: MaterialConfig) -> Law:
@@ -227,17 +250,3 @@ def _floor(config: FloorConfig) -> Plane:
     if period is None:
         return Plane(friction=config.friction, velocity=velocity)
     return Plane(friction=config.friction, velocity=lambda t: velocity * np.sin(2 * np.pi * t / period))
-
-
-def _scene(body: ReducedBody, config: PlayConfig) -> ReducedScene:
-    forces = config.forces
-    return ReducedScene(
-        body,
-        obstacles=() if config.floor is None else (_floor(config.floor),),
-        gravity=forces.gravity,
-        push=forces.push,
-        wind=None if forces.wind is None else Wind(forces.wind, forces.drag_coefficient),
-        damping_time=config.material.damping_time,
-        initial_velocity=config.object.velocity,
-        initial_angular_velocity=config.object.angular_velocity,
-    )

@@ -17,7 +17,9 @@ from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.candidates import Candidates, CandidateTrajectories, simulate_candidates
 from physconvex.reduced.contact_modes import contact_weights
 from physconvex.reduced.cubature import BodySamples, Cubature, tet_cubature
+from physconvex.reduced.elastic_weights import elastic_weights
 from physconvex.reduced.given_fields import ArrayWeights, StackedWeights, predicted_weights, snapshot_weights
+from physconvex.reduced.loads import even_loads, touched_loads
 from physconvex.reduced.neural_field import (
     NeuralFieldOptions,
     NeuralWeights,
@@ -28,6 +30,7 @@ from physconvex.reduced.optimised_cubature import optimised_cubature
 from physconvex.reduced.parameters import PARAMETERS, parameter_values, with_parameters
 from physconvex.reduced.pins import Pins
 from physconvex.reduced.scene import ReducedScene
+from physconvex.reduced.scene_weights import with_elastic_weights
 from physconvex.reduced.sensitivity import SensitiveTrajectory, simulate_with_sensitivities
 from physconvex.reduced.shell import Shell
 from physconvex.reduced.simulation import ReducedTrajectory, simulate
@@ -68,6 +71,8 @@ __all__ = [
     "WorldTrajectory",
     "contact_weights",
     "eigenmode_weights",
+    "elastic_weights",
+    "even_loads",
     "optimised_cubature",
     "parameter_values",
     "predicted_weights",
@@ -80,8 +85,10 @@ __all__ = [
     "simulate_world",
     "snapshot_weights",
     "tet_cubature",
+    "touched_loads",
     "train_neural_weights",
     "untrained_neural_weights",
+    "with_elastic_weights",
     "with_fibres",
     "with_parameters",
     "with_strain_stiffening",

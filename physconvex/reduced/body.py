@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -105,29 +105,20 @@ class ReducedBody:
         density: PerCell | None = None,
     ) -> ReducedBody:
         """The same body with other constants; the space is shared."""
-        return ReducedBody(
-            self.space,
-            law=self.law,
-            youngs_modulus=self.youngs_modulus if youngs_modulus is None else youngs_modulus,
-            poisson_ratio=self.poisson_ratio if poisson_ratio is None else poisson_ratio,
-            density=self.density if density is None else density,
-            flow=self.flow,
-            device=self.device,
-            regions=self.regions,
-        )
+        given = {"youngs_modulus": youngs_modulus, "poisson_ratio": poisson_ratio, "density": density}
+        return self._changed(**{name: value for name, value in given.items() if value is not None})
 
     def with_flow(self, flow: FlowRule | None) -> ReducedBody:
         """The same body with another flow rule; the space is shared."""
-        return ReducedBody(
-            self.space,
-            law=self.law,
-            youngs_modulus=self.youngs_modulus,
-            poisson_ratio=self.poisson_ratio,
-            density=self.density,
-            flow=flow,
-            device=self.device,
-            regions=self.regions,
-        )
+        return self._changed(flow=flow)
+
+    def with_space(self, space: ReducedSpace) -> ReducedBody:
+        """The same material with other skinning weights, sampled over the same cells."""
+        return self._changed(space=space)
+
+    def _changed(self, **changes: Any) -> ReducedBody:
+        kept = ("space", "law", "youngs_modulus", "poisson_ratio", "density", "flow", "device", "regions")
+        return ReducedBody(**({name: getattr(self, name) for name in kept} | changes))
 
     # -- set-up
 

@@ -8,29 +8,14 @@ anywhere as the patches are fine.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from physconvex.errors import InputError
 from physconvex.fem.body import ElasticBody
 from physconvex.fem.modes import skinning_eigenmodes, skinning_responses
 from physconvex.reduced.basis import MAX_WEIGHTS, NodalWeights
+from physconvex.reduced.loads import even_loads
 
-__all__ = ["contact_weights", "surface_patches"]
-
-
-def surface_patches(points: Float[np.ndarray, "S 3"], count: int) -> Int[np.ndarray, " S"]:
-    """Number of the patch that each surface point belongs to, 0 to `count` − 1.
-
-    Centres by farthest-point sampling, the first one the point that is farthest from the middle.
-    """
-    distance = np.linalg.norm(points - points.mean(0), axis=1)
-    owner, nearest = np.zeros(len(points), dtype=np.int64), np.full(len(points), np.inf)
-    for number in range(count):
-        centre = points[int(distance.argmax())]
-        distance = np.minimum(np.linalg.norm(points - centre, axis=1), nearest)
-        owner[distance < nearest] = number
-        nearest = distance
-    return owner
+__all__ = ["contact_weights"]
 
 
 def contact_weights(body: ElasticBody, patches: int, *, eigenmodes: int = 0) -> NodalWeights:
@@ -50,9 +35,7 @@ def contact_weights(body: ElasticBody, patches: int, *, eigenmodes: int = 0) -> 
             f"patches, eigenmodes: got {patches} and {eigenmodes}; expected at least one patch, at most "
             f"{MAX_WEIGHTS} weights together, and at most {len(boundary)} patches, the number of nodes on the surface"
         )
-    loads = np.zeros((len(body.mesh.vertices), patches))
-    loads[boundary, surface_patches(body.mesh.vertices[boundary], patches)] = body.mesh.node_areas[boundary]
-    answers = skinning_responses(body, loads)
+    answers = skinning_responses(body, even_loads(body.mesh, patches))
     if not eigenmodes:
         return NodalWeights(body.mesh, answers)
     return NodalWeights(body.mesh, np.hstack([skinning_eigenmodes(body, eigenmodes)[0], answers]))

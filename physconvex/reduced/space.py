@@ -88,7 +88,7 @@ class ReducedSpace:
         if not isinstance(field, NodalWeights):
             raise InputError(
                 f"interpolated: got weights of the kind {type(field).__name__}; expected weights at the nodes of a "
-                "mesh, such as `eigenmode_weights` and `contact_weights` give"
+                "mesh, such as `eigenmode_weights` and `elastic_weights` give"
             )
         nodes = field.mesh.vertices
         weights = np.hstack([np.ones((len(nodes), 1)), field.nodal_values])

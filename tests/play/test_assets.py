@@ -118,7 +118,7 @@ def test_overrides_by_number():
         overrides_of(1, 1, given)
 
 
-def test_contact_weights_can_be_chosen(cubes):
-    config = load_play_config(overrides=[*QUICK, "basis.mesher=lattice", "basis.kind=contact", "basis.modes=6"])
+def test_elastic_weights_can_be_chosen(cubes):
+    config = load_play_config(overrides=[*QUICK, "basis.mesher=lattice", "basis.kind=elastic", "basis.modes=6"])
     played = play_together([read_surface(cubes[1])], [config])
     assert played.trajectory.handles().shape[1] == 7 and np.isfinite(played.positions).all()

@@ -1,0 +1,91 @@
+"""Skinning weights from what a body's own elasticity does: its vibrations, and its answers to forces where it touches.
+
+Skinning eigenmodes solve a scalar problem, which knows neither Poisson's ratio nor the way in which a thin limb bends.
+Here the displacements themselves are computed, by the linear theory at rest, and the weights are those scalar fields
+whose products W_m(X) [X; 1] come nearest to all of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float
+
+from physconvex.errors import InputError
+from physconvex.fem.body import ElasticBody
+from physconvex.fem.modes import elastic_responses, skinning_stiffness, vibration_modes
+from physconvex.reduced.basis import MAX_WEIGHTS, NodalWeights
+
+__all__ = ["elastic_weights"]
+
+_RIGID = 6
+_AT_ONCE = 10  # weights that are taken before what their products give is taken out of the rest
+_NEGLIGIBLE = 1e-10  # share of the square norm below which a field is rounding
+
+
+def elastic_weights(
+    body: ElasticBody, count: int, loads: Float[np.ndarray, "V K"], *, vibrations: int = 30
+) -> NodalWeights:
+    """Weights whose products with [X; 1] span a free body's first vibrations and its answers to forces.
+
+    Every vibration and every answer counts with the same elastic energy. Their components are scalar fields; the fields
+    that carry most of what the products of the weights so far leave, in the norm of ∫ E |∇w|², become the next weights:
+    proper orthogonal decomposition, ten at a time. Use them with `ReducedSpace(weights, samples, interpolated=True)`.
+
+    Args:
+        body: mesh, law, E, ν and density; with another ν the answers change little.
+        count: M, number of weights.
+        loads: where forces may act, each column in all three directions (`touched_loads`, `even_loads`).
+        vibrations: number of elastic vibrations, fewer on a small mesh.
+
+    Raises:
+        InputError: `count` is not in 1..64, or more than vibrations and answers together can give.
+    """
+    if not 1 <= count <= MAX_WEIGHTS:
+        raise InputError(f"count: got {count}; expected 1 to {MAX_WEIGHTS} weights")
+    vertices = body.mesh.vertices
+    if np.ndim(loads) != 2 or len(loads) != len(vertices):
+        raise InputError(f"loads: got shape {np.shape(loads)}; expected [{len(vertices)}, K], one row for each node")
+    number = min(vibrations, 3 * len(vertices) - 2 - _RIGID)
+    frequencies, shapes = vibration_modes(body, number + _RIGID)
+    moved = shapes[_RIGID:] / (2 * np.pi * frequencies[_RIGID:, None, None])
+    if np.size(loads):
+        forces = np.einsum("vk,cd->kcvd", loads, np.eye(3)).reshape(-1, len(vertices), 3)
+        moved = np.concatenate([moved, elastic_responses(body, forces)])
+    fields = np.moveaxis(moved, 1, 0).reshape(len(vertices), -1)
+    weights = _covering_weights(fields, vertices, body, count)
+    square = np.einsum("vk,vk->k", weights, body.mass @ weights)
+    return NodalWeights(body.mesh, weights * np.sqrt(body.total_mass / square))
+
+
+def _covering_weights(fields: np.ndarray, vertices: np.ndarray, body: ElasticBody, count: int) -> np.ndarray:
+    """Weights at the nodes whose products with [X; 1] come nearest to scalar fields, best first, [V, M]."""
+    stiffness, mass = skinning_stiffness(body), body.mass
+    norm = stiffness + 1e-3 * stiffness.diagonal().sum() / mass.diagonal().sum() * mass  # the constant is a field too
+    homogeneous = np.column_stack([(vertices - vertices.mean(0)) / body.mesh.size, np.ones(len(vertices))])
+    given = _extended(np.zeros((len(vertices), 0)), homogeneous, norm)
+    largest, weights = float(np.einsum("vk,vk->k", fields, norm @ fields).max()), np.zeros((len(vertices), 0))
+    while weights.shape[1] < count:
+        left = fields - given @ (given.T @ (norm @ fields))
+        squares, mixing = np.linalg.eigh(left.T @ (norm @ left))
+        chosen = np.argsort(-squares)[: min(_AT_ONCE, count - weights.shape[1])]
+        chosen = chosen[squares[chosen] > _NEGLIGIBLE * largest]
+        if not len(chosen):
+            raise InputError(
+                f"count: got {count}; vibrations and answers are spanned by {weights.shape[1]} weights already; give "
+                "fewer weights, or more loads or vibrations"
+            )
+        found = left @ (mixing[:, chosen] / np.sqrt(squares[chosen]))
+        weights = np.hstack([weights, found])
+        products = (found[:, :, None] * homogeneous[:, None, :]).reshape(len(vertices), -1)
+        given = _extended(given, products, norm)
+    return weights
+
+
+def _extended(basis: np.ndarray, fields: np.ndarray, norm: sp.csr_matrix) -> np.ndarray:
+    """Columns orthonormal in a norm, and after them more that span what the fields add."""
+    for _ in range(2):  # the second pass removes what rounding left
+        fields = fields - basis @ (basis.T @ (norm @ fields))
+    squares, mixing = np.linalg.eigh(fields.T @ (norm @ fields))
+    kept = squares > _NEGLIGIBLE * squares.max(initial=0.0)
+    return np.hstack([basis, fields @ (mixing[:, kept] / np.sqrt(squares[kept]))])

@@ -1,0 +1,81 @@
+"""Where forces may act on a body: all over its surface, or where a motion touches something."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from physconvex.contact import Obstacle
+from physconvex.errors import InputError
+from physconvex.fem.mesh import TetMesh
+
+__all__ = ["even_loads", "surface_patches", "touched_loads"]
+
+
+def surface_patches(points: Float[np.ndarray, "S 3"], count: int) -> Int[np.ndarray, " S"]:
+    """Number of the patch that each surface point belongs to, 0 to `count` − 1.
+
+    Centres by farthest-point sampling, the first one the point that is farthest from the middle.
+    """
+    distance = np.linalg.norm(points - points.mean(0), axis=1)
+    owner, nearest = np.zeros(len(points), dtype=np.int64), np.full(len(points), np.inf)
+    for number in range(count):
+        centre = points[int(distance.argmax())]
+        distance = np.minimum(np.linalg.norm(points - centre, axis=1), nearest)
+        owner[distance < nearest] = number
+        nearest = distance
+    return owner
+
+
+def even_loads(mesh: TetMesh, patches: int) -> Float[np.ndarray, "V K"]:
+    """Even loads on patches that cover the surface, one column each.
+
+    Raises:
+        InputError: no patch, or more than the surface has nodes.
+    """
+    boundary = np.flatnonzero(mesh.node_areas > 0)
+    if not 1 <= patches <= len(boundary):
+        raise InputError(f"patches: got {patches}; expected 1 to {len(boundary)}, the number of nodes on the surface")
+    loads = np.zeros((len(mesh.vertices), patches))
+    loads[boundary, surface_patches(mesh.vertices[boundary], patches)] = mesh.node_areas[boundary]
+    return loads
+
+
+def touched_loads(
+    mesh: TetMesh,
+    positions: Float[np.ndarray, "T V 3"],
+    times: Float[np.ndarray, " T"],
+    obstacles: Sequence[Obstacle],
+    *,
+    count: int = 30,
+    margin: float = 0.02,
+) -> Float[np.ndarray, "V K"]:
+    """Loads on single nodes of the surface, those that a motion brings nearest to obstacles, most touched first.
+
+    A rough motion is enough, for example that of twenty eigenmodes: `run.positions(mesh.vertices)`.
+
+    Args:
+        mesh: of the body.
+        positions: of its nodes [m].
+        times: [s].
+        obstacles: planes and spheres.
+        count: most nodes.
+        margin: how near counts as touched, over the size of the body.
+
+    Returns:
+        one column for each node, fewer than `count` where fewer are touched, none where nothing is.
+    """
+    if np.shape(positions) != (len(times), *mesh.vertices.shape):
+        raise InputError(f"positions: got shape {np.shape(positions)}; expected {(len(times), *mesh.vertices.shape)}")
+    reach, touched = margin * mesh.size, np.zeros(len(mesh.vertices))
+    for time, nodes in zip(times, positions, strict=True):
+        for obstacle in obstacles:
+            touched += np.clip(reach - obstacle.gap(nodes, float(time)), 0, None)
+    touched *= mesh.node_areas
+    nodes = np.argsort(-touched, kind="stable")[:count]
+    nodes = nodes[touched[nodes] > 0]
+    loads = np.zeros((len(touched), len(nodes)))
+    loads[nodes, np.arange(len(nodes))] = 1.0
+    return loads

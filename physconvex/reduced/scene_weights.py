@@ -1,0 +1,66 @@
+"""A scene whose body gives way where that very scene touches it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from physconvex.errors import InputError
+from physconvex.fem.body import ElasticBody
+from physconvex.fem.mesh import TetMesh
+from physconvex.reduced.elastic_weights import elastic_weights
+from physconvex.reduced.loads import even_loads, touched_loads
+from physconvex.reduced.scene import ReducedScene
+from physconvex.reduced.simulation import simulate
+from physconvex.reduced.space import ReducedSpace
+
+__all__ = ["with_elastic_weights"]
+
+_PATCHES = 20
+
+
+def with_elastic_weights(
+    scene: ReducedScene, mesh: TetMesh, count: int, *, passes: int = 2, loaded: int = 30, **timing: Any
+) -> ReducedScene:
+    """The scene with weights from its body's vibrations and from its answers to forces where obstacles touch it.
+
+    Where they do is seen in a roll-out of the scene as it is given, and again in one with the weights found from that:
+    a body that lands otherwise is touched elsewhere. Where nothing is touched, patches all over the surface are loaded.
+
+    Args:
+        scene: with a rough body, for example of twenty eigenmodes.
+        mesh: that the body is sampled by (`BodySamples.of_mesh`).
+        count: M, number of weights.
+        passes: number of roll-outs.
+        loaded: most nodes that are loaded.
+        timing: frames, fps and all else that `simulate` takes.
+
+    Raises:
+        InputError: the body is not sampled by the mesh's tetrahedra, starts from coordinates of its weights, or as
+            `elastic_weights`.
+        ConvergenceError: a roll-out failed.
+    """
+    body = scene.body
+    if len(body.youngs_modulus) != len(mesh.tets):
+        raise InputError(
+            f"mesh: got {len(mesh.tets)} tetrahedra for a body of {len(body.youngs_modulus)} cells; expected the mesh "
+            "that the body is sampled by"
+        )
+    if scene.initial_coordinates is not None:
+        raise InputError("scene: starts from coordinates, which belong to its weights; expected a start at rest")
+    elastic = ElasticBody(
+        mesh,
+        law=body.law,
+        youngs_modulus=body.youngs_modulus,
+        poisson_ratio=body.poisson_ratio,
+        density=body.density,
+    )
+    for _ in range(passes):
+        run = simulate(scene, **timing)
+        loads = touched_loads(mesh, run.positions(mesh.vertices), run.times, scene.obstacles, count=loaded)
+        weights = elastic_weights(elastic, count, loads if loads.size else even_loads(mesh, _PATCHES))
+        space = ReducedSpace(weights, body.space.samples, interpolated=True)
+        scene = replace(scene, body=body.with_space(space))
+        if not loads.size:
+            break
+    return scene

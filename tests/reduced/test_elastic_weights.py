@@ -1,0 +1,181 @@
+"""Weights from vibrations and from answers to forces."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse as sp
+
+from physconvex.errors import InputError
+from physconvex.fem import ElasticBody, Scene, box_mesh, elastic_responses, rest_stiffness, vibration_modes
+from physconvex.fem import simulate as simulate_full
+from physconvex.reduced import (
+    BodySamples,
+    Plane,
+    ReducedBody,
+    ReducedScene,
+    ReducedSpace,
+    Sphere,
+    eigenmode_weights,
+    elastic_weights,
+    even_loads,
+    simulate,
+    touched_loads,
+    with_elastic_weights,
+)
+
+
+@pytest.fixture(scope="module")
+def bar() -> ElasticBody:
+    return ElasticBody(box_mesh((0.3, 0.1, 0.1), (4, 2, 2), order=2), youngs_modulus=1e5, poisson_ratio=0.4)
+
+
+def linear(body: ElasticBody, field) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Shape functions at the nodes as columns, and the stiffness and mass that they give."""
+    space = ReducedSpace(field, BodySamples.of_mesh(body.mesh), interpolated=True)
+    columns = np.kron(space.shape_values(body.mesh.vertices), np.eye(3))
+    mass = sp.kron(body.mass, sp.eye(3))
+    return columns, columns.T @ (rest_stiffness(body) @ columns), columns.T @ (mass @ columns)
+
+
+def test_answer_to_a_pulled_end_is_a_parabola_with_half_a_joule():
+    """Carried by its inertia, without lateral strain: E A u'' = ρ A a."""
+    mesh = box_mesh((1.0, 0.1, 0.1), (6, 1, 1), order=2)
+    body = ElasticBody(mesh, youngs_modulus=2e5, poisson_ratio=0.0)
+    end = np.isclose(mesh.vertices[:, 0], 1.0)
+    faces = mesh.boundary_faces[end[mesh.boundary_faces].all(1)]
+    forces = np.zeros((1, len(mesh.vertices), 3))
+    np.add.at(forces[0, :, 0], faces[:, 3:].ravel(), 1 / 3)
+    answer = elastic_responses(body, forces)[0]
+    parabola = mesh.vertices[:, 0] ** 2 - 1 / 3
+    scale = 1 / np.sqrt(2e5 * 0.01 * 4 / 3)  # ∫ E A u'² = 1 for u' = 2 x
+    np.testing.assert_allclose(answer[:, 0], scale * parabola, atol=1e-5 * scale)
+    np.testing.assert_allclose(answer[:, 1:], 0, atol=1e-5 * scale)
+    flat = answer.ravel()
+    assert flat @ rest_stiffness(body) @ flat == pytest.approx(1.0)
+
+
+def test_frequencies_are_those_of_the_full_model(bar):
+    """Twenty weights for ten vibrations; as many eigenmodes miss them by several times as much."""
+    truth = vibration_modes(bar, 16)[0][6:]
+    errors = []
+    for field in (
+        elastic_weights(bar, 20, np.zeros((len(bar.mesh.vertices), 0)), vibrations=10),
+        eigenmode_weights(bar, 20),
+    ):
+        _, stiffness, mass = linear(bar, field)
+        squares = scipy.linalg.eigh(stiffness, mass, eigvals_only=True, subset_by_index=(6, 15))
+        found = np.sqrt(squares) / (2 * np.pi)
+        assert (found > truth * (1 - 1e-6)).all()  # a subspace is never softer
+        errors.append(np.abs(found / truth - 1).max())
+    assert errors[0] < 0.003 and errors[1] > 5 * errors[0]
+
+
+def test_body_is_soft_in_every_direction_where_it_is_loaded(bar):
+    corner = int(bar.mesh.vertices.sum(1).argmax())
+    loads = np.zeros((len(bar.mesh.vertices), 1))
+    loads[corner] = 1.0
+    columns, stiffness, _ = linear(bar, elastic_weights(bar, 20, loads, vibrations=10))
+    plain, plain_stiffness, _ = linear(bar, eigenmode_weights(bar, 20))
+    for direction in np.eye(3):
+        forces = np.zeros((1, *bar.mesh.vertices.shape))
+        forces[0, corner] = direction
+        answer = elastic_responses(bar, forces)[0].ravel()
+        force = rest_stiffness(bar) @ answer  # with the inertia that carries it
+
+        def share(basis, matrix, force=force, answer=answer):
+            projected = basis.T @ force
+            return projected @ np.linalg.lstsq(matrix, projected, rcond=1e-11)[0] / (force @ answer)
+
+        assert share(columns, stiffness) > 0.98
+        assert share(plain, plain_stiffness) < 0.9
+
+
+def test_touched_nodes_are_those_that_come_near():
+    mesh = box_mesh((0.2, 0.2, 0.2), (2, 2, 2), order=2)
+    times = np.array([0.0, 1.0])
+    positions = mesh.vertices - mesh.vertices.min(0) + np.array([0.0, 0.0, 0.1]) - times[:, None, None] * [0, 0, 0.099]
+    bottom = np.isclose(mesh.vertices[:, 2], mesh.vertices[:, 2].min())
+    loads = touched_loads(mesh, positions, times, [Plane()], count=100)
+    np.testing.assert_array_equal(loads.sum(1) > 0, bottom & (mesh.node_areas > 0))
+    assert set(loads.sum(0)) == {1.0}
+    assert touched_loads(mesh, positions, times, [Plane()], count=5).shape[1] == 5
+    assert touched_loads(mesh, positions, times, [Plane(point=(0, 0, -0.1))]).shape == (len(mesh.vertices), 0)
+    rising = Plane(point=(0, 0, -0.1), velocity=(0, 0, 0.1))  # there when the body is
+    np.testing.assert_array_equal(touched_loads(mesh, positions, times, [rising], count=100), loads)
+    ball = Sphere(center=(0.1, 0.1, -0.05), radius=0.05)
+    assert 0 < touched_loads(mesh, positions, times, [ball]).shape[1] < bottom.sum()
+
+
+def test_a_dropped_body_follows_the_full_model():
+    """On an edge; with as many weights as eigenmodes it comes several times nearer."""
+    mesh = box_mesh((0.2, 0.2, 0.2), (2, 2, 2), order=2)
+    turned = np.array([0.15, 0.05, 1.0]) / np.linalg.norm([0.15, 0.05, 1.0])
+    floor = Plane(point=(mesh.vertices @ turned).min() * turned - 0.01 * turned, normal=turned)
+    full = ElasticBody(mesh, youngs_modulus=5e4, poisson_ratio=0.4)
+    timing = {"frames": 9, "fps": 48.0, "steps_per_frame": 4}
+    truth = simulate_full(Scene(full, obstacles=(floor,)), **timing).positions
+    samples = BodySamples.of_mesh(mesh)
+
+    def scene(field) -> ReducedScene:
+        body = ReducedBody(ReducedSpace(field, samples), youngs_modulus=5e4, poisson_ratio=0.4)
+        return ReducedScene(body, obstacles=(floor,), contact_stiffness=50 * 5e4 / mesh.size)
+
+    rough = scene(eigenmode_weights(full, 20))
+    near = with_elastic_weights(rough, mesh, 20, loaded=12, **timing)
+    runs = [simulate(one, **timing) for one in (rough, near)]
+    distances = [float(np.abs(run.positions(mesh.vertices) - truth).max()) for run in runs]
+    assert distances[1] < 0.3 * distances[0]
+    assert near.body.space.field.count == 20 and near.obstacles == rough.obstacles
+
+
+def test_scene_without_contact_loads_the_whole_surface(bar):
+    space = ReducedSpace(eigenmode_weights(bar, 4), BodySamples.of_mesh(bar.mesh))
+    scene = ReducedScene(ReducedBody(space, youngs_modulus=1e5, poisson_ratio=0.4))
+    found = with_elastic_weights(scene, bar.mesh, 6, frames=2, fps=24.0).body
+    expected = elastic_weights(bar, 6, even_loads(bar.mesh, 20))
+    np.testing.assert_allclose(np.abs(found.space.field.nodal_values), np.abs(expected.nodal_values), atol=1e-6)
+    np.testing.assert_array_equal(found.poisson_ratio, 0.4)
+    with pytest.raises(InputError, match="mesh"):
+        with_elastic_weights(scene, box_mesh((1, 1, 1), (1, 1, 1)), 6, frames=2)
+    started = dataclasses.replace(scene, initial_coordinates=space.affine(np.eye(3), np.zeros(3)))
+    with pytest.raises(InputError, match="starts from"):
+        with_elastic_weights(started, bar.mesh, 6, frames=2)
+
+
+def test_errors(bar):
+    loads = even_loads(bar.mesh, 2)
+    for count in (0, 65):
+        with pytest.raises(InputError, match="1 to 64"):
+            elastic_weights(bar, count, loads)
+    with pytest.raises(InputError, match="spanned by"):
+        elastic_weights(bar, 20, loads[:, :0], vibrations=2)
+    with pytest.raises(InputError, match="loads"):
+        elastic_weights(bar, 5, loads[1:])
+    with pytest.raises(InputError, match="patches"):
+        even_loads(bar.mesh, 0)
+    with pytest.raises(InputError, match="positions"):
+        touched_loads(bar.mesh, bar.mesh.vertices[None], np.arange(2.0), [Plane()])
+    with pytest.raises(InputError, match="only moves"):
+        elastic_responses(bar, (bar.mass @ np.ones((len(bar.mesh.vertices), 3)))[None])
+    with pytest.raises(InputError, match="forces"):
+        elastic_responses(bar, np.zeros((len(bar.mesh.vertices), 3)))
+
+
+def test_a_stiff_half_stays_whole():
+    """E of each element enters vibrations and answers."""
+    mesh = box_mesh((0.4, 0.1, 0.1), (4, 1, 1), order=2)
+    stiff = mesh.vertices[mesh.tets].mean(1)[:, 0] > mesh.vertices[:, 0].mean()
+    body = ElasticBody(mesh, youngs_modulus=np.where(stiff, 1e7, 1e5), poisson_ratio=0.3)
+    field = elastic_weights(body, 4, even_loads(mesh, 4), vibrations=6)
+    inside = np.unique(mesh.tets[stiff])
+    homogeneous = np.column_stack([mesh.vertices, np.ones(len(mesh.vertices))])
+
+    def bending(nodes: np.ndarray) -> np.ndarray:
+        """What is not affine there."""
+        values = field.nodal_values[nodes]
+        return np.linalg.norm(values - homogeneous[nodes] @ np.linalg.lstsq(homogeneous[nodes], values, rcond=None)[0])
+
+    assert bending(inside) < 0.1 * bending(np.unique(mesh.tets[~stiff]))
+    assert dataclasses.is_dataclass(field) and field.count == 4
