@@ -7,7 +7,7 @@ both models on the same quadratic mesh, with the same steps and contact, so that
 "paper" rows: M = 10 neural field and also implicit Euler with one step per 1/24 s). DATA holds the folders meshes/ and
 gso/ with NAME/model.obj; bodies that are not there are left out. Rows are stored as they are made, in the order of
 `cases`; a run goes on where the last one ended. The full model's motions are kept in the cache folder. `--only BODY`
-picks bodies.
+picks bodies; `--nodes 2500` takes finer meshes and stores reduced_accuracy_2500_nodes.json.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from physconvex.reduced import (
 )
 from physconvex.render.native import cache_folder
 
-RESULT = Path(__file__).parent / "results" / "reduced_accuracy.json"
+RESULTS = Path(__file__).parent / "results"
 SIZE, DROP, NODES = 0.2, 0.05, 700
 BODIES = (
     "cube",
@@ -134,32 +134,46 @@ def cases(bodies: list[str]) -> Iterator[Case]:
                     yield Case(body, modulus, ratio, basis, count)
 
 
+@dataclass(frozen=True)
+class Study:
+    """What all rows share: where the surfaces are, and most nodes of a mesh made from one."""
+
+    data: Path
+    nodes: int = NODES
+
+    @property
+    def result(self) -> Path:
+        """Where the rows are stored."""
+        return RESULTS / f"reduced_accuracy{'' if self.nodes == NODES else f'_{self.nodes}_nodes'}.json"
+
+
 @cache
-def mesh_of(name: str, data: Path) -> TetMesh:
+def mesh_of(name: str, study: Study) -> TetMesh:
     """Quadratic mesh of a body, its largest edge 0.2 m; kept, since not every mesher repeats itself."""
     if name == "cube":
         return box_mesh((SIZE,) * 3, (3, 3, 3), order=2)
     if name == "bar":
         return box_mesh((SIZE, SIZE / 3, SIZE / 3), (6, 2, 2), order=2)
-    kept = cache_folder() / "reduced_accuracy" / f"{name.replace('/', '-')}.npz"
+    finer = "" if study.nodes == NODES else f"-{study.nodes}"
+    kept = cache_folder() / "reduced_accuracy" / f"{name.replace('/', '-')}{finer}.npz"
     if kept.is_file():
         with np.load(kept) as arrays:
             return TetMesh(arrays["vertices"], arrays["tets"])
-    mesh = _mesh_file(name, data)
+    mesh = _mesh_file(name, study)
     kept.parent.mkdir(parents=True, exist_ok=True)
     np.savez(kept, vertices=mesh.vertices, tets=mesh.tets)
     return mesh
 
 
-def _mesh_file(name: str, data: Path) -> TetMesh:
+def _mesh_file(name: str, study: Study) -> TetMesh:
     """Mesh of a body given as a surface."""
     import trimesh
 
-    surface = trimesh.load_mesh(data / name / "model.obj", process=True)
+    surface = trimesh.load_mesh(study.data / name / "model.obj", process=True)
     vertices = np.asarray(surface.vertices) * (SIZE / np.ptp(surface.vertices, axis=0).max())
     if name.startswith("meshes"):  # y is up
         vertices = vertices[:, [0, 2, 1]] * [1.0, -1.0, 1.0]
-    return tetrahedralize((vertices, np.asarray(surface.faces)), order=2, max_nodes=NODES, method="auto")
+    return tetrahedralize((vertices, np.asarray(surface.faces)), order=2, max_nodes=study.nodes, method="auto")
 
 
 def floor_under(mesh: TetMesh) -> Plane:
@@ -181,14 +195,14 @@ def full_motion(name: str, mesh: TetMesh, modulus: float, ratio: float, scene: s
     return np.load(path)
 
 
-def reduced_scene(case: Case, mesh: TetMesh, data: Path) -> ReducedScene:
+def reduced_scene(case: Case, mesh: TetMesh, study: Study) -> ReducedScene:
     """The reduced body of a case and what happens to it."""
     if case.basis == "elastic" and case.scene == "drop":
-        rough = reduced_scene(replace(case, basis="eigenmodes", weights=20), mesh, data)
+        rough = reduced_scene(replace(case, basis="eigenmodes", weights=20), mesh, study)
         return with_elastic_weights(rough, mesh, case.weights, **TIMING)
     samples = BodySamples.of_mesh(mesh)
     interpolated = case.basis in ("contact", "elastic")
-    space = ReducedSpace(weights_of(case, mesh, data), samples, interpolated=interpolated)
+    space = ReducedSpace(weights_of(case, mesh, study), samples, interpolated=interpolated)
     body = ReducedBody(space, youngs_modulus=case.youngs_modulus, poisson_ratio=case.poisson_ratio)
     if case.scene == "release":
         return ReducedScene(body, gravity=(0, 0, 0), initial_coordinates=space.affine(PULL, np.zeros(3)))
@@ -197,13 +211,13 @@ def reduced_scene(case: Case, mesh: TetMesh, data: Path) -> ReducedScene:
 
 
 @cache
-def neural_weights(name: str, count: int, data: Path) -> WeightField:
+def neural_weights(name: str, count: int, study: Study) -> WeightField:
     """The data-free field of a body of one material does not depend on its stiffness."""
-    samples = BodySamples.of_mesh(mesh_of(name, data))
+    samples = BodySamples.of_mesh(mesh_of(name, study))
     return train_neural_weights(samples, count, generator=torch.Generator().manual_seed(0))
 
 
-def weights_of(case: Case, mesh: TetMesh, data: Path) -> WeightField:
+def weights_of(case: Case, mesh: TetMesh, study: Study) -> WeightField:
     """The basis of a case; snapshots come from a body half as stiff."""
     if case.basis == "elastic":
         return elastic_weights(ElasticBody(mesh), case.weights, even_loads(mesh, 20))
@@ -214,7 +228,7 @@ def weights_of(case: Case, mesh: TetMesh, data: Path) -> WeightField:
     if case.basis == "snapshots":
         softer = full_motion(case.body, mesh, case.youngs_modulus / 2, case.poisson_ratio)
         return snapshot_weights(ElasticBody(mesh), [softer - mesh.vertices], case.weights)
-    return neural_weights(case.body, case.weights, data)
+    return neural_weights(case.body, case.weights, study)
 
 
 class Fit:
@@ -258,15 +272,15 @@ def rms(residual: np.ndarray) -> float:
     return float(np.sqrt((residual**2).mean() * 3))
 
 
-def measure(case: Case, data: Path) -> Row:
+def measure(case: Case, study: Study) -> Row:
     """One row."""
     clock = time.process_time()
-    mesh = mesh_of(case.body, data)
+    mesh = mesh_of(case.body, study)
     observed = full_motion(case.body, mesh, case.youngs_modulus, case.poisson_ratio, case.scene)
     paper = case.basis == "paper"
     observed = observed[::2] if paper else observed
     motion = rms((observed - mesh.vertices).ravel())
-    fit, failure = Fit(reduced_scene(case, mesh, data), mesh, observed, PAPER if paper else TIMING), ""
+    fit, failure = Fit(reduced_scene(case, mesh, study), mesh, observed, PAPER if paper else TIMING), ""
     truth = fit.values
     try:
         fit.run()
@@ -280,17 +294,18 @@ def measure(case: Case, data: Path) -> Row:
     )  # fmt: skip
 
 
-def load_rows() -> list[Row]:
+def load_rows(study: Study) -> list[Row]:
     """What earlier runs stored."""
-    if not RESULT.is_file():
+    if not study.result.is_file():
         return []
-    return [Row(**{**row, "case": Case(**row["case"])}) for row in json.loads(RESULT.read_text())["rows"]]
+    return [Row(**{**row, "case": Case(**row["case"])}) for row in json.loads(study.result.read_text())["rows"]]
 
 
-def store(rows: list[Row]) -> None:
+def store(rows: list[Row], study: Study) -> None:
     """All rows, and how to make them."""
-    content = {"command": "python benchmarks/reduced_accuracy.py --data DATA", "rows": [asdict(row) for row in rows]}
-    RESULT.write_text(json.dumps(content, indent=1) + "\n")
+    finer = "" if study.nodes == NODES else f" --nodes {study.nodes}"
+    command = f"python benchmarks/reduced_accuracy.py --data DATA{finer}"
+    study.result.write_text(json.dumps({"command": command, "rows": [asdict(row) for row in rows]}, indent=1) + "\n")
 
 
 def main() -> None:
@@ -299,15 +314,17 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path("data"), help="folder with meshes/ and gso/")
     parser.add_argument("--minutes", type=float, default=np.inf, help="no further row is begun after that")
     parser.add_argument("--only", nargs="*", help="bodies, by default all")
+    parser.add_argument("--nodes", type=int, default=NODES, help="most nodes of the meshes made from surfaces")
     options = parser.parse_args()
     torch.set_num_threads(1)
+    study = Study(options.data, options.nodes)
     bodies = [b for b in options.only or BODIES if "/" not in b or (options.data / b / "model.obj").is_file()]
-    rows, end = load_rows(), time.monotonic() + 60 * options.minutes
+    rows, end = load_rows(study), time.monotonic() + 60 * options.minutes
     done = {row.case for row in rows}
     for case in cases(bodies):
         if case not in done and time.monotonic() < end:
-            rows.append(measure(case, options.data))
-            store(rows)
+            rows.append(measure(case, study))
+            store(rows, study)
             print(rows[-1], flush=True)
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 from physconvex.fem import (
@@ -17,13 +16,13 @@ from physconvex.fem import (
     Scene,
     TetMesh,
     box_mesh,
+    rest_stiffness,
     simulate,
     solve_static,
     surface_load,
     to_quadratic,
     vibration_modes,
 )
-from physconvex.fem.assembly import Assembler
 from physconvex.fem.embedding import Embedding
 
 __all__ = [
@@ -199,10 +198,7 @@ def cook_membrane(
     mesh = to_quadratic(TetMesh(np.column_stack([48 * s, y, square.vertices[:, 2] * cells]) * 1e-3, square.tets))
     body = ElasticBody(mesh, law="linear", youngs_modulus=youngs_modulus, poisson_ratio=1 / 3)
     load = surface_load(mesh, lambda c: np.isclose(c[:, 0], 0.048), (0, traction, 0))
-    assembler = Assembler(mesh.tets, np.ones(len(mesh.vertices), dtype=bool))
-    upper = assembler.pattern.copy()
-    upper.data = assembler.elements(body.element_hessians(mesh.vertices))
-    stiffness = (upper + sp.triu(upper, 1).T).tocsr()
+    stiffness = rest_stiffness(body)
     free = np.repeat(mesh.vertices[:, :1] > 0, 3, axis=1)
     # plane strain: no displacement along z anywhere; plane stress: none on the plane of symmetry z = 0
     free[:, 2] &= (plane == "stress") & (mesh.vertices[:, 2] > 0)
