@@ -107,6 +107,8 @@ def summary(of: list[Row]) -> None:
         "| basis | M | rows | distance / motion | bias of log10 E | bias of ν | within both bars |\n" + "|---" * 7 + "|"
     )
     for (basis, count), some in kinds(of).items():
+        if len(some) < FEWEST:
+            continue
         cells = [
             f"{np.median([getattr(r, q) for r in some]):.3f} ({max(getattr(r, q) for r in some):.3f})"
             for q in QUANTITIES
