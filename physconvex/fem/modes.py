@@ -64,12 +64,13 @@ def elastic_responses(body: ElasticBody, forces: Float[np.ndarray, "K V 3"]) -> 
     rigid = np.linalg.solve(np.linalg.cholesky(rigid @ (mass @ rigid.T)), rigid)
     columns = np.reshape(forces, (-1, size)).T
     balanced = columns - mass @ (rigid.T @ (rigid @ columns))
-    shift = 1e-8 * stiffness.diagonal().sum() / mass.diagonal().sum()  # takes the rigid motions away
-    answers = splu((stiffness + shift * mass).tocsc()).solve(balanced)
-    answers = answers - rigid.T @ (rigid @ (mass @ answers))
-    energies = np.einsum("vk,vk->k", answers, stiffness @ answers)
-    if (np.abs(balanced).max(0) < 1e-9 * np.abs(columns).max(0)).any():
+    if (np.abs(balanced).max(0) <= 1e-9 * np.abs(columns).max(0)).any():
         raise InputError("forces: one of them only moves the body as a whole; leave it out")
+    shift = 1e-8 * stiffness.diagonal().sum() / mass.diagonal().sum()  # takes the rigid motions away
+    shifted = (stiffness + shift * mass).tocsc()
+    answers = splu(shifted).solve(balanced)
+    answers = answers - rigid.T @ (rigid @ (mass @ answers))
+    energies = np.einsum("vk,vk->k", answers, shifted @ answers)  # loose parts move without any other
     return (answers / np.sqrt(energies)).T.reshape(np.shape(forces))
 
 

@@ -20,6 +20,7 @@ __all__ = ["elastic_weights"]
 
 _RIGID = 6
 _AT_ONCE = 10  # weights that are taken before what their products give is taken out of the rest
+_LOOSE = 1e-2  # of the highest vibration's frequency, below which one counts as a motion of loose parts
 _NEGLIGIBLE = 1e-10  # share of the square norm below which a field is rounding
 
 
@@ -48,7 +49,8 @@ def elastic_weights(
         raise InputError(f"loads: got shape {np.shape(loads)}; expected [{len(vertices)}, K], one row for each node")
     number = min(vibrations, 3 * len(vertices) - 2 - _RIGID)
     frequencies, shapes = vibration_modes(body, number + _RIGID)
-    moved = shapes[_RIGID:] / (2 * np.pi * frequencies[_RIGID:, None, None])
+    lowest = _LOOSE * frequencies[-1]  # of loose parts, which move without any energy
+    moved = shapes[_RIGID:] / (2 * np.pi * np.maximum(frequencies[_RIGID:], lowest))[:, None, None]
     if np.size(loads):
         forces = np.einsum("vk,cd->kcvd", loads, np.eye(3)).reshape(-1, len(vertices), 3)
         moved = np.concatenate([moved, elastic_responses(body, forces)])
