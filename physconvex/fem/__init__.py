@@ -11,10 +11,10 @@ from physconvex.fem.mesh import TetMesh, box_mesh, refine, to_quadratic
 from physconvex.fem.meshing import tetrahedralize
 from physconvex.fem.modes import (
     elastic_responses,
-    rest_stiffness,
     skinning_eigenmodes,
     skinning_responses,
     skinning_stiffness,
+    tangent_stiffness,
     vibration_modes,
 )
 from physconvex.fem.quality import mesh_quality
@@ -41,7 +41,6 @@ __all__ = [
     "elastic_responses",
     "mesh_quality",
     "refine",
-    "rest_stiffness",
     "sample_interior",
     "simulate",
     "simulate_with_sensitivities",
@@ -50,6 +49,7 @@ __all__ = [
     "skinning_stiffness",
     "solve_static",
     "surface_load",
+    "tangent_stiffness",
     "tetrahedralize",
     "tetrahedralize_implicit",
     "to_quadratic",

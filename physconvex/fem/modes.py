@@ -14,10 +14,10 @@ from physconvex.fem.body import ElasticBody
 
 __all__ = [
     "elastic_responses",
-    "rest_stiffness",
     "skinning_eigenmodes",
     "skinning_responses",
     "skinning_stiffness",
+    "tangent_stiffness",
     "vibration_modes",
 ]
 
@@ -33,12 +33,42 @@ def _smallest(stiffness: sp.csr_matrix, mass: sp.csr_matrix, count: int) -> tupl
     return values[order], vectors[:, order]
 
 
-def rest_stiffness(body: ElasticBody, *, free: Bool[np.ndarray, " V"] | None = None) -> sp.csr_matrix:
-    """Second derivative of the energy at rest by the free nodes' coordinates, x, y, z by turns [N/m], [3 V', 3 V']."""
+def tangent_stiffness(
+    body: ElasticBody,
+    positions: Float[np.ndarray, "V 3"] | None = None,
+    *,
+    free: Bool[np.ndarray, " V"] | None = None,
+) -> sp.csr_matrix:
+    """Second derivative of the energy by the free nodes' coordinates, x, y, z by turns [N/m], shape [3 V', 3 V'].
+
+    Args:
+        body: the body.
+        positions: of its nodes [m]; at rest unless given.
+        free: nodes that may move, all unless given.
+    """
     assembler = Assembler(body.mesh.tets, np.ones(len(body.mesh.vertices), dtype=bool) if free is None else free)
     upper = assembler.pattern.copy()
-    upper.data = assembler.elements(body.element_hessians(body.mesh.vertices))
+    upper.data = assembler.elements(body.element_hessians(body.mesh.vertices if positions is None else positions))
     return (upper + sp.triu(upper, 1).T).tocsr()
+
+
+def _relieved(
+    stiffness: sp.csr_matrix, mass: sp.csr_matrix, rigid: np.ndarray, loads: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Static answers to loads, with inertia relief, and loads that inertia balances (Craig & Kurdila 2006, §17.3).
+
+    Args:
+        stiffness, mass: of a free body, shape [N, N].
+        rigid: motions that the stiffness does not resist, orthonormal in the mass, shape [R, N].
+        loads: shape [N, K].
+
+    Returns:
+        answers and balanced loads without a rigid part, shape [N, K].
+    """
+    balanced = loads - mass @ (rigid.T @ (rigid @ loads))
+    shift = 1e-8 * stiffness.diagonal().sum() / mass.diagonal().sum()  # takes the rigid motions away
+    answers = splu((stiffness + shift * mass).tocsc()).solve(balanced)
+    return answers - rigid.T @ (rigid @ (mass @ answers)), balanced
 
 
 def elastic_responses(body: ElasticBody, forces: Float[np.ndarray, "K V 3"]) -> Float[np.ndarray, "K V 3"]:
@@ -60,17 +90,13 @@ def elastic_responses(body: ElasticBody, forces: Float[np.ndarray, "K V 3"]) -> 
     arms = vertices - vertices.mean(0)
     turns = np.cross(np.eye(3)[:, None], arms)
     rigid = np.concatenate([np.broadcast_to(np.eye(3)[:, None], turns.shape), turns]).reshape(6, size)
-    stiffness, mass = rest_stiffness(body), sp.kron(body.mass, sp.eye(3)).tocsc()
+    mass = sp.kron(body.mass, sp.eye(3)).tocsr()
     rigid = np.linalg.solve(np.linalg.cholesky(rigid @ (mass @ rigid.T)), rigid)
-    columns = np.reshape(forces, (-1, size)).T
-    balanced = columns - mass @ (rigid.T @ (rigid @ columns))
-    if (np.abs(balanced).max(0) <= 1e-9 * np.abs(columns).max(0)).any():
+    loads = np.reshape(forces, (-1, size)).T
+    answers, balanced = _relieved(tangent_stiffness(body), mass, rigid, loads)
+    if (np.abs(balanced).max(0) <= 1e-9 * np.abs(loads).max(0)).any():
         raise InputError("forces: one of them only moves the body as a whole; leave it out")
-    shift = 1e-8 * stiffness.diagonal().sum() / mass.diagonal().sum()  # takes the rigid motions away
-    shifted = (stiffness + shift * mass).tocsc()
-    answers = splu(shifted).solve(balanced)
-    answers = answers - rigid.T @ (rigid @ (mass @ answers))
-    energies = np.einsum("vk,vk->k", answers, shifted @ answers)  # loose parts move without any other
+    energies = np.einsum("vk,vk->k", answers, balanced)  # above zero where loose parts move without elastic energy too
     return (answers / np.sqrt(energies)).T.reshape(np.shape(forces))
 
 
@@ -92,7 +118,7 @@ def vibration_modes(
         carried: masses that move with the nodes, beside the body's own [kg].
     """
     free = np.ones(len(body.mesh.vertices), dtype=bool) if clamped is None else ~np.asarray(clamped, dtype=bool)
-    stiffness = rest_stiffness(body, free=free)
+    stiffness = tangent_stiffness(body, free=free)
     own = body.mass if carried is None else body.mass + sp.diags(carried)
     mass = sp.kron(own[free][:, free], sp.eye(3)).tocsr()
     values, vectors = _smallest(stiffness, mass, count)
@@ -152,11 +178,6 @@ def skinning_responses(body: ElasticBody, loads: Float[np.ndarray, "V K"]) -> Fl
     Returns:
         answers at the nodes, normalised to ∫ ρ w² = total mass.
     """
-    stiffness, ones = skinning_stiffness(body), np.ones(len(body.mesh.vertices))
-    share = body.mass @ ones
-    total = share.sum()
-    balanced = loads - np.outer(share, loads.sum(0)) / total
-    shift = 1e-8 * stiffness.diagonal().sum() / body.mass.diagonal().sum()  # takes the free constant away
-    answers = splu((stiffness + shift * body.mass).tocsc()).solve(balanced)
-    answers = answers - share @ answers / total
-    return answers * np.sqrt(total / np.einsum("vk,vk->k", answers, body.mass @ answers))
+    constant = np.full((1, len(body.mesh.vertices)), 1 / np.sqrt(body.total_mass))
+    answers, _ = _relieved(skinning_stiffness(body), body.mass, constant, loads)
+    return answers * np.sqrt(body.total_mass / np.einsum("vk,vk->k", answers, body.mass @ answers))

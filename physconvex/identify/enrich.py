@@ -14,7 +14,6 @@ from physconvex.fem import ElasticBody
 from physconvex.identify.twin import Twin
 from physconvex.reduced import (
     BodySamples,
-    ReducedBody,
     ReducedSpace,
     StackedWeights,
     WeightField,
@@ -49,13 +48,7 @@ def enriched(twin: Twin, nodes: Float[np.ndarray, "T V 3"], *, snapshots: int | 
 def with_weights(twin: Twin, weights: WeightField) -> Twin:
     """The twin with other skinning weights, starting at rest; everything else stays."""
     old = twin.scene.body
-    body = ReducedBody(
-        ReducedSpace(weights, BodySamples.of_mesh(twin.mesh)),
-        law=twin.law,
-        youngs_modulus=old.youngs_modulus,
-        poisson_ratio=old.poisson_ratio,
-        density=old.density,
-    )
+    body = old.with_space(ReducedSpace(weights, BodySamples.of_mesh(twin.mesh)))
     position = old.first_moments @ twin.scene.start / old.total_mass
     moved = twin.with_scene(body=body, initial_coordinates=None)
     rest = body.first_moments @ moved.scene.start / body.total_mass

@@ -8,20 +8,19 @@ whose products W_m(X) [X; 1] come nearest to all of them.
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
 from jaxtyping import Float
 
 from physconvex.errors import InputError
 from physconvex.fem.body import ElasticBody
 from physconvex.fem.modes import elastic_responses, skinning_stiffness, vibration_modes
 from physconvex.reduced.basis import MAX_WEIGHTS, NodalWeights
+from physconvex.reduced.principal_fields import principal_fields
 
 __all__ = ["elastic_weights"]
 
 _RIGID = 6
 _AT_ONCE = 10  # weights that are taken before what their products give is taken out of the rest
 _LOOSE = 1e-2  # of the highest vibration's frequency, below which one counts as a motion of loose parts
-_NEGLIGIBLE = 1e-10  # share of the square norm below which a field is rounding
 
 
 def elastic_weights(
@@ -65,29 +64,19 @@ def _covering_weights(fields: np.ndarray, vertices: np.ndarray, body: ElasticBod
     stiffness, mass = skinning_stiffness(body), body.mass
     norm = stiffness + 1e-3 * stiffness.diagonal().sum() / mass.diagonal().sum() * mass  # the constant is a field too
     homogeneous = np.column_stack([(vertices - vertices.mean(0)) / body.mesh.size, np.ones(len(vertices))])
-    given = _extended(np.zeros((len(vertices), 0)), homogeneous, norm)
-    largest, weights = float(np.einsum("vk,vk->k", fields, norm @ fields).max()), np.zeros((len(vertices), 0))
+    weighted, given = norm @ fields, principal_fields(homogeneous, norm)
+    largest, weights = float(np.einsum("vk,vk->k", fields, weighted).max()), np.zeros((len(vertices), 0))
     while weights.shape[1] < count:
-        left = fields - given @ (given.T @ (norm @ fields))
-        squares, mixing = np.linalg.eigh(left.T @ (norm @ left))
-        chosen = np.argsort(-squares)[: min(_AT_ONCE, count - weights.shape[1])]
-        chosen = chosen[squares[chosen] > _NEGLIGIBLE * largest]
-        if not len(chosen):
+        left = fields - given @ (given.T @ weighted)
+        found = principal_fields(left, norm, largest=largest)[:, : min(_AT_ONCE, count - weights.shape[1])]
+        if not found.shape[1]:
             raise InputError(
                 f"count: got {count}; vibrations and answers are spanned by {weights.shape[1]} weights already; give "
                 "fewer weights, or more loads or vibrations"
             )
-        found = left @ (mixing[:, chosen] / np.sqrt(squares[chosen]))
         weights = np.hstack([weights, found])
         products = (found[:, :, None] * homogeneous[:, None, :]).reshape(len(vertices), -1)
-        given = _extended(given, products, norm)
+        for _ in range(2):  # the second pass removes what rounding left
+            products = products - given @ (given.T @ (norm @ products))
+        given = np.hstack([given, principal_fields(products, norm)])
     return weights
-
-
-def _extended(basis: np.ndarray, fields: np.ndarray, norm: sp.csr_matrix) -> np.ndarray:
-    """Columns orthonormal in a norm, and after them more that span what the fields add."""
-    for _ in range(2):  # the second pass removes what rounding left
-        fields = fields - basis @ (basis.T @ (norm @ fields))
-    squares, mixing = np.linalg.eigh(fields.T @ (norm @ fields))
-    kept = squares > _NEGLIGIBLE * squares.max(initial=0.0)
-    return np.hstack([basis, fields @ (mixing[:, kept] / np.sqrt(squares[kept]))])

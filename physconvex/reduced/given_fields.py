@@ -12,10 +12,9 @@ from jaxtyping import Float
 from physconvex.errors import InputError
 from physconvex.fem.body import ElasticBody
 from physconvex.reduced.basis import MAX_WEIGHTS, NodalWeights, WeightField
+from physconvex.reduced.principal_fields import principal_fields
 
 __all__ = ["ArrayWeights", "PredictedField", "StackedWeights", "predicted_weights", "snapshot_weights"]
-
-_NEGLIGIBLE = 1e-10  # share of the largest snapshot's square norm below which a mode is rounding
 
 
 @runtime_checkable
@@ -173,13 +172,11 @@ def snapshot_weights(
     weighted = body.mass @ affine
     largest = float(np.einsum("vk,vk->k", columns, body.mass @ columns).max(initial=0.0))
     columns = columns - affine @ np.linalg.solve(affine.T @ weighted, weighted.T @ columns)
-    squares, mixing = np.linalg.eigh(columns.T @ (body.mass @ columns))
-    squares, mixing = squares[::-1], mixing[:, ::-1]
-    independent = int((squares > _NEGLIGIBLE * largest).sum())
+    modes = principal_fields(columns, body.mass, largest=largest)
+    independent = modes.shape[1]
     if not 1 <= count <= min(independent, MAX_WEIGHTS):
         raise InputError(
             f"count: got {count}; the snapshots have {independent} independent fields beyond affine motions; give "
             "fewer weights or more snapshots"
         )
-    modes = columns @ (mixing[:, :count] / np.sqrt(squares[:count]))
-    return NodalWeights(body.mesh, modes * np.sqrt(body.total_mass))
+    return NodalWeights(body.mesh, modes[:, :count] * np.sqrt(body.total_mass))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, box_mesh, rest_stiffness, skinning_responses
+from physconvex.fem import ElasticBody, box_mesh, skinning_responses, tangent_stiffness
 from physconvex.reduced import (
     BodySamples,
     CallableWeights,
@@ -49,7 +49,7 @@ def test_patches_make_a_body_soft_where_it_is_touched():
     corners = [int(np.linalg.norm(mesh.vertices - centre - s * np.full(3, 0.1), axis=1).argmin()) for s in (-1, 1)]
     load = np.zeros((len(mesh.vertices), 3))
     load[corners[0]], load[corners[1]] = np.full(3, -1.0), np.full(3, 1.0)  # pulled along the diagonal
-    truth = compliance(rest_stiffness(full).toarray(), load.ravel())
+    truth = compliance(tangent_stiffness(full).toarray(), load.ravel())
     found = []
     for field in (eigenmode_weights(full, 20), contact_weights(full, 10, eigenmodes=10)):
         space = ReducedSpace(field, BodySamples.of_mesh(mesh), interpolated=True)

@@ -8,7 +8,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, Scene, TetMesh, box_mesh, elastic_responses, rest_stiffness, vibration_modes
+from physconvex.fem import ElasticBody, Scene, TetMesh, box_mesh, elastic_responses, tangent_stiffness, vibration_modes
 from physconvex.fem import simulate as simulate_full
 from physconvex.reduced import (
     BodySamples,
@@ -36,7 +36,7 @@ def linear(body: ElasticBody, field) -> tuple[np.ndarray, np.ndarray, np.ndarray
     space = ReducedSpace(field, BodySamples.of_mesh(body.mesh), interpolated=True)
     columns = np.kron(space.shape_values(body.mesh.vertices), np.eye(3))
     mass = sp.kron(body.mass, sp.eye(3))
-    return columns, columns.T @ (rest_stiffness(body) @ columns), columns.T @ (mass @ columns)
+    return columns, columns.T @ (tangent_stiffness(body) @ columns), columns.T @ (mass @ columns)
 
 
 def test_answer_to_a_pulled_end_is_a_parabola_with_half_a_joule():
@@ -53,7 +53,7 @@ def test_answer_to_a_pulled_end_is_a_parabola_with_half_a_joule():
     np.testing.assert_allclose(answer[:, 0], scale * parabola, atol=1e-5 * scale)
     np.testing.assert_allclose(answer[:, 1:], 0, atol=1e-5 * scale)
     flat = answer.ravel()
-    assert flat @ rest_stiffness(body) @ flat == pytest.approx(1.0, rel=1e-5)
+    assert flat @ tangent_stiffness(body) @ flat == pytest.approx(1.0, rel=1e-5)
 
 
 def test_frequencies_are_those_of_the_full_model(bar):
@@ -82,7 +82,7 @@ def test_body_is_soft_in_every_direction_where_it_is_loaded(bar):
         forces = np.zeros((1, *bar.mesh.vertices.shape))
         forces[0, corner] = direction
         answer = elastic_responses(bar, forces)[0].ravel()
-        force = rest_stiffness(bar) @ answer  # with the inertia that carries it
+        force = tangent_stiffness(bar) @ answer  # with the inertia that carries it
 
         def share(basis, matrix, force=force, answer=answer):
             projected = basis.T @ force

@@ -16,10 +16,10 @@ from physconvex.fem import (
     Scene,
     TetMesh,
     box_mesh,
-    rest_stiffness,
     simulate,
     solve_static,
     surface_load,
+    tangent_stiffness,
     to_quadratic,
     vibration_modes,
 )
@@ -198,7 +198,7 @@ def cook_membrane(
     mesh = to_quadratic(TetMesh(np.column_stack([48 * s, y, square.vertices[:, 2] * cells]) * 1e-3, square.tets))
     body = ElasticBody(mesh, law="linear", youngs_modulus=youngs_modulus, poisson_ratio=1 / 3)
     load = surface_load(mesh, lambda c: np.isclose(c[:, 0], 0.048), (0, traction, 0))
-    stiffness = rest_stiffness(body)
+    stiffness = tangent_stiffness(body)
     free = np.repeat(mesh.vertices[:, :1] > 0, 3, axis=1)
     # plane strain: no displacement along z anywhere; plane stress: none on the plane of symmetry z = 0
     free[:, 2] &= (plane == "stress") & (mesh.vertices[:, 2] > 0)

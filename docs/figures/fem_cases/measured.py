@@ -9,8 +9,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import eigsh
 
 from docs.figures.fem_cases.beams import DATA, clamp, edge_load
-from physconvex.fem import ElasticBody, Scene, simulate, solve_static
-from physconvex.fem.assembly import Assembler
+from physconvex.fem import ElasticBody, Scene, simulate, solve_static, tangent_stiffness
 from physconvex.fem.embedding import Embedding
 
 __all__ = [
@@ -115,10 +114,7 @@ def first_frequency(body: ElasticBody, positions: np.ndarray, *, tip_mass: float
     """Lowest frequency [Hz] of small vibrations about the given state; `tip_mass` [kg] sits on the loaded edge."""
     free = np.ones(len(body.mesh.vertices), dtype=bool)
     free[clamp(body).nodes] = False
-    assembler = Assembler(body.mesh.tets, free)
-    upper = assembler.pattern.copy()
-    upper.data = assembler.elements(body.element_hessians(positions))
-    stiffness = upper + sp.triu(upper, 1).T
+    stiffness = tangent_stiffness(body, positions, free=free)
     mass = body.mass + sp.diags(edge_load(body.mesh, (0, 0, tip_mass))[:, 2])
     mass = sp.kron(mass.tocsr()[free][:, free], sp.eye(3))
     start = np.ones(stiffness.shape[0])
