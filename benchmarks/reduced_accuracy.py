@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from physconvex.errors import ConvergenceError
+from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import ElasticBody, Scene, TetMesh, box_mesh, tetrahedralize
 from physconvex.fem import simulate as simulate_full
 from physconvex.reduced import (
@@ -280,17 +280,18 @@ def measure(case: Case, study: Study) -> Row:
     paper = case.basis == "paper"
     observed = observed[::2] if paper else observed
     motion = rms((observed - mesh.vertices).ravel())
-    fit, failure = Fit(reduced_scene(case, mesh, study), mesh, observed, PAPER if paper else TIMING), ""
-    truth = fit.values
+    fit, bias, failure = None, np.full(2, np.nan), ""
     try:
+        fit = Fit(reduced_scene(case, mesh, study), mesh, observed, PAPER if paper else TIMING)
+        truth = fit.values
         fit.run()
-    except ConvergenceError as error:
+        bias = fit.values - truth
+    except (ConvergenceError, InputError) as error:  # a motion may hold fewer independent snapshots than weights
         failure = str(error)
-    bias = fit.values - truth
-    distances = fit.distances or [np.nan]
+    distances = (fit and fit.distances) or [np.nan]
     return Row(
         case, len(mesh.vertices), motion, distances[0], distances[-1], float(bias[0]), float(bias[1]),
-        fit.last_step, time.process_time() - clock, failure,
+        fit.last_step if fit else np.inf, time.process_time() - clock, failure,
     )  # fmt: skip
 
 

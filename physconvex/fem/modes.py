@@ -38,6 +38,7 @@ def tangent_stiffness(
     positions: Float[np.ndarray, "V 3"] | None = None,
     *,
     free: Bool[np.ndarray, " V"] | None = None,
+    project: bool = False,
 ) -> sp.csr_matrix:
     """Second derivative of the energy by the free nodes' coordinates, x, y, z by turns [N/m], shape [3 V', 3 V'].
 
@@ -45,10 +46,12 @@ def tangent_stiffness(
         body: the body.
         positions: of its nodes [m]; at rest unless given.
         free: nodes that may move, all unless given.
+        project: without what is negative in any point's Hessian.
     """
     assembler = Assembler(body.mesh.tets, np.ones(len(body.mesh.vertices), dtype=bool) if free is None else free)
     upper = assembler.pattern.copy()
-    upper.data = assembler.elements(body.element_hessians(body.mesh.vertices if positions is None else positions))
+    x = body.mesh.vertices if positions is None else positions
+    upper.data = assembler.elements(body.element_hessians(x, project=project))
     return (upper + sp.triu(upper, 1).T).tocsr()
 
 
@@ -71,29 +74,36 @@ def _relieved(
     return answers - rigid.T @ (rigid @ (mass @ answers)), balanced
 
 
-def elastic_responses(body: ElasticBody, forces: Float[np.ndarray, "K V 3"]) -> Float[np.ndarray, "K V 3"]:
+def elastic_responses(
+    body: ElasticBody, forces: Float[np.ndarray, "K V 3"], positions: Float[np.ndarray, "V 3"] | None = None
+) -> Float[np.ndarray, "K V 3"]:
     """Static displacements of a free body under forces at its nodes, each with elastic energy ½ J.
 
     The body's inertia carries what the forces do not balance, and the displacement has no rigid part: the attachment
     modes with inertia relief of component mode synthesis (Craig & Kurdila 2006, §17.3).
 
     Args:
-        body: mesh, law, stiffness and density; linear about its rest state.
+        body: mesh, law, stiffness and density.
         forces: any unit, since the answers are scaled.
+        positions: of the nodes in the state about which the body answers linearly [m], at rest unless given; the
+            stiffness of a deformed one is made positive, and since its stresses resist turns, ½ J holds nearly.
 
     Raises:
-        InputError: forces of another shape, or one that only moves the body as a whole.
+        InputError: forces or positions of another shape, or a force that only moves the body as a whole.
     """
     vertices, size = body.mesh.vertices, 3 * len(body.mesh.vertices)
     if np.ndim(forces) != 3 or np.shape(forces)[1:] != vertices.shape or not np.isfinite(forces).all():
         raise InputError(f"forces: got shape {np.shape(forces)}; expected finite [K, {len(vertices)}, 3]")
-    arms = vertices - vertices.mean(0)
+    state = vertices if positions is None else positions
+    if np.shape(state) != vertices.shape or not np.isfinite(state).all():
+        raise InputError(f"positions: got shape {np.shape(state)}; expected finite [{len(vertices)}, 3]")
+    arms = state - state.mean(0)
     turns = np.cross(np.eye(3)[:, None], arms)
     rigid = np.concatenate([np.broadcast_to(np.eye(3)[:, None], turns.shape), turns]).reshape(6, size)
     mass = sp.kron(body.mass, sp.eye(3)).tocsr()
     rigid = np.linalg.solve(np.linalg.cholesky(rigid @ (mass @ rigid.T)), rigid)
     loads = np.reshape(forces, (-1, size)).T
-    answers, balanced = _relieved(tangent_stiffness(body), mass, rigid, loads)
+    answers, balanced = _relieved(tangent_stiffness(body, state, project=positions is not None), mass, rigid, loads)
     if (np.abs(balanced).max(0) <= 1e-9 * np.abs(loads).max(0)).any():
         raise InputError("forces: one of them only moves the body as a whole; leave it out")
     energies = np.einsum("vk,vk->k", answers, balanced)  # above zero where loose parts move without elastic energy too
@@ -106,19 +116,22 @@ def vibration_modes(
     *,
     clamped: Bool[np.ndarray, " V"] | None = None,
     carried: Float[np.ndarray, " V"] | None = None,
+    positions: Float[np.ndarray, "V 3"] | None = None,
 ) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, "K V 3"]]:
-    """Frequencies [Hz] and mass-normalised shapes of the smallest vibrations about the rest state.
+    """Frequencies [Hz] and mass-normalised shapes of the smallest vibrations about the rest state, or another one.
 
-    A free body has six rigid modes of frequency zero, which are among them.
+    A free body has six rigid modes of frequency zero at rest, which are among them.
 
     Args:
         body: the body.
         count: number of vibrations K.
         clamped: nodes that are held.
         carried: masses that move with the nodes, beside the body's own [kg].
+        positions: of the nodes in the state about which the body vibrates [m], at rest unless given; the stiffness of
+            a deformed one is made positive.
     """
     free = np.ones(len(body.mesh.vertices), dtype=bool) if clamped is None else ~np.asarray(clamped, dtype=bool)
-    stiffness = tangent_stiffness(body, free=free)
+    stiffness = tangent_stiffness(body, positions, free=free, project=positions is not None)
     own = body.mass if carried is None else body.mass + sp.diags(carried)
     mass = sp.kron(own[free][:, free], sp.eye(3)).tocsr()
     values, vectors = _smallest(stiffness, mass, count)

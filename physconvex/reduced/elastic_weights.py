@@ -13,6 +13,7 @@ from jaxtyping import Float
 from physconvex.errors import InputError
 from physconvex.fem.body import ElasticBody
 from physconvex.fem.modes import elastic_responses, skinning_stiffness, vibration_modes
+from physconvex.kabsch import best_rotation
 from physconvex.reduced.basis import MAX_WEIGHTS, NodalWeights
 from physconvex.reduced.principal_fields import principal_fields
 
@@ -24,7 +25,12 @@ _LOOSE = 1e-2  # of the highest vibration's frequency, below which one counts as
 
 
 def elastic_weights(
-    body: ElasticBody, count: int, loads: Float[np.ndarray, "V K"], *, vibrations: int = 30
+    body: ElasticBody,
+    count: int,
+    loads: Float[np.ndarray, "V K"],
+    *,
+    vibrations: int = 30,
+    states: Float[np.ndarray, "S V 3"] | None = None,
 ) -> NodalWeights:
     """Weights whose products with [X; 1] span a free body's first vibrations and its answers to forces.
 
@@ -37,26 +43,37 @@ def elastic_weights(
         count: M, number of weights.
         loads: where forces may act, each column in all three directions (`touched_loads`, `even_loads`).
         vibrations: number of elastic vibrations, fewer on a small mesh.
+        states: positions of the nodes [m] in deformed states about which the body answers too, each turned back; it
+            also vibrates about the last one, the most deformed. A squashed limb gives way otherwise than at rest.
 
     Raises:
-        InputError: `count` is not in 1..64, or more than vibrations and answers together can give.
+        InputError: loads or states of another shape, `count` not in 1..64 or more than vibrations and answers can give.
     """
     if not 1 <= count <= MAX_WEIGHTS:
         raise InputError(f"count: got {count}; expected 1 to {MAX_WEIGHTS} weights")
     vertices = body.mesh.vertices
     if np.ndim(loads) != 2 or len(loads) != len(vertices):
         raise InputError(f"loads: got shape {np.shape(loads)}; expected [{len(vertices)}, K], one row for each node")
-    number = min(vibrations, 3 * len(vertices) - 2 - _RIGID)
-    frequencies, shapes = vibration_modes(body, number + _RIGID)
-    lowest = _LOOSE * frequencies[-1]  # of loose parts, which move without any energy
-    moved = shapes[_RIGID:] / (2 * np.pi * np.maximum(frequencies[_RIGID:], lowest))[:, None, None]
+    deformed = np.zeros((0, *vertices.shape)) if states is None else np.asarray(states)
+    if deformed.ndim != 3 or deformed.shape[1:] != vertices.shape or not np.isfinite(deformed).all():
+        raise InputError(f"states: got shape {deformed.shape}; expected finite [S, {len(vertices)}, 3]")
+    turned = [x @ best_rotation(vertices, x, body.node_masses) for x in deformed]
+    moved = [_vibrations(body, vibrations, state) for state in (None, *turned[-1:])]
     if np.size(loads):
         forces = np.einsum("vk,cd->kcvd", loads, np.eye(3)).reshape(-1, len(vertices), 3)
-        moved = np.concatenate([moved, elastic_responses(body, forces)])
-    fields = np.moveaxis(moved, 1, 0).reshape(len(vertices), -1)
+        moved += [elastic_responses(body, forces, state) for state in (None, *turned)]
+    fields = np.moveaxis(np.concatenate(moved), 1, 0).reshape(len(vertices), -1)
     weights = _covering_weights(fields, vertices, body, count)
     square = np.einsum("vk,vk->k", weights, body.mass @ weights)
     return NodalWeights(body.mesh, weights * np.sqrt(body.total_mass / square))
+
+
+def _vibrations(body: ElasticBody, count: int, state: np.ndarray | None) -> Float[np.ndarray, "K V 3"]:
+    """Elastic vibrations about a state, each with elastic energy ½ J."""
+    number = min(count, 3 * len(body.mesh.vertices) - 2 - _RIGID)
+    frequencies, shapes = vibration_modes(body, number + _RIGID, positions=state)
+    lowest = _LOOSE * frequencies[-1]  # of loose parts, which move without any energy
+    return shapes[_RIGID:] / (2 * np.pi * np.maximum(frequencies[_RIGID:], lowest))[:, None, None]
 
 
 def _covering_weights(fields: np.ndarray, vertices: np.ndarray, body: ElasticBody, count: int) -> np.ndarray:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 from physconvex.errors import InputError
 from physconvex.fem.body import ElasticBody
 from physconvex.fem.mesh import TetMesh
@@ -25,7 +28,9 @@ def with_elastic_weights(
     """The scene with weights from its body's vibrations and from its answers to forces where obstacles touch it.
 
     Where they do is seen in a roll-out of the scene as it is given, and again in one with the weights found from that:
-    a body that lands otherwise is touched elsewhere. Where nothing is touched, patches all over the surface are loaded.
+    a body that lands otherwise is touched elsewhere. It answers about its rest state, about the frame of that roll-out
+    that deforms it most, and about the one half-way to it. Where nothing is touched, patches all over the surface are
+    loaded, at rest.
 
     Args:
         scene: with a rough body, for example of twenty eigenmodes.
@@ -57,10 +62,24 @@ def with_elastic_weights(
     )
     for _ in range(passes):
         run = simulate(scene, **timing)
-        loads = touched_loads(mesh, run.positions(mesh.vertices), run.times, scene.obstacles, count=loaded)
-        weights = elastic_weights(elastic, count, loads if loads.size else even_loads(mesh, _PATCHES))
+        positions = run.positions(mesh.vertices)
+        loads = touched_loads(mesh, positions, run.times, scene.obstacles, count=loaded)
+        if loads.size:
+            weights = elastic_weights(elastic, count, loads, states=_squashed(elastic, positions))
+        else:
+            weights = elastic_weights(elastic, count, even_loads(mesh, _PATCHES))
         space = ReducedSpace(weights, body.space.samples, interpolated=True)
         scene = replace(scene, body=body.with_space(space))
         if not loads.size:
             break
     return scene
+
+
+def _squashed(body: ElasticBody, positions: Float[np.ndarray, "T V 3"]) -> Float[np.ndarray, "S V 3"]:
+    """The frame of most elastic energy, and the one in which that energy had just come to half of it."""
+    energies = np.array([body.energy(x) for x in positions])
+    most = int(energies.argmax())
+    half = most
+    while half > 0 and energies[half - 1] > energies[most] / 2:
+        half -= 1
+    return positions[sorted({half, most})]

@@ -56,6 +56,34 @@ def test_answer_to_a_pulled_end_is_a_parabola_with_half_a_joule():
     assert flat @ tangent_stiffness(body) @ flat == pytest.approx(1.0, rel=1e-5)
 
 
+def test_answers_and_vibrations_about_a_stretched_state_are_those_of_its_forces(bar):
+    """The forces of the body itself, differenced; at rest the same answer is another one."""
+    stretched = bar.mesh.vertices @ np.diag([1.3, 0.95, 0.95])
+    forces = np.zeros((1, *stretched.shape))
+    forces[0, int(bar.mesh.vertices.sum(1).argmax()), 2] = 1.0
+    answer = elastic_responses(bar, forces, stretched)[0]
+    frequencies, shapes = vibration_modes(bar, 10, positions=stretched)
+
+    def resisted(move: np.ndarray) -> np.ndarray:
+        step = 1e-6 / np.abs(move).max()
+        difference = bar.gradient(stretched + step * move) - bar.gradient(stretched - step * move)
+        return difference / (2 * step)
+
+    force = resisted(answer)
+    assert (answer * force).sum() == pytest.approx(1.0, rel=0.01)  # stretched, it resists turns a little too
+    others = ~forces[0].any(1)  # the body's inertia alone resists there: that of an affine acceleration
+    carried = (bar.mass @ np.column_stack([stretched, np.ones(len(stretched))]))[others]
+    motions = [np.outer(column, axis) for column in carried.T for axis in np.eye(3)]
+    turns = [resisted(np.cross(axis, stretched))[others] for axis in np.eye(3)]
+    allowed = np.stack(motions + turns).reshape(15, -1).T
+    fitted = allowed @ np.linalg.lstsq(allowed, force[others].ravel(), rcond=None)[0]
+    np.testing.assert_allclose(fitted, force[others].ravel(), atol=1e-4 * np.abs(force).max())
+    shape = shapes[-1]
+    expected = (2 * np.pi * frequencies[-1]) ** 2 * (bar.mass @ shape)
+    np.testing.assert_allclose(resisted(shape), expected, atol=1e-4 * np.abs(expected).max())
+    assert np.abs(answer - elastic_responses(bar, forces)[0]).max() > 0.1 * np.abs(answer).max()
+
+
 def test_frequencies_are_those_of_the_full_model(bar):
     """Twenty weights for ten vibrations; as many eigenmodes miss them by several times as much."""
     truth = vibration_modes(bar, 16)[0][6:]
@@ -128,6 +156,35 @@ def test_a_dropped_body_follows_the_full_model():
     distances = [float(np.abs(run.positions(mesh.vertices) - truth).max()) for run in runs]
     assert distances[1] < 0.3 * distances[0]
     assert near.body.space.field.count == 20 and near.obstacles == rough.obstacles
+    positions = runs[0].positions(mesh.vertices)  # a single pass: about the most deformed frame, and half-way to it
+    energies = np.array([full.energy(x) for x in positions])
+    most = int(energies.argmax())
+    half = int(np.flatnonzero(energies[:most] <= energies[most] / 2)[-1]) + 1
+    loads = touched_loads(mesh, positions, runs[0].times, [floor], count=12)
+    expected = elastic_weights(full, 20, loads, states=positions[sorted({half, most})])
+    found = with_elastic_weights(rough, mesh, 20, loaded=12, passes=1, **timing).body.space.field
+    np.testing.assert_allclose(np.abs(found.nodal_values), np.abs(expected.nodal_values), atol=1e-6)
+
+
+def test_answers_about_a_squashed_state_span_what_those_at_rest_do_not(bar):
+    """Turned with the body, they do not depend on how it lies."""
+    x = bar.mesh.vertices - bar.mesh.vertices.mean(0)
+    squashed = x.copy()
+    squashed[:, 2] *= np.where(x[:, 0] > 0, 0.55, 1.0)
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    loads = np.zeros((len(x), 1))
+    loads[int(x.sum(1).argmax())] = 1.0
+    forces = np.einsum("vk,cd->kcvd", loads, np.eye(3)).reshape(-1, *x.shape)
+    answers = elastic_responses(bar, forces, squashed).reshape(3, -1).T
+
+    def missed(states) -> float:
+        columns, _, _ = linear(bar, elastic_weights(bar, 16, loads, vibrations=6, states=states))
+        left = answers - columns @ np.linalg.lstsq(columns, answers, rcond=None)[0]
+        return float(np.linalg.norm(left) / np.linalg.norm(answers))
+
+    assert missed(squashed[None]) < 0.5 * missed(None)
+    assert missed((squashed @ turn.T + 0.3)[None]) == pytest.approx(missed(squashed[None]), rel=1e-3)
 
 
 def test_scene_without_contact_loads_the_whole_surface(bar):
@@ -153,6 +210,10 @@ def test_errors(bar):
         elastic_weights(bar, 20, loads[:, :0], vibrations=2)
     with pytest.raises(InputError, match="loads"):
         elastic_weights(bar, 5, loads[1:])
+    with pytest.raises(InputError, match="states"):
+        elastic_weights(bar, 5, loads, states=bar.mesh.vertices)
+    with pytest.raises(InputError, match="positions"):
+        elastic_responses(bar, np.ones((1, len(bar.mesh.vertices), 3)), bar.mesh.vertices[1:])
     with pytest.raises(InputError, match="patches"):
         even_loads(bar.mesh, 0)
     with pytest.raises(InputError, match="positions"):
