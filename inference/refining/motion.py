@@ -11,7 +11,7 @@ from inference.refining.result import RefinedMotion
 from inference.refining.stages import Stages
 from physconvex.capture import Capture
 from physconvex.fem import Embedding, TetMesh
-from physconvex.identify import Fit, FullModel, Twin
+from physconvex.identify import Fit, FullModel, Twin, extrapolated_nodes
 from physconvex.identify.enrich import enriched
 from physconvex.reduced import simulate
 
@@ -50,8 +50,8 @@ def motion_of(
                 "weights": _weights(twin),
                 "gap": np.zeros(0),
             }
-        finest = replace(full, frames=capture.frames, mesh=mesh)
-        moved = finest.node_positions(found.values)
+        coarse = replace(full, frames=capture.frames)
+        moved = extrapolated_nodes(coarse, replace(coarse, mesh=mesh), found.values)
         carried = Embedding.of_points(body, nodes).apply(moved)
         better = enriched(fitted, carried)
         again = simulate(better.scene, **twin.timing())

@@ -10,7 +10,7 @@ from physconvex.identify.correction import (
     parameter_shifts,
 )
 from physconvex.identify.drift import DriftingObservations, first_contact, likely_drift, model_drift
-from physconvex.identify.finer import FinerFit, fit_finer
+from physconvex.identify.finer import FinerFit, extrapolated_nodes, fit_finer
 from physconvex.identify.full_fit import fit_full
 from physconvex.identify.held_region import HeldRegion
 from physconvex.identify.levenberg_marquardt import Fit, FitOptions, Iteration, fit
@@ -71,6 +71,7 @@ __all__ = [
     "correct",
     "default_parameter",
     "default_parameters",
+    "extrapolated_nodes",
     "first_contact",
     "fit",
     "fit_finer",

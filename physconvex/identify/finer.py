@@ -1,11 +1,13 @@
 """What a finer mesh and a shorter step say: their differences are added, and the error that is left is estimated.
 
-    x(p) ≈ x_coarse(p) + [x_fine(p₀) − x_coarse(p₀)] + 4/3 [x_half(p₀) − x_coarse(p₀)],
+    x(p) ≈ x_coarse(p) + (1 + a) [x_fine(p₀) − x_coarse(p₀)] + 4/3 [x_half(p₀) − x_coarse(p₀)],
 
 fitted from p₀ and again from where that ends, with the derivatives at p₀. The time step is extrapolated (BDF2 is of
-second order); the mesh is not, since corners of a clamp and contact spoil its order. What is left is taken as half of
-the mesh's difference and a third of the step's. Its effect on a parameter is Σ_t g_t with g_t the first-order shift by
-frame t; as the error of one frame says little of the next one's after an impact, √Σ g_t² is taken where it is larger.
+second order). The mesh is, by a = 0.42 or the order 1.75, where all edges are halved and nothing is struck: corners of
+a clamp make the order lower than the third of smooth displacements. What is left is taken as a third of the step's
+difference and half of the mesh's; where a is added, 0.3, since the difference does not shrink by one number everywhere.
+Its effect on a parameter is Σ_t g_t with g_t the first-order shift by frame t; as the error of one frame says little of
+the next one's after an impact, √Σ g_t² is taken where it is larger.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.fem import TetMesh
+from physconvex.fem import Embedding, TetMesh
 from physconvex.identify.correction import parameter_shifts
 from physconvex.identify.full_fit import FULL_OPTIONS
 from physconvex.identify.levenberg_marquardt import Fit, fit
@@ -25,15 +27,26 @@ from physconvex.identify.parameters import Parameter
 from physconvex.identify.uncertainty import noise_covariance
 from physconvex.identify.weighting import WeightedObservations, frame_errors
 
-__all__ = ["FinerFit", "fit_finer"]
+__all__ = ["FinerFit", "extrapolated_nodes", "fit_finer"]
 
 _EXTRAPOLATED = 4.0 / 3.0
-# of the mesh's difference: bars of quadratic elements, halved twice, leave .37 to .54 (benchmarks/mesh_order.py)
-_MESH_LEFT, _STEP_LEFT = 0.5, 1.0 / 3.0
+_STEP_LEFT = 1.0 / 3.0
 _SETTLED = 0.3  # of a standard deviation
 _FAR = 0.2  # typical steps
 _BELIEVED = 1.0  # typical steps
 _LINEAR_OPTIONS = replace(FULL_OPTIONS, max_iterations=30)  # a straight line costs nothing
+
+
+@dataclass(frozen=True)
+class _Share:
+    """Of the mesh's difference: what is added beyond the finer mesh, and what counts as left."""
+
+    added: float
+    left: float
+
+
+# bars of quadratic elements, halved twice, leave .37 to .54 of a halving's difference (benchmarks/mesh_order.py)
+_HALVED, _OTHERWISE = _Share(0.42, 0.3), _Share(0.0, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,14 +99,16 @@ def fit_finer(
         else:
             best = finest.positions(values)
         start = tuple(p.at(float(v)) for p, v in zip(found.parameters, values, strict=True))
-        model = LinearModel(cheap.names, values, best + _EXTRAPOLATED * there.by_step, there.tangents)
+        model = LinearModel(cheap.names, values, best + there.beyond, there.tangents)
         last = fit(model, there.weighted, [_near(p) for p in start], options=_LINEAR_OPTIONS)
         last = replace(last, parameters=start)
         moved, values = np.abs(last.values - values), last.values
         if (moved <= _SETTLED * np.sqrt(np.diag(noise_covariance(last)))).all():
             break
     assert there is not None
-    left = np.hypot(_MESH_LEFT * there.effect(last, there.by_mesh), _STEP_LEFT * there.effect(last, there.by_step))
+    left = np.hypot(
+        there.share.left * there.effect(last, there.by_mesh), _STEP_LEFT * there.effect(last, there.by_step)
+    )
     return FinerFit(last, left, there.errors)
 
 
@@ -105,6 +120,7 @@ class _Differences:
     coarse: np.ndarray
     by_mesh: np.ndarray
     by_step: np.ndarray
+    share: _Share
     tangents: np.ndarray
     errors: np.ndarray
     weighted: WeightedObservations
@@ -112,6 +128,11 @@ class _Differences:
     @property
     def finest(self) -> np.ndarray:
         return np.asarray(self.coarse + self.by_mesh)
+
+    @property
+    def beyond(self) -> np.ndarray:
+        """What is added to the finer mesh's positions [m]."""
+        return np.asarray(self.share.added * self.by_mesh + _EXTRAPOLATED * self.by_step)
 
     def effect(self, found: Fit, difference: np.ndarray) -> np.ndarray:
         """How far a difference of the positions [m] moves each value: |Σ_t g_t|, or √Σ g_t² if that is more."""
@@ -136,10 +157,27 @@ def _differences(
     tangents = cheap.linearise(values)[1]
     x = coarse.positions(values)
     by_mesh, by_step = finest.positions(values) - x, half.positions(values) - x
+    share = _share(coarse, finest)
     errors = np.hypot(
-        _MESH_LEFT * frame_errors(observations, x + by_mesh, x),
+        share.left * frame_errors(observations, x + by_mesh, x),
         _STEP_LEFT * frame_errors(observations, x + by_step, x),
     )
     return _Differences(
-        values, x, by_mesh, by_step, tangents, errors, WeightedObservations.by_errors(observations, errors)
+        values, x, by_mesh, by_step, share, tangents, errors, WeightedObservations.by_errors(observations, errors)
     )
+
+
+def _share(coarse: FullModel, finest: FullModel) -> _Share:
+    halved = len(finest.rolled_mesh.tets) == 8 * len(coarse.rolled_mesh.tets)
+    return _HALVED if halved and not coarse.twin.may_strike else _OTHERWISE
+
+
+def extrapolated_nodes(
+    coarse: FullModel, finest: FullModel, values: Float[np.ndarray, " K"]
+) -> Float[np.ndarray, "T V 3"]:
+    """The finest mesh's nodes at the frames [m], with the share of the meshes' difference that the fit adds."""
+    nodes, share = finest.node_positions(values), _share(coarse, finest)
+    if not share.added:
+        return nodes
+    carried = Embedding.of_points(coarse.rolled_mesh, finest.rolled_mesh.vertices).apply(coarse.node_positions(values))
+    return np.asarray(nodes + share.added * (nodes - carried))

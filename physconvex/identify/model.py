@@ -123,9 +123,14 @@ class FullModel:
     surface: SurfacePoints | None = None
     memory: RollOuts = field(default_factory=RollOuts)
 
+    @property
+    def rolled_mesh(self) -> TetMesh:
+        """The mesh that is rolled out."""
+        return self.twin.mesh if self.mesh is None else self.mesh
+
     @cached_property
     def _embedding(self) -> Embedding:
-        return Embedding.of_points(self.twin.mesh if self.mesh is None else self.mesh, self.points)
+        return Embedding.of_points(self.rolled_mesh, self.points)
 
     @property
     def differenced(self) -> bool:
@@ -159,7 +164,7 @@ class FullModel:
 
     def key(self, values: Float[np.ndarray, " K"]) -> Hashable:
         """By which the memory knows a roll-out."""
-        grid = _Same(self.twin.mesh if self.mesh is None else self.mesh)
+        grid = _Same(self.rolled_mesh)
         how = (self.refinement, self.frames, _Same(self.surface))
         return (self.twin, grid, self.names, *how, np.asarray(values, dtype=np.float64).tobytes())
 

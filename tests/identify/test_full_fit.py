@@ -5,14 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.capture import Boundary, Capture, Tracks, load_capture, save_capture
-from physconvex.fem import box_mesh, refine, simulate
+from physconvex.capture import Boundary, Capture, Floor, Tracks, load_capture, save_capture
+from physconvex.fem import Embedding, box_mesh, refine, simulate, to_quadratic
 from physconvex.identify import (
     FullModel,
     ReducedModel,
     TwinOptions,
     base_twin,
     default_parameters,
+    extrapolated_nodes,
     fit,
     fit_finer,
     fit_full,
@@ -45,7 +46,7 @@ def bar(tmp_path_factory):
 
     empty = saved("empty", np.zeros((FRAMES, 12, 3)))
     twin = base_twin(empty, TwinOptions(weights=3, steps_per_frame=4))
-    fine = FullModel(twin, NAMES, points, FRAMES, refine(twin.mesh), refinement=6).positions(TRUTH)
+    fine = FullModel(twin, NAMES, points, FRAMES, refine(refine(twin.mesh)), refinement=6).positions(TRUTH)
     capture = saved("seen", fine)
     return base_twin(capture, TwinOptions(weights=3, steps_per_frame=4)), marker_observations(capture)
 
@@ -81,9 +82,35 @@ def test_what_a_finer_mesh_adds_removes_most_of_the_error_and_states_what_is_lef
     after = fit_finer(coarse, coarse, refine(twin.mesh), seen, before)
     errors = [np.abs(values - TRUTH) for values in (before.values, after.fit.values)]
     assert errors[0][0] > 0.03 and errors[1][0] < 0.1 * errors[0][0]
-    assert (errors[1] < 0.4 * np.sqrt(np.diag(noise_covariance(after.fit)))).all()
-    assert (after.left > 0).all() and (errors[1] < 3 * after.left).all()
+    noise = np.sqrt(np.diag(noise_covariance(after.fit)))
+    assert (after.left > 0).all() and (errors[1] < 2.5 * np.hypot(noise, after.left)).all()
     assert after.frame_errors[0] < after.frame_errors[-1]
+
+
+def test_what_halving_the_mesh_changes_is_added_in_part_where_nothing_is_struck(bar):
+    """A mesh halved twice is nearer to that than to the mesh halved once; another finer mesh is taken as it is."""
+    twin, seen = bar
+    coarse = FullModel(twin, NAMES, seen.points, FRAMES)
+    halved = replace(coarse, mesh=refine(twin.mesh))
+    truth = replace(coarse, mesh=refine(halved.mesh)).positions(TRUTH)
+    nodes = extrapolated_nodes(coarse, halved, TRUTH)
+    added = Embedding.of_points(halved.mesh, seen.points).apply(nodes)
+    distances = [np.sqrt(np.square(x - truth).sum()) for x in (halved.positions(TRUTH), added)]
+    assert distances[1] < 0.6 * distances[0]
+    other = replace(coarse, mesh=to_quadratic(box_mesh((0.3, 0.1, 0.1), (4, 2, 2), order=1)))
+    np.testing.assert_array_equal(extrapolated_nodes(coarse, other, TRUTH), other.node_positions(TRUTH))
+    np.testing.assert_array_equal(extrapolated_nodes(coarse, coarse, TRUTH), coarse.node_positions(TRUTH))
+
+
+def test_nothing_is_added_where_a_body_may_strike_something(tmp_path):
+    """After an impact meshes do not converge to one motion."""
+    floor = Floor(np.array([0.0, 0.0, -0.06]), np.array([0.1, 0.0, 1.0]))
+    capture = Capture(tmp_path / "thrown", 48.0, 4, 4, floor=floor, initial_velocity=np.array([0.0, 0.0, -1.0]))
+    save_capture(capture, tets=box_mesh((0.1, 0.1, 0.1), (1, 1, 1), order=1))
+    twin = base_twin(load_capture(capture.folder), TwinOptions(weights=3, steps_per_frame=4))
+    coarse = FullModel(twin, NAMES, twin.mesh.vertices[:1], 4)
+    halved = replace(coarse, mesh=refine(twin.mesh))
+    np.testing.assert_array_equal(extrapolated_nodes(coarse, halved, TRUTH), halved.node_positions(TRUTH))
 
 
 def test_weights_refined_by_the_full_motion_follow_it_more_closely(bar):
