@@ -52,6 +52,7 @@ class Row:
     bias_modulus: float
     bias_ratio: float
     settled: bool
+    failed: bool
 
     @property
     def distance(self) -> float:
@@ -70,27 +71,25 @@ class Row:
 
 
 def rows() -> list[Row]:
-    """All stored rows that came to a fit, in the order of the tables."""
+    """All stored rows, in the order of the tables."""
     found = []
     for row in json.loads(RESULT.read_text(encoding="utf-8"))["rows"]:
-        if row["failure"]:
-            continue
         case = row["case"]
         found.append(
             Row(
                 case["scene"], next(b for b in BODIES if b in case["body"]), case["youngs_modulus"],
                 case["poisson_ratio"], case["basis"], case["weights"], row["motion"], row["rms_at_truth"],
                 row["rms_fitted"], row["bias_log10_youngs_modulus"], row["bias_poisson_ratio"],
-                row["last_step"] < SETTLED,
+                row["last_step"] < SETTLED, bool(row["failure"]),
             )
         )  # fmt: skip
     return sorted(found, key=lambda r: (r.scene, r.youngs_modulus, r.poisson_ratio, BODIES.index(r.body)))
 
 
 def kinds(of: list[Row]) -> dict[tuple[str, int], list[Row]]:
-    """Rows by basis and number of weights."""
+    """Rows that came to a fit, by basis and number of weights."""
     return {
-        (basis, count): [r for r in of if (r.basis, r.weights) == (basis, count)]
+        (basis, count): [r for r in of if (r.basis, r.weights) == (basis, count) and not r.failed]
         for basis in BASES
         for count in sorted({r.weights for r in of if r.basis == basis})
     }
@@ -114,7 +113,9 @@ def summary(of: list[Row]) -> None:
             for q in QUANTITIES
         ]
         inside = sum(r.modulus <= 0.02 and r.ratio <= 0.03 for r in some)
-        print(f"| {basis} | {count} | {len(some)} | {' | '.join(cells)} | {inside} |")
+        failed = sum(r.failed and (r.basis, r.weights) == (basis, count) for r in of)
+        told = f"{len(some)}" + (f" ({failed} failed)" if failed else "")
+        print(f"| {basis} | {count} | {told} | {' | '.join(cells)} | {inside} |")
 
 
 def listing(of: list[Row]) -> None:
