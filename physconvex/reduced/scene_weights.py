@@ -17,7 +17,7 @@ from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.simulation import simulate
 from physconvex.reduced.space import ReducedSpace
 
-__all__ = ["with_elastic_weights"]
+__all__ = ["most_deformed", "with_elastic_weights"]
 
 _PATCHES = 20
 
@@ -65,7 +65,7 @@ def with_elastic_weights(
         positions = run.positions(mesh.vertices)
         loads = touched_loads(mesh, positions, run.times, scene.obstacles, count=loaded)
         if loads.size:
-            weights = elastic_weights(elastic, count, loads, states=_squashed(elastic, positions))
+            weights = elastic_weights(elastic, count, loads, states=most_deformed(elastic, positions))
         else:
             weights = elastic_weights(elastic, count, even_loads(mesh, _PATCHES))
         space = ReducedSpace(weights, body.space.samples, interpolated=True)
@@ -75,9 +75,18 @@ def with_elastic_weights(
     return scene
 
 
-def _squashed(body: ElasticBody, positions: Float[np.ndarray, "T V 3"]) -> Float[np.ndarray, "S V 3"]:
-    """The frame of most elastic energy, and the one in which that energy had just come to half of it."""
+def most_deformed(body: ElasticBody, positions: Float[np.ndarray, "T V 3"]) -> Float[np.ndarray, "S V 3"]:
+    """Frames between which a motion deforms a body most: that of most elastic energy, and where half of it was reached.
+
+    Args:
+        body: what moves.
+        positions: of its nodes at the frames [m].
+
+    Returns:
+        two frames, or one where the energy came at once.
+    """
     energies = np.array([body.energy(x) for x in positions])
+    energies[~np.isfinite(energies)] = -np.inf  # where a rough roll-out turns elements inside out
     most = int(energies.argmax())
     half = most
     while half > 0 and energies[half - 1] > energies[most] / 2:

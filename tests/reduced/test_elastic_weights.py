@@ -24,6 +24,7 @@ from physconvex.reduced import (
     touched_loads,
     with_elastic_weights,
 )
+from physconvex.reduced.scene_weights import most_deformed
 
 
 @pytest.fixture(scope="module")
@@ -185,6 +186,14 @@ def test_answers_about_a_squashed_state_span_what_those_at_rest_do_not(bar):
 
     assert missed(squashed[None]) < 0.5 * missed(None)
     assert missed((squashed @ turn.T + 0.3)[None]) == pytest.approx(missed(squashed[None]), rel=1e-3)
+
+
+def test_states_of_infinite_energy_are_left_out(bar):
+    """A logarithmic law in a frame that a rough roll-out has turned inside out."""
+    body = ElasticBody(bar.mesh, law="neo_hookean_log", youngs_modulus=1e5)
+    x = bar.mesh.vertices
+    squeezed = [x * [1.0, 1.0, s] for s in (1.0, 0.9, 0.7, -1.0, 0.8)]
+    np.testing.assert_array_equal(most_deformed(body, np.stack(squeezed)), [squeezed[2]])
 
 
 def test_scene_without_contact_loads_the_whole_surface(bar):
