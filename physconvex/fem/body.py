@@ -14,8 +14,10 @@ from torch import Tensor
 from physconvex.errors import InputError
 from physconvex.fem.elements import QUADRATURE, shape_gradients, shape_values
 from physconvex.fem.mesh import TetMesh
+from physconvex.fem.volumetric import VolumetricElements
 from physconvex.inelastic import FlowRule, FlowStep
 from physconvex.materials import Law, get_law, lame_parameters, project_to_positive, strain_stiffness
+from physconvex.volumetric_laws import is_volumetric
 
 __all__ = ["ElasticBody"]
 
@@ -64,6 +66,10 @@ class ElasticBody:
         count, points, nodes, _ = self._gradients.shape
         self._flat_gradients = self._gradients.transpose(1, 2).reshape(count, nodes, points * 3).contiguous()
         self._tets = torch.as_tensor(mesh.tets, device=self.device)
+        self._quick: VolumetricElements | None = None
+        if flow is None and self.device.type == "cpu" and is_volumetric(self.law):
+            arrays = (t.numpy() for t in (self._gradients, self._weights, mu, lam))
+            self._quick = VolumetricElements(self.law, mesh.tets, len(mesh.vertices), *arrays)
 
     # -- set-up
 
@@ -139,6 +145,8 @@ class ElasticBody:
             x: node positions [m].
             response: of the flow during a time step, for a body that flows; at once and from rest unless given.
         """
+        if self._quick is not None:
+            return self._quick.energy_and_gradient(x)
         f = self.deformation_gradient(x)
         energy = float((self._weights * self._material("energy", f, response)).sum())
         return energy, self._scatter(self._material("stress", f, response))
@@ -186,6 +194,11 @@ class ElasticBody:
             damping_ratio: damping time over the time step [-].
             response: as for the energy.
         """
+        if self._quick is not None and not project:
+            state = None if viscous_state is None else viscous_state.numpy()
+            quick = self._quick.stiffness(x, viscous_state=state, damping_ratio=damping_ratio)
+            if quick is not None:
+                return quick
         hessian = self._material("hessian", self.deformation_gradient(x), response)
         if project:
             hessian = project_to_positive(hessian)
@@ -242,6 +255,10 @@ class ElasticBody:
             response: as for the energy.
             with_energy: the energy is NaN without, and not computed.
         """
+        if self._quick is not None:
+            return self._quick.moving_energy_and_gradient(
+                x, velocity, state.numpy(), damping_time=damping_time, step=step, with_energy=with_energy
+            )
         moving = torch.cat([self._tensor(x), self._tensor(velocity)], dim=1)[self._tets]
         both = (moving.mT @ self._flat_gradients).reshape(len(self._tets), 2, 3, -1, 3).transpose(2, 3)
         f, rate = both[:, 0], both[:, 1]

@@ -15,7 +15,7 @@ from typing import Any
 
 from physconvex.errors import ConvergenceError
 from physconvex.fem import SolveStatistics
-from physconvex.reduced.volumetric import is_volumetric
+from physconvex.volumetric_laws import is_volumetric
 
 __all__ = ["Cost", "OutOfBudget", "newton_step"]
 

@@ -13,7 +13,8 @@ from physconvex.errors import InputError
 from physconvex.inelastic import FlowRule, FlowStep
 from physconvex.materials import Law, get_law, lame_parameters, project_to_positive, strain_stiffness
 from physconvex.reduced.space import ReducedSpace
-from physconvex.reduced.volumetric import VolumetricSamples, is_volumetric
+from physconvex.reduced.volumetric import VolumetricSamples
+from physconvex.volumetric_laws import is_volumetric
 
 __all__ = ["ReducedBody", "function_by_function", "viscous_stress"]
 

@@ -17,7 +17,7 @@ from physconvex.materials import lame_parameters, project_to_positive, strain_st
 from physconvex.reduced.body import viscous_stress
 from physconvex.reduced.candidate_volumetric import volumetric_blocks, volumetric_energy_and_gradient
 from physconvex.reduced.scene import ReducedScene
-from physconvex.reduced.volumetric import is_volumetric
+from physconvex.volumetric_laws import is_volumetric
 
 __all__ = ["CandidateEquations", "CandidateValues", "FrozenFriction", "Step"]
 

@@ -28,7 +28,7 @@ def volumetric_energy_and_gradient(
     """Elastic energies [J], shape [b], and their derivatives by the coordinates [N], shape [b, R, 3].
 
     Args:
-        law: one that `volumetric.is_volumetric` knows.
+        law: one that `physconvex.volumetric_laws.is_volumetric` knows.
         y: coordinates [m], [b, R, 3].
         mu, lam: Lamé constants [Pa], [b, 1].
         weights: volumes [m³], [Q].
@@ -52,7 +52,7 @@ def volumetric_blocks(
     The term ∫ μ/2 |F|² dV, which is constant, is left out.
 
     Args:
-        law: one that `volumetric.is_volumetric` knows.
+        law: one that `physconvex.volumetric_laws.is_volumetric` knows.
         f: deformation gradients, [b, Q, 3, 3].
         mu, lam: Lamé constants [Pa], [b, 1].
         weights: volumes [m³], [Q].

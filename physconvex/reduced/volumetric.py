@@ -1,4 +1,4 @@
-"""Fast arithmetic for the elastic laws Ψ = μ/2 (I₁ − 3) + f(J): both neo-Hookean laws, float64 on the CPU.
+"""Fast arithmetic for the laws of `physconvex.volumetric_laws` in a reduced space, float64 on the CPU.
 
 With C = cof F, the stress is P = μ F + f' C, and with u_i = Σ_j C_ij ∂N/∂X_j ∈ R^R the integrated Hessian has the
 blocks
@@ -12,51 +12,23 @@ operations in all, against 36 R² Q of a general law.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.materials import LAWS, Law
+from physconvex.materials import Law
+from physconvex.volumetric_laws import cofactor_and_determinant, volumetric_term
 
-__all__ = ["VolumetricSamples", "is_volumetric"]
+__all__ = ["VolumetricSamples"]
 
 Array = np.ndarray
 _NEARLY_FLAT = 1e-4  # |J| over |C|^(3/2) below which the division by J costs digits
-
-
-def _quadratic(j: Array, mu: Array, lam: Array) -> tuple[Array, Array, Array]:
-    """f, f', f'' of `neo_hookean`."""
-    d = j - 1
-    slope = (lam + mu) * d - mu
-    return 0.5 * d * (slope - mu), slope, lam + mu
-
-
-def _logarithmic(j: Array, mu: Array, lam: Array) -> tuple[Array, Array, Array]:
-    """f, f', f'' of `neo_hookean_log`; f is infinite at J ≤ 0."""
-    proper = j > 0
-    safe = np.where(proper, j, 1.0)
-    log = np.log(safe)
-    energy = np.where(proper, (0.5 * lam * log - mu) * log, np.inf)
-    return energy, (lam * log - mu) / safe, (lam + mu - lam * log) / safe**2
-
-
-_PARTS: dict[str, Callable[[Array, Array, Array], tuple[Array, Array, Array]]] = {
-    "neo_hookean": _quadratic,
-    "neo_hookean_log": _logarithmic,
-}
-
-
-def is_volumetric(law: Law) -> bool:
-    """Whether the law is one of those that this module knows."""
-    return law.name in _PARTS and LAWS[law.name] is law
 
 
 class VolumetricSamples:
     """The samples of a body of such a law.
 
     Args:
-        law: the law, see `is_volumetric`.
+        law: the law, see `physconvex.volumetric_laws.is_volumetric`.
         gradients: ∂N_a/∂X [1/m], shape [Q, 3, R].
         weights: volumes [m³], shape [Q].
         mu, lam: Lamé constants [Pa], shape [Q].
@@ -64,7 +36,7 @@ class VolumetricSamples:
 
     def __init__(self, law: Law, gradients: Array, weights: Array, mu: Array, lam: Array) -> None:
         count, _, size = gradients.shape
-        self._part, self._size = _PARTS[law.name], size
+        self._part, self._size = volumetric_term(law), size
         self._gradients = np.ascontiguousarray(gradients)
         self._by_function = np.ascontiguousarray(gradients.transpose(2, 1, 0).reshape(size, 3 * count))
         self._weights, self._mu, self._lam = weights, mu, lam
@@ -75,12 +47,7 @@ class VolumetricSamples:
     def _gradient_and_cofactor(self, y: Float[Array, "R 3"]) -> tuple[Array, Array, Array]:
         """F and its cofactor, shape [3, 3, Q], and J."""
         f = (y.T @ self._by_function).reshape(3, 3, -1)
-        ring = np.empty((5, 5, f.shape[2]))  # F continued periodically: the cofactor is then three array operations
-        ring[:3, :3], ring[3:, :3] = f, f[:2]
-        ring[:, 3:] = ring[:, :2]
-        cofactor = ring[1:4, 1:4] * ring[2:, 2:]
-        cofactor -= ring[1:4, 2:] * ring[2:, 1:4]
-        return f, cofactor, np.einsum("jq,jq->q", f[0], cofactor[0])
+        return f, *cofactor_and_determinant(f)
 
     @np.errstate(over="ignore", invalid="ignore")  # a trial step far too long has no finite energy, and is refused
     def energy_and_gradient(self, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:

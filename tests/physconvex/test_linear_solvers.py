@@ -92,6 +92,17 @@ def test_pardiso_analyses_the_pattern_once(monkeypatch):
     solver.close()
 
 
+def test_pardiso_refines_no_solution():
+    pytest.importorskip("pypardiso")
+    upper = random_matrix(20, seed=8)
+    solver = SymmetricSolver(upper, backend="pardiso")
+    solver.factorise(upper.data)
+    solver.solve(np.ones(20))
+    asked, done = solver._pardiso.get_iparm(8), solver._pardiso.get_iparm(7)
+    assert (asked, done) == (0, 0)  # where the solver is not told that its settings are meant, it refines twice
+    solver.close()
+
+
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_indefinite_matrix_is_refused_and_the_solver_lives_on(backend):
     upper = random_matrix(40, seed=9)

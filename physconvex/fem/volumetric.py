@@ -1,0 +1,167 @@
+"""Fast arithmetic for the laws of `physconvex.volumetric_laws` on tetrahedra, and Kelvin–Voigt viscosity; on the CPU.
+
+Arrays hold one component each, over all quadrature points p: F [i, j, p]. F and nodal forces come from one sparse
+matrix, ∂N_a/∂X_j at the points. With C = cof F and u_ai = Σ_j C_ij ∂N_a/∂X_j, the stiffness of an element is
+
+    H_aibk = δ_ik Σ w μ ∂N_a·∂N_b + Σ w f'' u_ai u_bk + Σ w f'/J (u_ai u_bk − u_ak u_bi)
+
+(see `physconvex.reduced.volumetric`), and with v_ai = Σ_j F*_ij ∂N_a/∂X_j that of the viscosity of a step
+
+    Σ w λ_v v_ai v_bk + Σ w μ_v v_ak v_bi + Σ w μ_v (F* F*ᵀ)_ik ∂N_a·∂N_b.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Float, Int
+
+from physconvex.materials import Law
+from physconvex.volumetric_laws import cofactor_and_determinant, volumetric_term
+
+__all__ = ["VolumetricElements"]
+
+Array = np.ndarray
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+_NEARLY_FLAT = 1e-4  # |J| over |C|^(3/2) below which the division by J costs digits
+
+
+class VolumetricElements:
+    """The quadrature points of a body of such a law.
+
+    Args:
+        law: the law, see `physconvex.volumetric_laws.is_volumetric`.
+        tets: node indices, shape [E, n].
+        count: V, number of nodes.
+        gradients: ∂N_a/∂X [1/m], shape [E, Q, n, 3].
+        weights: volumes [m³], shape [E, Q].
+        mu, lam: Lamé constants [Pa], shape [E].
+    """
+
+    def __init__(
+        self, law: Law, tets: Int[Array, "E n"], count: int, gradients: Array, weights: Array, mu: Array, lam: Array
+    ) -> None:
+        self._term, self._shape = volumetric_term(law), gradients.shape
+        self._gradients = np.ascontiguousarray(gradients)
+        self._weights = weights.ravel()
+        self._mu, self._lam = (np.repeat(constant, weights.shape[1]) for constant in (mu, lam))
+        self._weighted_mu, self._weighted_lam = self._weights * self._mu, self._weights * self._lam
+        points = np.arange(weights.size).reshape(*weights.shape, 1, 1)
+        rows = np.broadcast_to(np.arange(3) * weights.size + points, gradients.shape)
+        columns = np.broadcast_to(tets[:, None, :, None], gradients.shape)
+        entries = gradients.ravel(), (rows.ravel(), columns.ravel())
+        self._to_points = sp.csr_matrix(entries, shape=(3 * weights.size, count))  # rows (j, p)
+        self._to_nodes = self._to_points.T.tocsr()
+        self._by_axis = np.ascontiguousarray(gradients.transpose(0, 1, 3, 2))
+        self._constant = self._dots(self._weighted_mu.reshape(weights.shape))
+
+    def _at_points(self, x: Float[Array, "V m"]) -> Float[Array, "m 3 P"]:
+        """∂x/∂X of m fields, field by field."""
+        return np.ascontiguousarray((self._to_points @ x).reshape(3, -1, x.shape[1]).transpose(2, 0, 1))
+
+    def _forces(self, stress: Float[Array, "3 3 P"]) -> Float[Array, "V 3"]:
+        """∫ P : ∂N_a/∂X dV [N] of a stress times the weights."""
+        return self._to_nodes @ stress.transpose(1, 2, 0).reshape(-1, 3)
+
+    @np.errstate(over="ignore", invalid="ignore")  # a trial step far too long has no finite energy, and is refused
+    def _elastic(self, f: Float[Array, "3 3 P"], *, with_energy: bool) -> tuple[float, Float[Array, "3 3 P"]]:
+        """Energy [J] (NaN without), and stress times the weights; takes F's place."""
+        cofactor, j = cofactor_and_determinant(f)
+        value, slope, _ = self._term(j, self._mu, self._lam)
+        energy = float("nan")
+        if with_energy:
+            square = np.einsum("ijp,ijp->p", f, f)
+            energy = 0.5 * float(self._weighted_mu @ (square - 3)) + float(self._weights @ value)
+        cofactor *= self._weights * slope
+        f *= self._weighted_mu
+        f += cofactor
+        return energy, f
+
+    def energy_and_gradient(self, x: Float[Array, "V 3"]) -> tuple[float, Float[Array, "V 3"]]:
+        """Elastic energy [J] and its derivative by the positions of the nodes [N]."""
+        energy, stress = self._elastic(self._at_points(x), with_energy=True)
+        return energy, self._forces(stress)
+
+    def moving_energy_and_gradient(
+        self,
+        x: Float[Array, "V 3"],
+        velocity: Float[Array, "V 3"],
+        state: Float[Array, "E Q 3 3"],
+        *,
+        damping_time: float,
+        step: float,
+        with_energy: bool,
+    ) -> tuple[float, Float[Array, "V 3"]]:
+        """The same with the viscosity of a step, as `ElasticBody.moving_energy_and_gradient`."""
+        both = self._at_points(np.concatenate([x, velocity], axis=1))
+        frozen = np.ascontiguousarray(state.reshape(-1, 3, 3).transpose(1, 2, 0))
+        strain = np.einsum("ijp,ikp->jkp", frozen, both[3:])
+        strain = 0.5 * (strain + strain.transpose(1, 0, 2))
+        inner = 2 * damping_time * self._weighted_mu * strain
+        trace = damping_time * self._weighted_lam * np.einsum("jjp->p", strain)
+        for j in range(3):
+            inner[j, j] += trace
+        energy, stress = self._elastic(both[:3], with_energy=with_energy)
+        stress += np.einsum("ijp,jkp->ikp", frozen, inner)
+        return energy + 0.5 * step * float(np.einsum("jkp,jkp->", inner, strain)), self._forces(stress)
+
+    def stiffness(
+        self,
+        x: Float[Array, "V 3"],
+        *,
+        viscous_state: Float[Array, "E Q 3 3"] | None = None,
+        damping_ratio: float = 0.0,
+    ) -> Float[Array, "E m m"] | None:
+        """Element matrices as `ElasticBody.element_hessians`; None where the body is nearly flat at a point."""
+        cofactor, j = cofactor_and_determinant(self._at_points(x))
+        if (j * j < _NEARLY_FLAT**2 * np.einsum("ijp,ijp->p", cofactor, cofactor) ** 1.5).any():
+            return None
+        _, slope, curvature = self._term(j, self._mu, self._lam)
+        elastic = _Fields(self._along(cofactor.transpose(2, 1, 0)), self._weights * slope / j)
+        out = self._squares(elastic.values, self._weights * curvature)
+        viscous = None
+        if viscous_state is not None:
+            viscous = _Fields(self._along(viscous_state.transpose(0, 1, 3, 2)), damping_ratio * self._weighted_mu)
+            out += self._squares(viscous.values, damping_ratio * self._weighted_lam)
+            squared = viscous_state @ viscous_state.transpose(0, 1, 3, 2) * viscous.weights[..., None]
+        count, _, nodes, _ = self._shape
+        blocks = out.reshape(count, nodes, 3, nodes, 3)
+        for i, k in _PAIRS:
+            part = self._constant
+            if i < k:
+                part = elastic.product(i, k)
+                part = part - part.transpose(0, 2, 1)
+            if viscous is not None:
+                part = part + viscous.product(k, i) + self._dots(squared[:, :, i, k])
+            blocks[:, :, i, :, k] += part
+            if i < k:
+                blocks[:, :, k, :, i] += part.transpose(0, 2, 1)
+        return out
+
+    def _along(self, matrices: Array) -> Float[Array, "E Q n 3"]:
+        """Σ_j A_ij ∂N_a/∂X_j from Aᵀ at the points."""
+        return self._gradients @ np.ascontiguousarray(matrices).reshape(*self._shape[:2], 3, 3)
+
+    def _squares(self, fields: Float[Array, "E Q n 3"], weights: Float[Array, " P"]) -> Float[Array, "E m m"]:
+        """Σ_q w u_ai u_bk."""
+        flat = fields.reshape(*self._shape[:2], -1)
+        return (flat * weights.reshape(*self._shape[:2], 1)).transpose(0, 2, 1) @ flat
+
+    def _dots(self, weights: Float[Array, "E Q"]) -> Float[Array, "E n n"]:
+        """Σ_q w ∂N_a·∂N_b."""
+        count, points, nodes, _ = self._shape
+        weighted = (weights[..., None, None] * self._by_axis).reshape(count, points * 3, nodes)
+        return weighted.transpose(0, 2, 1) @ self._by_axis.reshape(count, points * 3, nodes)
+
+
+class _Fields:
+    """u_ai at the points, and weights of their products."""
+
+    def __init__(self, values: Float[Array, "E Q n 3"], weights: Float[Array, " P"]) -> None:
+        self.values, self.weights = values, weights.reshape(*values.shape[:2], 1)
+        self._components = np.ascontiguousarray(values.transpose(3, 0, 1, 2))
+        self._weighted = self._components * self.weights
+
+    def product(self, i: int, k: int) -> Float[Array, "E n n"]:
+        """Σ_q w u_ai u_bk."""
+        return self._weighted[i].transpose(0, 2, 1) @ self._components[k]

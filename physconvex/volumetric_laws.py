@@ -1,0 +1,54 @@
+"""Elastic laws Ψ = μ/2 (I₁ − 3) + f(J), the neo-Hookean ones, for arithmetic in arrays of one component each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.materials import LAWS, Law
+
+__all__ = ["VolumetricTerm", "cofactor_and_determinant", "is_volumetric", "volumetric_term"]
+
+Array = np.ndarray
+VolumetricTerm = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
+
+
+def _quadratic(j: Array, mu: Array, lam: Array) -> tuple[Array, Array, Array]:
+    """f, f', f'' of `neo_hookean`."""
+    d = j - 1
+    slope = (lam + mu) * d - mu
+    return 0.5 * d * (slope - mu), slope, lam + mu
+
+
+def _logarithmic(j: Array, mu: Array, lam: Array) -> tuple[Array, Array, Array]:
+    """f, f', f'' of `neo_hookean_log`; f is infinite at J ≤ 0."""
+    proper = j > 0
+    safe = np.where(proper, j, 1.0)
+    log = np.log(safe)
+    energy = np.where(proper, (0.5 * lam * log - mu) * log, np.inf)
+    return energy, (lam * log - mu) / safe, (lam + mu - lam * log) / safe**2
+
+
+_TERMS: dict[str, VolumetricTerm] = {"neo_hookean": _quadratic, "neo_hookean_log": _logarithmic}
+
+
+def is_volumetric(law: Law) -> bool:
+    """Whether the law is one of those that this module knows."""
+    return law.name in _TERMS and LAWS[law.name] is law
+
+
+def volumetric_term(law: Law) -> VolumetricTerm:
+    """f, f' and f'' as functions of J, μ and λ; of a law that `is_volumetric`."""
+    return _TERMS[law.name]
+
+
+def cofactor_and_determinant(f: Float[Array, "3 3 Q"]) -> tuple[Float[Array, "3 3 Q"], Float[Array, " Q"]]:
+    """cof F = J F⁻ᵀ, also where J = 0, and J."""
+    ring = np.empty((5, 5, f.shape[2]))  # F continued periodically: the cofactor is then three array operations
+    ring[:3, :3], ring[3:, :3] = f, f[:2]
+    ring[:, 3:] = ring[:, :2]
+    cofactor = ring[1:4, 1:4] * ring[2:, 2:]
+    cofactor -= ring[1:4, 2:] * ring[2:, 1:4]
+    return cofactor, np.einsum("jq,jq->q", f[0], cofactor[0])
