@@ -93,7 +93,9 @@ class ElasticBody:
 
     @cached_property
     def mass(self) -> sp.csr_matrix:
-        """Consistent mass matrix of one coordinate [kg], shape [V, V]."""
+        """Mass matrix of one coordinate [kg], shape [V, V]: consistent, or of the mesh's particles."""
+        if self.mesh.mass_shares is not None:
+            return sp.diags(self.total_mass * self.mesh.mass_shares).tocsr()
         barycentric, weights = QUADRATURE[2 if self.mesh.order == 1 else 4]
         values = shape_values(barycentric, self.mesh.order)
         local = np.einsum("q,qa,qb->ab", weights, values, values)

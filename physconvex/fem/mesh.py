@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -40,13 +40,17 @@ class TetMesh:
         vertices: node positions [m], shape [V, 3], float64.
         tets: node indices, shape [E, 4] (linear) or [E, 10] (quadratic: corners, then the mid-edge nodes of
             edges 01, 12, 02, 03, 13, 23). Orientation positive: det[x1-x0, x2-x0, x3-x0] > 0.
+        mass_shares: of the body's mass that each node carries as a particle, shape [V]; None: the mass lies where the
+            elements do (consistent mass matrix).
 
     Raises:
-        InputError: wrong shapes, indices out of range, unused vertices, or an element without positive volume.
+        InputError: wrong shapes, indices out of range, unused vertices, an element without positive volume, or shares
+            that are not positive or do not add up to one.
     """
 
     vertices: Float[np.ndarray, "V 3"]
     tets: Int[np.ndarray, "E n"]
+    mass_shares: Float[np.ndarray, " V"] | None = None
 
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices, dtype=np.float64)
@@ -67,6 +71,18 @@ class TetMesh:
                 f"tets: {len(bad)} of {len(tets)} have no positive volume (first: {bad[0]}); "
                 "swap two of their corners, or mesh again"
             )
+        shares = self.mass_shares
+        if shares is not None and not (
+            shares.shape == (len(vertices),) and (shares > 0).all() and abs(shares.sum() - 1) < 1e-9
+        ):
+            raise InputError(
+                f"mass_shares: got shape {shares.shape} with the sum {shares.sum():.6g}; expected [{len(vertices)}] "
+                "positive numbers that add up to 1"
+            )
+
+    def with_equal_masses(self) -> TetMesh:
+        """The same mesh with a particle of the same mass at every node, as MuJoCo's flex has it."""
+        return replace(self, mass_shares=np.full(len(self.vertices), 1 / len(self.vertices)))
 
     @property
     def order(self) -> int:

@@ -28,11 +28,7 @@ def caveats_of(base: Hypothesis, best: Hypothesis, after: float) -> tuple[str, .
     """What limits an answer."""
     out = ["Density and E cannot be told apart from motion: E holds for the stated density."]
     out += _floor(base)
-    if base.model.mesh is not None and base.model.mesh.order == 1:
-        out.append(
-            "The model has the linear elements of the capture's own mesh, which fit better than other ones: the "
-            "program that made the recording seems to have used them."
-        )
+    out += _elements(base)
     moved = _moved(base, best)
     if moved is not None and abs(moved) > np.log10(1.15):
         out.append(
@@ -51,6 +47,23 @@ def caveats_of(base: Hypothesis, best: Hypothesis, after: float) -> tuple[str, .
     if after > 4.0:
         out.append("What is left after the best effect is still well above noise and numerical error.")
     return tuple(out)
+
+
+def _elements(base: Hypothesis) -> list[str]:
+    """What was taken for a property of the program that made the recording."""
+    mesh = base.model.mesh
+    if mesh is None or mesh.order != 1:
+        return []
+    out = [
+        "The model has the linear elements of the capture's own mesh, which fit better than other ones: the "
+        "program that made the recording seems to have used them."
+    ]
+    if mesh.mass_shares is not None:
+        out.append(
+            "All of its nodes have the same mass, as particles of such a program do, since that fits better than mass "
+            "where the elements are. A real load near a free end may look alike."
+        )
+    return out
 
 
 def _floor(base: Hypothesis) -> list[str]:

@@ -24,6 +24,7 @@ __all__ = ["lowest_frequency", "own_elements", "with_own_elements"]
 
 _WORK = 600_000  # nodes times steps that can be afforded
 _BETTER = 0.5  # share of the squares that the own elements may leave to be the model
+_EQUAL = 0.7  # share of the squares that equal masses of the nodes may leave to be the recording's
 _DECADES = (0.0, 0.04, -0.04, 0.1, -0.1)  # of E about that at which the lowest vibration keeps its frequency
 _FINER = (-0.04, -0.02, 0.0, 0.02, 0.04)
 _HOPELESS = 4.0  # times the squares of the fit, by the best E of a coarse scan: then no fit is begun
@@ -64,34 +65,58 @@ def with_own_elements(
     mesh = own_elements(base)
     if mesh is None or not base.tangents.any() or known is False:
         return base, numerics
-    report("base model on the capture's own elements")
     if base.situation.clamped:  # the error of the other mesh, which widens the variance, is what is on trial
         variance = np.ones_like(variance)
-    before, index = misfit_of_base(base, variance), base.model.base.index(_MODULUS)
-    model = replace(base.model, mesh=mesh)
-    try:
-        model.embedding  # noqa: B018 markers may lie off that mesh
-        values = base.fit.values.copy()
-        if _RATIO in base.model.base:
-            at = base.model.base.index(_RATIO)
-            values[at] = np.clip(values[at], *_RATIOS)
-        values[index] += _decades(base.model, model, values)
-        least, values[index] = _best_modulus(base, model, values, variance)
-        if not known and least > _HOPELESS * before:
-            return base, numerics
-        motion = model.motion(values)
-        another = base.situation.clamped and not searches_itself(model)  # mesh searches in its place
-        stiffer = _surrogate(base, mesh, values, motion.positions) if another else 0.0
-        start = replace(
-            rough, fit=replace(rough.fit, values=values), model=replace(rough.model, surrogate_stiffer=stiffer)
-        )
-        own = fit_baseline(start, numerics.steps, (mesh, motion), variance, options, report)
-    except (ConvergenceError, InputError):
+    before = misfit_of_base(base, variance)
+
+    def fitted(mesh: TetMesh, near: Baseline, most: float) -> Baseline | None:
+        try:
+            return _fitted_on(mesh, near, rough, numerics, variance, options, report, most=most)
+        except (ConvergenceError, InputError):
+            return None
+
+    report("base model on the capture's own elements")
+    own = fitted(mesh, base, np.inf if known else _HOPELESS * before)
+    if own is None:
         return base, numerics
+    report("base model with equal masses at the capture's own nodes")
+    least = misfit_of_base(own, variance)
+    particles = fitted(mesh.with_equal_masses(), own, least)
+    if particles is not None and misfit_of_base(particles, variance) < _EQUAL * least:
+        own = particles
     if not known and misfit_of_base(own, variance) > _BETTER * before:
         return base, numerics
     still = np.zeros_like(numerics.mesh)
     return own, replace(numerics, mesh=still) if base.situation.clamped else numerics
+
+
+def _fitted_on(
+    mesh: TetMesh,
+    near: Baseline,
+    rough: Baseline,
+    numerics: Numerics,
+    variance: Float[np.ndarray, " N"],
+    options: GapOptions,
+    report: Callable[[str], None],
+    *,
+    most: float,
+) -> Baseline | None:
+    """The base fit on other elements, begun where they vibrate alike; None if E alone leaves more than `most`."""
+    index, model = near.model.base.index(_MODULUS), replace(near.model, mesh=mesh)
+    model.embedding  # noqa: B018 markers may lie off that mesh
+    values = near.fit.values.copy()
+    if _RATIO in near.model.base and near.model.mesh is None:
+        at = near.model.base.index(_RATIO)
+        values[at] = np.clip(values[at], *_RATIOS)
+    values[index] += _decades(near.model, model, values)
+    least, values[index] = _best_modulus(near, model, values, variance)
+    if least > most:
+        return None
+    motion = model.motion(values)
+    another = near.situation.clamped and not searches_itself(model)  # mesh searches in its place
+    stiffer = _surrogate(near, mesh, values, motion.positions) if another else 0.0
+    start = replace(rough, fit=replace(rough.fit, values=values), model=replace(rough.model, surrogate_stiffer=stiffer))
+    return fit_baseline(start, numerics.steps, (mesh, motion), variance, options, report)
 
 
 def _best_modulus(

@@ -248,9 +248,14 @@ def _unexplained(e: _Evidence) -> Verdict | None:
 
 
 def _as_good_as_a_placebo(e: _Evidence) -> Verdict | None:
-    """An effect that nothing asks for does nearly as much."""
-    if not e.placebo > _PLACEBO * e.share:
+    """An effect that nothing asks for does nearly as much, or the best one does nothing where it was not fitted."""
+    if not (e.share <= 0 or e.placebo > _PLACEBO * e.share):
         return None
+    if e.share <= 0:
+        sentence = (
+            f"Inconclusive: {e.best.label} fits best, but removes nothing of the gap on frames that were not fitted."
+        )
+        return e.verdict("inconclusive", sentence, e.possible)
     sentence = (
         f"Inconclusive: {e.best.label} fits best and removes {e.share:.0%} of the gap on frames that were not fitted, "
         f"but an effect that the recording does not ask for removes {e.placebo:.0%} as well."

@@ -210,6 +210,21 @@ def test_mass_of_a_heterogeneous_body(order):
     assert kinetic == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.parametrize("order", [1, 2])
+def test_particles_carry_equal_masses(order):
+    mesh = body_of(order).mesh.with_equal_masses()
+    body = ElasticBody(mesh, density=1200.0)
+    share = body.total_mass / len(mesh.vertices)
+    np.testing.assert_allclose(body.mass.toarray(), share * np.eye(len(mesh.vertices)), rtol=1e-12)
+    np.testing.assert_allclose(body.node_masses, share)
+    # a step of free fall from rest moves all nodes alike, by g h² of implicit Euler
+    scene, still = Scene(body), State(0.0, mesh.vertices, np.zeros_like(mesh.vertices))
+    equations = StepEquations(scene)
+    equations.set_step(implicit_euler(still, 0.01), 0.01, mesh.vertices, still)
+    fallen = mesh.vertices + 0.01**2 * np.asarray(scene.gravity)
+    np.testing.assert_allclose(equations.gradient(fallen), 0.0, atol=1e-9 * body.total_mass)
+
+
 def test_quadratic_mass_integrates_quartic_products_exactly():
     body = ElasticBody(box_mesh((1.0, 1.0, 1.0), (1, 1, 1)), density=3.0)
     x = body.mesh.vertices[:, 0]

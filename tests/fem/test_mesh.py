@@ -117,6 +117,12 @@ def test_bad_meshes_are_named(vertices, tets, message):
         TetMesh(vertices, np.array(tets))
 
 
+@pytest.mark.parametrize("shares", [[0.5, 0.5], [0.5, 0.5, 0.5, -0.5], [0.3, 0.3, 0.3, 0.3]])
+def test_bad_shares_of_the_mass_are_named(shares):
+    with pytest.raises(InputError, match="mass_shares: got shape"):
+        TetMesh(TET, np.array([[0, 1, 2, 3]]), np.array(shares))
+
+
 # --- shape functions and quadrature
 
 

@@ -19,14 +19,14 @@ def test_cost_follows_newton_steps_and_nodes(falling, falling_reduced):
     full, reduced = Cost(), Cost()
     for cost, scene, nodes in ((full, falling, 1000), (reduced, falling_reduced, None)):
         cost.add(scene, nodes, SolveStatistics(newton_iterations=300))
-    assert full.spent == pytest.approx(2.7) and full.spent > 10 * reduced.spent
+    assert full.spent == pytest.approx(1.5) and full.spent > 10 * reduced.spent
     before = full.spent
     full.add_failed(falling, 1000, 100)
     assert full.spent > 2 * before  # a run that was given up is not for nothing
 
 
 def test_what_flows_or_is_damped_costs_more(falling, falling_reduced):
-    for scene, nodes, most in ((falling, 200, 1.2), (falling_reduced, None, 4.0)):
+    for scene, nodes, most in ((falling, 200, 4.0), (falling_reduced, None, 4.0)):
         plain = newton_step(scene, nodes)
         damped = newton_step(replace(scene, damping_time=1e-3), nodes)
         flowing = newton_step(with_material(scene, flow=StandardLinearSolid(0.3, 0.1)), nodes)

@@ -9,18 +9,21 @@ from physconvex.capture import Boundary, Capture, Tracks, save_capture
 from physconvex.fem import ElasticBody, Pins, Scene, TetMesh, box_mesh, simulate
 from physconvex.gap import GapOptions
 from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
+from physconvex.gap.caveats import _elements
+from physconvex.gap.comparison import base_hypothesis
 from physconvex.gap.model import reduced_like
-from physconvex.gap.numerics import Numerics
+from physconvex.gap.numerics import Numerics, error_model
 from physconvex.gap.own_elements import own_elements, with_own_elements
 
 MODULUS, SIGMA, FPS, FRAMES = 2e5, 2e-5, 60.0, 18
 OPTIONS = GapOptions(max_nodes=100, weights=4, iterations=6)
 
 
-def released(folder: Path, order: int) -> Capture:
+def released(folder: Path, order: int, *, particles: bool = False) -> Capture:
     """A beam that is held at one end and let go, simulated with elements of some order on the capture's mesh."""
     size, cells = (0.12, 0.03, 0.03), (6, 1, 1)
     mesh, corners = box_mesh(size, cells, order=order), box_mesh(size, cells, order=1)
+    mesh = mesh.with_equal_masses() if particles else mesh
     body = ElasticBody(mesh, youngs_modulus=MODULUS, poisson_ratio=0.4, density=1000.0)
     held = np.flatnonzero(mesh.vertices[:, 0] < mesh.vertices[:, 0].min() + 1e-9)
     run = simulate(Scene(body, pins=Pins(held)), frames=FRAMES, fps=FPS, steps_per_frame=16)  # as the diagnosis does
@@ -51,7 +54,7 @@ def fitted(capture: Capture) -> tuple[Baseline, Baseline, Numerics, np.ndarray]:
 def test_elements_that_lock_become_the_model(tmp_path: Path) -> None:
     rough, base, numerics, variance = fitted(released(tmp_path, 1))
     own, _ = with_own_elements(base, rough, numerics, variance, OPTIONS, lambda text: None)
-    assert own.model.mesh is not None and own.model.mesh.order == 1
+    assert own.model.mesh is not None and own.model.mesh.order == 1 and own.model.mesh.mass_shares is None
     assert own.fit.value("log10_youngs_modulus") == pytest.approx(np.log10(MODULUS), abs=0.01)
     # E of other elements had to stand in for the locking
     assert abs(base.fit.value("log10_youngs_modulus") - np.log10(MODULUS)) > 0.1
@@ -59,6 +62,16 @@ def test_elements_that_lock_become_the_model(tmp_path: Path) -> None:
     assert left < 0.5 * before
     cheap, _ = reduced_like(own.model, own.motion, own.fit.values)
     assert cheap.mesh is own.model.mesh and own.model.surrogate_stiffer == 0.0  # so few nodes search themselves
+
+
+@pytest.mark.slow
+def test_a_recording_of_particles_of_equal_mass_is_modelled_so(tmp_path: Path) -> None:
+    rough, base, numerics, variance = fitted(released(tmp_path, 1, particles=True))
+    own, _ = with_own_elements(base, rough, numerics, variance, OPTIONS, lambda text: None)
+    assert own.model.mesh is not None and own.model.mesh.mass_shares is not None
+    assert own.fit.value("log10_youngs_modulus") == pytest.approx(np.log10(MODULUS), abs=0.01)
+    told = _elements(base_hypothesis(own, error_model(own, numerics, OPTIONS)))
+    assert len(told) == 2 and "same mass" in told[1]
 
 
 @pytest.mark.slow

@@ -128,6 +128,13 @@ def test_an_effect_no_better_than_a_placebo_is_not_named():
     assert decide(hypotheses, screening(), 30.0, 1.0, 0.05, OPTIONS, placebo=0.1).name == "effect"
 
 
+def test_an_effect_that_foretells_nothing_is_not_named():
+    hypotheses = [hypothesis(20.0, "damping"), hypothesis(0.0)]
+    for placebo in (-0.5, float("nan")):  # a placebo that does worse is no reason to believe it
+        verdict = decide(hypotheses, screening(), 30.0, 1.5, 1.1, OPTIONS, placebo=placebo)
+        assert verdict.name == "inconclusive" and "removes nothing of the gap" in verdict.sentence
+
+
 def test_a_model_that_does_not_follow_the_recording_names_nothing():
     hypotheses = [hypothesis(20.0, "damping"), hypothesis(0.0)]
     verdict = decide(hypotheses, screening(), 900.0, 300.0, 0.3, OPTIONS, astray=7.0)
@@ -232,6 +239,6 @@ def test_what_was_taken_from_the_recording_is_told():
     soft = hypothesis(0.0)
     soft.model.base = ("log10_youngs_modulus", "log10_contact_stiffness", "contact_damping")
     soft.values = np.array([4.7, 6.0, 9e-3])
-    soft.model.mesh = SimpleNamespace(order=1)
+    soft.model.mesh = SimpleNamespace(order=1, mass_shares=None)
     told = " ".join(caveats_of(soft, soft, 1.0))
     assert "1e+06 Pa/m" in told and "9 ms" in told and "restitution" in told and "linear elements" in told
