@@ -205,6 +205,12 @@ class ReducedBody:
         energy = float((self._weights * self._material("energy", f, response)).sum())
         return energy, self.forces_of(self._material("stress", f, response))
 
+    def gradient_with(self, y: Float[np.ndarray, "R 3"], mu: Tensor, lam: Tensor) -> Float[np.ndarray, "R 3"]:
+        """The derivative [N] with other constants μ and λ of the elastic law [Pa], shape [Q]."""
+        if self._quick is not None:
+            return self._quick.gradient_with(y, mu.numpy(), lam.numpy())
+        return self.forces_of(self.law.stress(self.deformation_gradient(y), mu, lam))
+
     def _material(self, of: Literal["energy", "stress", "hessian"], f: Tensor, response: FlowStep | None) -> Tensor:
         """Energy density, stress or Hessian of what acts at the samples: the law, what flows, or both."""
         parts: list[Tensor] = []

@@ -117,13 +117,13 @@ class _Tangents:
         """Derivative of the gradient at fixed x (friction apart), [P, R, 3]."""
         body, scene = self.body, self.scene
         dv = -change.base / c.step  # of the velocity at fixed x
-        state = body.deformation_gradient(guess)
+        state = body.deformation_gradient(guess) if self.derivatives.viscous else None
         out = self.derivatives.explicit(equations, c, x, state)
         out += body.mass @ (-change.target / c.step**2 + scene.air_drag * dv)
         if scene.wind is not None:
             blocks = equations.wind_blocks(c.velocity(x))
             out += equations.surface.T @ np.einsum("sij,psj->psi", blocks, equations.surface @ dv)
-        if scene.damping_time > 0:
+        if scene.damping_time > 0 and state is not None:
             mu, lam = scene.damping_time * body.mu, scene.damping_time * body.lam
             rate = body.deformation_gradient(c.velocity(x))
             dstate, drate = body.deformation_gradient(dguess), body.deformation_gradient(dv)

@@ -39,6 +39,7 @@ class StepDerivatives:
         dlog_stiffness: derivative of ln kc, shape [P]; a default contact stiffness follows E unless it is named too.
         dfriction: derivative of the friction coefficients, shape [P].
         ddamping: derivative of the time of the contact's dashpot, shape [P].
+        viscous: whether the body is damped, or its damping is a parameter.
 
     Raises:
         InputError: unknown names, or the same twice.
@@ -56,6 +57,7 @@ class StepDerivatives:
         self._heavier = {name: self._mass_of(name) for name in names if region_of(name)[0] == "density"}
         self.dfriction = np.array([float(name == "friction") for name in names])
         self.ddamping = np.array([float(name == "contact_damping") for name in names])
+        self.viscous = scene.damping_time > 0 or "damping_time" in names
         self._moved = self.start().positions
         body, device = self.body, self.body.device
         cells = torch.as_tensor(body.space.samples.interior.cells, device=device)
@@ -129,7 +131,7 @@ class StepDerivatives:
         return FreezeTangent(s @ y, s @ v, time, s @ dy, s @ dv, *rates)
 
     def explicit(
-        self, equations: StepEquations, c: StepCoefficients, x: Float[np.ndarray, "R 3"], state: Tensor
+        self, equations: StepEquations, c: StepCoefficients, x: Float[np.ndarray, "R 3"], state: Tensor | None
     ) -> Float[np.ndarray, "P R 3"]:
         """∂g/∂p of the step's gradient at fixed states and frozen friction.
 
@@ -139,17 +141,16 @@ class StepDerivatives:
             equations: of the step, for its time.
             c: its coefficients.
             x: coordinates at which the gradient is taken [m].
-            state: F* of the viscosity.
+            state: F* of the viscosity; not needed without any (`viscous`).
         """
-        viscous = self.scene.damping_time > 0 or "damping_time" in self.names
-        rate = self.body.deformation_gradient(c.velocity(x)) if viscous else None
+        rate = self.body.deformation_gradient(c.velocity(x)) if self.viscous else None
         return np.stack([self._explicit(equations, name, c, x, state, rate) for name in self.names])
 
     def _viscous_forces(
-        self, state: Tensor, rate: Tensor | None, mu: Tensor, lam: Tensor, time: float
+        self, state: Tensor | None, rate: Tensor | None, mu: Tensor, lam: Tensor, time: float
     ) -> Float[np.ndarray, "R 3"]:
-        """Forces of the viscosities time × (μ, λ) [N]; none without a rate."""
-        if rate is None or time == 0:
+        """Forces of the viscosities time × (μ, λ) [N]; none without a state and a rate."""
+        if state is None or rate is None or time == 0:
             return np.zeros_like(self.scene.start)
         return self.body.forces_of(viscous_stress(state, rate, time * mu, time * lam))
 
@@ -159,7 +160,7 @@ class StepDerivatives:
         name: str,
         c: StepCoefficients,
         x: np.ndarray,
-        state: Tensor,
+        state: Tensor | None,
         rate: Tensor | None,
     ) -> np.ndarray:
         body, scene, beta = self.body, self.scene, self.scene.damping_time
@@ -199,7 +200,7 @@ class StepDerivatives:
         """Forces of the law with other constants [N]."""
         if not self.elastic:
             return np.zeros_like(x)
-        return self.body.forces_of(self.body.law.stress(self.body.deformation_gradient(x), mu, lam))
+        return self.body.gradient_with(x, mu, lam)
 
     def lame_tangents(self) -> tuple[Tensor, Tensor]:
         """Derivatives of μ and λ at the samples [Pa], both of shape [P, Q]."""

@@ -56,10 +56,19 @@ class VolumetricSamples:
         value, slope, _ = self._part(j, self._mu, self._lam)
         square = np.einsum("ijq,ijq->q", f, f)
         energy = 0.5 * float(self._weighted_mu @ (square - 3)) + float(self._weights @ value)
-        cofactor *= self._weights * slope
-        f *= self._weighted_mu
+        return energy, self._forces(f, cofactor, self._weighted_mu, self._weights * slope)
+
+    def gradient_with(self, y: Float[Array, "R 3"], mu: Array, lam: Array) -> Float[Array, "R 3"]:
+        """The derivative [N] with other constants μ and λ [Pa], shape [Q]."""
+        f, cofactor, j = self._gradient_and_cofactor(y)
+        return self._forces(f, cofactor, self._weights * mu, self._weights * self._part(j, mu, lam)[1])
+
+    def _forces(self, f: Array, cofactor: Array, along: Array, across: Array) -> Float[Array, "R 3"]:
+        """Of the stress along × F + across × C, weights included; takes the place of both."""
+        cofactor *= across
+        f *= along
         f += cofactor
-        return energy, self._by_function @ f.reshape(3, -1).T
+        return self._by_function @ f.reshape(3, -1).T
 
     def hessian_blocks(self, y: Float[Array, "R 3"]) -> Float[Array, "3 R 3 R"] | None:
         """Second derivative [N/m], components first; None where the body is nearly flat at a sample."""
