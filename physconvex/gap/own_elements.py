@@ -16,6 +16,7 @@ from jaxtyping import Float
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import TetMesh, vibration_modes
 from physconvex.gap.baseline import Baseline, fit_baseline, misfit_of_base
+from physconvex.gap.effects import DEFAULT_EFFECTS, applicable
 from physconvex.gap.model import EffectModel, searches_itself
 from physconvex.gap.numerics import Numerics
 from physconvex.gap.options import GapOptions
@@ -24,7 +25,8 @@ __all__ = ["lowest_frequency", "own_elements", "with_own_elements"]
 
 _WORK = 600_000  # nodes times steps that can be afforded
 _BETTER = 0.5  # share of the squares that the own elements may leave to be the model
-_EQUAL = 0.7  # share of the squares that equal masses of the nodes may leave to be the recording's
+_COMPANY = ("gravity_tilt", "damping")  # beside which the masses are asked for
+_EQUAL = 0.8  # share of the squares that equal masses of the nodes may leave to be the recording's
 _DECADES = (0.0, 0.04, -0.04, 0.1, -0.1)  # of E about that at which the lowest vibration keeps its frequency
 _FINER = (-0.04, -0.02, 0.0, 0.02, 0.04)
 _HOPELESS = 4.0  # times the squares of the fit, by the best E of a coarse scan: then no fit is begun
@@ -80,14 +82,38 @@ def with_own_elements(
     if own is None:
         return base, numerics
     report("base model with equal masses at the capture's own nodes")
-    least = misfit_of_base(own, variance)
-    particles = fitted(mesh.with_equal_masses(), own, least)
-    if particles is not None and misfit_of_base(particles, variance) < _EQUAL * least:
+    particles = fitted(mesh.with_equal_masses(), own, _HOPELESS * misfit_of_base(own, variance))
+    if particles is not None and _left_beside(particles, variance) < _EQUAL * _left_beside(own, variance):
         own = particles
     if not known and misfit_of_base(own, variance) > _BETTER * before:
         return base, numerics
     still = np.zeros_like(numerics.mesh)
     return own, replace(numerics, mesh=still) if base.situation.clamped else numerics
+
+
+def _left_beside(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
+    """Mean square that is left in the fitted frames once E, ν and, to first order, some effects have done their best.
+
+    Else a tilt of gravity, whose share of the squares is larger, would hide what the masses do.
+    """
+    rows, values = base.rows(base.split.fitted), np.asarray(base.fit.values)
+    moved = list(np.moveaxis(base.tangents, 1, 0))
+    for effect in applicable(DEFAULT_EFFECTS, base.situation):
+        if effect.label not in _COMPANY:
+            continue
+        model, nothing = replace(base.model, effects=(effect,)), np.concatenate([values, effect.null])
+        for at, dose in enumerate(effect.doses, len(values)):
+            tried = nothing.copy()
+            tried[at] += dose.trial(base.situation)
+            try:
+                moved.append(model.signature(tried, nothing, base.motion))
+            except ConvergenceError:
+                continue
+    deviations = np.sqrt(variance[rows])
+    columns = np.stack([base.change(base.positions[: len(m)] + m)[rows] / deviations for m in moved], axis=1)
+    residual = base.residual(base.positions)[rows] / deviations
+    columns /= np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
+    return float(np.mean((residual - columns @ np.linalg.lstsq(columns, residual)[0]) ** 2))
 
 
 def _fitted_on(

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.optimize import brentq
 
 from physconvex.errors import InputError
 from physconvex.fem import HangingLoad, Scene
@@ -14,12 +15,30 @@ from physconvex.gap.effects.scenes import cell_masses, with_material
 
 __all__ = ["LOAD_EFFECTS"]
 
-_SPREAD = 0.05  # of the length: standard deviation of where the load acts
+_SPREAD = 0.05  # of the length: about so far a load that acts further in is spread
+_STEEPEST = 150.0  # over the length: a load at the very end fades so fast, to a twentieth within 2 %
 
 
-def _weights(along: Float[np.ndarray, " N"], inset: float) -> np.ndarray:
-    """How much of the load acts at places along the body, from 0 at the loaded end to 1."""
-    return np.asarray(np.exp(-0.5 * ((along - inset) / _SPREAD) ** 2))
+def _shares(along: Float[np.ndarray, " N"], masses: Float[np.ndarray, " N"], inset: float) -> Float[np.ndarray, " N"]:
+    """Of the load, at places along the body, from 0 at the loaded end to 1: so that it acts at `inset` on the mean.
+
+    A bell about there, over the masses, tilted until its mean is right: at the very end nothing is left of the other
+    half of a bell, and with whole nodes in the place of a body the mean lies where they are.
+    """
+    bell = np.log(masses) - 0.5 * ((along - inset) / _SPREAD) ** 2
+
+    def tilted(slope: float) -> np.ndarray:
+        logarithms = bell + slope * along
+        weights = np.exp(logarithms - logarithms.max())
+        return np.asarray(weights / weights.sum())
+
+    def missed(slope: float) -> float:
+        return float(tilted(slope) @ along) - inset
+
+    for slope in (-_STEEPEST, _STEEPEST):  # the mean rises with the slope
+        if missed(slope) * slope <= 0:
+            return tilted(slope)
+    return tilted(float(brentq(missed, -_STEEPEST, _STEEPEST)))
 
 
 def _in_cells(scene: AnyScene, axis: int, side: int, ratio: float, inset: float) -> AnyScene:
@@ -27,8 +46,7 @@ def _in_cells(scene: AnyScene, axis: int, side: int, ratio: float, inset: float)
 
     def densities(x: Float[np.ndarray, "C 3"], masses: Float[np.ndarray, " C"]) -> np.ndarray:
         along = -0.5 * side * x[:, axis]
-        weights = _weights(along - along.min(), inset)
-        return 1 + ratio * masses.sum() * weights / (masses @ weights)
+        return 1 + ratio * masses.sum() * _shares(along - along.min(), masses, inset) / masses
 
     return with_material(scene, density=densities)
 
@@ -39,10 +57,10 @@ def _on_nodes(scene: Scene, axis: int, side: int, ratio: float, inset: float, sl
         raise InputError("hanging: a load hangs there already; one at a time")
     mesh, masses = scene.body.mesh, cell_masses(scene)
     along = side * mesh.vertices[:, axis]
-    shares = np.repeat(masses / mesh.tets.shape[1], mesh.tets.shape[1])
-    carried = np.bincount(mesh.tets.reshape(-1), shares, minlength=len(mesh.vertices))
-    carried = carried * _weights((along.max() - along) / np.ptp(along), inset)
-    return replace(scene, hanging=HangingLoad(ratio * masses.sum() * carried / carried.sum(), slack))
+    parts = np.repeat(masses / mesh.tets.shape[1], mesh.tets.shape[1])
+    carried = np.bincount(mesh.tets.reshape(-1), parts, minlength=len(mesh.vertices))
+    shares = _shares((along.max() - along) / np.ptp(along), carried, inset)
+    return replace(scene, hanging=HangingLoad(ratio * masses.sum() * shares, slack))
 
 
 _RATIO = Dose("mass_ratio", "", 0.0, 10.0, 0.02, lambda s: 0.3, plausible=2.0)
