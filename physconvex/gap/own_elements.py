@@ -3,6 +3,9 @@
 A program that made a recording often leaves its mesh in `tets.npz`. Its linear tetrahedra lock, and bend sideways where
 their diagonals all run one way; a model on other elements errs by that, which may hide or mimic an effect. The same
 elements make the same error. Which of the two is the model, the fitted frames decide, before any effect is tried.
+
+Some of these programs move particles (MuJoCo's flex): each node has the same mass, whatever the elements about it. The
+end of a beam is then heavier than its volume, which is no load that hangs there. So the masses are asked for as well.
 """
 
 from __future__ import annotations
@@ -97,7 +100,8 @@ def _left_beside(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
     Else a tilt of gravity, whose share of the squares is larger, would hide what the masses do.
     """
     rows, values = base.rows(base.split.fitted), np.asarray(base.fit.values)
-    moved = list(np.moveaxis(base.tangents, 1, 0))
+    steps = [0.1 * p.step for p in base.model.parameters(values)]
+    moved = [step * tangent for step, tangent in zip(steps, np.moveaxis(base.tangents, 1, 0), strict=True)]
     for effect in applicable(DEFAULT_EFFECTS, base.situation):
         if effect.label not in _COMPANY:
             continue
