@@ -1,0 +1,103 @@
+"""Cost of the full-order model's parts on one core, with its fast arithmetic and without, side by side.
+
+python benchmarks/full_order_speed.py
+
+A cube of quadratic tetrahedra dropped on a tilted, rough floor, 12 frames of 8 steps. "Plain" is the arithmetic that
+every law has, and solves that are refined twice, which is what Pardiso does unless its settings are given.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from physconvex import linear_solvers
+from physconvex.fem import ElasticBody, Plane, Scene, box_mesh, simulate
+from physconvex.fem.simulation import ContactSolver, StepEquations
+from physconvex.integrators import State, implicit_euler
+
+RESULT = Path(__file__).parent / "results" / "full_order_speed.json"
+STEP = 1 / 400
+
+
+@dataclass(frozen=True)
+class Row:
+    """Processor times.
+
+    Attributes:
+        nodes: of the mesh.
+        damping_time: of the body [s].
+        arithmetic: "fast" or "plain".
+        evaluate, factorise, solve: energy and gradient; stiffness and its factor; one right-hand side [ms].
+        passes, condensed: the roll-out with either contact solver [s].
+    """
+
+    nodes: int
+    damping_time: float
+    arithmetic: str
+    evaluate: float
+    factorise: float
+    solve: float
+    passes: float
+    condensed: float
+
+
+def milliseconds(call: Callable[[], object], repeats: int = 20) -> float:
+    """Processor time of one call, the median."""
+    spent = []
+    for _ in range(repeats):
+        clock = time.process_time()
+        call()
+        spent.append(time.process_time() - clock)
+    return 1e3 * float(np.median(spent))
+
+
+def measure(cells: int, damping_time: float, *, fast: bool) -> Row:
+    """One mesh, with one arithmetic."""
+    body = ElasticBody(box_mesh((0.12,) * 3, (cells,) * 3), youngs_modulus=5e4, poisson_ratio=0.4)
+    body._quick = body._quick if fast else None
+    linear_solvers._SETTINGS[8] = 0 if fast else 2
+    floor = Plane(point=(0, 0, -0.13), normal=(0.1, 0.05, 1.0), friction=0.3)
+    scene = Scene(body, obstacles=(floor,), damping_time=damping_time)
+    x = body.mesh.vertices
+    equations, still = StepEquations(scene), State(0.0, x, np.zeros_like(x))
+    equations.set_step(implicit_euler(still, STEP), STEP, x, still)
+    force = equations.gradient(x)
+
+    def rolled_out(solver: ContactSolver) -> float:
+        clock = time.process_time()
+        simulate(scene, frames=12, fps=50, steps_per_frame=8, contact_solver=solver)
+        return time.process_time() - clock
+
+    return Row(
+        len(x),
+        damping_time,
+        "fast" if fast else "plain",
+        factorise=milliseconds(lambda: equations.factorise(x, project=False), 6),
+        evaluate=milliseconds(lambda: equations.evaluate(x)),
+        solve=milliseconds(lambda: equations.solve(force)),
+        passes=rolled_out("passes"),
+        condensed=rolled_out("condensed"),
+    )
+
+
+def main() -> None:
+    """Run all settings and store the table."""
+    torch.set_num_threads(1)
+    rows = []
+    for cells, damping_time in ((4, 0.0), (4, 3e-3), (6, 0.0)):
+        for fast in (False, True):
+            rows.append(measure(cells, damping_time, fast=fast))
+            print(rows[-1], flush=True)
+    content = {"command": "python benchmarks/full_order_speed.py", "rows": [asdict(row) for row in rows]}
+    RESULT.write_text(json.dumps(content, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
