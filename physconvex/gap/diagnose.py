@@ -21,6 +21,7 @@ from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Effect, Motion, choose
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
 from physconvex.gap.mapping import as_reduced
+from physconvex.gap.naming import favoured
 from physconvex.gap.numerics import Numerics, correction_of, detail_errors, error_model, numerical_differences
 from physconvex.gap.observing import lost_points
 from physconvex.gap.options import GapOptions
@@ -97,7 +98,7 @@ def diagnose(
     hypotheses, screening = select_effects(
         base, weights, numerics, dictionary, options, report, screening=screening, near=setting.damped
     )
-    best = next((h for h in hypotheses if h.effects), hypotheses[0])
+    best = favoured(hypotheses) or hypotheses[0]
     cost.allow(_PLACEBO_COST, _LAST)
     report("placebo")
     placebo = _placebo(base, weights, screening, best, options)

@@ -14,15 +14,18 @@ from physconvex.gap.screening import Screening
 
 __all__ = [
     "SOMETHING_ELSE",
+    "WEAK",
     "NamedDose",
     "NamedEffect",
     "beside_something_else",
     "by_weight",
+    "favoured",
     "named_effects",
     "probabilities",
 ]
 
 SOMETHING_ELSE = "something else"
+WEAK = 1.5  # gain of log-evidence by an effect that leaves open whether it is there
 _ALIKE = 0.95  # cosine of signatures
 
 
@@ -48,6 +51,21 @@ class NamedEffect:
     probability: float
     doses: tuple[NamedDose, ...]
     confused_with: tuple[str, ...]
+
+
+def favoured(hypotheses: Sequence[Hypothesis]) -> Hypothesis | None:
+    """The fit with effects that is reported: the best, or with fewer of its effects if the others gain too little.
+
+    Args:
+        hypotheses: best evidence first.
+    """
+    best = next((h for h in hypotheses if h.effects), None)
+    if best is None:
+        return None
+    enough = [
+        h for h in hypotheses if h.effects and set(h.names) < set(best.names) and best.evidence - h.evidence < WEAK
+    ]
+    return min(enough, key=lambda h: (len(h.effects), -h.evidence), default=best)
 
 
 def probabilities(hypotheses: Sequence[Hypothesis], other: float = -np.inf) -> dict[str, float]:

@@ -12,9 +12,11 @@ from physconvex.gap.caveats import caveats_of, doses_in_sight
 from physconvex.gap.comparison import Hypothesis
 from physconvex.gap.naming import (
     SOMETHING_ELSE,
+    WEAK,
     NamedEffect,
     beside_something_else,
     by_weight,
+    favoured,
     named_effects,
     probabilities,
 )
@@ -24,7 +26,7 @@ from physconvex.gap.screening import Screening
 __all__ = ["Verdict", "VerdictName", "decide"]
 
 VerdictName = Literal["none", "effect", "unknown", "inconclusive"]
-_CLEAR, _WEAK = 4.0, 1.5  # gain of log-evidence over the base model that makes a call, or leaves it open
+_CLEAR = 4.0  # gain of log-evidence over the base model that makes a call; below `WEAK` it is open
 _LISTED = 0.02  # probability
 _FORETOLD = 0.9  # share of the gap on frames that were not fitted, of which a placebo removes no tenth
 _PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
@@ -89,7 +91,7 @@ def decide(
         other: evidence of something that is not among the hypotheses.
     """
     base = next(h for h in hypotheses if not h.effects)
-    best = next((h for h in hypotheses if h.effects), None)
+    best = favoured(hypotheses)
     probability = beside_something_else(probabilities(hypotheses, other), 1.0 - remaining)
     none = probability.get("base model", 0.0)
     if best is None:
@@ -132,14 +134,14 @@ class _Evidence:
     @property
     def foretold(self) -> bool:
         """Whether held-out frames leave no doubt, although the evidence counts too few residuals as independent."""
-        return self.gain >= _WEAK and self.share >= _FORETOLD and self.placebo < 1.0 - _FORETOLD
+        return self.gain >= WEAK and self.share >= _FORETOLD and self.placebo < 1.0 - _FORETOLD
 
     @property
     def clear(self) -> bool:
         """Whether fitted and held-out frames together make a call: the less sure the ones, the more the others do."""
-        asked = float(np.interp(self.gain, (_WEAK, _CLEAR), (_FORETOLD, self.options.explained)))
+        asked = float(np.interp(self.gain, (WEAK, _CLEAR), (_FORETOLD, self.options.explained)))
         kept = self.share >= asked and self.placebo < 1.0 - _FORETOLD
-        return self.gain >= _CLEAR or (self.gain >= _WEAK and kept)
+        return self.gain >= _CLEAR or (self.gain >= WEAK and kept)
 
     @property
     def none(self) -> float:
@@ -166,6 +168,17 @@ class _Evidence:
         ]
         return (*self.named, *others)
 
+    @property
+    def further(self) -> tuple[NamedEffect, ...]:
+        """Effects that the best fit gains too little by to have them, and that are possible all the same."""
+        found: dict[str, NamedEffect] = {}
+        for h in self.hypotheses:
+            if set(h.names) > set(self.best.names):
+                for effect in named_effects(h, self.hypotheses, self.probability, self.screening, self.options):
+                    if effect.name not in self.best.names and effect.probability > _LISTED:
+                        found.setdefault(effect.name, effect)
+        return tuple(found.values())
+
     def verdict(
         self, name: VerdictName, sentence: str, effects: tuple[NamedEffect, ...] = (), *, power: bool = False
     ) -> Verdict:
@@ -179,7 +192,7 @@ def _nothing(e: _Evidence) -> Verdict | None:
     """No gap above noise and numerical error; where those are large, that says nothing."""
     significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
     closed = e.before < _FLOOR or (e.base.fitted < _FLOOR and e.gain < _SURE)
-    little = e.gain < _WEAK and e.before < _OPEN
+    little = e.gain < WEAK and e.before < _OPEN
     if not (little or not significant or closed or _is_slight(e.best)):
         return None
     if e.floor > _BLIND:
@@ -278,7 +291,7 @@ def _called(e: _Evidence) -> Verdict:
     doses = "; ".join(f"{d.name} = {d.value:.3g} {d.unit}".strip() for n in likely for d in n.doses)
     also = sorted({name for n in likely for name in n.confused_with})
     caveat = f"; from this recording it may be confused with {', '.join(also)}" if also else ""
-    perhaps = [f"{n.name} ({n.probability:.0%})" for n in e.named if n not in likely]
+    perhaps = [f"{n.name} ({n.probability:.0%})" for n in (*e.named, *e.further) if n not in likely]
     added = f"; perhaps also by {', '.join(perhaps)}" if perhaps else ""
     label = " + ".join(x.label for x in e.best.effects if x.name in {n.name for n in likely})
     sure = ", ".join(f"{'above ' if n.probability > 0.99 else ''}{min(n.probability, 0.99):.0%}" for n in likely)

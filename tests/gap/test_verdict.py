@@ -7,7 +7,7 @@ import pytest
 
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions
 from physconvex.gap.caveats import caveats_of
-from physconvex.gap.naming import probabilities
+from physconvex.gap.naming import favoured, probabilities
 from physconvex.gap.selection import within_bounds
 from physconvex.gap.verdict import decide
 
@@ -133,6 +133,18 @@ def test_an_effect_that_foretells_nothing_is_not_named():
     for placebo in (-0.5, float("nan")):  # a placebo that does worse is no reason to believe it
         verdict = decide(hypotheses, screening(), 30.0, 1.5, 1.1, OPTIONS, placebo=placebo)
         assert verdict.name == "inconclusive" and "removes nothing of the gap" in verdict.sentence
+
+
+def test_a_further_effect_that_gains_little_is_not_named():
+    alone, plain = hypothesis(20.0, "damping"), hypothesis(0.0)
+    for gain, names in ((0.3, ["damping"]), (1.4, ["damping"]), (2.0, ["damping", "wind"])):
+        fits = [hypothesis(20.0 + gain, "damping", "wind"), alone, plain]
+        assert list((favoured(fits) or plain).names) == names
+        verdict = decide(fits, screening(), 30.0, 1.0, 0.05, OPTIONS, placebo=0.0)
+        assert verdict.name == "effect" and [e.name for e in verdict.effects] == names
+    other = hypothesis(19.9, "friction")  # no part of the best fit
+    assert favoured([hypothesis(20.0, "damping", "wind"), other, plain]).names == ("damping", "wind")
+    assert favoured([hypothesis(20.0, "damping"), plain]).names == ("damping",) and favoured([plain]) is None
 
 
 def test_a_model_that_does_not_follow_the_recording_names_nothing():
