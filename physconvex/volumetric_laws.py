@@ -9,9 +9,10 @@ from jaxtyping import Float
 
 from physconvex.materials import LAWS, Law
 
-__all__ = ["VolumetricTerm", "cofactor_and_determinant", "is_volumetric", "volumetric_term"]
+__all__ = ["VolumetricTerm", "cofactor_and_determinant", "is_volumetric", "nearly_flat", "volumetric_term"]
 
 Array = np.ndarray
+_NEARLY_FLAT = 1e-4  # |J| over |C|^(3/2) below which a division by J costs digits
 VolumetricTerm = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
 
 
@@ -52,3 +53,8 @@ def cofactor_and_determinant(f: Float[Array, "3 3 Q"]) -> tuple[Float[Array, "3 
     cofactor = ring[1:4, 1:4] * ring[2:, 2:]
     cofactor -= ring[1:4, 2:] * ring[2:, 1:4]
     return cofactor, np.einsum("jq,jq->q", f[0], cofactor[0])
+
+
+def nearly_flat(cofactor: Float[Array, "3 3 Q"], j: Float[Array, " Q"]) -> bool:
+    """Whether a body is squeezed flat at some point, so that what is divided by J loses its digits."""
+    return bool((j * j < _NEARLY_FLAT**2 * np.einsum("ijq,ijq->q", cofactor, cofactor) ** 1.5).any())

@@ -17,13 +17,12 @@ import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 from physconvex.materials import Law
-from physconvex.volumetric_laws import cofactor_and_determinant, volumetric_term
+from physconvex.volumetric_laws import cofactor_and_determinant, nearly_flat, volumetric_term
 
 __all__ = ["VolumetricElements"]
 
 Array = np.ndarray
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-_NEARLY_FLAT = 1e-4  # |J| over |C|^(3/2) below which the division by J costs digits
 
 
 class VolumetricElements:
@@ -114,7 +113,7 @@ class VolumetricElements:
     ) -> Float[Array, "E m m"] | None:
         """Element matrices as `ElasticBody.element_hessians`; None where the body is nearly flat at a point."""
         cofactor, j = cofactor_and_determinant(self._at_points(x))
-        if (j * j < _NEARLY_FLAT**2 * np.einsum("ijp,ijp->p", cofactor, cofactor) ** 1.5).any():
+        if nearly_flat(cofactor, j):
             return None
         _, slope, curvature = self._term(j, self._mu, self._lam)
         elastic = _Fields(self._along(cofactor.transpose(2, 1, 0)), self._weights * slope / j)

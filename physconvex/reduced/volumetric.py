@@ -16,12 +16,11 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.materials import Law
-from physconvex.volumetric_laws import cofactor_and_determinant, volumetric_term
+from physconvex.volumetric_laws import cofactor_and_determinant, nearly_flat, volumetric_term
 
 __all__ = ["VolumetricSamples"]
 
 Array = np.ndarray
-_NEARLY_FLAT = 1e-4  # |J| over |C|^(3/2) below which the division by J costs digits
 
 
 class VolumetricSamples:
@@ -73,7 +72,7 @@ class VolumetricSamples:
     def hessian_blocks(self, y: Float[Array, "R 3"]) -> Float[Array, "3 R 3 R"] | None:
         """Second derivative [N/m], components first; None where the body is nearly flat at a sample."""
         _, cofactor, j = self._gradient_and_cofactor(y)
-        if (j * j < _NEARLY_FLAT**2 * np.einsum("ijq,ijq->q", cofactor, cofactor) ** 1.5).any():
+        if nearly_flat(cofactor, j):
             return None
         size = self._size
         _, slope, curvature = self._part(j, self._mu, self._lam)
