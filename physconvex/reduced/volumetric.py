@@ -45,7 +45,10 @@ class VolumetricSamples:
 
     def _gradient_and_cofactor(self, y: Float[Array, "R 3"]) -> tuple[Array, Array, Array]:
         """F and its cofactor, shape [3, 3, Q], and J."""
-        f = (y.T @ self._by_function).reshape(3, 3, -1)
+        # three products with vectors: for one with three columns BLAS first copies the whole matrix
+        f = np.empty((3, 3, len(self._weights)))
+        for column, row in zip(y.T, f.reshape(3, -1), strict=True):
+            np.matmul(column, self._by_function, out=row)
         return f, *cofactor_and_determinant(f)
 
     @np.errstate(over="ignore", invalid="ignore")  # a trial step far too long has no finite energy, and is refused
@@ -67,7 +70,7 @@ class VolumetricSamples:
         cofactor *= across
         f *= along
         f += cofactor
-        return self._by_function @ f.reshape(3, -1).T
+        return np.stack([self._by_function @ row for row in f.reshape(3, -1)], axis=1)
 
     def hessian_blocks(self, y: Float[Array, "R 3"]) -> Float[Array, "3 R 3 R"] | None:
         """Second derivative [N/m], components first; None where the body is nearly flat at a sample."""
