@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+import trimesh
 
-from physconvex.fem import ElasticBody, box_mesh
+from physconvex.fem import ElasticBody, box_mesh, tetrahedralize
 from physconvex.integrators import State, implicit_euler
 from physconvex.reduced import (
     BodySamples,
@@ -149,6 +150,25 @@ def test_layer_of_sand_rests_below_its_angle_of_repose_and_slides_above():
     assert abs(speeds[-4.0][-1]) < 0.005  # 9.81 sin α × 0.2 s would be 1 m/s
     expected = 0.75 * 9.81 * (np.sin(angle) - slope * np.cos(angle))
     assert (speeds[10.0][-1] - speeds[10.0][3]) / (5 / 40) == pytest.approx(expected, rel=0.1)
+
+
+def test_a_column_of_sand_becomes_a_heap_that_rests():
+    radius = 0.1
+    column = trimesh.creation.cylinder(radius=radius, height=radius, sections=16)
+    vertices = np.asarray(column.vertices) + np.array([0.0, 0.0, 0.5 * radius])
+    mesh = tetrahedralize((vertices, np.asarray(column.faces)), order=2, max_nodes=250, method="auto")
+    space = ReducedSpace(eigenmode_weights(ElasticBody(mesh), 12), BodySamples.of_mesh(mesh))
+    body = ReducedBody(space, youngs_modulus=1e5, poisson_ratio=0.3, flow=Sand(np.radians(30.0)))
+    scene = ReducedScene(body, obstacles=(Plane(friction=1.0),))
+    run = simulate(scene, frames=13, fps=24, steps_per_frame=8, tolerance=1e-6)
+    positions = run.positions(mesh.vertices)
+    speeds = np.linalg.norm(np.diff(positions, axis=0), axis=2).max(axis=1) * 24
+    assert speeds.max() > 0.5 and speeds[-1] < 0.1 * speeds.max()
+    last = positions[-1]
+    distance = np.linalg.norm(last[:, :2] - last[:, :2].mean(axis=0), axis=1)
+    top, rim = last[distance < radius, 2].max(), last[distance > 0.9 * distance.max(), 2].max()
+    assert 0.5 * radius < top < 0.9 * radius and rim < 0.3 * top
+    assert 0.5 * radius < np.quantile(distance, 0.95) - radius < 2 * radius  # of real grains: 1.24
 
 
 @pytest.mark.parametrize("flow", [Plasticine(500.0), Sand(0.4), StandardLinearSolid(1.5, 0.02)])
