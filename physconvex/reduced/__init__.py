@@ -4,7 +4,7 @@ from physconvex.contact import Plane, Sphere
 from physconvex.elastic_terms import with_fibres, with_strain_stiffening
 from physconvex.inelastic import Plasticine, Sand, StandardLinearSolid
 from physconvex.reduced.adjoint import LossGradient, simulate_with_adjoint
-from physconvex.reduced.autograd import rollout_positions
+from physconvex.reduced.autograd import rollout_of_weights, rollout_positions
 from physconvex.reduced.basis import (
     CallableWeights,
     NodalWeights,
@@ -76,6 +76,7 @@ __all__ = [
     "optimised_cubature",
     "parameter_values",
     "predicted_weights",
+    "rollout_of_weights",
     "rollout_positions",
     "sample_basis",
     "simulate",

@@ -22,6 +22,7 @@ from physconvex.materials import lame_parameters
 from physconvex.reduced.body import viscous_stress
 from physconvex.reduced.density_gradient import DensityGradient
 from physconvex.reduced.equations import StepEquations
+from physconvex.reduced.field_gradient import FieldBars
 from physconvex.reduced.friction_tangents import FreezeTangent, friction_tangent
 from physconvex.reduced.rotation_vector import rotation_matrix
 from physconvex.reduced.scene import ReducedScene
@@ -30,7 +31,7 @@ from physconvex.reduced.step_derivatives import StepDerivatives
 from physconvex.stepping import SolvedPass, StepRecord
 from physconvex.threads import one_torch_thread
 
-__all__ = ["LossGradient", "simulate_with_adjoint"]
+__all__ = ["LossGradient", "RecordedRollOut", "Sweep", "simulate_with_adjoint"]
 
 Loss = Callable[[ReducedTrajectory], tuple[float, Float[np.ndarray, "T R 3"]]]
 
@@ -65,23 +66,24 @@ class LossGradient:
         return self.densities.by_cell()
 
 
-class _Bar:
+class Bar:
     """Derivatives of the loss by one state; grows while the sweep goes backwards."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.positions, self.velocities = np.zeros(shape), np.zeros(shape)
 
 
-class _Sweep:
-    """Accumulates derivatives over the steps, last step first."""
+class Sweep:
+    """Accumulates derivatives over the steps, last step first.
 
-    def __init__(self, scene: ReducedScene, names: Sequence[str]) -> None:
-        self.scene, self.body = scene, scene.body
-        if scene.body.flow is not None:
-            raise InputError(
-                f"scene: its body flows ({scene.body.flow}); the adjoint exists for elastic and Kelvin–Voigt bodies: "
-                "leave out `flow`, or take `simulate_with_sensitivities`"
-            )
+    Args:
+        scene: of the roll-out.
+        names: of parameters, see `physconvex.reduced.PARAMETERS`.
+        field: collects the derivatives by the shape functions, if these are asked for.
+    """
+
+    def __init__(self, scene: ReducedScene, names: Sequence[str], field: FieldBars | None = None) -> None:
+        self.scene, self.body, self.field = scene, scene.body, field
         self.derivatives = StepDerivatives(scene, names)
         self.equations = StepEquations(scene)
         self.named = np.zeros(len(names))
@@ -93,7 +95,7 @@ class _Sweep:
         points = torch.zeros(len(cells), dtype=torch.float64, device=self.body.device)
         self.mu, self.lam = points.clone(), points.clone()  # derivatives by μ and λ at the interior samples
 
-    def back(self, record: StepRecord, after: _Bar, before: _Bar, history: _Bar | None) -> None:
+    def back(self, record: StepRecord, after: Bar, before: Bar, history: Bar | None) -> None:
         """Carry derivatives by the state after a step to the states before it."""
         c = record.coefficients
         guess = extrapolate(record.before, record.history, record.step)
@@ -103,6 +105,9 @@ class _Sweep:
         step_bars.base -= after.velocities / c.step
         for number in reversed(range(len(record.passes))):
             force_bar = self._back_solve(record.passes[number], x_bar)
+            if self.field is not None:
+                x = record.passes[number].x
+                self.field.add_solve(self.equations, x, c.velocity(x), guess, force_bar)
             self._back_gradient(record, number, guess, force_bar, step_bars)
             places, speeds = self._back_friction(record, number, guess, force_bar, step_bars)
             step_bars.base -= speeds / c.step
@@ -174,11 +179,15 @@ class _Sweep:
         maps = friction_tangent(contact, frozen, surface @ c.velocity(record.passes[number].x), probes[2])
         pulled = (maps * (surface @ force_bar)).sum(-1)  # [9 + P, S]
         self.named += pulled[9:].sum(1)
-        places, speeds, present = (surface.T @ pulled[3 * kind : 3 * kind + 3].T for kind in range(3))
+        bars_on_surface = [pulled[3 * kind : 3 * kind + 3].T for kind in range(3)]
+        if self.field is not None:
+            for bar, field in zip(bars_on_surface, (y, v, c.velocity(record.passes[number].x)), strict=True):
+                self.field.add_surface(bar, field)
+        places, speeds, present = (surface.T @ bar for bar in bars_on_surface)
         bars.base -= present / c.step
         return places, speeds
 
-    def finish(self, trajectory: ReducedTrajectory, loss: float, first: _Bar) -> LossGradient:
+    def finish(self, trajectory: ReducedTrajectory, loss: float, first: Bar) -> LossGradient:
         """All derivatives, when the sweep has come to the start."""
         start = self.derivatives.start()
         named = self.named + (start.positions * first.positions + start.velocities * first.velocities).sum((1, 2))
@@ -222,7 +231,7 @@ class _StepBars:
         self.target, self.base, self.guess = np.zeros(shape), np.zeros(shape), np.zeros(shape)
 
 
-def _back_coefficients(record: StepRecord, bars: _StepBars, before: _Bar, history: _Bar | None) -> None:
+def _back_coefficients(record: StepRecord, bars: _StepBars, before: Bar, history: Bar | None) -> None:
     """Transpose of `extrapolate` and of `bdf2` or `implicit_euler`."""
     step, short = record.step, record.coefficients.step
     before.positions += bars.guess
@@ -241,6 +250,56 @@ def _back_coefficients(record: StepRecord, bars: _StepBars, before: _Bar, histor
         before.velocities += step * bars.target
 
 
+class RecordedRollOut:
+    """A roll-out that keeps what its steps were made of, so that it can be swept backwards.
+
+    Args:
+        scene: body, forces, initial state.
+        options: of `simulate`.
+
+    Attributes:
+        scene: as given.
+        trajectory: the roll-out.
+
+    Raises:
+        InputError: a body that flows, or options out of range.
+        ConvergenceError: as in `simulate`.
+    """
+
+    def __init__(self, scene: ReducedScene, **options: Any) -> None:
+        if scene.body.flow is not None:
+            raise InputError(
+                f"scene: its body flows ({scene.body.flow}); the adjoint exists for elastic and Kelvin–Voigt bodies: "
+                "leave out `flow`, or take `simulate_with_sensitivities`"
+            )
+        self.scene, self._frame_states = scene, [0]
+        self._records: list[StepRecord] = []
+
+        def observe(_: StepEquations, record: StepRecord) -> None:
+            self._records.append(record)
+
+        self.trajectory = simulate(
+            scene, observer=observe, on_frame=lambda _: self._frame_states.append(len(self._records)), **options
+        )
+
+    def swept(self, sweep: Sweep, slope: Float[np.ndarray, "T R 3"]) -> Bar:
+        """Sweep backwards with the derivatives of a loss by the coordinates at the frames; those by the first state.
+
+        Raises:
+            InputError: a derivative of the wrong shape.
+        """
+        expected = self.trajectory.coordinates.shape
+        if np.shape(slope) != expected:
+            raise InputError(f"loss: gave a derivative of shape {np.shape(slope)}; expected {expected}")
+        bars = [Bar(self.scene.start.shape) for _ in range(len(self._records) + 1)]
+        for state, part in zip(self._frame_states, slope, strict=True):
+            bars[state].positions += part
+        for i in reversed(range(len(self._records))):
+            history = bars[i - 1] if self._records[i].history is not None else None
+            sweep.back(self._records[i], bars[i + 1], bars[i], history)
+        return bars[0]
+
+
 @one_torch_thread()
 def simulate_with_adjoint(
     scene: ReducedScene, loss: Loss, *, parameters: Sequence[str] = ("log10_youngs_modulus",), **options: Any
@@ -257,21 +316,7 @@ def simulate_with_adjoint(
         InputError: unknown names, options out of range, or a derivative of the wrong shape.
         ConvergenceError: as in `simulate`.
     """
-    sweep = _Sweep(scene, parameters)
-    records: list[StepRecord] = []
-    frame_states = [0]
-
-    def observe(_: StepEquations, record: StepRecord) -> None:
-        records.append(record)
-
-    run = simulate(scene, observer=observe, on_frame=lambda _: frame_states.append(len(records)), **options)
-    value, slope = loss(run)
-    if np.shape(slope) != run.coordinates.shape:
-        raise InputError(f"loss: gave a derivative of shape {np.shape(slope)}; expected {run.coordinates.shape}")
-    bars = [_Bar(scene.start.shape) for _ in range(len(records) + 1)]
-    for state, part in zip(frame_states, slope, strict=True):
-        bars[state].positions += part
-    for i in reversed(range(len(records))):
-        history = bars[i - 1] if records[i].history is not None else None
-        sweep.back(records[i], bars[i + 1], bars[i], history)
-    return sweep.finish(run, float(value), bars[0])
+    sweep = Sweep(scene, parameters)
+    recorded = RecordedRollOut(scene, **options)
+    value, slope = loss(recorded.trajectory)
+    return sweep.finish(recorded.trajectory, float(value), recorded.swept(sweep, slope))

@@ -1,8 +1,9 @@
-"""A reduced roll-out as a differentiable torch function."""
+"""A reduced roll-out as a differentiable torch function, of named parameters or of the skinning weights."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,17 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from physconvex.errors import InputError
+from physconvex.reduced.adjoint import RecordedRollOut, Sweep
+from physconvex.reduced.basis import CallableWeights, checked_points
+from physconvex.reduced.field_gradient import FieldBars
 from physconvex.reduced.parameters import with_parameters
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.sensitivity import simulate_with_sensitivities
 from physconvex.reduced.simulation import simulate
+from physconvex.reduced.space import ReducedSpace
+from physconvex.threads import one_torch_thread
 
-__all__ = ["rollout_positions"]
+__all__ = ["rollout_of_weights", "rollout_positions"]
 
 
 class _RollOut(torch.autograd.Function):
@@ -70,3 +76,80 @@ def rollout_positions(
     if values.shape != (len(parameters),):
         raise InputError(f"values: got shape {tuple(values.shape)}; expected ({len(parameters)},), one per parameter")
     return _RollOut.apply(values, scene, tuple(parameters), np.asarray(points, dtype=np.float64), options)
+
+
+class _WeightsRollOut(torch.autograd.Function):
+    """Positions of material points as a function of the weights at all points at which a body is sampled.
+
+    The points: interior samples (at which `slopes` are given), surface samples, the points that integrate the mass,
+    pins, and the material points.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, values: Tensor, slopes: Tensor, recorded: RecordedRollOut, points: np.ndarray) -> Tensor:
+        ctx.recorded, ctx.points, ctx.like = recorded, points, values.detach()[:0]
+        return torch.as_tensor(recorded.trajectory.positions(points)).to(values)
+
+    @staticmethod
+    @once_differentiable
+    @one_torch_thread()
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, Tensor, None, None]:
+        trajectory, by_position = ctx.recorded.trajectory, gradient.detach().double().cpu().numpy()
+        field = FieldBars(ctx.recorded.scene)
+        sweep = Sweep(ctx.recorded.scene, (), field)
+        ctx.recorded.swept(sweep, trajectory.space.shape_values(ctx.points).T @ by_position)
+        seen = np.einsum("tni,tri->nr", by_position, trajectory.coordinates)
+        found = field.finish(sweep.products)
+        parts = (found.interior, found.surface, found.mass, found.pins)
+        values = np.concatenate([*parts, trajectory.space.weights_of_values(ctx.points, seen)])
+        return torch.as_tensor(values).to(ctx.like), torch.as_tensor(found.interior_slopes).to(ctx.like), None, None
+
+
+def rollout_of_weights(
+    function: Callable[[Float[Tensor, "P 3"]], Float[Tensor, "P M"]],
+    count: int,
+    *,
+    scene: ReducedScene,
+    points: Float[np.ndarray, "n 3"],
+    **options: Any,
+) -> Float[Tensor, "T n 3"]:
+    """Positions [m] of material points at the frames, differentiable once with respect to what the weights depend on.
+
+    The body of the scene is moved by the weights W^θ(X) that `function` gives; the derivatives by θ come from the
+    adjoint of the roll-out, one sweep backwards for all of them (`physconvex.reduced.field_gradient`).
+
+    Args:
+        function: float64 rest positions [m] → weights, each row a function of its own point alone, twice
+            differentiable by torch; usually a network, whose parameters are θ.
+        count: M.
+        scene: everything but the weights; its body is elastic or damped and starts affinely deformed at most.
+        points: rest positions [m].
+        options: of `simulate`; the error of the derivatives is that of Newton's `tolerance`.
+
+    Raises:
+        InputError: shapes that do not fit, a body that flows, coordinates given for the start.
+        ConvergenceError: a time step failed.
+    """
+    if scene.initial_coordinates is not None:
+        raise InputError(
+            "scene: got initial_coordinates, which belong to its own weights; leave them out (the body then starts at "
+            "rest shape, placed by initial_orientation)"
+        )
+    points, samples = checked_points(points), scene.body.space.samples
+    body = scene.body.with_space(ReducedSpace(CallableWeights(function, count), samples))
+    recorded = RecordedRollOut(replace(scene, body=body), **options)
+    pins = np.zeros((0, 3)) if scene.pins is None else scene.pins.points
+    interior = torch.tensor(samples.interior.points, dtype=torch.float64, requires_grad=True)
+    inside = function(interior)
+    slopes = torch.stack([_slope(inside[:, m], interior) for m in range(count)], dim=1)
+    others = np.concatenate([samples.surface_points, samples.mass.points, pins, points])
+    values = torch.cat([inside, function(torch.tensor(others, dtype=torch.float64))])
+    return _WeightsRollOut.apply(values, slopes, recorded, points)
+
+
+def _slope(value: Tensor, x: Tensor) -> Tensor:
+    """∂value/∂x, differentiable once more."""
+    if not value.requires_grad:
+        return torch.zeros_like(x)
+    (slope,) = torch.autograd.grad(value.sum(), x, create_graph=True, allow_unused=True)
+    return torch.zeros_like(x) if slope is None else slope

@@ -94,6 +94,10 @@ class NeuralWeights:
         """M, the number of weights beside the constant one."""
         return len(self.layers[-1][1])
 
+    def __call__(self, points: Float[Tensor, "P 3"]) -> Float[Tensor, "P M"]:
+        """Values [-] at rest positions [m], differentiable by torch, also by `layers` where these ask for it."""
+        return _values_and_gradients(list(self.layers), (points - torch.as_tensor(self.center)) / self.size)[0]
+
     def at(self, points: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, "P M"], Float[np.ndarray, "P M 3"]]:
         """Values [-] and exact gradients [1/m] at rest positions [m]."""
         with torch.no_grad():

@@ -151,6 +151,7 @@ def simulate_with_sensitivities(
         InputError: unknown names, or options out of range.
         ConvergenceError: as in `simulate`.
     """
+    values = parameter_values(scene, parameters)
     tangents = _Tangents(scene, parameters)
     states = [tangents.state]
     run = simulate(
@@ -159,7 +160,7 @@ def simulate_with_sensitivities(
     return SensitiveTrajectory(
         trajectory=run,
         parameters=tuple(parameters),
-        values=parameter_values(scene, parameters),
+        values=values,
         coordinate_tangents=np.stack([s.positions for s in states]),
         velocity_tangents=np.stack([s.velocities for s in states]),
     )

@@ -65,6 +65,7 @@ class ReducedSpace:
         mass = samples.mass
         self._center = mass.weights @ mass.points / mass.volume
         self._length = samples.size
+        self._slopes = np.vstack([np.eye(3) / self._length, np.zeros((1, 3))])  # of [ξ; 1]
         if interpolated:
             self._nodal = self._products(field)
         self._gram, integrals = self._moments(np.ones(mass.cell_count))
@@ -94,9 +95,13 @@ class ReducedSpace:
         weights = np.hstack([np.ones((len(nodes), 1)), field.nodal_values])
         return NodalFunctions(field.mesh, self._times_position(nodes, weights))
 
+    def _homogeneous(self, points: np.ndarray) -> np.ndarray:
+        """[ξ; 1], shape [P, 4]."""
+        return np.hstack([(points - self._center) / self._length, np.ones((len(points), 1))])
+
     def _times_position(self, points: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        homogeneous = np.hstack([(points - self._center) / self._length, np.ones((len(points), 1))])
-        return (weights[:, :, None] * homogeneous[:, None, :]).reshape(len(points), 4 * weights.shape[1])
+        raw = weights[:, :, None] * self._homogeneous(points)[:, None, :]
+        return raw.reshape(len(points), 4 * weights.shape[1])
 
     def _raw_values(self, points: np.ndarray) -> np.ndarray:
         if self._nodal is not None:
@@ -108,12 +113,9 @@ class ReducedSpace:
         if self._nodal is not None:
             return self._nodal.at(checked_points(points))[1]
         basis = sample_basis(self.field, points)
-        xi = (basis.points - self._center) / self._length
-        homogeneous = np.hstack([xi, np.ones((len(xi), 1))])
-        slopes = np.vstack([np.eye(3) / self._length, np.zeros((1, 3))])
-        raw = basis.gradients[:, :, None, :] * homogeneous[:, None, :, None]
-        raw = raw + basis.values[:, :, None, None] * slopes
-        return raw.reshape(len(xi), 4 * basis.values.shape[1], 3)
+        raw = basis.gradients[:, :, None, :] * self._homogeneous(basis.points)[:, None, :, None]
+        raw = raw + basis.values[:, :, None, None] * self._slopes
+        return raw.reshape(len(points), 4 * basis.values.shape[1], 3)
 
     def _moments(self, density: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """∫ ρ N_a N_b and ∫ ρ N_a of the raw functions, for a density per cell."""
@@ -137,6 +139,22 @@ class ReducedSpace:
         """∂N_a/∂X at rest positions [1/m]."""
         raw = self._raw_gradients(points)
         return np.einsum("pdi,dr->pri", raw, self._transform)
+
+    def weights_of_values(
+        self, points: Float[np.ndarray, "P 3"], derivatives: Float[np.ndarray, "P R"]
+    ) -> Float[np.ndarray, "P M"]:
+        """Derivatives of a function by W_m from those by N_a at rest positions [m]; the basis of the space is kept."""
+        raw = (derivatives @ self._transform.T).reshape(len(points), self.field.count + 1, 4)[:, 1:]
+        return np.einsum("pmk,pk->pm", raw, self._homogeneous(points))
+
+    def weights_of_gradients(
+        self, points: Float[np.ndarray, "P 3"], derivatives: Float[np.ndarray, "P R 3"]
+    ) -> tuple[Float[np.ndarray, "P M"], Float[np.ndarray, "P M 3"]]:
+        """Derivatives of a function by W_m and by ∂W_m/∂X [m] from those by ∂N_a/∂X [m] at rest positions [m]."""
+        raw = np.einsum("pri,dr->pdi", derivatives, self._transform)
+        raw = raw.reshape(len(points), self.field.count + 1, 4, 3)[:, 1:]
+        values = np.einsum("pmki,ki->pm", raw, self._slopes)
+        return values, np.einsum("pmki,pk->pmi", raw, self._homogeneous(points))
 
     def mass_matrix(self, density: Float[np.ndarray, " C"]) -> tuple[Float[np.ndarray, "R R"], Float[np.ndarray, " R"]]:
         """∫ ρ N_a N_b dV and ∫ ρ N_a dV [kg] for a density per cell [kg/m³]."""

@@ -33,7 +33,7 @@ class StepDerivatives:
 
     Args:
         scene: the scene.
-        names: P different names of `physconvex.reduced.PARAMETERS`.
+        names: P different names of `physconvex.reduced.PARAMETERS`, or none.
 
     Attributes:
         dlog_stiffness: derivative of ln kc, shape [P]; a default contact stiffness follows E unless it is named too.
@@ -46,7 +46,8 @@ class StepDerivatives:
     """
 
     def __init__(self, scene: ReducedScene, names: Sequence[str]) -> None:
-        check_parameters(scene, names)
+        if names:
+            check_parameters(scene, names)
         self.scene, self.body, self.names = scene, scene.body, tuple(names)
         self.surface = scene.body.space.surface_values
         self.contact = scene.contact()
@@ -144,7 +145,8 @@ class StepDerivatives:
             state: F* of the viscosity; not needed without any (`viscous`).
         """
         rate = self.body.deformation_gradient(c.velocity(x)) if self.viscous else None
-        return np.stack([self._explicit(equations, name, c, x, state, rate) for name in self.names])
+        parts = [self._explicit(equations, name, c, x, state, rate) for name in self.names]
+        return np.array(parts).reshape(-1, *x.shape)
 
     def _viscous_forces(
         self, state: Tensor | None, rate: Tensor | None, mu: Tensor, lam: Tensor, time: float

@@ -1,0 +1,135 @@
+"""Derivative of a loss by a body's skinning weights, W_m and ∂W_m/∂X wherever the body is sampled.
+
+The gradient g of a step's potential contains the shape functions N_a of `physconvex.reduced.space` at four kinds of
+points: their slopes where the elastic energy is integrated, their values on the surface, at pins and where the mass is
+integrated. With λ the derivative of the loss by g, each term of λ·g is a function of fields A = Σ_a N_a a_a (or F = Σ_a
+a_a ⊗ ∂N_a/∂X) of some coordinates a, and ∂(λ·g)/∂N_a = Σ (∂(λ·g)/∂A) · a_a over these fields. The functions are carried
+back to the weights with the transformation of the space held fixed: a motion does not depend on which basis of the
+space its coordinates belong to. Nor does the start, which is affine.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from physconvex.reduced.body import viscous_stress
+from physconvex.reduced.equations import StepEquations
+from physconvex.reduced.scene import ReducedScene
+from physconvex.reduced.surface_contact import contact_blocks
+
+__all__ = ["FieldBars", "FieldGradient"]
+
+
+@dataclass(frozen=True)
+class FieldGradient:
+    """Derivatives of a loss by M weights.
+
+    Attributes:
+        interior_slopes: by ∂W_m/∂X at the interior samples [m], shape [Q, M, 3].
+        interior, surface, mass, pins: by W_m at the interior samples, the surface samples, the points at which the mass
+            is integrated and the pins, shape [·, M].
+    """
+
+    interior_slopes: Float[np.ndarray, "Q M 3"]
+    interior: Float[np.ndarray, "Q M"]
+    surface: Float[np.ndarray, "S M"]
+    mass: Float[np.ndarray, "B M"]
+    pins: Float[np.ndarray, "C M"]
+
+
+class FieldBars:
+    """Derivatives of a loss by the shape functions; grows while a sweep goes backwards.
+
+    Args:
+        scene: of the roll-out; its body is elastic or damped.
+    """
+
+    def __init__(self, scene: ReducedScene) -> None:
+        self.scene, self.body = scene, scene.body
+        space = scene.body.space
+        self._interior = np.zeros((3 * len(space.interior_gradients), space.dimension))  # [(Q, j), R]
+        self._surface = np.zeros_like(space.surface_values)
+        self._pins = np.zeros((0 if scene.pins is None else len(scene.pins.points), space.dimension))
+        self._weights = torch.as_tensor(space.samples.interior.weights, device=scene.body.device)
+
+    def add_solve(
+        self,
+        equations: StepEquations,
+        x: Float[np.ndarray, "R 3"],
+        velocity: Float[np.ndarray, "R 3"],
+        guess: Float[np.ndarray, "R 3"],
+        force_bar: Float[np.ndarray, "R 3"],
+    ) -> None:
+        """The gradient of one solve at coordinates x [m], but for inertia and what friction was frozen at.
+
+        Args:
+            equations: of its step, with its friction.
+            x: the solution.
+            velocity: of the coordinates there [m/s].
+            guess: what viscosity was frozen at [m].
+            force_bar: λ.
+        """
+        self._add_stress(x, guess, velocity, force_bar)
+        self._add_contact(equations, x, velocity, force_bar)
+        if equations.pins is not None:
+            lever = equations.pins.weights[:, None] * (equations.pins.values @ force_bar)
+            self._pins += lever @ x.T - equations.pins.pull(x, equations.time) @ force_bar.T
+        if self.scene.loads is not None:
+            loads = self.scene.loads(equations.time) if callable(self.scene.loads) else self.scene.loads
+            self._surface -= np.asarray(loads) @ force_bar.T
+
+    def add_surface(self, bar: Float[np.ndarray, "S 3"], coordinates: Float[np.ndarray, "R 3"]) -> None:
+        """The derivative `bar` by a field on the surface that has these coordinates."""
+        self._surface += bar @ coordinates.T
+
+    def _add_stress(self, x: np.ndarray, guess: np.ndarray, velocity: np.ndarray, force_bar: np.ndarray) -> None:
+        body, beta, fields = self.body, self.scene.damping_time, (x, guess, velocity, force_bar)
+        with torch.enable_grad():
+            leaves = [body.deformation_gradient(field).clone().requires_grad_() for field in fields]
+            f, state, rate, spread = leaves
+            stress = body.law.stress(f, body.mu, body.lam) + viscous_stress(
+                state, rate, beta * body.mu, beta * body.lam
+            )
+            bars = torch.autograd.grad((self._weights * (stress * spread).sum((-1, -2))).sum(), leaves)
+        for bar, field in zip(bars, fields, strict=True):
+            self._interior += bar.mT.reshape(-1, 3).cpu().numpy() @ field.T
+
+    def _add_contact(
+        self, equations: StepEquations, x: np.ndarray, velocity: np.ndarray, force_bar: np.ndarray
+    ) -> None:
+        """Contact, wind, and friction as it was frozen, which is linear in the velocities."""
+        at, spread = equations.surface @ x, equations.surface @ force_bar
+        _, force = equations.contact.energy_and_gradient(at, equations.time)
+        blocks = contact_blocks(equations.contact, at, equations.time)
+        self.add_surface((blocks @ spread[:, :, None])[:, :, 0], x)
+        if self.scene.wind is not None:
+            speeds = equations.surface @ velocity
+            force = force + self.scene.wind.energy_and_gradient(speeds, equations.areas, equations.time)[1]
+            self.add_surface((equations.wind_blocks(velocity) @ spread[:, :, None])[:, :, 0], velocity)
+        for part in equations.friction:
+            np.add.at(force, part.nodes, part.weights[:, None] * part.slip(equations.surface @ velocity))
+        self.add_surface(force, force_bar)
+
+    def finish(self, products: Float[np.ndarray, "R R"]) -> FieldGradient:
+        """By the weights, when the sweep has come to the start.
+
+        Args:
+            products: as in `physconvex.reduced.density_gradient`.
+        """
+        space, mass = self.body.space, self.body.space.samples.mass
+        density = mass.weights * self.body.density[mass.cells]
+        heavier = density[:, None] * (space.shape_values(mass.points) @ (products + products.T))
+        by_gradients = self._interior.reshape(-1, 3, space.dimension).transpose(0, 2, 1)
+        values, slopes = space.weights_of_gradients(space.samples.interior.points, by_gradients)
+        pins = np.zeros((0, 3)) if self.scene.pins is None else self.scene.pins.points
+        return FieldGradient(
+            interior_slopes=slopes,
+            interior=values,
+            surface=space.weights_of_values(space.samples.surface_points, self._surface),
+            mass=space.weights_of_values(mass.points, heavier),
+            pins=space.weights_of_values(pins, self._pins),
+        )
