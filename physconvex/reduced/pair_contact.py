@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial.distance import cdist
 
 from physconvex.contact import Contact
 from physconvex.reduced.shell import nearest_on_triangles
@@ -40,6 +41,32 @@ class Touch:
     shares: Float[np.ndarray, "C 3"]
     depth: Float[np.ndarray, " C"]
     normals: Float[np.ndarray, "C 3"]
+
+
+_NO_TOUCH = Touch(
+    np.zeros(0, dtype=np.int64), np.zeros((0, 3), dtype=np.int64), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))
+)
+
+
+@dataclass(frozen=True)
+class _Nearest:
+    """The nearest triangle of each of N points: barycentric coordinates of the nearest point, what the point is off it
+    [m], on which side of the shell it is, and its distance [m].
+    """
+
+    faces: np.ndarray
+    shares: np.ndarray
+    offsets: np.ndarray
+    inside: np.ndarray
+    distances: np.ndarray
+
+
+def _listed(rows: np.ndarray, entries: np.ndarray, count: int) -> np.ndarray:
+    """The entries of each of so many rows, given sorted by rows; the last one fills up."""
+    lengths = np.bincount(rows, minlength=count)
+    starts = np.cumsum(lengths) - lengths
+    width = np.arange(lengths.max(initial=1))
+    return entries[starts[:, None] + np.minimum(width, lengths[:, None] - 1)]
 
 
 @dataclass(frozen=True)
@@ -101,51 +128,49 @@ class PairContact:
         self._seen: tuple[np.ndarray, np.ndarray] | None = None
         self._near = np.zeros(0, dtype=np.int64)  # points
         self._lists = np.zeros((0, 1), dtype=np.int64)  # faces near each of them
+        self._clearances = np.zeros(0)  # how far each was outside when they were looked up [m], 0 inside
 
     # -- geometry
 
     def touching(self, y: Float[np.ndarray, "R 3"]) -> Touch:
         """The points of A that lie inside B."""
         points, vertices = self.samples @ y[: self._split], self.shell @ y[self._split :]
-        if self._seen is None or self._moved(points, vertices) > 0.5 * self.reach:
+        moved = np.inf if self._seen is None else self._moved(points, vertices)
+        if moved > 0.5 * self.reach:
             self._look(points, vertices)
-        if not len(self._near):
-            return self._touch(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), points, vertices)
-        faces, height, _ = self._nearest(points[self._near], self._lists, vertices)
-        inside = height < 0
-        return self._touch(self._near[inside], faces[inside], points, vertices)
+            moved = 0.0
+        some = self._clearances <= moved
+        if not some.any():
+            return _NO_TOUCH
+        near = self._near[some]
+        found = self._nearest(points[near], self._lists[some], vertices)
+        inside = found.inside
+        outward, depth = -found.offsets[inside], found.distances[inside]
+        normals = outward / np.maximum(depth, 1e-300)[:, None]
+        return Touch(near[inside], self.faces[found.faces[inside]], found.shares[inside], depth, normals)
 
-    def _nearest(
-        self, points: np.ndarray, lists: np.ndarray, vertices: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The nearest triangle of each point's list, the point's height over its plane, and the distance [m]."""
+    def _nearest(self, points: np.ndarray, lists: np.ndarray, vertices: np.ndarray) -> _Nearest:
+        """Of each point's list of triangles."""
         corners = vertices[self.faces[lists]]  # [N, K, 3, 3]
         here = np.broadcast_to(points[:, None], (*corners.shape[:-2], 3))
-        offset = here - np.einsum("nkc,nkci->nki", nearest_on_triangles(here, corners), corners)
+        shares = nearest_on_triangles(here, corners)
+        offset = here - np.einsum("nkc,nkci->nki", shares, corners)
         square = (offset**2).sum(-1)
-        least = square.min(1, keepdims=True)
-        near = square <= least * (1 + _TIE) + 1e-300
+        near = square <= square.min(1, keepdims=True) * (1 + _TIE) + 1e-300
         # of triangles that meet at the nearest point, the one whose plane is farthest tells the side
-        normals = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
-        height = (offset * normals).sum(-1) / np.maximum(np.linalg.norm(normals, axis=-1), 1e-300)
-        chosen = np.where(near, np.abs(height), -1.0).argmax(1)
-        rows = np.arange(len(chosen))
-        return lists[rows, chosen], height[rows, chosen], np.sqrt(least[:, 0])
-
-    def _touch(self, samples: np.ndarray, faces: np.ndarray, points: np.ndarray, vertices: np.ndarray) -> Touch:
-        nodes = self.faces[faces]
-        corners = vertices[nodes]
-        shares = nearest_on_triangles(points[samples], corners)
-        outward = np.einsum("nc,nci->ni", shares, corners) - points[samples]
-        depth = np.linalg.norm(outward, axis=1)
-        return Touch(samples, nodes, shares, depth, outward / np.maximum(depth, 1e-300)[:, None])
+        first, second, third = corners[near].swapaxes(0, 1)
+        normals = np.cross(second - first, third - first)
+        heights = np.zeros(near.shape)
+        heights[near] = (offset[near] * normals).sum(1) / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)
+        at = np.arange(len(points)), np.where(near, np.abs(heights), -1.0).argmax(1)
+        return _Nearest(lists[at], shares[at], offset[at], heights[at] < 0, np.sqrt(square[at]))
 
     def _moved(self, points: np.ndarray, vertices: np.ndarray) -> float:
         """How far points and shell may have come nearer to each other since the triangles were looked up [m]."""
         assert self._seen is not None
         drift = (points - self._seen[0]).mean(0)  # a common one changes no distance
         return sum(
-            float(np.linalg.norm(now - then - drift, axis=1).max(initial=0.0))
+            float(np.sqrt(((now - then - drift) ** 2).sum(1).max(initial=0.0)))
             for now, then in zip((points, vertices), self._seen, strict=True)
         )
 
@@ -157,16 +182,20 @@ class PairContact:
         corners = vertices[self.faces]
         centres = corners.mean(1)
         radii = np.linalg.norm(corners - centres[:, None], axis=2).max(1)
-        lists = []
-        for point in points[self._near]:
-            distance = np.linalg.norm(centres - point, axis=1)
-            lists.append(np.flatnonzero(distance - radii <= (distance + radii).min() + self.reach))
-        width = max(map(len, lists), default=1)
-        self._lists = np.array([np.pad(some, (0, width - len(some)), mode="edge") for some in lists]).reshape(-1, width)
-        if len(self._near):  # what is outside, and farther than the bodies may come nearer, cannot touch
-            _, height, distance = self._nearest(points[self._near], self._lists, vertices)
-            keep = (height < 0) | (distance <= self.reach)
-            self._near, self._lists = self._near[keep], self._lists[keep]
+        apart = cdist(points[self._near], centres)
+        # by the triangles' balls, then by the triangles themselves; sorted by points
+        numbers, faces = np.nonzero(apart - radii <= (apart + radii).min(1, keepdims=True) + self.reach)
+        here = points[self._near[numbers]]
+        shares = nearest_on_triangles(here, corners[faces])
+        distance = np.linalg.norm(here - np.einsum("nc,nci->ni", shares, corners[faces]), axis=1)
+        least = np.full(len(self._near), np.inf)
+        np.minimum.at(least, numbers, distance)
+        kept = distance <= least[numbers] + self.reach
+        self._lists = _listed(numbers[kept], faces[kept], len(self._near))
+        found = self._nearest(points[self._near], self._lists, vertices)
+        self._clearances = np.where(found.inside, 0.0, found.distances)
+        keep = self._clearances <= self.reach  # the others cannot touch before the next look
+        self._near, self._lists, self._clearances = self._near[keep], self._lists[keep], self._clearances[keep]
 
     def rows(self, touch: Touch) -> Float[np.ndarray, "C R"]:
         """x − q as a function of both bodies' coordinates."""

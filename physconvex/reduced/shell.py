@@ -74,8 +74,7 @@ def nearest_on_triangles(
     if not outside.any():
         return best
     some, tips = points[outside], corners[outside]
-    ends = np.roll(tips, -1, axis=-2)
-    edges = ends - tips
+    edges = tips[:, [1, 2, 0]] - tips
     share = np.einsum("nei,nei->ne", some[:, None] - tips, edges) / np.maximum(
         np.einsum("nei,nei->ne", edges, edges), 1e-300
     )

@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
+from physconvex.contact import Contact
 from physconvex.errors import InputError
 from physconvex.fem import ElasticBody, box_mesh
 from physconvex.fem.mesh import TetMesh, to_quadratic
@@ -20,6 +22,7 @@ from physconvex.reduced import (
     simulate,
     simulate_world,
 )
+from physconvex.reduced.pair_contact import PairContact
 from physconvex.reduced.shell import nearest_on_triangles
 from physconvex.reduced.world_equations import WorldEquations
 
@@ -80,6 +83,41 @@ def overlapping() -> tuple[ReducedWorld, np.ndarray]:
     world = ReducedWorld((first, second), friction=0.4)
     y = np.concatenate([scene.start + 1e-3 * rng.normal(size=scene.start.shape) for scene in world.scenes])
     return world, y
+
+
+def test_inside_of_a_jagged_shell_is_where_it_winds_round():
+    """Saddles and spikes; truth: the solid angle of all triangles (Van Oosterom & Strackee 1983) is 4π inside."""
+    sphere, rng = trimesh.creation.icosphere(subdivisions=2), np.random.default_rng(9)
+    vertices = sphere.vertices * rng.uniform(0.5, 1.5, (len(sphere.vertices), 1))
+    points = rng.uniform(-1.2, 1.2, (4000, 3))
+    a, b, c = (vertices[sphere.faces[:, k]] - points[:, None] for k in range(3))
+    la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
+    below = la * lb * lc + (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
+    angle = 2 * np.arctan2((a * np.cross(b, c)).sum(-1), below).sum(1)
+    law = Contact((), np.ones(len(points)), 1.0, 1.0, 1.0)
+    contact = PairContact(law, 0.0, np.eye(len(points)), np.eye(len(vertices)), sphere.faces, reach=0.01)
+    touch = contact.touching(np.vstack([points, vertices]))
+    np.testing.assert_array_equal(np.sort(touch.samples), np.flatnonzero(angle > 2 * np.pi))
+    assert 200 < len(touch.samples) < 3800
+
+
+def test_points_inside_are_those_of_all_triangles_however_the_bodies_came_there():
+    """Lists of near triangles that are kept while two bodies deform, turn and pass through each other."""
+    scenes = (block(), block((0.9 * EDGE, 0.2 * EDGE, 0.1 * EDGE)))
+    world, rng = ReducedWorld(scenes), np.random.default_rng(4)
+    kept = [(pair, np.r_[world.slices[a], world.slices[b]]) for a, b, pair in world.pairs()]
+    y = np.concatenate([scene.body.rest for scene in scenes])
+    drift, found = 0.0005 * EDGE * rng.normal(size=y.shape), 0
+    drift[world.slices[1]] += 0.01 * (scenes[0].body.rest - scenes[1].body.rest)[: len(y) - len(scenes[0].body.rest)]
+    for step in range(60):
+        y = y + drift * np.sin(0.3 * step + 0.5) + 1e-4 * EDGE * rng.normal(size=y.shape)
+        for pair, where in kept:
+            fresh = PairContact(pair.law, 0.0, pair.samples, pair.shell, pair.faces, reach=10.0)
+            ours, all_of_them = pair.touching(y[where]), fresh.touching(y[where])
+            np.testing.assert_array_equal(ours.samples, all_of_them.samples)
+            np.testing.assert_allclose(ours.depth, all_of_them.depth, atol=1e-12 * EDGE)
+            found += len(ours.samples)
+    assert found > 200
 
 
 def test_force_between_bodies_is_the_derivative_of_their_energy():
