@@ -31,7 +31,7 @@ from physconvex.reduced.step_derivatives import StepDerivatives
 from physconvex.stepping import SolvedPass, StepRecord
 from physconvex.threads import one_torch_thread
 
-__all__ = ["LossGradient", "RecordedRollOut", "Sweep", "simulate_with_adjoint"]
+__all__ = ["Bar", "LossGradient", "RecordedRollOut", "Sweep", "simulate_with_adjoint"]
 
 Loss = Callable[[ReducedTrajectory], tuple[float, Float[np.ndarray, "T R 3"]]]
 

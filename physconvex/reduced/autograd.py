@@ -122,7 +122,7 @@ def rollout_of_weights(
         function: float64 rest positions [m] → weights, each row a function of its own point alone, twice
             differentiable by torch; usually a network, whose parameters are θ.
         count: M.
-        scene: everything but the weights; its body is elastic or damped and starts affinely deformed at most.
+        scene: everything but the weights; its body is elastic or damped, and starts in its rest shape.
         points: rest positions [m].
         options: of `simulate`; the error of the derivatives is that of Newton's `tolerance`.
 
