@@ -7,7 +7,7 @@ both models on the same quadratic mesh, with the same steps and contact, so that
 "paper" rows: M = 10 neural field and also implicit Euler with one step per 1/24 s). DATA holds the folders meshes/ and
 gso/ with NAME/model.obj; bodies that are not there are left out. Rows are stored as they are made, in the order of
 `cases`; a run goes on where the last one ended. The full model's motions are kept in the cache folder. `--only BODY`
-picks bodies; `--nodes 2500` takes finer meshes and stores reduced_accuracy_2500_nodes.json.
+picks bodies; `--nodes 2500` takes finer meshes and stores reduced_accuracy_2500_nodes.json; `--steps 32` steps finer.
 """
 
 from __future__ import annotations
@@ -58,7 +58,8 @@ BODIES = (
     "gso/Android_Figure_Orange",
 )
 NORMAL = np.array([0.15, 0.05, 1.0]) / np.linalg.norm([0.15, 0.05, 1.0])
-TIMING: dict[str, Any] = {"frames": 24, "fps": 48.0, "steps_per_frame": 8}
+TIMING: dict[str, Any] = {"frames": 24, "fps": 48.0}
+STEPS = 8  # per frame
 PAPER: dict[str, Any] = {"frames": 12, "fps": 24.0, "steps_per_frame": 1, "integrator": "implicit_euler"}
 PULL = np.array([[1.25, 0.15, 0.0], [0.0, 0.9, 0.1], [0.1, 0.0, 0.95]])
 NAMES = ("log10_youngs_modulus", "poisson_ratio")
@@ -136,24 +137,32 @@ def cases(bodies: list[str]) -> Iterator[Case]:
 
 @dataclass(frozen=True)
 class Study:
-    """What all rows share: where the surfaces are, and most nodes of a mesh made from one."""
+    """What all rows share: where the surfaces are, most nodes of a mesh made from one, and time steps per frame."""
 
     data: Path
     nodes: int = NODES
+    steps: int = STEPS
+
+    @property
+    def timing(self) -> dict[str, Any]:
+        """Of all but the paper's rows."""
+        return {**TIMING, "steps_per_frame": self.steps}
 
     @property
     def result(self) -> Path:
         """Where the rows are stored."""
-        return RESULTS / f"reduced_accuracy{'' if self.nodes == NODES else f'_{self.nodes}_nodes'}.json"
+        nodes = "" if self.nodes == NODES else f"_{self.nodes}_nodes"
+        return RESULTS / f"reduced_accuracy{nodes}{'' if self.steps == STEPS else f'_{self.steps}_steps'}.json"
 
 
 @cache
 def mesh_of(name: str, study: Study) -> TetMesh:
     """Quadratic mesh of a body, its largest edge 0.2 m; kept, since not every mesher repeats itself."""
+    cells = round((study.nodes / NODES) ** (1 / 3))  # along each edge for one of the usual mesh
     if name == "cube":
-        return box_mesh((SIZE,) * 3, (3, 3, 3), order=2)
+        return box_mesh((SIZE,) * 3, (3 * cells,) * 3, order=2)
     if name == "bar":
-        return box_mesh((SIZE, SIZE / 3, SIZE / 3), (6, 2, 2), order=2)
+        return box_mesh((SIZE, SIZE / 3, SIZE / 3), (6 * cells, 2 * cells, 2 * cells), order=2)
     finer = "" if study.nodes == NODES else f"-{study.nodes}"
     kept = cache_folder() / "reduced_accuracy" / f"{name.replace('/', '-')}{finer}.npz"
     if kept.is_file():
@@ -181,17 +190,19 @@ def floor_under(mesh: TetMesh) -> Plane:
     return Plane(point=((mesh.vertices @ NORMAL).min() - DROP) * NORMAL, normal=NORMAL)
 
 
-def full_motion(name: str, mesh: TetMesh, modulus: float, ratio: float, scene: str = "drop") -> np.ndarray:
-    """Positions of the nodes at the frames [m], shape [T, V, 3]."""
-    key = f"{name.replace('/', '-')}-{len(mesh.vertices)}-{modulus:.3g}-{ratio:.3g}"
-    path = cache_folder() / "reduced_accuracy" / f"{key}{'' if scene == 'drop' else '-' + scene}.npy"
+def full_motion(case: Case, mesh: TetMesh, study: Study, *, softer: float = 1.0) -> np.ndarray:
+    """Positions of the nodes at the frames [m], shape [T, V, 3], of the case's body or a softer one."""
+    modulus, ratio, scene = case.youngs_modulus / softer, case.poisson_ratio, case.scene
+    key = f"{case.body.replace('/', '-')}-{len(mesh.vertices)}-{modulus:.3g}-{ratio:.3g}"
+    steps = "" if study.steps == STEPS else f"-{study.steps}"
+    path = cache_folder() / "reduced_accuracy" / f"{key}{'' if scene == 'drop' else '-' + scene}{steps}.npy"
     if not path.is_file():
         body = ElasticBody(mesh, youngs_modulus=modulus, poisson_ratio=ratio)
         full = Scene(body, obstacles=(floor_under(mesh),))
         if scene == "release":
             full = Scene(body, gravity=(0, 0, 0), initial_positions=mesh.vertices @ PULL.T)
         path.parent.mkdir(parents=True, exist_ok=True)
-        np.save(path, simulate_full(full, **TIMING).positions)
+        np.save(path, simulate_full(full, **study.timing).positions)
     return np.load(path)
 
 
@@ -199,7 +210,7 @@ def reduced_scene(case: Case, mesh: TetMesh, study: Study) -> ReducedScene:
     """The reduced body of a case and what happens to it."""
     if case.basis == "elastic" and case.scene == "drop":
         rough = reduced_scene(replace(case, basis="eigenmodes", weights=20), mesh, study)
-        return with_elastic_weights(rough, mesh, case.weights, **TIMING)
+        return with_elastic_weights(rough, mesh, case.weights, **study.timing)
     samples = BodySamples.of_mesh(mesh)
     interpolated = case.basis in ("contact", "elastic")
     space = ReducedSpace(weights_of(case, mesh, study), samples, interpolated=interpolated)
@@ -226,7 +237,7 @@ def weights_of(case: Case, mesh: TetMesh, study: Study) -> WeightField:
     if case.basis == "contact":
         return contact_weights(ElasticBody(mesh), case.weights - case.weights // 3, eigenmodes=case.weights // 3)
     if case.basis == "snapshots":
-        softer = full_motion(case.body, mesh, case.youngs_modulus / 2, case.poisson_ratio)
+        softer = full_motion(case, mesh, study, softer=2)
         return snapshot_weights(ElasticBody(mesh), [softer - mesh.vertices], case.weights)
     return neural_weights(case.body, case.weights, study)
 
@@ -276,13 +287,13 @@ def measure(case: Case, study: Study) -> Row:
     """One row."""
     clock = time.process_time()
     mesh = mesh_of(case.body, study)
-    observed = full_motion(case.body, mesh, case.youngs_modulus, case.poisson_ratio, case.scene)
+    observed = full_motion(case, mesh, study)
     paper = case.basis == "paper"
     observed = observed[::2] if paper else observed
     motion = rms((observed - mesh.vertices).ravel())
     fit, bias, failure = None, np.full(2, np.nan), ""
     try:
-        fit = Fit(reduced_scene(case, mesh, study), mesh, observed, PAPER if paper else TIMING)
+        fit = Fit(reduced_scene(case, mesh, study), mesh, observed, PAPER if paper else study.timing)
         truth = fit.values
         fit.run()
         bias = fit.values - truth
@@ -305,7 +316,8 @@ def load_rows(study: Study) -> list[Row]:
 def store(rows: list[Row], study: Study) -> None:
     """All rows, and how to make them."""
     finer = "" if study.nodes == NODES else f" --nodes {study.nodes}"
-    command = f"python benchmarks/reduced_accuracy.py --data DATA{finer}"
+    steps = "" if study.steps == STEPS else f" --steps {study.steps}"
+    command = f"python benchmarks/reduced_accuracy.py --data DATA{finer}{steps}"
     study.result.write_text(json.dumps({"command": command, "rows": [asdict(row) for row in rows]}, indent=1) + "\n")
 
 
@@ -316,9 +328,10 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=np.inf, help="no further row is begun after that")
     parser.add_argument("--only", nargs="*", help="bodies, by default all")
     parser.add_argument("--nodes", type=int, default=NODES, help="most nodes of the meshes made from surfaces")
+    parser.add_argument("--steps", type=int, default=STEPS, help="time steps per frame, but for the paper's rows")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    study = Study(options.data, options.nodes)
+    study = Study(options.data, options.nodes, options.steps)
     bodies = [b for b in options.only or BODIES if "/" not in b or (options.data / b / "model.obj").is_file()]
     rows, end = load_rows(study), time.monotonic() + 60 * options.minutes
     done = {row.case for row in rows}
