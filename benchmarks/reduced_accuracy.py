@@ -7,7 +7,8 @@ both models on the same quadratic mesh, with the same steps and contact, so that
 "paper" rows: M = 10 neural field and also implicit Euler with one step per 1/24 s). DATA holds the folders meshes/ and
 gso/ with NAME/model.obj; bodies that are not there are left out. Rows are stored as they are made, in the order of
 `cases`; a run goes on where the last one ended. The full model's motions are kept in the cache folder. `--only BODY`
-picks bodies; `--nodes 2500` takes finer meshes and stores reduced_accuracy_2500_nodes.json; `--steps 32` steps finer.
+picks bodies; `--nodes 2500` takes finer meshes, `--steps 32` finer steps, `--drop 0.01` a lower drop; each stores a
+file of its own, such as reduced_accuracy_2500_nodes.json.
 """
 
 from __future__ import annotations
@@ -137,11 +138,19 @@ def cases(bodies: list[str]) -> Iterator[Case]:
 
 @dataclass(frozen=True)
 class Study:
-    """What all rows share: where the surfaces are, most nodes of a mesh made from one, and time steps per frame."""
+    """What all rows share: where the surfaces are, most nodes of a mesh, steps per frame, height of the drop [m]."""
 
     data: Path
     nodes: int = NODES
     steps: int = STEPS
+    drop: float = DROP
+
+    @property
+    def name(self) -> str:
+        """What tells it from the usual one, for names of files."""
+        parts = [(self.nodes, NODES, f"_{self.nodes}_nodes"), (self.steps, STEPS, f"_{self.steps}_steps")]
+        parts.append((self.drop, DROP, f"_drop_{self.drop:g}"))
+        return "".join(part for value, usual, part in parts if value != usual)
 
     @property
     def timing(self) -> dict[str, Any]:
@@ -151,8 +160,7 @@ class Study:
     @property
     def result(self) -> Path:
         """Where the rows are stored."""
-        nodes = "" if self.nodes == NODES else f"_{self.nodes}_nodes"
-        return RESULTS / f"reduced_accuracy{nodes}{'' if self.steps == STEPS else f'_{self.steps}_steps'}.json"
+        return RESULTS / f"reduced_accuracy{self.name}.json"
 
 
 @cache
@@ -185,20 +193,20 @@ def _mesh_file(name: str, study: Study) -> TetMesh:
     return tetrahedralize((vertices, np.asarray(surface.faces)), order=2, max_nodes=study.nodes, method="auto")
 
 
-def floor_under(mesh: TetMesh) -> Plane:
-    """The tilted floor, 5 cm under the body."""
-    return Plane(point=((mesh.vertices @ NORMAL).min() - DROP) * NORMAL, normal=NORMAL)
+def floor_under(mesh: TetMesh, study: Study) -> Plane:
+    """The tilted floor under the body."""
+    return Plane(point=((mesh.vertices @ NORMAL).min() - study.drop) * NORMAL, normal=NORMAL)
 
 
 def full_motion(case: Case, mesh: TetMesh, study: Study, *, softer: float = 1.0) -> np.ndarray:
     """Positions of the nodes at the frames [m], shape [T, V, 3], of the case's body or a softer one."""
     modulus, ratio, scene = case.youngs_modulus / softer, case.poisson_ratio, case.scene
     key = f"{case.body.replace('/', '-')}-{len(mesh.vertices)}-{modulus:.3g}-{ratio:.3g}"
-    steps = "" if study.steps == STEPS else f"-{study.steps}"
-    path = cache_folder() / "reduced_accuracy" / f"{key}{'' if scene == 'drop' else '-' + scene}{steps}.npy"
+    timed = replace(study, nodes=NODES).name  # the number of nodes is in the key
+    path = cache_folder() / "reduced_accuracy" / f"{key}{'' if scene == 'drop' else '-' + scene}{timed}.npy"
     if not path.is_file():
         body = ElasticBody(mesh, youngs_modulus=modulus, poisson_ratio=ratio)
-        full = Scene(body, obstacles=(floor_under(mesh),))
+        full = Scene(body, obstacles=(floor_under(mesh, study),))
         if scene == "release":
             full = Scene(body, gravity=(0, 0, 0), initial_positions=mesh.vertices @ PULL.T)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -218,7 +226,7 @@ def reduced_scene(case: Case, mesh: TetMesh, study: Study) -> ReducedScene:
     if case.scene == "release":
         return ReducedScene(body, gravity=(0, 0, 0), initial_coordinates=space.affine(PULL, np.zeros(3)))
     stiffness = 50 * case.youngs_modulus / mesh.size
-    return ReducedScene(body, obstacles=(floor_under(mesh),), contact_stiffness=stiffness)
+    return ReducedScene(body, obstacles=(floor_under(mesh, study),), contact_stiffness=stiffness)
 
 
 @cache
@@ -315,9 +323,10 @@ def load_rows(study: Study) -> list[Row]:
 
 def store(rows: list[Row], study: Study) -> None:
     """All rows, and how to make them."""
-    finer = "" if study.nodes == NODES else f" --nodes {study.nodes}"
-    steps = "" if study.steps == STEPS else f" --steps {study.steps}"
-    command = f"python benchmarks/reduced_accuracy.py --data DATA{finer}{steps}"
+    command = "python benchmarks/reduced_accuracy.py --data DATA"
+    for name, usual in (("nodes", NODES), ("steps", STEPS), ("drop", DROP)):
+        if getattr(study, name) != usual:
+            command += f" --{name} {getattr(study, name)}"
     study.result.write_text(json.dumps({"command": command, "rows": [asdict(row) for row in rows]}, indent=1) + "\n")
 
 
@@ -329,9 +338,10 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", help="bodies, by default all")
     parser.add_argument("--nodes", type=int, default=NODES, help="most nodes of the meshes made from surfaces")
     parser.add_argument("--steps", type=int, default=STEPS, help="time steps per frame, but for the paper's rows")
+    parser.add_argument("--drop", type=float, default=DROP, help="height above the floor [m]")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    study = Study(options.data, options.nodes, options.steps)
+    study = Study(options.data, options.nodes, options.steps, options.drop)
     bodies = [b for b in options.only or BODIES if "/" not in b or (options.data / b / "model.obj").is_file()]
     rows, end = load_rows(study), time.monotonic() + 60 * options.minutes
     done = {row.case for row in rows}
