@@ -54,7 +54,8 @@ def touched_loads(
 ) -> Float[np.ndarray, "V K"]:
     """Loads on single nodes of the surface, those that a motion brings nearest to obstacles, most touched first.
 
-    A rough motion is enough, for example that of twenty eigenmodes: `run.positions(mesh.vertices)`.
+    A rough motion is enough, for example that of twenty eigenmodes: `run.positions(mesh.vertices)`. Its k-th frame that
+    touches counts 1/k: what touches first decides what happens next, and a rough motion is right the longer the less.
 
     Args:
         mesh: of the body.
@@ -70,9 +71,12 @@ def touched_loads(
     if np.shape(positions) != (len(times), *mesh.vertices.shape):
         raise InputError(f"positions: got shape {np.shape(positions)}; expected {(len(times), *mesh.vertices.shape)}")
     reach, touched = margin * mesh.size, np.zeros(len(mesh.vertices))
+    touching = 0  # frames so far
     for time, nodes in zip(times, positions, strict=True):
-        for obstacle in obstacles:
-            touched += np.clip(reach - obstacle.gap(nodes, float(time)), 0, None)
+        near = sum(np.clip(reach - obstacle.gap(nodes, float(time)), 0, None) for obstacle in obstacles)
+        if np.any(near > 0):
+            touching += 1
+            touched += near / touching
     touched *= mesh.node_areas
     nodes = np.argsort(-touched, kind="stable")[:count]
     nodes = nodes[touched[nodes] > 0]
