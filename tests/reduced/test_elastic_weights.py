@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.sparse as sp
+from scipy.spatial.transform import Rotation
 
 from physconvex.errors import InputError
 from physconvex.fem import ElasticBody, Scene, TetMesh, box_mesh, elastic_responses, tangent_stiffness, vibration_modes
@@ -135,6 +136,18 @@ def test_touched_nodes_are_those_that_come_near():
     np.testing.assert_array_equal(touched_loads(mesh, positions, times, [rising], count=100), loads)
     ball = Sphere(center=(0.1, 0.1, -0.05), radius=0.05)
     assert 0 < touched_loads(mesh, positions, times, [ball]).shape[1] < bottom.sum()
+
+
+def test_what_touches_first_counts_most():
+    mesh = box_mesh((0.2, 0.2, 0.2), (2, 2, 2), order=2)
+
+    def on_its_edge(angle):
+        turned = mesh.vertices @ Rotation.from_euler("y", angle).as_matrix().T
+        return turned - [0, 0, turned[:, 2].min()]
+
+    positions = np.stack([on_its_edge(0.3), on_its_edge(-0.3), on_its_edge(-0.3)])  # twice as long on the other edge
+    loads = touched_loads(mesh, positions, np.arange(3.0), [Plane()], count=1)
+    np.testing.assert_allclose(positions[0][loads[:, 0] > 0, 2], 0, atol=1e-12)
 
 
 def test_a_dropped_body_follows_the_full_model():
