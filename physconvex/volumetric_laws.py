@@ -9,7 +9,14 @@ from jaxtyping import Float
 
 from physconvex.materials import LAWS, Law
 
-__all__ = ["VolumetricTerm", "cofactor_and_determinant", "is_volumetric", "nearly_flat", "volumetric_term"]
+__all__ = [
+    "VolumetricTerm",
+    "cofactor_and_determinant",
+    "energy_and_stress",
+    "is_volumetric",
+    "nearly_flat",
+    "volumetric_term",
+]
 
 Array = np.ndarray
 _NEARLY_FLAT = 1e-4  # |J| over |C|^(3/2) below which a division by J costs digits
@@ -53,6 +60,24 @@ def cofactor_and_determinant(f: Float[Array, "3 3 Q"]) -> tuple[Float[Array, "3 
     cofactor = ring[1:4, 1:4] * ring[2:, 2:]
     cofactor -= ring[1:4, 2:] * ring[2:, 1:4]
     return cofactor, np.einsum("jq,jq->q", f[0], cofactor[0])
+
+
+@np.errstate(over="ignore", invalid="ignore")  # a trial step far too long has no finite energy, and is refused
+def energy_and_stress(
+    term: VolumetricTerm, f: Float[Array, "3 3 Q"], weights: Array, mu: Array, lam: Array, *, with_energy: bool = True
+) -> tuple[float, Float[Array, "3 3 Q"]]:
+    """Energy [J] (NaN without), and the stresses μ F + f' cof F times the weights; they take F's place."""
+    cofactor, j = cofactor_and_determinant(f)
+    value, slope, _ = term(j, mu, lam)
+    weighted_mu = weights * mu
+    energy = float("nan")
+    if with_energy:
+        square = np.einsum("ijq,ijq->q", f, f)
+        energy = 0.5 * float(weighted_mu @ (square - 3)) + float(weights @ value)
+    cofactor *= weights * slope
+    f *= weighted_mu
+    f += cofactor
+    return energy, f
 
 
 def nearly_flat(cofactor: Float[Array, "3 3 Q"], j: Float[Array, " Q"]) -> bool:

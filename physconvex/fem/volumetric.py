@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 from physconvex.materials import Law
-from physconvex.volumetric_laws import cofactor_and_determinant, nearly_flat, volumetric_term
+from physconvex.volumetric_laws import cofactor_and_determinant, energy_and_stress, nearly_flat, volumetric_term
 
 __all__ = ["VolumetricElements"]
 
@@ -62,19 +62,9 @@ class VolumetricElements:
         """∫ P : ∂N_a/∂X dV [N] of a stress times the weights."""
         return self._to_nodes @ stress.transpose(1, 2, 0).reshape(-1, 3)
 
-    @np.errstate(over="ignore", invalid="ignore")  # a trial step far too long has no finite energy, and is refused
     def _elastic(self, f: Float[Array, "3 3 P"], *, with_energy: bool) -> tuple[float, Float[Array, "3 3 P"]]:
         """Energy [J] (NaN without), and stress times the weights; takes F's place."""
-        cofactor, j = cofactor_and_determinant(f)
-        value, slope, _ = self._term(j, self._mu, self._lam)
-        energy = float("nan")
-        if with_energy:
-            square = np.einsum("ijp,ijp->p", f, f)
-            energy = 0.5 * float(self._weighted_mu @ (square - 3)) + float(self._weights @ value)
-        cofactor *= self._weights * slope
-        f *= self._weighted_mu
-        f += cofactor
-        return energy, f
+        return energy_and_stress(self._term, f, self._weights, self._mu, self._lam, with_energy=with_energy)
 
     def energy_and_gradient(self, x: Float[Array, "V 3"]) -> tuple[float, Float[Array, "V 3"]]:
         """Elastic energy [J] and its derivative by the positions of the nodes [N]."""

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.materials import Law
-from physconvex.volumetric_laws import cofactor_and_determinant, nearly_flat, volumetric_term
+from physconvex.volumetric_laws import cofactor_and_determinant, energy_and_stress, nearly_flat, volumetric_term
 
 __all__ = ["VolumetricSamples"]
 
@@ -39,42 +39,36 @@ class VolumetricSamples:
         self._gradients = np.ascontiguousarray(gradients)
         self._by_function = np.ascontiguousarray(gradients.transpose(2, 1, 0).reshape(size, 3 * count))
         self._weights, self._mu, self._lam = weights, mu, lam
-        self._weighted_mu = weights * mu
         flat = self._gradients.reshape(3 * count, size)
-        self._constant = flat.T @ (np.repeat(self._weighted_mu, 3)[:, None] * flat)
+        self._constant = flat.T @ (np.repeat(weights * mu, 3)[:, None] * flat)
 
-    def _gradient_and_cofactor(self, y: Float[Array, "R 3"]) -> tuple[Array, Array, Array]:
-        """F and its cofactor, shape [3, 3, Q], and J."""
+    def _deformation_gradient(self, y: Float[Array, "R 3"]) -> Float[Array, "3 3 Q"]:
+        """F at the samples."""
         # three products with vectors: for one with three columns BLAS first copies the whole matrix
         f = np.empty((3, 3, len(self._weights)))
         for column, row in zip(y.T, f.reshape(3, -1), strict=True):
             np.matmul(column, self._by_function, out=row)
-        return f, *cofactor_and_determinant(f)
+        return f
 
     @np.errstate(over="ignore", invalid="ignore")  # a trial step far too long has no finite energy, and is refused
     def energy_and_gradient(self, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:
         """Elastic energy [J] and its derivative by the coordinates [N]."""
-        f, cofactor, j = self._gradient_and_cofactor(y)
-        value, slope, _ = self._part(j, self._mu, self._lam)
-        square = np.einsum("ijq,ijq->q", f, f)
-        energy = 0.5 * float(self._weighted_mu @ (square - 3)) + float(self._weights @ value)
-        return energy, self._forces(f, cofactor, self._weighted_mu, self._weights * slope)
+        f = self._deformation_gradient(y)
+        energy, stress = energy_and_stress(self._part, f, self._weights, self._mu, self._lam)
+        return energy, self._forces(stress)
 
     def gradient_with(self, y: Float[Array, "R 3"], mu: Array, lam: Array) -> Float[Array, "R 3"]:
         """The derivative [N] with other constants μ and λ [Pa], shape [Q]."""
-        f, cofactor, j = self._gradient_and_cofactor(y)
-        return self._forces(f, cofactor, self._weights * mu, self._weights * self._part(j, mu, lam)[1])
+        f = self._deformation_gradient(y)
+        return self._forces(energy_and_stress(self._part, f, self._weights, mu, lam, with_energy=False)[1])
 
-    def _forces(self, f: Array, cofactor: Array, along: Array, across: Array) -> Float[Array, "R 3"]:
-        """Of the stress along × F + across × C, weights included; takes the place of both."""
-        cofactor *= across
-        f *= along
-        f += cofactor
-        return np.stack([self._by_function @ row for row in f.reshape(3, -1)], axis=1)
+    def _forces(self, stress: Float[Array, "3 3 Q"]) -> Float[Array, "R 3"]:
+        """Of stresses times the weights."""
+        return np.stack([self._by_function @ row for row in stress.reshape(3, -1)], axis=1)
 
     def hessian_blocks(self, y: Float[Array, "R 3"]) -> Float[Array, "3 R 3 R"] | None:
         """Second derivative [N/m], components first; None where the body is nearly flat at a sample."""
-        _, cofactor, j = self._gradient_and_cofactor(y)
+        cofactor, j = cofactor_and_determinant(self._deformation_gradient(y))
         if nearly_flat(cofactor, j):
             return None
         size = self._size
