@@ -1,4 +1,4 @@
-"""Where forces may act on a body: all over its surface, or where a motion touches something."""
+"""Where forces may act on a body: all over its surface, where a motion touches something, or where it is held."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
 
 from physconvex.contact import Obstacle
 from physconvex.errors import InputError
 from physconvex.fem.mesh import TetMesh
+from physconvex.reduced.pins import Pins
 
-__all__ = ["even_loads", "surface_patches", "touched_loads"]
+__all__ = ["even_loads", "held_loads", "surface_patches", "touched_loads"]
 
 
 def surface_patches(points: Float[np.ndarray, "S 3"], count: int) -> Int[np.ndarray, " S"]:
@@ -82,4 +84,20 @@ def touched_loads(
     nodes = nodes[touched[nodes] > 0]
     loads = np.zeros((len(touched), len(nodes)))
     loads[nodes, np.arange(len(nodes))] = 1.0
+    return loads
+
+
+def held_loads(mesh: TetMesh, pins: Pins, *, count: int = 30) -> Float[np.ndarray, "V K"]:
+    """Loads on the nodes next to pins, which bear what holds the body; on patches of them where there are many.
+
+    Args:
+        mesh: of the body.
+        pins: points that are held or led.
+        count: most columns.
+    """
+    _, nearest = cKDTree(mesh.vertices).query(pins.points)
+    nodes, of = np.unique(nearest, return_inverse=True)
+    patches = surface_patches(mesh.vertices[nodes], min(count, len(nodes)))
+    loads = np.zeros((len(mesh.vertices), patches.max() + 1))
+    loads[nodes, patches] = np.bincount(of, weights=pins.areas)
     return loads

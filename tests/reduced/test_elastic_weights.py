@@ -10,9 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from physconvex.errors import InputError
 from physconvex.fem import ElasticBody, Scene, TetMesh, box_mesh, elastic_responses, tangent_stiffness, vibration_modes
+from physconvex.fem import Pins as FullPins
 from physconvex.fem import simulate as simulate_full
 from physconvex.reduced import (
     BodySamples,
+    Pins,
     Plane,
     ReducedBody,
     ReducedScene,
@@ -21,6 +23,7 @@ from physconvex.reduced import (
     eigenmode_weights,
     elastic_weights,
     even_loads,
+    held_loads,
     simulate,
     touched_loads,
     with_elastic_weights,
@@ -178,6 +181,39 @@ def test_a_dropped_body_follows_the_full_model():
     expected = elastic_weights(full, 20, loads, states=positions[sorted({half, most})])
     found = with_elastic_weights(rough, mesh, 20, loaded=12, passes=1, **timing).body.space.field
     np.testing.assert_allclose(np.abs(found.nodal_values), np.abs(expected.nodal_values), atol=1e-6)
+
+
+def test_a_clamped_body_answers_to_what_holds_it():
+    """A bar that sags: beside loads all over its surface, those at the clamp bring it several times nearer."""
+    mesh = box_mesh((0.3, 0.1, 0.1), (6, 2, 2), order=2)
+    full = ElasticBody(mesh, youngs_modulus=5e4, poisson_ratio=0.4)
+    clamped = np.flatnonzero(np.isclose(mesh.vertices[:, 0], mesh.vertices[:, 0].min()))
+    timing = {"frames": 9, "fps": 24.0, "steps_per_frame": 4}
+    truth = simulate_full(Scene(full, pins=FullPins(clamped)), **timing).positions
+    samples = BodySamples.of_mesh(mesh)
+
+    def distance(field, scene) -> float:
+        body = scene.body.with_space(ReducedSpace(field, samples, interpolated=True))
+        run = simulate(dataclasses.replace(scene, body=body), **timing)
+        return float(np.abs(run.positions(mesh.vertices) - truth).max())
+
+    space = ReducedSpace(eigenmode_weights(full, 10), samples, interpolated=True)
+    pins = Pins(mesh.vertices[clamped], np.maximum(mesh.node_areas[clamped], 1e-9))
+    rough = ReducedScene(ReducedBody(space, youngs_modulus=5e4, poisson_ratio=0.4), pins=pins)
+    near = with_elastic_weights(rough, mesh, 24, **timing).body.space.field
+    assert distance(near, rough) < 0.4 * distance(elastic_weights(full, 24, even_loads(mesh, 20)), rough)
+
+
+def test_what_holds_a_body_loads_the_nodes_there():
+    mesh = box_mesh((0.3, 0.1, 0.1), (4, 2, 2), order=2)
+    clamped = np.flatnonzero(np.isclose(mesh.vertices[:, 0], mesh.vertices[:, 0].min()))
+    pins = Pins(mesh.vertices[np.append(clamped, clamped[:1])], 2e-4)
+    single = held_loads(mesh, pins, count=100)
+    assert single.shape == (len(mesh.vertices), len(clamped))
+    np.testing.assert_allclose(single.sum(1)[clamped], [4e-4] + [2e-4] * (len(clamped) - 1))
+    patches = held_loads(mesh, pins, count=7)
+    assert patches.shape[1] == 7 and (patches.sum(0) > 0).all()
+    np.testing.assert_allclose(patches.sum(1), single.sum(1))
 
 
 def test_answers_about_a_squashed_state_span_what_those_at_rest_do_not(bar):
