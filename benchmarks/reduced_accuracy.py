@@ -146,11 +146,15 @@ class Study:
     drop: float = DROP
 
     @property
+    def changes(self) -> dict[str, float]:
+        """What is not as usual."""
+        usual = asdict(Study(self.data))
+        return {name: value for name, value in asdict(self).items() if value != usual[name]}
+
+    @property
     def name(self) -> str:
         """What tells it from the usual one, for names of files."""
-        parts = [(self.nodes, NODES, f"_{self.nodes}_nodes"), (self.steps, STEPS, f"_{self.steps}_steps")]
-        parts.append((self.drop, DROP, f"_drop_{self.drop:g}"))
-        return "".join(part for value, usual, part in parts if value != usual)
+        return "".join(f"_{value:g}_{name}" for name, value in self.changes.items())
 
     @property
     def timing(self) -> dict[str, Any]:
@@ -323,10 +327,8 @@ def load_rows(study: Study) -> list[Row]:
 
 def store(rows: list[Row], study: Study) -> None:
     """All rows, and how to make them."""
-    command = "python benchmarks/reduced_accuracy.py --data DATA"
-    for name, usual in (("nodes", NODES), ("steps", STEPS), ("drop", DROP)):
-        if getattr(study, name) != usual:
-            command += f" --{name} {getattr(study, name)}"
+    options = "".join(f" --{name} {value:g}" for name, value in study.changes.items())
+    command = f"python benchmarks/reduced_accuracy.py --data DATA{options}"
     study.result.write_text(json.dumps({"command": command, "rows": [asdict(row) for row in rows]}, indent=1) + "\n")
 
 

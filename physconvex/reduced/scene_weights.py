@@ -60,12 +60,11 @@ def with_elastic_weights(
         poisson_ratio=body.poisson_ratio,
         density=body.density,
     )
+    held = [] if scene.pins is None else [held_loads(mesh, scene.pins, count=loaded)]
     for _ in range(passes):
         run = simulate(scene, **timing)
         positions = run.positions(mesh.vertices)
-        loads = touched_loads(mesh, positions, run.times, scene.obstacles, count=loaded)
-        if scene.pins is not None:
-            loads = np.hstack([loads, held_loads(mesh, scene.pins, count=loaded)])
+        loads = np.hstack([touched_loads(mesh, positions, run.times, scene.obstacles, count=loaded), *held])
         if loads.size:
             weights = elastic_weights(elastic, count, loads, states=most_deformed(elastic, positions))
         else:
