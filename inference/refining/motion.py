@@ -56,7 +56,8 @@ def motion_of(
         better = enriched(fitted, carried)
         again = simulate(better.scene, **twin.timing())
         gap = np.array([_rms(r.positions(nodes) - carried) for r in (run, again)])
-        return {"nodes": moved, "handles": again.handles(), "weights": _weights(better), "gap": gap}
+        nearer, moving = (better, again) if gap[1] < gap[0] else (fitted, run)
+        return {"nodes": moved, "handles": moving.handles(), "weights": _weights(nearer), "gap": gap}
 
     arrays = stages.run("motion", compute)
     moved = Embedding.of_points(body, np.concatenate([vertices, markers])).apply(arrays["nodes"])

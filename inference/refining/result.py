@@ -287,7 +287,9 @@ class Refinement:
             ],
             "converged": self.converged,
             "motion_model": self.motion.model,
-            "reduced_model_rms_m": dict(zip(("eigenmodes", "refined_weights"), self.motion.reduced_gap, strict=False)),
+            "reduced_model_rms_m": dict(
+                zip(("smooth_weights", "refined_weights"), self.motion.reduced_gap, strict=False)
+            ),
             "convex_field": self.appearance.to_json() if self.appearance else None,
             "frames": len(self.motion.times),
             "observed_frames": self.observed_frames,

@@ -22,7 +22,7 @@ __all__ = ["ReducedSearch", "started_from"]
 
 _MODULUS, _RATIO = "log10_youngs_modulus", "poisson_ratio"
 _CHEAP_WEIGHTS = 6
-_AROUND = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0)  # decades; reduced models are too stiff, so that E wants more
+_AROUND = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0)  # decades; eigenmodes are too stiff in contact, so that E wants more
 _USUAL_RATIO = 0.3
 _PAIRS = 10  # of E and ν that are scanned at least
 
@@ -59,12 +59,12 @@ class ReducedSearch:
         return fit_of(self.stages.run("reduced", lambda: self._best(problem, starts)), problem.parameters)
 
     def candidates(self, problem: Problem, found: Fit) -> tuple[np.ndarray, ...]:
-        """Where a better model may begin: the fit, the best pairs of the scan, and moduli about that of the fit."""
+        """Where a better model may begin: the fit, the best pairs of the scan, and moduli about that of a free body."""
         if _MODULUS not in problem.names or _MODULUS in self.options.initial:
             return (found.values,)
         scanned = [np.array([p.start for p in start]) for start in self._scanned(problem)]
         around = []
-        for change in _AROUND:
+        for change in _AROUND if problem.twin.clamp is None else ():
             values = started_from(problem.parameters, found)
             by_name = {_MODULUS: found.value(_MODULUS) + change, _RATIO: _USUAL_RATIO}
             around.append(np.array([p.at(by_name.get(p.name, p.start)).start for p in values]))

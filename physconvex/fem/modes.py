@@ -14,6 +14,7 @@ from physconvex.fem.body import ElasticBody
 
 __all__ = [
     "elastic_responses",
+    "rigid_motions",
     "skinning_eigenmodes",
     "skinning_responses",
     "skinning_stiffness",
@@ -74,40 +75,65 @@ def _relieved(
     return answers - rigid.T @ (rigid @ (mass @ answers)), balanced
 
 
-def elastic_responses(
-    body: ElasticBody, forces: Float[np.ndarray, "K V 3"], positions: Float[np.ndarray, "V 3"] | None = None
-) -> Float[np.ndarray, "K V 3"]:
-    """Static displacements of a free body under forces at its nodes, each with elastic energy ½ J.
+def rigid_motions(
+    positions: Float[np.ndarray, "V 3"], clamped: Bool[np.ndarray, " V"] | None = None
+) -> Float[np.ndarray, "R V 3"]:
+    """Displacements and turns as a whole that leave what is held where it is; six of a free body."""
+    turns = np.cross(np.eye(3)[:, None], (positions - positions.mean(0)) / np.abs(np.ptp(positions, axis=0)).max())
+    motions = np.concatenate([np.broadcast_to(np.eye(3)[:, None], turns.shape), turns])
+    if clamped is None or not clamped.any():
+        return motions
+    _, sizes, mixing = np.linalg.svd(motions[:, clamped].reshape(6, -1).T, full_matrices=True)
+    held = int((sizes > 1e-6 * sizes[0]).sum())
+    return np.tensordot(mixing[held:], motions, 1)
 
-    The body's inertia carries what the forces do not balance, and the displacement has no rigid part: the attachment
-    modes with inertia relief of component mode synthesis (Craig & Kurdila 2006, §17.3).
+
+def elastic_responses(
+    body: ElasticBody,
+    forces: Float[np.ndarray, "K V 3"],
+    positions: Float[np.ndarray, "V 3"] | None = None,
+    *,
+    clamped: Bool[np.ndarray, " V"] | None = None,
+) -> Float[np.ndarray, "K V 3"]:
+    """Static displacements of a body under forces at its nodes, each with elastic energy ½ J.
+
+    What is held bears the forces. Those that would move the body as a whole its inertia carries, and the displacement
+    has no such part: the attachment modes with inertia relief of component mode synthesis (Craig & Kurdila 2006,
+    §17.3).
 
     Args:
         body: mesh, law, stiffness and density.
         forces: any unit, since the answers are scaled.
         positions: of the nodes in the state about which the body answers linearly [m], at rest unless given; the
             stiffness of a deformed one is made positive, and since its stresses resist turns, ½ J holds nearly.
+        clamped: nodes that are held.
 
     Raises:
-        InputError: forces or positions of another shape, or a force that only moves the body as a whole.
+        InputError: forces or positions of another shape, or a force that deforms nothing.
     """
-    vertices, size = body.mesh.vertices, 3 * len(body.mesh.vertices)
+    vertices = body.mesh.vertices
     if np.ndim(forces) != 3 or np.shape(forces)[1:] != vertices.shape or not np.isfinite(forces).all():
         raise InputError(f"forces: got shape {np.shape(forces)}; expected finite [K, {len(vertices)}, 3]")
     state = vertices if positions is None else positions
     if np.shape(state) != vertices.shape or not np.isfinite(state).all():
         raise InputError(f"positions: got shape {np.shape(state)}; expected finite [{len(vertices)}, 3]")
-    arms = state - state.mean(0)
-    turns = np.cross(np.eye(3)[:, None], arms)
-    rigid = np.concatenate([np.broadcast_to(np.eye(3)[:, None], turns.shape), turns]).reshape(6, size)
-    mass = sp.kron(body.mass, sp.eye(3)).tocsr()
+    free = _free(body, clamped)
+    rigid = rigid_motions(state, ~free)[:, free].reshape(-1, 3 * free.sum())
+    mass = sp.kron(body.mass[free][:, free], sp.eye(3)).tocsr()
     rigid = np.linalg.solve(np.linalg.cholesky(rigid @ (mass @ rigid.T)), rigid)
-    loads = np.reshape(forces, (-1, size)).T
-    answers, balanced = _relieved(tangent_stiffness(body, state, project=positions is not None), mass, rigid, loads)
-    if (np.abs(balanced).max(0) <= 1e-9 * np.abs(loads).max(0)).any():
-        raise InputError("forces: one of them only moves the body as a whole; leave it out")
+    loads = np.asarray(forces)[:, free].reshape(len(forces), -1).T
+    stiffness = tangent_stiffness(body, state, free=free, project=positions is not None)
+    answers, balanced = _relieved(stiffness, mass, rigid, loads)
+    if (np.abs(balanced).max(0) <= 1e-9 * np.abs(forces).max((1, 2))).any():
+        raise InputError("forces: one of them only moves the body as a whole, or acts where it is held; leave it out")
     energies = np.einsum("vk,vk->k", answers, balanced)  # above zero where loose parts move without elastic energy too
-    return (answers / np.sqrt(energies)).T.reshape(np.shape(forces))
+    responses = np.zeros(np.shape(forces))
+    responses[:, free] = (answers / np.sqrt(energies)).T.reshape(len(forces), -1, 3)
+    return responses
+
+
+def _free(body: ElasticBody, clamped: np.ndarray | None) -> Bool[np.ndarray, " V"]:
+    return np.ones(len(body.mesh.vertices), dtype=bool) if clamped is None else ~np.asarray(clamped, dtype=bool)
 
 
 def vibration_modes(
@@ -130,7 +156,7 @@ def vibration_modes(
         positions: of the nodes in the state about which the body vibrates [m], at rest unless given; the stiffness of
             a deformed one is made positive.
     """
-    free = np.ones(len(body.mesh.vertices), dtype=bool) if clamped is None else ~np.asarray(clamped, dtype=bool)
+    free = _free(body, clamped)
     stiffness = tangent_stiffness(body, positions, free=free, project=positions is not None)
     own = body.mass if carried is None else body.mass + sp.diags(carried)
     mass = sp.kron(own[free][:, free], sp.eye(3)).tocsr()

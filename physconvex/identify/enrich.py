@@ -1,7 +1,7 @@
 """Skinning weights refined by the full model's motion at the fitted material.
 
 The correction runs the full model anyway. Proper orthogonal decomposition of that motion gives the weights that it
-needs (`physconvex.reduced.snapshot_weights`); they take the place of half of the eigenmodes, those of short wavelength.
+needs (`physconvex.reduced.snapshot_weights`); they take the place of half of those the twin has, the roughest.
 """
 
 from __future__ import annotations
@@ -11,13 +11,12 @@ from jaxtyping import Float
 
 from physconvex.errors import InputError
 from physconvex.fem import ElasticBody
-from physconvex.identify.twin import Twin
+from physconvex.identify.twin import Twin, smooth_weights
 from physconvex.reduced import (
     BodySamples,
+    NodalWeights,
     ReducedSpace,
-    StackedWeights,
     WeightField,
-    eigenmode_weights,
     snapshot_weights,
 )
 
@@ -40,15 +39,18 @@ def enriched(twin: Twin, nodes: Float[np.ndarray, "T V 3"], *, snapshots: int | 
             found = snapshot_weights(body, [nodes - twin.mesh.vertices], count)
         except InputError:  # the motion has fewer independent fields
             continue
-        kept = weights - count
-        return with_weights(twin, StackedWeights((eigenmode_weights(body, kept), found)) if kept else found)
+        if count == weights:
+            return with_weights(twin, found)
+        kept = smooth_weights(twin.mesh, weights - count, twin.clamp)
+        return with_weights(twin, NodalWeights(twin.mesh, np.hstack([kept.nodal_values, found.nodal_values])))
     return twin
 
 
 def with_weights(twin: Twin, weights: WeightField) -> Twin:
     """The twin with other skinning weights, starting at rest; everything else stays."""
     old = twin.scene.body
-    body = old.with_space(ReducedSpace(weights, BodySamples.of_mesh(twin.mesh)))
+    interpolated = twin.clamp is not None and isinstance(weights, NodalWeights)  # as `base_twin` does
+    body = old.with_space(ReducedSpace(weights, BodySamples.of_mesh(twin.mesh), interpolated=interpolated))
     position = old.first_moments @ twin.scene.start / old.total_mass
     moved = twin.with_scene(body=body, initial_coordinates=None)
     rest = body.first_moments @ moved.scene.start / body.total_mass

@@ -15,11 +15,21 @@ from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import ElasticBody, Scene, TetMesh, to_quadratic
 from physconvex.identify.clamping import Clamp, clamp_of
 from physconvex.identify.faithful import faithful_mesh
-from physconvex.reduced import BodySamples, ReducedBody, ReducedScene, ReducedSpace, eigenmode_weights, with_parameters
+from physconvex.reduced import (
+    BodySamples,
+    NodalWeights,
+    ReducedBody,
+    ReducedScene,
+    ReducedSpace,
+    eigenmode_weights,
+    elastic_weights,
+    with_parameters,
+)
 
-__all__ = ["Twin", "TwinOptions", "base_twin", "coarse_mesh", "mesh_of_capture"]
+__all__ = ["Twin", "TwinOptions", "base_twin", "coarse_mesh", "mesh_of_capture", "smooth_weights"]
 
 RATE = 384.0  # time steps per second at least: below 0.02 decades of E by the time step, see design notes
+_NODES_PER_WEIGHT = 5  # each weight brings four functions
 
 
 @dataclass(frozen=True)
@@ -27,7 +37,7 @@ class TwinOptions:
     """How a twin is discretised.
 
     Attributes:
-        weights: number M of skinning weights beside the constant one.
+        weights: number M of skinning weights beside the constant one, see `smooth_weights`.
         max_nodes: most nodes of its quadratic mesh; finer tetrahedra of a capture are meshed anew.
         steps_per_frame: time steps per frame; None: at least 384 per second, at least 4 per frame.
         law: elastic law, see `physconvex.materials`.
@@ -131,6 +141,19 @@ class Twin:
         return clamp_of(boundary, mesh, reference=vertices, cells=cells, fps=self.fps)
 
 
+def smooth_weights(mesh: TetMesh, count: int, clamp: Clamp | None) -> NodalWeights:
+    """So many weights for a body that nothing is known of yet: eigenmodes, or the vibrations of what is held.
+
+    Those of a clamped body are fewer where its free nodes have no more than these to tell apart.
+    """
+    body = ElasticBody(mesh)
+    if clamp is None:
+        return eigenmode_weights(body, count)
+    held = np.zeros(len(mesh.vertices), dtype=bool)
+    held[clamp.nodes] = True
+    return elastic_weights(body, min(count, max(1, int((~held).sum()) // _NODES_PER_WEIGHT)), clamped=held)
+
+
 def _uniform(name: str, value: np.ndarray) -> float:
     if np.ptp(value) > 1e-9 * abs(value).max():
         raise InputError(f"full_scene: {name} differs from cell to cell; expected a uniform body on another mesh")
@@ -200,9 +223,9 @@ def base_twin(capture: Capture, options: TwinOptions | None = None, *, mesh: Tet
     if boundary is not None:
         vertices, cells = _reference(capture, mesh)
         clamp = clamp_of(boundary, mesh, reference=vertices, cells=cells, fps=capture.fps)
-    weights = eigenmode_weights(ElasticBody(mesh), options.weights)
+    weights = smooth_weights(mesh, options.weights, clamp)
     body = ReducedBody(
-        ReducedSpace(weights, BodySamples.of_mesh(mesh)),
+        ReducedSpace(weights, BodySamples.of_mesh(mesh), interpolated=clamp is not None),
         law=options.law,
         youngs_modulus=options.youngs_modulus,
         poisson_ratio=options.poisson_ratio,

@@ -19,7 +19,7 @@ from physconvex.reduced.contact_modes import contact_weights
 from physconvex.reduced.cubature import BodySamples, Cubature, tet_cubature
 from physconvex.reduced.elastic_weights import elastic_weights
 from physconvex.reduced.given_fields import ArrayWeights, StackedWeights, predicted_weights, snapshot_weights
-from physconvex.reduced.loads import even_loads, held_loads, touched_loads
+from physconvex.reduced.loads import even_loads, held_nodes, touched_loads
 from physconvex.reduced.neural_field import (
     NeuralFieldOptions,
     NeuralWeights,
@@ -73,7 +73,7 @@ __all__ = [
     "eigenmode_weights",
     "elastic_weights",
     "even_loads",
-    "held_loads",
+    "held_nodes",
     "optimised_cubature",
     "parameter_values",
     "predicted_weights",

@@ -8,72 +8,87 @@ whose products W_m(X) [X; 1] come nearest to all of them.
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from physconvex.errors import InputError
 from physconvex.fem.body import ElasticBody
-from physconvex.fem.modes import elastic_responses, skinning_stiffness, vibration_modes
+from physconvex.fem.modes import elastic_responses, rigid_motions, skinning_stiffness, vibration_modes
 from physconvex.kabsch import best_rotation
 from physconvex.reduced.basis import MAX_WEIGHTS, NodalWeights
 from physconvex.reduced.principal_fields import principal_fields
 
 __all__ = ["elastic_weights"]
 
-_RIGID = 6
 _AT_ONCE = 10  # weights that are taken before what their products give is taken out of the rest
-_LOOSE = 1e-2  # of the highest vibration's frequency, below which one counts as a motion of loose parts
+_LOOSE = 1e-3  # of the highest vibration's frequency, below which one counts as a motion of loose parts
 
 
 def elastic_weights(
     body: ElasticBody,
     count: int,
-    loads: Float[np.ndarray, "V K"],
+    loads: Float[np.ndarray, "V K"] | None = None,
     *,
+    clamped: Bool[np.ndarray, " V"] | None = None,
     vibrations: int = 30,
     states: Float[np.ndarray, "S V 3"] | None = None,
 ) -> NodalWeights:
-    """Weights whose products with [X; 1] span a free body's first vibrations and its answers to forces.
+    """Weights whose products with [X; 1] span a body's first vibrations and its answers to forces.
 
-    Every vibration and every answer counts with the same elastic energy. Their components are scalar fields; the fields
-    that carry most of what the products of the weights so far leave, in the norm of ∫ E |∇w|², become the next weights:
-    proper orthogonal decomposition, ten at a time. Use them with `ReducedSpace(weights, samples, interpolated=True)`.
+    Every vibration and every answer of a free body counts with the same elastic energy, as a blow excites them. Those
+    of a clamped body count as its own weight, let go, would: in proportion to 1/ω², the softest with ½ J.
+    Their components are scalar fields; the fields that carry most of what the products of the weights so far leave, in
+    the norm of ∫ E |∇w|², become the next weights: proper orthogonal decomposition, ten at a time. Use them with
+    `ReducedSpace(weights, samples, interpolated=True)`.
 
     Args:
         body: mesh, law, E, ν and density; with another ν the answers change little.
         count: M, number of weights.
         loads: where forces may act, each column in all three directions (`touched_loads`, `even_loads`).
+        clamped: nodes that are held.
         vibrations: number of elastic vibrations, fewer on a small mesh.
         states: positions of the nodes [m] in deformed states about which the body answers too, each turned back; it
             also vibrates about the last one, the most deformed. A squashed limb gives way otherwise than at rest.
 
     Raises:
-        InputError: loads or states of another shape, `count` not in 1..64 or more than vibrations and answers can give.
+        InputError: loads, nodes or states of another shape, `count` not in 1..64 or more than vibrations and answers
+            can give.
     """
     if not 1 <= count <= MAX_WEIGHTS:
         raise InputError(f"count: got {count}; expected 1 to {MAX_WEIGHTS} weights")
     vertices = body.mesh.vertices
+    loads = np.zeros((len(vertices), 0)) if loads is None else loads
     if np.ndim(loads) != 2 or len(loads) != len(vertices):
         raise InputError(f"loads: got shape {np.shape(loads)}; expected [{len(vertices)}, K], one row for each node")
+    held = np.zeros(len(vertices), dtype=bool) if clamped is None else np.asarray(clamped)
+    if held.dtype != bool or held.shape != (len(vertices),) or held.all():
+        raise InputError(f"clamped: got {held.dtype} of shape {held.shape}; expected bool [{len(vertices)}], some free")
     deformed = np.zeros((0, *vertices.shape)) if states is None else np.asarray(states)
     if deformed.ndim != 3 or deformed.shape[1:] != vertices.shape or not np.isfinite(deformed).all():
         raise InputError(f"states: got shape {deformed.shape}; expected finite [S, {len(vertices)}, 3]")
-    turned = [x @ best_rotation(vertices, x, body.node_masses) for x in deformed]
-    moved = [_vibrations(body, vibrations, state) for state in (None, *turned[-1:])]
+    if not held.any():
+        deformed = np.array([x @ best_rotation(vertices, x, body.node_masses) for x in deformed])
+    moved = [_vibrations(body, vibrations, held, state) for state in (None, *deformed[-1:])]
     if np.size(loads):
         forces = np.einsum("vk,cd->kcvd", loads, np.eye(3)).reshape(-1, len(vertices), 3)
-        moved += [elastic_responses(body, forces, state) for state in (None, *turned)]
+        moved += [elastic_responses(body, forces, state, clamped=held) for state in (None, *deformed)]
     fields = np.moveaxis(np.concatenate(moved), 1, 0).reshape(len(vertices), -1)
     weights = _covering_weights(fields, vertices, body, count)
     square = np.einsum("vk,vk->k", weights, body.mass @ weights)
     return NodalWeights(body.mesh, weights * np.sqrt(body.total_mass / square))
 
 
-def _vibrations(body: ElasticBody, count: int, state: np.ndarray | None) -> Float[np.ndarray, "K V 3"]:
-    """Elastic vibrations about a state, each with elastic energy ½ J."""
-    number = min(count, 3 * len(body.mesh.vertices) - 2 - _RIGID)
-    frequencies, shapes = vibration_modes(body, number + _RIGID, positions=state)
-    lowest = _LOOSE * frequencies[-1]  # of loose parts, which move without any energy
-    return shapes[_RIGID:] / (2 * np.pi * np.maximum(frequencies[_RIGID:], lowest))[:, None, None]
+def _vibrations(
+    body: ElasticBody, count: int, clamped: np.ndarray, state: np.ndarray | None
+) -> Float[np.ndarray, "K V 3"]:
+    """Elastic vibrations about a state, each with elastic energy ½ J; of a clamped body in proportion to 1/ω²."""
+    rigid = len(rigid_motions(body.mesh.vertices, clamped))
+    number = min(count, 3 * int((~clamped).sum()) - 2 - rigid)
+    frequencies, shapes = vibration_modes(body, number + rigid, clamped=clamped, positions=state)
+    frequencies = np.maximum(frequencies[rigid:], _LOOSE * frequencies[-1])  # loose parts move without any energy
+    amplitudes = 1 / (2 * np.pi * frequencies)
+    if clamped.any():
+        amplitudes *= frequencies[0] / frequencies
+    return shapes[rigid:] * amplitudes[:, None, None]
 
 
 def _covering_weights(fields: np.ndarray, vertices: np.ndarray, body: ElasticBody, count: int) -> np.ndarray:

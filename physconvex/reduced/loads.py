@@ -1,11 +1,11 @@
-"""Where forces may act on a body: all over its surface, where a motion touches something, or where it is held."""
+"""Where forces act on a body: all over its surface, where a motion touches something, or where it is held."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from physconvex.contact import Obstacle
@@ -13,7 +13,7 @@ from physconvex.errors import InputError
 from physconvex.fem.mesh import TetMesh
 from physconvex.reduced.pins import Pins
 
-__all__ = ["even_loads", "held_loads", "surface_patches", "touched_loads"]
+__all__ = ["even_loads", "held_nodes", "surface_patches", "touched_loads"]
 
 
 def surface_patches(points: Float[np.ndarray, "S 3"], count: int) -> Int[np.ndarray, " S"]:
@@ -57,7 +57,7 @@ def touched_loads(
     """Loads on single nodes of the surface, those that a motion brings nearest to obstacles, most touched first.
 
     A rough motion is enough, for example that of twenty eigenmodes: `run.positions(mesh.vertices)`. Its k-th frame that
-    touches counts 1/k: what touches first decides what happens next, and a rough motion is right the longer the less.
+    touches counts 1/k²: what touches first decides what happens next, and a rough motion is right the longer the less.
 
     Args:
         mesh: of the body.
@@ -78,7 +78,7 @@ def touched_loads(
         near = sum(np.clip(reach - obstacle.gap(nodes, float(time)), 0, None) for obstacle in obstacles)
         if np.any(near > 0):
             touching += 1
-            touched += near / touching
+            touched += near / touching**2
     touched *= mesh.node_areas
     nodes = np.argsort(-touched, kind="stable")[:count]
     nodes = nodes[touched[nodes] > 0]
@@ -87,17 +87,8 @@ def touched_loads(
     return loads
 
 
-def held_loads(mesh: TetMesh, pins: Pins, *, count: int = 30) -> Float[np.ndarray, "V K"]:
-    """Loads on the nodes next to pins, which bear what holds the body; on patches of them where there are many.
-
-    Args:
-        mesh: of the body.
-        pins: points that are held or led.
-        count: most columns.
-    """
-    _, nearest = cKDTree(mesh.vertices).query(pins.points)
-    nodes, of = np.unique(nearest, return_inverse=True)
-    patches = surface_patches(mesh.vertices[nodes], min(count, len(nodes)))
-    loads = np.zeros((len(mesh.vertices), patches.max() + 1))
-    loads[nodes, patches] = np.bincount(of, weights=pins.areas)
-    return loads
+def held_nodes(mesh: TetMesh, pins: Pins) -> Bool[np.ndarray, " V"]:
+    """Nodes next to pins."""
+    held = np.zeros(len(mesh.vertices), dtype=bool)
+    held[cKDTree(mesh.vertices).query(pins.points)[1]] = True
+    return held

@@ -12,7 +12,7 @@ from physconvex.errors import InputError
 from physconvex.fem.body import ElasticBody
 from physconvex.fem.mesh import TetMesh
 from physconvex.reduced.elastic_weights import elastic_weights
-from physconvex.reduced.loads import even_loads, held_loads, touched_loads
+from physconvex.reduced.loads import even_loads, held_nodes, touched_loads
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.simulation import simulate
 from physconvex.reduced.space import ReducedSpace
@@ -25,19 +25,19 @@ _PATCHES = 20
 def with_elastic_weights(
     scene: ReducedScene, mesh: TetMesh, count: int, *, passes: int = 2, loaded: int = 30, **timing: Any
 ) -> ReducedScene:
-    """The scene with weights from its body's vibrations and from its answers to forces where it is touched or held.
+    """The scene with weights from its body's vibrations and from its answers to forces where it is touched.
 
     Where obstacles touch it is seen in a roll-out of the scene as it is given, and again in one with the weights found
-    from that: a body that lands otherwise is touched elsewhere; it is held where the scene's pins are. It answers about
-    its rest state, about the frame of that roll-out that deforms it most, and about the one half-way to it. Where
-    nothing is touched or held, patches all over the surface are loaded, at rest.
+    from that: a body that lands otherwise is touched elsewhere. It answers about its rest state, about the frame of
+    that roll-out that deforms it most, and about the one half-way to it, and it vibrates and answers as what the
+    scene's pins hold. Where nothing touches or holds it, patches all over the surface are loaded, at rest.
 
     Args:
         scene: with a rough body, for example of twenty eigenmodes.
         mesh: that the body is sampled by (`BodySamples.of_mesh`).
         count: M, number of weights.
         passes: number of roll-outs.
-        loaded: most nodes that are loaded as touched, and as many places as held.
+        loaded: most nodes that are loaded as touched.
         timing: frames, fps and all else that `simulate` takes.
 
     Raises:
@@ -60,18 +60,19 @@ def with_elastic_weights(
         poisson_ratio=body.poisson_ratio,
         density=body.density,
     )
-    held = [] if scene.pins is None else [held_loads(mesh, scene.pins, count=loaded)]
+    held = None if scene.pins is None else held_nodes(mesh, scene.pins)
     for _ in range(passes):
         run = simulate(scene, **timing)
         positions = run.positions(mesh.vertices)
-        loads = np.hstack([touched_loads(mesh, positions, run.times, scene.obstacles, count=loaded), *held])
-        if loads.size:
-            weights = elastic_weights(elastic, count, loads, states=most_deformed(elastic, positions))
-        else:
+        loads = touched_loads(mesh, positions, run.times, scene.obstacles, count=loaded)
+        alone = held is None and not loads.size
+        if alone:
             weights = elastic_weights(elastic, count, even_loads(mesh, _PATCHES))
+        else:
+            weights = elastic_weights(elastic, count, loads, clamped=held, states=most_deformed(elastic, positions))
         space = ReducedSpace(weights, body.space.samples, interpolated=True)
         scene = replace(scene, body=body.with_space(space))
-        if not loads.size:
+        if alone:
             break
     return scene
 

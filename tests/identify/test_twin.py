@@ -5,7 +5,7 @@ import pytest
 
 from physconvex.capture import Boundary, Capture, Floor, Tracks, load_capture, save_capture
 from physconvex.errors import InputError
-from physconvex.fem import box_mesh, to_quadratic
+from physconvex.fem import ElasticBody, box_mesh, simulate, to_quadratic
 from physconvex.identify import (
     MarkerObservations,
     TwinOptions,
@@ -16,7 +16,10 @@ from physconvex.identify import (
     frame_errors,
     mesh_of_capture,
 )
+from physconvex.identify.enrich import with_weights
 from physconvex.identify.setup import start_motion, with_free_friction
+from physconvex.reduced import eigenmode_weights
+from physconvex.reduced import simulate as simulate_reduced
 
 SIZE = (0.2, 0.05, 0.05)
 BOX = np.array([[-1e-6, -1.0, -1.0], [1e-6, 1.0, 1.0]])
@@ -46,6 +49,19 @@ def test_world_and_boundary_go_to_both_models(tmp_path):
     np.testing.assert_allclose(np.sort(reduced.pins.points, axis=0), np.sort(held, axis=0))
     assert reduced.pins.areas.sum() > 0.9 * SIZE[1] * SIZE[2]
     assert [p.name for p in default_parameters(twin)] == ["log10_youngs_modulus", "poisson_ratio"]
+
+
+def test_few_weights_follow_a_clamped_body_since_they_are_of_its_own_vibrations(tmp_path):
+    twin = base_twin(saved(tmp_path / "c", boundary=Boundary(clamped_box=BOX)), TwinOptions(weights=6))
+    timing = {"frames": 6, "fps": 48.0, "steps_per_frame": 4}
+    truth = simulate(twin.full_scene(), **timing).positions
+
+    def distance(trial) -> float:
+        return float(np.linalg.norm(simulate_reduced(trial.scene, **timing).positions(twin.mesh.vertices) - truth))
+
+    assert distance(twin) < 0.1 * distance(with_weights(twin, eigenmode_weights(ElasticBody(twin.mesh), 6)))
+    assert base_twin(twin.capture, TwinOptions(weights=64)).scene.body.space.field.count < 64  # the mesh has no more
+    assert base_twin(saved(tmp_path / "free"), TwinOptions(weights=7)).scene.body.space.field.count == 7
 
 
 def test_another_mesh_is_held_at_the_same_place(tmp_path):
