@@ -2,7 +2,9 @@
 
 Nocedal & Wright 2006, §10.3, with Marquardt's scaling; the damped step is a bounded linear least-squares problem, so
 that a parameter at its bound leaves the others free. Steps are taken in `SearchCoordinates`, and no longer than half of
-one that has failed. Huber's loss enters by reweighting (weights min(1, k/|r|)).
+one that has failed. Where residuals stay large, the curvature that Gauss and Newton leave out makes steps turn back and
+forth: they are shortened by what the last two tell of it. Huber's loss enters by reweighting (weights
+min(1, k/|r|)).
 """
 
 from __future__ import annotations
@@ -22,6 +24,9 @@ from physconvex.identify.parameters import Parameter, lower_bounds, starts, step
 from physconvex.robust import huber_loss, huber_weights
 
 __all__ = ["Fit", "FitOptions", "Iteration", "fit"]
+
+_ALONG = 0.7  # cosine from which on a step lies along the last one, or turns back on it
+_MOST_CURVATURE = 4.0  # times that of the linearisation
 
 
 @dataclass(frozen=True)
@@ -132,15 +137,21 @@ def fit(
     search = _Search(model, observations, parameters, options)
     point = search.linearise(starts(parameters))
     damping, growth, longest, converged = options.start_damping, 2.0, options.max_step, False
-    history = [Iteration(point.values, point.misfit, damping)]
+    history, last = [Iteration(point.values, point.misfit, damping)], None
     while search.evaluations < options.max_iterations and not converged:
-        step, promised = search.step(point, damping, longest)
+        wanted, promised = search.step(point, damping, options.max_step)
+        curvature = _curvature(wanted, last)
+        step = wanted / curvature
+        if np.abs(step).max() > longest:
+            step, promised = search.step(point, damping, longest)
+            curvature = 1.0
         # noise over what is stated, by the residuals
         excess = max(1.0, 2 * point.misfit / max(len(point.residuals) - len(parameters), 1))
         threshold = max(options.absolute_tolerance * excess, options.relative_tolerance * point.misfit)
         if promised < threshold:
             converged = True
             break
+        promised, last = promised / curvature, (wanted, step)
         trial = search.try_linearise(search.moved(point, step))
         gain = -1.0 if trial is None else (point.misfit - trial.misfit) / promised
         if trial is not None and gain > 1e-3:
@@ -154,6 +165,7 @@ def fit(
                 on_iteration(history[-1])
         else:
             # a bounded step hardly feels the damping: what was too long is halved
+            last = None
             damping, growth, longest = damping * growth, growth * 2.0, 0.5 * float(np.abs(step).max())
             converged = longest < 5e-6
     return Fit(
@@ -167,6 +179,21 @@ def fit(
         converged,
         search.evaluations,
     )
+
+
+def _curvature(step: np.ndarray, last: tuple[np.ndarray, np.ndarray] | None) -> float:
+    """How many times the linearisation's curvature there is along a step, as the last one along it tells (Aitken).
+
+    Args:
+        step: that the linearisation wants now.
+        last: the one that it wanted before, and what was taken of it.
+    """
+    if last is None:
+        return 1.0
+    wanted, taken = last
+    if abs(step @ taken) < _ALONG * np.linalg.norm(step) * np.linalg.norm(taken):
+        return 1.0
+    return float(np.clip((wanted - step) @ taken / (taken @ taken), 1.0, _MOST_CURVATURE))
 
 
 class _Search:

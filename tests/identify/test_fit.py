@@ -103,6 +103,35 @@ def line_markers(line, values, noise=0.0, sigma=0.01, seed=0):
     return MarkerObservations(np.zeros((6, 3)), noisy, np.full((4, 6), sigma))
 
 
+class Valley:
+    """One parameter p: a straight line of positions, and a parabola away from what can be reached."""
+
+    names = ("log10_youngs_modulus",)
+
+    def __init__(self, bend: float) -> None:
+        self.line, self.away = np.linalg.qr(np.random.default_rng(2).normal(size=(72, 2)))[0].T.reshape(2, 4, 6, 3)
+        self.bend = bend
+
+    def positions(self, values):
+        return self.linearise(values)[0]
+
+    def linearise(self, values):
+        p = values[0] - 4.5
+        return p * self.line + 0.5 * self.bend * p**2 * self.away, (self.line + self.bend * p * self.away)[:, None]
+
+
+@pytest.mark.parametrize("curvature", [0.3, 0.6, 0.9])
+def test_steps_that_turn_back_and_forth_are_shortened(curvature):
+    """The residual stays 1000 σ; a linearisation alone multiplies the distance from the best p by −curvature."""
+    valley = Valley(curvature)
+    seen = MarkerObservations(np.zeros((6, 3)), -valley.away, np.full((4, 6), 1e-3))
+    start = [default_parameter("log10_youngs_modulus", start=4.8)]
+    options = FitOptions(relative_tolerance=1e-12, absolute_tolerance=1e-12, max_iterations=40)
+    found = fit(valley, seen, start, options=options)
+    assert found.converged and found.evaluations <= 7
+    assert found.values[0] == pytest.approx(4.5, abs=1e-5)
+
+
 UNKNOWN = (
     Parameter("log10_youngs_modulus", 4.0, 3.0, 8.0, 0.2),
     Parameter("poisson_ratio", 0.3, 0.0, 0.495, 0.1),
