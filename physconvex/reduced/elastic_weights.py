@@ -34,11 +34,11 @@ def elastic_weights(
 ) -> NodalWeights:
     """Weights whose products with [X; 1] span a body's first vibrations and its answers to forces.
 
-    Every vibration and every answer of a free body counts with the same elastic energy, as a blow excites them. Those
-    of a clamped body count as its own weight, let go, would: in proportion to 1/ω², the softest with ½ J.
-    Their components are scalar fields; the fields that carry most of what the products of the weights so far leave, in
-    the norm of ∫ E |∇w|², become the next weights: proper orthogonal decomposition, ten at a time. Use them with
-    `ReducedSpace(weights, samples, interpolated=True)`.
+    Every vibration of a free body counts with the same elastic energy, as a blow excites them. Those of a clamped body
+    count as its own weight, let go, would: in proportion to 1/ω², the softest with ½ J. The energy of answers is in
+    proportion to the size of their loads, ½ J in the mean. The components of all these are scalar fields; the fields
+    that carry most of what the products of the weights so far leave, in the norm of ∫ E |∇w|², become the next weights:
+    proper orthogonal decomposition, ten at a time. Use them with `ReducedSpace(weights, samples, interpolated=True)`.
 
     Args:
         body: mesh, law, E, ν and density; with another ν the answers change little.
@@ -70,7 +70,9 @@ def elastic_weights(
     moved = [_vibrations(body, vibrations, held, state) for state in (None, *deformed[-1:])]
     if np.size(loads):
         forces = np.einsum("vk,cd->kcvd", loads, np.eye(3)).reshape(-1, len(vertices), 3)
-        moved += [elastic_responses(body, forces, state, clamped=held) for state in (None, *deformed)]
+        sizes = np.repeat(np.abs(loads).sum(0), 3)
+        shares = np.sqrt(sizes / sizes.mean())[:, None, None]
+        moved += [shares * elastic_responses(body, forces, state, clamped=held) for state in (None, *deformed)]
     fields = np.moveaxis(np.concatenate(moved), 1, 0).reshape(len(vertices), -1)
     weights = _covering_weights(fields, vertices, body, count)
     square = np.einsum("vk,vk->k", weights, body.mass @ weights)

@@ -32,7 +32,7 @@ def surface_patches(points: Float[np.ndarray, "S 3"], count: int) -> Int[np.ndar
 
 
 def even_loads(mesh: TetMesh, patches: int) -> Float[np.ndarray, "V K"]:
-    """Even loads on patches that cover the surface, one column each.
+    """Even loads of the same size on patches that cover the surface, one column each.
 
     Raises:
         InputError: no patch, or more than the surface has nodes.
@@ -42,7 +42,7 @@ def even_loads(mesh: TetMesh, patches: int) -> Float[np.ndarray, "V K"]:
         raise InputError(f"patches: got {patches}; expected 1 to {len(boundary)}, the number of nodes on the surface")
     loads = np.zeros((len(mesh.vertices), patches))
     loads[boundary, surface_patches(mesh.vertices[boundary], patches)] = mesh.node_areas[boundary]
-    return loads
+    return loads / loads.sum(0)
 
 
 def touched_loads(
@@ -51,24 +51,26 @@ def touched_loads(
     times: Float[np.ndarray, " T"],
     obstacles: Sequence[Obstacle],
     *,
-    count: int = 30,
+    count: int = 60,
     margin: float = 0.02,
 ) -> Float[np.ndarray, "V K"]:
     """Loads on single nodes of the surface, those that a motion brings nearest to obstacles, most touched first.
 
-    A rough motion is enough, for example that of twenty eigenmodes: `run.positions(mesh.vertices)`. Its k-th frame that
-    touches counts 1/k²: what touches first decides what happens next, and a rough motion is right the longer the less.
+    Each is as large as its node's area times how near it came, summed over the frames. A rough motion is enough, for
+    example that of twenty eigenmodes: `run.positions(mesh.vertices)`. Its k-th frame that touches counts 1/k²: what
+    touches first decides what happens next, and a rough motion is right the longer the less.
 
     Args:
         mesh: of the body.
-        positions: of its nodes [m].
-        times: [s].
+        positions: of its nodes at the frames [m].
+        times: of the frames [s].
         obstacles: planes and spheres.
         count: most nodes.
         margin: how near counts as touched, over the size of the body.
 
     Returns:
-        one column for each node, fewer than `count` where fewer are touched, none where nothing is.
+        one column for each node, the first of size one; fewer than `count` where fewer are touched, none where nothing
+        is.
     """
     if np.shape(positions) != (len(times), *mesh.vertices.shape):
         raise InputError(f"positions: got shape {np.shape(positions)}; expected {(len(times), *mesh.vertices.shape)}")
@@ -83,7 +85,7 @@ def touched_loads(
     nodes = np.argsort(-touched, kind="stable")[:count]
     nodes = nodes[touched[nodes] > 0]
     loads = np.zeros((len(touched), len(nodes)))
-    loads[nodes, np.arange(len(nodes))] = 1.0
+    loads[nodes, np.arange(len(nodes))] = touched[nodes] / touched.max(initial=0.0)
     return loads
 
 

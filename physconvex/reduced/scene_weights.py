@@ -23,7 +23,7 @@ _PATCHES = 20
 
 
 def with_elastic_weights(
-    scene: ReducedScene, mesh: TetMesh, count: int, *, passes: int = 2, loaded: int = 30, **timing: Any
+    scene: ReducedScene, mesh: TetMesh, count: int, *, passes: int = 2, loaded: int = 60, **timing: Any
 ) -> ReducedScene:
     """The scene with weights from its body's vibrations and from its answers to forces where it is touched.
 
