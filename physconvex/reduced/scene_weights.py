@@ -65,6 +65,8 @@ def with_elastic_weights(
         run = simulate(scene, **timing)
         positions = run.positions(mesh.vertices)
         loads = touched_loads(mesh, positions, run.times, scene.obstacles, count=loaded)
+        if held is not None:
+            loads = loads[:, ~loads[held].any(0)]  # what touches there moves nothing
         alone = held is None and not loads.size
         if alone:
             weights = elastic_weights(elastic, count, even_loads(mesh, _PATCHES))
