@@ -57,7 +57,7 @@ def touched_loads(
     """Loads on single nodes of the surface, those that a motion brings nearest to obstacles, most touched first.
 
     Each is as large as its node's area times how near it came, summed over the frames. A rough motion is enough, for
-    example that of twenty eigenmodes: `run.positions(mesh.vertices)`. Its k-th frame that touches counts 1/k²: what
+    example that of twenty eigenmodes: `run.positions(mesh.vertices)`. Its k-th frame that touches counts 1/k: what
     touches first decides what happens next, and a rough motion is right the longer the less.
 
     Args:
@@ -80,7 +80,7 @@ def touched_loads(
         near = sum(np.clip(reach - obstacle.gap(nodes, float(time)), 0, None) for obstacle in obstacles)
         if np.any(near > 0):
             touching += 1
-            touched += near / touching**2
+            touched += near / touching
     touched *= mesh.node_areas
     nodes = np.argsort(-touched, kind="stable")[:count]
     nodes = nodes[touched[nodes] > 0]
