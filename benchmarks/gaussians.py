@@ -21,8 +21,9 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from physconvex.convex.spherical_harmonics import view_colours
+from physconvex.native import compiled
 from physconvex.render import RenderedImage, View
-from physconvex.render.native import SOURCES, compiled
+from physconvex.render.native import RENDER_FLAGS, SOURCES
 
 __all__ = ["Gaussians", "blend_gaussians", "quaternions_of", "render_gaussians", "rotation_matrices"]
 
@@ -142,7 +143,9 @@ class _Splats(ctypes.Structure):
 
 @cache
 def _library() -> ctypes.CDLL:
-    library = ctypes.CDLL(str(compiled(Path(__file__).with_name("gaussian_kernel"), include=[SOURCES])))
+    library = ctypes.CDLL(
+        str(compiled(Path(__file__).with_name("gaussian_kernel"), include=[SOURCES], flags=RENDER_FLAGS))
+    )
     scene: Any = ctypes.POINTER(_Splats)
     pointer: Any = ctypes.c_void_p
     library.gs_blend.argtypes, library.gs_blend.restype = [scene, pointer, pointer], None

@@ -28,6 +28,7 @@ import torch
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import ElasticBody, Scene, TetMesh, box_mesh, tetrahedralize
 from physconvex.fem import simulate as simulate_full
+from physconvex.native import cache_folder
 from physconvex.reduced import (
     BodySamples,
     Plane,
@@ -46,7 +47,6 @@ from physconvex.reduced import (
     with_elastic_weights,
     with_parameters,
 )
-from physconvex.render.native import cache_folder
 
 RESULTS = Path(__file__).parent / "results"
 SIZE, DROP, NODES = 0.2, 0.05, 700

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from physconvex.materials import LAWS, Law
 
 __all__ = [
+    "NEARLY_FLAT",
     "VolumetricTerm",
     "cofactor_and_determinant",
     "energy_and_stress",
@@ -19,7 +20,7 @@ __all__ = [
 ]
 
 Array = np.ndarray
-_NEARLY_FLAT = 1e-4  # |J| over |C|^(3/2) below which a division by J costs digits
+NEARLY_FLAT = 1e-4  # |J| over |C|^(3/2) below which a division by J costs digits
 VolumetricTerm = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
 
 
@@ -82,4 +83,4 @@ def energy_and_stress(
 
 def nearly_flat(cofactor: Float[Array, "3 3 Q"], j: Float[Array, " Q"]) -> bool:
     """Whether a body is squeezed flat at some point, so that what is divided by J loses its digits."""
-    return bool((j * j < _NEARLY_FLAT**2 * np.einsum("ijq,ijq->q", cofactor, cofactor) ** 1.5).any())
+    return bool((j * j < NEARLY_FLAT**2 * np.einsum("ijq,ijq->q", cofactor, cofactor) ** 1.5).any())

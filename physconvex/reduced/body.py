@@ -12,6 +12,7 @@ from torch import Tensor
 from physconvex.errors import InputError
 from physconvex.inelastic import FlowRule, FlowStep
 from physconvex.materials import Law, get_law, lame_parameters, project_to_positive, strain_stiffness
+from physconvex.reduced.kernel import volumetric_samples
 from physconvex.reduced.space import ReducedSpace
 from physconvex.reduced.volumetric import VolumetricSamples
 from physconvex.volumetric_laws import is_volumetric
@@ -94,7 +95,7 @@ class ReducedBody:
         self._quick: VolumetricSamples | None = None
         if flow is None and self.device.type == "cpu" and is_volumetric(self.law):
             constants = (t.numpy() for t in (self._weights, self.mu, self.lam))
-            self._quick = VolumetricSamples(self.law, flat.reshape(-1, 3, space.dimension), *constants)
+            self._quick = volumetric_samples(self.law, flat.reshape(-1, 3, space.dimension), *constants)
         self.mass, self.first_moments = space.mass_matrix(self.density)
         self._virgin = None if flow is None else self.flow_step(self.unflowed(), self.space.rest, 0.0)
 

@@ -12,6 +12,8 @@ operations in all, against 36 R² Q of a general law.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from jaxtyping import Float
 
@@ -37,10 +39,13 @@ class VolumetricSamples:
         count, _, size = gradients.shape
         self._part, self._size = volumetric_term(law), size
         self._gradients = np.ascontiguousarray(gradients)
-        self._by_function = np.ascontiguousarray(gradients.transpose(2, 1, 0).reshape(size, 3 * count))
-        self._weights, self._mu, self._lam = weights, mu, lam
+        self._weights, self._mu, self._lam = (np.ascontiguousarray(array) for array in (weights, mu, lam))
         flat = self._gradients.reshape(3 * count, size)
         self._constant = flat.T @ (np.repeat(weights * mu, 3)[:, None] * flat)
+
+    @cached_property
+    def _by_function(self) -> Float[Array, "R 3Q"]:
+        return np.ascontiguousarray(self._gradients.transpose(2, 1, 0).reshape(self._size, -1))
 
     def _deformation_gradient(self, y: Float[Array, "R 3"]) -> Float[Array, "3 3 Q"]:
         """F at the samples."""
@@ -71,19 +76,19 @@ class VolumetricSamples:
         cofactor, j = cofactor_and_determinant(self._deformation_gradient(y))
         if nearly_flat(cofactor, j):
             return None
-        size = self._size
         _, slope, curvature = self._part(j, self._mu, self._lam)
         first = self._weights * curvature
         convex = bool((first > 0).all())
         scale = first if convex else np.ones_like(j)
         cofactor *= np.sqrt(scale)
         u = np.matmul(cofactor.transpose(2, 0, 1).copy(), self._gradients)  # √scale u_i, [Q, i, R]
-        flat = u.reshape(len(j), 3 * size)
+        flat = u.reshape(len(j), -1)
         # numpy takes the symmetric product for Aᵀ A, at half the cost
-        out = flat.T @ flat if convex else flat.T @ (flat * first[:, None])
-        blocks = out.reshape(3, size, 3, size)
+        product = flat.T @ flat if convex else flat.T @ (flat * first[:, None])
+        size = self._size
+        blocks = product.reshape(3, size, 3, size)
         turned = u[:, 1:] * (self._weights * slope / (j * scale))[:, None, None]
-        parts = u[:, 0].T @ turned.reshape(len(j), 2 * size)
+        parts = u[:, 0].T @ turned.reshape(len(u), 2 * size)
         for i, k, part in ((0, 1, parts[:, :size]), (0, 2, parts[:, size:]), (1, 2, u[:, 1].T @ turned[:, 1])):
             skew = part - part.T
             blocks[i, :, k] += skew

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from physconvex.render.native import KernelUnavailable
+from physconvex.native import KernelUnavailable
 from physconvex.render.projection import Splats
 from physconvex.render.reference import Layers
 

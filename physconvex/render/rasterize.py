@@ -14,9 +14,10 @@ from torch import Tensor
 from physconvex.camera import Camera
 from physconvex.convex.field import ConvexField
 from physconvex.errors import InputError
+from physconvex.native import KernelUnavailable
 from physconvex.render.cuda import composite_cuda
 from physconvex.render.kernel import composite_kernel, planar_hulls_kernel
-from physconvex.render.native import KernelUnavailable, load_library
+from physconvex.render.native import load_library
 from physconvex.render.projection import NEAR, Splats, project
 from physconvex.render.reference import Layers, composite_reference
 from physconvex.render.trial import draws_rightly

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from physconvex.camera import look_at
 from physconvex.convex.field import ConvexField
+from physconvex.native import KernelUnavailable
 from physconvex.render.cuda import composite_cuda
-from physconvex.render.native import KernelUnavailable
 from physconvex.render.projection import project
 from physconvex.render.reference import composite_reference
 from physconvex.render.view import View
