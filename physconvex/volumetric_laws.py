@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -10,6 +11,8 @@ from jaxtyping import Float
 from physconvex.materials import LAWS, Law
 
 __all__ = [
+    "HEADERS",
+    "KERNEL_LAWS",
     "NEARLY_FLAT",
     "VolumetricTerm",
     "cofactor_and_determinant",
@@ -20,6 +23,8 @@ __all__ = [
 ]
 
 Array = np.ndarray
+HEADERS = Path(__file__).with_name("cpu")  # the same for compiled kernels
+KERNEL_LAWS = ("neo_hookean", "neo_hookean_log")  # by their number there
 NEARLY_FLAT = 1e-4  # |J| over |C|^(3/2) below which a division by J costs digits
 VolumetricTerm = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
 

@@ -6,6 +6,8 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
 
+from physconvex.fem.kernel import sum_into
+
 __all__ = ["Assembler"]
 
 
@@ -26,8 +28,8 @@ class Assembler:
         rows, columns = element[:, :, None], element[:, None, :]
         keep = (rows >= 0) & (columns >= rows)
         keys = np.broadcast_to(rows * self.size + columns, keep.shape)[keep]
-        self._keys, self._slots = np.unique(keys, return_inverse=True)
-        self._keep = np.flatnonzero(keep)
+        self._keys, slots = np.unique(keys, return_inverse=True)
+        self._slots, self._keep = slots.astype(np.int32), np.flatnonzero(keep).astype(np.int32)
         nodal = dofs[free]
         self._block_slots = np.searchsorted(self._keys, (nodal[:, :, None] * self.size + nodal[:, None, :])[:, *_UPPER])
         indptr = np.searchsorted(self._keys, np.arange(self.size + 1) * self.size)
@@ -37,7 +39,7 @@ class Assembler:
 
     def elements(self, local: Float[np.ndarray, "E m m"]) -> Float[np.ndarray, " nnz"]:
         """Values of the assembled upper triangle from element matrices."""
-        return np.bincount(self._slots, weights=local.reshape(-1)[self._keep], minlength=len(self._keys))
+        return sum_into(self._slots, self._keep, np.ascontiguousarray(local), len(self._keys))
 
     def blocks(self, diagonal: Float[np.ndarray, "V 3 3"]) -> Float[np.ndarray, " nnz"]:
         """Values of the upper triangle from one 3×3 block per node."""

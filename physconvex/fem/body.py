@@ -13,6 +13,7 @@ from torch import Tensor
 
 from physconvex.errors import InputError
 from physconvex.fem.elements import QUADRATURE, shape_gradients, shape_values
+from physconvex.fem.kernel import volumetric_elements
 from physconvex.fem.mesh import TetMesh
 from physconvex.fem.volumetric import VolumetricElements
 from physconvex.inelastic import FlowRule, FlowStep
@@ -69,7 +70,7 @@ class ElasticBody:
         self._quick: VolumetricElements | None = None
         if flow is None and self.device.type == "cpu" and is_volumetric(self.law):
             arrays = (t.numpy() for t in (self._gradients, self._weights, mu, lam))
-            self._quick = VolumetricElements(self.law, mesh.tets, len(mesh.vertices), *arrays)
+            self._quick = volumetric_elements(self.law, mesh.tets, len(mesh.vertices), *arrays)
 
     # -- set-up
 
@@ -186,6 +187,7 @@ class ElasticBody:
         viscous_state: Tensor | None = None,
         damping_ratio: float = 0.0,
         response: FlowStep | None = None,
+        out: Float[np.ndarray, "E m m"] | None = None,
     ) -> Float[np.ndarray, "E m m"]:
         """Element stiffness matrices [N/m], m = 3 × nodes, degrees of freedom ordered node by node.
 
@@ -195,10 +197,11 @@ class ElasticBody:
             viscous_state: F* of a time step with Kelvin–Voigt viscosity, whose stiffness is then added.
             damping_ratio: damping time over the time step [-].
             response: as for the energy.
+            out: an array that may be written to and returned, since new memory costs more than the arithmetic.
         """
         if self._quick is not None and not project:
             state = None if viscous_state is None else viscous_state.numpy()
-            quick = self._quick.stiffness(x, viscous_state=state, damping_ratio=damping_ratio)
+            quick = self._quick.stiffness(x, viscous_state=state, damping_ratio=damping_ratio, out=out)
             if quick is not None:
                 return quick
         hessian = self._material("hessian", self.deformation_gradient(x), response)

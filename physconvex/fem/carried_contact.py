@@ -135,15 +135,9 @@ class CarriedContact:
         """Second derivative of the rate potential by the points, diagonal blocks [N·s/m]."""
         return self.law.friction_blocks(frozen)
 
-    def added_to_elements(
-        self, elements: Float[np.ndarray, "E m m"], blocks: Float[np.ndarray, "S 3 3"]
-    ) -> Float[np.ndarray, "E m m"]:
-        """Element matrices with blocks of the points added to those of the elements that carry them."""
+    def add_to_elements(self, elements: Float[np.ndarray, "E m m"], blocks: Float[np.ndarray, "S 3 3"]) -> None:
+        """Add blocks of the points to the matrices of the elements that carry them."""
         touched = np.flatnonzero(blocks.any((1, 2)))
-        if not len(touched):
-            return elements
         weights = self.carried.weights[touched]
         rows = np.einsum("sa,sij,sb->saibj", weights, blocks[touched], weights)
-        out = np.array(elements)
-        np.add.at(out, self.carried.elements[touched], rows.reshape(len(touched), *elements.shape[1:]))
-        return out
+        np.add.at(elements, self.carried.elements[touched], rows.reshape(len(touched), *elements.shape[1:]))

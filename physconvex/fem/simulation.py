@@ -55,6 +55,8 @@ class StepEquations:
         weakref.finalize(self, self.solver.close)
         self.fixed = ~scene.free_nodes()
         self._mass_data = self._assemble_mass()
+        width = 3 * self.body.mesh.tets.shape[1]
+        self._element_matrices = np.empty((len(self.body.mesh.tets), width, width))
         self.factorised = False
         self.rounding = 1e-15 * self.body.shear_scale
         self._factorised_step = np.nan
@@ -214,7 +216,12 @@ class StepEquations:
         step = np.inf if self.coefficients is None else self.coefficients.step
         ratio = self.scene.damping_time / step
         local = self.body.element_hessians(
-            x, project=project, viscous_state=self.viscous, damping_ratio=ratio, response=self.response
+            x,
+            project=project,
+            viscous_state=self.viscous,
+            damping_ratio=ratio,
+            response=self.response,
+            out=self._element_matrices,
         )
         blocks = self.contact.hessian_blocks(x, self.time) if contact else None
         inertia, wind = 0.0, None
@@ -238,7 +245,8 @@ class StepEquations:
         if blocks is None:
             return self.assembler.elements(local)
         if isinstance(self.contact, CarriedContact):
-            return self.assembler.elements(self.contact.added_to_elements(local, blocks))
+            self.contact.add_to_elements(local, blocks)
+            return self.assembler.elements(local)
         return self.assembler.elements(local) + self.assembler.blocks(blocks)
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:

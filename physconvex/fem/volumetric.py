@@ -12,6 +12,8 @@ matrix, ∂N_a/∂X_j at the points. With C = cof F and u_ai = Σ_j C_ij ∂N_a/
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
@@ -45,14 +47,28 @@ class VolumetricElements:
         self._weights = weights.ravel()
         self._mu, self._lam = (np.repeat(constant, weights.shape[1]) for constant in (mu, lam))
         self._weighted_mu, self._weighted_lam = self._weights * self._mu, self._weights * self._lam
-        points = np.arange(weights.size).reshape(*weights.shape, 1, 1)
-        rows = np.broadcast_to(np.arange(3) * weights.size + points, gradients.shape)
-        columns = np.broadcast_to(tets[:, None, :, None], gradients.shape)
-        entries = gradients.ravel(), (rows.ravel(), columns.ravel())
-        self._to_points = sp.csr_matrix(entries, shape=(3 * weights.size, count))  # rows (j, p)
-        self._to_nodes = self._to_points.T.tocsr()
-        self._by_axis = np.ascontiguousarray(gradients.transpose(0, 1, 3, 2))
-        self._constant = self._dots(self._weighted_mu.reshape(weights.shape))
+        self._tets, self._count = tets, count
+
+    @cached_property
+    def _to_points(self) -> sp.csr_matrix:
+        """∂/∂X at the points from values at the nodes, rows (j, p)."""
+        points = np.arange(self._weights.size).reshape(*self._shape[:2], 1, 1)
+        rows = np.broadcast_to(np.arange(3) * self._weights.size + points, self._shape)
+        columns = np.broadcast_to(self._tets[:, None, :, None], self._shape)
+        entries = self._gradients.ravel(), (rows.ravel(), columns.ravel())
+        return sp.csr_matrix(entries, shape=(3 * self._weights.size, self._count))
+
+    @cached_property
+    def _to_nodes(self) -> sp.csr_matrix:
+        return self._to_points.T.tocsr()
+
+    @cached_property
+    def _by_axis(self) -> Float[Array, "E Q 3 n"]:
+        return np.ascontiguousarray(self._gradients.transpose(0, 1, 3, 2))
+
+    @cached_property
+    def _constant(self) -> Float[Array, "E n n"]:
+        return self._dots(self._weighted_mu.reshape(self._shape[:2]))
 
     def _at_points(self, x: Float[Array, "V m"]) -> Float[Array, "m 3 P"]:
         """∂x/∂X of m fields, field by field."""
@@ -100,6 +116,7 @@ class VolumetricElements:
         *,
         viscous_state: Float[Array, "E Q 3 3"] | None = None,
         damping_ratio: float = 0.0,
+        out: Float[Array, "E m m"] | None = None,
     ) -> Float[Array, "E m m"] | None:
         """Element matrices as `ElasticBody.element_hessians`; None where the body is nearly flat at a point."""
         cofactor, j = cofactor_and_determinant(self._at_points(x))
@@ -107,7 +124,7 @@ class VolumetricElements:
             return None
         _, slope, curvature = self._term(j, self._mu, self._lam)
         elastic = _Fields(self._along(cofactor.transpose(2, 1, 0)), self._weights * slope / j)
-        out = self._squares(elastic.values, self._weights * curvature)
+        out = self._squares(elastic.values, self._weights * curvature, out)
         viscous = None
         if viscous_state is not None:
             viscous = _Fields(self._along(viscous_state.transpose(0, 1, 3, 2)), damping_ratio * self._weighted_mu)
@@ -131,10 +148,12 @@ class VolumetricElements:
         """Σ_j A_ij ∂N_a/∂X_j from Aᵀ at the points."""
         return self._gradients @ np.ascontiguousarray(matrices).reshape(*self._shape[:2], 3, 3)
 
-    def _squares(self, fields: Float[Array, "E Q n 3"], weights: Float[Array, " P"]) -> Float[Array, "E m m"]:
+    def _squares(
+        self, fields: Float[Array, "E Q n 3"], weights: Float[Array, " P"], out: Float[Array, "E m m"] | None = None
+    ) -> Float[Array, "E m m"]:
         """Σ_q w u_ai u_bk."""
         flat = fields.reshape(*self._shape[:2], -1)
-        return (flat * weights.reshape(*self._shape[:2], 1)).transpose(0, 2, 1) @ flat
+        return np.matmul((flat * weights.reshape(*self._shape[:2], 1)).transpose(0, 2, 1), flat, out=out)
 
     def _dots(self, weights: Float[Array, "E Q"]) -> Float[Array, "E n n"]:
         """Σ_q w ∂N_a·∂N_b."""

@@ -14,20 +14,19 @@ from scipy.linalg.blas import dsyrk
 from physconvex.materials import Law
 from physconvex.native import KernelUnavailable, compiled
 from physconvex.reduced.volumetric import VolumetricSamples
-from physconvex.volumetric_laws import NEARLY_FLAT
+from physconvex.volumetric_laws import HEADERS, KERNEL_LAWS, NEARLY_FLAT
 
 __all__ = ["SOURCES", "CompiledSamples", "load_library", "volumetric_samples"]
 
 Array = np.ndarray
 SOURCES = Path(__file__).with_name("cpu")
-_LAWS = ("neo_hookean", "neo_hookean_log")  # by their number there
 _POINTER: Any = ctypes.c_void_p
 
 
 def volumetric_samples(law: Law, gradients: Array, weights: Array, mu: Array, lam: Array) -> VolumetricSamples:
     """The samples of a body, see `VolumetricSamples`; those of plain numpy where nothing can be compiled."""
     kind = VolumetricSamples
-    if law.name in _LAWS:
+    if law.name in KERNEL_LAWS:
         try:
             load_library()
         except KernelUnavailable:
@@ -46,7 +45,7 @@ class CompiledSamples(VolumetricSamples):
 
     def __init__(self, law: Law, gradients: Array, weights: Array, mu: Array, lam: Array) -> None:
         super().__init__(law, gradients, weights, mu, lam)
-        self._law, self._lanes = _LAWS.index(law.name), load_library().pc_lanes()
+        self._law, self._lanes = KERNEL_LAWS.index(law.name), load_library().pc_lanes()
         count = len(weights)
         blocks = -(-count // self._lanes)
         padded = np.zeros((blocks * self._lanes, 3, self._size))
@@ -107,7 +106,7 @@ def load_library() -> ctypes.CDLL:
     Raises:
         KernelUnavailable: no compiler, or it failed.
     """
-    library = ctypes.CDLL(str(compiled(SOURCES)))
+    library = ctypes.CDLL(str(compiled(SOURCES, include=[HEADERS])))
     body: Any = ctypes.POINTER(_Body)
     library.pc_lanes.restype = ctypes.c_int32
     library.pc_energy_and_forces.argtypes = [body] + [_POINTER] * 3

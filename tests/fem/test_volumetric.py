@@ -1,17 +1,34 @@
-"""The fast arithmetic of the neo-Hookean laws against the plain one of every law, at random states."""
+"""The fast arithmetic of the neo-Hookean laws, compiled and not, against that of every law, at random states."""
+
+import pickle
 
 import numpy as np
 import pytest
 
-from physconvex.fem import ElasticBody, box_mesh
+from physconvex.fem import ElasticBody, box_mesh, kernel
+from physconvex.fem.kernel import CompiledElements, sum_into
+from physconvex.fem.volumetric import VolumetricElements
+from physconvex.native import KernelUnavailable
 from physconvex.volumetric_laws import cofactor_and_determinant
 
 LAWS = ("neo_hookean", "neo_hookean_log")
 
 
-def bodies(law: str, order: int) -> tuple[ElasticBody, ElasticBody]:
+@pytest.fixture(params=["compiled", "numpy"], autouse=True)
+def kind(request, monkeypatch):
+    """Both fast arithmetics; without a compiler numpy's is taken."""
+    if request.param == "numpy":
+        monkeypatch.setattr(kernel, "load_library", _refuse)
+    return CompiledElements if request.param == "compiled" else VolumetricElements
+
+
+def _refuse():
+    raise KernelUnavailable("no C++ compiler found")
+
+
+def bodies(law: str, order: int, cells: tuple[int, int, int] = (2, 2, 1)) -> tuple[ElasticBody, ElasticBody]:
     """The same heterogeneous body with the fast arithmetic and with the plain one."""
-    mesh = box_mesh((0.3, 0.2, 0.1), (2, 2, 1), order=order)
+    mesh = box_mesh((0.3, 0.2, 0.1), cells, order=order)
     rng, count = np.random.default_rng(3), len(mesh.tets)
     constants = {"youngs_modulus": rng.uniform(1e4, 1e6, count), "poisson_ratio": rng.uniform(0.1, 0.49, count)}
     quick, plain = ElasticBody(mesh, law=law, **constants), ElasticBody(mesh, law=law, **constants)
@@ -32,22 +49,27 @@ def assert_close(got: np.ndarray, expected: np.ndarray) -> None:
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("cells", [(2, 2, 1), (1, 1, 1), (3, 1, 1)])  # 24, 6 and 18 elements
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("law", LAWS)
-def test_energy_forces_and_stiffness(law, order, seed):
-    quick, plain = bodies(law, order)
+def test_energy_forces_and_stiffness(law, order, cells, kind):
+    quick, plain = bodies(law, order, cells)
+    assert type(quick._quick) is kind
+    seed = sum(cells)
     x, _, _ = states(quick, seed)
     (energy, forces), (expected, expected_forces) = (body.energy_and_gradient(x) for body in (quick, plain))
     assert energy == pytest.approx(expected, rel=1e-12)
     assert_close(forces, expected_forces)
     assert_close(quick.element_hessians(x), plain.element_hessians(x))
+    room = np.full_like(plain.element_hessians(x), np.nan)
+    assert quick.element_hessians(x, out=room) is room
+    assert_close(room, plain.element_hessians(x))
 
 
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("law", LAWS)
 def test_viscosity(law, order):
-    quick, plain = bodies(law, order)
+    quick, plain = bodies(law, order, (1, 3, 1))
     x, velocity, frozen = states(quick, 7)
     state = quick.viscous_state(frozen)
     moving = [
@@ -89,3 +111,20 @@ def test_cofactor_is_the_transposed_inverse_times_the_determinant():
     np.testing.assert_allclose(determinant, np.linalg.det(f), atol=1e-12)
     expected = np.linalg.det(f)[:, None, None] * np.linalg.inv(f).transpose(0, 2, 1)
     np.testing.assert_allclose(cofactor.transpose(2, 0, 1), expected, atol=1e-10)
+
+
+def test_a_body_can_be_sent_to_another_process(kind):
+    body, _ = bodies("neo_hookean", 2)
+    x = states(body, 4)[0]
+    sent = pickle.loads(pickle.dumps(body._quick))
+    assert type(sent) is kind
+    np.testing.assert_array_equal(sent.energy_and_gradient(x)[1], body.gradient(x))
+
+
+def test_sums_by_slot():
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(4, 3, 3))
+    entries = rng.permutation(36)[:30].astype(np.int32)
+    slots = rng.integers(0, 5, 30).astype(np.int32)
+    expected = [values.ravel()[entries[slots == slot]].sum() for slot in range(7)]
+    np.testing.assert_allclose(sum_into(slots, entries, values, 7), expected, atol=1e-14)

@@ -4,22 +4,11 @@
 // stay in registers and the first cache, so that the gradients are read from memory once. Rows of F belong to
 // components of the displacement, columns to directions.
 
-#include <cmath>
-#include <cstdint>
-#include <limits>
 #include <vector>
 
-namespace {
+#include "volumetric.h"
 
-#if defined(__AVX512F__)
-constexpr int LANES = 8;
-#elif defined(__AVX__)
-constexpr int LANES = 4;
-#else
-constexpr int LANES = 2;
-#endif
-constexpr size_t WIDTH = sizeof(double) * LANES;
-typedef double Lanes __attribute__((vector_size(WIDTH), aligned(8)));
+namespace {
 
 struct Body {
     int32_t samples, functions, logarithmic;  // law: 0 neo_hookean, 1 neo_hookean_log
@@ -29,27 +18,9 @@ struct Body {
     const double *weights, *mu, *lam;  // [samples]
 };
 
-struct Term {  // f, f' and f'' at a sample
-    double value, slope, curvature;
-};
-
-inline Term quadratic(double j, double mu, double lam) {
-    const double d = j - 1, slope = (lam + mu) * d - mu;
-    return {0.5 * d * (slope - mu), slope, lam + mu};
-}
-
-inline Term logarithmic(double j, double mu, double lam) {
-    const bool proper = j > 0;
-    const double safe = proper ? j : 1.0, log = std::log(safe);
-    const double value = proper ? (0.5 * lam * log - mu) * log : std::numeric_limits<double>::infinity();
-    return {value, (lam * log - mu) / safe, (lam + mu - lam * log) / (safe * safe)};
-}
-
 inline Term term(const Body& body, int q, double j) {
-    return body.logarithmic ? logarithmic(j, body.mu[q], body.lam[q]) : quadratic(j, body.mu[q], body.lam[q]);
+    return volume_term(body.logarithmic, j, body.mu[q], body.lam[q]);
 }
-
-inline Lanes dot(const Lanes* a, const Lanes* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
 // F, C = cof F and J of a block of samples.
 struct Deformation {
@@ -65,20 +36,10 @@ struct Deformation {
                 for (int k = 0; k < 3; ++k) sum[i][k] += y[i] * g[k];
         for (int i = 0; i < 3; ++i)
             for (int k = 0; k < 3; ++k) f[i][k] = sum[i][k];
-        for (int i = 0; i < 3; ++i)
-            for (int k = 0; k < 3; ++k) {
-                const int a = (i + 1) % 3, b = (i + 2) % 3, m = (k + 1) % 3, n = (k + 2) % 3;
-                c[i][k] = f[a][m] * f[b][n] - f[a][n] * f[b][m];
-            }
+        cofactor(f, c);
         j = dot(f[0], c[0]);
     }
 };
-
-inline double total(const Lanes& lanes) {
-    double sum = 0;
-    for (int l = 0; l < LANES; ++l) sum += lanes[l];
-    return sum;
-}
 
 }  // namespace
 
@@ -94,13 +55,13 @@ double pc_energy_and_forces(const Body* given, const double* y, double* room, do
     Lanes energies = {};
     for (int first = 0; first < body.samples; first += LANES) {
         const Deformation at(body, first, y);
-        const Lanes square = dot(at.f[0], at.f[0]) + dot(at.f[1], at.f[1]) + dot(at.f[2], at.f[2]);
+        const Lanes squared = square(at.f);
         Lanes linear = {}, slopes = {};  // nothing where the last block has no sample
         for (int l = 0; l < LANES && first + l < body.samples; ++l) {
             const int q = first + l;
             const Term f = term(body, q, at.j[l]);
             linear[l] = body.weights[q] * body.mu[q], slopes[l] = body.weights[q] * f.slope;
-            energies[l] += 0.5 * linear[l] * (square[l] - 3) + body.weights[q] * f.value;
+            energies[l] += 0.5 * linear[l] * (squared[l] - 3) + body.weights[q] * f.value;
         }
         Lanes stress[3][3];
         for (int i = 0; i < 3; ++i)
@@ -125,12 +86,11 @@ int32_t pc_cofactor_gradients(const Body* given, const double* y, double* u, dou
     std::vector<Row> rows(body.samples);
     for (int first = 0; first < body.samples; first += LANES) {
         const Deformation at(body, first, y);
-        const Lanes square = dot(at.c[0], at.c[0]) + dot(at.c[1], at.c[1]) + dot(at.c[2], at.c[2]);
+        const Lanes squared = square(at.c);
         for (int l = 0; l < LANES && first + l < body.samples; ++l) {
             const int q = first + l;
             const Term f = term(body, q, at.j[l]);
-            const bool flat = !(at.j[l] * at.j[l] >= body.flat * body.flat * square[l] * std::sqrt(square[l]));
-            if (flat || !(f.curvature > 0)) return 0;
+            if (nearly_flat(at.j[l], squared[l], body.flat) || !(f.curvature > 0)) return 0;
             const double root = std::sqrt(body.weights[q] * f.curvature);
             for (int i = 0; i < 3; ++i)
                 for (int k = 0; k < 3; ++k) rows[q].c[i][k] = root * at.c[i][k][l];

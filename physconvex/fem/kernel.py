@@ -1,0 +1,152 @@
+"""The compiled arithmetic of `VolumetricElements`, and of sums of element matrices."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from physconvex.fem.volumetric import VolumetricElements
+from physconvex.materials import Law
+from physconvex.native import KernelUnavailable, compiled
+from physconvex.volumetric_laws import HEADERS, KERNEL_LAWS, NEARLY_FLAT
+
+__all__ = ["SOURCES", "CompiledElements", "load_library", "sum_into", "volumetric_elements"]
+
+Array = np.ndarray
+SOURCES = Path(__file__).with_name("cpu")
+_POINTER: Any = ctypes.c_void_p
+
+
+def volumetric_elements(
+    law: Law, tets: Int[Array, "E n"], count: int, gradients: Array, weights: Array, mu: Array, lam: Array
+) -> VolumetricElements:
+    """The quadrature points of a body, see `VolumetricElements`; those of plain numpy where nothing can be compiled."""
+    kind = VolumetricElements
+    if law.name in KERNEL_LAWS:
+        try:
+            load_library()
+        except KernelUnavailable:
+            pass
+        else:
+            kind = CompiledElements
+    return kind(law, tets, count, gradients, weights, mu, lam)
+
+
+def sum_into(
+    slots: Int[Array, " K"], entries: Int[Array, " K"], values: Float[Array, ...], count: int
+) -> Float[Array, " count"]:
+    """Sums of entries of an array by the slot that each goes to; both int32 and in range, the array contiguous."""
+    try:
+        library = load_library()
+    except KernelUnavailable:
+        return np.bincount(slots, weights=values.reshape(-1)[entries], minlength=count)
+    out = np.zeros(count)
+    library.pc_assemble(len(slots), *map(_address, (entries, slots, values, out)))
+    return out
+
+
+class CompiledElements(VolumetricElements):
+    """The same numbers, by some elements at once.
+
+    Raises:
+        KernelUnavailable: the kernel cannot be compiled here.
+    """
+
+    def __init__(
+        self, law: Law, tets: Int[Array, "E n"], count: int, gradients: Array, weights: Array, mu: Array, lam: Array
+    ) -> None:
+        super().__init__(law, tets, count, gradients, weights, mu, lam)
+        self._law, self._lanes = KERNEL_LAWS.index(law.name), load_library().pc_lanes()
+        self._blocks = self._by_block(self._gradients)  # [blocks, Q, n, 3, lanes]
+        self._tets_by_block = self._by_block(np.asarray(tets, dtype=np.int32))
+        per_point = (self._weights, self._mu, self._lam)
+        self._constants = [self._by_block(array.reshape(weights.shape)) for array in per_point]
+
+    def _by_block(self, array: Array) -> Array:
+        """The elements' entries [E, …] as [blocks, …, lanes], the last one repeated."""
+        blocks = -(-len(array) // self._lanes)
+        places = np.minimum(np.arange(blocks * self._lanes), len(array) - 1)
+        return np.ascontiguousarray(np.moveaxis(array[places].reshape(blocks, self._lanes, *array.shape[1:]), 1, -1))
+
+    def energy_and_gradient(self, x: Float[Array, "V 3"]) -> tuple[float, Float[Array, "V 3"]]:
+        """Elastic energy [J] and its derivative by the positions of the nodes [N]."""
+        x, forces = np.ascontiguousarray(x), np.zeros(x.shape)
+        energy = load_library().pc_energy_and_forces(
+            self._elements(), _address(x), None, None, 0.0, 0.0, _address(forces)
+        )
+        return energy, forces
+
+    def moving_energy_and_gradient(
+        self,
+        x: Float[Array, "V 3"],
+        velocity: Float[Array, "V 3"],
+        state: Float[Array, "E Q 3 3"],
+        *,
+        damping_time: float,
+        step: float,
+        with_energy: bool,
+    ) -> tuple[float, Float[Array, "V 3"]]:
+        """The same with the viscosity of a step, as `ElasticBody.moving_energy_and_gradient`."""
+        given = [np.ascontiguousarray(array) for array in (x, velocity, state)]
+        forces = np.zeros(x.shape)
+        energy = load_library().pc_energy_and_forces(
+            self._elements(), *map(_address, given), damping_time, step, _address(forces)
+        )
+        return energy if with_energy else float("nan"), forces
+
+    def stiffness(
+        self,
+        x: Float[Array, "V 3"],
+        *,
+        viscous_state: Float[Array, "E Q 3 3"] | None = None,
+        damping_ratio: float = 0.0,
+        out: Float[Array, "E m m"] | None = None,
+    ) -> Float[Array, "E m m"] | None:
+        """Element matrices as `ElasticBody.element_hessians`; None where the body is nearly flat at a point."""
+        x, width = np.ascontiguousarray(x), 3 * self._shape[2]
+        state = None if viscous_state is None else np.ascontiguousarray(viscous_state)
+        out = np.empty((self._shape[0], width, width)) if out is None else out
+        given = self._elements(), _address(x), None if state is None else _address(state)
+        return out if load_library().pc_stiffness(*given, damping_ratio, _address(out)) else None
+
+    def _elements(self) -> _Elements:
+        count, points, nodes, _ = self._shape
+        arrays = (self._tets_by_block, self._blocks, *self._constants)
+        return _Elements(count, points, nodes, self._law, NEARLY_FLAT, *map(_address, arrays))
+
+
+class _Elements(ctypes.Structure):
+    """`struct Elements` of cpu/kernel.cpp."""
+
+    _fields_ = (
+        *((name, ctypes.c_int32) for name in ("count", "points", "nodes", "law")),
+        ("flat", ctypes.c_double),
+        *((name, _POINTER) for name in ("tets", "gradients", "weights", "mu", "lam")),
+    )
+
+
+def _address(array: Array) -> int:
+    return array.__array_interface__["data"][0]
+
+
+@cache
+def load_library() -> ctypes.CDLL:
+    """The library with its functions' types declared.
+
+    Raises:
+        KernelUnavailable: no compiler, or it failed.
+    """
+    library = ctypes.CDLL(str(compiled(SOURCES, include=[HEADERS])))
+    elements: Any = ctypes.POINTER(_Elements)
+    library.pc_lanes.restype = ctypes.c_int32
+    library.pc_energy_and_forces.argtypes = [elements, *[_POINTER] * 3, ctypes.c_double, ctypes.c_double, _POINTER]
+    library.pc_energy_and_forces.restype = ctypes.c_double
+    library.pc_stiffness.argtypes = [elements, _POINTER, _POINTER, ctypes.c_double, _POINTER]
+    library.pc_stiffness.restype = ctypes.c_int32
+    library.pc_assemble.argtypes, library.pc_assemble.restype = [ctypes.c_int64, *[_POINTER] * 4], None
+    return library
