@@ -1,8 +1,10 @@
 """What every test gets: fixed seeds, a guard on global state, and, with `--typecheck`, checked shapes."""
 
+import os
 import random
+import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from types import ModuleType
 
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 
 PACKAGES = ("physconvex", "models", "data_gen", "train", "inference")
+HAS_COMPILER = any(map(shutil.which, filter(None, (os.environ.get("CXX"), "c++", "g++", "clang++"))))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -21,6 +24,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    if not HAS_COMPILER:
+        config.addinivalue_line("filterwarnings", "ignore:.*plain torch, which is slow:RuntimeWarning")
     if config.getoption("--typecheck"):
         from beartype import BeartypeConf, beartype
         from jaxtyping import install_import_hook
@@ -46,6 +51,26 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         if not torch.cuda.is_available():
             for item in marked:
                 item.add_marker(pytest.mark.skip(reason="needs a CUDA device"))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup() -> Generator[None, object, object]:
+    return (yield from _skipped_without_a_compiler())
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Generator[None, object, object]:
+    return (yield from _skipped_without_a_compiler())
+
+
+def _skipped_without_a_compiler() -> Generator[None, object, object]:
+    """Tests of compiled kernels need a compiler; the packages are not imported here."""
+    try:
+        return (yield)
+    except RuntimeError as error:
+        if HAS_COMPILER or type(error).__name__ != "KernelUnavailable":
+            raise
+        pytest.skip("needs a C++ compiler")
 
 
 @pytest.fixture(autouse=True)

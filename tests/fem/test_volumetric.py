@@ -19,6 +19,8 @@ def kind(request, monkeypatch):
     """Both fast arithmetics; without a compiler numpy's is taken."""
     if request.param == "numpy":
         monkeypatch.setattr(kernel, "load_library", _refuse)
+    else:
+        kernel.load_library()
     return CompiledElements if request.param == "compiled" else VolumetricElements
 
 

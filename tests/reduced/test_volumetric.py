@@ -20,6 +20,8 @@ def kind(request, monkeypatch):
     """Both arithmetics; without a compiler the plain one is taken."""
     if request.param == "plain":
         monkeypatch.setattr(kernel, "load_library", _refuse)
+    else:
+        kernel.load_library()
     return CompiledSamples if request.param == "compiled" else VolumetricSamples
 
 
