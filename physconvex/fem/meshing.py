@@ -105,16 +105,29 @@ def tetrahedralize(
             if method == "lattice":
                 raise
     volume = enclosed_volume(vertices, faces) if match_volume else None
-    for attempt in range(COARSENINGS):
-        factor = COARSENING_FACTOR**attempt
-        mesh = _mesh_once(vertices, faces, length * factor, epsilon * factor, max_iterations, threads)
+    factor, sound, lost, nodes = 1.0, 1.0, np.inf, 0
+    for _ in range(COARSENINGS):
+        try:
+            mesh = _mesh_once(vertices, faces, length * factor, epsilon * factor, max_iterations, threads)
+        except _NothingEnclosedError:
+            if nodes == 0:
+                raise
+            factor, lost = float(np.sqrt(factor * sound)), factor  # thin walls: as coarse as they stand
+            continue
         mesh = to_quadratic(mesh) if order == 2 else mesh
         if max_nodes is None or len(mesh.vertices) <= max_nodes:
             return mesh if volume is None else with_volume(mesh, volume)
+        nodes, sound = len(mesh.vertices), factor
+        factor = min(factor * COARSENING_FACTOR, float(np.sqrt(factor * lost)))
+    thin = "" if np.isinf(lost) else f" (at {epsilon * lost:.3f} its walls are lost)"
     raise ConvergenceError(
-        f"tetrahedralize: still {len(mesh.vertices)} nodes at epsilon {epsilon * factor:.3f} after "
-        f"{COARSENINGS} attempts, max_nodes is {max_nodes}; allow more nodes or simplify the surface"
+        f"tetrahedralize: still {nodes} nodes at epsilon {epsilon * sound:.3f}{thin} after {COARSENINGS} attempts, "
+        f"max_nodes is {max_nodes}; allow more nodes or simplify the surface"
     )
+
+
+class _NothingEnclosedError(InputError):
+    """A mesh without the volume of its surface."""
 
 
 def _lattice_mesh(
@@ -199,7 +212,7 @@ def _mesh_once(
     nodes = np.asarray(nodes, dtype=np.float64).reshape(-1, 3)
     tets = _positive(nodes, np.asarray(tets, dtype=np.int64).reshape(-1, 4))
     if _volume(nodes, tets) * scale**3 < LEAST_THICKNESS * epsilon * _diagonal(vertices) * _area(vertices, faces):
-        raise InputError(
+        raise _NothingEnclosedError(
             "surface: it encloses no volume that a mesh of this resolution could fill; "
             "close its holes, orient its faces outwards, or lower epsilon"
         )

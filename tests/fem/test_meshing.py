@@ -118,6 +118,27 @@ def test_a_sliver_that_is_left_of_a_sheet_is_no_body(ball, monkeypatch):
         tetrahedralize(ball, method="ftetwild", match_volume=False)
 
 
+def test_thin_walls_that_a_coarser_mesh_loses_are_kept_by_one_between(ball, monkeypatch):
+    """A scanned mug had a few nodes too many in one of four runs, and lost its wall at the next tolerance."""
+    cells = {}
+
+    def tetwild(vertices, faces, *, epsilon, **options):
+        if epsilon > 0.025:
+            mesh = np.array([[0.0, 0, 0], [1e-3, 0, 0], [0, 1e-3, 0], [0, 0, 1e-3]]), np.array([[0, 1, 2, 3]])
+            cells[epsilon] = 0
+            return mesh
+        cells[epsilon] = 4 if epsilon < 0.0215 else 3
+        box = box_mesh((1.0, 1.0, 1.0), (cells[epsilon],) * 3, order=1)
+        return box.vertices - 0.5, box.tets
+
+    monkeypatch.setattr("pytetwild.tetrahedralize", tetwild)
+    mesh = tetrahedralize(ball, method="ftetwild", max_nodes=100, match_volume=False)
+    assert len(mesh.vertices) == 64 and list(cells.values()) == [4, 0, 3]
+    assert 0.0215 < max(epsilon for epsilon, count in cells.items() if count) < 0.027
+    with pytest.raises(ConvergenceError, match=r"still 64 nodes.*its walls are lost.*allow more nodes"):
+        tetrahedralize(ball, method="ftetwild", max_nodes=50, match_volume=False)
+
+
 @pytest.mark.wrong_types
 def test_bad_options_are_refused(ball):
     with pytest.raises(InputError, match="target_edge_length"):
