@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +67,10 @@ class CompiledElements(VolumetricElements):
         per_point = (self._weights, self._mu, self._lam)
         self._constants = [self._by_block(array.reshape(weights.shape)) for array in per_point]
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Without addresses, which another process cannot use."""
+        return {name: value for name, value in self.__dict__.items() if name != "_elements"}
+
     def _by_block(self, array: Array) -> Array:
         """The elements' entries [E, …] as [blocks, …, lanes], the last one repeated."""
         blocks = -(-len(array) // self._lanes)
@@ -77,7 +81,7 @@ class CompiledElements(VolumetricElements):
         """Elastic energy [J] and its derivative by the positions of the nodes [N]."""
         x, forces = np.ascontiguousarray(x), np.zeros(x.shape)
         energy = load_library().pc_energy_and_forces(
-            self._elements(), _address(x), None, None, 0.0, 0.0, _address(forces)
+            self._elements, _address(x), None, None, 0.0, 0.0, _address(forces)
         )
         return energy, forces
 
@@ -95,7 +99,7 @@ class CompiledElements(VolumetricElements):
         given = [np.ascontiguousarray(array) for array in (x, velocity, state)]
         forces = np.zeros(x.shape)
         energy = load_library().pc_energy_and_forces(
-            self._elements(), *map(_address, given), damping_time, step, _address(forces)
+            self._elements, *map(_address, given), damping_time, step, _address(forces)
         )
         return energy if with_energy else float("nan"), forces
 
@@ -111,9 +115,10 @@ class CompiledElements(VolumetricElements):
         x, width = np.ascontiguousarray(x), 3 * self._shape[2]
         state = None if viscous_state is None else np.ascontiguousarray(viscous_state)
         out = np.empty((self._shape[0], width, width)) if out is None else out
-        given = self._elements(), _address(x), None if state is None else _address(state)
+        given = self._elements, _address(x), None if state is None else _address(state)
         return out if load_library().pc_stiffness(*given, damping_ratio, _address(out)) else None
 
+    @cached_property
     def _elements(self) -> _Elements:
         count, points, nodes, _ = self._shape
         arrays = (self._tets_by_block, self._blocks, *self._constants)

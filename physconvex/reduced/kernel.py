@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
@@ -52,35 +52,41 @@ class CompiledSamples(VolumetricSamples):
         padded[:count] = self._gradients
         self._blocks = padded.reshape(blocks, self._lanes, 3, self._size).transpose(0, 3, 2, 1).copy()
 
-    def _energy_and_forces(
-        self, y: Float[Array, "R 3"], mu: Float[Array, " Q"], lam: Float[Array, " Q"]
-    ) -> tuple[float, Float[Array, "R 3"]]:
-        """With these constants."""
+    def __getstate__(self) -> dict[str, Any]:
+        """Without addresses, which another process cannot use."""
+        return {name: value for name, value in self.__dict__.items() if name != "_body"}
+
+    def _energy_and_forces(self, body: _Body, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:
         y, room, forces = np.ascontiguousarray(y), np.empty(y.size * self._lanes), np.empty(y.shape)
-        energy = load_library().pc_energy_and_forces(self._body(mu, lam), *map(_address, (y, room, forces)))
+        energy = load_library().pc_energy_and_forces(body, *map(_address, (y, room, forces)))
         return energy, forces
 
     def energy_and_gradient(self, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:
         """Elastic energy [J] and its derivative by the coordinates [N]."""
-        return self._energy_and_forces(y, self._mu, self._lam)
+        return self._energy_and_forces(self._body, y)
 
     def gradient_with(self, y: Float[Array, "R 3"], mu: Array, lam: Array) -> Float[Array, "R 3"]:
         """The derivative [N] with other constants μ and λ [Pa], shape [Q]."""
-        return self._energy_and_forces(y, np.ascontiguousarray(mu), np.ascontiguousarray(lam))[1]
+        mu, lam = np.ascontiguousarray(mu), np.ascontiguousarray(lam)
+        return self._energy_and_forces(self._body_with(mu, lam), y)[1]
 
     def hessian_blocks(self, y: Float[Array, "R 3"]) -> Float[Array, "3 R 3 R"] | None:
         """Second derivative [N/m], components first; None where the body is nearly flat at a sample."""
         count = len(self._weights)
         y, u, turned = np.ascontiguousarray(y), np.empty((count, 3, self._size)), np.empty((count, 2, self._size))
-        body = self._body(self._mu, self._lam)
-        if not load_library().pc_cofactor_gradients(body, *map(_address, (y, u, turned))):
+        if not load_library().pc_cofactor_gradients(self._body, *map(_address, (y, u, turned))):
             return super().hessian_blocks(y)
         product = dsyrk(1.0, u.reshape(count, -1).T, lower=1).T  # the upper half
         parts, last = u[:, 0].T @ turned.reshape(count, -1), u[:, 1].T @ turned[:, 1]
         load_library().pc_assemble(self._size, *map(_address, (self._constant, parts, last, product)))
         return product.reshape(3, self._size, 3, self._size)
 
-    def _body(self, mu: Float[Array, " Q"], lam: Float[Array, " Q"]) -> _Body:
+    @cached_property
+    def _body(self) -> _Body:
+        return self._body_with(self._mu, self._lam)
+
+    def _body_with(self, mu: Float[Array, " Q"], lam: Float[Array, " Q"]) -> _Body:
+        """These constants must live as long as it does."""
         arrays = (self._blocks, self._gradients, self._weights, mu, lam)
         return _Body(len(self._weights), self._size, self._law, NEARLY_FLAT, *map(_address, arrays))
 
