@@ -26,15 +26,13 @@ def volumetric_elements(
     law: Law, tets: Int[Array, "E n"], count: int, gradients: Array, weights: Array, mu: Array, lam: Array
 ) -> VolumetricElements:
     """The quadrature points of a body, see `VolumetricElements`; those of plain numpy where nothing can be compiled."""
-    kind = VolumetricElements
-    if law.name in KERNEL_LAWS:
-        try:
-            load_library()
-        except KernelUnavailable:
-            pass
-        else:
-            kind = CompiledElements
-    return kind(law, tets, count, gradients, weights, mu, lam)
+    given = (law, tets, count, gradients, weights, mu, lam)
+    if law.name not in KERNEL_LAWS:
+        return VolumetricElements(*given)
+    try:
+        return CompiledElements(*given)
+    except KernelUnavailable:
+        return VolumetricElements(*given)
 
 
 def sum_into(
