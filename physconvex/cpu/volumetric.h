@@ -15,7 +15,7 @@ constexpr int LANES = 4;
 #else
 constexpr int LANES = 2;
 #endif
-typedef double Lanes __attribute__((vector_size(sizeof(double) * LANES), aligned(8)));
+typedef double Lanes __attribute__((vector_size(sizeof(double) * LANES), aligned(8), may_alias));
 
 struct Term {  // f, f' and f'' at a point
     double value, slope, curvature;

@@ -19,6 +19,7 @@ __all__ = ["SOURCES", "CompiledElements", "load_library", "sum_into", "volumetri
 
 Array = np.ndarray
 SOURCES = Path(__file__).with_name("cpu")
+_MOST_NODES, _MOST_POINTS = 10, 4  # of an element there
 _POINTER: Any = ctypes.c_void_p
 
 
@@ -27,7 +28,7 @@ def volumetric_elements(
 ) -> VolumetricElements:
     """The quadrature points of a body, see `VolumetricElements`; those of plain numpy where nothing can be compiled."""
     given = (law, tets, count, gradients, weights, mu, lam)
-    if law.name not in KERNEL_LAWS:
+    if law.name not in KERNEL_LAWS or gradients.shape[1] > _MOST_POINTS or gradients.shape[2] > _MOST_NODES:
         return VolumetricElements(*given)
     try:
         return CompiledElements(*given)

@@ -17,12 +17,6 @@ struct Elements {
     const double *weights, *mu, *lam;  // [blocks][points][LANES]
 };
 
-// What a step with viscosity adds: F* [count][points][3][3] where it is frozen, or null without; factors of μ and λ.
-struct Viscosity {
-    const double* state;
-    double factor;
-};
-
 struct Block {
     const Elements& body;
     int first, used;
@@ -159,7 +153,7 @@ int32_t pc_stiffness(const Elements* given, const double* x, const double* state
         Lanes positions[MOST][3];
         block.gather(x, positions);
         Fields elastic[POINTS], viscous[POINTS];
-        Lanes metric[POINTS][3][3];
+        Lanes linear[POINTS], metric[POINTS][3][3];
         for (int q = 0; q < body.points; ++q) {
             const Lanes weight = block.at(body.weights, q), mu = block.at(body.mu, q), lam = block.at(body.lam, q);
             Lanes f[3][3], c[3][3], own = {}, other = {};
@@ -171,6 +165,7 @@ int32_t pc_stiffness(const Elements* given, const double* x, const double* state
                 const Term term = volume_term(body.logarithmic, j[l], mu[l], lam[l]);
                 own[l] = weight[l] * term.curvature, other[l] = weight[l] * term.slope / j[l];
             }
+            linear[q] = weight * mu;
             elastic[q].set(nodes, c, block.gradients(q), own + other, -other);
             if (!state) continue;
             block.matrices(state, q, f);
@@ -185,7 +180,7 @@ int32_t pc_stiffness(const Elements* given, const double* x, const double* state
                     const Lanes* g = block.gradients(q);
                     const Lanes common = dot(g + 3 * a, g + 3 * b);
                     elastic[q].add(a, b, sum);
-                    for (int i = 0; i < 3; ++i) sum[i][i] += block.at(body.weights, q) * block.at(body.mu, q) * common;
+                    for (int i = 0; i < 3; ++i) sum[i][i] += linear[q] * common;
                     if (!state) continue;
                     viscous[q].add(a, b, sum);
                     for (int i = 0; i < 3; ++i)
