@@ -46,7 +46,7 @@ RESULT = Path(__file__).parent / "results" / "reduced_speed.json"
 
 @dataclass(frozen=True)
 class Row:
-    """Processor times.
+    """Processor times, medians.
 
     Attributes:
         weights: M.
@@ -58,7 +58,7 @@ class Row:
         energy_and_gradient, elastic_hessian: of the body [ms].
         factorise, evaluate: of the equations of a step: Hessian with its factor; value and gradient [ms].
         newton_iteration: one iteration with a fresh Hessian, its factor, the solve and the evaluation at its end [ms].
-        frames_24: 24 frames of a drop on a smooth floor, 16 steps each [s].
+        frames_24: 24 frames of a drop on a smooth floor, 16 steps each [s]; median of three.
         newton_iterations, factorisations: of these.
         frames_24_rough: the same on a tilted floor of friction 0.3 [s].
         sensitivities: rough floor with the derivatives by E, ν, friction [s].
@@ -83,9 +83,9 @@ class Row:
 
 
 def milliseconds(call: Callable[[], object], repeats: int) -> float:
-    """Processor time of one call."""
+    """Processor time of one call, the median."""
     call()
-    return 1e3 * seconds(lambda: [call() for _ in range(repeats)]) / repeats
+    return 1e3 * float(np.median([seconds(call) for _ in range(repeats)]))
 
 
 def seconds(call: Callable[[], object]) -> float:
@@ -116,7 +116,7 @@ def measure(full: ElasticBody, count: int, points: int | None, arithmetic: str) 
     equations, still = StepEquations(scene), State(0.0, y, np.zeros_like(y))
     equations.set_step(implicit_euler(still, 0.003), 0.003, y, still)
     gradient = equations.evaluate(y)[1]
-    repeats = 40 if count < 40 else 4
+    repeats = 100 if count < 40 else 4
     part, hessian, factor, value, iteration = (
         milliseconds(call, repeats)
         for call in (
@@ -127,7 +127,7 @@ def measure(full: ElasticBody, count: int, points: int | None, arithmetic: str) 
             lambda: newton_iteration(equations, y, gradient),
         )
     )
-    smooth = seconds(lambda: simulate(scene))
+    smooth = float(np.median([seconds(lambda: simulate(scene)) for _ in range(3)]))
     cost = simulate(scene).statistics
     rough = replace(scene, obstacles=(Plane(point=(0, 0, -0.1), normal=(0.1, 0.05, 1.0), friction=0.3),))
     names = ["log10_youngs_modulus", "poisson_ratio", "friction"]

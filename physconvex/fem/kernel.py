@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from physconvex.fem.volumetric import VolumetricElements
 from physconvex.materials import Law
-from physconvex.native import KernelUnavailable, compiled
+from physconvex.native import KernelUnavailable, address, aligned, compiled
 from physconvex.volumetric_laws import HEADERS, KERNEL_LAWS, NEARLY_FLAT
 
 __all__ = ["SOURCES", "CompiledElements", "load_library", "sum_into", "volumetric_elements"]
@@ -45,7 +45,7 @@ def sum_into(
     except KernelUnavailable:
         return np.bincount(slots, weights=values.reshape(-1)[entries], minlength=count)
     out = np.zeros(count)
-    library.pc_assemble(len(slots), *map(_address, (entries, slots, values, out)))
+    library.pc_assemble(len(slots), *map(address, (entries, slots, values, out)))
     return out
 
 
@@ -74,14 +74,12 @@ class CompiledElements(VolumetricElements):
         """The elements' entries [E, …] as [blocks, …, lanes], the last one repeated."""
         blocks = -(-len(array) // self._lanes)
         places = np.minimum(np.arange(blocks * self._lanes), len(array) - 1)
-        return np.ascontiguousarray(np.moveaxis(array[places].reshape(blocks, self._lanes, *array.shape[1:]), 1, -1))
+        return aligned(np.moveaxis(array[places].reshape(blocks, self._lanes, *array.shape[1:]), 1, -1))
 
     def energy_and_gradient(self, x: Float[Array, "V 3"]) -> tuple[float, Float[Array, "V 3"]]:
         """Elastic energy [J] and its derivative by the positions of the nodes [N]."""
         x, forces = np.ascontiguousarray(x), np.zeros(x.shape)
-        energy = load_library().pc_energy_and_forces(
-            self._elements, _address(x), None, None, 0.0, 0.0, _address(forces)
-        )
+        energy = load_library().pc_energy_and_forces(self._elements, address(x), None, None, 0.0, 0.0, address(forces))
         return energy, forces
 
     def moving_energy_and_gradient(
@@ -98,7 +96,7 @@ class CompiledElements(VolumetricElements):
         given = [np.ascontiguousarray(array) for array in (x, velocity, state)]
         forces = np.zeros(x.shape)
         energy = load_library().pc_energy_and_forces(
-            self._elements, *map(_address, given), damping_time, step, _address(forces)
+            self._elements, *map(address, given), damping_time, step, address(forces)
         )
         return energy if with_energy else float("nan"), forces
 
@@ -114,14 +112,14 @@ class CompiledElements(VolumetricElements):
         x, width = np.ascontiguousarray(x), 3 * self._shape[2]
         state = None if viscous_state is None else np.ascontiguousarray(viscous_state)
         out = np.empty((self._shape[0], width, width)) if out is None else out
-        given = self._elements, _address(x), None if state is None else _address(state)
-        return out if load_library().pc_stiffness(*given, damping_ratio, _address(out)) else None
+        given = self._elements, address(x), None if state is None else address(state)
+        return out if load_library().pc_stiffness(*given, damping_ratio, address(out)) else None
 
     @cached_property
     def _elements(self) -> _Elements:
         count, points, nodes, _ = self._shape
         arrays = (self._tets_by_block, self._blocks, *self._constants)
-        return _Elements(count, points, nodes, self._law, NEARLY_FLAT, *map(_address, arrays))
+        return _Elements(count, points, nodes, self._law, NEARLY_FLAT, *map(address, arrays))
 
 
 class _Elements(ctypes.Structure):
@@ -132,10 +130,6 @@ class _Elements(ctypes.Structure):
         ("flat", ctypes.c_double),
         *((name, _POINTER) for name in ("tets", "gradients", "weights", "mu", "lam")),
     )
-
-
-def _address(array: Array) -> int:
-    return array.__array_interface__["data"][0]
 
 
 @cache

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from scipy.linalg.blas import dsyrk
 
 from physconvex.materials import Law
-from physconvex.native import KernelUnavailable, compiled
+from physconvex.native import KernelUnavailable, address, aligned, compiled
 from physconvex.reduced.volumetric import VolumetricSamples
 from physconvex.volumetric_laws import HEADERS, KERNEL_LAWS, NEARLY_FLAT
 
@@ -48,15 +48,15 @@ class CompiledSamples(VolumetricSamples):
         blocks = -(-count // self._lanes)
         padded = np.zeros((blocks * self._lanes, 3, self._size))
         padded[:count] = self._gradients
-        self._blocks = padded.reshape(blocks, self._lanes, 3, self._size).transpose(0, 3, 2, 1).copy()
+        self._blocks = aligned(padded.reshape(blocks, self._lanes, 3, self._size).transpose(0, 3, 2, 1))
 
     def __getstate__(self) -> dict[str, Any]:
         """Without addresses, which another process cannot use."""
         return {name: value for name, value in self.__dict__.items() if name != "_body"}
 
     def _energy_and_forces(self, body: _Body, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:
-        y, room, forces = np.ascontiguousarray(y), np.empty(y.size * self._lanes), np.empty(y.shape)
-        energy = load_library().pc_energy_and_forces(body, *map(_address, (y, room, forces)))
+        y, forces = np.ascontiguousarray(y), np.empty(y.shape)
+        energy = load_library().pc_energy_and_forces(body, address(y), address(forces))
         return energy, forces
 
     def energy_and_gradient(self, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:
@@ -72,11 +72,11 @@ class CompiledSamples(VolumetricSamples):
         """Second derivative [N/m], components first; None where the body is nearly flat at a sample."""
         count = len(self._weights)
         y, u, turned = np.ascontiguousarray(y), np.empty((count, 3, self._size)), np.empty((count, 2, self._size))
-        if not load_library().pc_cofactor_gradients(self._body, *map(_address, (y, u, turned))):
+        if not load_library().pc_cofactor_gradients(self._body, *map(address, (y, u, turned))):
             return super().hessian_blocks(y)
         product = dsyrk(1.0, u.reshape(count, -1).T, lower=1).T  # the upper half
         parts, last = u[:, 0].T @ turned.reshape(count, -1), u[:, 1].T @ turned[:, 1]
-        load_library().pc_assemble(self._size, *map(_address, (self._constant, parts, last, product)))
+        load_library().pc_assemble(self._size, *map(address, (self._constant, parts, last, product)))
         return product.reshape(3, self._size, 3, self._size)
 
     @cached_property
@@ -86,7 +86,7 @@ class CompiledSamples(VolumetricSamples):
     def _body_with(self, mu: Float[Array, " Q"], lam: Float[Array, " Q"]) -> _Body:
         """These constants must live as long as it does."""
         arrays = (self._blocks, self._gradients, self._weights, mu, lam)
-        return _Body(len(self._weights), self._size, self._law, NEARLY_FLAT, *map(_address, arrays))
+        return _Body(len(self._weights), self._size, self._law, NEARLY_FLAT, *map(address, arrays))
 
 
 class _Body(ctypes.Structure):
@@ -99,10 +99,6 @@ class _Body(ctypes.Structure):
     )
 
 
-def _address(array: Array) -> int:
-    return array.__array_interface__["data"][0]
-
-
 @cache
 def load_library() -> ctypes.CDLL:
     """The library with its functions' types declared.
@@ -113,7 +109,7 @@ def load_library() -> ctypes.CDLL:
     library = ctypes.CDLL(str(compiled(SOURCES, include=[HEADERS])))
     body: Any = ctypes.POINTER(_Body)
     library.pc_lanes.restype = ctypes.c_int32
-    library.pc_energy_and_forces.argtypes = [body] + [_POINTER] * 3
+    library.pc_energy_and_forces.argtypes = [body] + [_POINTER] * 2
     library.pc_energy_and_forces.restype = ctypes.c_double
     library.pc_cofactor_gradients.argtypes = [body] + [_POINTER] * 3
     library.pc_cofactor_gradients.restype = ctypes.c_int32

@@ -10,6 +10,10 @@
 
 namespace {
 
+struct alignas(sizeof(Lanes)) Line {
+    double lanes[LANES];
+};
+
 struct Body {
     int32_t samples, functions, logarithmic;  // law: 0 neo_hookean, 1 neo_hookean_log
     double flat;                       // |J| over |C|^(3/2) below which a division by J costs digits
@@ -47,11 +51,11 @@ extern "C" {
 
 int32_t pc_lanes() { return LANES; }
 
-// Elastic energy; its derivative by y [functions][3] goes to forces [functions][3]. Room: [functions][3][LANES].
-double pc_energy_and_forces(const Body* given, const double* y, double* room, double* forces) {
+// Elastic energy; its derivative by y [functions][3] goes to forces [functions][3].
+double pc_energy_and_forces(const Body* given, const double* y, double* forces) {
     const Body& body = *given;
-    Lanes* parts = reinterpret_cast<Lanes*>(room);
-    for (int n = 0; n < 3 * body.functions; ++n) parts[n] = Lanes{};
+    std::vector<Line> room(3 * size_t(body.functions));  // forces by lanes
+    Lanes* parts = reinterpret_cast<Lanes*>(room.data());
     Lanes energies = {};
     for (int first = 0; first < body.samples; first += LANES) {
         const Deformation at(body, first, y);
