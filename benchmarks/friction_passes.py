@@ -5,6 +5,7 @@ python benchmarks/friction_passes.py
 
 from __future__ import annotations
 
+import argparse
 import json
 import time
 from dataclasses import asdict, dataclass
@@ -37,6 +38,7 @@ class Row:
 
 def main() -> None:
     """Run all settings and store the table."""
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     torch.set_num_threads(1)
     thing = random_object(np.random.default_rng(0))
     surface = (thing.vertices, thing.faces)

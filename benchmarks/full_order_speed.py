@@ -9,6 +9,7 @@ of the neo-Hookean laws where nothing can be compiled; "compiled" the usual one.
 
 from __future__ import annotations
 
+import argparse
 import json
 import time
 from collections.abc import Callable
@@ -100,6 +101,7 @@ def _measure(cells: int, damping_time: float, arithmetic: str) -> Row:
 
 def main() -> None:
     """Run all settings and store the table."""
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     torch.set_num_threads(1)
     rows = []
     for cells, damping_time in ((4, 0.0), (4, 3e-3), (6, 0.0)):

@@ -9,6 +9,7 @@ on so. An eighth would be the third order that smooth displacements have, a seve
 
 from __future__ import annotations
 
+import argparse
 import json
 import tempfile
 from itertools import pairwise
@@ -54,6 +55,7 @@ def measure(root: Path, case: int) -> dict[str, object]:
 
 def main() -> None:
     """Measure and store."""
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     with tempfile.TemporaryDirectory() as folder:
         rows = [measure(Path(folder) / "bar", case) for case in CASES]
     content = {"command": "python benchmarks/mesh_order.py", "frames": SHOWN, "rows": rows}

@@ -9,6 +9,7 @@ compared with. The untrained field is the network of the neural field before its
 
 from __future__ import annotations
 
+import argparse
 import json
 import time
 from collections.abc import Iterator
@@ -86,6 +87,7 @@ def fields(mesh: TetMesh, modulus: np.ndarray, count: int, softer: np.ndarray) -
 
 def main() -> None:
     """Run all settings and store the table."""
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     torch.set_num_threads(1)
     rows = []
     for name, mesh, modulus in bodies():

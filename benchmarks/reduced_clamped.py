@@ -9,6 +9,7 @@ clamped one; "rolled": `with_elastic_weights`, also about the states of a roll-o
 
 from __future__ import annotations
 
+import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -39,6 +40,7 @@ TIMING: dict[str, Any] = {"frames": 24, "fps": 48.0, "steps_per_frame": 8}
 
 def main() -> None:
     """All rows."""
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     torch.set_num_threads(1)
     mesh = box_mesh((0.3, 0.06, 0.06), (9, 2, 2), order=2)
     full = ElasticBody(mesh, youngs_modulus=1e5, poisson_ratio=0.4)

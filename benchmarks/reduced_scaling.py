@@ -8,6 +8,7 @@ The neural field is timed on two threads, on the clock.
 
 from __future__ import annotations
 
+import argparse
 import json
 import time
 from collections.abc import Callable, Iterator
@@ -116,6 +117,7 @@ def roll_outs() -> Iterator[RollOutRow]:
 
 def main() -> None:
     """Measure, print, store."""
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     torch.set_num_threads(1)
     content: dict[str, Any] = {"command": "python benchmarks/reduced_scaling.py", "set_up": [], "roll_outs": []}
     for name, rows in (("set_up", set_ups()), ("roll_outs", roll_outs())):

@@ -9,6 +9,7 @@ from 1 on (Lube, Huppert, Sparks & Hallworth 2004, J. Fluid Mech. 508, 175-199).
 
 from __future__ import annotations
 
+import argparse
 import json
 import time
 from dataclasses import asdict, dataclass
@@ -88,6 +89,7 @@ def measure(aspect: float, weights: int) -> Row:
 
 def main() -> None:
     """Measure, print, store."""
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     rows = []
     for aspect in (0.5, 1.0, 2.0):
         for weights in (12, 20):

@@ -8,6 +8,7 @@ the reference takes 64 steps per frame with four passes.
 
 from __future__ import annotations
 
+import argparse
 import json
 import time
 from dataclasses import asdict, dataclass
@@ -52,6 +53,7 @@ def slump(scene: ReducedScene, steps: int, passes: int) -> tuple[np.ndarray, int
 
 def main() -> None:
     """Run all settings and store the table."""
+    argparse.ArgumentParser(description=__doc__.splitlines()[0]).parse_args()
     torch.set_num_threads(1)
     mesh = box_mesh((0.3, 0.2, 0.1), (2, 1, 1), order=2)
     space = ReducedSpace(eigenmode_weights(ElasticBody(mesh), 3), BodySamples.of_mesh(mesh))
