@@ -22,7 +22,8 @@ import torch
 
 from physconvex import linear_solvers
 from physconvex.fem import ElasticBody, Plane, Scene, box_mesh, kernel, simulate
-from physconvex.fem.simulation import ContactSolver, StepEquations
+from physconvex.fem.simulation import ContactSolver
+from physconvex.fem.step_equations import StepEquations
 from physconvex.integrators import State, implicit_euler
 from physconvex.native import KernelUnavailable
 

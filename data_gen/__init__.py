@@ -11,17 +11,18 @@ if TYPE_CHECKING:
     from data_gen.config import GeneratorConfig, load_config
     from data_gen.dataset import ClipRecord, Dataset
     from data_gen.generate import GenerationSummary, generate_dataset
+    from data_gen.lighting import Backdrop, Lighting
     from data_gen.objects import ObjectMesh, load_user_mesh, random_object
-    from data_gen.render import Backdrop, Lighting, Renderer
+    from data_gen.render import Renderer
     from data_gen.surface import Surface
 
 _LAZY = {
-    "Backdrop": "render",
+    "Backdrop": "lighting",
     "ClipRecord": "dataset",
     "Dataset": "dataset",
     "GenerationSummary": "generate",
     "GeneratorConfig": "config",
-    "Lighting": "render",
+    "Lighting": "lighting",
     "ObjectMesh": "objects",
     "Renderer": "render",
     "RingOptions": "captures",

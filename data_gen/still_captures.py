@@ -14,8 +14,9 @@ import trimesh
 from jaxtyping import Float, UInt8
 from PIL import Image
 
+from data_gen.lighting import Backdrop, Lighting
 from data_gen.objects.library import ObjectMesh
-from data_gen.render import Backdrop, Lighting, Renderer
+from data_gen.render import Renderer
 from data_gen.surface import Surface
 from physconvex.camera import Camera, look_at
 from physconvex.errors import InputError

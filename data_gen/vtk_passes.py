@@ -9,17 +9,15 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from data_gen.lighting import Backdrop, Lighting
 from data_gen.surface import Surface
 from physconvex.camera import Camera
 from physconvex.errors import PhysconvexError
-
-if TYPE_CHECKING:
-    from data_gen.render import Backdrop, Lighting
 
 __all__ = [
     "RenderError",

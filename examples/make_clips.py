@@ -20,7 +20,7 @@ from PIL import Image
 from data_gen.config import GeneratorConfig, load_config
 from data_gen.degrade import draw_degradation
 from data_gen.generate import prepare_surface, render_view
-from data_gen.render import Backdrop
+from data_gen.lighting import Backdrop
 from data_gen.scene import draw_drop, draw_look
 from data_gen.simulate import simulate_drop
 from data_gen.textures import floor_texture

@@ -14,8 +14,6 @@ is a factor kept over many steps (`physconvex.fem.kept_factor`).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy.sparse import csr_matrix
 
@@ -23,10 +21,8 @@ from physconvex.errors import ConvergenceError
 from physconvex.fem.carried_contact import CarriedContact
 from physconvex.fem.dense_contact import DenseContact
 from physconvex.fem.kept_factor import KeptFactor
+from physconvex.fem.step_equations import StepEquations
 from physconvex.integrators import Minimum
-
-if TYPE_CHECKING:
-    from physconvex.fem.simulation import StepEquations
 
 __all__ = ["CondensedContact"]
 

@@ -8,16 +8,13 @@ met since then tell of the stiffness is laid over it (L-BFGS in compact form: By
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from physconvex.fem.step_equations import StepEquations
 from physconvex.kabsch import best_rotation
 from physconvex.linear_solvers import NotPositiveDefiniteError
-
-if TYPE_CHECKING:
-    from physconvex.fem.simulation import StepEquations
 
 __all__ = ["KeptFactor"]
 

@@ -22,7 +22,8 @@ from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem.scene import Scene
-from physconvex.fem.simulation import StepEquations, Trajectory, simulate
+from physconvex.fem.simulation import Trajectory, simulate
+from physconvex.fem.step_equations import StepEquations
 from physconvex.integrators import State, bdf2, extrapolate, implicit_euler
 from physconvex.linear_solvers import NotPositiveDefiniteError
 from physconvex.stepping import StepRecord

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from data_gen.render import Backdrop, Lighting, Renderer
+from data_gen.lighting import Backdrop, Lighting
+from data_gen.render import Renderer
 from data_gen.surface import Surface, corner_normals
 from physconvex.camera import Camera, look_at
 from physconvex.errors import InputError

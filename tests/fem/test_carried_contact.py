@@ -18,7 +18,7 @@ from physconvex.fem import (
     simulate,
     to_quadratic,
 )
-from physconvex.fem.simulation import StepEquations
+from physconvex.fem.step_equations import StepEquations
 
 
 @pytest.fixture(scope="module")

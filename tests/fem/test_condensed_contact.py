@@ -10,7 +10,7 @@ from physconvex.errors import InputError
 from physconvex.fem import ElasticBody, Pins, Plane, Scene, Sphere, SurfacePoints, box_mesh, simulate
 from physconvex.fem.dense_contact import _Problem
 from physconvex.fem.kept_factor import KeptFactor
-from physconvex.fem.simulation import StepEquations
+from physconvex.fem.step_equations import StepEquations
 from physconvex.integrators import State, bdf2
 from physconvex.wind import Wind
 

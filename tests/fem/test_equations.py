@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from physconvex.fem import ElasticBody, Pins, Plane, Scene, Sphere, box_mesh
-from physconvex.fem.simulation import StepEquations
+from physconvex.fem.step_equations import StepEquations
 from physconvex.integrators import State, bdf2, implicit_euler
 from physconvex.materials import LAWS
 
