@@ -256,7 +256,7 @@ def summary(rows: list[Row]) -> dict[str, object]:
 
 
 def main() -> None:
-    """Run the cases that are not there yet, and store the table after each."""
+    """Run the cases that are not there yet, each kept in the work folder, and store the table of all."""
     torch.set_num_threads(1)
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", type=int, default=6)
