@@ -25,6 +25,10 @@ from typing import Any
 import numpy as np
 import torch
 
+from data_gen import Surface
+from data_gen.still_captures import FLAT, rendered_frames
+from inference import predict
+from physconvex.camera import look_at
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import ElasticBody, Scene, TetMesh, box_mesh, tetrahedralize
 from physconvex.fem import simulate as simulate_full
@@ -41,6 +45,7 @@ from physconvex.reduced import (
     elastic_weights,
     even_loads,
     parameter_values,
+    predicted_weights,
     simulate_with_sensitivities,
     snapshot_weights,
     train_neural_weights,
@@ -73,7 +78,8 @@ class Case:
 
     basis: elastic (vibrations and answers to forces where the floor touches, found by two roll-outs, the first one with
     20 eigenmodes; on patches where nothing touches), eigenmodes, contact (a third of them eigenmodes, the others
-    answers to loads on patches), neural, snapshots, or paper. Elastic and contact weights are interpolated at nodes.
+    answers to loads on patches), neural, predicted (by the bundled checkpoint from a film of the full motion, as many
+    as it has handles), snapshots, or paper. Elastic and contact weights are interpolated at nodes.
     scene: "drop", or "release" (stretched, sheared, let go in free space).
     """
 
@@ -129,7 +135,7 @@ def cases(bodies: list[str]) -> Iterator[Case]:
     last = [("eigenmodes", m) for m in (8, 12)] + [
         (b, m) for b in ("elastic", "neural", "snapshots") for m in (4, 8, 12, 20, 40)
     ]
-    for stage in (first, rest, last):
+    for stage in (first, rest, [("predicted", 10)], last):
         for modulus, ratio in grid:
             for body in bodies:
                 for basis, count in stage:
@@ -248,10 +254,26 @@ def weights_of(case: Case, mesh: TetMesh, study: Study) -> WeightField:
         return eigenmode_weights(ElasticBody(mesh), case.weights)
     if case.basis == "contact":
         return contact_weights(ElasticBody(mesh), case.weights - case.weights // 3, eigenmodes=case.weights // 3)
+    if case.basis == "predicted":
+        return weights_from_film(mesh, full_motion(case, mesh, study))
     if case.basis == "snapshots":
         softer = full_motion(case, mesh, study, softer=2)
         return snapshot_weights(ElasticBody(mesh), [softer - mesh.vertices], case.weights)
     return neural_weights(case.body, case.weights, study)
+
+
+def weights_from_film(mesh: TetMesh, motion: np.ndarray) -> WeightField:
+    """What the bundled checkpoint predicts from a film of a motion: from the front, 224², coloured by chance."""
+    nodes, faces = np.unique(mesh.boundary_faces[:, :3], return_inverse=True)
+    colours = np.random.default_rng(0).integers(40, 220, (len(nodes), 3)).astype(np.uint8)
+    surface = Surface(mesh.vertices[nodes], faces.reshape(-1, 3), colors=colours)
+    low, high = motion.min((0, 1)), motion.max((0, 1))
+    centre = (low + high) / 2
+    camera = look_at(centre - [0, 5 * SIZE, 0], centre, width=224, height=224, vertical_field_of_view=0.45)
+    film = np.stack(rendered_frames(surface, camera, FLAT, motion[:, nodes]))
+    prediction = predict(film, fps=TIMING["fps"], object_size=SIZE)
+    rest = mesh.vertices
+    return predicted_weights(prediction.skinning_field, origin=(rest.min(0) + rest.max(0)) / 2)
 
 
 class Fit:

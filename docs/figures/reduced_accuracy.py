@@ -24,6 +24,7 @@ BASES = {
     "eigenmodes": "#d9772b",
     "snapshots": "#8b5fbf",
     "neural": "#b0413e",
+    "predicted": "#777777",
     "paper": "black",
 }
 BODIES = ("cube", "bar", "spot", "koala", "Kong", "Android")
