@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import os
 import platform
@@ -9,16 +10,33 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-__all__ = ["FLAGS", "KernelUnavailable", "address", "aligned", "cache_folder", "compiled"]
+__all__ = [
+    "FLAGS",
+    "POINTER",
+    "Functions",
+    "KernelUnavailable",
+    "address",
+    "aligned",
+    "available",
+    "cache_folder",
+    "compiled",
+    "doubles",
+    "loaded",
+]
 
 COMPILERS = ("c++", "g++", "clang++")
 FLAGS = ("-std=c++17", "-O3", "-march=native", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math")
 COMPILE_SECONDS = 300
+POINTER: Any = ctypes.c_void_p
+Functions = Sequence[tuple[str, Any, Sequence[Any]]]
+"""Names of a library's functions, types of what they return and take."""
 _LINE = 64  # bytes
 
 
@@ -65,6 +83,36 @@ def compiled(folder: Path, *, include: Sequence[Path] = (), flags: Sequence[str]
     except OSError as error:
         raise KernelUnavailable(f"{library.parent}: cannot be written: {error.strerror}") from None
     return library
+
+
+def loaded(
+    folder: Path, functions: Functions, *, include: Sequence[Path] = (), flags: Sequence[str] = FLAGS
+) -> ctypes.CDLL:
+    """The library of a folder, see `compiled`, with its functions' types declared.
+
+    Raises:
+        KernelUnavailable: it cannot be compiled.
+    """
+    library = ctypes.CDLL(str(compiled(folder, include=include, flags=flags)))
+    for name, result, arguments in functions:
+        function = getattr(library, name)
+        function.argtypes, function.restype = list(arguments), result
+    return library
+
+
+@cache
+def available(load: Callable[[], ctypes.CDLL]) -> bool:
+    """Whether a library can be loaded; a compiler that is missing or fails is tried once."""
+    try:
+        load()
+    except KernelUnavailable:
+        return False
+    return True
+
+
+def doubles(array: np.ndarray) -> np.ndarray:
+    """An array as kernels read it: float64, contiguous; itself where it is that."""
+    return np.ascontiguousarray(array, dtype=np.float64)
 
 
 def aligned(array: np.ndarray) -> np.ndarray:

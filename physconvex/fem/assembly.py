@@ -39,7 +39,7 @@ class Assembler:
 
     def elements(self, local: Float[np.ndarray, "E m m"]) -> Float[np.ndarray, " nnz"]:
         """Values of the assembled upper triangle from element matrices."""
-        return sum_into(self._slots, self._keep, np.ascontiguousarray(local), len(self._keys))
+        return sum_into(self._slots, self._keep, local, len(self._keys))
 
     def blocks(self, diagonal: Float[np.ndarray, "V 3 3"]) -> Float[np.ndarray, " nnz"]:
         """Values of the upper triangle from one 3×3 block per node."""

@@ -12,40 +12,33 @@ from jaxtyping import Float, Int
 
 from physconvex.fem.volumetric import VolumetricElements
 from physconvex.materials import Law
-from physconvex.native import KernelUnavailable, address, aligned, compiled
+from physconvex.native import POINTER, Functions, address, aligned, available, doubles, loaded
 from physconvex.volumetric_laws import HEADERS, KERNEL_LAWS, NEARLY_FLAT
 
-__all__ = ["SOURCES", "CompiledElements", "load_library", "sum_into", "volumetric_elements"]
+__all__ = ["CompiledElements", "load_library", "sum_into", "volumetric_elements"]
 
 Array = np.ndarray
-SOURCES = Path(__file__).with_name("cpu")
+_SOURCES = Path(__file__).with_name("cpu")
 _MOST_NODES, _MOST_POINTS = 10, 4  # of an element there
-_POINTER: Any = ctypes.c_void_p
 
 
 def volumetric_elements(
     law: Law, tets: Int[Array, "E n"], count: int, gradients: Array, weights: Array, mu: Array, lam: Array
 ) -> VolumetricElements:
     """The quadrature points of a body, see `VolumetricElements`; those of plain numpy where nothing can be compiled."""
-    given = (law, tets, count, gradients, weights, mu, lam)
-    if law.name not in KERNEL_LAWS or gradients.shape[1] > _MOST_POINTS or gradients.shape[2] > _MOST_NODES:
-        return VolumetricElements(*given)
-    try:
-        return CompiledElements(*given)
-    except KernelUnavailable:
-        return VolumetricElements(*given)
+    known = law.name in KERNEL_LAWS and gradients.shape[1] <= _MOST_POINTS and gradients.shape[2] <= _MOST_NODES
+    kind = CompiledElements if known and available(load_library) else VolumetricElements
+    return kind(law, tets, count, gradients, weights, mu, lam)
 
 
 def sum_into(
     slots: Int[Array, " K"], entries: Int[Array, " K"], values: Float[Array, ...], count: int
 ) -> Float[Array, " count"]:
-    """Sums of entries of an array by the slot that each goes to; both int32 and in range, the array contiguous."""
-    try:
-        library = load_library()
-    except KernelUnavailable:
+    """Sums of entries of an array by the slot that each goes to; both int32 and in range."""
+    if not available(load_library):
         return np.bincount(slots, weights=values.reshape(-1)[entries], minlength=count)
-    out = np.zeros(count)
-    library.pc_assemble(len(slots), *map(address, (entries, slots, values, out)))
+    values, out = doubles(values), np.zeros(count)
+    load_library().pc_assemble(len(slots), *map(address, (entries, slots, values, out)))
     return out
 
 
@@ -78,7 +71,7 @@ class CompiledElements(VolumetricElements):
 
     def energy_and_gradient(self, x: Float[Array, "V 3"]) -> tuple[float, Float[Array, "V 3"]]:
         """Elastic energy [J] and its derivative by the positions of the nodes [N]."""
-        x, forces = np.ascontiguousarray(x), np.zeros(x.shape)
+        x, forces = doubles(x), np.zeros(x.shape)
         energy = load_library().pc_energy_and_forces(self._elements, address(x), None, None, 0.0, 0.0, address(forces))
         return energy, forces
 
@@ -93,7 +86,7 @@ class CompiledElements(VolumetricElements):
         with_energy: bool,
     ) -> tuple[float, Float[Array, "V 3"]]:
         """The same with the viscosity of a step, as `ElasticBody.moving_energy_and_gradient`."""
-        given = [np.ascontiguousarray(array) for array in (x, velocity, state)]
+        given = [doubles(array) for array in (x, velocity, state)]
         forces = np.zeros(x.shape)
         energy = load_library().pc_energy_and_forces(
             self._elements, *map(address, given), damping_time, step, address(forces)
@@ -109,8 +102,8 @@ class CompiledElements(VolumetricElements):
         out: Float[Array, "E m m"] | None = None,
     ) -> Float[Array, "E m m"] | None:
         """Element matrices as `ElasticBody.element_hessians`; None where the body is nearly flat at a point."""
-        x, width = np.ascontiguousarray(x), 3 * self._shape[2]
-        state = None if viscous_state is None else np.ascontiguousarray(viscous_state)
+        x, width = doubles(x), 3 * self._shape[2]
+        state = None if viscous_state is None else doubles(viscous_state)
         out = np.empty((self._shape[0], width, width)) if out is None else out
         given = self._elements, address(x), None if state is None else address(state)
         return out if load_library().pc_stiffness(*given, damping_ratio, address(out)) else None
@@ -128,7 +121,7 @@ class _Elements(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_int32) for name in ("count", "points", "nodes", "law")),
         ("flat", ctypes.c_double),
-        *((name, _POINTER) for name in ("tets", "gradients", "weights", "mu", "lam")),
+        *((name, POINTER) for name in ("tets", "gradients", "weights", "mu", "lam")),
     )
 
 
@@ -139,12 +132,12 @@ def load_library() -> ctypes.CDLL:
     Raises:
         KernelUnavailable: no compiler, or it failed.
     """
-    library = ctypes.CDLL(str(compiled(SOURCES, include=[HEADERS])))
     elements: Any = ctypes.POINTER(_Elements)
-    library.pc_lanes.restype = ctypes.c_int32
-    library.pc_energy_and_forces.argtypes = [elements, *[_POINTER] * 3, ctypes.c_double, ctypes.c_double, _POINTER]
-    library.pc_energy_and_forces.restype = ctypes.c_double
-    library.pc_stiffness.argtypes = [elements, _POINTER, _POINTER, ctypes.c_double, _POINTER]
-    library.pc_stiffness.restype = ctypes.c_int32
-    library.pc_assemble.argtypes, library.pc_assemble.restype = [ctypes.c_int64, *[_POINTER] * 4], None
-    return library
+    number: Any = ctypes.c_double
+    functions: Functions = (
+        ("pc_lanes", ctypes.c_int32, []),
+        ("pc_energy_and_forces", number, [elements, *[POINTER] * 3, number, number, POINTER]),
+        ("pc_stiffness", ctypes.c_int32, [elements, POINTER, POINTER, number, POINTER]),
+        ("pc_assemble", None, [ctypes.c_int64, *[POINTER] * 4]),
+    )
+    return loaded(_SOURCES, functions, include=[HEADERS])

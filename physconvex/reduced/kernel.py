@@ -12,26 +12,20 @@ from jaxtyping import Float
 from scipy.linalg.blas import dsyrk
 
 from physconvex.materials import Law
-from physconvex.native import KernelUnavailable, address, aligned, compiled
+from physconvex.native import POINTER, Functions, address, aligned, available, doubles, loaded
 from physconvex.reduced.volumetric import VolumetricSamples
 from physconvex.volumetric_laws import HEADERS, KERNEL_LAWS, NEARLY_FLAT
 
-__all__ = ["SOURCES", "CompiledSamples", "load_library", "volumetric_samples"]
+__all__ = ["CompiledSamples", "load_library", "volumetric_samples"]
 
 Array = np.ndarray
-SOURCES = Path(__file__).with_name("cpu")
-_POINTER: Any = ctypes.c_void_p
+_SOURCES = Path(__file__).with_name("cpu")
 
 
 def volumetric_samples(law: Law, gradients: Array, weights: Array, mu: Array, lam: Array) -> VolumetricSamples:
     """The samples of a body, see `VolumetricSamples`; those of plain numpy where nothing can be compiled."""
-    given = (law, gradients, weights, mu, lam)
-    if law.name not in KERNEL_LAWS:
-        return VolumetricSamples(*given)
-    try:
-        return CompiledSamples(*given)
-    except KernelUnavailable:
-        return VolumetricSamples(*given)
+    known = law.name in KERNEL_LAWS and available(load_library)
+    return (CompiledSamples if known else VolumetricSamples)(law, gradients, weights, mu, lam)
 
 
 class CompiledSamples(VolumetricSamples):
@@ -55,7 +49,7 @@ class CompiledSamples(VolumetricSamples):
         return {name: value for name, value in self.__dict__.items() if name != "_body"}
 
     def _energy_and_forces(self, body: _Body, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:
-        y, forces = np.ascontiguousarray(y), np.empty(y.shape)
+        y, forces = doubles(y), np.empty(y.shape)
         energy = load_library().pc_energy_and_forces(body, address(y), address(forces))
         return energy, forces
 
@@ -65,13 +59,13 @@ class CompiledSamples(VolumetricSamples):
 
     def gradient_with(self, y: Float[Array, "R 3"], mu: Array, lam: Array) -> Float[Array, "R 3"]:
         """The derivative [N] with other constants μ and λ [Pa], shape [Q]."""
-        mu, lam = np.ascontiguousarray(mu), np.ascontiguousarray(lam)
+        mu, lam = doubles(mu), doubles(lam)
         return self._energy_and_forces(self._body_with(mu, lam), y)[1]
 
     def hessian_blocks(self, y: Float[Array, "R 3"]) -> Float[Array, "3 R 3 R"] | None:
         """Second derivative [N/m], components first; None where the body is nearly flat at a sample."""
         count = len(self._weights)
-        y, u, turned = np.ascontiguousarray(y), np.empty((count, 3, self._size)), np.empty((count, 2, self._size))
+        y, u, turned = doubles(y), np.empty((count, 3, self._size)), np.empty((count, 2, self._size))
         if not load_library().pc_cofactor_gradients(self._body, *map(address, (y, u, turned))):
             return super().hessian_blocks(y)
         product = dsyrk(1.0, u.reshape(count, -1).T, lower=1).T  # the upper half
@@ -95,7 +89,7 @@ class _Body(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_int32) for name in ("samples", "functions", "law")),
         ("flat", ctypes.c_double),
-        *((name, _POINTER) for name in ("blocks", "gradients", "weights", "mu", "lam")),
+        *((name, POINTER) for name in ("blocks", "gradients", "weights", "mu", "lam")),
     )
 
 
@@ -106,12 +100,11 @@ def load_library() -> ctypes.CDLL:
     Raises:
         KernelUnavailable: no compiler, or it failed.
     """
-    library = ctypes.CDLL(str(compiled(SOURCES, include=[HEADERS])))
     body: Any = ctypes.POINTER(_Body)
-    library.pc_lanes.restype = ctypes.c_int32
-    library.pc_energy_and_forces.argtypes = [body] + [_POINTER] * 2
-    library.pc_energy_and_forces.restype = ctypes.c_double
-    library.pc_cofactor_gradients.argtypes = [body] + [_POINTER] * 3
-    library.pc_cofactor_gradients.restype = ctypes.c_int32
-    library.pc_assemble.argtypes, library.pc_assemble.restype = [ctypes.c_int32] + [_POINTER] * 4, None
-    return library
+    functions: Functions = (
+        ("pc_lanes", ctypes.c_int32, []),
+        ("pc_energy_and_forces", ctypes.c_double, [body, *[POINTER] * 2]),
+        ("pc_cofactor_gradients", ctypes.c_int32, [body, *[POINTER] * 3]),
+        ("pc_assemble", None, [ctypes.c_int32, *[POINTER] * 4]),
+    )
+    return loaded(_SOURCES, functions, include=[HEADERS])

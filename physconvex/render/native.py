@@ -7,24 +7,13 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from physconvex.native import FLAGS, compiled
+from physconvex.native import FLAGS, POINTER, Functions, loaded
 
 __all__ = ["RENDER_FLAGS", "SOURCES", "Scene", "load_library"]
 
 SOURCES = Path(__file__).with_name("cpu")
 # No result may be infinite or NaN by design, which lets minima and maxima become single instructions.
 RENDER_FLAGS = (*FLAGS, "-pthread", "-fopenmp-simd", "-fno-signed-zeros", "-ffinite-math-only")
-POINTER: Any = ctypes.c_void_p
-
-
-@cache
-def load_library() -> ctypes.CDLL:
-    """The library with its functions' types declared.
-
-    Raises:
-        KernelUnavailable: no compiler, or it failed.
-    """
-    return _declared(ctypes.CDLL(str(compiled(SOURCES, flags=RENDER_FLAGS))))
 
 
 class Scene(ctypes.Structure):
@@ -36,18 +25,21 @@ class Scene(ctypes.Structure):
     )
 
 
-def _declared(library: ctypes.CDLL) -> ctypes.CDLL:
-    """Declare the functions of cpu/kernel.cpp."""
+@cache
+def load_library() -> ctypes.CDLL:
+    """The library with its functions' types declared.
+
+    Raises:
+        KernelUnavailable: no compiler, or it failed.
+    """
     scene: Any = ctypes.POINTER(Scene)
     count: Any = ctypes.c_int32
-    for name, result, arguments in (
+    functions: Functions = (
         ("pc_plan", POINTER, [scene]),
         ("pc_free", None, [POINTER]),
         ("pc_hulls", None, [count] * 3 + [POINTER] * 4),
         ("pc_blend", None, [scene, POINTER] + [POINTER] * 3),
         ("pc_gradient", None, [scene, POINTER] + [POINTER] * 9),
         ("pc_tangent", None, [scene, POINTER, count] + [POINTER] * 7),
-    ):
-        function = getattr(library, name)
-        function.argtypes, function.restype = arguments, result
-    return library
+    )
+    return loaded(SOURCES, functions, flags=RENDER_FLAGS)

@@ -131,3 +131,10 @@ def test_sums_by_slot():
     slots = rng.integers(0, 5, 30).astype(np.int32)
     expected = [values.ravel()[entries[slots == slot]].sum() for slot in range(7)]
     np.testing.assert_allclose(sum_into(slots, entries, values, 7), expected, atol=1e-14)
+
+
+def test_positions_of_another_kind_of_number_are_taken_as_they_are():
+    body, _ = bodies("neo_hookean", 1)
+    x = states(body, 5)[0].astype(np.float32)
+    np.testing.assert_array_equal(body.gradient(x), body.gradient(x.astype(np.float64)))
+    np.testing.assert_array_equal(body.element_hessians(x), body.element_hessians(x.astype(np.float64)))

@@ -43,3 +43,14 @@ def test_compiled_once_then_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     monkeypatch.setattr(native, "_run", lambda command: pytest.fail("compiled again"))
     assert native.compiled(folder) == library != other
     assert {library, other} == set((tmp_path / "cache").iterdir())
+
+
+def test_a_compiler_that_fails_is_tried_once() -> None:
+    tried = []
+
+    def load() -> ctypes.CDLL:
+        tried.append(1)
+        raise native.KernelUnavailable("it fails")
+
+    assert not native.available(load) and not native.available(load)
+    assert len(tried) == 1
