@@ -18,6 +18,9 @@ def train(
     config: Annotated[str | None, typer.Option(help="YAML file or preset (`default`).")] = None,
     epochs: Annotated[int | None, typer.Option(help="Epochs.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
+    checkpoint: Annotated[
+        str | None, typer.Option(help="Go on from this checkpoint: a folder, or a bundled one's name (`default`).")
+    ] = None,
     device: Annotated[str, typer.Option(help="`auto` (an accelerator if there is one) or `cpu`.")] = "auto",
     resume: Annotated[bool, typer.Option(help="Go on with the run in --out.")] = True,
     minutes: Annotated[
@@ -40,7 +43,7 @@ def train(
         raise InputError(f"device: got {device!r}; expected auto or cpu (choose a GPU with CUDA_VISIBLE_DEVICES)")
     if threads is not None:
         torch.set_num_threads(threads)
-    settings = load_train_config(config, epochs=epochs, seed=seed)
+    settings = load_train_config(config, epochs=epochs, seed=seed, checkpoint=checkpoint)
     with _Bar() as bar:
         result = train_predictor(
             settings, data, out, cpu=device == "cpu", resume=resume, minutes=minutes, cache=cache, report=bar.report

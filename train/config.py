@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from models.checkpoint import ClipSettings
 from models.config import NetworkConfig
@@ -66,6 +66,8 @@ class TrainConfig(_Frozen):
     network: NetworkConfig = NetworkConfig()
     pretrained: str | None = None
     """Public VideoMAE weights, by folder or name; None trains from scratch."""
+    checkpoint: str | None = None
+    """A checkpoint of this network to go on from, by folder or name; its clips should not be held out here."""
     margin: float = Field(default=0.1, ge=0)
     """Of the square around the object's path (`models.clip.ClipConfig`)."""
     extent: float = Field(default=1.7, gt=0)
@@ -92,6 +94,12 @@ class TrainConfig(_Frozen):
     """Processes that augment; 0 does so in the training process."""
     augment: AugmentConfig = AugmentConfig()
     loss: LossConfig = LossConfig()
+
+    @model_validator(mode="after")
+    def check(self) -> TrainConfig:
+        if self.pretrained is not None and self.checkpoint is not None:
+            raise ValueError("pretrained and checkpoint both say where to start; give one of them")
+        return self
 
     @property
     def clip(self) -> ClipSettings:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from models.calibration import Calibration
-from models.checkpoint import ClipSettings, PredictorConfig, TrainingRange
+from models.checkpoint import ClipSettings, PredictorConfig, TrainingRange, find_checkpoint
 from models.estimator import PhysicsPredictor
 from models.network import PhysicsNetwork
 from train.data import TrainingClips
@@ -28,6 +29,7 @@ def export_best(
     calibration: Calibration,
     validation: Validation,
     data: Sequence[Path | str],
+    checkpoint: str | None = None,
 ) -> None:
     """Write network, calibration, ranges and metrics where `PhysicsPredictor.from_pretrained` finds them."""
     stiffness, poisson = validation.metrics(calibration)
@@ -48,7 +50,7 @@ def export_best(
             "skinning_energy_missed": validation.captured,
         },
     )
-    card = model_card(stiffness, poisson, ranges, validation, len(clips), data)
+    card = model_card(stiffness, poisson, ranges, validation, len(clips), data, checkpoint)
     PhysicsPredictor(network, config).save_pretrained(folder, model_card=card)
 
 
@@ -63,10 +65,12 @@ def model_card(
     validation: Validation,
     clips: int,
     data: Sequence[Path | str],
+    checkpoint: str | None = None,
 ) -> str:
-    """Markdown: what it was trained on, how good it is, where it ends."""
+    """Markdown: what it was trained on (and the checkpoint that it went on from), how good it is, where it ends."""
     sources = "\n".join(f"- `{Path(folder).name}`, manifest SHA-256 `{dataset_checksum(folder)}`" for folder in data)
     low, high = ranges.log10_stiffness
+    earlier = "" if checkpoint is None else _earlier_training(checkpoint)
     return f"""# physconvex predictor
 
 Reads a clip of one soft object that falls on a floor; says Young's modulus, Poisson's ratio and skinning weights.
@@ -76,7 +80,7 @@ Reads a clip of one soft object that falls on a floor; says Young's modulus, Poi
 {clips} clips, simulated by the finite-element code of this project and rendered, from
 
 {sources}
-
+{earlier}
 log10(E / (ρ g L)) from {low:.2f} to {high:.2f}; ν from {ranges.poisson_ratio[0]:.2f} to {ranges.poisson_ratio[1]:.2f};
 frame interval {ranges.interval[0]:.3f} to {ranges.interval[1]:.3f} √(L/g).
 
@@ -95,4 +99,17 @@ eigenmodes.
 One homogeneous object, dropped on a rigid floor under g = 9.81 m/s², seen by a camera that stands still. E in pascals
 rests on the density, object size and frame rate that are given. Other scenes (several objects, being pushed, pulled,
 hung up) are not in the training data, and the intervals do not cover what such scenes change.
+"""
+
+
+def _earlier_training(checkpoint: str) -> str:
+    """What the model card of the starting point says of its own clips."""
+    folder = find_checkpoint(checkpoint)
+    checksum = hashlib.sha256((folder / "model.safetensors").read_bytes()).hexdigest()
+    said = (folder / "model_card.md").read_text(encoding="utf-8").partition("## Training data\n")[2]
+    quoted = "\n".join(f"> {line}".rstrip() for line in said.partition("\n## ")[0].strip().splitlines())
+    return f"""
+It went on from the checkpoint `{folder.name}`, SHA-256 `{checksum}`, whose card says of its training:
+
+{quoted or "> nothing"}
 """

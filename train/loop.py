@@ -18,6 +18,7 @@ from timm.optim import create_optimizer_v2
 from timm.scheduler import CosineLRScheduler
 from timm.utils import ModelEmaV3
 
+from models.checkpoint import load_checkpoint
 from models.encoder import load_pretrained_encoder
 from models.network import PhysicsNetwork
 from physconvex.errors import InputError
@@ -130,6 +131,8 @@ class _Run:
         encoder = config.network.encoder
         loaded = None if config.pretrained is None else load_pretrained_encoder(config.pretrained, encoder)
         network = PhysicsNetwork(config.network, encoder=loaded)
+        if config.checkpoint is not None:
+            network.load_state_dict(_starting_point(config).state_dict())
         self.average = ModelEmaV3(network, decay=config.ema_decay, use_warmup=True)
         self.average.to(self.accelerator.device)
         optimizer = create_optimizer_v2(
@@ -276,6 +279,7 @@ class _Run:
                     calibration=calibration,
                     validation=found,
                     data=self.data,
+                    checkpoint=self.config.checkpoint,
                 )
         return replace(progress, best_score=best)
 
@@ -288,3 +292,20 @@ class _Run:
                 optimizer=self._plain_optimizer,
                 progress=progress,
             )
+
+
+def _starting_point(config: TrainConfig) -> PhysicsNetwork:
+    """The checkpoint's network, which must be the one that is to be trained."""
+    assert config.checkpoint is not None
+    network, found = load_checkpoint(config.checkpoint)
+    if found.network != config.network:
+        raise InputError(
+            f"checkpoint: {config.checkpoint} holds another network than `network` of the configuration; copy the "
+            "`network` of its config.json there, or train from scratch"
+        )
+    if found.clip != config.clip:
+        raise InputError(
+            f"checkpoint: {config.checkpoint} reads clips prepared as {found.clip}, this configuration prepares them "
+            f"as {config.clip}; set `margin` and `extent` to the checkpoint's"
+        )
+    return network

@@ -144,3 +144,32 @@ def test_two_processes(tiny_data: Path, tiny_cache: Path, tiny_config: TrainConf
     alone = losses(tmp_path / "alone")
     together = losses(tmp_path / "run")  # of the main process's half of each batch
     assert abs(np.mean(together) - np.mean(alone)) < 0.1 * np.mean(alone)
+
+
+@pytest.mark.slow
+def test_training_goes_on_from_a_checkpoint(
+    tiny_data: Path, tiny_cache: Path, tiny_config: TrainConfig, tmp_path: Path
+) -> None:
+    first = train_predictor(tiny_config, [tiny_data], tmp_path / "first", cpu=True, cache=tiny_cache)
+    still = tiny_config.model_copy(
+        update={"checkpoint": str(first.checkpoint), "learning_rate": 1e-12, "weight_decay": 0.0, "epochs": 1}
+    )
+    second = train_predictor(still, [tiny_data], tmp_path / "second", cpu=True, cache=tiny_cache)
+    assert first.best_score is not None
+    assert second.best_score == pytest.approx(first.best_score, abs=2e-2)  # stored in float16
+    card = (second.checkpoint / "model_card.md").read_text()
+    assert "It went on from the checkpoint `best`" in card
+    assert "> 48 clips" in card  # what the first card says
+
+
+def test_a_checkpoint_of_another_network_is_named(
+    tiny_data: Path, tiny_cache: Path, tiny_config: TrainConfig, tmp_path: Path
+) -> None:
+    other = tiny_config.model_copy(update={"checkpoint": "default"})
+    with pytest.raises(InputError, match="default holds another network"):
+        train_predictor(other, [tiny_data], tmp_path, cpu=True, cache=tiny_cache)
+
+
+def test_one_place_to_start_from() -> None:
+    with pytest.raises(ValueError, match="both say where to start"):
+        TrainConfig(pretrained="MCG-NJU/videomae-small", checkpoint="default")
