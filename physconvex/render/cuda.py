@@ -1,4 +1,4 @@
-"""The kernel for CUDA devices as a torch function; compiled by NVRTC, which torch's CUDA builds carry."""
+"""The kernel for CUDA devices as torch functions; compiled by NVRTC, which torch's CUDA builds carry."""
 
 from __future__ import annotations
 
@@ -13,20 +13,22 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from physconvex.native import KernelUnavailable
+from physconvex.render.directions import Directions, stacked
+from physconvex.render.hull import Hulls
 from physconvex.render.projection import Splats
 from physconvex.render.reference import Layers
 
-__all__ = ["SOURCE", "composite_cuda"]
+__all__ = ["FUNCTIONS", "composite_cuda", "composite_tangents_cuda", "planar_hulls_cuda", "source"]
 
-SOURCE = Path(__file__).with_name("gpu") / "kernel.cu"
-SIDE, BLOCK, FEATURES = 16, 256, 4
+FUNCTIONS = ("blend", "gradient", "tangent", "hulls")
+SIDE, BLOCK, FEATURES, DIRECTIONS = 16, 256, 4, 8
 
 
 def composite_cuda(splats: Splats, coordinates: Float[Tensor, "H W 2"]) -> Layers:
     """What `composite_reference` computes, in float32 on a CUDA device.
 
-    Differentiable once, backward, with respect to the coordinates and all of `Splats.differentiable`; sums over pixels
-    come in no fixed order, so gradients differ by rounding from run to run.
+    Differentiable once, backward and forward, with respect to the coordinates and all of `Splats.differentiable`; sums
+    over pixels come in no fixed order, so gradients differ by rounding from run to run.
 
     Raises:
         KernelUnavailable: tensors that are not on a CUDA device, or a torch that cannot compile for it.
@@ -35,18 +37,54 @@ def composite_cuda(splats: Splats, coordinates: Float[Tensor, "H W 2"]) -> Layer
     return Layers(features, transmittance, heaviest.long())
 
 
+def composite_tangents_cuda(
+    splats: Splats, coordinates: Float[Tensor, "H W 2"], directions: Directions
+) -> tuple[Float[Tensor, "P H W 4"], Float[Tensor, "P H W"]]:
+    """What `composite_tangents` computes, in one pass over the image for every eight directions.
+
+    Raises:
+        KernelUnavailable: as for `composite_cuda`.
+    """
+    inputs = coordinates, *splats.differentiable()
+    return _tangents(_laid_out(splats.starts, inputs), directions)
+
+
+def planar_hulls_cuda(points: Float[Tensor, "N C 2"]) -> Hulls:
+    """What `planar_hulls` computes, one thread for each hull.
+
+    Raises:
+        KernelUnavailable: as for `composite_cuda`.
+    """
+    given = points.detach().double().contiguous()
+    count, candidates = given.shape[:2]
+    order, number = given.new_empty((count, candidates), dtype=torch.long), given.new_empty(count, dtype=torch.long)
+    width = given.new_empty(count)
+    if count:
+        _launch("hulls", (-(-count // BLOCK), 1), [count, candidates, given, order, number, width])
+    return Hulls(order, number, width)
+
+
+def source(name: str) -> str:
+    """The CUDA text that holds one of `FUNCTIONS`."""
+    here = Path(__file__).parent
+    if name != "hulls":
+        return (here / "gpu" / "kernel.cu").read_text(encoding="utf-8")
+    parts = [here / "cpu" / "hulls.h", here / "gpu" / "hulls.cu"]  # the text that the CPU runs too, and its launch
+    return "#define DEVICE __device__\n" + "".join(part.read_text(encoding="utf-8") for part in parts)
+
+
 @cache
 def _kernel(name: str, device: int) -> Any:
-    """A compiled function of the source."""
+    """One of `FUNCTIONS`, compiled."""
     compile_kernel = getattr(torch.cuda, "_compile_kernel", None)
     if compile_kernel is None:
         raise KernelUnavailable("this torch has no torch.cuda._compile_kernel (it came with 2.9)")
     with torch.cuda.device(device):
-        return compile_kernel(SOURCE.read_text(encoding="utf-8"), name)
+        return compile_kernel(source(name), name)
 
 
 def _launch(name: str, grid: tuple[int, int], arguments: Sequence[Tensor | int]) -> None:
-    """Run a function of the source, one block of `BLOCK` threads per tile."""
+    """Run one of `FUNCTIONS` with `BLOCK` threads in each block."""
     device = next(value.device for value in arguments if isinstance(value, Tensor))
     if device.type != "cuda":
         raise KernelUnavailable(f"the CUDA kernel was given tensors on {device}; move field and view to a CUDA device")
@@ -54,20 +92,51 @@ def _launch(name: str, grid: tuple[int, int], arguments: Sequence[Tensor | int])
         _kernel(name, device.index or 0)(grid=(*grid, 1), block=(BLOCK, 1, 1), args=list(arguments))
 
 
+def _laid_out(starts: Tensor, inputs: Sequence[Tensor]) -> list[Tensor | int]:
+    """A scene as the functions take it."""
+    given = [tensor.detach().float().contiguous() for tensor in inputs]
+    height, width = inputs[0].shape[:2]
+    return [width, height, len(starts) - 1, given[0], starts.int().contiguous(), *given[1:]]
+
+
+def _tiles(scene: Sequence[Tensor | int]) -> tuple[int, int]:
+    """Blocks along the width and the height."""
+    width, height = scene[:2]
+    assert isinstance(width, int) and isinstance(height, int)
+    return -(-width // SIDE), -(-height // SIDE)
+
+
+def _differentiable(scene: Sequence[Tensor | int]) -> list[Tensor]:
+    """Coordinates, lines, sharpness, opacity, features of a scene."""
+    return [value for place, value in enumerate(scene) if isinstance(value, Tensor) and place != 4]
+
+
+def _tangents(scene: list[Tensor | int], directions: Directions) -> tuple[Tensor, Tensor]:
+    """Derivatives of features and transmittance in directions."""
+    inputs = _differentiable(scene)
+    count, (height, width) = len(directions), inputs[0].shape[:2]
+    given = [
+        tensor.new_zeros((count, *tensor.shape)) if some is None else some
+        for tensor, some in zip(inputs, stacked(directions, inputs), strict=True)
+    ]
+    out = inputs[0].new_empty((count, height, width, FEATURES)), inputs[0].new_empty((count, height, width))
+    for first in range(0, count, DIRECTIONS):
+        some = slice(first, first + DIRECTIONS)
+        parts = [tensor[some] for tensor in (*given, *out)]
+        _launch("tangent", _tiles(scene), [*scene, len(parts[0]), len(inputs[1]), *parts])
+    return out
+
+
 class _Composite(torch.autograd.Function):
     """Blending as a function of coordinates, lines, sharpness, opacity, features."""
 
     @staticmethod
     def forward(ctx: Any, starts: Tensor, *inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        given = [tensor.detach().float().contiguous() for tensor in inputs]
+        ctx.scene, ctx.kinds = _laid_out(starts, inputs), [tensor.dtype for tensor in inputs]
         height, width = inputs[0].shape[:2]
-        sizes = [width, height, len(starts) - 1]
-        scene: list[Tensor | int] = [*sizes, given[0], starts.int().contiguous(), *given[1:]]
-        new = given[0].new_empty
+        new = _differentiable(ctx.scene)[0].new_empty
         out = new((height, width, FEATURES)), new((height, width)), new((height, width), dtype=torch.int32)
-        ctx.grid = (-(-width // SIDE), -(-height // SIDE))
-        _launch("blend", ctx.grid, [*scene, *out])
-        ctx.scene, ctx.kinds = scene, [tensor.dtype for tensor in inputs]
+        _launch("blend", _tiles(ctx.scene), [*ctx.scene, *out])
         ctx.save_for_backward(*out[:2])
         ctx.mark_non_differentiable(out[2])
         return out[0].to(inputs[0]), out[1].to(inputs[0]), out[2]
@@ -75,8 +144,12 @@ class _Composite(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        coordinates, _, *others = ctx.scene[3:]
-        found = [torch.zeros_like(tensor) for tensor in (coordinates, *others)]
+        found = [torch.zeros_like(tensor) for tensor in _differentiable(ctx.scene)]
         upward = [tensor.float().contiguous() for tensor in gradients[:2]]
-        _launch("gradient", ctx.grid, [*ctx.scene, *ctx.saved_tensors, *upward, *found])
+        _launch("gradient", _tiles(ctx.scene), [*ctx.scene, *ctx.saved_tensors, *upward, *found])
         return None, *(tensor.to(kind) for tensor, kind in zip(found, ctx.kinds, strict=True))
+
+    @staticmethod
+    def jvp(ctx: Any, _: Any, *tangents: Tensor | None) -> tuple[Tensor, Tensor, None]:
+        features, transmittance = _tangents(ctx.scene, [tangents])
+        return features[0].to(ctx.kinds[0]), transmittance[0].to(ctx.kinds[0]), None

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import torch
 from jaxtyping import Float
@@ -14,12 +12,16 @@ from torch.autograd import forward_ad
 
 from physconvex.convex.field import ConvexField
 from physconvex.errors import InputError
+from physconvex.render.cuda import composite_cuda, composite_tangents_cuda
+from physconvex.render.directions import load_forward_mode
 from physconvex.render.kernel import composite_kernel, composite_tangents
 from physconvex.render.projection import NEAR, Splats
 from physconvex.render.rasterize import Backend, splat
 from physconvex.render.view import View
 
-__all__ = ["ImageJacobian", "load_forward_mode", "render_jacobian"]
+__all__ = ["ImageJacobian", "render_jacobian"]
+
+_IN_ONE_PASS = {composite_kernel: composite_tangents, composite_cuda: composite_tangents_cuda}
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,15 +39,6 @@ class ImageJacobian:
     weighted_depth: Float[Tensor, "P H W"]
 
 
-@cache
-def load_forward_mode() -> None:
-    """Let torch load its forward-mode rules, which (in 2.15) warns of torch's own use of `torch.jit.script`."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message=".torch.jit.script. is deprecated", category=FutureWarning)
-        with forward_ad.dual_level():
-            forward_ad.make_dual(torch.zeros(1), torch.zeros(1))
-
-
 def render_jacobian(
     scene: Callable[[Tensor], tuple[ConvexField, View]],
     parameters: Float[Tensor, " P"],
@@ -56,7 +49,7 @@ def render_jacobian(
 ) -> ImageJacobian:
     """Derivatives of the image of a scene, one forward pass of the projection and one of all pixels for each parameter.
 
-    The kernel shares the exponentials among all parameters, so one more costs little.
+    The kernels share the exponentials among parameters (on a CUDA device among eight), so one more costs little.
 
     Args:
         scene: the field and the view as a differentiable function of the parameters.
@@ -76,15 +69,15 @@ def render_jacobian(
                 field, view = scene(forward_ad.make_dual(parameters, direction))
                 splats, composite = splat(field, view, near=near, backend=backend)
                 duals: tuple[Tensor, ...] = (view.pixel_coordinates(), *splats.differentiable())
-                if composite is not composite_kernel:
+                if composite not in _IN_ONE_PASS:
                     layers = composite(splats, duals[0])
                     duals = (layers.features, layers.transmittance)
                 pairs = [forward_ad.unpack_dual(tensor) for tensor in duals]
                 values = [pair.primal for pair in pairs]
                 tangents.append(tuple(pair.tangent for pair in pairs))
-        if composite is composite_kernel:
+        if composite in _IN_ONE_PASS:
             primal = Splats(splats.convex, splats.starts, *values[1:])
-            features, transmittance = composite_tangents(primal, values[0], tangents)
+            features, transmittance = _IN_ONE_PASS[composite](primal, values[0], tangents)
         else:
             parts = zip(*tangents, strict=True)
             features, transmittance = (

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from physconvex.render.directions import Directions, stacked
 from physconvex.render.hull import Hulls
 from physconvex.render.native import Scene, load_library
 from physconvex.render.projection import Splats
@@ -35,19 +36,15 @@ def composite_kernel(splats: Splats, coordinates: Float[Tensor, "H W 2"]) -> Lay
 
 
 def composite_tangents(
-    splats: Splats, coordinates: Float[Tensor, "H W 2"], tangents: Sequence[tuple[Tensor | None, ...]]
+    splats: Splats, coordinates: Float[Tensor, "H W 2"], directions: Directions
 ) -> tuple[Float[Tensor, "P H W 4"], Float[Tensor, "P H W"]]:
     """Derivatives of features and transmittance in P directions, in one pass over the image.
-
-    Args:
-        tangents: for each direction the derivatives of the coordinates and of `Splats.differentiable`, or None where
-            they are zero.
 
     Raises:
         KernelUnavailable: the kernel cannot be compiled here.
     """
     blending = _Blending(splats.starts, coordinates, *splats.differentiable())
-    return blending.tangents(tangents)
+    return blending.tangents(directions)
 
 
 def planar_hulls_kernel(points: Float[Tensor, "N C 2"]) -> Hulls:
@@ -93,18 +90,15 @@ class _Blending:
         self._call("pc_gradient", *given, *out)
         return out
 
-    def tangents(self, tangents: Sequence[tuple[Tensor | None, ...]]) -> tuple[Tensor, Tensor]:
+    def tangents(self, directions: Directions) -> tuple[Tensor, Tensor]:
         """Derivatives of features and transmittance."""
-        stacked: list[Tensor | None] = []
-        for place, tensor in enumerate(self.inputs):
-            parts = [tangent[place] for tangent in tangents]
-            if place == 0 and all(part is None for part in parts):
-                stacked.append(None)
-                continue
-            filled = [torch.zeros_like(tensor) if part is None else part.detach().float().cpu() for part in parts]
-            stacked.append(torch.stack(filled).contiguous())
-        out = torch.empty(len(tangents), *self.size, FEATURES), torch.empty(len(tangents), *self.size)
-        self._call("pc_tangent", len(tangents), *stacked, *out)
+        coordinates, *polygons = stacked(directions, self.inputs)
+        filled = [
+            tensor.new_zeros((len(directions), *tensor.shape)) if some is None else some
+            for tensor, some in zip(self.inputs[1:], polygons, strict=True)
+        ]
+        out = torch.empty(len(directions), *self.size, FEATURES), torch.empty(len(directions), *self.size)
+        self._call("pc_tangent", len(directions), coordinates, *filled, *out)
         return out
 
     def _call(self, name: str, *arguments: Tensor | int | None) -> None:

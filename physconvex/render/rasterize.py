@@ -15,7 +15,7 @@ from physconvex.camera import Camera
 from physconvex.convex.field import ConvexField
 from physconvex.errors import InputError
 from physconvex.native import KernelUnavailable
-from physconvex.render.cuda import composite_cuda
+from physconvex.render.cuda import composite_cuda, planar_hulls_cuda
 from physconvex.render.kernel import composite_kernel, planar_hulls_kernel
 from physconvex.render.native import load_library
 from physconvex.render.projection import NEAR, Splats, project
@@ -56,7 +56,7 @@ def splat(
 ) -> tuple[Splats, Callable[[Splats, Tensor], Layers]]:
     """The polygons of a field, and what blends them, by the chosen implementation, see `render`."""
     if backend == "cuda" or (backend == "auto" and _is_fast_on(field.points)):
-        return project(field, view, near=near), composite_cuda
+        return project(field, view, near=near, hulls=planar_hulls_cuda), composite_cuda
     if _uses_kernel(field.points, backend):
         return project(field, view, near=near, hulls=planar_hulls_kernel), composite_kernel
     return project(field, view, near=near), composite_reference

@@ -7,11 +7,14 @@ from functools import cache
 
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
 from physconvex.camera import look_at
 from physconvex.convex.field import ConvexField
 from physconvex.native import KernelUnavailable
-from physconvex.render.cuda import composite_cuda
+from physconvex.render.cuda import composite_cuda, planar_hulls_cuda
+from physconvex.render.directions import load_forward_mode
+from physconvex.render.hull import planar_hulls
 from physconvex.render.projection import project
 from physconvex.render.reference import composite_reference
 from physconvex.render.view import View
@@ -39,18 +42,28 @@ def _differences(device: torch.device) -> str:
     """What differs, in words; empty if nothing does."""
     field = _scene()
     camera = look_at((0.0, -2.0, 0.3), (0.0, 0.0, 0.0), width=_SIZE[0], height=_SIZE[1], vertical_field_of_view=0.7)
+    load_forward_mode()
+    cpu = torch.device("cpu")
     found = []
-    for place, composite in ((torch.device("cpu"), composite_reference), (device, composite_cuda)):
+    for place, composite, hulls in (
+        (cpu, composite_reference, planar_hulls),
+        (device, composite_cuda, planar_hulls_cuda),
+    ):
         leaves = field.to(place).map(lambda tensor: tensor.clone().requires_grad_())
         view = View.of(camera, torch.float32).to(place)
-        layers = composite(project(leaves, view), view.pixel_coordinates())
+        layers = composite(project(leaves, view, hulls=hulls), view.pixel_coordinates())
         loss = layers.features.square().sum() + layers.transmittance.square().sum()
         gradients = torch.autograd.grad(loss, list(leaves.tensors()), allow_unused=True, materialize_grads=True)
-        found.append([tensor.detach().cpu() for tensor in (layers.features, layers.transmittance, *gradients)])
-    for number, (expected, drawn) in enumerate(zip(*found, strict=True)):
+        with forward_ad.dual_level():
+            dual = leaves.map(lambda tensor: forward_ad.make_dual(tensor.detach(), tensor.detach()))
+            image = composite(project(dual, view, hulls=hulls), view.pixel_coordinates())
+            tangents = [forward_ad.unpack_dual(tensor).tangent for tensor in (image.features, image.transmittance)]
+        drawn = (layers.features, layers.transmittance, *gradients, *tangents)
+        found.append([tensor.detach().cpu() for tensor in drawn])
+    for number, (expected, got) in enumerate(zip(*found, strict=True)):
         limit = _IMAGE if number < 2 else _GRADIENT
-        if not _alike(expected, drawn, limit):
-            return "a trial picture is not the reference's" if number < 2 else "its gradients are not the reference's"
+        if not _alike(expected, got, limit):
+            return f"{'a trial picture is' if number < 2 else 'its derivatives are'} not the reference's"
     return ""
 
 

@@ -7,8 +7,10 @@ from torch import Tensor
 __all__ = ["assert_agrees"]
 
 
-def assert_agrees(found: Tensor, expected: Tensor, *, relative: float, name: str = "values") -> None:
-    """Compare elementwise, as a whole, in direction and in sum.
+def assert_agrees(
+    found: Tensor, expected: Tensor, *, relative: float, name: str = "values", floor: float = 0.0
+) -> None:
+    """Compare elementwise, as a whole, in direction and in sum; what is nowhere above `floor` counts as zero.
 
     Raises:
         AssertionError: the greatest deviation exceeds ten times `relative` of the greatest value, the norm of the
@@ -21,8 +23,8 @@ def assert_agrees(found: Tensor, expected: Tensor, *, relative: float, name: str
     if not found.numel():
         return
     greatest, norm = expected.abs().max(), expected.norm()
-    if not norm:
-        assert not found.any(), f"{name}: {found.abs().max()} where all should be zero"
+    if greatest <= floor:
+        assert found.abs().max() <= floor, f"{name}: {found.abs().max()} where all should be zero"
         return
     off = found - expected
     assert off.abs().max() <= 10 * relative * greatest, f"{name}: off by {off.abs().max()} of {greatest}"

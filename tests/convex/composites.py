@@ -8,6 +8,7 @@ from torch import Tensor
 
 from physconvex.convex import ConvexField
 from physconvex.render import Splats, View, project
+from physconvex.render.directions import Directions, load_forward_mode
 from physconvex.render.reference import Layers, composite_reference
 from tests.convex.agreement import assert_agrees
 from tests.convex.scenes import camera
@@ -53,11 +54,44 @@ def compare_composites(
     # where two weigh nearly the same, either may be named
     assert (found.heaviest == expected.heaviest).float().mean() > 0.999
 
-    gradients = []
+    gradients, floor = [], 0.0
     for image, leaf in zip((expected, found), leaves, strict=True):
         features, transmittance = weights(image.features.shape), weights(image.transmittance.shape)
+        # of convexes whose edges are all out of sight nothing is left but what float32 cannot tell from zero
+        floor = ROUNDING**2 * float(features.abs().sum() + transmittance.abs().sum())
         loss = (features * image.features).sum() + (transmittance * image.transmittance).sum()
         gradients.append(torch.autograd.grad(loss, leaf, allow_unused=True, materialize_grads=True))
     names = ("coordinates", "lines", "sharpness", "opacity", "features")
     for name, reference, kernel in zip(names, *gradients, strict=True):
-        assert_agrees(kernel, reference, relative=10 * tolerance, name=name)
+        assert_agrees(kernel, reference, relative=10 * tolerance, name=name, floor=floor)
+
+
+def compare_tangents(
+    splats: Splats,
+    inputs: Inputs,
+    tangents: Callable[[Splats, Tensor, Directions], tuple[Tensor, Tensor]],
+    tolerance: float,
+    *,
+    count: int = 2,
+) -> None:
+    """Derivatives in `count` directions in float32 against the reference's in float64."""
+    load_forward_mode()
+    directions: list[tuple[Tensor | None, ...]] = [(None, inputs[1], None, None, None)]
+    for place in range(1, count):
+        generator = torch.Generator().manual_seed(place)
+        directions.append(
+            tuple(1e-2 * torch.randn(t.shape, generator=generator).to(t) * t.abs().mean() for t in inputs)
+        )
+    d_features, d_transmittance = tangents(Splats(splats.convex, splats.starts, *inputs[1:]), inputs[0], directions)
+
+    def image(*values: Tensor) -> tuple[Tensor, Tensor]:
+        drawn = layers(splats, values, composite_reference)
+        return drawn.features, drawn.transmittance
+
+    for place, direction in enumerate(directions):
+        filled = tuple(
+            (torch.zeros_like(t) if d is None else d).double() for t, d in zip(inputs, direction, strict=True)
+        )
+        _, expected = torch.func.jvp(image, tuple(t.double() for t in inputs), filled)
+        for found, wanted in zip((d_features[place], d_transmittance[place]), expected, strict=True):
+            assert_agrees(found, wanted, relative=10 * tolerance, name=f"direction {place}")

@@ -9,14 +9,19 @@ from pathlib import Path
 import pytest
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 
-from physconvex.render import KernelUnavailable, View, cuda, render
+from physconvex.convex import ConvexField
+from physconvex.render import KernelUnavailable, Splats, View, cuda, render, render_jacobian
+from physconvex.render.directions import load_forward_mode
+from physconvex.render.hull import planar_hulls
 from tests.convex.agreement import assert_agrees
-from tests.convex.composites import compare_composites, polygons, rounding
+from tests.convex.composites import compare_composites, compare_tangents, layers, polygons, rounding
 from tests.convex.fields import random_field
-from tests.convex.scenes import camera, hard_case
+from tests.convex.scenes import HARD_CASES, camera, hard_case
 
 EMULATION = Path(__file__).with_name("gpu_emulation")
+SOURCES = Path(cuda.__file__).with_name("gpu")
 
 
 def test_tensors_of_the_cpu_are_refused() -> None:  # first: the fixture below stands in for a device from then on
@@ -31,7 +36,7 @@ def emulated(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     if compiler is None:
         pytest.skip("needs g++")
     library = tmp_path_factory.mktemp("emulation") / "kernel.so"
-    command = [compiler, "-std=c++20", "-O1", "-fPIC", "-shared", "-pthread", f"-I{cuda.SOURCE.parent}"]
+    command = [compiler, "-std=c++20", "-O1", "-fPIC", "-shared", "-pthread", f"-I{SOURCES}"]
     subprocess.run([*command, str(EMULATION / "kernel.cpp"), "-o", str(library)], check=True)
     loaded = ctypes.CDLL(str(library))
 
@@ -45,21 +50,59 @@ def emulated(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 def compare(field, width: int, height: int) -> None:
-    """Image and gradients."""
+    """Image, gradients, derivatives in more directions than one launch takes."""
     splats, inputs = polygons(field, width, height)
-    compare_composites(splats, inputs, cuda.composite_cuda, rounding(splats, inputs))
+    tolerance = rounding(splats, inputs)
+    compare_composites(splats, inputs, cuda.composite_cuda, tolerance)
+    compare_tangents(splats, inputs, cuda.composite_tangents_cuda, tolerance, count=cuda.DIRECTIONS + 2)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("points", "count"), [(4, 20), (6, 300), (12, 20)])
+@pytest.mark.parametrize(("points", "count"), [(6, 300), *((points, 20) for points in range(4, 13) if points != 6)])
 def test_emulated_kernel_agrees_with_the_reference(emulated: None, points: int, count: int) -> None:
     compare(random_field(count, points=points), 37, 21)  # 300: more than one round of 256 candidates
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", ["edge_on", "opaque", "faint", "behind"])
+@pytest.mark.parametrize("case", HARD_CASES)
 def test_emulated_kernel_agrees_on_hard_scenes(emulated: None, case: str) -> None:
     compare(hard_case(case), 17, 16)
+
+
+@pytest.mark.slow
+def test_emulated_hulls_are_those_of_the_reference(emulated: None) -> None:
+    points = torch.randn((600, 6, 2), generator=torch.Generator().manual_seed(3))
+    points[:300] = (2 * points[:300]).round()  # many in line or equal
+    found, expected = cuda.planar_hulls_cuda(points), planar_hulls(points)
+    assert torch.equal(found.order, expected.order) and torch.equal(found.number, expected.number)
+    torch.testing.assert_close(found.width, expected.width, rtol=1e-12, atol=1e-12)
+    assert len(cuda.planar_hulls_cuda(points[:0]).number) == 0
+
+
+@pytest.mark.slow
+def test_jacobian_in_emulation(emulated: None) -> None:
+    field, view = random_field(20, seed=9, size=0.1, dtype=torch.float32), View.of(camera(20, 14))
+
+    def scene(p: Tensor) -> tuple[ConvexField, View]:
+        return field.with_points(field.points * (1 + p[:3])), view.moved(p[3:])
+
+    drawn = [render_jacobian(scene, torch.zeros(9), backend=backend) for backend in ("cuda", "kernel")]
+    for name in ("colour", "alpha", "weighted_depth"):
+        assert_agrees(*(getattr(one, name) for one in drawn), relative=1e-4, name=name)
+
+
+@pytest.mark.slow
+def test_forward_mode_of_the_torch_function_in_emulation(emulated: None) -> None:
+    load_forward_mode()
+    splats, inputs = polygons(random_field(6, seed=7))
+    with forward_ad.dual_level():
+        duals = tuple(forward_ad.make_dual(tensor, 1e-2 * tensor) for tensor in inputs)
+        image = layers(splats, duals, cuda.composite_cuda)
+        tangents = [forward_ad.unpack_dual(tensor).tangent for tensor in (image.features, image.transmittance)]
+    plain = Splats(splats.convex, splats.starts, *inputs[1:])
+    expected = cuda.composite_tangents_cuda(plain, inputs[0], [tuple(1e-2 * tensor for tensor in inputs)])
+    assert all(torch.equal(tangent, some[0]) for tangent, some in zip(tangents, expected, strict=True))
+    assert tangents[0].abs().max() > 0
 
 
 @pytest.mark.slow
@@ -70,8 +113,8 @@ def test_the_source_compiles_for_devices(architecture: str) -> None:
 
     if torch.version.cuda is None:
         pytest.skip("torch without CUDA carries no NVRTC")
-    for name in ("blend", "gradient"):
-        binary, _ = _utils._nvrtc_compile(cuda.SOURCE.read_text(), name, compute_capability=architecture)
+    for name in cuda.FUNCTIONS:
+        binary, _ = _utils._nvrtc_compile(cuda.source(name), name, compute_capability=architecture)
         assert binary[:4] == b"\x7fELF" and name.encode() in binary
 
 

@@ -12,7 +12,7 @@ from physconvex import InputError
 from physconvex.camera import look_at
 from physconvex.convex import ConvexField
 from physconvex.render import View, render, render_jacobian
-from physconvex.render.jacobian import load_forward_mode
+from physconvex.render.directions import load_forward_mode
 from tests.convex.agreement import assert_agrees
 from tests.convex.fields import random_field
 from tests.convex.scenes import camera

@@ -2,50 +2,27 @@
 
 import pytest
 import torch
-from torch import Tensor
 from torch.autograd import forward_ad
 
 from physconvex.convex import ConvexField
 from physconvex.render import Splats
-from physconvex.render.jacobian import load_forward_mode
+from physconvex.render.directions import load_forward_mode
 from physconvex.render.kernel import composite_kernel, composite_tangents
-from physconvex.render.reference import composite_reference
-from tests.convex.agreement import assert_agrees
-from tests.convex.composites import compare_composites, layers, polygons, rounding, weights
+from tests.convex.composites import compare_composites, compare_tangents, layers, polygons, rounding, weights
 from tests.convex.fields import random_field
 from tests.convex.scenes import HARD_CASES, hard_case
 
 
 def compare(field: ConvexField, width: int = 37, height: int = 21) -> None:
     """Forward, backward and forward mode."""
-    load_forward_mode()
     splats, inputs = polygons(field, width, height)
     tolerance = rounding(splats, inputs)
     compare_composites(splats, inputs, composite_kernel, tolerance)
-
-    directions = [
-        tuple(1e-2 * weights(t.shape).to(t) * t.abs().mean() for t in inputs),
-        (None, inputs[1], None, None, None),
-    ]
-    d_features, d_transmittance = composite_tangents(
-        Splats(splats.convex, splats.starts, *inputs[1:]), inputs[0], directions
-    )
-    for place, direction in enumerate(directions):
-        filled = tuple(
-            (torch.zeros_like(t) if d is None else d).double() for t, d in zip(inputs, direction, strict=True)
-        )
-
-        def image(*values: Tensor) -> tuple[Tensor, Tensor]:
-            drawn = layers(splats, values, composite_reference)
-            return drawn.features, drawn.transmittance
-
-        _, tangents = torch.func.jvp(image, tuple(t.double() for t in inputs), filled)
-        assert_agrees(d_features[place], tangents[0], relative=10 * tolerance, name=f"direction {place}")
-        assert_agrees(d_transmittance[place], tangents[1], relative=10 * tolerance, name=f"direction {place}")
+    compare_tangents(splats, inputs, composite_tangents, tolerance)
 
 
 @pytest.mark.parametrize("name", [name for name in HARD_CASES if name != "behind"])
-@pytest.mark.parametrize("points", [4, 6, 12])
+@pytest.mark.parametrize("points", range(4, 13))
 def test_hard_cases(name: str, points: int) -> None:
     compare(hard_case(name, points, seed=points))
 

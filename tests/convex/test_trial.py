@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from physconvex.render import KernelUnavailable, trial
+from physconvex.render.hull import planar_hulls
 from physconvex.render.reference import Layers, composite_reference
 
 CPU = torch.device("cpu")
@@ -13,10 +14,11 @@ CPU = torch.device("cpu")
 
 @pytest.fixture
 def asked(monkeypatch):
-    """The trial with another function in the place of the CUDA kernel."""
+    """The trial with another function in the place of the CUDA kernel, and hulls in plain torch."""
 
     def ask(composite):
         monkeypatch.setattr(trial, "composite_cuda", composite)
+        monkeypatch.setattr(trial, "planar_hulls_cuda", planar_hulls)
         trial.draws_rightly.cache_clear()
         return trial.draws_rightly(CPU)
 
@@ -45,8 +47,32 @@ def test_a_picture_with_other_gradients_is_refused(asked):
         features = 0.9 * layers.features + 0.1 * layers.features.detach()
         return Layers(features, layers.transmittance, layers.heaviest)
 
-    with pytest.warns(RuntimeWarning, match="its gradients are not the reference's"):
+    with pytest.warns(RuntimeWarning, match="its derivatives are not the reference's"):
         assert not asked(unmoved)
+
+
+def test_a_picture_with_other_derivatives_forward_is_refused(asked):
+    class Halved(torch.autograd.Function):
+        """Itself, its gradient right, its derivative forward not."""
+
+        @staticmethod
+        def forward(ctx, value):
+            return value.clone()
+
+        @staticmethod
+        def backward(ctx, gradient):
+            return gradient
+
+        @staticmethod
+        def jvp(ctx, tangent):
+            return 0.5 * tangent
+
+    def halved(splats, coordinates):
+        layers = composite_reference(splats, coordinates)
+        return Layers(Halved.apply(layers.features), layers.transmittance, layers.heaviest)
+
+    with pytest.warns(RuntimeWarning, match="its derivatives are not the reference's"):
+        assert not asked(halved)
 
 
 def test_where_it_cannot_be_had_the_reason_is_told(asked):

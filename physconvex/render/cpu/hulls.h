@@ -1,14 +1,16 @@
-// Convex hulls of few points in a plane, as in hull.py.
+// Convex hulls of few points in a plane, as in hull.py: text that the CPU and a GPU compile.
+#ifndef DEVICE
 #pragma once
-
-#include "arithmetic.h"
+#define DEVICE inline
+#include <cmath>
+#endif
 
 // Gift wrapping. Products are compared, not subtracted, so that fusing them cannot change a sign.
-inline void wrap(int points, const double* p, int64_t* order, int64_t* number) {
+DEVICE void wrap(int points, const double* p, long long* order, long long* number) {
     int start = 0;
     for (int k = 1; k < points; ++k)
         if (p[2 * k + 1] < p[2 * start + 1] || (p[2 * k + 1] == p[2 * start + 1] && p[2 * k] < p[2 * start])) start = k;
-    std::fill_n(order, points, 0);
+    for (int k = 0; k < points; ++k) order[k] = 0;
     *number = 0;
     int current = start;
     do {
@@ -25,16 +27,19 @@ inline void wrap(int points, const double* p, int64_t* order, int64_t* number) {
 }
 
 // The least, over sides, of the greatest distance of a point from that side.
-inline double least_width(int points, const double* p, const int64_t* order, int corners) {
+DEVICE double least_width(int points, const double* p, const long long* order, int corners) {
     if (corners < 3) return 0.0;
-    double least = FAR;
+    double least = 1e300;
     for (int c = 0; c < corners; ++c) {
         const double *a = p + 2 * order[c], *b = p + 2 * order[(c + 1) % corners];
         const double x = b[0] - a[0], y = b[1] - a[1];
         double greatest = 0.0;
-        for (int k = 0; k < points; ++k)
-            greatest = std::max(greatest, x * (p[2 * k + 1] - a[1]) - y * (p[2 * k] - a[0]));
-        least = std::min(least, greatest / std::sqrt(x * x + y * y));
+        for (int k = 0; k < points; ++k) {
+            const double distance = x * (p[2 * k + 1] - a[1]) - y * (p[2 * k] - a[0]);
+            if (distance > greatest) greatest = distance;
+        }
+        greatest /= sqrt(x * x + y * y);
+        if (greatest < least) least = greatest;
     }
     return least;
 }

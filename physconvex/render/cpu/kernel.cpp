@@ -161,7 +161,7 @@ Plan* pc_plan(const Scene* scene) { return make_plan(*scene); }
 void pc_free(Plan* plan) { delete plan; }
 
 // The hulls of hull.py: order [sets, points] (zero beyond number), number [sets], width [sets].
-void pc_hulls(int32_t sets, int32_t points, int32_t threads, const double* given, int64_t* order, int64_t* number,
+void pc_hulls(int32_t sets, int32_t points, int32_t threads, const double* given, long long* order, long long* number,
               double* width) {
     constexpr int SHARE = 1024;
     in_parallel((sets + SHARE - 1) / SHARE, threads, [&](int share, int) {

@@ -1,4 +1,4 @@
-// Blending of soft-edged polygons on a GPU, and its gradient: the arithmetic of reference.py and of cpu/kernel.cpp.
+// Blending of soft-edged polygons on a GPU, its gradient, its derivatives in some directions: the arithmetic of reference.py and of cpu/kernel.cpp.
 //
 // One block of 256 threads draws a tile of 16 × 16 pixels, one thread each. The polygons come nearest first; 256 at a
 // time are tested against the tile (φ ≥ max_h s_h, and s_h is linear, so what cannot reach 1/255 is left out exactly),
@@ -13,7 +13,7 @@ __device__ void add(float* to, float value) {
 }
 #endif
 
-constexpr int SIDE = 16, BLOCK = SIDE * SIDE, WORDS = BLOCK / 32, FEATURES = 4;
+constexpr int SIDE = 16, BLOCK = SIDE * SIDE, WORDS = BLOCK / 32, FEATURES = 4, DIRECTIONS = 8;
 constexpr float LEAST_ALPHA = 1.0f / 255.0f, GREATEST_ALPHA = 0.99f, LEAST_TRANSMITTANCE = 1e-4f;
 
 struct Scene {  // layouts as in cpu/arithmetic.h
@@ -144,6 +144,41 @@ struct Gradient {  // the formulas stand in cpu/kernel.cpp
     }
 };
 
+struct Tangent {
+    const Scene& scene;
+    int directions, line_count;
+    const float *d_coordinates, *d_lines, *d_sharpness, *d_opacity, *d_features;
+    float features[DIRECTIONS][FEATURES], through[DIRECTIONS];
+
+    __device__ void operator()(int m, const Sample& s, const Pixel& pixel) {
+        const float *f = scene.features + FEATURES * m, strength = scene.opacity[m];
+        const bool moves = s.alpha > 0.0f && strength * s.occupancy <= GREATEST_ALPHA;
+        const float with_strength = moves ? s.occupancy : 0.0f;
+        const float slope = -with_strength * strength * (1.0f - s.occupancy);
+        const float per_line = slope * scene.sharpness[m] / s.exp_sum;
+        float change[DIRECTIONS] = {};  // of α by the lines and the coordinates
+        for (int h = scene.starts[m]; h < scene.starts[m + 1]; ++h) {
+            const float* line = scene.lines + 3 * h;
+            const float e = per_line * expf(line[0] * pixel.u + line[1] * pixel.v + line[2] - s.most);
+            for (int p = 0; p < directions; ++p) {
+                const float* d = d_lines + 3 * (static_cast<long long>(p) * line_count + h);
+                const float* q = d_coordinates + 2 * (p * pixels() + max(pixel.place, 0));
+                change[p] += e * (d[0] * pixel.u + d[1] * pixel.v + d[2] + line[0] * q[0] + line[1] * q[1]);
+            }
+        }
+        for (int p = 0; p < directions; ++p) {
+            const long long place = static_cast<long long>(p) * scene.polygons + m;
+            const float by_edge = slope * s.phi * d_sharpness[place] + change[p];
+            const float d_alpha = with_strength * d_opacity[place] + by_edge;
+            const float weight = d_alpha * s.before + s.alpha * through[p];
+            through[p] -= weight;
+            for (int k = 0; k < FEATURES; ++k)
+                features[p][k] += weight * f[k] + s.weight * d_features[FEATURES * place + k];
+        }
+    }
+    __device__ long long pixels() const { return static_cast<long long>(scene.width) * scene.height; }
+};
+
 extern "C" __global__ void blend(int width, int height, int polygons, const float* coordinates, const int* starts,
                                  const float* lines, const float* sharpness, const float* opacity,
                                  const float* features, float* blended, float* transmittance, int* heaviest) {
@@ -177,4 +212,22 @@ extern "C" __global__ void gradient(int width, int height, int polygons, const f
     if (pixel.place < 0) return;
     g_coordinates[2 * pixel.place] = visit.u;
     g_coordinates[2 * pixel.place + 1] = visit.v;
+}
+
+// Derivatives of the image in at most `DIRECTIONS` directions: every d_ array has the directions first.
+extern "C" __global__ void tangent(int width, int height, int polygons, const float* coordinates, const int* starts,
+                                   const float* lines, const float* sharpness, const float* opacity,
+                                   const float* features, int directions, int line_count, const float* d_coordinates,
+                                   const float* d_lines, const float* d_sharpness, const float* d_opacity,
+                                   const float* d_features, float* d_blended, float* d_transmittance) {
+    const Scene scene{width, height, polygons, coordinates, starts, lines, sharpness, opacity, features};
+    Pixel pixel = pixel_of(scene);
+    Tangent visit{scene, directions, line_count, d_coordinates, d_lines, d_sharpness, d_opacity, d_features, {}, {}};
+    walk(scene, pixel, visit);
+    if (pixel.place < 0) return;
+    for (int p = 0; p < directions; ++p) {
+        const long long place = p * visit.pixels() + pixel.place;
+        d_transmittance[place] = visit.through[p];
+        for (int k = 0; k < FEATURES; ++k) d_blended[FEATURES * place + k] = visit.features[p][k];
+    }
 }

@@ -1,4 +1,4 @@
-// What render/gpu/kernel.cu needs of CUDA, on the CPU: a block is 256 threads, blocks run one after the other.
+// What render/gpu needs of CUDA, on the CPU: a block is 256 threads, blocks run one after the other.
 #pragma once
 
 #include <algorithm>
@@ -9,10 +9,11 @@
 #define __device__
 #define __global__
 #define __shared__ static
-using std::min;
+using std::max, std::min;
 
 struct Index { int x, y; };
 inline thread_local Index threadIdx, blockIdx;
+inline Index blockDim{256, 1};
 inline std::barrier<> block_barrier(256);
 inline std::atomic<int> agreeing[2];
 inline thread_local int turn = 0;

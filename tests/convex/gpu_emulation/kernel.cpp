@@ -2,6 +2,9 @@
 #include "emulation.h"
 #include "kernel.cu"
 
+#include "../cpu/hulls.h"
+#include "hulls.cu"
+
 #include <thread>
 #include <vector>
 
@@ -30,4 +33,17 @@ extern "C" void run_gradient(int columns, int rows, int w, int h, int m, const f
                              const float* b, const float* o, const float* f, const float* out, const float* t,
                              const float* go, const float* gt, float* gq, float* gl, float* gb, float* gop, float* gf) {
     launch(columns, rows, [=] { gradient(w, h, m, q, s, l, b, o, f, out, t, go, gt, gq, gl, gb, gop, gf); });
+}
+
+extern "C" void run_tangent(int columns, int rows, int w, int h, int m, const float* q, const int* s, const float* l,
+                            const float* b, const float* o, const float* f, int directions, int line_count,
+                            const float* dq, const float* dl, const float* db, const float* dop, const float* df,
+                            float* out, float* t) {
+    launch(columns, rows,
+           [=] { tangent(w, h, m, q, s, l, b, o, f, directions, line_count, dq, dl, db, dop, df, out, t); });
+}
+
+extern "C" void run_hulls(int columns, int rows, int sets, int points, const double* given, long long* order,
+                          long long* number, double* width) {
+    launch(columns, rows, [=] { hulls(sets, points, given, order, number, width); });
 }

@@ -1,0 +1,37 @@
+"""Forward-mode derivatives: torch's rules for them, and directions laid out for a kernel."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from functools import cache
+
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+
+__all__ = ["Directions", "load_forward_mode", "stacked"]
+
+Directions = Sequence[tuple[Tensor | None, ...]]
+"""For each direction the derivatives of the coordinates and of `Splats.differentiable`, or None where they are zero."""
+
+
+@cache
+def load_forward_mode() -> None:
+    """Let torch load its forward-mode rules, which (in 2.15) warns of torch's own use of `torch.jit.script`."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".torch.jit.script. is deprecated", category=FutureWarning)
+        with forward_ad.dual_level():
+            forward_ad.make_dual(torch.zeros(1), torch.zeros(1))
+
+
+def stacked(directions: Directions, inputs: Sequence[Tensor]) -> list[Tensor | None]:
+    """For each input its derivatives in all directions, as it is laid out; None if all are zero."""
+    found: list[Tensor | None] = []
+    for tensor, parts in zip(inputs, zip(*directions, strict=True), strict=True):
+        if all(part is None for part in parts):
+            found.append(None)
+            continue
+        filled = [torch.zeros_like(tensor) if part is None else part.detach().to(tensor) for part in parts]
+        found.append(torch.stack(filled).contiguous())
+    return found
