@@ -21,6 +21,7 @@ from inference.reconstruction_pictures import write_comparison
 from inference.reconstruction_views import CaptureViews, capture_views
 from physconvex.capture import load_capture
 from physconvex.convex import ConvexField, read_ply, write_glb, write_ply
+from physconvex.devices import device_named
 from physconvex.errors import InputError
 from physconvex.reconstruction import (
     FitState,
@@ -107,6 +108,7 @@ def reconstruct(
     points: str | Path | None = None,
     turntable: bool = False,
     redo: bool = False,
+    device: str = "cpu",
     on_step: Callable[[Progress], None] | None = None,
 ) -> Reconstruction:
     """Fit a convex field to the first frames of a capture.
@@ -122,11 +124,13 @@ def reconstruct(
         held_out: names of cameras that are scored but not fitted.
         points: mesh or point file whose vertices the convexes may start from [m].
         redo: forget what is in `out`.
+        device: torch device that draws and fits, such as "cpu" or "cuda".
         on_step: called after every step.
 
     Raises:
-        InputError: see `capture_views`; a start that is not possible; `out` holds another reconstruction.
+        InputError: see `capture_views`; a start or a device that is not possible; `out` holds another reconstruction.
     """
+    place = device_named(device)
     config = ReconstructionConfig() if config is None else config
     folder = None if out is None else Path(out)
     source = load_capture(capture)
@@ -142,9 +146,9 @@ def reconstruct(
     kind = start_kind(config.start, mesh=mesh is not None, points=given is not None)
     if state is None:
         state = begin(start_field(views.training, config, mesh=mesh, points=given))
-    _fit_and_store(state, views, config, folder, claim, on_step)
+    state = _fit_and_store(state.to(place), views, config, folder, claim, on_step)
     field = _closed(state, body_surface(kind, views.training, mesh), config)
-    trained, tested = (score(field, part) for part in (views.training, views.held_out))
+    trained, tested = (score(field.to(place), part) for part in (views.training, views.held_out))
     result = Reconstruction(
         field,
         tuple(one for one, _ in trained),
@@ -157,13 +161,13 @@ def reconstruct(
     )
     if folder is not None:
         pictures = [image for _, image in (*trained, *tested)]
-        _write(result, folder, views, pictures, claim, turntable=turntable)
+        _write(result, folder, views, pictures, claim, turntable=turntable, place=place)
     return result
 
 
 def _closed(state: FitState, surface: trimesh.Trimesh | None, config: ReconstructionConfig) -> ConvexField:
-    """The fitted field, its gaps filled with what is left of the budget."""
-    field = state.field()
+    """The fitted field on the CPU, its gaps filled with what is left of the budget."""
+    field = state.field().to("cpu")
     if surface is None or not config.gap_share:
         return field
     clock = time.perf_counter()
@@ -179,7 +183,7 @@ def _fit_and_store(
     folder: Path | None,
     claim: str,
     on_step: Callable[[Progress], None] | None,
-) -> None:
+) -> FitState:
     """Fit, with the state on disk every now and then."""
     stored = time.monotonic()
 
@@ -191,7 +195,7 @@ def _fit_and_store(
         if on_step is not None:
             on_step(progress)
 
-    fit(state, views.training, config, on_step=after)
+    return fit(state, views.training, config, on_step=after)
 
 
 def _read_points(path: Path) -> np.ndarray:
@@ -259,6 +263,7 @@ def _write(
     claim: str,
     *,
     turntable: bool,
+    place: torch.device,
 ) -> None:
     """All files; the summary last, since it says that the others are there."""
     write_ply(result.field, folder / FIELD)
@@ -267,7 +272,7 @@ def _write(
     for seen, picture in zip((*views.training, *views.held_out), pictures, strict=True):
         write_comparison(folder / "views" / f"{seen.camera.name}.png", seen, picture)
     if turntable:
-        frames = film(itertools.repeat(result.field), orbit(result.field, _FILM_FRAMES))
+        frames = film(itertools.repeat(result.field.to(place)), orbit(result.field, _FILM_FRAMES))
         write_video(folder / FILM, frames, fps=_FILM_RATE)
     text = json.dumps({"claim": claim, **result.to_json()}, indent=1) + "\n"
     partial = folder / f".{RESULT}.part"

@@ -32,6 +32,7 @@ def reconstruct(
     seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
     turntable: Annotated[bool, typer.Option(help="Write a film of the object from all round.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON, nothing else.")] = False,
+    device: Annotated[str, typer.Option(help="Torch device that draws and fits, such as cpu or cuda.")] = "cpu",
     redo: Annotated[bool, typer.Option("--redo", help="Start anew, whatever is in the folder.")] = False,
     no_progress: Annotated[bool, typer.Option("--no-progress", help="No progress bar.")] = False,
 ) -> None:
@@ -65,6 +66,7 @@ def reconstruct(
             points=points,
             turntable=turntable,
             redo=redo,
+            device=device,
             on_step=advance,
         )
     if as_json:

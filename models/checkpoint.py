@@ -15,6 +15,7 @@ from models.calibration import Calibration
 from models.clip import ClipConfig
 from models.config import NetworkConfig
 from models.network import PhysicsNetwork
+from physconvex.devices import device_named
 from physconvex.errors import InputError
 
 __all__ = [
@@ -146,13 +147,4 @@ def load_checkpoint(
         network.load_state_dict(tensors)
     except RuntimeError as error:
         raise InputError(f"checkpoint: the tensors in {folder} do not fit its config.json: {error}") from error
-    return network.to(_device(device)).eval(), config
-
-
-def _device(name: str) -> torch.device:
-    try:
-        device = torch.device(name)
-        torch.empty(0, device=device)
-    except (RuntimeError, AssertionError) as error:
-        raise InputError(f"device: {name!r} cannot be used ({error}); try 'cpu'") from error
-    return device
+    return network.to(device_named(device)).eval(), config

@@ -45,10 +45,10 @@ def _part(points: Float[Tensor, "M K 3"], height: Float[Tensor, "M K"]) -> Float
     between = points[:, :, None] + share[..., None] * (points[:, None] - points[:, :, None])
     candidates = torch.cat([points, between.flatten(1, 2)], dim=1)
     allowed = torch.cat([below, crossing.flatten(1)], dim=1)
-    rows = torch.arange(len(points))
+    rows = torch.arange(len(points), device=points.device)
     # points on the side go first, in their order; then the farthest crossings; then repetitions of the first
     distance = torch.full_like(allowed, torch.inf, dtype=points.dtype)
-    first = torch.arange(allowed.shape[1]) < count
+    first = torch.arange(allowed.shape[1], device=points.device) < count
     chosen = []
     for _ in range(count):
         rank = torch.where(allowed, torch.where(first, 1e30, distance), -1.0)

@@ -35,6 +35,11 @@ class RowAdam:
         first, second = ([torch.zeros_like(tensor, requires_grad=False) for tensor in tensors] for _ in range(2))
         return cls(first, second)
 
+    def to(self, device: torch.device | str) -> RowAdam:
+        """The moments on another device."""
+        first, second = ([tensor.to(device) for tensor in group] for group in (self.first, self.second))
+        return RowAdam(first, second, self.steps)
+
     @torch.no_grad()
     def step(self, tensors: Sequence[Tensor], rates: Sequence[Tensor | float]) -> None:
         """Move each tensor by its gradient; a rate is a number or a tensor that broadcasts."""

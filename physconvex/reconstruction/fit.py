@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -67,11 +67,16 @@ class FitState:
         with torch.no_grad():
             return self.parameters.field().map(torch.detach)
 
+    def to(self, device: torch.device | str) -> FitState:
+        """The state on another device."""
+        moved = FreeParameters(*(t.detach().to(device).requires_grad_() for t in self.parameters.tensors()))
+        return replace(self, parameters=moved, adam=self.adam.to(device), fixed=self.fixed.to(device))
+
 
 def begin(start: Start) -> FitState:
     """The state before the first step."""
     parameters = FreeParameters.of(start.field)
-    fixed = torch.arange(len(start.field)) >= len(start.field) - start.fillers
+    fixed = torch.arange(len(start.field), device=start.field.points.device) >= len(start.field) - start.fillers
     return FitState(parameters, RowAdam.of(parameters.tensors()), fixed, start.footprint, start.kind == "mesh")
 
 
@@ -90,15 +95,19 @@ def fit(
     *,
     on_step: Callable[[Progress, FitState], None] | None = None,
 ) -> FitState:
-    """Do the steps that are left, in place.
+    """Do the steps that are left, in place, on the device of the state.
 
     Each step renders one view, in an order that depends on the seed and the step alone, so that a fit which was stopped
     and went on gives what an uninterrupted one gives.
 
     Args:
+        observations: on the CPU.
         on_step: called after every step, for instance to show progress or to store the state.
     """
-    levels = {scale: [seen.resized(scale).cropped() for seen in observations] for scale in set(config.levels)}
+    device = state.fixed.device
+    levels = {
+        scale: [seen.resized(scale).cropped().to(device) for seen in observations] for scale in set(config.levels)
+    }
     refinements = set(config.refinement_steps())
     if state.step == 0 and state.surface_known:
         finest = max(config.levels)
@@ -143,7 +152,7 @@ def _rates(state: FitState, config: ReconstructionConfig) -> tuple[Tensor | floa
     """Rates of points, log α, log β, logit of the opacity, harmonics: fall geometrically after the warm-up."""
     factor = config.final_rate ** (state.step / config.steps) * min(1.0, (state.step + 1) / WARM_UP)
     free = (~state.fixed).float() * factor
-    colour = torch.full((state.parameters.harmonics.shape[1], 1), config.colour_rate * config.view_rate)
+    colour = free.new_full((state.parameters.harmonics.shape[1], 1), config.colour_rate * config.view_rate)
     colour[0] = config.colour_rate
     return (
         (config.point_rate * state.footprint * free)[:, None, None],
@@ -155,7 +164,7 @@ def _rates(state: FitState, config: ReconstructionConfig) -> tuple[Tensor | floa
 
 
 def _refine(state: FitState, views: Sequence[Observation], config: ReconstructionConfig) -> None:
-    generator = torch.Generator().manual_seed(config.seed + state.step)
+    generator = torch.Generator("cpu").manual_seed(config.seed + state.step)
     pixel = state.footprint / config.scale_at(state.step)
     made = refine(
         state.field(),

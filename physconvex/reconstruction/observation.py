@@ -38,17 +38,22 @@ class Observation:
 
     @property
     def view(self) -> View:
-        """The camera as tensors."""
-        return View.of(self.camera)
+        """The camera as tensors, where the image is."""
+        return View.of(self.camera, device=self.image.device)
+
+    def to(self, device: torch.device | str) -> Observation:
+        """The observation on another device."""
+        maps = (tensor.to(device) for tensor in (self.image, self.background, self.coverage))
+        return Observation(self.camera, *maps)
 
     def resized(self, scale: float) -> Observation:
-        """The same field of view at a scale of the number of pixels (mean over areas)."""
+        """The same field of view at a scale of the number of pixels (mean over areas); on the CPU."""
         if scale == 1:
             return self
         width, height = (max(8, round(scale * size)) for size in (self.camera.w, self.camera.h))
 
         def shrink(tensor: Tensor) -> Tensor:
-            return torch.as_tensor(cv2.resize(tensor.numpy(), (width, height), interpolation=cv2.INTER_AREA))
+            return torch.from_numpy(cv2.resize(tensor.numpy(), (width, height), interpolation=cv2.INTER_AREA))
 
         maps = (shrink(tensor) for tensor in (self.image, self.background, self.coverage))
         return Observation(self.camera.resized(width, height), *maps)

@@ -89,7 +89,7 @@ def refine(
     room = max(0, min(wanted, budget - int(keep.sum())))
     candidates = (keep & ~fixed & (charge > 0)).nonzero()[:, 0]
     chosen = candidates[charge[candidates].argsort(descending=True)[:room]]
-    large = torch.zeros(len(field), dtype=torch.bool)
+    large = torch.zeros_like(keep)
     large[chosen] = extent[chosen] > DIVISIBLE * footprint
     small = torch.zeros_like(large)
     small[chosen] = ~large[chosen]
@@ -113,13 +113,13 @@ def _divided(
     divided = field.select(sources).with_points(torch.cat([field.points[whole], parts.flatten(0, 1)]))
     fresh = large[sources]
     clones = small.nonzero()[:, 0]
-    shift = torch.randn((len(clones), 3), generator=generator)
+    shift = torch.randn((len(clones), 3), generator=generator, device=generator.device).to(field.points)
     shift = CLONE_SHIFT * extent[clones, None] * shift / shift.norm(dim=1, keepdim=True)
     copies = field.select(clones)
     copies = copies.with_points(copies.points + shift[:, None])
     joined = ConvexField.joined([divided, copies])
     sources = torch.cat([sources, clones])
-    fresh = torch.cat([fresh, torch.ones(len(clones), dtype=torch.bool)])
+    fresh = torch.cat([fresh, torch.ones_like(clones, dtype=torch.bool)])
     # a convex and its clone let through together what the convex did: (1 − o')² = 1 − o
     doubled = small[sources]
     opacity = torch.where(doubled, 1 - (1 - joined.opacity).clamp(min=0).sqrt(), joined.opacity)

@@ -37,9 +37,12 @@ class ViewScore:
 
 @torch.no_grad()
 def score(field: ConvexField, observations: Iterable[Observation]) -> list[tuple[ViewScore, Tensor]]:
-    """Score and rendered image (clamped to 0 to 1, before the observation's background) of each view."""
+    """Score and rendered image (clamped to 0 to 1, before the observation's background) of each view.
+
+    Drawn on the field's device; the images are on the CPU.
+    """
     found = []
-    for seen in observations:
+    for seen in (one.to(field.points.device) for one in observations):
         image = render(field, seen.view, background=seen.background)
         colour, reference = image.colour.clamp(0, 1), seen.image
         inside = seen.coverage > 0
@@ -51,5 +54,5 @@ def score(field: ConvexField, observations: Iterable[Observation]) -> list[tuple
             float(structural_similarity(colour, reference)),
             float(overlap),
         )
-        found.append((result, colour))
+        found.append((result, colour.cpu()))
     return found

@@ -45,6 +45,6 @@ def _blurred(images: Tensor) -> Tensor:
 
 @cache
 def _window(dtype: torch.dtype, device: torch.device) -> Tensor:
-    offset = torch.arange(WINDOW, dtype=torch.float64) - WINDOW // 2
+    offset = torch.arange(WINDOW, dtype=torch.float64, device=device) - WINDOW // 2
     values = torch.exp(-offset.square() / (2 * SPREAD**2))
-    return (values / values.sum()).to(device, dtype)
+    return (values / values.sum()).to(dtype)

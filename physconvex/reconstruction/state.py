@@ -23,7 +23,7 @@ NAMES = tuple(entry.name for entry in fields(FreeParameters))
 
 def save_state(state: FitState, path: Path, *, claim: str) -> None:
     """Write the state under its name in one step; `claim` says what it belongs to."""
-    tensors = {"fixed": state.fixed, "losses": torch.tensor(state.losses, dtype=torch.float64)}
+    tensors = {"fixed": state.fixed, "losses": torch.tensor(state.losses, dtype=torch.float64, device="cpu")}
     groups = {"": state.parameters.tensors(), "first.": state.adam.first, "second.": state.adam.second}
     for prefix, group in groups.items():
         tensors |= {prefix + name: value.detach().contiguous() for name, value in zip(NAMES, group, strict=True)}

@@ -64,7 +64,7 @@ def render_jacobian(
     parameters = parameters.detach()
     tangents: list[tuple[Tensor | None, ...]] = []
     with torch.no_grad():
-        for direction in torch.eye(len(parameters)).to(parameters):
+        for direction in torch.eye(len(parameters), device=parameters.device).to(parameters):
             with forward_ad.dual_level():
                 field, view = scene(forward_ad.make_dual(parameters, direction))
                 splats, composite = splat(field, view, near=near, backend=backend)
@@ -84,6 +84,6 @@ def render_jacobian(
                 torch.stack([torch.zeros_like(value) if one is None else one for one in some])
                 for value, some in zip(values, parts, strict=True)
             )
-    background = torch.ones(3).to(features) if background is None else background.to(features)
+    background = features.new_ones(3) if background is None else background.to(features)
     colour = features[..., :3] + transmittance[..., None] * background
     return ImageJacobian(colour, -transmittance, features[..., 3])

@@ -55,8 +55,8 @@ def planar_hulls_kernel(points: Float[Tensor, "N C 2"]) -> Hulls:
     """
     given = points.detach().double().cpu().contiguous()
     count, candidates = given.shape[:2]
-    order, number = torch.empty((count, candidates), dtype=torch.long), torch.empty(count, dtype=torch.long)
-    width = torch.empty(count, dtype=torch.float64)
+    order, number = given.new_empty((count, candidates), dtype=torch.long), given.new_empty(count, dtype=torch.long)
+    width = given.new_empty(count)
     pointers = [tensor.data_ptr() for tensor in (given, order, number, width)]
     load_library().pc_hulls(count, candidates, torch.get_num_threads(), *pointers)
     return Hulls(*(tensor.to(points.device) for tensor in (order, number, width)))
@@ -79,7 +79,8 @@ class _Blending:
 
     def blend(self) -> tuple[Tensor, Tensor, Tensor]:
         """Features, transmittance, heaviest."""
-        out = torch.empty(*self.size, FEATURES), torch.empty(self.size), torch.empty(self.size, dtype=torch.int32)
+        new = self.inputs[0].new_empty
+        out = new((*self.size, FEATURES)), new(self.size), new(self.size, dtype=torch.int32)
         self._call("pc_blend", *out)
         return out
 
@@ -97,7 +98,8 @@ class _Blending:
             tensor.new_zeros((len(directions), *tensor.shape)) if some is None else some
             for tensor, some in zip(self.inputs[1:], polygons, strict=True)
         ]
-        out = torch.empty(len(directions), *self.size, FEATURES), torch.empty(len(directions), *self.size)
+        new = self.inputs[0].new_empty
+        out = new((len(directions), *self.size, FEATURES)), new((len(directions), *self.size))
         self._call("pc_tangent", len(directions), coordinates, *filled, *out)
         return out
 

@@ -109,13 +109,13 @@ def render(
         InputError: a background of another shape, `near` not positive, no such backend, a view of another type.
         KernelUnavailable: `backend="kernel"` where it cannot be compiled.
     """
-    view = View.of(camera, field.points.dtype).to(field.points.device) if isinstance(camera, Camera) else camera
+    view = View.of(camera, field.points.dtype, device=field.points.device) if isinstance(camera, Camera) else camera
     if (view.focal.dtype, view.focal.device) != (field.points.dtype, field.points.device):
         kinds = [f"{tensor.dtype} on {tensor.device}" for tensor in (view.focal, field.points)]
         raise InputError(f"camera: got a view of {kinds[0]} for a field of {kinds[1]}; convert one with .to()")
     if near <= 0:
         raise InputError(f"near: got {near}; expected a positive distance [m]")
-    background = torch.ones(3).to(field.points) if background is None else background.to(field.points)
+    background = field.points.new_ones(3) if background is None else background.to(field.points)
     if background.shape not in ((3,), (view.height, view.width, 3)):
         raise InputError(
             f"background: got shape {tuple(background.shape)}; expected [3] or [{view.height}, {view.width}, 3]"

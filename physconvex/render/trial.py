@@ -50,7 +50,7 @@ def _differences(device: torch.device) -> str:
         (device, composite_cuda, planar_hulls_cuda),
     ):
         leaves = field.to(place).map(lambda tensor: tensor.clone().requires_grad_())
-        view = View.of(camera, torch.float32).to(place)
+        view = View.of(camera, torch.float32, device=place)
         layers = composite(project(leaves, view, hulls=hulls), view.pixel_coordinates())
         loss = layers.features.square().sum() + layers.transmittance.square().sum()
         gradients = torch.autograd.grad(loss, list(leaves.tensors()), allow_unused=True, materialize_grads=True)

@@ -39,17 +39,21 @@ class View:
     distortion: Float[Tensor, " 2"]
 
     @classmethod
-    def of(cls, camera: Camera, dtype: torch.dtype = torch.float32) -> View:
+    def of(cls, camera: Camera, dtype: torch.dtype = torch.float32, *, device: torch.device | str = "cpu") -> View:
         """The view of a camera."""
-        matrix = torch.tensor(camera.transform_matrix, dtype=dtype)
+
+        def tensor(values: object) -> Tensor:
+            return torch.tensor(values, dtype=dtype, device=device)
+
+        matrix = tensor(camera.transform_matrix)
         return cls(
             camera.w,
             camera.h,
-            torch.tensor([camera.fl_x, camera.fl_y], dtype=dtype),
-            torch.tensor([camera.cx, camera.cy], dtype=dtype),
+            tensor([camera.fl_x, camera.fl_y]),
+            tensor([camera.cx, camera.cy]),
             matrix[:3, :3],
             matrix[:3, 3],
-            torch.tensor([camera.k1, camera.k2], dtype=dtype),
+            tensor([camera.k1, camera.k2]),
         )
 
     def to(self, target: torch.dtype | torch.device | str) -> View:
@@ -72,7 +76,9 @@ class View:
 
     def pixel_coordinates(self) -> Float[Tensor, "height width 2"]:
         """Where on the plane at unit distance each pixel centre looks, undistorted."""
-        columns, rows = (torch.arange(size).to(self.focal) + 0.5 for size in (self.width, self.height))
+        columns, rows = (
+            torch.arange(size, device=self.focal.device).to(self.focal) + 0.5 for size in (self.width, self.height)
+        )
         pixels = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), dim=-1)
         distorted = (pixels - self.principal) / self.focal
         followed = self.distortion.requires_grad or forward_ad.unpack_dual(self.distortion).tangent is not None

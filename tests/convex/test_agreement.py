@@ -29,3 +29,12 @@ def test_zero_must_be_zero() -> None:
     assert_agrees(zero, zero, relative=1e-3)
     with pytest.raises(AssertionError, match="should be zero"):
         assert_agrees(zero + 1e-9, zero, relative=1e-3)
+
+
+def test_what_is_nowhere_above_the_floor_counts_as_zero() -> None:
+    slight = 1e-9 * torch.ones(5)
+    assert_agrees(0 * slight, slight, relative=1e-3, floor=1e-8)
+    with pytest.raises(AssertionError, match="off by"):
+        assert_agrees(0 * slight, slight, relative=1e-3)
+    with pytest.raises(AssertionError, match="should be zero"):
+        assert_agrees(1e3 * slight, slight, relative=1e-3, floor=1e-8)

@@ -133,6 +133,8 @@ def test_captures_that_cannot_be_reconstructed_are_refused(capture, tmp_path):
         reconstruct(capture, config=TINY, held_out=[f"view{k}" for k in range(4)])
     with pytest.raises(InputError, match=r"got 'side', expected one of"):
         reconstruct(capture, config=TINY, held_out=["side"])
+    with pytest.raises(InputError, match="device: 'abacus' cannot be used"):
+        reconstruct(capture, config=TINY, device="abacus")
     bare = tmp_path / "bare"
     shutil.copytree(capture, bare)
     (bare / "mesh.obj").unlink()

@@ -64,6 +64,27 @@ def test_a_fit_that_was_stopped_goes_on_to_the_same_bits(seen, tmp_path):
         assert torch.equal(one, other)
 
 
+def test_all_that_a_fit_makes_is_on_the_device_of_its_state(seen):
+    """Another default device stands in for a GPU: what does not name its device lands there and cannot be mixed."""
+    start = start_field(seen, SMALL, mesh=ball_mesh())
+    whole = fit(begin(start), seen, SMALL)
+    with torch.device("meta"):
+        moved = fit(begin(start).to("cpu"), seen, SMALL)
+        scores = score(moved.field(), seen)
+    assert moved.losses == whole.losses
+    assert [one for one, _ in scores] == [one for one, _ in score(whole.field(), seen)]
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_a_device_fits_as_well_as_the_cpu(seen):
+    start = start_field(seen, SMALL, mesh=ball_mesh())
+    fields = [fit(begin(start).to(device), seen, SMALL).field() for device in ("cpu", "cuda")]
+    assert fields[1].points.device.type == "cuda"
+    on_cpu, on_gpu = (mean_psnr(field, seen) for field in fields)
+    assert abs(on_gpu - on_cpu) < 0.3
+
+
 def test_states_of_others_and_broken_ones_are_refused(seen, tmp_path):
     path = tmp_path / "state.safetensors"
     assert load_state(path, claim="this") is None
