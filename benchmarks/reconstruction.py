@@ -5,7 +5,12 @@ Each object (a folder with model.obj and texture.png) is rendered at 448² from 
 them and its mesh. Coverage is measured against the mesh, where that is watertight; `margin` is half of what a pixel
 covers. Processor time counts all threads. Rows of other objects from runs with the same settings are kept.
 
+Starts that know less than the mesh: `--set start=hull` (the visual hull of the silhouettes), and `--set start=points
+--points 20000`: so many random points of the surface, each off by one pixel's footprint (normal, each coordinate), as
+structure from motion gives them.
+
 python benchmarks/reconstruction.py --objects data/gso [--names Dino_4 …] [--size 448] [--threads 2] [--set steps=120]
+    [--result _hull]
 """
 
 from __future__ import annotations
@@ -21,6 +26,7 @@ from typing import Any
 
 import numpy as np
 import torch
+import trimesh
 
 from data_gen.objects.user_meshes import load_user_mesh
 from data_gen.still_captures import StillViews, write_still_capture
@@ -29,7 +35,7 @@ from physconvex.capture import load_capture
 from physconvex.errors import InputError
 from physconvex.reconstruction import Coverage, load_reconstruction_config, measure_coverage
 
-RESULT = Path(__file__).parent / "results" / "reconstruction.json"
+RESULTS = Path(__file__).parent / "results"
 VIEWS = (StillViews(12, (10, 35, -10), name="fit"), StillViews(4, (20, 0), phase=0.37, name="held"))
 
 
@@ -64,7 +70,8 @@ def measure(name: str, folder: Path, work: Path, options: argparse.Namespace) ->
     held_out = [f"{VIEWS[1].name}{k}" for k in range(VIEWS[1].count)]
     processor = time.process_time()
     out = work / f"{name}-{options.size}-result"
-    result = reconstruct(capture, out=out, config=config, held_out=held_out, redo=not options.resume)
+    points = cloud(capture, options.points, work / f"{name}-{options.points}.ply") if options.points else None
+    result = reconstruct(capture, out=out, config=config, held_out=held_out, points=points, redo=not options.resume)
     spent = None if options.resume else time.process_time() - processor
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     numbers = result.to_json()
@@ -75,13 +82,26 @@ def measure(name: str, folder: Path, work: Path, options: argparse.Namespace) ->
     )  # fmt: skip
 
 
-def coverage(result: Reconstruction, capture: Path) -> Coverage | None:
-    """Coverage of the capture's mesh."""
+def mesh_and_pixel(capture: Path) -> tuple[trimesh.Trimesh, float]:
+    """The capture's mesh, and what a pixel covers at its middle [m]."""
     source = load_capture(capture)
     mesh = source.mesh()
     assert mesh is not None
     camera = source.cameras[0]
-    pixel = float(np.linalg.norm(camera.position - mesh.bounds.mean(axis=0))) / camera.fl_x
+    return mesh, float(np.linalg.norm(camera.position - mesh.bounds.mean(axis=0))) / camera.fl_x
+
+
+def cloud(capture: Path, count: int, path: Path) -> Path:
+    """A file of random points near the surface."""
+    mesh, pixel = mesh_and_pixel(capture)
+    points, _ = trimesh.sample.sample_surface(mesh, count, seed=0)
+    trimesh.PointCloud(points + pixel * np.random.default_rng(0).standard_normal(points.shape)).export(path)
+    return path
+
+
+def coverage(result: Reconstruction, capture: Path) -> Coverage | None:
+    """Coverage of the capture's mesh."""
+    mesh, pixel = mesh_and_pixel(capture)
     try:
         return measure_coverage(result.field, mesh, margin=0.5 * pixel)
     except InputError:
@@ -104,6 +124,8 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=448)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--set", dest="settings", nargs="*", default=[], help="settings, as steps=120")
+    parser.add_argument("--points", type=int, default=0, help="random points of the surface to start from")
+    parser.add_argument("--result", default="", help="added to the name of the result file")
     parser.add_argument("--work", type=Path, help="folder for captures and fields; kept if given")
     parser.add_argument("--resume", action="store_true", help="go on where an earlier run in --work was stopped")
     parser.add_argument("--no-store", action="store_true", help="only print")
@@ -112,14 +134,17 @@ def main() -> None:
     names = options.names or sorted(path.parent.name for path in options.objects.glob("*/model.obj"))
     command = f"python benchmarks/reconstruction.py --objects gso --size {options.size} --threads {options.threads}"
     command += f" --set {' '.join(options.settings)}" if options.settings else ""
-    rows = [] if options.no_store else stored_rows(RESULT, command, names)
+    command += f" --points {options.points}" if options.points else ""
+    command += f" --result {options.result}" if options.result else ""
+    stored = RESULTS / f"reconstruction{options.result}.json"
+    rows = [] if options.no_store else stored_rows(stored, command, names)
     with tempfile.TemporaryDirectory() as scratch:
         for name in names:
             row = measure(name, options.objects, options.work or Path(scratch), options)
             rows.append(asdict(row))
             print(row, flush=True)
             if not options.no_store:
-                RESULT.write_text(json.dumps({"command": command, "rows": rows}, indent=1) + "\n")
+                stored.write_text(json.dumps({"command": command, "rows": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":
