@@ -13,6 +13,7 @@ from physconvex.convex.motion import (
     bind_to_space,
     bind_to_tets,
     space_map,
+    tet_map,
 )
 from physconvex.convex.parameters import FreeParameters
 from physconvex.convex.ply import read_ply, write_ply
@@ -54,6 +55,7 @@ __all__ = [
     "split",
     "split_until_affine",
     "support",
+    "tet_map",
     "union_volume",
     "view_colours",
     "write_glb",

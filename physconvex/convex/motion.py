@@ -20,7 +20,16 @@ from physconvex.fem.embedding import Embedding, locate
 from physconvex.fem.mesh import TetMesh
 from physconvex.reduced.space import ReducedSpace
 
-__all__ = ["BoundField", "DeformationMap", "advect", "affine_map", "bind_to_space", "bind_to_tets", "space_map"]
+__all__ = [
+    "BoundField",
+    "DeformationMap",
+    "advect",
+    "affine_map",
+    "bind_to_space",
+    "bind_to_tets",
+    "space_map",
+    "tet_map",
+]
 
 DeformationMap = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Rest positions X [P, 3] to positions x [P, 3], both in metres, and gradients ∂x_i/∂X_j [P, 3, 3]."""
@@ -90,20 +99,19 @@ def bind_to_tets(field: ConvexField, mesh: TetMesh) -> BoundField:
     `BoundField.at` then takes nodal positions [V, 3], such as `Trajectory.positions[t]`.
     """
     embedding = Embedding.of_points(mesh, _numbers(field.points).reshape(-1, 3))
-    elements, _, anchors, _ = locate(mesh, _numbers(field.centres))
+    return BoundField(field, embedding.matrix, _tet_gradients(mesh, _numbers(field.centres)), embedding.max_distance)
+
+
+def _tet_gradients(mesh: TetMesh, points: Float[np.ndarray, "P 3"]) -> csr_matrix:
+    """∂/∂X_j at rest positions from nodal positions, shape [P 3, V], row 3 p + j, 1/m."""
+    elements, _, anchors, _ = locate(mesh, points)
     corners = mesh.vertices[mesh.corner_tets[elements]]
     inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))  # rows: gradients of λ_1 to λ_3
     slopes = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
-    gradients = np.einsum("pnk,pkj->pjn", shape_gradients(anchors, mesh.order), slopes)  # [N, 3, n]
+    gradients = np.einsum("pnk,pkj->pjn", shape_gradients(anchors, mesh.order), slopes)  # [P, 3, n]
     nodes = np.repeat(mesh.tets[elements][:, None], 3, axis=1)
     rows = np.arange(0, gradients.size + 1, gradients.shape[2])
-    shape = (3 * len(field), len(mesh.vertices))
-    return BoundField(
-        field,
-        embedding.matrix,
-        csr_matrix((gradients.ravel(), nodes.ravel(), rows), shape=shape),
-        embedding.max_distance,
-    )
+    return csr_matrix((gradients.ravel(), nodes.ravel(), rows), shape=(3 * len(points), len(mesh.vertices)))
 
 
 def bind_to_space(field: ConvexField, space: ReducedSpace) -> BoundField:
@@ -123,6 +131,18 @@ def space_map(space: ReducedSpace, coordinates: Float[np.ndarray, "R 3"]) -> Def
         rest = _numbers(points)
         gradients = np.einsum("pri,rk->pki", space.shape_gradients(rest), coordinates)
         return torch.as_tensor(space.shape_values(rest) @ coordinates).to(points), torch.as_tensor(gradients).to(points)
+
+    return deform
+
+
+def tet_map(mesh: TetMesh, positions: Float[np.ndarray, "V 3"]) -> DeformationMap:
+    """The deformation of a tetrahedral mesh whose nodes are at these positions [m], with its gradient."""
+
+    def deform(points: Tensor) -> tuple[Tensor, Tensor]:
+        rest = _numbers(points)
+        gradients = (_tet_gradients(mesh, rest) @ positions).reshape(-1, 3, 3).swapaxes(1, 2)
+        moved = Embedding.of_points(mesh, rest).apply(positions)
+        return torch.as_tensor(moved).to(points), torch.as_tensor(gradients).to(points)
 
     return deform
 

@@ -18,6 +18,7 @@ from physconvex.errors import InputError
 __all__ = ["Division", "non_affinity", "split", "split_until_affine"]
 
 LEVELS = 6  # of splitting at most: one convex becomes up to 64
+MOST_OVERLAP = 0.2  # of the extent across the cut
 CENTRAL = 0.15  # a corner this near to the middle (in extents) becomes the place of the cut
 
 
@@ -113,7 +114,9 @@ def _halves(
     return halves if least >= LEAST_POINTS else (points, points)
 
 
-def split_until_affine(field: ConvexField, deform: DeformationMap, *, tolerance: float, limit: int) -> Division:
+def split_until_affine(
+    field: ConvexField, deform: DeformationMap, *, tolerance: float, limit: int, overlap: float = 0.0
+) -> Division:
     """Split the rest field, across the direction in which the gradient changes most, until the deformation is
     affine within every convex up to `tolerance`, or there are `limit`.
 
@@ -122,9 +125,16 @@ def split_until_affine(field: ConvexField, deform: DeformationMap, *, tolerance:
     Args:
         tolerance: greatest `non_affinity` to be left, as a share of a convex's size.
         limit: most convexes.
+        overlap: by how much each part reaches beyond the cut, in widths 1/(αβ) of its edge, but no more than
+            a fifth of the way across; soft parts without it let light through between them.
+
+    Raises:
+        InputError: a tolerance that is not positive, a negative overlap.
     """
     if not tolerance > 0:
         raise InputError(f"tolerance: got {tolerance}; expected a positive share of a convex's size")
+    if overlap < 0:
+        raise InputError(f"overlap: got {overlap}; expected widths of an edge, at least 0")
     sources, lost = torch.arange(len(field)), 0.0
     for _ in range(LEVELS):
         error = non_affinity(field, deform).detach().cpu()
@@ -134,7 +144,11 @@ def split_until_affine(field: ConvexField, deform: DeformationMap, *, tolerance:
         which[worst[error[worst] > tolerance]] = True
         if not which.any():
             break
-        division = split(field, which, normals=_bending(field, deform), keep_count=False)
+        normals = _bending(field, deform)
+        heights = torch.einsum("nki,ni->nk", field.points.detach(), normals)
+        across = heights.amax(dim=1) - heights.amin(dim=1)
+        reach = torch.minimum(overlap / (field.smoothness * field.sharpness), MOST_OVERLAP * across).detach()
+        division = split(field, which, normals=normals, overlap=reach, keep_count=False)
         field, sources, lost = division.field, sources[division.sources], lost + division.lost_volume
     return Division(field, sources, lost)
 

@@ -84,6 +84,17 @@ def test_bending_is_found_and_split_away():
     assert len(split_until_affine(field, bend, tolerance=0.01, limit=5).field) <= 5
 
 
+def test_soft_parts_with_overlap_let_no_light_through_when_bent():
+    soft = ConvexField(*(200 * tensor if at == 1 else tensor for at, tensor in enumerate(bar().tensors())))
+    inside = np.stack(np.meshgrid(np.linspace(-0.45, 0.45, 181), [0.0], [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
+    plain, over = (split_until_affine(soft, bend, tolerance=0.01, limit=100, overlap=by).field for by in (0.0, 3.0))
+    whole, cut, closed = (occupancies(one, inside)[1].min() for one in (soft, plain, over))
+    assert whole - cut > 0.1 and whole - closed < 0.02
+    moved = bend(torch.as_tensor(inside))[0].numpy()
+    assert occupancies(advect(over, bend), moved)[1].min() > whole - 0.02
+    np.testing.assert_array_equal(inside_union(over, probes(soft)), inside_union(soft, probes(soft)))
+
+
 def test_merging_undoes_a_split_and_conserves_occupancy():
     field = bar()
     parts = split(field, torch.tensor([True])).field
@@ -113,5 +124,7 @@ def test_wrong_arguments_are_refused():
         split(field, torch.tensor([1]))
     with pytest.raises(InputError, match="tolerance"):
         split_until_affine(field, bend, tolerance=0.0, limit=5)
+    with pytest.raises(InputError, match="overlap"):
+        split_until_affine(field, bend, tolerance=0.1, limit=5, overlap=-1.0)
     with pytest.raises(InputError, match="tolerances"):
         merge(field, volume_tolerance=-1.0)
