@@ -1,20 +1,11 @@
 """Fields in the browser."""
 
-import base64
-import itertools
-import json
 import shutil
-import subprocess
-import time
-import urllib.request
-from collections.abc import Iterator
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from physconvex import InputError
@@ -22,6 +13,7 @@ from physconvex.camera import look_at
 from physconvex.convex import ConvexField, coefficients_of_colour, write_ply
 from physconvex.render import render
 from physconvex.render.viewer import FieldViewer, draw, read_fields
+from tests.convex.browser import screenshots
 from tests.convex.fields import random_field
 
 PAINT = (0.85, 0.2, 0.1)
@@ -66,38 +58,6 @@ def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "viser", None)
     with pytest.raises(InputError, match=r"pip install 'physconvex\[viewer\]'"):
         FieldViewer([("field", painted())])
-
-
-def screenshots(address: str, profile: Path, seconds: float) -> Iterator[np.ndarray]:
-    """What a headless browser shows at an address, again and again (by its DevTools protocol)."""
-    from websockets.sync.client import connect
-
-    browser = subprocess.Popen(
-        ["chromium", "--headless", "--no-sandbox", "--window-size=800,600", "--use-gl=angle",
-         "--use-angle=swiftshader", "--enable-unsafe-swiftshader", f"--user-data-dir={profile}",
-         "--remote-debugging-port=0", address],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    end = time.monotonic() + seconds
-    try:
-        told = profile / "DevToolsActivePort"
-        while not (told.is_file() and told.read_text().count("\n")) and time.monotonic() < end:
-            time.sleep(0.2)
-        port = told.read_text().split()[0]
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
-            page = next(one for one in json.load(answer) if one["type"] == "page")
-        with connect(page["webSocketDebuggerUrl"], max_size=None) as socket:
-            for number in itertools.count(1):
-                socket.send(json.dumps({"id": number, "method": "Page.captureScreenshot"}))
-                while (reply := json.loads(socket.recv())).get("id") != number:
-                    pass
-                yield np.asarray(Image.open(BytesIO(base64.b64decode(reply["result"]["data"]))).convert("RGB"))
-                if time.monotonic() > end:
-                    return
-                time.sleep(0.5)
-    finally:
-        browser.terminate()
-        browser.wait()
 
 
 @pytest.mark.slow
