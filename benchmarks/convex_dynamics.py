@@ -5,7 +5,8 @@ A scanned object is reconstructed with few, large convexes from views in flat li
 to the tolerance, without and with an overlap of the parts; then neighbours are merged again at rest until no more may
 be. Beside it, the field simplified to half its convexes by the views. Each state is compared with the field as it was
 reconstructed (at rest: occupancy at random points of its box, share of them within a hull, the picture) and with the
-textured body (at rest and in the most deformed frame).
+textured body (at rest and in the most deformed frame). What is less than a quarter of a pixel's footprint off affine is
+not split: the map of finite elements is bent at their faces.
 
 python benchmarks/convex_dynamics.py --objects data/gso [--names Dino_4 …] [--budget 1500] [--tolerance 0.02] [--work W]
 """
@@ -48,6 +49,7 @@ from physconvex.reconstruction import load_reconstruction_config, psnr, simplify
 RESULT = Path(__file__).parent / "results" / "convex_dynamics.json"
 PROBES = 20_000
 OVERLAP = 2.0  # widths of an edge
+LEAST = 0.25  # pixels
 HALF = 0.5  # of the convexes is left by `simplify`
 
 
@@ -58,6 +60,7 @@ class Row:
     Attributes:
         convexes: how many.
         non_affinity: 99 % of the convexes are deformed more nearly affinely than this, as a share of their size.
+        off_affine: the same in pixels of the camera at the body.
         lost_volume: of the hulls' volume before, that no hull holds after.
         occupancy: mean over the probes of 1 − Π (1 − opacity O).
         occupancy_change: mean of the magnitude of its difference from the reconstructed field's.
@@ -70,6 +73,7 @@ class Row:
     state: str
     convexes: int
     non_affinity: float
+    off_affine: float
     lost_volume: float
     occupancy: float
     occupancy_change: float
@@ -81,12 +85,14 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """The most deformed frame: its map, the camera, pictures of the textured body at rest and then, deformation."""
+    """The most deformed frame: its map, the camera, pictures of the textured body at rest and then, deformation; what
+    a pixel covers at the body [m]."""
 
     deform: DeformationMap
     camera: Camera
     pictures: tuple[torch.Tensor, torch.Tensor]
     deformation: float
+    pixel: float
 
 
 def motion_of(body: ObjectMesh, nodes: int) -> Motion:
@@ -96,20 +102,29 @@ def motion_of(body: ObjectMesh, nodes: int) -> Motion:
     amounts = deformations(surface)
     worst = int(amounts.argmax())
     (camera,) = still_cameras(surface.reshape(-1, 3), StillViews(1, (12.0,), phase=0.13), SIZE)
+    distance = float(np.linalg.norm(np.asarray(camera.position) - surface[worst].mean(axis=0)))
+    pixel = distance / camera.fl_y
     colours = Surface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
     seen = []
     for rgba in rendered_frames(colours, camera, FLAT, surface[[0, worst]]):
         values = torch.as_tensor(rgba.astype(np.float32) / 255)
         seen.append(values[..., 3:] * values[..., :3] + 1 - values[..., 3:])
-    return Motion(tet_map(mesh, positions[worst]), camera, (seen[0], seen[1]), float(amounts[worst]))
+    return Motion(tet_map(mesh, positions[worst]), camera, (seen[0], seen[1]), float(amounts[worst]), pixel)
 
 
-def states(field: ConvexField, deform: DeformationMap, tolerance: float) -> Iterator[tuple[str, ConvexField, float]]:
+def states(field: ConvexField, motion: Motion, tolerance: float) -> Iterator[tuple[str, ConvexField, float]]:
     """Names, fields in float64 and volumes [m³] that were lost."""
     yield "as reconstructed", field, 0.0
     divided = field
     for name, overlap in (("split", 0.0), ("split with overlap", OVERLAP)):
-        found = split_until_affine(field, deform, tolerance=tolerance, limit=20 * len(field), overlap=overlap)
+        found = split_until_affine(
+            field,
+            motion.deform,
+            tolerance=tolerance,
+            limit=20 * len(field),
+            least=LEAST * motion.pixel,
+            overlap=overlap,
+        )
         yield name, found.field, found.lost_volume
         divided = found.field if overlap == 0 else divided
     lost = 0.0
@@ -119,6 +134,13 @@ def states(field: ConvexField, deform: DeformationMap, tolerance: float) -> Iter
             break
         divided, lost = found.field, lost + found.lost_volume
     yield "split, merged again", divided, lost
+
+
+def off_affine(field: ConvexField, motion: Motion) -> float:
+    """99 % of the distances from the best affine map [pixels]."""
+    points = motion.deform(field.points.reshape(-1, 3))[0].reshape(field.points.shape)
+    sizes = torch.cdist(points, points).flatten(1).amax(dim=1)
+    return float((non_affinity(field, motion.deform) * sizes / motion.pixel).quantile(0.99))
 
 
 def measure(name: str, work: Path, options: argparse.Namespace) -> list[Row]:
@@ -141,7 +163,7 @@ def measure(name: str, work: Path, options: argparse.Namespace) -> list[Row]:
     first, _ = drawn(single, motion.camera)
     rows = []
     for state, some, lost in (
-        *states(field, motion.deform, options.tolerance),
+        *states(field, motion, options.tolerance),
         ("simplified to half", simplified, 0.0),
     ):
         at_rest, _ = drawn(some.to(torch.float32), motion.camera)
@@ -153,7 +175,8 @@ def measure(name: str, work: Path, options: argparse.Namespace) -> list[Row]:
                 state,
                 len(some),
                 float(non_affinity(some, motion.deform).quantile(0.99)),
-                lost / (volume * float(within.mean())),
+                off_affine(some, motion),
+                float(lost / (volume * within.mean())),
                 float(occupancy.mean()),
                 float(np.abs(occupancy - occupied).mean()),
                 float((member != within).mean()),

@@ -30,6 +30,7 @@ def export_best(
     validation: Validation,
     data: Sequence[Path | str],
     checkpoint: str | None = None,
+    share: float | None = None,
 ) -> None:
     """Write network, calibration, ranges and metrics where `PhysicsPredictor.from_pretrained` finds them."""
     stiffness, poisson = validation.metrics(calibration)
@@ -50,7 +51,7 @@ def export_best(
             "skinning_energy_missed": validation.captured,
         },
     )
-    card = model_card(stiffness, poisson, ranges, validation, len(clips), data, checkpoint)
+    card = model_card(stiffness, poisson, ranges, validation, len(clips), data, checkpoint, share)
     PhysicsPredictor(network, config).save_pretrained(folder, model_card=card)
 
 
@@ -66,11 +67,13 @@ def model_card(
     clips: int,
     data: Sequence[Path | str],
     checkpoint: str | None = None,
+    share: float | None = None,
 ) -> str:
-    """Markdown: what it was trained on (and the checkpoint that it went on from), how good it is, where it ends."""
+    """Markdown: what it was trained on (and the checkpoint that it went on from, and which share of the way from that
+    one's weights was taken), how good it is, where it ends."""
     sources = "\n".join(f"- `{Path(folder).name}`, manifest SHA-256 `{dataset_checksum(folder)}`" for folder in data)
     low, high = ranges.log10_stiffness
-    earlier = "" if checkpoint is None else _earlier_training(checkpoint)
+    earlier = "" if checkpoint is None else _earlier_training(checkpoint, share)
     return f"""# physconvex predictor
 
 Reads a clip of one soft object that falls on a floor; says Young's modulus, Poisson's ratio and skinning weights.
@@ -102,14 +105,17 @@ hung up) are not in the training data, and the intervals do not cover what such 
 """
 
 
-def _earlier_training(checkpoint: str) -> str:
+def _earlier_training(checkpoint: str, share: float | None) -> str:
     """What the model card of the starting point says of its own clips."""
     folder = find_checkpoint(checkpoint)
     checksum = hashlib.sha256((folder / "model.safetensors").read_bytes()).hexdigest()
     said = (folder / "model_card.md").read_text(encoding="utf-8").partition("## Training data\n")[2]
     quoted = "\n".join(f"> {line}".rstrip() for line in said.partition("\n## ")[0].strip().splitlines())
+    taken = (
+        "" if share is None else f" Its weights are {share:.0%} of the way from that one's to those trained further."
+    )
     return f"""
-It went on from the checkpoint `{folder.name}`, SHA-256 `{checksum}`, whose card says of its training:
+It went on from the checkpoint `{folder.name}`, SHA-256 `{checksum}`.{taken} That one's card says of its training:
 
 {quoted or "> nothing"}
 """

@@ -31,12 +31,13 @@ from train.plan import Plan, Step
 from train.records import read_clips
 from train.run_log import RunLog, fingerprint, write_config
 from train.state import Progress, load_state, save_state
-from train.validation import validate
+from train.validation import Validation, validate
 
 __all__ = ["TrainingResult", "train_predictor"]
 
 Report = Callable[[str, int, int], None]
 _EXAMPLE_SCALE = 1_000_003  # between the seeds of two runs
+_SHARES = (0.25, 0.5, 0.75)  # of the way from a checkpoint to what further training made of it
 
 
 @dataclass(frozen=True)
@@ -198,6 +199,9 @@ class _Run:
             last = self.plan.step(max(progress.step - 1, 0))
             progress = self._validate(progress, last, log)
             self._save(progress)
+        if self.config.checkpoint is not None and log is not None:
+            progress = self._interpolate(progress, log)
+            self._save(progress)
         return progress
 
     def _start(self, resume: bool) -> Progress:
@@ -271,17 +275,43 @@ class _Run:
             )
             if best is None or score < best:
                 best = score
-                export_best(
-                    self.out / "best",
-                    self.average.module,
-                    clips=self.train_clips,
-                    settings=self.config.clip,
-                    calibration=calibration,
-                    validation=found,
-                    data=self.data,
-                    checkpoint=self.config.checkpoint,
-                )
+                self._export(self.average.module, found)
         return replace(progress, best_score=best)
+
+    def _interpolate(self, progress: Progress, log: RunLog) -> Progress:
+        """Export weights between the checkpoint's and the averaged network's if some are better than both.
+
+        Further training on fewer clips gains on these and forgets of the earlier ones; in between there is often more
+        of both (Wortsman et al. 2022, Robust fine-tuning of zero-shot models, eq. 2).
+        """
+        best, end = progress.best_score, self.average.module.state_dict()
+        between = _starting_point(self.config).to(self.accelerator.device)
+        start = {name: value.clone() for name, value in between.state_dict().items()}
+        for number, share in enumerate(_SHARES):
+            self.report("between checkpoint and end", number, len(_SHARES))
+            between.load_state_dict({name: value.lerp(end[name].to(value), share) for name, value in start.items()})
+            found = validate(between, self.validation_clips)
+            score = found.score()
+            log.write("interpolation", progress.step, share=share, score=score)
+            if best is None or score < best:
+                best = score
+                self._export(between, found, share=share)
+        return replace(progress, best_score=best)
+
+    def _export(self, network: torch.nn.Module, validation: Validation, *, share: float | None = None) -> None:
+        """The best network so far, calibrated."""
+        assert isinstance(network, PhysicsNetwork)
+        export_best(
+            self.out / "best",
+            network,
+            clips=self.train_clips,
+            settings=self.config.clip,
+            calibration=validation.calibration(),
+            validation=validation,
+            data=self.data,
+            checkpoint=self.config.checkpoint,
+            share=share,
+        )
 
     def _save(self, progress: Progress) -> None:
         if self.main:

@@ -69,6 +69,8 @@ def _protrusions(points: np.ndarray, faces: np.ndarray) -> Float[np.ndarray, " C
     found = np.zeros(len(points))
     for corner in range(len(points)):
         mine = faces[(faces == corner).any(axis=1)]
+        if not len(mine):
+            continue  # within rounding of the hull of the others
         neighbours = np.setdiff1d(mine, corner)
         sides = points[mine] - points[neighbours].mean(axis=0)
         found[corner] = np.abs(np.linalg.det(sides)).sum() / 6

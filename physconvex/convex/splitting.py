@@ -43,6 +43,12 @@ def non_affinity(field: ConvexField, deform: DeformationMap) -> Float[Tensor, " 
     The greatest distance of the moved points and middles of all pairs of points from where the best affine map (least
     squares over them) takes them, over the greatest distance of two moved points.
     """
+    deviation, size = _deviation(field, deform)
+    return deviation / size
+
+
+def _deviation(field: ConvexField, deform: DeformationMap) -> tuple[Float[Tensor, " N"], Float[Tensor, " N"]]:
+    """The greatest distance from the best affine map, and the size of the moved convex [m], see `non_affinity`."""
     first, second = zip(*combinations(range(field.points.shape[1]), 2), strict=True)
     rest = torch.cat([field.points, 0.5 * (field.points[:, first] + field.points[:, second])], dim=1)
     moved = deform(rest.reshape(-1, 3))[0].reshape(rest.shape)
@@ -52,7 +58,7 @@ def non_affinity(field: ConvexField, deform: DeformationMap) -> Float[Tensor, " 
     fitted = table @ (torch.linalg.pinv(table) @ moved)
     corners = moved[:, : field.points.shape[1]]
     size = torch.cdist(corners, corners).flatten(1).amax(dim=1)
-    return torch.linalg.vector_norm(moved - fitted, dim=2).amax(dim=1) / size
+    return torch.linalg.vector_norm(moved - fitted, dim=2).amax(dim=1), size
 
 
 def split(
@@ -115,7 +121,13 @@ def _halves(
 
 
 def split_until_affine(
-    field: ConvexField, deform: DeformationMap, *, tolerance: float, limit: int, overlap: float = 0.0
+    field: ConvexField,
+    deform: DeformationMap,
+    *,
+    tolerance: float,
+    limit: int,
+    least: float = 0.0,
+    overlap: float = 0.0,
 ) -> Division:
     """Split the rest field, across the direction in which the gradient changes most, until the deformation is
     affine within every convex up to `tolerance`, or there are `limit`.
@@ -125,19 +137,23 @@ def split_until_affine(
     Args:
         tolerance: greatest `non_affinity` to be left, as a share of a convex's size.
         limit: most convexes.
+        least: distances from affine below this are left [m], such as a part of a pixel. A map of finite elements is
+            bent at their faces, and what a face passes through stays as far from affine, as a share of its size, however
+            often it is split.
         overlap: by how much each part reaches beyond the cut, in widths 1/(αβ) of its edge, but no more than
             a fifth of the way across; soft parts without it let light through between them.
 
     Raises:
-        InputError: a tolerance that is not positive, a negative overlap.
+        InputError: a tolerance that is not positive, a negative least distance or overlap.
     """
     if not tolerance > 0:
         raise InputError(f"tolerance: got {tolerance}; expected a positive share of a convex's size")
-    if overlap < 0:
-        raise InputError(f"overlap: got {overlap}; expected widths of an edge, at least 0")
+    if min(least, overlap) < 0:
+        raise InputError(f"least, overlap: got {least} m and {overlap} widths of an edge; expected at least 0")
     sources, lost = torch.arange(len(field)), 0.0
     for _ in range(LEVELS):
-        error = non_affinity(field, deform).detach().cpu()
+        deviation, size = _deviation(field, deform)
+        error = torch.where(deviation > least, deviation / size, 0.0).detach().cpu()
         room = limit - len(field)
         worst = error.argsort(descending=True)[: max(room, 0)]
         which = torch.zeros(len(field), dtype=torch.bool)

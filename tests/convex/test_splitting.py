@@ -16,6 +16,7 @@ from physconvex.convex import (
     split,
     split_until_affine,
 )
+from physconvex.convex.hull_points import _protrusions
 from physconvex.errors import InputError
 from tests.convex.fields import cube, random_field
 
@@ -84,6 +85,32 @@ def test_bending_is_found_and_split_away():
     assert len(split_until_affine(field, bend, tolerance=0.01, limit=5).field) <= 5
 
 
+def fold(points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Beyond x = 0.03 m a sheet is bent upward, as finite elements are at their faces."""
+    over = (points[:, 0] - 0.03).clamp(min=0)
+    gradient = torch.eye(3).to(points).repeat(len(points), 1, 1)
+    gradient[:, 2, 0] = 0.5 * (over > 0)
+    return points + 0.5 * over[:, None] * points.new_tensor([0.0, 0.0, 1.0]), gradient
+
+
+def test_at_a_fold_splitting_ends_where_it_no_longer_matters():
+    endless = split_until_affine(bar(), fold, tolerance=0.01, limit=10_000)
+    assert float(non_affinity(endless.field, fold).max()) > 0.01  # the last level still has the fold
+    ended = split_until_affine(bar(), fold, tolerance=0.01, limit=10_000, least=0.004)
+    assert len(ended.field) < 0.5 * len(endless.field)
+    moved, straight = (advect(one, fold).points.reshape(-1, 3) for one in (ended.field, endless.field))
+    for axis in range(3):  # both still span the folded bar
+        assert float(moved[:, axis].max()) == pytest.approx(float(straight[:, axis].max()), abs=1e-12)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_corner_in_no_face_goes_first():
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.2, 0.2, 0.2]], dtype=float)
+    faces = np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]])
+    found = _protrusions(corners, faces)
+    assert found[4] == 0 and (found[:4] > 0).all()
+
+
 def test_soft_parts_with_overlap_let_no_light_through_when_bent():
     soft = ConvexField(*(200 * tensor if at == 1 else tensor for at, tensor in enumerate(bar().tensors())))
     inside = np.stack(np.meshgrid(np.linspace(-0.45, 0.45, 181), [0.0], [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
@@ -124,7 +151,8 @@ def test_wrong_arguments_are_refused():
         split(field, torch.tensor([1]))
     with pytest.raises(InputError, match="tolerance"):
         split_until_affine(field, bend, tolerance=0.0, limit=5)
-    with pytest.raises(InputError, match="overlap"):
-        split_until_affine(field, bend, tolerance=0.1, limit=5, overlap=-1.0)
+    for wrong in ({"overlap": -1.0}, {"least": -1.0}):
+        with pytest.raises(InputError, match="least, overlap"):
+            split_until_affine(field, bend, tolerance=0.1, limit=5, **wrong)
     with pytest.raises(InputError, match="tolerances"):
         merge(field, volume_tolerance=-1.0)

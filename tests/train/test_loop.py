@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from models.checkpoint import load_checkpoint
 from models.estimator import PhysicsPredictor
 from physconvex.errors import InputError
+from train import loop
 from train.config import TrainConfig
 from train.loop import train_predictor
 from train.records import read_clips
@@ -160,6 +162,32 @@ def test_training_goes_on_from_a_checkpoint(
     card = (second.checkpoint / "model_card.md").read_text()
     assert "It went on from the checkpoint `best`" in card
     assert "> 48 clips" in card  # what the first card says
+
+
+@pytest.mark.slow
+def test_weights_between_checkpoint_and_end_are_taken_where_they_are_better(
+    tiny_data: Path, tiny_cache: Path, tiny_config: TrainConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Steps far beyond the good weights: on the way back lies something better."""
+    monkeypatch.setattr(loop, "_SHARES", (0.01, 0.5))
+    first = train_predictor(tiny_config, [tiny_data], tmp_path / "first", cpu=True, cache=tiny_cache)
+    wild = tiny_config.model_copy(
+        update={"checkpoint": str(first.checkpoint), "learning_rate": 1.0, "epochs": 1, "ema_decay": 0.0}
+    )
+    out = tmp_path / "second"
+    second = train_predictor(wild, [tiny_data], out, cpu=True, cache=tiny_cache)
+    lines = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    scores = {line["share"]: line["score"] for line in lines if line["kind"] == "interpolation"}
+    (end,) = [line["score"] for line in lines if line["kind"] == "validation"]
+    share = min(scores, key=scores.__getitem__)
+    assert second.best_score == scores[share] < end
+    assert f"{share:.0%} of the way" in (second.checkpoint / "model_card.md").read_text()
+    start, _ = load_checkpoint(str(first.checkpoint))
+    found, _ = load_checkpoint(str(second.checkpoint))
+    moved = [(a - b).abs().max() for a, b in zip(start.parameters(), found.parameters(), strict=True)]
+    assert max(moved) > 1e-3
+    again = train_predictor(wild, [tiny_data], out, cpu=True, cache=tiny_cache)  # finished: nothing changes
+    assert again.best_score == second.best_score
 
 
 def test_a_checkpoint_of_another_network_is_named(
