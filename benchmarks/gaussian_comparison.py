@@ -30,6 +30,10 @@ from physconvex.reconstruction import begin, fit, load_reconstruction_config, sc
 
 RESULT = Path(__file__).parent / "results" / "gaussian_comparison.json"
 SETTINGS = ("steps=120", "budget=3500", "filler_share=0", "gap_share=0")
+NAMES = [
+    "Schleich_Lion_Action_Figure", "Dino_4", "BUNNY_RACER", "Room_Essentials_Mug_White_Yellow",
+    "Kong_Puppy_Teething_Rubber_Small_Pink", "Schleich_Hereford_Bull",
+]  # fmt: skip
 NUMBERS = {"convexes": 69, "gaussians": 59}
 
 
@@ -88,7 +92,7 @@ def main() -> None:
     """Compare and store."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--objects", type=Path, required=True, help="folder of folders with model.obj and texture.png")
-    parser.add_argument("--names", nargs="+", default=["Schleich_Lion_Action_Figure", "Dino_4", "BUNNY_RACER"])
+    parser.add_argument("--names", nargs="+", default=NAMES)
     parser.add_argument("--size", type=int, default=160)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--set", dest="settings", nargs="*", default=[], help="settings, as steps=120")

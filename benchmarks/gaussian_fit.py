@@ -2,8 +2,9 @@
 
 The mesh's surface is covered with flat Gaussians as it is with prisms; each step draws one view, at a quarter, a half
 and all of the pixels; loss and Adam are those of `physconvex.reconstruction`. Refinement charges each Gaussian with the
-squared differences of the pixels that it explains, and splits (Kerbl et al. 2023, §5.2: two, drawn from the one, 1.6
-times smaller) or clones those charged most. Only the rates are the Gaussians' own; see `Rates`.
+squared differences of the pixels that it explains, lets those go that explain least once the budget is full, and splits
+(Kerbl et al. 2023, §5.2: two, drawn from the one, 1.6 times smaller) or clones those charged most. Only the rates are the
+Gaussians' own; see `Rates`.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from physconvex.reconstruction.visual_hull import footprint
 
 __all__ = ["Rates", "Score", "fit_gaussians", "gaussians_on", "score_gaussians"]
 
-WARM_UP, SHARE, DIVISIBLE, LEAST_OPACITY, OUTSIDE = 20, 0.2, 2.5, 0.03, 0.2  # as for convexes
+WARM_UP, SHARE, DIVISIBLE, LEAST_OPACITY, OUTSIDE, SLIGHT = 20, 0.2, 2.5, 0.03, 0.2, 2.0  # as for convexes
 SMALLER = 1.6
 
 
@@ -135,7 +136,12 @@ def _refined(
         charge, weight, covered = sums[:, 0], sums[:, 1], sums[:, 2]
         keep = torch.sigmoid(scene.logit_opacity) > LEAST_OPACITY
         keep &= ~((weight > 1) & (covered < OUTSIDE * weight))
-        room = max(0, min(int(SHARE * len(scene)), budget - int(keep.sum())))
+        wanted = int(SHARE * len(scene))
+        crowded = min(int(keep.sum()) + wanted - budget, wanted // 2)
+        if crowded > 0:
+            slight = (keep & (weight > 0) & (weight < SLIGHT)).nonzero()[:, 0]
+            keep[slight[weight[slight].argsort()[:crowded]]] = False
+        room = max(0, min(wanted, budget - int(keep.sum())))
         candidates = (keep & (charge > 0)).nonzero()[:, 0]
         chosen = candidates[charge[candidates].argsort(descending=True)[:room]]
         extent = 3 * scene.log_scales.exp().amax(dim=1)

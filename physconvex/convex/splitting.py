@@ -138,8 +138,8 @@ def split_until_affine(
         tolerance: greatest `non_affinity` to be left, as a share of a convex's size.
         limit: most convexes.
         least: distances from affine below this are left [m], such as a part of a pixel. A map of finite elements is
-            bent at their faces, and what a face passes through stays as far from affine, as a share of its size, however
-            often it is split.
+            bent at their faces, and what a face passes through stays as far from affine, as a share of its size,
+            however often it is split.
         overlap: by how much each part reaches beyond the cut, in widths 1/(αβ) of its edge, but no more than
             a fifth of the way across; soft parts without it let light through between them.
 
