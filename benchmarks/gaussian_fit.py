@@ -2,9 +2,9 @@
 
 The mesh's surface is covered with flat Gaussians as it is with prisms; each step draws one view, at a quarter, a half
 and all of the pixels; loss and Adam are those of `physconvex.reconstruction`. Refinement charges each Gaussian with the
-squared differences of the pixels that it explains, lets those go that explain least once the budget is full, and splits
-(Kerbl et al. 2023, §5.2: two, drawn from the one, 1.6 times smaller) or clones those charged most. Only the rates are the
-Gaussians' own; see `Rates`.
+squared differences of the pixels that it explains, lets those go that explain least once the budget is full, and
+splits (Kerbl et al. 2023, §5.2: two, drawn from the one, 1.6 times smaller) or clones those charged most. Only the
+rates are the Gaussians' own; see `Rates`.
 """
 
 from __future__ import annotations
