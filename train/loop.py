@@ -37,7 +37,7 @@ __all__ = ["TrainingResult", "train_predictor"]
 
 Report = Callable[[str, int, int], None]
 _EXAMPLE_SCALE = 1_000_003  # between the seeds of two runs
-_SHARES = (0.25, 0.5, 0.75)  # of the way from a checkpoint to what further training made of it
+_SHARES = (0.5, 0.75)  # of the way from a checkpoint to what further training made of it
 
 
 @dataclass(frozen=True)
@@ -199,9 +199,6 @@ class _Run:
             last = self.plan.step(max(progress.step - 1, 0))
             progress = self._validate(progress, last, log)
             self._save(progress)
-        if self.config.checkpoint is not None and log is not None:
-            progress = self._interpolate(progress, log)
-            self._save(progress)
         return progress
 
     def _start(self, resume: bool) -> Progress:
@@ -276,27 +273,29 @@ class _Run:
             if best is None or score < best:
                 best = score
                 self._export(self.average.module, found)
+            if self.config.checkpoint is not None:
+                best = self._between(progress, best, log)
         return replace(progress, best_score=best)
 
-    def _interpolate(self, progress: Progress, log: RunLog) -> Progress:
-        """Export weights between the checkpoint's and the averaged network's if some are better than both.
+    def _between(self, progress: Progress, best: float, log: RunLog) -> float:
+        """Export weights between the checkpoint's and the averaged network's if they are better; the best score.
 
         Further training on fewer clips gains on these and forgets of the earlier ones; in between there is often more
         of both (Wortsman et al. 2022, Robust fine-tuning of zero-shot models, eq. 2).
         """
-        best, end = progress.best_score, self.average.module.state_dict()
-        between = _starting_point(self.config).to(self.accelerator.device)
-        start = {name: value.clone() for name, value in between.state_dict().items()}
-        for number, share in enumerate(_SHARES):
-            self.report("between checkpoint and end", number, len(_SHARES))
-            between.load_state_dict({name: value.lerp(end[name].to(value), share) for name, value in start.items()})
+        between, _ = load_checkpoint(str(self.config.checkpoint))
+        start, end = between.state_dict(), self.average.module.state_dict()
+        start = {name: value.to(end[name], copy=True) for name, value in start.items()}
+        between.to(self.accelerator.device)
+        for share in _SHARES:
+            between.load_state_dict({name: value.lerp(end[name], share) for name, value in start.items()})
             found = validate(between, self.validation_clips)
             score = found.score()
-            log.write("interpolation", progress.step, share=share, score=score)
-            if best is None or score < best:
+            log.write("between", progress.step, share=share, score=score)
+            if score < best:
                 best = score
                 self._export(between, found, share=share)
-        return replace(progress, best_score=best)
+        return best
 
     def _export(self, network: torch.nn.Module, validation: Validation, *, share: float | None = None) -> None:
         """The best network so far, calibrated."""

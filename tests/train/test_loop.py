@@ -177,7 +177,7 @@ def test_weights_between_checkpoint_and_end_are_taken_where_they_are_better(
     out = tmp_path / "second"
     second = train_predictor(wild, [tiny_data], out, cpu=True, cache=tiny_cache)
     lines = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
-    scores = {line["share"]: line["score"] for line in lines if line["kind"] == "interpolation"}
+    scores = {line["share"]: line["score"] for line in lines if line["kind"] == "between"}
     (end,) = [line["score"] for line in lines if line["kind"] == "validation"]
     share = min(scores, key=scores.__getitem__)
     assert second.best_score == scores[share] < end
