@@ -213,5 +213,6 @@ def _draw(path: Path, result: PredictorEvaluation) -> None:
     axes[2].axhline(10 * first.poisson_ratio.constant_mae, color="C1", ls=":", label="10 |error| of ν, constant")
     axes[2].set_xticks(places, [f"{d.low:.0e}" for d in first.decades])
     axes[2].set(xlabel="decade of E from [Pa]", title="mean error by stiffness")
-    axes[2].legend()
+    axes[2].set_ylim(top=1.4 * axes[2].get_ylim()[1])  # room for the names
+    axes[2].legend(loc="upper left")
     figure.savefig(path, dpi=130)
