@@ -122,9 +122,7 @@ class GapReport:
 
     def parameters(self) -> list[dict[str, Any]]:
         """Base parameters before and after the effects were added, with standard errors."""
-        from physconvex.gap.comparison import Hypothesis as _Hypothesis
-
-        before: _Hypothesis = next(h for h in self.hypotheses if not h.effects)
+        before = next(h for h in self.hypotheses if not h.effects)
         out = []
         for index, name in enumerate(before.model.base):
             out.append(
