@@ -194,7 +194,9 @@ def main() -> None:
         case, family = draw(options.seed, index, options.objects, solver)
         rows.append(measure(index, case, family, solver))
         print(json.dumps(asdict(rows[-1])), flush=True)
-        store(sorted(rows, key=lambda row: row.index), options.out, settings)
+        store(rows, options.out, settings)
+    if rows:
+        store(rows, options.out, settings)
 
 
 def known(path: Path, settings: dict[str, object]) -> list[Offset]:
@@ -207,6 +209,7 @@ def known(path: Path, settings: dict[str, object]) -> list[Offset]:
 
 def store(rows: list[Offset], path: Path, settings: dict[str, object]) -> None:
     """Rows and their summary with the command that made them."""
+    rows = sorted(rows, key=lambda row: row.index)
     e = np.array([r.offset_log10_youngs_modulus for r in rows])
     nu = np.array([r.offset_poisson_ratio for r in rows])
     summary = {
