@@ -19,6 +19,7 @@ from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
 from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
 from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Effect, Motion, choose
+from physconvex.gap.findings import Provenance
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
 from physconvex.gap.mapping import as_reduced
 from physconvex.gap.naming import favoured
@@ -26,7 +27,7 @@ from physconvex.gap.numerics import Numerics, correction_of, detail_errors, erro
 from physconvex.gap.observing import lost_points
 from physconvex.gap.options import GapOptions
 from physconvex.gap.own_elements import with_own_elements
-from physconvex.gap.report import GapReport, Provenance
+from physconvex.gap.report import GapReport
 from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screening, screen
 from physconvex.gap.second_take import second_take_shrinkage

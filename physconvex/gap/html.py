@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from physconvex.gap import pictures
+from physconvex.gap.findings import GapFindings
 from physconvex.gap.video_strip import video_strip
-
-if TYPE_CHECKING:
-    from physconvex.gap.report import GapReport
 
 __all__ = ["write_html"]
 
@@ -46,7 +43,7 @@ def _millimetres(value: float) -> str:
     return "–" if not np.isfinite(value) else f"{1e3 * value:.3g} mm"
 
 
-def _effects(report: GapReport) -> str:
+def _effects(report: GapFindings) -> str:
     rows = []
     for effect in report.verdict.effects:
         for i, dose in enumerate(effect.doses):
@@ -63,7 +60,7 @@ def _effects(report: GapReport) -> str:
     return _table(["effect", "probability", "dose", "value", "interval", "may be confused with"], rows)
 
 
-def _how_far(report: GapReport) -> str:
+def _how_far(report: GapFindings) -> str:
     rows = [
         [
             part.data,
@@ -78,7 +75,7 @@ def _how_far(report: GapReport) -> str:
     return _table(["data", "gap before", "after", "floor", "shrinkage", "placebo"], rows)
 
 
-def _modes(report: GapReport) -> str:
+def _modes(report: GapFindings) -> str:
     def text(pair: tuple[float, float]) -> str:
         return "–" if not np.isfinite(pair[0]) else f"{pair[0]:.3g} Hz, ζ = {pair[1]:.3f}"
 
@@ -97,7 +94,7 @@ def _modes(report: GapReport) -> str:
     return _table(["shape", "observed", "error", "base model", "with the best effects"], rows)
 
 
-def _ledger(report: GapReport) -> str:
+def _ledger(report: GapFindings) -> str:
     rows = [
         [
             f"{e.phase}, frames {e.frames[0]} to {e.frames[1]}",
@@ -113,7 +110,7 @@ def _ledger(report: GapReport) -> str:
     return _table(["phase", "impulse x, y, z [N s]", "±", "angular impulse [N m s]", "work [J]"], rows)
 
 
-def _parameters(report: GapReport) -> str:
+def _parameters(report: GapFindings) -> str:
     rows = [
         [
             row["name"],
@@ -125,7 +122,7 @@ def _parameters(report: GapReport) -> str:
     return _table(["parameter", "before", "after"], rows)
 
 
-def _screening(report: GapReport) -> str:
+def _screening(report: GapFindings) -> str:
     rows = []
     for entry in report.screening.ranked:
         rows.append([
@@ -140,7 +137,7 @@ def _screening(report: GapReport) -> str:
     return "<details><summary>All scores</summary>" + _table(head, rows) + "</details>"
 
 
-def _provenance(report: GapReport) -> str:
+def _provenance(report: GapFindings) -> str:
     p = report.provenance
     failed = ", ".join(p.simulations_failed) or "none"
     rows = [
@@ -159,7 +156,7 @@ def _provenance(report: GapReport) -> str:
     return _table(["", ""], rows)
 
 
-def _video(report: GapReport) -> list[str]:
+def _video(report: GapFindings) -> list[str]:
     """The section with the video, where there is one."""
     figure = video_strip(report)
     if figure is None:
@@ -171,7 +168,7 @@ def _video(report: GapReport) -> list[str]:
     return [_section("Where: video", note, f'<img alt="video and models" src="{pictures.png_of(figure)}">')]
 
 
-def write_html(report: GapReport, path: Path) -> None:
+def write_html(report: GapFindings, path: Path) -> None:
     """Write the page; it needs no other file and no network."""
     verdict = report.verdict
     caveats = "".join(f"<li>{escape(c)}</li>" for c in verdict.caveats)

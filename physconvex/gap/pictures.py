@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
@@ -15,10 +14,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
+from physconvex.gap.findings import GapFindings
 from physconvex.gap.where import Where
-
-if TYPE_CHECKING:
-    from physconvex.gap.report import GapReport
 
 __all__ = [
     "body_map", "budget", "confusion", "forest", "parameter_arrows", "png_of", "shrinkage_bars", "svg_of", "timeline",
@@ -90,7 +87,7 @@ def budget(where: Where) -> Figure:
     return figure
 
 
-def timeline(report: GapReport) -> Figure:
+def timeline(report: GapFindings) -> Figure:
     """Gap per frame, before and after, with phases and the frames' use."""
     where = report.where
     factor, unit = _length_unit(where.per_frame)
@@ -164,7 +161,7 @@ def write_body(where: Where, path: Path) -> None:
     mesh.export(path)
 
 
-def forest(report: GapReport) -> Figure:
+def forest(report: GapFindings) -> Figure:
     """Screened doses of all effects in standard errors of nothing: estimate and interval, in smallest doses."""
     rows = []
     named = {e.label for e in report.best.effects}
@@ -188,7 +185,7 @@ def forest(report: GapReport) -> Figure:
     return figure
 
 
-def confusion(report: GapReport, *, most: int = 14) -> Figure:
+def confusion(report: GapFindings, *, most: int = 14) -> Figure:
     """Cosines between the signatures of the effects in this capture: 1 = cannot be told apart here."""
     entries = report.screening.one_per_name[:most]
     matrix = np.array([[report.screening.similarity(a, b) for b in entries] for a in entries])
@@ -206,7 +203,7 @@ def confusion(report: GapReport, *, most: int = 14) -> Figure:
     return figure
 
 
-def shrinkage_bars(report: GapReport) -> Figure:
+def shrinkage_bars(report: GapFindings) -> Figure:
     """Shrinkage with interval, and the placebo's, by held-out data."""
     figure = Figure(figsize=(7, 2.4), layout="constrained")
     axes = figure.subplots()
@@ -228,7 +225,7 @@ def shrinkage_bars(report: GapReport) -> Figure:
     return figure
 
 
-def parameter_arrows(report: GapReport) -> Figure:
+def parameter_arrows(report: GapFindings) -> Figure:
     """E and ν before and after."""
     rows = [r for r in report.parameters() if r["name"] in ("log10_youngs_modulus", "poisson_ratio")]
     figure = Figure(figsize=(7, 1.8), layout="constrained")

@@ -7,7 +7,6 @@ show the surface, the picture is left empty.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -15,12 +14,10 @@ from matplotlib.figure import Figure
 
 from physconvex.errors import ConvergenceError
 from physconvex.gap.comparison import Hypothesis
+from physconvex.gap.findings import GapFindings
 from physconvex.identify import PixelObservations
 from physconvex.identify.raster import cast_camera_rays
 from physconvex.identify.video_tracks import appearance_map
-
-if TYPE_CHECKING:
-    from physconvex.gap.report import GapReport
 
 __all__ = ["video_strip"]
 
@@ -29,7 +26,7 @@ _EMPTY = 235  # grey of pixels that a model's picture leaves open
 _MARGIN = 12  # pixels around the body
 
 
-def video_strip(report: GapReport) -> Figure | None:
+def video_strip(report: GapFindings) -> Figure | None:
     """Some frames of the video in columns; None where markers were compared, or a model cannot be run again."""
     seen, base = report.base.observations, report.base
     if not isinstance(seen, PixelObservations):
@@ -62,7 +59,9 @@ def _moved(hypothesis: Hypothesis, vertices: Float[np.ndarray, "V 3"]) -> Float[
     return model.positions(hypothesis.values)
 
 
-def _picture(report: GapReport, origin: np.ndarray, moved: np.ndarray, frame: int, triangles: np.ndarray) -> np.ndarray:
+def _picture(
+    report: GapFindings, origin: np.ndarray, moved: np.ndarray, frame: int, triangles: np.ndarray
+) -> np.ndarray:
     """The first image as the model moves it, [H, W, 4]; the last channel is where it is known."""
     import cv2
 
@@ -82,7 +81,7 @@ def _difference(observed: np.ndarray, picture: np.ndarray) -> np.ndarray:
     return np.where(known, signed, np.nan)
 
 
-def _window(report: GapReport, moved: list[np.ndarray], frames: np.ndarray) -> tuple[slice, slice]:
+def _window(report: GapFindings, moved: list[np.ndarray], frames: np.ndarray) -> tuple[slice, slice]:
     """Rows and columns of the picture in which the body is ever seen."""
     seen = report.base.observations
     assert isinstance(seen, PixelObservations)
