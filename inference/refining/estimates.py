@@ -43,6 +43,8 @@ def estimates_of(
     told: Identifiability,
     frames: Int[np.ndarray, " N"],
     sources: Sequence[slice],
+    *,
+    followed: bool = True,
 ) -> tuple[Estimate, ...]:
     """Each parameter with its deviations.
 
@@ -52,6 +54,7 @@ def estimates_of(
         told: which parameters are at a bound.
         frames: frame of each residual.
         sources: the residuals of each source: one that is not followed is not hidden by many of another.
+        followed: whether the model follows the recording; if not, no interval around it says where the truth is.
     """
     worst = max(float(np.mean(found.residuals[where] ** 2)) for where in sources)
     inflation = max(found.reduced_chi_square, worst, 1.0)
@@ -62,7 +65,7 @@ def estimates_of(
         bound = parameter.name in told.at_bounds
         total = float(np.hypot(sigmas[i], np.nan_to_num(left[i])))
         value = float(found.values[i])
-        interval = None if bound else interval_of(value, total, parameter.lower, parameter.upper)
+        interval = None if bound or not followed else interval_of(value, total, parameter.lower, parameter.upper)
         prior = None
         if np.isfinite(parameter.prior_sigma):
             prior = (parameter.prior_mean, parameter.prior_sigma)

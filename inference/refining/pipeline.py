@@ -56,7 +56,7 @@ from physconvex.workers import Workers
 __all__ = ["refine"]
 
 _STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses the body; least and most per second
-_NOT_FOLLOWED = 5.0  # standard deviations rms of one source, from which the user is warned
+_NOT_FOLLOWED = 5.0  # standard deviations rms of one source, from which no interval says anything
 _LEFT = 0.5  # of the difference between few and more nodes: what more nodes still err by
 Arrays = dict[str, np.ndarray]
 Start = tuple[Parameter, ...]
@@ -292,13 +292,16 @@ class _Run:
         told = identifiability(final)
         seen, drift = problem.observed.observations, drift_of(problem, final)
         rms = problem.observed.rms(seen.residuals(_drifted(problem, final)))
-        self.warnings += [*_not_followed(rms), *(() if drift is None else drift.sentences())]
+        astray = _not_followed(rms)
+        self.warnings += [*astray, *(() if drift is None else drift.sentences())]
         held = [n for n in dict.fromkeys(["log10_youngs_modulus", "poisson_ratio", *self.options.fixed])]
         held = [n for n in held if n not in problem.names]
         values = parameter_values(problem.twin.scene, held) if held else np.zeros(0)
         return Refinement(
             path=str(self.capture.folder),
-            estimates=estimates_of(final, judged.left, told, problem.seen.frames, seen.residual_slices),
+            estimates=estimates_of(
+                final, judged.left, told, problem.seen.frames, seen.residual_slices, followed=not astray
+            ),
             fixed=dict(zip(held, map(float, values), strict=True)),
             covariance=noise_covariance(final),
             reduced_chi_square=final.reduced_chi_square,
@@ -324,7 +327,7 @@ class _Run:
 def _not_followed(rms: dict[str, float]) -> list[str]:
     return [
         f"The model does not follow {source}: {value:.0f} standard deviations rms. Its mesh, the floor, the camera or "
-        "the law may be wrong; look at side_by_side.mp4, and do not trust the intervals."
+        "the law may be wrong; look at side_by_side.mp4. No interval is given."
         for source, value in rms.items()
         if value > _NOT_FOLLOWED
     ]

@@ -51,7 +51,8 @@ class Estimate:
         noise_sigma: standard deviation from the noise of the data; enlarged by the root of the reduced χ² where the
             residual is larger than the stated noise, and at least what residuals say that err together frame by frame.
         model_error: standard deviation by the model error that is left; NaN where no finer model was tried.
-        interval: 90 %, of noise and model error together; None at a bound.
+        interval: 90 %, of noise and model error together; None at a bound, and where the model does not follow the
+            recording.
         lower, upper: bounds.
         prior: mean and standard deviation, or None.
     """

@@ -83,6 +83,21 @@ def test_the_future_is_predicted_to_the_noise(alone):
     assert (told["frames"], told["observed_frames"]) == (FRAMES, OBSERVED)
 
 
+def test_no_interval_where_the_model_does_not_follow(folder, tmp_path):
+    copy = tmp_path / "breathing"
+    shutil.copytree(folder, copy)
+    seen = load_capture(folder).tracks()
+    middle = seen.positions.mean(axis=1, keepdims=True)
+    swell = 1 + 0.15 * np.sin(2.0 * np.arange(FRAMES))[:, None, None]  # no elastic law does that
+    positions = middle + swell * (seen.positions - middle)
+    np.savez(copy / "tracks.npz", **(dict(np.load(folder / "tracks.npz")) | {"positions": positions}))
+    result = run(copy, "--out", tmp_path / "out", "--no-correction", "--no-model-error", "--json", *SMALL)
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.stdout)
+    assert any("does not follow" in sentence and "No interval" in sentence for sentence in told["warnings"])
+    assert all(parameter["interval_90"] is None for parameter in told["parameters"].values())
+
+
 def test_the_files_hold_what_they_say(alone, folder):
     told, out = alone
     assert json.loads((out / "refinement.json").read_text()) == told
