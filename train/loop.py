@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -132,8 +133,9 @@ class _Run:
         encoder = config.network.encoder
         loaded = None if config.pretrained is None else load_pretrained_encoder(config.pretrained, encoder)
         network = PhysicsNetwork(config.network, encoder=loaded)
-        if config.checkpoint is not None:
-            network.load_state_dict(_starting_point(config).state_dict())
+        self.start = None if config.checkpoint is None else _starting_point(config).state_dict()
+        if self.start is not None:
+            network.load_state_dict(self.start)
         self.average = ModelEmaV3(network, decay=config.ema_decay, use_warmup=True)
         self.average.to(self.accelerator.device)
         optimizer = create_optimizer_v2(
@@ -273,7 +275,7 @@ class _Run:
             if best is None or score < best:
                 best = score
                 self._export(self.average.module, found)
-            if self.config.checkpoint is not None:
+            if self.start is not None:
                 best = self._between(progress, best, log)
         return replace(progress, best_score=best)
 
@@ -283,12 +285,11 @@ class _Run:
         Further training on fewer clips gains on these and forgets of the earlier ones; in between there is often more
         of both (Wortsman et al. 2022, Robust fine-tuning of zero-shot models, eq. 2).
         """
-        between, _ = load_checkpoint(str(self.config.checkpoint))
-        start, end = between.state_dict(), self.average.module.state_dict()
-        start = {name: value.to(end[name], copy=True) for name, value in start.items()}
-        between.to(self.accelerator.device)
+        assert self.start is not None
+        between, end = deepcopy(self.average.module), self.average.module.state_dict()
         for share in _SHARES:
-            between.load_state_dict({name: value.lerp(end[name], share) for name, value in start.items()})
+            weights = {name: value.to(end[name]).lerp(end[name], share) for name, value in self.start.items()}
+            between.load_state_dict(weights)
             found = validate(between, self.validation_clips)
             score = found.score()
             log.write("between", progress.step, share=share, score=score)
