@@ -136,11 +136,12 @@ def states(field: ConvexField, motion: Motion, tolerance: float) -> Iterator[tup
     yield "split, merged again", divided, lost
 
 
-def off_affine(field: ConvexField, motion: Motion) -> float:
-    """99 % of the distances from the best affine map [pixels]."""
+def off_affine(field: ConvexField, motion: Motion) -> tuple[float, float]:
+    """99 % of the distances from the best affine map, as a share of the size and in pixels."""
     points = motion.deform(field.points.reshape(-1, 3))[0].reshape(field.points.shape)
     sizes = torch.cdist(points, points).flatten(1).amax(dim=1)
-    return float((non_affinity(field, motion.deform) * sizes / motion.pixel).quantile(0.99))
+    shares = non_affinity(field, motion.deform)
+    return float(shares.quantile(0.99)), float((shares * sizes / motion.pixel).quantile(0.99))
 
 
 def measure(name: str, work: Path, options: argparse.Namespace) -> list[Row]:
@@ -174,8 +175,7 @@ def measure(name: str, work: Path, options: argparse.Namespace) -> list[Row]:
                 name,
                 state,
                 len(some),
-                float(non_affinity(some, motion.deform).quantile(0.99)),
-                off_affine(some, motion),
+                *off_affine(some, motion),
                 float(lost / (volume * within.mean())),
                 float(occupancy.mean()),
                 float(np.abs(occupancy - occupied).mean()),

@@ -45,8 +45,7 @@ def composite_tangents_cuda(
     Raises:
         KernelUnavailable: as for `composite_cuda`.
     """
-    inputs = coordinates, *splats.differentiable()
-    return _tangents(_laid_out(splats.starts, inputs), directions)
+    return _Scene(splats.starts, (coordinates, *splats.differentiable())).tangents(directions)
 
 
 def planar_hulls_cuda(points: Float[Tensor, "N C 2"]) -> Hulls:
@@ -92,39 +91,40 @@ def _launch(name: str, grid: tuple[int, int], arguments: Sequence[Tensor | int])
         _kernel(name, device.index or 0)(grid=(*grid, 1), block=(BLOCK, 1, 1), args=list(arguments))
 
 
-def _laid_out(starts: Tensor, inputs: Sequence[Tensor]) -> list[Tensor | int]:
-    """A scene as the functions take it."""
-    given = [tensor.detach().float().contiguous() for tensor in inputs]
-    height, width = inputs[0].shape[:2]
-    return [width, height, len(starts) - 1, given[0], starts.int().contiguous(), *given[1:]]
+class _Scene:
+    """What the functions draw, laid out for them.
 
+    Attributes:
+        inputs: coordinates, lines, sharpness, opacity, features.
+        size: height, width [pixels].
+        tiles: blocks along the width and the height.
+        arguments: the first of every function of `kernel.cu`.
+    """
 
-def _tiles(scene: Sequence[Tensor | int]) -> tuple[int, int]:
-    """Blocks along the width and the height."""
-    width, height = scene[:2]
-    assert isinstance(width, int) and isinstance(height, int)
-    return -(-width // SIDE), -(-height // SIDE)
+    def __init__(self, starts: Tensor, inputs: Sequence[Tensor]) -> None:
+        self.inputs = [tensor.detach().float().contiguous() for tensor in inputs]
+        coordinates, *polygons = self.inputs
+        height, width = coordinates.shape[:2]
+        self.size = (height, width)
+        self.tiles = -(-width // SIDE), -(-height // SIDE)
+        self.arguments: list[Tensor | int] = [
+            width,
+            height,
+            len(starts) - 1,
+            coordinates,
+            starts.int().contiguous(),
+            *polygons,
+        ]
 
-
-def _differentiable(scene: Sequence[Tensor | int]) -> list[Tensor]:
-    """Coordinates, lines, sharpness, opacity, features of a scene."""
-    return [value for place, value in enumerate(scene) if isinstance(value, Tensor) and place != 4]
-
-
-def _tangents(scene: list[Tensor | int], directions: Directions) -> tuple[Tensor, Tensor]:
-    """Derivatives of features and transmittance in directions."""
-    inputs = _differentiable(scene)
-    count, (height, width) = len(directions), inputs[0].shape[:2]
-    given = [
-        tensor.new_zeros((count, *tensor.shape)) if some is None else some
-        for tensor, some in zip(inputs, stacked(directions, inputs), strict=True)
-    ]
-    out = inputs[0].new_empty((count, height, width, FEATURES)), inputs[0].new_empty((count, height, width))
-    for first in range(0, count, DIRECTIONS):
-        some = slice(first, first + DIRECTIONS)
-        parts = [tensor[some] for tensor in (*given, *out)]
-        _launch("tangent", _tiles(scene), [*scene, len(parts[0]), len(inputs[1]), *parts])
-    return out
+    def tangents(self, directions: Directions) -> tuple[Tensor, Tensor]:
+        """Derivatives of features and transmittance."""
+        new, count, lines = self.inputs[0].new_empty, len(directions), len(self.inputs[1])
+        out = new((count, *self.size, FEATURES)), new((count, *self.size))
+        given = stacked(directions, self.inputs)
+        for first in range(0, count, DIRECTIONS):
+            parts = [tensor[first : first + DIRECTIONS] for tensor in (*given, *out)]
+            _launch("tangent", self.tiles, [*self.arguments, len(parts[0]), lines, *parts])
+        return out
 
 
 class _Composite(torch.autograd.Function):
@@ -132,11 +132,10 @@ class _Composite(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, starts: Tensor, *inputs: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        ctx.scene, ctx.kinds = _laid_out(starts, inputs), [tensor.dtype for tensor in inputs]
-        height, width = inputs[0].shape[:2]
-        new = _differentiable(ctx.scene)[0].new_empty
-        out = new((height, width, FEATURES)), new((height, width)), new((height, width), dtype=torch.int32)
-        _launch("blend", _tiles(ctx.scene), [*ctx.scene, *out])
+        ctx.scene, ctx.kinds = _Scene(starts, inputs), [tensor.dtype for tensor in inputs]
+        new, size = ctx.scene.inputs[0].new_empty, ctx.scene.size
+        out = new((*size, FEATURES)), new(size), new(size, dtype=torch.int32)
+        _launch("blend", ctx.scene.tiles, [*ctx.scene.arguments, *out])
         ctx.save_for_backward(*out[:2])
         ctx.mark_non_differentiable(out[2])
         return out[0].to(inputs[0]), out[1].to(inputs[0]), out[2]
@@ -144,12 +143,12 @@ class _Composite(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        found = [torch.zeros_like(tensor) for tensor in _differentiable(ctx.scene)]
+        found = [torch.zeros_like(tensor) for tensor in ctx.scene.inputs]
         upward = [tensor.float().contiguous() for tensor in gradients[:2]]
-        _launch("gradient", _tiles(ctx.scene), [*ctx.scene, *ctx.saved_tensors, *upward, *found])
+        _launch("gradient", ctx.scene.tiles, [*ctx.scene.arguments, *ctx.saved_tensors, *upward, *found])
         return None, *(tensor.to(kind) for tensor, kind in zip(found, ctx.kinds, strict=True))
 
     @staticmethod
     def jvp(ctx: Any, _: Any, *tangents: Tensor | None) -> tuple[Tensor, Tensor, None]:
-        features, transmittance = _tangents(ctx.scene, [tangents])
+        features, transmittance = ctx.scene.tangents([tangents])
         return features[0].to(ctx.kinds[0]), transmittance[0].to(ctx.kinds[0]), None

@@ -25,13 +25,13 @@ def load_forward_mode() -> None:
             forward_ad.make_dual(torch.zeros(1), torch.zeros(1))
 
 
-def stacked(directions: Directions, inputs: Sequence[Tensor]) -> list[Tensor | None]:
-    """For each input its derivatives in all directions, as it is laid out; None if all are zero."""
-    found: list[Tensor | None] = []
+def stacked(directions: Directions, inputs: Sequence[Tensor]) -> list[Tensor]:
+    """For each input its derivatives in all directions, as it is laid out."""
+    found = []
     for tensor, parts in zip(inputs, zip(*directions, strict=True), strict=True):
-        if all(part is None for part in parts):
-            found.append(None)
-            continue
-        filled = [torch.zeros_like(tensor) if part is None else part.detach().to(tensor) for part in parts]
-        found.append(torch.stack(filled).contiguous())
+        out = tensor.new_zeros((len(parts), *tensor.shape))
+        for row, part in zip(out, parts, strict=True):
+            if part is not None:
+                row.copy_(part.detach())
+        found.append(out)
     return found

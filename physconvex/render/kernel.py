@@ -93,14 +93,12 @@ class _Blending:
 
     def tangents(self, directions: Directions) -> tuple[Tensor, Tensor]:
         """Derivatives of features and transmittance."""
-        coordinates, *polygons = stacked(directions, self.inputs)
-        filled = [
-            tensor.new_zeros((len(directions), *tensor.shape)) if some is None else some
-            for tensor, some in zip(self.inputs[1:], polygons, strict=True)
-        ]
+        still = all(direction[0] is None for direction in directions)  # the kernel then leaves out what rays do
+        coordinates = None if still else stacked([direction[:1] for direction in directions], self.inputs[:1])[0]
+        polygons = stacked([direction[1:] for direction in directions], self.inputs[1:])
         new = self.inputs[0].new_empty
         out = new((len(directions), *self.size, FEATURES)), new((len(directions), *self.size))
-        self._call("pc_tangent", len(directions), coordinates, *filled, *out)
+        self._call("pc_tangent", len(directions), coordinates, *polygons, *out)
         return out
 
     def _call(self, name: str, *arguments: Tensor | int | None) -> None:
