@@ -2,7 +2,7 @@
 
 Nothing but the blending, so that the figure compares with any other implementation of it: random regular octagons of
 radius 5 to 20 % of the image, edges two pixels soft. The limit that the kernel is held against is a bare C++ loop
-(`raster_limit_kernel/kernel.cpp`) over rows of 16 pixels with a polynomial exponential and exact culling, which does
+(`raster_limit_kernel/kernel.cpp`) over rows of 16 pixels with the same arithmetic and exact culling, which does
 nothing but blend. Beside it the plain torch definition, which culls too. The three take turns, so that they see the
 same machine; each figure is the least of several runs; wall-clock and processor time [ms]. One thread.
 
@@ -25,7 +25,7 @@ from raster_speed import SIZE, least
 from physconvex.native import POINTER, loaded
 from physconvex.render import Splats
 from physconvex.render.kernel import composite_kernel
-from physconvex.render.native import RENDER_FLAGS
+from physconvex.render.native import RENDER_FLAGS, SOURCES
 from physconvex.render.reference import composite_reference
 
 RESULT = Path(__file__).parent / "results" / "raster_limit.json"
@@ -63,7 +63,7 @@ def octagons(count: int = 64, *, seed: int = 0) -> tuple[Splats, torch.Tensor]:
 def bare_loop(splats: Splats, pixels: torch.Tensor) -> torch.Tensor:
     """Colours by the bare loop, shape [H, W, 3]; every polygon must have as many sides."""
     count: type = ctypes.c_int
-    library = loaded(LOOP, (("blend_loop", None, [count] * 4 + [POINTER] * 6),), flags=RENDER_FLAGS)
+    library = loaded(LOOP, (("blend_loop", None, [count] * 4 + [POINTER] * 6),), include=[SOURCES], flags=RENDER_FLAGS)
     image = torch.empty((*pixels.shape[:2], 3))
     arrays = [tensor.contiguous() for tensor in (pixels, *splats.differentiable())]
     sizes = pixels.shape[1], pixels.shape[0], len(splats), len(splats.lines) // len(splats)

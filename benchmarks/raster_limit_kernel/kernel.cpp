@@ -1,40 +1,7 @@
 // The limit that the rasteriser is held against: nothing but the blending of soft-edged polygons, front to back, written
-// straight down. Rows of 16 pixels, a polynomial exponential (its argument clamped, no other special case), exact culling
-// per row and polygon; no tiles, no heaviest polygon, no depth, no termination, nothing kept for a backward pass.
-#include <algorithm>
-#include <cmath>
-#include <cstdint>
-#include <cstring>
-
-namespace {
-
-constexpr int LANES = 16;
-
-inline float exponential(float x) {
-    x = std::min(std::max(x, -87.0f), 88.0f);
-    const float shifted = x * 1.44269504f + 12582912.0f, n = shifted - 12582912.0f;
-    const float r = (x - n * 0.693359375f) + n * 2.12194440e-4f;
-    const float y = 1.0f + r * (1.0f + r * (0.5f + r * (1.0f / 6 + r * (1.0f / 24 + r * (1.0f / 120)))));
-    int32_t bits;
-    std::memcpy(&bits, &shifted, 4);
-    bits = (bits << 23) + 0x3f800000;
-    float scale;
-    std::memcpy(&scale, &bits, 4);
-    return y * scale;
-}
-
-inline float logarithm(float x) {
-    int32_t bits;
-    std::memcpy(&bits, &x, 4);
-    bits -= 0x3f3504f3;
-    const int32_t mantissa = (bits & 0x7fffff) + 0x3f3504f3;
-    float m;
-    std::memcpy(&m, &mantissa, 4);
-    const float z = (m - 1.0f) / (m + 1.0f), q = z * z;
-    return static_cast<float>(bits >> 23) * 0.693147181f + 2.0f * z * (1.0f + q * (1.0f / 3 + q * (1.0f / 5 + q / 7)));
-}
-
-}  // namespace
+// straight down. Rows of 16 pixels, the kernel's exponential and logarithm, exact culling per row and polygon; no tiles,
+// no heaviest polygon, no depth, no termination, nothing kept for a backward pass.
+#include "arithmetic.h"
 
 // One thread. coordinates [height, width, 2] of a plane grid, lines [polygons, sides, 3], features [polygons, 4] of which
 // red, green and blue are blended into image [height, width, 3].
