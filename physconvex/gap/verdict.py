@@ -100,7 +100,7 @@ def decide(
         base, best, tuple(hypotheses), screening, probability, before, after, 1.0 - remaining, options, floor, placebo,
         above_error, astray,
     )  # fmt: skip
-    rules = (_nothing, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo)
+    rules = (_nothing, _slight, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo)
     for rule in rules:
         verdict = rule(evidence)
         if verdict is not None:
@@ -142,6 +142,11 @@ class _Evidence:
         asked = float(np.interp(self.gain, (WEAK, _CLEAR), (_FORETOLD, self.options.explained)))
         kept = self.share >= asked and self.placebo < 1.0 - _FORETOLD
         return self.gain >= _CLEAR or (self.gain >= WEAK and kept)
+
+    @property
+    def open(self) -> bool:
+        """Whether a gap is there, of the base model and on held-out frames with the best effects too."""
+        return min(self.before, self.after) >= _OPEN
 
     @property
     def none(self) -> float:
@@ -193,7 +198,8 @@ def _nothing(e: _Evidence) -> Verdict | None:
     significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
     closed = e.before < _FLOOR or (e.base.fitted < _FLOOR and e.gain < _SURE)
     little = e.gain < WEAK and e.before < _OPEN
-    if not (little or not significant or closed or _is_slight(e.best)):
+    slight = _is_slight(e.best) and not e.open
+    if not (little or not significant or closed or slight):
         return None
     if e.floor > _BLIND:
         return _blind(e)
@@ -204,6 +210,19 @@ def _nothing(e: _Evidence) -> Verdict | None:
         reason = "is smaller than is of interest"
     sentence = f"No gap above noise and numerical error: what {e.best.label} would add {reason}."
     return e.verdict("none", sentence, power=True)
+
+
+def _slight(e: _Evidence) -> Verdict | None:
+    """A dose too small to be of interest fits best, and leaves the gap."""
+    if not _is_slight(e.best):
+        return None
+    if e.floor > _BLIND:
+        return _blind(e)
+    sentence = (
+        f"Inconclusive: there is a gap above noise and numerical error, but what fits it best, {e.best.label}, is "
+        "smaller than is of interest and leaves it."
+    )
+    return e.verdict("inconclusive", sentence, power=True)
 
 
 def _blind(e: _Evidence) -> Verdict:

@@ -245,6 +245,16 @@ def test_a_clear_gap_that_no_effect_explains_better_is_not_none():
     assert decide(found, screening(), 2.0, 1.0, 0.05, OPTIONS).name == "none"
 
 
+@pytest.mark.parametrize(
+    ("after", "floor", "name"), [(25.0, 0.0, "inconclusive"), (1.0, 0.0, "none"), (25.0, 0.3, "inconclusive")]
+)
+def test_a_slight_dose_that_leaves_a_clear_gap_is_not_none(after, floor, name):
+    hypotheses = [hypothesis(20.0, "damping", dose=1e-9), hypothesis(0.0)]
+    verdict = decide(hypotheses, screening(), 30.0, after, 0.9, OPTIONS, floor=floor)
+    assert verdict.name == name and not verdict.effects
+    assert ("leaves it" in verdict.sentence) == (name == "inconclusive" and not floor)
+
+
 def test_what_was_taken_from_the_recording_is_told():
     plain = hypothesis(0.0)
     assert not any("floor" in c or "elements" in c for c in caveats_of(plain, plain, 1.0))
