@@ -9,6 +9,7 @@ import json
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +96,9 @@ def evaluate_paper(
     if held.exists() and json.loads(held.read_text(encoding="utf-8")) != settings:
         raise InputError(f"{out}: holds an evaluation with other options; choose another folder")
     held.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
-    return [_Object(benchmark, out, name, options, on_part).evaluate() for name in names]
+    for ablation in (False, True):  # what the tables are about first, of all objects
+        found = [_Object(benchmark, out, name, options, on_part).evaluate(ablation) for name in names]
+    return found
 
 
 class _Object:
@@ -118,7 +121,12 @@ class _Object:
         self.refinements: dict[str, Refinement] = {}
         self.content: dict[str, Any] = json.loads(self.file.read_text("utf-8")) if self.file.exists() else {}
 
-    def evaluate(self) -> dict[str, Any]:
+    def evaluate(self, ablation: bool) -> dict[str, Any]:
+        for part, compute in self._ablation() if ablation else self._main():
+            self._part(part, compute)
+        return self.content
+
+    def _main(self) -> list[tuple[str, Callable[[], dict[str, Any]]]]:
         self.content |= {"object": self.name, "truth": {name: self._true(name) for name in NAMES}}
         parts: list[tuple[str, Callable[[], dict[str, Any]]]] = [
             ("constant", lambda: self._errors(np.array(CONSTANT))),
@@ -129,11 +137,12 @@ class _Object:
         ]
         if self.options.adam_steps:
             parts.append(("published_way", self._published_way))
-        parts += [(f"reduced_M{m}", lambda m=m: self._reduced(m)) for m in self.options.ablation]  # type: ignore[misc]
-        parts += [(f"points_K{k}", lambda k=k: self._points(k)) for k in self.options.ablation_points]  # type: ignore[misc]
-        for part, compute in parts:
-            self._part(part, compute)
-        return self.content
+        return parts
+
+    def _ablation(self) -> list[tuple[str, Callable[[], dict[str, Any]]]]:
+        options = self.options
+        over_weights = [(f"reduced_M{m}", partial(self._reduced, m)) for m in options.ablation]
+        return over_weights + [(f"points_K{k}", partial(self._points, k)) for k in options.ablation_points]
 
     def _part(self, part: str, compute: Callable[[], dict[str, Any]]) -> None:
         if part in self.content:
@@ -148,9 +157,9 @@ class _Object:
         found["process_seconds"] = round(time.process_time() - clock, 1)
         found["seconds"] = round(time.perf_counter() - wall, 1)
         self.content[part] = found
-        partial = self.file.with_suffix(".part")
-        partial.write_text(json.dumps(self.content, indent=1) + "\n", encoding="utf-8")
-        partial.replace(self.file)
+        unfinished = self.file.with_suffix(".part")
+        unfinished.write_text(json.dumps(self.content, indent=1) + "\n", encoding="utf-8")
+        unfinished.replace(self.file)
 
     def _true(self, name: str) -> float:
         return float(np.log10(self.true["youngs_modulus"])) if name == NAMES[0] else float(self.true[name])
