@@ -42,7 +42,7 @@ from physconvex.convex import BoundField, ConvexField, bind_to_tets, non_affinit
 from physconvex.fem import ElasticBody, Embedding, Scene, TetMesh, simulate
 from physconvex.fem.embedding import locate
 from physconvex.fem.implicit_meshing import tetrahedralize_implicit
-from physconvex.fem.meshing import surface_distance
+from physconvex.fem.surface_distance import surface_distance
 from physconvex.reconstruction import ReconstructionConfig, load_reconstruction_config, psnr, structural_similarity
 from physconvex.reconstruction.triangles import welded
 from physconvex.render import View, render

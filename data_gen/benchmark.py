@@ -1,4 +1,4 @@
-"""The benchmark of `physconvex evaluate paper`: textured objects dropped by the FEM, filmed, truth apart from captures.
+"""The benchmark of `physconvex evaluate paper`: textured objects moved by the FEM, filmed, truth apart from captures.
 
     OUT/benchmark.json                    options, objects
     OUT/captures/NAME/                    a capture with the front camera alone, mesh.obj
@@ -13,16 +13,26 @@ An object is left out of a run that finds its truth.json: stop and start again a
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
 import trimesh
-from scipy.spatial.transform import Rotation
 
+from data_gen.benchmark_scenes import (
+    DENSITY,
+    FRICTION,
+    MOTIONS,
+    Motion,
+    MotionName,
+    motion_of,
+    placed,
+    rolled,
+    scene_of,
+)
 from data_gen.objects.library import ObjectMesh
 from data_gen.objects.user_meshes import load_user_mesh, objects_from_folder
 from data_gen.still_captures import FLAT, StillViews, rendered_frames, still_cameras, write_still_capture
@@ -31,15 +41,16 @@ from physconvex import __version__
 from physconvex.camera import Camera
 from physconvex.capture import Capture, Floor, save_capture
 from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, Embedding, Plane, Scene, SurfacePoints, TetMesh, simulate
+from physconvex.fem import Embedding, Scene, TetMesh
+from physconvex.fem.mesh_volume import enclosed_volume
 from physconvex.fem.meshing import tetrahedralize
-from physconvex.identify.changes import CHANGES, changed
+from physconvex.fem.surface_distance import overlap
+from physconvex.identify.changes import changed, changes_of
 from physconvex.reconstruction import psnr, structural_similarity
 from physconvex.video import write_video
 
 __all__ = ["BenchmarkOptions", "drop_object", "generate_benchmark"]
 
-DENSITY, FRICTION, HEIGHT = 1000.0, 0.4, 0.25  # kg/m³; coefficient; of the drop, in sizes
 POINTS = 300
 BENCHMARK = "benchmark.json"
 
@@ -60,7 +71,7 @@ class BenchmarkOptions:
         seed: of everything random.
         log10_modulus, poisson_ratio, damping_time: ranges [log10 Pa], [-], [s, log-uniform].
         object_size: largest edge [m].
-        motion: "drop": let fall on a rough floor; "held": one end clamped, released, no floor.
+        motion: "drop": let fall on a rough floor; "toss": thrown up spinning, without a floor.
     """
 
     count: int = 12
@@ -78,19 +89,26 @@ class BenchmarkOptions:
     poisson_ratio: tuple[float, float] = (0.2, 0.49)
     damping_time: tuple[float, float] = (5e-4, 2e-3)
     object_size: float = 1.0
-    motion: Literal["drop", "held"] = "drop"
+    motion: MotionName = "drop"
 
     def __post_init__(self) -> None:
         least = {"count": 1, "size": 64, "views": 2, "observed_frames": 2, "nodes": 50, "steps_per_frame": 1}
         for name, bound in least.items():
             if getattr(self, name) < bound:
                 raise InputError(f"{name}: got {getattr(self, name)}; expected at least {bound}")
+        if self.motion not in MOTIONS:
+            raise InputError(f"motion: got {self.motion!r}; expected one of {', '.join(MOTIONS)}")
         if self.observed_frames > self.frames:
             raise InputError(f"observed_frames: got {self.observed_frames}; expected at most frames = {self.frames}")
 
 
 def generate_benchmark(
-    objects: Path, out: Path, options: BenchmarkOptions | None = None, *, on_object: Callable[[str], None] | None = None
+    objects: Path,
+    out: Path,
+    options: BenchmarkOptions | None = None,
+    *,
+    only: Sequence[str] | None = None,
+    on_object: Callable[[str], None] | None = None,
 ) -> list[str]:
     """Make (or finish) the benchmark.
 
@@ -98,13 +116,14 @@ def generate_benchmark(
         objects: folder of folders, each with a textured mesh.
         out: the benchmark's folder.
         options: sizes.
+        only: those of its objects that are to be made now, the same as they would be among all; None: all.
         on_object: told the name of each object when it is there.
 
     Returns:
         The objects' names.
 
     Raises:
-        InputError: too few objects, one without colours, or `out` holds a benchmark of other options.
+        InputError: too few objects, an unknown one, one without colours, or `out` holds a benchmark of other options.
     """
     options = options or BenchmarkOptions()
     paths = _chosen(objects, options)
@@ -114,12 +133,17 @@ def generate_benchmark(
     if held.exists() and json.loads(held.read_text(encoding="utf-8")) != claim:
         raise InputError(f"{out}: holds a benchmark of other objects or options; choose another folder")
     held.write_text(json.dumps(claim, indent=1) + "\n", encoding="utf-8")
+    unknown = sorted(set(only or ()) - set(paths))
+    if unknown:
+        raise InputError(f"only: {', '.join(unknown)}: not in the benchmark; expected some of {', '.join(paths)}")
     for number, (name, path) in enumerate(paths.items()):
+        if only and name not in only:
+            continue
         if not (out / "truth" / name / "truth.json").exists():
             _make(out, name, path, options, np.random.default_rng([options.seed, number]))
         if on_object is not None:
             on_object(name)
-    return list(paths)
+    return list(only or paths)
 
 
 def drop_object(
@@ -139,12 +163,12 @@ def drop_object(
     """
     kept = folder.parent / f"{folder.name}_motion.npz"
     if not kept.exists():
-        body = _placed(load_user_mesh(mesh), options.object_size, rng)
-        grid = tetrahedralize((body.vertices, body.faces), max_nodes=options.nodes, order=2, method="auto")
-        moved = Embedding.of_points(grid, body.vertices).apply(_rolled(_scene(grid, truth, body), options))
+        body = placed(load_user_mesh(mesh), options.object_size, rng)
+        grid = _meshed(body, options.nodes)
+        moved = Embedding.of_points(grid, body.vertices).apply(_rolled(scene_of(grid, truth, body, Motion()), options))
         camera = _cameras(moved, options)[0]
         white, mask = _filmed(body, moved, camera)
-        _write_capture(folder, body, camera, white, mask, options)
+        _write_capture(folder, body, camera, white, mask, options, Motion())
         np.savez_compressed(kept, moved=moved)
     with np.load(kept, allow_pickle=False) as archive:
         return folder, archive["moved"]
@@ -178,78 +202,65 @@ def _chosen(folder: Path, options: BenchmarkOptions) -> dict[str, Path]:
 
 
 def _make(out: Path, name: str, path: Path, options: BenchmarkOptions, rng: np.random.Generator) -> None:
-    body = _placed(load_user_mesh(path), options.object_size, rng)
+    body = placed(load_user_mesh(path), options.object_size, rng)
     truth = {
         "youngs_modulus": float(10 ** rng.uniform(*options.log10_modulus)),
         "poisson_ratio": float(rng.uniform(*options.poisson_ratio)),
         "damping_time": float(np.exp(rng.uniform(*np.log(options.damping_time)))),
     }
-    mesh = tetrahedralize((body.vertices, body.faces), max_nodes=options.nodes, order=2, method="auto")
-    positions = _rolled(_scene(mesh, truth, body), options)
+    mesh = _meshed(body, options.nodes)
+    motion = motion_of(options.motion, (options.frames - 1) / options.fps, rng)
+    scene = scene_of(mesh, truth, body, motion)
+    positions = _rolled(scene, options)
     surface = Embedding.of_points(mesh, body.vertices)
     moved = surface.apply(positions)
     cameras = _cameras(moved, options)
-    _write_pictures(out, name, body, moved, cameras, options)
+    _write_pictures(out, name, body, moved, cameras, options, motion)
     chosen = np.sort(rng.choice(len(body.vertices), min(POINTS, len(body.vertices)), replace=False))
     arrays = {"rest": body.vertices[chosen], "positions": moved[:, chosen]}
-    for change in CHANGES:
-        again = _rolled(changed(_scene(mesh, truth, body), change), options)
+    for change in changes_of(scene):
+        again = _rolled(changed(scene, change), options)
         arrays[f"positions_{change}"] = surface.apply(again)[:, chosen]
     folder = out / "truth" / name
     np.savez_compressed(folder / "points.npz", **arrays)  # type: ignore[arg-type]
-    stated = {**truth, "density": DENSITY, "friction": FRICTION, "nodes": len(mesh.vertices), "licence": body.licence}
+    stated = {**truth, "density": DENSITY, "nodes": len(mesh.vertices), "licence": body.licence}
+    if enclosed_volume(body.vertices, body.faces) is not None:
+        stated["overlap"] = overlap(mesh, body.vertices, body.faces)
+    stated |= {"friction": FRICTION} if motion.floor else {}
     if options.checked:
-        stated |= _errors(body, truth, mesh, moved, cameras[0], options)
+        stated |= _errors(body, truth, mesh, moved, cameras[0], options, motion)
     (folder / "truth.json").write_text(json.dumps(stated, indent=1) + "\n", encoding="utf-8")
 
 
-def _placed(body: ObjectMesh, size: float, rng: np.random.Generator) -> ObjectMesh:
-    """Scaled, turned about a random axis by up to 25°, its lowest point HEIGHT sizes above the floor."""
-    body = body.scaled(size)
-    axis = rng.normal(size=3)
-    turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * np.radians(rng.uniform(5, 25)))
-    x = turn.apply(body.vertices - body.vertices.mean(axis=0))
-    x[:, 2] += HEIGHT * size - x[:, 2].min()
-    return ObjectMesh(
-        x, body.faces, body.name, body.family, vertex_colors=body.vertex_colors, uv=body.uv, texture=body.texture,
-        licence=body.licence,
-    )  # fmt: skip
-
-
-def _scene(mesh: TetMesh, truth: dict[str, float], shown: ObjectMesh) -> Scene:
-    """The drop; the floor acts on the surface that is shown, since the mesh's own cuts its corners."""
-    body = ElasticBody(
-        mesh, youngs_modulus=truth["youngs_modulus"], poisson_ratio=truth["poisson_ratio"], density=DENSITY
-    )
-    return Scene(
-        body,
-        obstacles=(Plane(friction=FRICTION),),
-        damping_time=truth["damping_time"],
-        contact_points=SurfacePoints.of_triangles(shown.vertices, shown.faces),
-    )
+def _meshed(body: ObjectMesh, nodes: int) -> TetMesh:
+    """Quadratic tetrahedra that are the body that is shown, as well as that many nodes can be."""
+    return tetrahedralize((body.vertices, body.faces), max_nodes=nodes, order=2, method="auto", thorough=True)
 
 
 def _rolled(scene: Scene, options: BenchmarkOptions, *, share: float = 1.0) -> np.ndarray:
-    steps = max(1, round(share * options.steps_per_frame))
-    run = simulate(
-        scene, frames=options.frames, fps=options.fps, steps_per_frame=steps, contact_solver="condensed"
-    )  # fmt: skip
-    return run.positions
+    return rolled(scene, options.frames, options.fps, max(1, round(share * options.steps_per_frame)))
 
 
 def _errors(
-    body: ObjectMesh, truth: dict[str, float], mesh: TetMesh, moved: np.ndarray, camera: Camera, options: BenchmarkOptions
+    body: ObjectMesh,
+    truth: dict[str, float],
+    mesh: TetMesh,
+    moved: np.ndarray,
+    camera: Camera,
+    options: BenchmarkOptions,
+    motion: Motion,
 ) -> dict[str, Any]:
     """How far the truth is from itself with half the steps and with half the nodes, by frame.
 
-    Rms distance [m] of the surface, and PSNR [dB] and SSIM of the front view's pictures: what nobody can exceed who does not
-    have this very mesh.
+    Rms distance [m] of the surface, and PSNR [dB] and SSIM of the front view's pictures: what nobody can exceed by much
+    who does not have this very mesh.
     """
-    coarse = tetrahedralize((body.vertices, body.faces), max_nodes=options.nodes // 2, order=2, method="auto")
+    coarse = _meshed(body, options.nodes // 2)
     seen, _ = _filmed(body, moved, camera)
     out: dict[str, Any] = {}
     for label, grid, share in (("half_steps", mesh, 0.5), ("half_nodes", coarse, 1.0)):
-        other = Embedding.of_points(grid, body.vertices).apply(_rolled(_scene(grid, truth, body), options, share=share))
+        scene = scene_of(grid, truth, body, motion)
+        other = Embedding.of_points(grid, body.vertices).apply(_rolled(scene, options, share=share))
         out[f"rms_to_{label}_m"] = np.sqrt(np.square(other - moved).sum(-1).mean(-1)).tolist()
         drawn, _ = _filmed(body, other, camera)
         pairs = [[torch.as_tensor(x / np.float32(255)) for x in both] for both in zip(drawn, seen, strict=True)]
@@ -265,7 +276,13 @@ def _cameras(moved: np.ndarray, options: BenchmarkOptions) -> list[Camera]:
 
 
 def _write_pictures(
-    out: Path, name: str, body: ObjectMesh, moved: np.ndarray, cameras: list[Camera], options: BenchmarkOptions
+    out: Path,
+    name: str,
+    body: ObjectMesh,
+    moved: np.ndarray,
+    cameras: list[Camera],
+    options: BenchmarkOptions,
+    motion: Motion,
 ) -> None:
     truth = out / "truth" / name
     truth.mkdir(parents=True, exist_ok=True)
@@ -273,7 +290,7 @@ def _write_pictures(
         white, mask = _filmed(body, moved, camera)
         write_video(truth / f"{camera.name}.mp4", white, fps=options.fps, crf=6)
         if number == 0 and not (out / "captures" / name).exists():
-            _write_capture(out / "captures" / name, body, camera, white, mask, options)
+            _write_capture(out / "captures" / name, body, camera, white, mask, options, motion)
     (truth / "cameras.json").write_text(json.dumps([c.to_json() for c in cameras], indent=1) + "\n", encoding="utf-8")
     if not (out / "first_frames" / name).exists():
         (out / "first_frames").mkdir(exist_ok=True)
@@ -281,7 +298,13 @@ def _write_pictures(
 
 
 def _write_capture(
-    folder: Path, body: ObjectMesh, camera: Camera, video: np.ndarray, mask: np.ndarray, options: BenchmarkOptions
+    folder: Path,
+    body: ObjectMesh,
+    camera: Camera,
+    video: np.ndarray,
+    mask: np.ndarray,
+    options: BenchmarkOptions,
+    motion: Motion,
 ) -> None:
     folder.parent.mkdir(parents=True, exist_ok=True)
     capture = Capture(
@@ -291,9 +314,9 @@ def _write_capture(
         options.observed_frames,
         cameras=(camera,),
         density=DENSITY,
-        floor=Floor(np.zeros(3), np.array([0.0, 0.0, 1.0]), friction=FRICTION),
-        initial_velocity=np.zeros(3),
-        initial_angular_velocity=np.zeros(3),
+        floor=Floor(np.zeros(3), np.array([0.0, 0.0, 1.0]), friction=FRICTION) if motion.floor else None,
+        initial_velocity=np.array(motion.velocity),
+        initial_angular_velocity=np.array(motion.spin),
     )
     rest = trimesh.Trimesh(body.vertices, body.faces, process=False)
     save_capture(capture, videos={camera.name: video}, masks={camera.name: mask}, mesh=rest, crf=6)

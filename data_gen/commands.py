@@ -101,10 +101,17 @@ def benchmark(
     name: Annotated[
         list[str] | None, typer.Option(help="Take this object; repeatable. Default: evenly spread.")
     ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(help="Of these objects, make this one now; repeatable. Default: all.")
+    ] = None,
     size: Annotated[int, typer.Option(min=64, help="Width and height of the images [pixels].")] = 448,
     views: Annotated[int, typer.Option(min=2, help="Cameras around.")] = 12,
+    motion: Annotated[
+        str, typer.Option(help="drop (on a rough floor) or toss (up, spinning, without a floor).")
+    ] = "drop",
     frames: Annotated[int, typer.Option(min=2, help="Frames.")] = 24,
     observed_frames: Annotated[int, typer.Option(min=2, help="Frames that may be fitted.")] = 16,
+    fps: Annotated[float, typer.Option(min=1.0, help="Frames per second.")] = 24.0,
     nodes: Annotated[int, typer.Option(min=50, help="Most nodes of the truth's mesh.")] = 1500,
     steps_per_frame: Annotated[int, typer.Option(min=1, help="Time steps of the truth per frame.")] = 32,
     check: Annotated[bool, typer.Option(help="State what half the nodes and half the steps change.")] = True,
@@ -112,15 +119,15 @@ def benchmark(
     seed: Seed = 0,
     progress: Progress = True,
 ) -> None:
-    """Drop textured objects in the FEM and film them, truth apart, for `physconvex evaluate paper`."""
+    """Drop or toss textured objects in the FEM and film them, truth apart, for `physconvex evaluate paper`."""
     from data_gen.benchmark import BenchmarkOptions, generate_benchmark
 
     options = BenchmarkOptions(
-        count, tuple(name) if name else None, size, views, frames, observed_frames, nodes=nodes,
-        steps_per_frame=steps_per_frame, checked=check, seed=seed, log10_modulus=modulus,
+        count, tuple(name) if name else None, size, views, frames, observed_frames, fps, nodes=nodes,
+        steps_per_frame=steps_per_frame, checked=check, seed=seed, log10_modulus=modulus, motion=motion,  # type: ignore[arg-type]
     )  # fmt: skip
-    with tqdm(total=len(name) if name else count, unit="object", disable=not progress) as bar:
-        made = generate_benchmark(objects, out, options, on_object=lambda _: bar.update())
+    with tqdm(total=len(only or name or ()) or count, unit="object", disable=not progress) as bar:
+        made = generate_benchmark(objects, out, options, only=only, on_object=lambda _: bar.update())
     typer.echo(f"{out}: {len(made)} objects: {', '.join(made)}")
 
 

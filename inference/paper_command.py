@@ -15,6 +15,10 @@ __all__ = ["paper"]
 def paper(
     benchmark: Annotated[Path, typer.Argument(help="Folder of `physconvex generate benchmark`.")],
     out: Annotated[Path, typer.Option(help="Folder of the results; finished parts are kept.")] = Path("paper"),
+    name: Annotated[list[str] | None, typer.Option(help="Work on this object; repeatable. Default: all.")] = None,
+    comparisons: Annotated[
+        bool, typer.Option(help="Also the published way and the parts over M and K, which come last.")
+    ] = True,
     max_nodes: Annotated[int, typer.Option(help="Most nodes of the models' meshes.")] = 500,
     steps_per_frame: Annotated[int | None, typer.Option(help="Of the models. Default: 384 per second.")] = None,
     weights: Annotated[int, typer.Option(help="Skinning weights of `refine`.")] = 20,
@@ -33,7 +37,8 @@ def paper(
     """Identification, dynamic reconstruction, future prediction, generalisation and ablation over a benchmark.
 
     Beside a constant guess, the network alone, and the published way of fitting, run here. Writes tables.md,
-    paper.json and objects/NAME.json. Stop it at any time: the same command goes on after the last finished part.
+    paper.json and objects/NAME.json. Stop it at any time: the same command goes on after the last finished part, with
+    the objects whose truth is there by then.
     """
     from inference.paper.evaluation import PaperOptions, evaluate_paper
     from inference.paper.tables import markdown, summary
@@ -56,12 +61,12 @@ def paper(
         if not no_progress:
             print(f"physconvex evaluate paper: {name}: {part} …", file=sys.stderr, flush=True)
 
-    rows = evaluate_paper(benchmark, out, options, on_part=say)
+    rows = evaluate_paper(benchmark, out, options, names=name, comparisons=comparisons, on_part=say)
     made = json.loads((benchmark / "benchmark.json").read_text(encoding="utf-8"))["options"]
     note = (
-        f"{len(rows)} objects, {made['size']}² pixels, {made['views']} views, {made['observed_frames']} of "
-        f"{made['frames']} frames observed from the front; truth of at most {made['nodes']} nodes and "
-        f"{made['steps_per_frame']} steps per frame."
+        f"{len(rows)} of {made['count']} objects, {made['size']}² pixels, {made['views']} views, "
+        f"{made['observed_frames']} of {made['frames']} frames observed from the front; truth of at most "
+        f"{made['nodes']} nodes and {made['steps_per_frame']} steps per frame."
     )
     content = {"benchmark": made, "summary": summary(rows), "objects": rows}
     (out / "paper.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -26,7 +26,7 @@ from physconvex.convex import read_ply
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import Embedding, simulate
 from physconvex.identify import Twin, TwinOptions, base_twin
-from physconvex.identify.changes import CHANGES, changed
+from physconvex.identify.changes import changed, changes_of
 from physconvex.reconstruction import ReconstructionConfig
 
 __all__ = ["PaperOptions", "evaluate_paper"]
@@ -70,35 +70,45 @@ def evaluate_paper(
     out: Path,
     options: PaperOptions | None = None,
     *,
+    names: Sequence[str] | None = None,
+    comparisons: bool = True,
     on_part: Callable[[str, str], None] | None = None,
 ) -> list[dict[str, Any]]:
-    """Evaluate (or go on with) all objects.
+    """Evaluate (or go on with) all objects whose truth is there.
 
     Args:
-        benchmark: folder of `physconvex generate benchmark`.
+        benchmark: folder of `physconvex generate benchmark`, which may still be at work.
         out: folder of the results.
         options: sizes.
+        names: of the objects to work on; None: all. Others take part in the result as far as they are evaluated.
+        comparisons: also the published way and the parts over M and K, which come after all else.
         on_part: told the object and the part that begins.
 
     Returns:
         What `OUT/objects/NAME.json` hold.
 
     Raises:
-        InputError: no benchmark, or `out` holds an evaluation with other options.
+        InputError: no benchmark, an unknown name, or `out` holds an evaluation with other options.
     """
     options = options or PaperOptions()
     claim = benchmark / "benchmark.json"
     if not claim.exists():
         raise InputError(f"{benchmark}: no benchmark.json; make one with `physconvex generate benchmark`")
-    names = list(json.loads(claim.read_text(encoding="utf-8"))["objects"])
+    every = list(json.loads(claim.read_text(encoding="utf-8"))["objects"])
+    unknown = sorted(set(names or ()) - set(every))
+    if unknown:
+        raise InputError(f"objects: {', '.join(unknown)}: not in {benchmark}; expected some of {', '.join(every)}")
     (out / "objects").mkdir(parents=True, exist_ok=True)
     held, settings = out / "options.json", json.loads(json.dumps(asdict(options)))
     if held.exists() and json.loads(held.read_text(encoding="utf-8")) != settings:
         raise InputError(f"{out}: holds an evaluation with other options; choose another folder")
     held.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
-    for ablation in (False, True):  # what the tables are about first, of all objects
-        found = [_Object(benchmark, out, name, options, on_part).evaluate(ablation) for name in names]
-    return found
+    made = [name for name in names or every if (benchmark / "truth" / name / "truth.json").exists()]
+    for comparing in (False, True) if comparisons else (False,):  # what the tables are about first, of all objects
+        for name in made:
+            _Object(benchmark, out, name, options, on_part).evaluate(comparing)
+    files = [out / "objects" / f"{name}.json" for name in every]
+    return [json.loads(file.read_text(encoding="utf-8")) for file in files if file.exists()]
 
 
 class _Object:
@@ -121,28 +131,26 @@ class _Object:
         self.refinements: dict[str, Refinement] = {}
         self.content: dict[str, Any] = json.loads(self.file.read_text("utf-8")) if self.file.exists() else {}
 
-    def evaluate(self, ablation: bool) -> dict[str, Any]:
-        for part, compute in self._ablation() if ablation else self._main():
+    def evaluate(self, comparing: bool) -> None:
+        self.content |= {"object": self.name, "truth": {name: self._true(name) for name in NAMES}}
+        self.content |= {"truth_itself": self._truth_itself()}
+        for part, compute in self._comparisons() if comparing else self._main():
             self._part(part, compute)
-        return self.content
 
     def _main(self) -> list[tuple[str, Callable[[], dict[str, Any]]]]:
-        self.content |= {"object": self.name, "truth": {name: self._true(name) for name in NAMES}}
-        parts: list[tuple[str, Callable[[], dict[str, Any]]]] = [
+        return [
             ("constant", lambda: self._errors(np.array(CONSTANT))),
             ("network", self._network),
             ("field", self._field),
             ("refined", self._refined),
             ("followed", self._followed),
         ]
-        if self.options.adam_steps:
-            parts.append(("published_way", self._published_way))
-        return parts
 
-    def _ablation(self) -> list[tuple[str, Callable[[], dict[str, Any]]]]:
+    def _comparisons(self) -> list[tuple[str, Callable[[], dict[str, Any]]]]:
         options = self.options
+        published = [("published_way", self._published_way)] if options.adam_steps else []
         over_weights = [(f"reduced_M{m}", partial(self._reduced, m)) for m in options.ablation]
-        return over_weights + [(f"points_K{k}", partial(self._points, k)) for k in options.ablation_points]
+        return published + over_weights + [(f"points_K{k}", partial(self._points, k)) for k in options.ablation_points]
 
     def _part(self, part: str, compute: Callable[[], dict[str, Any]]) -> None:
         if part in self.content:
@@ -167,6 +175,16 @@ class _Object:
     def _errors(self, values: np.ndarray) -> dict[str, Any]:
         wanted = np.array([self._true(name) for name in NAMES])
         return {"values": [float(v) for v in values], "errors": [float(v) for v in values - wanted]}
+
+    def _truth_itself(self) -> dict[str, Any]:
+        """What the truth says of its own errors, and its future pictures beside those of half the nodes."""
+        kept = ("nodes", "overlap", "rms_to_half_steps_m", "rms_to_half_nodes_m")
+        out = {name: self.true[name] for name in kept if name in self.true}
+        future = slice(self.capture.observed_frames, self.capture.frames)
+        if "psnr_to_half_nodes" in self.true and self.true["psnr_to_half_nodes"][future]:
+            scores = {n: float(np.mean(self.true[f"{n}_to_half_nodes"][future])) for n in ("psnr", "ssim")}
+            out["pictures"] = {"future": {"front": scores}}
+        return out
 
     # -- parts
 
@@ -245,7 +263,7 @@ class _Object:
         out = {}
         with np.load(self.truth / "points.npz") as arrays:
             points = Embedding.of_points(twin.mesh, arrays["rest"])
-            for change in CHANGES:
+            for change in changes_of(fitted.full_scene()):
                 run = simulate(changed(fitted.full_scene(), change), **fitted.timing())
                 gap = points.apply(run.positions) - arrays[f"positions_{change}"]
                 moved = arrays[f"positions_{change}"] - arrays["positions"]

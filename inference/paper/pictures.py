@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,7 +90,9 @@ def perceptual_score(images: UInt8[np.ndarray, "T H W 3"], references: UInt8[np.
     """FovVideoVDP [JOD] on a standard 4K display, 24 frames per second; None where `pyfvvdp` (CC BY-NC) is absent."""
     if importlib.util.find_spec("pyfvvdp") is None:
         return None
-    import pyfvvdp
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it imports what SciPy has deprecated
+        import pyfvvdp
 
     metric: Any = pyfvvdp.fvvdp(display_name="standard_4k", heatmap=None)
     quality, _ = metric.predict(images, references, dim_order="FHWC", frames_per_second=24.0)

@@ -12,6 +12,7 @@ import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -74,9 +75,9 @@ class Stages:
         if self.folder is None or not (path := self.folder / f"{name}.npz").exists():
             return None
         try:
-            with np.load(path, allow_pickle=False) as archive:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 arrays = {entry: archive[entry] for entry in archive.files}
-        except (OSError, ValueError, EOFError):  # a file cut short by a full disk: made anew
+        except (OSError, ValueError, EOFError, BadZipFile):  # a file cut short by a full disk: made anew
             return None
         return arrays if str(arrays.pop(_KEY, "")) == self.key else None
 

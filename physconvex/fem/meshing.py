@@ -1,32 +1,35 @@
 """Tetrahedral meshes of the inside of any triangle surface.
 
-Two ways: fTetWild (Hu et al. 2020) takes everything, but its results differ from run to run; the lattice mesher
-(`implicit_meshing`) wants a closed surface without very thin parts and repeats itself to the bit.
+fTetWild (Hu et al. 2020) takes everything, but its results differ from run to run; the lattice mesher
+(`implicit_meshing`) wants a closed surface and repeats itself to the bit, but with few nodes it loses thin parts and
+makes others too thick. Surfaces of thin walls are best simplified first.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from physconvex.errors import ConvergenceError, InputError
+from physconvex.fem.ftetwild import diagonal_of, fill, fill_within
 from physconvex.fem.implicit_meshing import tetrahedralize_implicit
-from physconvex.fem.mesh import TetMesh, compact, to_quadratic
+from physconvex.fem.kept_meshes import kept
+from physconvex.fem.mesh import TetMesh, to_quadratic
 from physconvex.fem.mesh_volume import enclosed_volume, with_volume
-from physconvex.fem.quality import mean_ratios
+from physconvex.fem.simplified import simplified
 from physconvex.fem.stuffing import SignedDistance
+from physconvex.fem.surface_distance import overlap, surface_distance
 
 __all__ = ["Surface", "tetrahedralize", "tetrahedralize_implicit"]
 
-# Elements flatter than this would ruin the conditioning of the stiffness matrix.
-MIN_MEAN_RATIO = 0.02
-# How often the resolution is made coarser to respect `max_nodes`, and by how much.
-COARSENINGS, COARSENING_FACTOR = 6, 1.35
-# Volume per area of the surface, in units of fTetWild's tolerance, below which nothing was enclosed: a single sliver
-# may be left of an open sheet.
-LEAST_THICKNESS = 0.1
+# Of the volume of body and mesh together, what both have: where the lattice's mesh will do, and where fTetWild's.
+ENOUGH, ALMOST = 0.9, 0.8
+# Of meshes of a simplified surface: nodes of the result for each triangle by order, distance from those triangles over
+# the diagonal, and how often both are tried coarser.
+NODES_PER_TRIANGLE, SIMPLIFIED_EPSILON, SIMPLIFICATIONS = {1: 0.7, 2: 3.2}, 0.01, 2
 
 
 @runtime_checkable
@@ -49,9 +52,10 @@ def tetrahedralize(
     epsilon: float = 0.02,
     max_nodes: int | None = None,
     order: Literal[1, 2] = 1,
-    method: Literal["auto", "ftetwild", "lattice"] = "ftetwild",
+    method: Literal["auto", "ftetwild", "lattice", "simplified"] = "ftetwild",
     signed_distance: SignedDistance | None = None,
     match_volume: bool = True,
+    thorough: bool = False,
     max_iterations: int = 80,
     threads: int = 1,
 ) -> TetMesh:
@@ -60,7 +64,10 @@ def tetrahedralize(
     With `method="ftetwild"` the surface may have holes, several components and self-intersections: the inside is where
     its generalised winding number exceeds one half. The mesh differs a little from run to run (a trait of fTetWild,
     also with one thread). With `method="lattice"` equal arguments give equal meshes; the surface must be closed.
-    `method="auto"` takes the lattice where that succeeds and fTetWild elsewhere.
+    `method="simplified"` fills a simplified closed surface of few triangles by fTetWild. `method="auto"` takes the
+    lattice where that succeeds and shares enough of its volume with the body (`surface_distance.overlap`), elsewhere
+    the better one of it and fTetWild, and of the simplified surface too where both lose much. What is not of the
+    lattice is kept in the cache folder (`physconvex.native.cache_folder`), so that it repeats.
 
     Args:
         surface: an object with `vertices` and `faces`, or the pair (vertices [V, 3] in metres, faces [F, 3]).
@@ -77,6 +84,7 @@ def tetrahedralize(
         match_volume: for closed surfaces, move the boundary nodes along their normals so that the mesh has the volume
             of the surface (coarse meshes cut corners and would be several per cent too small). The lattice mesher
             always does so.
+        thorough: try all three ways and take the best. "auto" only.
         max_iterations: most passes of the mesh improvement of fTetWild.
         threads: threads of fTetWild.
 
@@ -88,46 +96,83 @@ def tetrahedralize(
         ConvergenceError: no mesh with sound elements, or none within `max_nodes`, was found.
     """
     vertices, faces = _checked_surface(surface)
-    diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
-    length = 0.1 * diagonal if target_edge_length is None else float(target_edge_length)
+    length = 0.1 * diagonal_of(vertices) if target_edge_length is None else float(target_edge_length)
     if not 0 < length < np.inf:
         raise InputError(f"target_edge_length: got {target_edge_length}; expected a positive length in metres")
     if not 0 < epsilon < 0.5:
         raise InputError(f"epsilon: got {epsilon}; expected a fraction of the diagonal in (0, 0.5)")
     if order not in (1, 2):
         raise InputError(f"order: got {order!r}; expected 1 or 2")
-    if method not in ("auto", "ftetwild", "lattice"):
-        raise InputError(f"method: got {method!r}; expected 'auto', 'ftetwild' or 'lattice'")
-    if method != "ftetwild":
+    if method not in ("auto", "ftetwild", "lattice", "simplified"):
+        raise InputError(f"method: got {method!r}; expected 'auto', 'ftetwild', 'lattice' or 'simplified'")
+    limit = 700 if max_nodes is None else max_nodes
+    ways: dict[str, Callable[[], TetMesh]] = {
+        "lattice": partial(_lattice_mesh, vertices, faces, signed_distance, limit, order),
+        "ftetwild": partial(
+            fill_within,
+            vertices,
+            faces,
+            length=length,
+            epsilon=epsilon,
+            max_nodes=max_nodes,
+            order=order,
+            match_volume=match_volume,
+            iterations=max_iterations,
+            threads=threads,
+        ),
+        "simplified": partial(_simplified_mesh, vertices, faces, limit, order),
+    }
+    if method != "auto":
+        return ways[method]()
+    settings = (length, epsilon, max_nodes, order, match_volume, thorough, max_iterations)
+    return _best_mesh(vertices, faces, ways, thorough, settings)
+
+
+def _best_mesh(
+    vertices: np.ndarray, faces: np.ndarray, ways: dict[str, Callable[[], TetMesh]], thorough: bool, settings: object
+) -> TetMesh:
+    """That of the lattice where it is good enough, else the best of all; fTetWild's where the surface is open."""
+    if enclosed_volume(vertices, faces) is None:
+        return ways["ftetwild"]()
+    found: list[tuple[float, TetMesh]] = []
+    failures: list[Exception] = []
+
+    def reached(name: str, wanted: float) -> bool:
         try:
-            return _lattice_mesh(vertices, faces, signed_distance, 700 if max_nodes is None else max_nodes, order)
-        except (InputError, ConvergenceError):
-            if method == "lattice":
-                raise
-    volume = enclosed_volume(vertices, faces) if match_volume else None
-    factor, sound, lost, nodes = 1.0, 1.0, np.inf, 0
-    for _ in range(COARSENINGS):
-        try:
-            mesh = _mesh_once(vertices, faces, length * factor, epsilon * factor, max_iterations, threads)
-        except _NothingEnclosedError:
-            if nodes == 0:
-                raise
-            factor, lost = float(np.sqrt(factor * sound)), factor  # thin walls: as coarse as they stand
-            continue
+            mesh = ways[name]()
+        except (InputError, ConvergenceError) as error:
+            failures.append(error)
+        else:
+            found.append((overlap(mesh, vertices, faces), mesh))
+        return not thorough and max((share for share, _ in found), default=0.0) >= wanted
+
+    def best_of_others() -> TetMesh:
+        _ = reached("ftetwild", ALMOST) or reached("simplified", ALMOST)
+        if not found:
+            raise failures[1]
+        return max(found, key=lambda pair: pair[0])[1]
+
+    return found[0][1] if reached("lattice", ENOUGH) else kept((vertices, faces), settings, best_of_others)
+
+
+def _simplified_mesh(vertices: np.ndarray, faces: np.ndarray, max_nodes: int, order: Literal[1, 2]) -> TetMesh:
+    """Few triangles in the place of the surface, and their inside filled closely."""
+    volume = enclosed_volume(vertices, faces)
+    if volume is None:
+        raise InputError('surface: open or inside out; close it and orient it outwards, or use method="ftetwild"')
+    triangles, epsilon, nodes = max_nodes / NODES_PER_TRIANGLE[order], SIMPLIFIED_EPSILON, 0
+    for _ in range(SIMPLIFICATIONS):
+        coarse = simplified(vertices, faces, max(int(triangles), 20))
+        mesh = fill(*coarse, 0.5 * diagonal_of(vertices), epsilon, 20, 1)
         mesh = to_quadratic(mesh) if order == 2 else mesh
-        if max_nodes is None or len(mesh.vertices) <= max_nodes:
-            return mesh if volume is None else with_volume(mesh, volume)
-        nodes, sound = len(mesh.vertices), factor
-        factor = min(factor * COARSENING_FACTOR, float(np.sqrt(factor * lost)))
-    thin = "" if np.isinf(lost) else f" (at {epsilon * lost:.3f} its walls are lost)"
+        nodes = len(mesh.vertices)
+        if nodes <= max_nodes:
+            return with_volume(mesh, volume)
+        triangles, epsilon = triangles * min(0.8, max_nodes / nodes), 1.5 * epsilon
     raise ConvergenceError(
-        f"tetrahedralize: still {nodes} nodes at epsilon {epsilon * sound:.3f}{thin} after {COARSENINGS} attempts, "
-        f"max_nodes is {max_nodes}; allow more nodes or simplify the surface"
+        f"tetrahedralize: still {nodes} nodes after {SIMPLIFICATIONS} simplifications, max_nodes is {max_nodes}; "
+        "allow more nodes"
     )
-
-
-class _NothingEnclosedError(InputError):
-    """A mesh without the volume of its surface."""
 
 
 def _lattice_mesh(
@@ -147,30 +192,6 @@ def _lattice_mesh(
     return tetrahedralize_implicit(field, bounds, surface=(vertices, faces), max_nodes=max_nodes, order=order)
 
 
-def surface_distance(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> SignedDistance:
-    """Signed distance from a closed, outward oriented surface, negative inside."""
-    import vtk
-    from vtk.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
-
-    vertices, index = np.unique(vertices, axis=0, return_inverse=True)
-    faces = index.reshape(-1)[faces]
-    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-    points, cells, data = vtk.vtkPoints(), vtk.vtkCellArray(), vtk.vtkPolyData()
-    points.SetData(numpy_to_vtk(vertices, deep=True))
-    cells.SetData(3, numpy_to_vtkIdTypeArray(faces.astype(np.int64).ravel(), deep=True))
-    data.SetPoints(points)
-    data.SetPolys(cells)
-    distance = vtk.vtkImplicitPolyDataDistance()
-    distance.SetInput(data)
-
-    def field(p: np.ndarray) -> np.ndarray:
-        result = vtk.vtkDoubleArray()
-        distance.FunctionValue(numpy_to_vtk(np.ascontiguousarray(p, dtype=np.float64), deep=True), result)
-        return vtk_to_numpy(result).copy()
-
-    return field
-
-
 def _checked_surface(surface: Surface | tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (float64) and faces (int32) of the argument, or an InputError."""
     pair = surface if isinstance(surface, tuple) else (surface.vertices, surface.faces)
@@ -188,59 +209,3 @@ def _checked_surface(surface: Surface | tuple[np.ndarray, np.ndarray]) -> tuple[
     if np.ptp(used, axis=0).min() <= 1e-9 * np.ptp(used, axis=0).max():
         raise InputError(f"surface: extent {np.ptp(used, axis=0)} m is flat; expected a body with a volume")
     return np.ascontiguousarray(vertices), np.ascontiguousarray(faces, dtype=np.int32)
-
-
-def _mesh_once(
-    vertices: np.ndarray, faces: np.ndarray, length: float, epsilon: float, iterations: int, threads: int
-) -> TetMesh:
-    """One run of fTetWild, checked."""
-    import pytetwild  # here: it loads VTK, which takes a while
-
-    centre, scale = vertices.mean(axis=0), float(np.ptp(vertices, axis=0).max())
-    try:
-        nodes, tets = pytetwild.tetrahedralize(
-            (vertices - centre) / scale,
-            faces,
-            edge_length_abs=length / scale,
-            epsilon=epsilon,
-            coarsen=True,
-            num_opt_iter=iterations,
-            num_threads=threads,
-        )
-    except RuntimeError as error:
-        raise ConvergenceError(f"tetrahedralize: fTetWild failed: {error}; repair or simplify the surface") from error
-    nodes = np.asarray(nodes, dtype=np.float64).reshape(-1, 3)
-    tets = _positive(nodes, np.asarray(tets, dtype=np.int64).reshape(-1, 4))
-    if _volume(nodes, tets) * scale**3 < LEAST_THICKNESS * epsilon * _diagonal(vertices) * _area(vertices, faces):
-        raise _NothingEnclosedError(
-            "surface: it encloses no volume that a mesh of this resolution could fill; "
-            "close its holes, orient its faces outwards, or lower epsilon"
-        )
-    ratios = mean_ratios(nodes, tets)
-    if ratios.min() < MIN_MEAN_RATIO:
-        raise ConvergenceError(
-            f"tetrahedralize: {np.sum(ratios < MIN_MEAN_RATIO)} of {len(tets)} elements are flat (mean ratio "
-            f"{ratios.min():.1e}); try another target_edge_length or epsilon, or raise max_iterations"
-        )
-    return compact(nodes * scale + centre, tets)
-
-
-def _volume(vertices: np.ndarray, tets: np.ndarray) -> float:
-    x = vertices[tets]
-    return float(np.linalg.det(x[:, 1:] - x[:, :1]).sum()) / 6.0
-
-
-def _diagonal(vertices: np.ndarray) -> float:
-    return float(np.linalg.norm(np.ptp(vertices, axis=0)))
-
-
-def _area(vertices: np.ndarray, faces: np.ndarray) -> float:
-    x = vertices[faces]
-    return 0.5 * float(np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum())
-
-
-def _positive(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """The tetrahedra with two corners swapped wherever the orientation is negative."""
-    x = vertices[tets]
-    negative = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
-    return np.where(negative[:, None], tets[:, [0, 2, 1, 3]], tets)

@@ -11,7 +11,7 @@ from physconvex.contact import Plane
 from physconvex.errors import InputError
 from physconvex.fem import ElasticBody, Scene
 
-__all__ = ["CHANGES", "changed"]
+__all__ = ["CHANGES", "changed", "changes_of"]
 
 _SOFTER, _PUSH, _SWING, _RATE = 0.3, 4.0, 0.8, 2.0
 
@@ -49,6 +49,12 @@ CHANGES: dict[str, Callable[[Scene], Scene]] = {
     "pushed": _pushed,
     "moving_floor": _moving_floor,
 }
+
+
+def changes_of(scene: Scene) -> tuple[str, ...]:
+    """The changes that mean something to a scene: a floor that moves needs a floor."""
+    floor = any(isinstance(o, Plane) for o in scene.obstacles)
+    return tuple(name for name in CHANGES if floor or name != "moving_floor")
 
 
 def changed(scene: Scene, name: str) -> Scene:

@@ -14,7 +14,7 @@ from physconvex.contact import Plane
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import ElasticBody, Scene, TetMesh, to_quadratic
 from physconvex.identify.clamping import Clamp, clamp_of
-from physconvex.identify.faithful import faithful_mesh
+from physconvex.identify.faithful import faithful_mesh, unfaithfulness
 from physconvex.reduced import (
     BodySamples,
     NodalWeights,
@@ -30,6 +30,7 @@ __all__ = ["Twin", "TwinOptions", "base_twin", "coarse_mesh", "mesh_of_capture",
 
 RATE = 384.0  # time steps per second at least: below 0.02 decades of E by the time step, see design notes
 _NODES_PER_WEIGHT = 5  # each weight brings four functions
+_LOST = 0.2  # of the volume of body and mesh together, from which fewer nodes are not tried
 
 
 @dataclass(frozen=True)
@@ -183,9 +184,20 @@ def mesh_of_capture(capture: Capture, *, max_nodes: int = 700) -> TetMesh:
     return faithful_mesh(np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces), max_nodes=max_nodes)
 
 
+def _follows(mesh: TetMesh, capture: Capture) -> bool:
+    """Whether a mesh has most of its volume in common with the surface of a capture, if there is one."""
+    surface = None if capture.tets() is not None else capture.mesh()
+    if surface is None:
+        return True
+    return unfaithfulness(mesh, np.asarray(surface.vertices, np.float64), np.asarray(surface.faces)) < _LOST
+
+
 def coarse_mesh(capture: Capture, mesh: TetMesh, *, max_nodes: int = 200) -> TetMesh:
-    """A quadratic mesh of a capture with fewer nodes than the given one, or that one where it is small already."""
-    if len(mesh.vertices) <= 1.5 * max_nodes:
+    """A quadratic mesh of a capture with fewer nodes than the given one.
+
+    Or that one where it is small already, or hardly the body: then fewer nodes would not be.
+    """
+    if len(mesh.vertices) <= 1.5 * max_nodes or not _follows(mesh, capture):
         return mesh
     try:
         coarse = mesh_of_capture(capture, max_nodes=max_nodes)

@@ -7,8 +7,9 @@ import trimesh
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem.mesh import box_mesh
 from physconvex.fem.mesh_volume import enclosed_volume, with_volume
-from physconvex.fem.meshing import surface_distance, tetrahedralize
+from physconvex.fem.meshing import tetrahedralize
 from physconvex.fem.quality import dihedral_angles, mean_ratios, mesh_quality
+from physconvex.fem.surface_distance import surface_distance
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Meshes of few nodes judged by how far they lie from the surface."""
+"""Meshes of few nodes judged by what they share with the body."""
 
 import numpy as np
 import pytest
@@ -21,14 +21,23 @@ def meshed(scale):
     return to_quadratic(TetMesh(mesh.vertices * scale, mesh.tets))
 
 
-def test_distance_and_volume_count(box):
+def test_what_only_one_of_body_and_mesh_has_counts(box):
     assert unfaithfulness(meshed(1.0), *box) == pytest.approx(0.0, abs=1e-9)
-    shorter = unfaithfulness(meshed(np.array([0.75, 1.0, 1.0])), *box)  # half of the vertices are 0.1 m away
-    assert shorter == pytest.approx(np.sqrt(0.5) * 0.1 / 0.4 + 0.1 * 0.25, rel=1e-6)
+    assert unfaithfulness(meshed(np.array([0.75, 1.0, 1.0])), *box) == pytest.approx(0.25, abs=0.01)
+    thicker = unfaithfulness(meshed(np.array([1.0, 1.0, 1.5])), *box)  # all of the surface lies in the mesh
+    assert thicker == pytest.approx(1 / 3, abs=0.01)
+
+
+def test_an_open_surface_is_judged_by_distance(box):
+    vertices, faces = box
+    lid = (np.abs(vertices[faces][..., 2] - 0.1) < 1e-9).all(1)
+    assert unfaithfulness(meshed(1.0), vertices, faces[~lid]) == pytest.approx(0.0, abs=1e-9)
+    shorter = unfaithfulness(meshed(np.array([0.75, 1.0, 1.0])), vertices, faces[~lid])  # half of them are 0.1 m away
+    assert shorter == pytest.approx(np.sqrt(0.5) * 0.1 / 0.4, rel=1e-6)
 
 
 def test_more_nodes_are_tried_until_the_body_is_there(box, monkeypatch):
-    asked, made = [], {10: ConvergenceError("too few"), 14: meshed(0.7), 20: meshed(0.9)}
+    asked, made = [], {10: ConvergenceError("too few"), 20: meshed(0.8)}
 
     def tetrahedralize(surface, *, max_nodes, order, method):
         asked.append(max_nodes)
@@ -38,9 +47,11 @@ def test_more_nodes_are_tried_until_the_body_is_there(box, monkeypatch):
 
     monkeypatch.setattr(faithful, "tetrahedralize", tetrahedralize)
     assert faithful_mesh(*box, max_nodes=10) is made[20]  # neither is good: the better one
-    assert asked == [10, 14, 20]
-    made[14] = meshed(1.0)
-    assert faithful_mesh(*box, max_nodes=10) is made[14]
+    assert asked == [10, 20]
+    made[10] = meshed(0.7)
+    assert faithful_mesh(*box, max_nodes=10) is made[20]
+    made[10] = meshed(1.0)
+    assert faithful_mesh(*box, max_nodes=10) is made[10]
     made.update(dict.fromkeys(made, ConvergenceError("no mesh")))
     with pytest.raises(ConvergenceError, match="no mesh"):
         faithful_mesh(*box, max_nodes=10)

@@ -1,0 +1,46 @@
+"""Meshes kept on disk: those of fTetWild differ from run to run, and a program that goes on needs the one it had."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from zipfile import BadZipFile
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from physconvex import __version__
+from physconvex.fem.mesh import TetMesh
+from physconvex.native import cache_folder
+
+__all__ = ["kept"]
+
+
+def kept(
+    surface: tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]], settings: object, make: Callable[[], TetMesh]
+) -> TetMesh:
+    """The mesh made before of the same surface with the same settings on this machine, else a new one, which is kept.
+
+    Where the cache cannot be written the mesh is just made.
+    """
+    digest = hashlib.sha256(repr((__version__, settings)).encode())
+    for array in surface:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    path = cache_folder() / "meshes" / f"{digest.hexdigest()[:32]}.npz"
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            return TetMesh(archive["vertices"], archive["tets"])
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):  # none, or one cut short
+        pass
+    mesh = make()
+    partial = path.with_name(f".{path.stem}.{os.getpid()}.npz")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(partial, vertices=mesh.vertices, tets=mesh.tets)
+        os.replace(partial, path)
+    except OSError:
+        with suppress(OSError):
+            partial.unlink()
+    return mesh
