@@ -91,9 +91,9 @@ def perceptual_score(images: UInt8[np.ndarray, "T H W 3"], references: UInt8[np.
     if importlib.util.find_spec("pyfvvdp") is None:
         return None
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it imports what SciPy has deprecated
+        warnings.simplefilter("ignore")  # it uses what SciPy has deprecated
         import pyfvvdp
 
-    metric: Any = pyfvvdp.fvvdp(display_name="standard_4k", heatmap=None)
+        metric: Any = pyfvvdp.fvvdp(display_name="standard_4k", heatmap=None)
     quality, _ = metric.predict(images, references, dim_order="FHWC", frames_per_second=24.0)
     return float(quality)

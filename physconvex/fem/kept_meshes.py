@@ -6,6 +6,7 @@ import hashlib
 import os
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
@@ -23,24 +24,36 @@ def kept(
 ) -> TetMesh:
     """The mesh made before of the same surface with the same settings on this machine, else a new one, which is kept.
 
-    Where the cache cannot be written the mesh is just made.
+    Processes that make it at the same time all get that of the first. Where the cache cannot be written the mesh is
+    just made.
     """
     digest = hashlib.sha256(repr((__version__, settings)).encode())
     for array in surface:
         digest.update(np.ascontiguousarray(array).tobytes())
     path = cache_folder() / "meshes" / f"{digest.hexdigest()[:32]}.npz"
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            return TetMesh(archive["vertices"], archive["tets"])
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):  # none, or one cut short
-        pass
+    found = _read(path)
+    if found is not None:
+        return found
     mesh = make()
     partial = path.with_name(f".{path.stem}.{os.getpid()}.npz")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         np.savez(partial, vertices=mesh.vertices, tets=mesh.tets)
-        os.replace(partial, path)
+        other = _read(path)
+        if other is None:
+            os.replace(partial, path)
+        return mesh if other is None else other
     except OSError:
+        return mesh
+    finally:
         with suppress(OSError):
-            partial.unlink()
-    return mesh
+            partial.unlink(missing_ok=True)
+
+
+def _read(path: Path) -> TetMesh | None:
+    """A kept mesh; None where there is none, or one cut short."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            return TetMesh(archive["vertices"], archive["tets"])
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        return None

@@ -125,6 +125,16 @@ def test_a_mesh_is_kept_for_its_surface_and_settings(box, cache):
     assert kept(box, (1, "a"), make) is made[3]
 
 
+def test_of_two_that_are_made_at_once_the_first_counts(box):
+    first, second = stretched(), stretched(x=1.1)
+
+    def make():
+        kept(box, "settings", lambda: first)  # another process is faster
+        return second
+
+    np.testing.assert_array_equal(kept(box, "settings", make).vertices, first.vertices)
+
+
 def test_where_nothing_can_be_kept_the_mesh_is_made(box, cache):
     cache.write_text("no folder")
     mesh = stretched()
