@@ -134,6 +134,7 @@ class _Object:
     def evaluate(self, comparing: bool) -> None:
         self.content |= {"object": self.name, "truth": {name: self._true(name) for name in NAMES}}
         self.content |= {"truth_itself": self._truth_itself()}
+        self._store()
         for part, compute in self._comparisons() if comparing else self._main():
             self._part(part, compute)
 
@@ -165,6 +166,9 @@ class _Object:
         found["process_seconds"] = round(time.process_time() - clock, 1)
         found["seconds"] = round(time.perf_counter() - wall, 1)
         self.content[part] = found
+        self._store()
+
+    def _store(self) -> None:
         unfinished = self.file.with_suffix(".part")
         unfinished.write_text(json.dumps(self.content, indent=1) + "\n", encoding="utf-8")
         unfinished.replace(self.file)

@@ -39,7 +39,9 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     out: dict[str, Any] = {"objects": len(rows), "identification": {}, "pictures": {}, "changes": {}, "failures": []}
     for way in _ways(rows):
         good = [row[way] for row in rows if "errors" in row.get(way, {})]
-        out["failures"] += [f"{row['object']}: {way}: {row[way]['failure']}" for row in rows if "failure" in row[way]]
+        out["failures"] += [
+            f"{row['object']}: {way}: {row[way]['failure']}" for row in rows if "failure" in row.get(way, {})
+        ]
         if not good:
             continue
         errors = np.abs([row["errors"] for row in good])
@@ -116,7 +118,7 @@ def markdown(rows: Sequence[dict[str, Any]], note: str) -> str:
     lines += ["|---|---|" + "---|" * len(ways)]
     for row in rows:
         truth = list(row["truth"].values())
-        cells = [_pair(row.get(way, {}).get("errors")) for way in ways]
+        cells = [_pair(row.get(way)) for way in ways]
         lines.append(f"| {row['object']} | {truth[0]:.2f}, {truth[1]:.2f} | " + " | ".join(cells) + " |")
     means = [told["identification"].get(way) for way in ways]
     cells = ["–" if m is None else f"{m['log10_error']:.3f} / {m['poisson_error']:.3f}" for m in means]
@@ -149,5 +151,8 @@ def markdown(rows: Sequence[dict[str, Any]], note: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _pair(errors: Sequence[float] | None) -> str:
-    return "failed" if errors is None else f"{errors[0]:+.3f} / {errors[1]:+.3f}"
+def _pair(part: dict[str, Any] | None) -> str:
+    """Errors of a way for one object; a dash where it was not run."""
+    if part is None:
+        return "–"
+    return "failed" if "failure" in part else f"{part['errors'][0]:+.3f} / {part['errors'][1]:+.3f}"

@@ -54,6 +54,16 @@ def test_means_are_of_absolutes_and_failures_are_named():
     assert "reduced model alone, M = 8" in page and "| pushed | 1.0 | 200.0 |" in page
 
 
+def test_an_object_that_is_not_finished_counts_where_it_can():
+    truth = {"log10_youngs_modulus": 6.0, "poisson_ratio": 0.4}
+    begun = {"object": "bus", "truth": truth, "constant": {"errors": [-0.5, 0.0], "process_seconds": 0.0}}
+    told = summary([row("mug", [0.02, -0.01], [True, None], 30.0), begun])
+    assert told["identification"]["constant"]["objects"] == 2 and told["identification"]["refined"]["objects"] == 1
+    assert "| bus | 6.00, 0.40 | -0.500 / +0.000 | – | – | – |" in markdown(
+        [row("mug", [0, 0], [True], 30.0), begun], ""
+    )
+
+
 @pytest.fixture(scope="module")
 def benchmark(tmp_path_factory):
     """One painted ball, tiny."""
