@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from physconvex.capture import Boundary, Capture, Floor, Tracks, load_capture, save_capture
 from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, box_mesh, simulate, to_quadratic
+from physconvex.fem import ElasticBody, TetMesh, box_mesh, simulate, to_quadratic
 from physconvex.identify import (
     MarkerObservations,
     TwinOptions,
@@ -15,9 +16,11 @@ from physconvex.identify import (
     default_parameters,
     frame_errors,
     mesh_of_capture,
+    twin,
 )
 from physconvex.identify.enrich import with_weights
 from physconvex.identify.setup import start_motion, with_free_friction
+from physconvex.identify.twin import coarse_mesh
 from physconvex.reduced import eigenmode_weights
 from physconvex.reduced import simulate as simulate_reduced
 
@@ -31,6 +34,20 @@ def saved(folder, *, boundary=None, geometry=True, **changes):
     tracks = Tracks(np.zeros((1, 3)), np.zeros((4, 1, 3)), np.full((4, 1), 1e-3))
     save_capture(capture, tets=box if geometry else None, tracks=tracks, boundary=boundary)
     return load_capture(folder)
+
+
+def test_a_mesh_that_is_hardly_the_body_has_no_coarser_one(tmp_path, monkeypatch):
+    shown = box_mesh(SIZE, (4, 1, 1), order=1)
+    capture = Capture(tmp_path / "c", 50.0, 4, 3)
+    tracks = Tracks(np.zeros((1, 3)), np.zeros((4, 1, 3)), np.full((4, 1), 1e-3))
+    save_capture(capture, mesh=trimesh.Trimesh(*shown.surface, process=False), tracks=tracks)
+    capture = load_capture(tmp_path / "c")
+    few = box_mesh(SIZE, (4, 1, 1))
+    monkeypatch.setattr(twin, "mesh_of_capture", lambda capture, *, max_nodes: few)
+    fine = box_mesh(SIZE, (8, 2, 2))
+    assert coarse_mesh(capture, fine, max_nodes=50) is few
+    thick = TetMesh(fine.vertices * np.array([1.0, 1.0, 1.5]), fine.tets)  # a third of it is not the body
+    assert coarse_mesh(capture, thick, max_nodes=50) is thick
 
 
 def test_world_and_boundary_go_to_both_models(tmp_path):
