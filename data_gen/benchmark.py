@@ -127,15 +127,15 @@ def generate_benchmark(
     """
     options = options or BenchmarkOptions()
     paths = _chosen(objects, options)
+    unknown = sorted(set(only or ()) - set(paths))
+    if unknown:
+        raise InputError(f"only: {', '.join(unknown)}: not in the benchmark; expected some of {', '.join(paths)}")
     claim = {"options": _plain(options), "objects": list(paths), "version": __version__}
     out.mkdir(parents=True, exist_ok=True)
     held = out / BENCHMARK
     if held.exists() and json.loads(held.read_text(encoding="utf-8")) != claim:
         raise InputError(f"{out}: holds a benchmark of other objects or options; choose another folder")
     held.write_text(json.dumps(claim, indent=1) + "\n", encoding="utf-8")
-    unknown = sorted(set(only or ()) - set(paths))
-    if unknown:
-        raise InputError(f"only: {', '.join(unknown)}: not in the benchmark; expected some of {', '.join(paths)}")
     for number, (name, path) in enumerate(paths.items()):
         if only and name not in only:
             continue
@@ -215,7 +215,7 @@ def _make(out: Path, name: str, path: Path, options: BenchmarkOptions, rng: np.r
     surface = Embedding.of_points(mesh, body.vertices)
     moved = surface.apply(positions)
     cameras = _cameras(moved, options)
-    _write_pictures(out, name, body, moved, cameras, options, motion)
+    front = _write_pictures(out, name, body, moved, cameras, options, motion)
     chosen = np.sort(rng.choice(len(body.vertices), min(POINTS, len(body.vertices)), replace=False))
     arrays = {"rest": body.vertices[chosen], "positions": moved[:, chosen]}
     for change in changes_of(scene):
@@ -228,7 +228,7 @@ def _make(out: Path, name: str, path: Path, options: BenchmarkOptions, rng: np.r
         stated["overlap"] = overlap(mesh, body.vertices, body.faces)
     stated |= {"friction": FRICTION} if motion.floor else {}
     if options.checked:
-        stated |= _errors(body, truth, mesh, moved, cameras[0], options, motion)
+        stated |= _errors(body, truth, mesh, moved, (cameras[0], front), options, motion)
     (folder / "truth.json").write_text(json.dumps(stated, indent=1) + "\n", encoding="utf-8")
 
 
@@ -246,17 +246,17 @@ def _errors(
     truth: dict[str, float],
     mesh: TetMesh,
     moved: np.ndarray,
-    camera: Camera,
+    front: tuple[Camera, np.ndarray],
     options: BenchmarkOptions,
     motion: Motion,
 ) -> dict[str, Any]:
     """How far the truth is from itself with half the steps and with half the nodes, by frame.
 
-    Rms distance [m] of the surface, and PSNR [dB] and SSIM of the front view's pictures: what nobody can exceed by much
-    who does not have this very mesh.
+    Rms distance [m] of the surface, and PSNR [dB] and SSIM of the front view's pictures (`front`: camera and frames):
+    what nobody can exceed by much who does not have this very mesh.
     """
     coarse = _meshed(body, options.nodes // 2)
-    seen, _ = _filmed(body, moved, camera)
+    camera, seen = front
     out: dict[str, Any] = {}
     for label, grid, share in (("half_steps", mesh, 0.5), ("half_nodes", coarse, 1.0)):
         scene = scene_of(grid, truth, body, motion)
@@ -283,18 +283,21 @@ def _write_pictures(
     cameras: list[Camera],
     options: BenchmarkOptions,
     motion: Motion,
-) -> None:
+) -> np.ndarray:
+    """What all cameras saw, the capture and the first frames; returns the frames of the front view [T, H, W, 3]."""
     truth = out / "truth" / name
     truth.mkdir(parents=True, exist_ok=True)
-    for number, camera in enumerate(cameras):
-        white, mask = _filmed(body, moved, camera)
+    front, mask = _filmed(body, moved, cameras[0])
+    for camera in cameras:
+        white = front if camera is cameras[0] else _filmed(body, moved, camera)[0]
         write_video(truth / f"{camera.name}.mp4", white, fps=options.fps, crf=6)
-        if number == 0 and not (out / "captures" / name).exists():
-            _write_capture(out / "captures" / name, body, camera, white, mask, options, motion)
+    if not (out / "captures" / name).exists():
+        _write_capture(out / "captures" / name, body, cameras[0], front, mask, options, motion)
     (truth / "cameras.json").write_text(json.dumps([c.to_json() for c in cameras], indent=1) + "\n", encoding="utf-8")
     if not (out / "first_frames" / name).exists():
         (out / "first_frames").mkdir(exist_ok=True)
         write_still_capture(out / "first_frames" / name, body, (), size=options.size, lighting=FLAT, cameras=cameras)
+    return front
 
 
 def _write_capture(

@@ -16,21 +16,23 @@ from physconvex import __version__
 from physconvex.fem.mesh import TetMesh
 from physconvex.native import cache_folder
 
-__all__ = ["kept"]
+__all__ = ["kept", "known"]
+
+Surface = tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]
 
 
-def kept(
-    surface: tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]], settings: object, make: Callable[[], TetMesh]
-) -> TetMesh:
-    """The mesh made before of the same surface with the same settings on this machine, else a new one, which is kept.
+def known(surface: Surface, settings: object) -> TetMesh | None:
+    """The mesh that was kept of the same surface with the same settings on this machine, if there is one."""
+    return _read(_path(surface, settings))
+
+
+def kept(surface: Surface, settings: object, make: Callable[[], TetMesh]) -> TetMesh:
+    """The mesh that is `known`, else a new one, which is kept.
 
     Processes that make it at the same time all get that of the first. Where the cache cannot be written the mesh is
     just made.
     """
-    digest = hashlib.sha256(repr((__version__, settings)).encode())
-    for array in surface:
-        digest.update(np.ascontiguousarray(array).tobytes())
-    path = cache_folder() / "meshes" / f"{digest.hexdigest()[:32]}.npz"
+    path = _path(surface, settings)
     found = _read(path)
     if found is not None:
         return found
@@ -48,6 +50,13 @@ def kept(
     finally:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
+
+
+def _path(surface: Surface, settings: object) -> Path:
+    digest = hashlib.sha256(repr((__version__, settings)).encode())
+    for array in surface:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return cache_folder() / "meshes" / f"{digest.hexdigest()[:32]}.npz"
 
 
 def _read(path: Path) -> TetMesh | None:

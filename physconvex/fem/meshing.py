@@ -16,7 +16,7 @@ import numpy as np
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem.ftetwild import diagonal_of, fill, fill_within
 from physconvex.fem.implicit_meshing import tetrahedralize_implicit
-from physconvex.fem.kept_meshes import kept
+from physconvex.fem.kept_meshes import kept, known
 from physconvex.fem.mesh import TetMesh, to_quadratic
 from physconvex.fem.mesh_volume import enclosed_volume, with_volume
 from physconvex.fem.simplified import simplified
@@ -134,6 +134,9 @@ def _best_mesh(
     """That of the lattice where it is good enough, else the best of all; fTetWild's where the surface is open."""
     if enclosed_volume(vertices, faces) is None:
         return ways["ftetwild"]()
+    before = known((vertices, faces), settings)
+    if before is not None:
+        return before
     found: list[tuple[float, TetMesh]] = []
     failures: list[Exception] = []
 

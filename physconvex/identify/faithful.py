@@ -15,7 +15,7 @@ from physconvex.fem.surface_distance import overlap
 __all__ = ["faithful_mesh", "unfaithfulness"]
 
 _GROWTH = (1.0, 2.0)  # of the number of nodes asked for
-_GOOD = 0.25
+_GOOD, _GOOD_OPEN = 0.25, 0.03  # of the volume; of the size, where the surface is open
 _SAMPLES = 600
 
 
@@ -31,6 +31,7 @@ def faithful_mesh(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray,
     """
     best: tuple[float, TetMesh] | None = None
     failure: ConvergenceError | None = None
+    good = _GOOD if enclosed_volume(vertices, triangles) is not None else _GOOD_OPEN
     for growth in _GROWTH:
         try:
             mesh = tetrahedralize((vertices, triangles), max_nodes=round(growth * max_nodes), order=2, method="auto")
@@ -40,7 +41,7 @@ def faithful_mesh(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray,
         wrong = unfaithfulness(mesh, vertices, triangles)
         if best is None or wrong < best[0]:
             best = (wrong, mesh)
-        if wrong < _GOOD:
+        if wrong < good:
             break
     if best is None:
         assert failure is not None

@@ -13,6 +13,7 @@ from physconvex.capture import Capture
 from physconvex.contact import Plane
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import ElasticBody, Scene, TetMesh, to_quadratic
+from physconvex.fem.mesh_volume import enclosed_volume
 from physconvex.identify.clamping import Clamp, clamp_of
 from physconvex.identify.faithful import faithful_mesh, unfaithfulness
 from physconvex.reduced import (
@@ -185,11 +186,12 @@ def mesh_of_capture(capture: Capture, *, max_nodes: int = 700) -> TetMesh:
 
 
 def _follows(mesh: TetMesh, capture: Capture) -> bool:
-    """Whether a mesh has most of its volume in common with the surface of a capture, if there is one."""
+    """Whether a mesh has most of its volume in common with the closed surface of a capture, if there is one."""
     surface = None if capture.tets() is not None else capture.mesh()
     if surface is None:
         return True
-    return unfaithfulness(mesh, np.asarray(surface.vertices, np.float64), np.asarray(surface.faces)) < _LOST
+    pair = np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces)
+    return enclosed_volume(*pair) is None or unfaithfulness(mesh, *pair) < _LOST
 
 
 def coarse_mesh(capture: Capture, mesh: TetMesh, *, max_nodes: int = 200) -> TetMesh:

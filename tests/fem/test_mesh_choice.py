@@ -100,6 +100,7 @@ def test_ways_are_tried_until_one_is_good_enough(box, monkeypatch):
     assert length(thorough=True) == pytest.approx(0.97) and tried == ["lattice", "ftetwild", "simplified"]
     made["lattice"] = stretched(x=0.7)
     assert length() == pytest.approx(0.85) and tried == ["lattice", "ftetwild"]
+    assert length() == pytest.approx(0.85) and tried == [], "what is kept is looked for first"
     made["ftetwild"] = stretched(x=0.6)
     assert length(max_nodes=300) == pytest.approx(0.97) and tried == ["lattice", "ftetwild", "simplified"]
     made.update(lattice=ConvergenceError("no"), ftetwild=InputError("the second"), simplified=InputError("the third"))

@@ -55,3 +55,11 @@ def test_more_nodes_are_tried_until_the_body_is_there(box, monkeypatch):
     made.update(dict.fromkeys(made, ConvergenceError("no mesh")))
     with pytest.raises(ConvergenceError, match="no mesh"):
         faithful_mesh(*box, max_nodes=10)
+
+
+def test_near_an_open_surface_means_nearer_than_a_share_of_the_volume(box, monkeypatch):
+    vertices, faces = box
+    lid = (np.abs(vertices[faces][..., 2] - 0.1) < 1e-9).all(1)
+    made = {10: meshed(np.array([0.9, 1.0, 1.0])), 20: meshed(1.0)}  # .07 of the size off, and not at all
+    monkeypatch.setattr(faithful, "tetrahedralize", lambda surface, *, max_nodes, order, method: made[max_nodes])
+    assert faithful_mesh(vertices, faces[~lid], max_nodes=10) is made[20]
