@@ -53,13 +53,18 @@ _TEMPERATURES = torch.logspace(math.log10(0.4), math.log10(4.0), 61).tolist()
 
 
 def fit_density_calibration(
-    logits: Float[Tensor, "N K"], values: Float[Tensor, " N"], config: BinConfig
+    logits: Float[Tensor, "N K"],
+    values: Float[Tensor, " N"],
+    config: BinConfig,
+    *,
+    weights: Float[Tensor, " N"] | None = None,
 ) -> DensityCalibration:
     """Temperature with the least CRPS, then the central level by split-conformal prediction.
 
     The score of a clip is |2 PIT − 1|, the nominal probability of the smallest central interval that holds
     its value (PIT = F(value)); its ⌈0.9 (N+1)⌉-th smallest is the level (Romano et al. 2019; Chernozhukov et
-    al. 2021, "Distributional conformal prediction"). That covers 90 % of exchangeable new clips.
+    al. 2021, "Distributional conformal prediction"). That covers 90 % of exchangeable new clips. With `weights` it is
+    the weighted quantile (Tibshirani et al. 2019, eq. 7; a new clip is given the largest weight).
 
     Raises:
         InputError: fewer than nine clips, for which no finite level exists.
@@ -69,12 +74,16 @@ def fit_density_calibration(
             f"values: got {len(values)} validation clips; expected at least 9 to calibrate a 90 % interval"
         )
 
+    shares = torch.ones_like(values) if weights is None else weights / weights.max()
+
     def score_of(temperature: float) -> float:
-        return float(BinnedDensity.from_logits(logits, config, temperature=temperature).crps(values).mean())
+        crps = BinnedDensity.from_logits(logits, config, temperature=temperature).crps(values)
+        return float((shares * crps).sum())
 
     temperature = min(_TEMPERATURES, key=score_of)
     density = BinnedDensity.from_logits(logits, config, temperature=temperature)
-    score = (2 * density.cdf(values) - 1).abs().sort().values
-    rank = math.ceil(COVERAGE * (len(values) + 1))
-    level = float(score[rank - 1])
+    score, order = (2 * density.cdf(values) - 1).abs().sort()
+    below = shares[order].double().cumsum(0)
+    rank = int((below < COVERAGE * (float(below[-1]) + 1) - 1e-9).sum())
+    level = float(score[min(rank, len(score) - 1)])
     return DensityCalibration(temperature=temperature, central_level=min(max(level, 1e-3), 1.0))

@@ -15,9 +15,10 @@ from jaxtyping import Float64
 import physconvex
 from models.clip import PreparedClip, freeze_time, shuffle_time
 from models.estimator import Estimate, PhysicsPredictor
+from physconvex.errors import InputError
 from train.held_out import HeldOut, Report, estimates_of, held_out
 from train.metrics import DensityMetrics, density_metrics
-from train.records import Split, dataset_checksum, read_clips
+from train.records import LabelledClip, Split, dataset_checksum, read_clips
 
 __all__ = ["Decade", "PredictorEvaluation", "Reading", "evaluate_predictor", "write_predictor_report"]
 
@@ -96,11 +97,12 @@ def evaluate_predictor(
 ) -> PredictorEvaluation:
     """Read the clips of a split in order, in random order, and as a single frame.
 
-    The constant predictor says the median of the training clips of `training_data`, or of `data` unless given.
+    The constant predictor says the median of the training clips of `training_data`, or of `data` unless given; where
+    these have no training clips, of those for validation.
     """
     predictor = PhysicsPredictor.from_pretrained(checkpoint, device=device)
     clips = held_out(data, predictor, split=split, cache=cache, limit=limit, workers=workers, report=report)
-    training = read_clips(training_data or data, "train")
+    training = _not_tested(training_data or data)
     constants = (
         float(np.median([np.log10(clip.youngs_modulus) for clip in training])),
         float(np.median([clip.poisson_ratio for clip in training])),
@@ -128,6 +130,19 @@ def evaluate_predictor(
         estimated=tables[0][0],
         poisson_ratio=truth[1],
         estimated_poisson=tables[0][1],
+    )
+
+
+def _not_tested(data: Sequence[Path | str]) -> list[LabelledClip]:
+    """Training clips, or those for validation where there are none."""
+    clips = read_clips(data)
+    for split in ("train", "validation"):
+        found = [clip for clip in clips if clip.record.row["split"] == split]
+        if found:
+            return found
+    raise InputError(
+        f"training_data: {', '.join(map(str, data))} hold no clip of the splits train and validation, whose median "
+        "the constant predictor says; give the data set that the checkpoint was trained on"
     )
 
 

@@ -18,6 +18,7 @@ from physconvex.native import cache_folder
 
 __all__ = ["kept", "known"]
 
+_GENERATION = 2  # of the meshers: one more whenever they, or the choice between them, change
 Surface = tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]
 
 
@@ -53,7 +54,7 @@ def kept(surface: Surface, settings: object, make: Callable[[], TetMesh]) -> Tet
 
 
 def _path(surface: Surface, settings: object) -> Path:
-    digest = hashlib.sha256(repr((__version__, settings)).encode())
+    digest = hashlib.sha256(repr((__version__, _GENERATION, settings)).encode())
     for array in surface:
         digest.update(np.ascontiguousarray(array).tobytes())
     return cache_folder() / "meshes" / f"{digest.hexdigest()[:32]}.npz"

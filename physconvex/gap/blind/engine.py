@@ -1,8 +1,10 @@
-"""A second engine for blind captures: explicit steps, linear tetrahedra, lumped masses, linear contact springs.
+"""A second engine for blind captures: explicit steps, smoothed tetrahedra, lumped masses, linear contact springs.
 
 It shares nothing with the models of a diagnosis but the base law (stable neo-Hookean, Smith et al. 2018): no mesh, no
-integrator, no contact law, and each effect in another form. Plastic and viscous flow store C_p⁻¹, so that the elastic
-b_e = F C_p⁻¹ Fᵀ needs no singular values (Simo & Hughes 1998, §9.3, and Reese & Govindjee 1998, linearised).
+elements, no integrator, no contact law, and each effect in another form. Linear tetrahedra lock; here gradients are
+averaged around edges, and where λ multiplies them around nodes (selective ES/NS-FEM, Liu & Nguyen 2010, Smoothed Finite
+Element Methods; Onishi & Amaya 2014). Plastic and viscous flow store C_p⁻¹, so that the elastic b_e = F C_p⁻¹ Fᵀ needs
+no singular values (Simo & Hughes 1998, §9.3, and Reese & Govindjee 1998, linearised).
 """
 
 from __future__ import annotations
@@ -22,6 +24,8 @@ __all__ = ["World", "run_explicit"]
 
 _COURANT = 0.7
 _MOST_STEPS = 1000  # per frame
+_POWER_STEPS = 60
+_BEYOND_POWER = 1.1  # of the square, for what the iteration has not reached
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,44 +78,97 @@ class World:
     tied: np.ndarray | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class _Smoothed:
+    """Gradients averaged over domains that tetrahedra share: those around an edge, or around a node.
+
+    Attributes:
+        gradients: [3 D, V], rows by domain and direction.
+        volumes: of the domains [m³], shape [D].
+        shares: of the tetrahedra in each domain's volume, [D, E].
+    """
+
+    gradients: sp.csr_matrix
+    transposed: sp.csr_matrix
+    volumes: np.ndarray
+    shares: sp.csr_matrix
+
+    @classmethod
+    def over(cls, domains: np.ndarray, share: float, volumes: np.ndarray, slopes: sp.csr_matrix) -> _Smoothed:
+        """Domains that each tetrahedron belongs to, [E, K], with the same share of its volume in each."""
+        columns = np.arange(len(domains)).repeat(domains.shape[1])
+        parts = sp.csr_matrix((share * volumes[columns], (domains.reshape(-1), columns)))
+        whole = np.asarray(parts.sum(1)).reshape(-1)
+        shares = sp.diags(1 / whole) @ parts
+        gradients = sp.csr_matrix(sp.kron(shares, sp.eye(3)) @ slopes)
+        return cls(gradients, sp.csr_matrix(gradients.T), whole, sp.csr_matrix(shares))
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
+        """Of values per tetrahedron, per domain."""
+        return np.asarray(self.shares @ values)
+
+    def of(self, x: np.ndarray) -> np.ndarray:
+        """∂x_i/∂X_j of each domain, [D, 3, 3]."""
+        return np.asarray(self.gradients @ x).reshape(-1, 3, 3).transpose(0, 2, 1)
+
+    def force(self, stress: np.ndarray) -> np.ndarray:
+        """Of first Piola–Kirchhoff stresses [Pa] on the nodes [N]."""
+        weighted = self.volumes[:, None, None] * stress.transpose(0, 2, 1)
+        return -np.asarray(self.transposed @ weighted.reshape(-1, 3))
+
+
+def _edges(tets: np.ndarray) -> np.ndarray:
+    """Number of each of the six edges of the tetrahedra, [E, 6]."""
+    pairs = np.sort(tets[:, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]], axis=2)
+    _, numbers = np.unique(pairs.reshape(-1, 2), axis=0, return_inverse=True)
+    return np.asarray(numbers).reshape(-1, 6)
+
+
 class _Body:
     """Forces of a `World`."""
 
     def __init__(self, world: World) -> None:
         self.world = world
         mesh = world.mesh
-        self.tets = mesh.tets[:, :4]
-        corners = mesh.vertices[self.tets]
+        tets = mesh.tets[:, :4]
+        corners = mesh.vertices[tets]
         edges = (corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
         inverse = np.linalg.inv(edges)
-        self.gradients = np.concatenate([-inverse.sum(1, keepdims=True), inverse], axis=1)  # [E, 4, 3]
-        self.volumes = np.abs(np.linalg.det(edges)) / 6
-        count, used = len(mesh.vertices), len(self.tets)
-        rows = self.tets.reshape(-1)
-        self.scatter = sp.csr_matrix((np.ones(4 * used), (rows, np.arange(4 * used))), shape=(count, 4 * used))
-        self.masses = world.density / 4 * np.bincount(rows, np.repeat(self.volumes, 4), minlength=count)
+        gradients = np.concatenate([-inverse.sum(1, keepdims=True), inverse], axis=1)  # [E, 4, 3]
+        volumes = np.abs(np.linalg.det(edges)) / 6
+        count = len(mesh.vertices)
+        slopes = sp.csr_matrix(  # [3 E, V], rows by tetrahedron and direction
+            (
+                gradients.transpose(0, 2, 1).reshape(-1),
+                (np.arange(3 * len(tets)).repeat(4), tets.repeat(3, axis=0).reshape(-1)),
+            ),
+            shape=(3 * len(tets), count),
+        )
+        self.shear = _Smoothed.over(_edges(tets), 1 / 6, volumes, slopes)
+        self.bulk = _Smoothed.over(tets, 1 / 4, volumes, slopes)
+        self.masses = world.density * self.bulk.volumes
         if world.extra_mass is not None:
             self.masses = self.masses + world.extra_mass
-        modulus = np.broadcast_to(np.asarray(world.youngs_modulus, dtype=float), (used,))
-        self.mu = modulus / 2 / (1 + world.poisson_ratio)
-        self.lam = modulus * world.poisson_ratio / (1 + world.poisson_ratio) / (1 - 2 * world.poisson_ratio)
+        modulus = np.broadcast_to(np.asarray(world.youngs_modulus, dtype=float), (len(tets),))
+        self.mu = self.shear.mean(modulus / 2 / (1 + world.poisson_ratio))
+        self.lam = self.bulk.mean(
+            modulus * world.poisson_ratio / (1 + world.poisson_ratio) / (1 - 2 * world.poisson_ratio)
+        )
         faces = mesh.boundary_faces[:, :3]
         triangle = mesh.vertices[faces]
         area = np.linalg.norm(np.cross(triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]), axis=1) / 2
         self.areas = np.bincount(faces.reshape(-1), np.repeat(area / 3, 3), minlength=count)
         self.spring = world.contact_modulus * float(np.mean(modulus)) / mesh.size * self.areas
-        self.flowed = np.broadcast_to(np.eye(3), (used, 3, 3)).copy()  # C_p⁻¹
+        self.flowed = np.broadcast_to(np.eye(3), (len(self.mu), 3, 3)).copy()  # C_p⁻¹
         self.relaxed = self.flowed.copy()  # C_v⁻¹
 
     @cached_property
     def step(self) -> float:
         """Stable step [s], damping and contact included."""
         world = self.world
-        height = 1 / np.linalg.norm(self.gradients, axis=2).max(1)
         extra = 1 + 4 * world.stiffening + (world.branch[0] if world.branch else 0.0)
         extra += 0.0 if world.fibre is None else 4 * world.fibre[0]
-        wave = np.sqrt((self.lam + 2 * self.mu) * extra / world.density)
-        fastest = float((2 * wave / height).max())
+        fastest = self._fastest() * np.sqrt(extra)
         slack = 0.5 * fastest * world.damping_time
         step = 2 / fastest * (np.sqrt(1 + slack**2) - slack)
         springy = self.areas > 0
@@ -119,19 +176,36 @@ class _Body:
         slack = 0.5 * frequency * world.contact_damping
         return _COURANT * min(step, 2 / frequency * (np.sqrt(1 + slack**2) - slack))
 
+    def _fastest(self) -> float:
+        """Highest angular frequency of the body at rest [rad/s], by power iteration on M⁻¹ K."""
+        shape = np.random.default_rng(0).normal(size=(len(self.masses), 3))
+        square = 0.0
+        for _ in range(_POWER_STEPS):
+            shape /= np.linalg.norm(shape)
+            slope = self.shear.of(shape)
+            strain = slope + slope.transpose(0, 2, 1)
+            # σ of the law at F = I without its λ: 2 μ ε
+            force = self.shear.force(self.mu[:, None, None] * strain)
+            trace = np.trace(self.bulk.of(shape), axis1=1, axis2=2)
+            force += self.bulk.force((self.lam * trace)[:, None, None] * np.eye(3))
+            shape = -force / self.masses[:, None]
+            square = float(np.linalg.norm(shape))
+        return float(np.sqrt(_BEYOND_POWER * square))
+
     def accelerations(self, x: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
         """Of the nodes [m/s²]; plastic and viscous flow advance."""
         world = self.world
-        f = x[self.tets].transpose(0, 2, 1) @ self.gradients
+        f, g = self.shear.of(x), self.bulk.of(x)
         stress = self._stress(f, dt)
+        cofactor = _cofactor(g)
+        swelling = (g[:, 0] * cofactor[:, 0]).sum(1)
+        pressure = (self.lam * (swelling - 1))[:, None, None] * cofactor
         if world.damping_time > 0:
-            rate = f.transpose(0, 2, 1) @ (v[self.tets].transpose(0, 2, 1) @ self.gradients)
-            strain_rate = 0.5 * (rate + rate.transpose(0, 2, 1))
-            trace = np.trace(strain_rate, axis1=1, axis2=2)
-            second = 2 * self.mu[:, None, None] * strain_rate + (self.lam * trace)[:, None, None] * np.eye(3)
-            stress = stress + world.damping_time * (f @ second)
-        pull = self.gradients @ (stress * self.volumes[:, None, None]).transpose(0, 2, 1)
-        force = -(self.scatter @ pull.reshape(-1, 3))
+            rate = f.transpose(0, 2, 1) @ self.shear.of(v)
+            stress = stress + world.damping_time * self.mu[:, None, None] * (f @ (rate + rate.transpose(0, 2, 1)))
+            trace = (g * self.bulk.of(v)).sum((1, 2))  # of the rate of Green's strain
+            pressure += (world.damping_time * self.lam * trace)[:, None, None] * g
+        force = self.shear.force(stress) + self.bulk.force(pressure)
         force += self._contact(x, v)
         if world.wind is not None:
             relative = v - np.asarray(world.wind[1])
@@ -145,17 +219,16 @@ class _Body:
         return np.asarray(out)
 
     def _stress(self, f: np.ndarray, dt: float) -> np.ndarray:
-        """First Piola–Kirchhoff stress [Pa]."""
+        """First Piola–Kirchhoff stress of all but λ/2 (J − 1)² [Pa]."""
         world = self.world
-        a, b, c = f[:, 0], f[:, 1], f[:, 2]
-        cofactor = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
-        volume = (a * cofactor[:, 0]).sum(1)
+        cofactor = _cofactor(f)
+        volume = (f[:, 0] * cofactor[:, 0]).sum(1)
         if not (volume > 0).all():
             raise ConvergenceError("explicit engine: a tetrahedron turned inside out")
         mu = self.mu
         if world.stiffening:
             mu = mu * (1 + world.stiffening * np.maximum((f * f).sum((1, 2)) - 3, 0.0))
-        pressure = (self.lam + self.mu) * (volume - 1) - self.mu
+        pressure = self.mu * (volume - 2)
         elastic = f
         if np.isfinite(world.yield_stress):
             elastic = f @ self._yield(f, cofactor, volume)
@@ -204,6 +277,11 @@ class _Body:
                 still = 1e-3 * np.sqrt(9.81 * world.mesh.size)
                 force[nodes, :2] -= (world.friction * normal / np.maximum(speed, still))[:, None] * slip
         return force
+
+
+def _cofactor(f: np.ndarray) -> np.ndarray:
+    a, b, c = f[:, 0], f[:, 1], f[:, 2]
+    return np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
