@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -17,6 +18,8 @@ __all__ = ["diagonal_of", "fill", "fill_within"]
 MIN_MEAN_RATIO = 0.02
 # How often the resolution is made coarser to respect `max_nodes`, and by how much.
 COARSENINGS, COARSENING_FACTOR = 6, 1.35
+# What fTetWild writes into the current folder, whatever it is told.
+LEFT_BEHIND = "__tracked_surface.stl"
 # Volume per area of the surface, in units of fTetWild's tolerance, below which nothing was enclosed: a single sliver
 # may be left of an open sheet.
 LEAST_THICKNESS = 0.1
@@ -73,6 +76,8 @@ def fill(
     import pytetwild  # here: it loads VTK, which takes a while
 
     centre, scale = vertices.mean(axis=0), float(np.ptp(vertices, axis=0).max())
+    left_behind = Path(LEFT_BEHIND).absolute()
+    was_there = left_behind.exists()
     try:
         nodes, tets = pytetwild.tetrahedralize(
             (vertices - centre) / scale,
@@ -85,6 +90,9 @@ def fill(
         )
     except RuntimeError as error:
         raise ConvergenceError(f"tetrahedralize: fTetWild failed: {error}; repair or simplify the surface") from error
+    finally:
+        if not was_there:
+            left_behind.unlink(missing_ok=True)
     nodes = np.asarray(nodes, dtype=np.float64).reshape(-1, 3)
     tets = _positive(nodes, np.asarray(tets, dtype=np.int64).reshape(-1, 4))
     if _volume(nodes, tets) * scale**3 < LEAST_THICKNESS * epsilon * diagonal_of(vertices) * _area(vertices, faces):

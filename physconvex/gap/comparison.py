@@ -27,6 +27,7 @@ __all__ = [
     "doses_at_bounds",
     "fit_effects",
     "hypothesis_at",
+    "information_per_one",
     "mean_square",
     "refit",
     "residuals_per_one",
@@ -119,6 +120,18 @@ def _information(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> floa
     frame = base.observations.frames[rows]
     noise = np.bincount(frame, 1 / errors.variance[rows], minlength=base.model.frames)
     return float(np.minimum(noise + 3.0, np.bincount(frame, minlength=base.model.frames))[np.unique(frame)].sum())
+
+
+def information_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> float:
+    """What the likelihood is divided by, so that no more residuals count than are independent in what a model leaves.
+
+    Those that share their numerical error count as few already (`_information`); of that number and of the independent
+    ones the smaller one holds, as both are for the same likeness of residuals.
+    """
+    frames = np.union1d(base.split.fitted, base.split.selecting)
+    count = _information(base, errors, frames)
+    independent = len(base.rows(frames)) / residuals_per_one(base, errors, positions, frames)
+    return max(1.0, count / max(independent, 1e-9))
 
 
 def _likelihood(base: Baseline, errors: ErrorModel, fitted: float, selecting: float) -> float:

@@ -166,9 +166,11 @@ def _trusted(
         return base, errors, None
     screening = screen(as_reduced(base), errors, numerics, dictionary, report)
     scale = error_scale(base, errors, screening)
-    if scale > _WORTH:
+    if scale.min() > _WORTH:
         return base, errors, None if base.situation.clamped else screening  # of a held body details count less
     errors = error_model(base, numerics, options, scale=scale)
+    if scale.max() > _WORTH:  # of the frames that nothing is fitted to alone
+        return base, errors, None if base.situation.clamped else screening
     fine = None if base.model.mesh is None else (base.model.mesh, base.motion)
     base = _with_directions(fit_baseline(base, correction, fine, errors.variance, options, report), numerics)
     return base, error_model(base, numerics, options, scale=scale), None

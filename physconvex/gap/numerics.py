@@ -139,7 +139,9 @@ def correction_of(numerics: Numerics) -> Positions:
     return numerics.steps if numerics.fine is not None else numerics.steps + numerics.mesh
 
 
-def error_model(base: Baseline, numerics: Numerics, options: GapOptions, *, scale: float = 1.0) -> ErrorModel:
+def error_model(
+    base: Baseline, numerics: Numerics, options: GapOptions, *, scale: float | Float[np.ndarray, " T"] = 1.0
+) -> ErrorModel:
     """V of `physconvex.gap.score`: noise, the size of numerical differences in each frame, and their shapes.
 
     Where the base model is fitted (its tangents are known), the size is that of what the differences leave once E, ν
@@ -149,11 +151,11 @@ def error_model(base: Baseline, numerics: Numerics, options: GapOptions, *, scal
         base: the base fit.
         numerics: the differences.
         options: settings.
-        scale: factor on the differences, see `physconvex.gap.trust`.
+        scale: factor on the differences, one or one per frame, see `physconvex.gap.trust`.
     """
-    here, scale = base.positions, scale * options.error_scale
-    directions = scale * np.stack([base.change(here + d) for d in numerics.null])
-    frames = base.observations.frames
+    here, frames = base.positions, base.observations.frames
+    scales = options.error_scale * np.broadcast_to(scale, base.model.frames)
+    directions = scales[frames] * np.stack([base.change(here + d) for d in numerics.null])
     count = np.maximum(np.bincount(frames, minlength=base.model.frames), 1)
     travelled = np.linalg.norm(base.motion.positions - base.motion.rest, axis=-1).mean(1)
     floor = base.change(here + (options.discretisation * travelled)[:, None, None] / np.sqrt(3)) ** 2

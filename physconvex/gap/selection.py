@@ -24,6 +24,7 @@ from physconvex.gap.comparison import (
     continued,
     doses_at_bounds,
     fit_effects,
+    information_per_one,
     refit,
     residuals_per_one,
 )
@@ -230,7 +231,7 @@ def judged(base: Baseline, errors: ErrorModel, hypotheses: Sequence[Hypothesis])
     """
     hypotheses = within_bounds(hypotheses)
     best = max(hypotheses, key=lambda h: h.evidence)
-    divisor = residuals_per_one(base, errors, best.positions, np.union1d(base.split.fitted, base.split.selecting))
+    divisor = information_per_one(base, errors, best.positions)
     return sorted((h.tempered(divisor) for h in hypotheses), key=lambda h: -h.evidence)
 
 

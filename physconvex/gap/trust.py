@@ -5,6 +5,9 @@ effect that is smaller is then lost in it. But the residual of the fitted frames
 base model, or it with one effect, leaves a tenth of the expected error, then the error is no larger than that tenth
 (unless the two cancel all the time). As in a regression, the scale of the errors comes from the largest model. A margin
 keeps what an effect absorbs of numerical error by chance from being called a cause.
+
+After the fitted frames differences between meshes grow on. Of these frames (the first half of them chooses between
+fits) no more is believed than what the base model leaves there, with the same margin.
 """
 
 from __future__ import annotations
@@ -20,22 +23,26 @@ __all__ = ["error_scale"]
 
 _MARGIN = 4.0  # of squares: an effect must remove more than 1 − 1/(1.5 × this) of them to open a gap
 _LEAST = 0.15  # scale below which nothing is believed
-_FRAMES = 2  # that tell: fitted ones whose numerical error is above noise
+_FRAMES = 2  # that tell: those whose numerical error is above noise
 
 
-def error_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> float:
-    """Factor on the numerical error, 0.15 to 1.
+def error_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> Float[np.ndarray, " T"]:
+    """Factor on the numerical error of each frame, 0.15 to 1.
 
     Args:
         base: the base fit.
         errors: with the numerical error as other meshes, steps and contact have it.
         screening: of the effects at that fit; each may explain what it can to first order, numerical ones not.
     """
+    last = int(base.split.fitted[-1])
+    fitted = _fitted_scale(base, errors, screening)
+    rows = base.rows(base.split.selecting)
+    late = _scale(base, errors, rows, [base.residual(base.positions)[rows]])
+    return np.where(np.arange(len(base.positions)) > last, min(fitted, late), fitted)
+
+
+def _fitted_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> float:
     rows = base.rows(base.split.fitted)
-    numerical = errors.expected[rows] - 1.0
-    told = numerical > 1.0
-    if len(np.unique(base.observations.frames[rows][told])) < _FRAMES:
-        return 1.0
     weights = 1 / np.sqrt(errors.expected[rows])
     count = int(base.split.fitted[-1]) + 1
     here = base.positions[:count]
@@ -46,12 +53,19 @@ def error_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> flo
         if entry.effect.source != "numerical" and np.any(entry.score.amounts):
             signature = np.tensordot(entry.score.amounts, entry.signature, 1)
             candidates.append([base.change(here + signature)[rows]])
-    wanted = np.inf
-    for columns in candidates:
-        left = _left(residual, [*tangents, *columns], weights)
-        share = (weights**4 * (left**2 - 1.0))[told].sum() / (weights**4 * numerical)[told].sum()
-        wanted = min(wanted, float(share))
-    return float(np.clip(np.sqrt(_MARGIN * max(wanted, 0.0)), _LEAST, 1.0))
+    return _scale(base, errors, rows, [_left(residual, [*tangents, *columns], weights) for columns in candidates])
+
+
+def _scale(base: Baseline, errors: ErrorModel, rows: np.ndarray, lefts: list[np.ndarray]) -> float:
+    """Twice what the best of several fits leaves in some rows over the numerical error expected there."""
+    numerical = errors.expected[rows] - 1.0
+    told = numerical > 1.0
+    if len(np.unique(base.observations.frames[rows][told])) < _FRAMES:
+        return 1.0
+    weights = 1 / errors.expected[rows][told] ** 2
+    expected = float(weights @ numerical[told])
+    least = min(float(weights @ (left[told] ** 2 - 1.0)) for left in lefts) / expected
+    return float(np.clip(np.sqrt(_MARGIN * max(least, 0.0)), _LEAST, 1.0))
 
 
 def _left(

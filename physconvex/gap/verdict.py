@@ -199,7 +199,8 @@ def _nothing(e: _Evidence) -> Verdict | None:
     closed = e.before < _FLOOR or (e.base.fitted < _FLOOR and e.gain < _SURE)
     little = e.gain < WEAK and e.before < _OPEN
     slight = _is_slight(e.best) and not e.open
-    if not (little or not significant or closed or slight):
+    late = e.foretold and e.before >= _OPEN  # a gap that opens after the fitted frames, and that the effect foretells
+    if not (little or slight or (not late and (closed or not significant))):
         return None
     if e.floor > _BLIND:
         return _blind(e)

@@ -2,15 +2,19 @@
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.optimize import check_grad
+from scipy.spatial import cKDTree
 
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem.embedding import Embedding
 from physconvex.fem.fitting import _distortion, closest_in_triangles, fit_to_surface
-from physconvex.fem.implicit_meshing import euler_characteristic, largest_piece, tetrahedralize_implicit
+from physconvex.fem.implicit_meshing import _sampled, euler_characteristic, largest_piece, tetrahedralize_implicit
 from physconvex.fem.mesh import TetMesh, box_mesh
+from physconvex.fem.meshing import tetrahedralize
 from physconvex.fem.quality import mean_ratios, mesh_quality
 from physconvex.fem.stuffing import stuff
+from physconvex.fem.surface_distance import overlap
 
 UNIT = np.array([[-0.5] * 3, [0.5] * 3])
 
@@ -153,3 +157,23 @@ def test_the_largest_piece_is_kept_and_two_equal_pieces_are_none():
     assert kept is not None
     assert kept.volume == pytest.approx(1.0)
     assert largest_piece(together(big, big)) is None
+
+
+def test_a_bar_of_twelve_triangles_keeps_its_shape():
+    """Samples at the centres of the triangles are twelve points: the mesh then bulged by a tenth of the length."""
+    bar = trimesh.creation.box((1.0, 0.25, 0.25))
+    surface = np.asarray(bar.vertices), np.asarray(bar.faces)
+    mesh = tetrahedralize(bar, method="lattice", order=2, max_nodes=6300)
+    assert overlap(mesh, *surface) > 0.98
+    np.testing.assert_allclose(np.abs(mesh.vertices).max(axis=0), [0.5, 0.125, 0.125], atol=0.025)
+
+
+def test_samples_spread_over_large_triangles_and_lie_amid_small_ones():
+    large = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0.0]]), np.array([[0, 1, 2]])
+    points, normals = _sampled(*large)
+    cells = np.floor(points[:, :2] * 8).astype(int)
+    assert len(np.unique(cells, axis=0)) == 36  # all the cells of 1/8 that lie in the triangle
+    assert (points[:, :2].sum(axis=1) <= 1).all() and (normals == [0, 0, 1]).all()
+    fine = trimesh.creation.icosphere(subdivisions=5)
+    points, _ = _sampled(np.asarray(fine.vertices), np.asarray(fine.faces))
+    assert cKDTree(fine.triangles_center).query(points)[0].max() < 1e-12

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 from physconvex.errors import ConvergenceError, InputError
+from physconvex.fem.ftetwild import LEFT_BEHIND
 from physconvex.fem.mesh import box_mesh
 from physconvex.fem.mesh_volume import enclosed_volume, with_volume
 from physconvex.fem.meshing import tetrahedralize
@@ -30,6 +31,15 @@ def test_a_ball_becomes_sound_positive_elements_of_its_volume(ball, ball_mesh):
     radii = np.linalg.norm(ball_mesh.vertices[np.unique(ball_mesh.boundary_faces)], axis=1)
     # epsilon: 2 % of the diagonal (0.173 m), and the shift that restores the volume
     assert np.abs(radii - 0.05).max() < 0.02 * 0.173 * 1.5
+
+
+def test_ftetwild_leaves_no_file_behind(ball, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    tetrahedralize(ball)
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / LEFT_BEHIND).write_text("somebody's own")
+    tetrahedralize(ball)
+    assert (tmp_path / LEFT_BEHIND).is_file()
 
 
 def test_the_lattice_mesher_repeats_itself_and_uses_the_node_budget(ball):

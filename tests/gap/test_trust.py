@@ -14,17 +14,17 @@ FRAMES, EACH = 12, 60
 SIZE = np.repeat(np.r_[np.zeros(6), np.full(6, 20.0)], EACH)  # of the numerical error over noise
 
 
-def case(residual, size=SIZE):
+def case(residual, size=SIZE, fitted=FRAMES):
     """A baseline with one nuisance, and what other meshes lead one to expect of its residuals."""
     count = FRAMES * EACH
     frames = np.repeat(np.arange(FRAMES), EACH)
     base = SimpleNamespace(
-        split=SimpleNamespace(fitted=np.arange(FRAMES)),
+        split=SimpleNamespace(fitted=np.arange(fitted), selecting=np.arange(fitted, FRAMES)),
         observations=SimpleNamespace(frames=frames),
         positions=np.zeros((FRAMES, EACH // 3, 3)),
         tangents=np.ones((FRAMES, 1, EACH // 3, 3)),
         rows=lambda fitted: np.flatnonzero(np.isin(frames, fitted)),
-        change=lambda positions: positions.reshape(count),
+        change=lambda positions: positions.reshape(-1),
         residual=lambda positions: residual,
     )
     return base, ErrorModel(1 + size**2, np.zeros((0, count)), 1 + size**2)
@@ -43,18 +43,30 @@ NOTHING = SimpleNamespace(one_per_name=())
 @pytest.mark.parametrize(("share", "scale"), [(1.0, 1.0), (0.3, 0.3 * 2), (0.02, 0.15)])
 def test_a_residual_below_the_expected_error_bounds_it(rng, share, scale):
     residual = rng.normal(size=len(SIZE)) * np.sqrt(1 + (share * SIZE) ** 2)
-    assert error_scale(*case(residual), NOTHING) == pytest.approx(scale, rel=0.1)
+    np.testing.assert_allclose(error_scale(*case(residual), NOTHING), np.full(FRAMES, scale), rtol=0.1)
 
 
 def test_what_an_effect_explains_is_no_error(rng):
     hidden = 15.0 * rng.normal(size=len(SIZE)) * (SIZE > 0)
     base, errors = case(hidden + rng.normal(size=len(SIZE)) * np.sqrt(1 + (0.1 * SIZE) ** 2))
-    assert error_scale(base, errors, NOTHING) == 1.0
-    assert error_scale(base, errors, screened(hidden)) == pytest.approx(0.1 * 2, rel=0.2)
-    assert error_scale(base, errors, screened(hidden, source="numerical")) == 1.0
-    assert error_scale(base, errors, screened(hidden, amount=0.0)) == 1.0  # the sign that physics forbids
+    assert (error_scale(base, errors, NOTHING) == 1.0).all()
+    np.testing.assert_allclose(error_scale(base, errors, screened(hidden)), np.full(FRAMES, 0.1 * 2), rtol=0.2)
+    assert (error_scale(base, errors, screened(hidden, source="numerical")) == 1.0).all()
+    assert (error_scale(base, errors, screened(hidden, amount=0.0)) == 1.0).all()  # the sign that physics forbids
+
+
+def test_later_frames_are_trusted_by_what_the_base_model_leaves_there(rng):
+    """The fitted frames err as expected, the later ones by a fifth of it; and the other way round."""
+    late = np.repeat(np.arange(FRAMES) >= 9, EACH)
+    noise = rng.normal(size=len(SIZE))
+    residual = noise * np.sqrt(1 + (np.where(late, 0.2, 1.0) * SIZE) ** 2)
+    scale = error_scale(*case(residual, fitted=9), NOTHING)
+    assert (scale[:9] == 1.0).all()
+    np.testing.assert_allclose(scale[9:], 0.2 * 2, rtol=0.15)
+    residual = noise * np.sqrt(1 + (np.where(late, 1.0, 0.2) * SIZE) ** 2)
+    np.testing.assert_allclose(error_scale(*case(residual, fitted=9), NOTHING), 0.2 * 2, rtol=0.15)
 
 
 def test_frames_without_numerical_error_tell_nothing(rng):
     residual = rng.normal(size=len(SIZE))
-    assert error_scale(*case(residual, 0.5 * np.ones(len(SIZE))), NOTHING) == 1.0
+    assert (error_scale(*case(residual, 0.5 * np.ones(len(SIZE))), NOTHING) == 1.0).all()

@@ -264,3 +264,14 @@ def test_what_was_taken_from_the_recording_is_told():
     soft.model.mesh = SimpleNamespace(order=1, mass_shares=None)
     told = " ".join(caveats_of(soft, soft, 1.0))
     assert "1e+06 Pa/m" in told and "9 ms" in told and "restitution" in told and "linear elements" in told
+
+
+@pytest.mark.parametrize(
+    ("remaining", "placebo", "name"), [(0.04, 0.0, "effect"), (0.3, 0.0, "none"), (0.04, 0.5, "none")]
+)
+def test_a_gap_that_opens_after_the_fitted_frames_counts_if_the_effect_foretells_it(remaining, placebo, name):
+    """Damping of a body that is still in contact where the fitted frames end: they fit, and screening sees nothing."""
+    quiet = hypothesis(0.0)
+    quiet.fitted = 1.0
+    hypotheses = [hypothesis(2.5, "damping"), quiet]
+    assert decide(hypotheses, screening(p_value=0.2), 30.0, 1.0, remaining, OPTIONS, placebo=placebo).name == name

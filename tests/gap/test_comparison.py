@@ -1,0 +1,59 @@
+"""How much a likelihood counts."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from physconvex.gap.comparison import information_per_one
+from physconvex.gap.score import ErrorModel
+
+pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
+
+FRAMES, POINTS = 15, 40
+
+
+def case(residual, numerical):
+    """A baseline whose residuals are these, and their errors: noise, and a numerical one that counts as a few."""
+    count = FRAMES * POINTS * 3
+    frames = np.repeat(np.arange(FRAMES), POINTS * 3)
+    base = SimpleNamespace(
+        split=SimpleNamespace(fitted=np.arange(12), selecting=np.arange(12, FRAMES)),
+        observations=SimpleNamespace(frames=frames, point_indices=np.tile(np.repeat(np.arange(POINTS), 3), FRAMES)),
+        components=3,
+        model=SimpleNamespace(frames=FRAMES),
+        rows=lambda chosen: np.flatnonzero(np.isin(frames, chosen)),
+        residual=lambda positions: residual,
+    )
+    errors = ErrorModel(np.full(count, 1 + 20 * numerical), np.zeros((0, count)), np.full(count, 1 + numerical))
+    return base, errors
+
+
+def counted(residual, numerical):
+    """Residuals that the likelihood counts."""
+    base, errors = case(residual, numerical)
+    information = FRAMES * (POINTS * 3 / (1 + 20 * numerical) + 3 if numerical else POINTS * 3)
+    return information / information_per_one(base, errors, np.zeros(0))
+
+
+@pytest.fixture
+def smooth():
+    """One shape that swings slowly, thrice as large as what is expected."""
+    moments = np.sin(np.arange(FRAMES) / 2.0)[:, None] * np.linspace(-1, 1, POINTS * 3)
+    return 3 * (moments / moments.std()).ravel()
+
+
+def test_noise_counts_whole(rng):
+    assert counted(rng.normal(size=FRAMES * POINTS * 3), 0.0) == pytest.approx(FRAMES * POINTS * 3, rel=0.05)
+
+
+def test_a_smooth_lack_of_fit_counts_as_the_independent_ones_among_it(smooth):
+    few = counted(smooth, 0.0)
+    assert 3 < few < 12
+
+
+def test_what_numerical_error_has_made_few_is_not_made_fewer_for_the_same_reason(smooth):
+    """The likeness of residuals was counted twice: their number by frame, and again that number by what is left."""
+    whitened = smooth * np.sqrt(2.0)  # the same over what is now expected
+    assert counted(whitened, 1.0) == pytest.approx(counted(smooth, 0.0), rel=1e-6)
+    assert counted(0.3 * whitened, 1.0) == pytest.approx(FRAMES * (POINTS * 3 / 21 + 3), rel=1e-6)
