@@ -12,15 +12,16 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.capture import Capture
+from physconvex.capture import Boundary, Capture
 from physconvex.fem import TetMesh, box_mesh
 
-__all__ = ["box_cells", "box_of_body"]
+__all__ = ["box_cells", "box_of_body", "with_plane"]
 
 _SAME = 2e-3  # volume missing in the box of a box, and distance of its vertices from its faces over its size
 _SLENDER = 3.0  # longest edge over the others from which on one cell across is enough for quadratic elements
 _FLAT = 0.4  # length of a slender box's cells over their width
 _MOST = 16  # cells along an edge
+_THIN = 5e-3  # share of an edge below which a held end is taken for a plane
 
 
 def box_of_body(capture: Capture, max_nodes: int) -> TetMesh | None:
@@ -40,8 +41,56 @@ def box_of_body(capture: Capture, max_nodes: int) -> TetMesh | None:
     away = np.minimum(outside - low, high - outside).min(1)  # from the nearest face
     if abs(volume / edges.prod() - 1) > _SAME or away.max() > _SAME * edges.max():
         return None
-    mesh = box_mesh((float(edges[0]), float(edges[1]), float(edges[2])), box_cells(edges, max_nodes))
-    return TetMesh(mesh.vertices + low, mesh.tets)
+    held = _held_end(capture.boundary(), low, high)
+    cells = box_cells(edges, max_nodes)
+    if held is None:
+        mesh = box_mesh((float(edges[0]), float(edges[1]), float(edges[2])), cells)
+        return TetMesh(mesh.vertices + low, mesh.tets)
+    return with_plane(low, high, cells, *held)
+
+
+def _held_end(
+    boundary: Boundary | None, low: Float[np.ndarray, " 3"], high: Float[np.ndarray, " 3"]
+) -> tuple[int, float] | None:
+    """Axis and place [m] of the plane where a box that holds one end of the body ends; None without such."""
+    if boundary is None or boundary.clamped_box is None:
+        return None
+    first, last = boundary.clamped_box
+    ends = [
+        (axis, float(plane))
+        for axis in range(3)
+        for plane, covers in ((last[axis], first[axis] <= low[axis]), (first[axis], last[axis] >= high[axis]))
+        if covers and _THIN < (plane - low[axis]) / (high[axis] - low[axis]) < 1 - _THIN
+    ]
+    return ends[0] if len(ends) == 1 else None
+
+
+def with_plane(
+    low: Float[np.ndarray, " 3"], high: Float[np.ndarray, " 3"], cells: tuple[int, int, int], axis: int, plane: float,
+    *, order: int = 2,
+) -> TetMesh:  # fmt: skip
+    """Mesh of a box of which nodes lie in a plane across one axis.
+
+    What a box holds of a beam ends there: on nodes to either side of it, the beam is longer or shorter by half a cell,
+    by which its stiffness is off by several times as much.
+
+    Args:
+        low, high: corners [m].
+        cells: along each edge, about; each side of the plane has at least one.
+        axis: across the plane.
+        plane: its coordinate [m].
+        order: of the elements.
+    """
+    share = (plane - low[axis]) / (high[axis] - low[axis])
+    first = max(round(share * cells[axis]), 1)
+    rest = max(round((1 - share) * cells[axis]), 1)
+    numbers = list(cells)
+    numbers[axis] = first + rest
+    mesh = box_mesh((1.0, 1.0, 1.0), (numbers[0], numbers[1], numbers[2]), order=order)
+    knots = np.array([0.0, first / (first + rest), 1.0])
+    unit = mesh.vertices.copy()
+    unit[:, axis] = np.interp(unit[:, axis], knots, np.array([0.0, share, 1.0]))
+    return TetMesh(low + unit * (high - low), mesh.tets)
 
 
 def box_cells(edges: Float[np.ndarray, " 3"], max_nodes: int) -> tuple[int, int, int]:

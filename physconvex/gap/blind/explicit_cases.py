@@ -14,6 +14,7 @@ from physconvex.errors import ConvergenceError
 from physconvex.fem import TetMesh, tetrahedralize
 from physconvex.gap.blind.cases import Case, HiddenEffect, floor_height
 from physconvex.gap.blind.engine import World, run_explicit
+from physconvex.gap.boxes import with_plane
 from physconvex.gap.effects import Motion
 from physconvex.gap.effects.observation import at_times
 from physconvex.gap.effects.world import rotation_vector_matrix
@@ -166,6 +167,11 @@ def _dosed(name: str, s: float, case: Case, seed: int) -> Dosed:
 
 
 def _mesh(case: Case, nodes: int) -> TetMesh:
+    if case.clamped is not None:  # a bar along x, of which no more and no less is to be held than what lies in the box
+        low, high = case.surface.vertices.min(0), case.surface.vertices.max(0)
+        edge = float(np.cbrt(np.prod(high - low) / nodes))
+        cells = tuple(int(np.ceil(e / edge)) for e in high - low)
+        return with_plane(low, high, (cells[0], cells[1], cells[2]), 0, float(case.clamped[1, 0]), order=1)
     pair = (np.asarray(case.surface.vertices, dtype=np.float64), np.asarray(case.surface.faces))
     mesh = tetrahedralize(pair, max_nodes=7 * nodes, order=2, method="auto")
     used, tets = np.unique(mesh.corner_tets, return_inverse=True)
