@@ -21,7 +21,10 @@ for _point in entry_points(group="physconvex.evaluations"):  # of packages that 
 Data = Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")]
 Out = Annotated[Path, typer.Option(help="Folder of the results (JSON and figure).")]
 Checkpoint = Annotated[str, typer.Option(help="Name or folder of a checkpoint.")]
-Split = Annotated[Literal["train", "validation", "test"], typer.Option(help="Which objects.")]
+Split = Annotated[
+    Literal["train", "validation", "test", "all"],
+    typer.Option(help="Which objects; `all` of a data set that nothing was trained on."),
+]
 Cache = Annotated[Path | None, typer.Option(help="Where prepared clips live; OUT/cache unless given.")]
 Limit = Annotated[int | None, typer.Option(help="At most this many clips.")]
 Device = Annotated[str, typer.Option(help="Device of the network.")]

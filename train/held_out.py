@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -13,9 +14,10 @@ from models.estimator import Estimate, PhysicsPredictor
 from train.cache import PreparedClips, prepare_clips
 from train.records import LabelledClip, Split, read_clips
 
-__all__ = ["HeldOut", "Report", "estimates_of", "held_out"]
+__all__ = ["HeldOut", "Report", "Shown", "estimates_of", "held_out"]
 
 Report = Callable[[str, int, int], None]
+Shown = Split | Literal["all"]
 _BATCH = 16
 
 
@@ -34,14 +36,14 @@ def held_out(
     data: Sequence[Path | str],
     predictor: PhysicsPredictor,
     *,
-    split: Split,
+    split: Shown,
     cache: Path,
     limit: int | None = None,
     workers: int = 1,
     report: Report | None = None,
 ) -> HeldOut:
     """The clips of a split, at most `limit`, spread over it evenly."""
-    labels = read_clips(data, split)
+    labels = read_clips(data, None if split == "all" else split)
     if limit is not None and limit < len(labels):
         labels = [labels[k] for k in np.linspace(0, len(labels) - 1, limit).round().astype(int)]
     progress = None if report is None else lambda done, total: report("preparing clips", done, total)

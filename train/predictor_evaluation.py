@@ -16,9 +16,9 @@ import physconvex
 from models.clip import PreparedClip, freeze_time, shuffle_time
 from models.estimator import Estimate, PhysicsPredictor
 from physconvex.errors import InputError
-from train.held_out import HeldOut, Report, estimates_of, held_out
+from train.held_out import HeldOut, Report, Shown, estimates_of, held_out
 from train.metrics import DensityMetrics, density_metrics
-from train.records import LabelledClip, Split, dataset_checksum, read_clips
+from train.records import LabelledClip, dataset_checksum, read_clips
 
 __all__ = ["Decade", "PredictorEvaluation", "Reading", "evaluate_predictor", "write_predictor_report"]
 
@@ -86,7 +86,7 @@ def evaluate_predictor(
     data: Sequence[Path | str],
     *,
     checkpoint: str,
-    split: Split,
+    split: Shown,
     cache: Path,
     limit: int | None = None,
     device: str = "cpu",

@@ -16,8 +16,8 @@ from jaxtyping import Float64
 import physconvex
 from models.estimator import PhysicsPredictor
 from models.skinning_energy import captured_energy, random_basis
-from train.held_out import Report, estimates_of, held_out
-from train.records import ClipSamples, Split, dataset_checksum
+from train.held_out import Report, Shown, estimates_of, held_out
+from train.records import ClipSamples, dataset_checksum
 
 __all__ = ["SkinningEvaluation", "evaluate_skinning", "write_skinning_report"]
 
@@ -53,7 +53,7 @@ def evaluate_skinning(
     data: Sequence[Path | str],
     *,
     checkpoint: str,
-    split: Split,
+    split: Shown,
     cache: Path,
     limit: int | None = None,
     device: str = "cpu",

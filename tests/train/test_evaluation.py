@@ -14,6 +14,7 @@ from models.estimator import Estimate, PhysicsPredictor
 from models.skinning import SkinningField
 from physconvex.errors import InputError
 from train.config import TrainConfig
+from train.held_out import held_out
 from train.predictor_evaluation import evaluate_predictor, write_predictor_report
 from train.records import read_clips
 from train.skinning_evaluation import evaluate_skinning, write_skinning_report
@@ -98,3 +99,9 @@ def test_skinning_report(tiny_data: Path, tiny_cache: Path, checkpoint: Path, tm
     assert set(tree["captured_share_mean"]) == {"predicted", "eigenmodes", "random"}
     assert (tmp_path / "out" / "skinning.png").stat().st_size > 10_000
     assert "eigenmodes" in result.table()
+
+
+def test_all_objects_of_a_data_set_can_be_read(tiny_data: Path, tiny_cache: Path, checkpoint: Path) -> None:
+    predictor = PhysicsPredictor.from_pretrained(checkpoint)
+    sizes = {split: len(held_out([tiny_data], predictor, split=split, cache=tiny_cache)) for split in ("test", "all")}
+    assert sizes == {"test": 12, "all": 72}
