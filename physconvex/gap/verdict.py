@@ -32,8 +32,10 @@ _FORETOLD = 0.9  # share of the gap on frames that were not fitted, of which a p
 _PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
 _BLIND = 0.1  # floor over size or motion above which "none" would say nothing
 _SURE = 30.0  # gain that makes a call although the base model fits the fitted frames within its error
+_TELLING = 10.0  # gain at which it does if held-out frames agree that half of the gap goes
 _ASTRAY = 0.5  # distance from the recording over its motion above which the model is no model of it
 _LIKELY = 0.5  # probability from which on an effect is named
+_DOUBT = 0.4  # probability of none and of something else above which no effect is
 _OPEN = 4.0  # times the expected square: a gap, whether or not an effect explains it
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
 
@@ -144,6 +146,13 @@ class _Evidence:
         return self.gain >= _CLEAR or (self.gain >= WEAK and kept)
 
     @property
+    def telling(self) -> bool:
+        """Whether the effect counts although the base model fits the fitted frames within its error."""
+        asked = float(np.interp(self.gain, (WEAK, _TELLING), (_FORETOLD, self.options.explained)))
+        kept = self.gain >= WEAK and self.share >= asked and self.placebo < 1.0 - _FORETOLD
+        return self.gain >= _SURE or kept
+
+    @property
     def open(self) -> bool:
         """Whether a gap is there, of the base model and on held-out frames with the best effects too."""
         return min(self.before, self.after) >= _OPEN
@@ -196,10 +205,10 @@ class _Evidence:
 def _nothing(e: _Evidence) -> Verdict | None:
     """No gap above noise and numerical error; where those are large, that says nothing."""
     significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
-    closed = e.before < _FLOOR or (e.base.fitted < _FLOOR and e.gain < _SURE)
+    closed = e.before < _FLOOR or (e.base.fitted < _FLOOR and not e.telling)
     little = e.gain < WEAK and e.before < _OPEN
     slight = _is_slight(e.best) and not e.open
-    late = e.foretold and e.before >= _OPEN  # a gap that opens after the fitted frames, and that the effect foretells
+    late = e.telling and e.before >= _OPEN  # a gap that opens after the fitted frames, and that the effect foretells
     if not (little or slight or (not late and (closed or not significant))):
         return None
     if e.floor > _BLIND:
@@ -301,11 +310,11 @@ def _called(e: _Evidence) -> Verdict:
     likely = tuple(n for n in e.named if n.probability >= _LIKELY) or (
         max(e.named, key=lambda n: n.probability),
     )  # of several that are alike none may have half, and it is one of them all the same
-    if e.probability.get(SOMETHING_ELSE, 0.0) + e.none >= _LIKELY and not e.foretold:
+    if e.probability.get(SOMETHING_ELSE, 0.0) + e.none >= _DOUBT and not e.foretold:
         shares = ", ".join(f"{n.name} {n.probability:.0%}" for n in e.possible)
         sentence = (
             f"Inconclusive: there is a gap, and {e.best.label} fits best, but leaves so much that "
-            f"none is likely ({shares}; something else {e.probability.get(SOMETHING_ELSE, 0.0):.0%})."
+            f"it may well be none of them ({shares}; something else {e.probability.get(SOMETHING_ELSE, 0.0):.0%})."
         )
         return e.verdict("inconclusive", sentence, e.possible)
     doses = "; ".join(f"{d.name} = {d.value:.3g} {d.unit}".strip() for n in likely for d in n.doses)

@@ -275,3 +275,23 @@ def test_a_gap_that_opens_after_the_fitted_frames_counts_if_the_effect_foretells
     quiet.fitted = 1.0
     hypotheses = [hypothesis(2.5, "damping"), quiet]
     assert decide(hypotheses, screening(p_value=0.2), 30.0, 1.0, remaining, OPTIONS, placebo=placebo).name == name
+
+
+@pytest.mark.parametrize(("behind", "name"), [(-1.3, "inconclusive"), (1.0, "effect")])
+def test_an_effect_that_is_hardly_likelier_than_something_else_is_not_called(behind, name):
+    """A cube of another program without an effect, of which two effects together explained a third, 51 to 49 %."""
+    hypotheses = [hypothesis(20.0, "damping", "wind"), hypothesis(0.0)]
+    verdict = decide(
+        hypotheses, screening(), 30.0, 3.0, 0.6, OPTIONS, placebo=0.0, above_error=0.6, other=20.0 - behind
+    )
+    assert verdict.name == name
+
+
+@pytest.mark.parametrize(
+    ("gain", "remaining", "name"), [(29.0, 0.2, "effect"), (29.0, 0.6, "none"), (4.0, 0.2, "none")]
+)
+def test_an_effect_within_the_error_of_the_fitted_frames_counts_if_much_asks_for_it(gain, remaining, name):
+    quiet = hypothesis(0.0)
+    quiet.fitted = 1.2
+    hypotheses = [hypothesis(gain, "damping"), quiet]
+    assert decide(hypotheses, screening(), 2.0, 1.0, remaining, OPTIONS, placebo=0.0).name == name
