@@ -30,6 +30,10 @@ _CLEAR = 4.0  # gain of log-evidence over the base model that makes a call; belo
 _LISTED = 0.02  # probability
 _FORETOLD = 0.9  # share of the gap on frames that were not fitted, of which a placebo removes no tenth
 _PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
+_CERTAIN, _LESS = (
+    0.95,
+    0.25,
+)  # probability, and share of what a placebo leaves, that make up for a placebo that does much
 _BLIND = 0.1  # floor over size or motion above which "none" would say nothing
 _SURE = 30.0  # gain that makes a call although the base model fits the fitted frames within its error
 _TELLING = 10.0  # gain at which it does if held-out frames agree that half of the gap goes
@@ -249,6 +253,12 @@ def _numerical(e: _Evidence) -> Verdict | None:
         return None
     if e.floor > _BLIND:
         return _blind(e)
+    if e.open:
+        sentence = (
+            f"Inconclusive: numerical error ({e.best.label}) fits best, but leaves a gap above noise and what "
+            "else this model errs by."
+        )
+        return e.verdict("inconclusive", sentence, e.possible)
     sentence = (
         f"No physical cause: what the recording differs by is numerical error ({e.best.label}), of this model or of "
         "the program that made the recording."
@@ -291,6 +301,9 @@ def _unexplained(e: _Evidence) -> Verdict | None:
 
 def _as_good_as_a_placebo(e: _Evidence) -> Verdict | None:
     """An effect that nothing asks for does nearly as much, or the best one does nothing where it was not fitted."""
+    certain = bool(e.named) and min(n.probability for n in e.named) >= _CERTAIN
+    if certain and 1.0 - e.share <= _LESS * (1.0 - e.placebo):
+        return None
     if not (e.share <= 0 or e.placebo > _PLACEBO * e.share):
         return None
     if e.share <= 0:

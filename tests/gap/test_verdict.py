@@ -295,3 +295,18 @@ def test_an_effect_within_the_error_of_the_fitted_frames_counts_if_much_asks_for
     quiet.fitted = 1.2
     hypotheses = [hypothesis(gain, "damping"), quiet]
     assert decide(hypotheses, screening(), 2.0, 1.0, remaining, OPTIONS, placebo=0.0).name == name
+
+
+@pytest.mark.parametrize(
+    ("other", "remaining", "name"), [(-50.0, 0.01, "effect"), (-50.0, 0.2, "inconclusive"), (19.5, 0.01, "effect")]
+)
+def test_an_effect_beyond_doubt_that_leaves_far_less_than_a_placebo_is_named(other, remaining, name):
+    """Refits of E and ν beside a wrong effect take half of a held body's gap; the right one takes all of it."""
+    hypotheses = [hypothesis(20.0, "damping"), hypothesis(0.0)]
+    assert decide(hypotheses, screening(), 30.0, 1.0, remaining, OPTIONS, placebo=0.5, other=other).name == name
+
+
+def test_numerical_error_that_leaves_the_gap_is_no_answer():
+    numerical = [hypothesis(20.0, "time_step"), hypothesis(0.0)]
+    assert decide(numerical, screening(), 30.0, 1.0, 0.05, OPTIONS).name == "none"
+    assert decide(numerical, screening(), 30.0, 6.0, 0.5, OPTIONS).name == "inconclusive"
