@@ -33,6 +33,7 @@ __all__ = [
     "residuals_per_one",
 ]
 
+_FAR, _MOVED = 5.0, 0.3  # typical steps: most that other values are moved by, and from which on it is tried
 _ENOUGH = 1.0  # mean square over the expected one that a better fit need not undercut
 
 
@@ -209,10 +210,51 @@ def fit_effects(
     """
     point = base if starts is None else starts
     model = replace(point.model, effects=(*point.model.effects, *(entry.effect for entry in chosen)))
-    values = np.concatenate([point.fit.values, *(_start(entry) for entry in chosen)])
+    doses = np.concatenate([_start(entry) for entry in chosen])
+    values = np.concatenate([point.fit.values, doses])
+    moved = np.concatenate([_beside(base, errors, point, chosen), doses])
+    if _better(base, errors, model, moved, values):
+        values = moved
     count = int(base.split.fitted[-1]) + 1
     tangents = np.concatenate([point.tangents[:count], *(_tangents(entry) for entry in chosen)], axis=1)
     return refit(base, errors, model, values, tangents, options)
+
+
+def _beside(base: Baseline, errors: ErrorModel, point: Baseline, chosen: Sequence[Screened]) -> np.ndarray:
+    """Where the other values go if the effects have their screened doses: what screening projects away, to first order.
+
+    An inclusion that is three times as stiff asks for another E of the whole; with the old one the search ran back to none.
+    """
+    count, rows = int(base.split.fitted[-1]) + 1, base.rows(base.split.fitted)
+    here = point.positions[:count]
+    explained = sum(np.tensordot(entry.score.amounts, entry.signature[:, :count], 1) for entry in chosen)
+    moved = np.moveaxis(point.tangents[:count], 1, 0)
+    columns = np.stack([base.change(here + 1e-3 * d)[rows] / 1e-3 for d in moved])
+    left = (base.residual(point.positions) - base.change(here + explained))[rows]
+    whitened = errors.restricted(rows)
+    found = np.linalg.lstsq(whitened.whiten(columns).T, whitened.whiten(left), rcond=1e-8)[0]
+    parameters = point.model.parameters(point.fit.values)
+    steps = np.array([p.step for p in parameters])
+    values = point.fit.values + np.clip(found, -_FAR * steps, _FAR * steps)
+    return np.clip(values, [p.lower for p in parameters], [p.upper for p in parameters])
+
+
+def _better(base: Baseline, errors: ErrorModel, model: EffectModel, one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether one set of values fits the fitted frames better than another."""
+    steps = np.array([p.step for p in model.parameters(other)])
+    if np.abs((one - other) / steps).max() < _MOVED:
+        return False
+    count = int(base.split.fitted[-1]) + 1
+    shorter = replace(model, frames=count)
+
+    def misfit(values: np.ndarray) -> float:
+        try:
+            here = shorter.positions(values)
+        except ConvergenceError:
+            return float("inf")
+        return mean_square(base, errors, np.concatenate([here, base.positions[count:]]), base.split.fitted)
+
+    return misfit(one) < misfit(other)
 
 
 def refit(
