@@ -223,7 +223,8 @@ def fit_effects(
 def _beside(base: Baseline, errors: ErrorModel, point: Baseline, chosen: Sequence[Screened]) -> np.ndarray:
     """Where the other values go if the effects have their screened doses: what screening projects away, to first order.
 
-    An inclusion that is three times as stiff asks for another E of the whole; with the old one the search ran back to none.
+    An inclusion that is three times as stiff asks for another E of the whole; with the old one the search ran back to
+    none.
     """
     count, rows = int(base.split.fitted[-1]) + 1, base.rows(base.split.fitted)
     here = point.positions[:count]

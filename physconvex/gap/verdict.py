@@ -217,6 +217,12 @@ def _nothing(e: _Evidence) -> Verdict | None:
         return None
     if e.floor > _BLIND:
         return _blind(e)
+    if e.open and not _is_slight(e.best):
+        sentence = (
+            "Inconclusive: a gap opens after the frames that were fitted, above noise and numerical error, and "
+            f"{e.best.label}, which fits best, does not foretell it."
+        )
+        return e.verdict("inconclusive", sentence, power=True)
     reason = "is no more than chance"
     if closed:
         reason = "lies within these errors"

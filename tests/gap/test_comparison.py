@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.gap.comparison import information_per_one
+from physconvex.gap.comparison import _beside, information_per_one
 from physconvex.gap.score import ErrorModel
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
@@ -57,3 +57,22 @@ def test_what_numerical_error_has_made_few_is_not_made_fewer_for_the_same_reason
     whitened = smooth * np.sqrt(2.0)  # the same over what is now expected
     assert counted(whitened, 1.0) == pytest.approx(counted(smooth, 0.0), rel=1e-6)
     assert counted(0.3 * whitened, 1.0) == pytest.approx(FRAMES * (POINTS * 3 / 21 + 3), rel=1e-6)
+
+
+def test_other_values_go_where_the_screened_dose_puts_them(rng):
+    """r = S d + J p: where the dose is given in full, the rest is p."""
+    shape = (FRAMES, 1, POINTS, 3)
+    moved, stretched = rng.normal(size=shape), rng.normal(size=shape)
+    signature = 2.0 * stretched[:, 0] + 1.5 * moved[:, 0]  # of the trial dose; most of it looks like another E
+    base, errors = case(np.zeros(FRAMES * POINTS * 3), 0.0)
+    base.positions, base.tangents = np.zeros((FRAMES, POINTS, 3)), moved
+    base.change = lambda positions: np.concatenate([positions, base.positions[len(positions) :]]).ravel()
+    seen = 0.7 * signature + 0.12 * moved[:, 0]
+    base.residual = lambda positions: (seen - positions).ravel()
+    parameter = SimpleNamespace(step=0.1, lower=3.0, upper=8.0)
+    base.fit = SimpleNamespace(values=np.array([5.0]))
+    base.model.parameters = lambda values: (parameter,)
+    entry = SimpleNamespace(score=SimpleNamespace(amounts=np.array([0.7])), signature=signature[None])
+    assert _beside(base, errors, base, [entry]) == pytest.approx([5.12])
+    none = SimpleNamespace(score=SimpleNamespace(amounts=np.array([0.0])), signature=signature[None])
+    assert 5.12 < _beside(base, errors, base, [none])[0] <= 5.5  # E alone takes it, at most five typical steps

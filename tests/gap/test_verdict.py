@@ -310,3 +310,11 @@ def test_numerical_error_that_leaves_the_gap_is_no_answer():
     numerical = [hypothesis(20.0, "time_step"), hypothesis(0.0)]
     assert decide(numerical, screening(), 30.0, 1.0, 0.05, OPTIONS).name == "none"
     assert decide(numerical, screening(), 30.0, 6.0, 0.5, OPTIONS).name == "inconclusive"
+
+
+def test_a_gap_that_opens_late_and_that_nothing_foretells_is_not_called_none():
+    quiet = hypothesis(0.0)
+    quiet.fitted = 1.0
+    verdict = decide([hypothesis(2.5, "damping"), quiet], screening(), 30.0, 12.0, 0.6, OPTIONS, placebo=0.0)
+    assert verdict.name == "inconclusive" and "after the frames that were fitted" in verdict.sentence
+    assert decide([hypothesis(2.5, "damping"), quiet], screening(), 3.0, 2.0, 0.6, OPTIONS, placebo=0.0).name == "none"
