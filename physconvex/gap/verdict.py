@@ -35,8 +35,7 @@ _CERTAIN, _LESS = (
     0.25,
 )  # probability, and share of what a placebo leaves, that make up for a placebo that does much
 _BLIND = 0.1  # floor over size or motion above which "none" would say nothing
-_SURE = 30.0  # gain that makes a call although the base model fits the fitted frames within its error
-_TELLING = 10.0  # gain at which it does if held-out frames agree that half of the gap goes
+_TELLING = 10.0  # gain that makes a call although the base model errs as expected, if half of the held-out gap goes
 _ASTRAY = 0.5  # distance from the recording over its motion above which the model is no model of it
 _LIKELY = 0.5  # probability from which on an effect is named
 _DOUBT = 0.4  # probability of none and of something else above which no effect is
@@ -151,10 +150,9 @@ class _Evidence:
 
     @property
     def telling(self) -> bool:
-        """Whether the effect counts although the base model fits the fitted frames within its error."""
+        """Whether the effect counts although the base model errs by no more than is expected of it."""
         asked = float(np.interp(self.gain, (WEAK, _TELLING), (_FORETOLD, self.options.explained)))
-        kept = self.gain >= WEAK and self.share >= asked and self.placebo < 1.0 - _FORETOLD
-        return self.gain >= _SURE or kept
+        return self.gain >= WEAK and self.share >= asked and self.placebo < 1.0 - _FORETOLD
 
     @property
     def open(self) -> bool:
@@ -209,7 +207,7 @@ class _Evidence:
 def _nothing(e: _Evidence) -> Verdict | None:
     """No gap above noise and numerical error; where those are large, that says nothing."""
     significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
-    closed = e.before < _FLOOR or (e.base.fitted < _FLOOR and not e.telling)
+    closed = min(e.before, e.base.fitted) < _FLOOR and not e.telling
     little = e.gain < WEAK and e.before < _OPEN
     slight = _is_slight(e.best) and not e.open
     late = e.telling and e.before >= _OPEN  # a gap that opens after the fitted frames, and that the effect foretells

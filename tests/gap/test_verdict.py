@@ -288,7 +288,7 @@ def test_an_effect_that_is_hardly_likelier_than_something_else_is_not_called(beh
 
 
 @pytest.mark.parametrize(
-    ("gain", "remaining", "name"), [(29.0, 0.2, "effect"), (29.0, 0.6, "none"), (4.0, 0.3, "none")]
+    ("gain", "remaining", "name"), [(29.0, 0.2, "effect"), (70.0, 0.7, "none"), (4.0, 0.3, "none")]
 )
 def test_an_effect_within_the_error_of_the_fitted_frames_counts_if_much_asks_for_it(gain, remaining, name):
     quiet = hypothesis(0.0)
