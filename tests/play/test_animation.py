@@ -11,7 +11,7 @@ from physconvex.play import PlayConfig, frames_of, load_play_config, play, read_
 from physconvex.play.config import FloorConfig
 from physconvex.play.pictures import floor_displacement
 
-QUICK = ["basis.max_nodes=80", "basis.modes=2", "time.frames=4", "time.steps_per_frame=4", "basis.mesher=lattice"]
+QUICK = ["basis.max_nodes=150", "basis.modes=2", "time.frames=4", "time.steps_per_frame=4", "basis.mesher=lattice"]
 
 
 def chunks(path) -> tuple[dict, bytes]:

@@ -14,7 +14,7 @@ from physconvex.play import PlayConfig, load_play_config, play, read_surface
 from physconvex.play.command import simulate
 from physconvex.video import read_video
 
-QUICK = ["basis.max_nodes=80", "basis.modes=2", "time.frames=3", "time.steps_per_frame=4", "basis.mesher=lattice"]
+QUICK = ["basis.max_nodes=150", "basis.modes=2", "time.frames=3", "time.steps_per_frame=4", "basis.mesher=lattice"]
 
 app = Typer()
 app.command()(simulate)

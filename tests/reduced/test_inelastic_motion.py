@@ -156,7 +156,7 @@ def test_a_column_of_sand_becomes_a_heap_that_rests():
     radius = 0.1
     column = trimesh.creation.cylinder(radius=radius, height=radius, sections=16)
     vertices = np.asarray(column.vertices) + np.array([0.0, 0.0, 0.5 * radius])
-    mesh = tetrahedralize((vertices, np.asarray(column.faces)), order=2, max_nodes=250, method="auto")
+    mesh = tetrahedralize((vertices, np.asarray(column.faces)), order=2, max_nodes=400, method="auto")
     space = ReducedSpace(eigenmode_weights(ElasticBody(mesh), 12), BodySamples.of_mesh(mesh))
     body = ReducedBody(space, youngs_modulus=1e5, poisson_ratio=0.3, flow=Sand(np.radians(30.0)))
     scene = ReducedScene(body, obstacles=(Plane(friction=1.0),))
