@@ -30,10 +30,8 @@ _CLEAR = 4.0  # gain of log-evidence over the base model that makes a call; belo
 _LISTED = 0.02  # probability
 _FORETOLD = 0.9  # share of the gap on frames that were not fitted, of which a placebo removes no tenth
 _PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
-_CERTAIN, _LESS = (
-    0.95,
-    0.25,
-)  # probability, and share of what a placebo leaves, that make up for a placebo that does much
+_CERTAIN = 0.95  # probability from which on a placebo that does much is no objection
+_LESS = 0.25  # and the share of what that placebo leaves which the effect may leave at most
 _BLIND = 0.1  # floor over size or motion above which "none" would say nothing
 _TELLING = 10.0  # gain that makes a call although the base model errs as expected, if half of the held-out gap goes
 _ASTRAY = 0.5  # distance from the recording over its motion above which the model is no model of it
@@ -144,14 +142,16 @@ class _Evidence:
     @property
     def clear(self) -> bool:
         """Whether fitted and held-out frames together make a call: the less sure the ones, the more the others do."""
-        asked = float(np.interp(self.gain, (WEAK, _CLEAR), (_FORETOLD, self.options.explained)))
-        kept = self.share >= asked and self.placebo < 1.0 - _FORETOLD
-        return self.gain >= _CLEAR or (self.gain >= WEAK and kept)
+        return self.gain >= _CLEAR or self._kept(_CLEAR)
 
     @property
     def telling(self) -> bool:
         """Whether the effect counts although the base model errs by no more than is expected of it."""
-        asked = float(np.interp(self.gain, (WEAK, _TELLING), (_FORETOLD, self.options.explained)))
+        return self._kept(_TELLING)
+
+    def _kept(self, enough: float) -> bool:
+        """Whether held-out frames make up for a gain below `enough`: the smaller it is, the more of the gap must go."""
+        asked = float(np.interp(self.gain, (WEAK, enough), (_FORETOLD, self.options.explained)))
         return self.gain >= WEAK and self.share >= asked and self.placebo < 1.0 - _FORETOLD
 
     @property
