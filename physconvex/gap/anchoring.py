@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from physconvex.errors import ConvergenceError
-from physconvex.gap.baseline import Baseline, Report
+from physconvex.gap.baseline import Baseline, Report, derivatives_of_residuals
 from physconvex.gap.model import SecantModel
 from physconvex.gap.observing import widened
 from physconvex.gap.options import GapOptions
@@ -36,7 +36,7 @@ def early_window(base: Baseline, errors: ErrorModel) -> int | None:
     touching = np.flatnonzero(base.contact_force > 0)
     lowest = int(touching[0]) + 2 if len(touching) else max(6, count // 3)
     here = base.positions
-    columns = np.stack([base.change(here + 1e-3 * d) / 1e-3 for d in np.moveaxis(base.tangents, 1, 0)])
+    columns = derivatives_of_residuals(base, here, base.tangents)
     scales = np.array([p.step for p in base.model.parameters(base.fit.values)])[: len(columns)]
     for window in range(lowest, int(_MOST * count) + 1):
         rows = base.rows(np.arange(window))

@@ -40,6 +40,7 @@ __all__ = [
     "FLOOR_LAW",
     "Baseline",
     "Split",
+    "derivatives_of_residuals",
     "fit_baseline",
     "misfit_of_base",
     "rough_baseline",
@@ -131,6 +132,13 @@ class Baseline:
         if len(positions) < self.model.frames:
             positions = np.concatenate([positions, self.positions[len(positions) :]])
         return self.observations.residuals(positions) - self.observations.residuals(self.positions)
+
+
+def derivatives_of_residuals(
+    base: Baseline, positions: Float[np.ndarray, "f P 3"], tangents: Float[np.ndarray, "f K P 3"]
+) -> Float[np.ndarray, "K N"]:
+    """What the residuals gain per unit of each value, along its derivative of the positions in the first f frames."""
+    return np.stack([base.change(positions + 1e-3 * d) / 1e-3 for d in np.moveaxis(tangents, 1, 0)])
 
 
 def split_frames(capture: Capture, seen: Int[np.ndarray, " n"]) -> Split:

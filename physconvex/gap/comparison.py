@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError
-from physconvex.gap.baseline import Baseline
+from physconvex.gap.baseline import Baseline, derivatives_of_residuals
 from physconvex.gap.effects import Effect, Motion
 from physconvex.gap.independence import temperature
 from physconvex.gap.model import EffectModel, SecantModel
@@ -229,8 +229,7 @@ def _beside(base: Baseline, errors: ErrorModel, point: Baseline, chosen: Sequenc
     count, rows = int(base.split.fitted[-1]) + 1, base.rows(base.split.fitted)
     here = point.positions[:count]
     explained = sum(np.tensordot(entry.score.amounts, entry.signature[:, :count], 1) for entry in chosen)
-    moved = np.moveaxis(point.tangents[:count], 1, 0)
-    columns = np.stack([base.change(here + 1e-3 * d)[rows] / 1e-3 for d in moved])
+    columns = derivatives_of_residuals(base, here, point.tangents[:count])[:, rows]
     left = (base.residual(point.positions) - base.change(here + explained))[rows]
     whitened = errors.restricted(rows)
     found = np.linalg.lstsq(whitened.whiten(columns).T, whitened.whiten(left), rcond=1e-8)[0]

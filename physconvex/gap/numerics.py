@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import TetMesh, refine, simulate, tetrahedralize
-from physconvex.gap.baseline import Baseline, Report
+from physconvex.gap.baseline import Baseline, Report, derivatives_of_residuals
 from physconvex.gap.boxes import box_of_body
 from physconvex.gap.effects import Motion
 from physconvex.gap.model import ACCURACY
@@ -189,7 +189,7 @@ def detail_errors(base: Baseline, errors: ErrorModel, share: float) -> ErrorMode
 def _absorbed(base: Baseline, directions: np.ndarray, variance: np.ndarray) -> np.ndarray:
     """What is left of differences, all frames, once the base parameters have been fitted to them on the fitted ones."""
     here = base.positions
-    tangents = np.stack([base.change(here + 1e-3 * d) / 1e-3 for d in np.moveaxis(base.tangents, 1, 0)])
+    tangents = derivatives_of_residuals(base, here, base.tangents)
     rows = base.rows(base.split.fitted)
     weights = 1 / np.sqrt(variance[rows])
     found = np.linalg.lstsq((tangents[:, rows] * weights).T, (directions[:, rows] * weights).T, rcond=1e-8)[0]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.gap.baseline import Baseline, Report
+from physconvex.gap.baseline import Baseline, Report, derivatives_of_residuals
 from physconvex.gap.effects import Effect, applicable
 from physconvex.gap.model import EffectModel
 from physconvex.gap.numerics import Numerics
@@ -90,8 +90,7 @@ def screen(
     """Score every effect that can be tried, on the fitted frames."""
     rows = base.rows(base.split.fitted)
     here, count = base.positions, int(base.split.fitted[-1]) + 1
-    moved = np.moveaxis(base.tangents[:count], 1, 0)
-    nuisances = np.stack([base.change(here[:count] + 1e-3 * d)[rows] / 1e-3 for d in moved])
+    nuisances = derivatives_of_residuals(base, here[:count], base.tangents[:count])[:, rows]
     projector = Projector(errors.restricted(rows), nuisances)
     residual = base.residual(here)[rows]
     directions = {

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.gap.baseline import Baseline
+from physconvex.gap.baseline import Baseline, derivatives_of_residuals
 from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screening
 
@@ -46,7 +46,7 @@ def _fitted_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> f
     weights = 1 / np.sqrt(errors.expected[rows])
     count = int(base.split.fitted[-1]) + 1
     here = base.positions[:count]
-    tangents = [base.change(here + 1e-3 * d)[rows] / 1e-3 for d in np.moveaxis(base.tangents[:count], 1, 0)]
+    tangents = derivatives_of_residuals(base, here, base.tangents[:count])[:, rows]
     residual = base.residual(base.positions)[rows]
     candidates: list[list[np.ndarray]] = [[]]
     for entry in screening.one_per_name:
