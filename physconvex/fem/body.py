@@ -23,6 +23,7 @@ from physconvex.volumetric_laws import is_volumetric
 __all__ = ["ElasticBody"]
 
 PerElement = float | Float[np.ndarray, " E"]
+PerPoint = PerElement | Float[np.ndarray, "E Q"]
 
 
 class ElasticBody:
@@ -31,7 +32,7 @@ class ElasticBody:
     Args:
         mesh: linear or quadratic mesh, rest state.
         law: the elastic law or its name, see `physconvex.materials` and `physconvex.elastic_terms`.
-        youngs_modulus: E [Pa], scalar or [E].
+        youngs_modulus: E [Pa], scalar, [E], or [E, Q] at `quadrature_points`: what varies within an element.
         poisson_ratio: ν [-], scalar or [E], in (-1, 0.5).
         density: ρ [kg/m³], scalar or [E].
         flow: how the material flows, see `physconvex.inelastic`; purely elastic unless given.
@@ -46,7 +47,7 @@ class ElasticBody:
         mesh: TetMesh,
         *,
         law: str | Law = "neo_hookean",
-        youngs_modulus: PerElement = 1e5,
+        youngs_modulus: PerPoint = 1e5,
         poisson_ratio: PerElement = 0.4,
         density: PerElement = 1000.0,
         flow: FlowRule | None = None,
@@ -56,20 +57,23 @@ class ElasticBody:
         self.law = get_law(law) if isinstance(law, str) else law
         self.flow = flow
         self.device = torch.device(device)
-        self.youngs_modulus = self._per_element("youngs_modulus", youngs_modulus, 0.0, np.inf)
+        self._barycentric, weights = QUADRATURE[1 if mesh.order == 1 else 2]
+        each = np.ndim(youngs_modulus) == 2  # point
+        points = len(weights) if each else None
+        self.youngs_modulus = self._per_element("youngs_modulus", youngs_modulus, 0.0, np.inf, points=points)
         self.poisson_ratio = self._per_element("poisson_ratio", poisson_ratio, -1.0, 0.5)
         self.density = self._per_element("density", density, 0.0, np.inf)
-        mu, lam = lame_parameters(self._tensor(self.youngs_modulus), self._tensor(self.poisson_ratio))
-        barycentric, weights = QUADRATURE[1 if mesh.order == 1 else 2]
-        self._mu, self._lam = mu[:, None], lam[:, None]
+        modulus = self.youngs_modulus.reshape(len(mesh.tets), -1)
+        self._mu, self._lam = lame_parameters(self._tensor(modulus), self._tensor(self.poisson_ratio)[:, None])
         self._weights = self._tensor(mesh.element_volumes[:, None] * weights)  # [E, Q]
-        self._gradients = self._tensor(self._rest_gradients(barycentric))  # [E, Q, n, 3]
+        self._gradients = self._tensor(self._rest_gradients(self._barycentric))  # [E, Q, n, 3]
         count, points, nodes, _ = self._gradients.shape
         self._flat_gradients = self._gradients.transpose(1, 2).reshape(count, nodes, points * 3).contiguous()
         self._tets = torch.as_tensor(mesh.tets, device=self.device)
         self._quick: VolumetricElements | None = None
         if flow is None and self.device.type == "cpu" and is_volumetric(self.law):
-            arrays = (t.numpy() for t in (self._gradients, self._weights, mu, lam))
+            constants = (c.expand(self._weights.shape).contiguous() for c in (self._mu, self._lam))
+            arrays = (t.numpy() for t in (self._gradients, self._weights, *constants))
             self._quick = volumetric_elements(self.law, mesh.tets, len(mesh.vertices), *arrays)
 
     # -- set-up
@@ -77,13 +81,19 @@ class ElasticBody:
     def _tensor(self, array: np.ndarray) -> Tensor:
         return torch.as_tensor(array, dtype=torch.float64, device=self.device)
 
-    def _per_element(self, name: str, value: PerElement, low: float, high: float) -> np.ndarray:
-        array = np.asarray(value, dtype=np.float64)
-        if array.shape not in ((), (len(self.mesh.tets),)):
-            raise InputError(f"{name}: got shape {array.shape}; expected a number or [{len(self.mesh.tets)}]")
+    def _per_element(
+        self, name: str, value: PerPoint, low: float, high: float, *, points: int | None = None
+    ) -> np.ndarray:
+        """Checked values [E], or [E, points]."""
+        array, shape = (
+            np.asarray(value, dtype=np.float64),
+            (len(self.mesh.tets), *(() if points is None else (points,))),
+        )
+        if array.shape not in ((), shape):
+            raise InputError(f"{name}: got shape {array.shape}; expected a number or {list(shape)}")
         if not ((array > low) & (array < high)).all():
             raise InputError(f"{name}: got values in [{array.min()}, {array.max()}]; expected inside ({low}, {high})")
-        return np.broadcast_to(array, len(self.mesh.tets)).copy()
+        return np.broadcast_to(array, shape).copy()
 
     def _rest_gradients(self, barycentric: np.ndarray) -> np.ndarray:
         """∂N/∂X at the quadrature points, [E, Q, n, 3]; straight-edged elements have constant ∂b/∂X."""
@@ -91,6 +101,11 @@ class ElasticBody:
         inner = np.linalg.inv(x[:, 1:] - x[:, :1]).transpose(0, 2, 1)  # rows: ∂b_1..3/∂X
         barycentric_gradients = np.concatenate([-inner.sum(1, keepdims=True), inner], axis=1)  # [E, 4, 3]
         return np.einsum("qnb,ebi->eqni", shape_gradients(barycentric, self.mesh.order), barycentric_gradients)
+
+    @property
+    def quadrature_points(self) -> Float[np.ndarray, "E Q 3"]:
+        """Where the material is asked [m], at rest."""
+        return np.asarray(self._barycentric @ self.mesh.vertices[self.mesh.corner_tets])
 
     @cached_property
     def mass(self) -> sp.csr_matrix:

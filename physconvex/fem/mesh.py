@@ -171,19 +171,28 @@ def linear_part(mesh: TetMesh) -> TetMesh:
     return compact(mesh.vertices, mesh.corner_tets)
 
 
-def box_mesh(size: tuple[float, float, float], cells: tuple[int, int, int], *, order: int = 2) -> TetMesh:
-    """A box with one corner at the origin, cut into `cells` hexahedra of six tetrahedra each (Kuhn)."""
+def box_mesh(
+    size: tuple[float, float, float], cells: tuple[int, int, int], *, order: int = 2, mirrored: bool = False
+) -> TetMesh:
+    """A box with one corner at the origin, cut into `cells` hexahedra of six tetrahedra each (Kuhn).
+
+    All diagonals run one way, so that the mesh bends a little to one side; `mirrored` turns them in every other cell
+    along each edge.
+    """
     axes = [np.linspace(0.0, length, n + 1) for length, n in zip(size, cells, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     index = np.arange(grid[..., 0].size).reshape(grid.shape[:3])
-    corner = index[:-1, :-1, :-1].ravel()
     step = np.array([index[1, 0, 0], index[0, 1, 0], index[0, 0, 1]])
+    odd = np.stack(np.meshgrid(*(np.arange(n) % 2 for n in cells), indexing="ij"), axis=-1).reshape(-1, 3) * mirrored
+    corner = index[:-1, :-1, :-1].ravel() + odd @ step  # of the first node of each cell
+    ways = 1 - 2 * odd
     paths = np.array([[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1], [1, 0, 2], [2, 1, 0]])
     tets = []
     for path in paths:
-        steps = np.concatenate([[0], np.cumsum(step[path])])
-        if np.linalg.det(np.eye(3)[path]) < 0:
-            steps = steps[[0, 2, 1, 3]]
-        tets.append(corner[:, None] + steps)
+        walk = np.cumsum((ways * step)[:, path], axis=1)
+        found = corner[:, None] + np.concatenate([np.zeros_like(corner[:, None]), walk], axis=1)
+        turned = ways.prod(1) * np.linalg.det(np.eye(3)[path]) < 0
+        found[turned] = found[turned][:, [0, 2, 1, 3]]
+        tets.append(found)
     mesh = TetMesh(grid.reshape(-1, 3), np.concatenate(tets))
     return to_quadratic(mesh) if order == 2 else mesh

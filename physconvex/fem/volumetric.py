@@ -36,7 +36,7 @@ class VolumetricElements:
         count: V, number of nodes.
         gradients: ∂N_a/∂X [1/m], shape [E, Q, n, 3].
         weights: volumes [m³], shape [E, Q].
-        mu, lam: Lamé constants [Pa], shape [E].
+        mu, lam: Lamé constants [Pa], shape [E, Q].
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class VolumetricElements:
         self._term, self._shape = volumetric_term(law), gradients.shape
         self._gradients = np.ascontiguousarray(gradients)
         self._weights = weights.ravel()
-        self._mu, self._lam = (np.repeat(constant, weights.shape[1]) for constant in (mu, lam))
+        self._mu, self._lam = mu.ravel(), lam.ravel()
         self._weighted_mu, self._weighted_lam = self._weights * self._mu, self._weights * self._lam
         self._tets, self._count = tets, count
 

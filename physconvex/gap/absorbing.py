@@ -13,7 +13,7 @@ import numpy as np
 
 from physconvex.errors import ConvergenceError
 from physconvex.gap.baseline import Baseline
-from physconvex.gap.model import SecantModel
+from physconvex.gap.model import MODULUS, SecantModel
 from physconvex.gap.numerics import Numerics
 from physconvex.gap.options import GapOptions
 from physconvex.identify import FitOptions, MarkerObservations, fit
@@ -21,7 +21,6 @@ from physconvex.identify import FitOptions, MarkerObservations, fit
 __all__ = ["with_absorbed_mesh"]
 
 _SIGMA = 1e-3  # of the size of the body: what the meshes are compared to
-_MODULUS = "log10_youngs_modulus"
 
 
 def with_absorbed_mesh(base: Baseline, numerics: Numerics, options: GapOptions) -> Numerics:
@@ -32,7 +31,7 @@ def with_absorbed_mesh(base: Baseline, numerics: Numerics, options: GapOptions) 
         numerics: differences at one set of values.
         options: settings.
     """
-    if not base.situation.clamped or numerics.fine is None or _MODULUS not in base.model.base:
+    if not base.situation.clamped or numerics.fine is None or MODULUS not in base.model.base:
         return numerics
     count = int(base.split.fitted[-1]) + 1
     coarse, target = replace(base.model, mesh=None, correction=None), base.motion.positions

@@ -13,7 +13,7 @@ import numpy as np
 
 from physconvex.errors import ConvergenceError
 from physconvex.gap.baseline import Baseline, Report, derivatives_of_residuals
-from physconvex.gap.model import SecantModel
+from physconvex.gap.model import MODULUS, SecantModel
 from physconvex.gap.observing import widened
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
@@ -24,13 +24,12 @@ __all__ = ["early_point", "early_window"]
 _TOLD = 0.015  # standard error of log10 E from which on the first frames are said to tell it
 _MOST = 0.75  # of the fitted frames: a longer window would be the base fit again
 _APART = 0.04  # decades of E that make another fit another point
-_MODULUS = "log10_youngs_modulus"
 
 
 def early_window(base: Baseline, errors: ErrorModel) -> int | None:
     """Number of first frames that tell E well enough; None where that takes nearly all of the fitted ones."""
     names = base.model.base
-    if _MODULUS not in names:
+    if MODULUS not in names:
         return None
     count = int(base.split.fitted[-1]) + 1
     touching = np.flatnonzero(base.contact_force > 0)
@@ -42,7 +41,7 @@ def early_window(base: Baseline, errors: ErrorModel) -> int | None:
         rows = base.rows(np.arange(window))
         whitened = errors.restricted(rows).whiten(columns[:, rows]) * scales[:, None]
         information = whitened @ whitened.T + 1e-8 * np.eye(len(scales))
-        index = names.index(_MODULUS)
+        index = names.index(MODULUS)
         if np.sqrt(np.linalg.inv(information)[index, index]) * scales[index] < _TOLD:
             return window
     return None
@@ -60,7 +59,7 @@ def early_point(base: Baseline, errors: ErrorModel, options: GapOptions, report:
     stop = FitOptions(max_iterations=options.iterations + 3, relative_tolerance=2e-3, absolute_tolerance=0.1)
     try:
         found = fit(secant, weighted, shorter.parameters(values), options=stop)
-        index = base.model.base.index(_MODULUS)
+        index = base.model.base.index(MODULUS)
         if abs(found.values[index] - values[index]) < _APART:
             return None
         motion = base.model.motion(found.values)

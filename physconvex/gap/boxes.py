@@ -20,6 +20,7 @@ __all__ = ["box_cells", "box_of_body", "with_plane"]
 _SAME = 2e-3  # volume missing in the box of a box, and distance of its vertices from its faces over its size
 _SLENDER = 3.0  # longest edge over the others from which on one cell across is enough for quadratic elements
 _FLAT = 0.4  # length of a slender box's cells over their width
+_MORE = 4 / 3  # times the nodes of a slender box with several cells across
 _MOST = 16  # cells along an edge
 _THIN = 5e-3  # share of an edge below which a held end is taken for a plane
 
@@ -42,11 +43,11 @@ def box_of_body(capture: Capture, max_nodes: int) -> TetMesh | None:
     if abs(volume / edges.prod() - 1) > _SAME or away.max() > _SAME * edges.max():
         return None
     held = _held_end(capture.boundary(), low, high)
-    cells = box_cells(edges, max_nodes)
+    cells = box_cells(edges, max_nodes, across=1 if held is None else 2)
     if held is None:
-        mesh = box_mesh((float(edges[0]), float(edges[1]), float(edges[2])), cells)
+        mesh = box_mesh((float(edges[0]), float(edges[1]), float(edges[2])), cells, mirrored=True)
         return TetMesh(mesh.vertices + low, mesh.tets)
-    return with_plane(low, high, cells, *held)
+    return with_plane(low, high, cells, *held, mirrored=True)
 
 
 def _held_end(
@@ -67,7 +68,7 @@ def _held_end(
 
 def with_plane(
     low: Float[np.ndarray, " 3"], high: Float[np.ndarray, " 3"], cells: tuple[int, int, int], axis: int, plane: float,
-    *, order: int = 2,
+    *, order: int = 2, mirrored: bool = False,
 ) -> TetMesh:  # fmt: skip
     """Mesh of a box of which nodes lie in a plane across one axis.
 
@@ -86,21 +87,30 @@ def with_plane(
     rest = max(round((1 - share) * cells[axis]), 1)
     numbers = list(cells)
     numbers[axis] = first + rest
-    mesh = box_mesh((1.0, 1.0, 1.0), (numbers[0], numbers[1], numbers[2]), order=order)
+    mesh = box_mesh((1.0, 1.0, 1.0), (numbers[0], numbers[1], numbers[2]), order=order, mirrored=mirrored)
     knots = np.array([0.0, first / (first + rest), 1.0])
     unit = mesh.vertices.copy()
     unit[:, axis] = np.interp(unit[:, axis], knots, np.array([0.0, share, 1.0]))
     return TetMesh(low + unit * (high - low), mesh.tets)
 
 
-def box_cells(edges: Float[np.ndarray, " 3"], max_nodes: int) -> tuple[int, int, int]:
-    """Cells along each edge [m]: as even as so many nodes allow, of a slender box along its length alone."""
+def box_cells(edges: Float[np.ndarray, " 3"], max_nodes: int, *, across: int = 1) -> tuple[int, int, int]:
+    """Cells along each edge [m]: as even as so many nodes allow, of a slender box along its length alone.
+
+    Args:
+        edges: of the box.
+        max_nodes: of a quadratic mesh.
+        across: cells across a slender box; a third more nodes are allowed if they are more than one. On one cell, a bar
+            whose stiffness varies over its section bends to the side nearly as far as down.
+    """
     longest, others = int(edges.argmax()), np.sort(edges)[:2]
     if edges.max() >= _SLENDER * others[1]:
-        along = int(np.clip(round(edges.max() / (_FLAT * others[1])), 1, min((max_nodes // 9 - 1) // 2, _MOST)))
-        cells = [1, 1, 1]
+        section = (2 * across + 1) ** 2
+        allowed = max_nodes if across == 1 else _MORE * max_nodes
+        along = int(np.clip(round(edges.max() / (_FLAT * others[1])), 1, min((allowed / section - 1) // 2, _MOST)))
+        cells = [across] * 3
         cells[longest] = along
         return cells[0], cells[1], cells[2]
-    allowed = [c for c in product(range(1, _MOST + 1), repeat=3) if np.prod([2 * n + 1 for n in c]) <= max_nodes]
-    best = min(allowed, key=lambda c: (float((edges / c).max()), float(np.prod(c))))
+    possible = [c for c in product(range(1, _MOST + 1), repeat=3) if np.prod([2 * n + 1 for n in c]) <= max_nodes]
+    best = min(possible, key=lambda c: (float((edges / c).max()), float(np.prod(c))))
     return best[0], best[1], best[2]

@@ -13,12 +13,13 @@ import numpy as np
 
 from physconvex.gap.baseline import Baseline
 from physconvex.gap.company import Company
+from physconvex.gap.model import MODULUS
 from physconvex.gap.options import GapOptions
 from physconvex.identify import Fit, scan_values
 
 __all__ = ["damped_fit"]
 
-_MODULUS, _RATIO, _RATIOS = "log10_youngs_modulus", "poisson_ratio", (0.3, 0.45)
+_RATIO, _RATIOS = "poisson_ratio", (0.3, 0.45)
 # damping, in times that an elastic wave takes through the body: at every modulus, and about the best of these
 _DAMPING, _OTHERS = 0.15, (0.05, 0.4)
 _FITS = 2
@@ -33,7 +34,7 @@ def damped_fit(base: Baseline, options: GapOptions) -> tuple[Company, Fit] | Non
         options: settings.
     """
     company, names, capture = Company(base, options, ["damping"]), base.model.base, base.capture
-    if _MODULUS not in names or not company.effects:
+    if MODULUS not in names or not company.effects:
         return None
     gravity = float(np.linalg.norm(capture.gravity))
     moduli = scan_values(density=capture.density, gravity=gravity, size=base.situation.size)
@@ -41,7 +42,7 @@ def damped_fit(base: Baseline, options: GapOptions) -> tuple[Company, Fit] | Non
     def start(modulus: float, share: float) -> np.ndarray:
         wave = base.situation.size * np.sqrt(capture.density / 10**modulus)
         values = np.append(base.fit.values, share * wave)
-        values[names.index(_MODULUS)] = modulus
+        values[names.index(MODULUS)] = modulus
         if _RATIO in names:
             values[names.index(_RATIO)] = np.clip(values[names.index(_RATIO)], *_RATIOS)
         return values

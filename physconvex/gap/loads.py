@@ -16,8 +16,8 @@ from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.baseline import Baseline
 from physconvex.gap.comparison import mean_square
 from physconvex.gap.effects import Effect
-from physconvex.gap.model import EffectModel
-from physconvex.gap.own_elements import lowest_frequency
+from physconvex.gap.lowest_mode import lowest_frequency
+from physconvex.gap.model import MODULUS, EffectModel
 from physconvex.gap.ringing import recorded_ringing
 from physconvex.gap.score import ErrorModel
 
@@ -28,7 +28,6 @@ _SLACKS = (0.5, 1.0, 2.0, 3.0)  # times the slack with which a loose load is scr
 _STEP, _FARTHEST = 0.05, 4  # decades of E about that frequency, and steps: a body that sags far swings otherwise
 _BOUNDS = (3.0, 8.0)  # of log10 E
 _LABELS = ("attached_mass ({})", "attached_mass ({}, loose)", "damping")
-_MODULUS = "log10_youngs_modulus"
 Start = tuple[tuple[Effect, ...], np.ndarray]
 
 
@@ -42,7 +41,7 @@ def loaded_starts(base: Baseline, errors: ErrorModel, dictionary: Iterable[Effec
     """
     recorded, known, end = recorded_ringing(base), {effect.label: effect for effect in dictionary}, _free_end(base)
     load, loose, damping = (known.get(name.format(end)) for name in _LABELS)
-    if recorded is None or load is None or _MODULUS not in base.model.base:
+    if recorded is None or load is None or MODULUS not in base.model.base:
         return []
     damped = () if damping is None else (damping,)
     # what damps the main shape by the ratio that was recorded, E in proportion to viscosity
@@ -80,7 +79,7 @@ def _best_modulus(
     base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray, frequency: float
 ) -> tuple[float, np.ndarray]:
     """Misfit and values with the E that fits best, down from where the lowest vibration has a frequency [Hz]."""
-    index = model.base.index(_MODULUS)
+    index = model.base.index(MODULUS)
     line = float(values[index]) + 2 * np.log10(frequency / lowest_frequency(model, values))
 
     def at(step: int) -> tuple[float, np.ndarray]:

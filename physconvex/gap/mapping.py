@@ -14,7 +14,8 @@ import numpy as np
 from physconvex.errors import ConvergenceError
 from physconvex.gap.baseline import Baseline
 from physconvex.gap.comparison import Hypothesis, hypothesis_at, refit
-from physconvex.gap.model import reduced_like
+from physconvex.gap.lowest_mode import decades_between
+from physconvex.gap.model import MODULUS, EffectModel, reduced_like, searches_itself
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
 
@@ -42,8 +43,24 @@ def confirmed(base: Baseline, errors: ErrorModel, found: Hypothesis) -> Hypothes
         ConvergenceError: the full-order model cannot be run there.
     """
     full = replace(base.model, effects=found.model.effects)
-    motion = full.motion(found.values)
-    return hypothesis_at(base, errors, full, found.values, found.errors, motion, found.tangents)
+    values = _in_step(base, full, found)
+    return hypothesis_at(base, errors, full, values, found.errors, full.motion(values), found.tangents)
+
+
+def _in_step(base: Baseline, full: EffectModel, found: Hypothesis) -> np.ndarray:
+    """Values with which a held body swings on the full-order model's mesh as it did on the one that found them.
+
+    The two differ at the base fit already, which the search makes up for. What an effect adds to that, as an
+    inclusion does that few elements resolve, is taken up by E: else the motions are soon out of step.
+    """
+    if not base.situation.clamped or MODULUS not in full.base or searches_itself(full):
+        return found.values
+    count = len(full.base)
+    cheap = replace(found.model, effects=())
+    ratio = decades_between(found.model, full, found.values)
+    values = found.values.copy()
+    values[full.base.index(MODULUS)] += ratio - decades_between(cheap, base.model, base.fit.values[:count])
+    return values
 
 
 def improved(base: Baseline, errors: ErrorModel, here: Hypothesis, options: GapOptions) -> Hypothesis | None:

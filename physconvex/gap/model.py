@@ -22,12 +22,12 @@ from physconvex.identify import Parameter, Twin, default_parameter
 from physconvex.integrators import IntegratorName
 from physconvex.reduced import ReducedScene, parameter_values, simulate
 
-__all__ = ["ACCURACY", "EffectModel", "SecantModel", "reduced_like", "searches_itself"]
+__all__ = ["ACCURACY", "MODULUS", "EffectModel", "SecantModel", "reduced_like", "searches_itself"]
 
 Positions = Float[np.ndarray, "T P 3"]
 Vector = Float[np.ndarray, " K"]
 _RATIO = (0.4, 0.1)  # mean and deviation of ν of soft bodies
-_MODULUS = "log10_youngs_modulus"
+MODULUS = "log10_youngs_modulus"  # as the parameter is called
 _BASE_STEP = 0.1  # of a typical step, for differences
 _SMALL = 1.5  # times the nodes of the coarse mesh
 # of the full-order runs: their errors stay below 1e-5 of the size, a hundredth of what the mesh leaves
@@ -122,9 +122,9 @@ class EffectModel:
         return scene
 
     def _based(self, values: Vector) -> Twin:
-        if self.stiffer and _MODULUS in self.base:
+        if self.stiffer and MODULUS in self.base:
             values = values.copy()
-            values[self.base.index(_MODULUS)] += self.stiffer
+            values[self.base.index(MODULUS)] += self.stiffer
         return self.twin.with_values(self.base, values[: len(self.base)])
 
     def full_scene(self, values: Vector) -> FullScene:

@@ -17,14 +17,15 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import TetMesh, vibration_modes
+from physconvex.fem import TetMesh
 from physconvex.gap.baseline import Baseline, fit_baseline, misfit_of_base
 from physconvex.gap.effects import DEFAULT_EFFECTS, applicable
-from physconvex.gap.model import EffectModel, searches_itself
+from physconvex.gap.lowest_mode import decades_between
+from physconvex.gap.model import MODULUS, EffectModel, searches_itself
 from physconvex.gap.numerics import Numerics
 from physconvex.gap.options import GapOptions
 
-__all__ = ["lowest_frequency", "own_elements", "with_own_elements"]
+__all__ = ["own_elements", "with_own_elements"]
 
 _WORK = 600_000  # nodes times steps that can be afforded
 _BETTER = 0.5  # share of the squares that the own elements may leave to be the model
@@ -33,14 +34,14 @@ _EQUAL = 0.8  # share of the squares that equal masses of the nodes may leave to
 _DECADES = (0.0, 0.04, -0.04, 0.1, -0.1)  # of E about that at which the lowest vibration keeps its frequency
 _FINER = (-0.04, -0.02, 0.0, 0.02, 0.04)
 _HOPELESS = 4.0  # times the squares of the fit, by the best E of a coarse scan: then no fit is begun
-_MODULUS, _RATIO, _RATIOS = "log10_youngs_modulus", "poisson_ratio", (0.25, 0.45)
+_RATIO, _RATIOS = "poisson_ratio", (0.25, 0.45)
 
 
 def own_elements(base: Baseline) -> TetMesh | None:
     """The capture's linear tetrahedra, if it has some and they can be afforded."""
     mesh = base.capture.tets()
     steps = base.model.frames * base.model.twin.steps_per_frame
-    if mesh is None or mesh.order != 1 or len(mesh.vertices) * steps > _WORK or _MODULUS not in base.model.base:
+    if mesh is None or mesh.order != 1 or len(mesh.vertices) * steps > _WORK or MODULUS not in base.model.base:
         return None
     return mesh
 
@@ -132,13 +133,13 @@ def _fitted_on(
     most: float,
 ) -> Baseline | None:
     """The base fit on other elements, begun where they vibrate alike; None if E alone leaves more than `most`."""
-    index, model = near.model.base.index(_MODULUS), replace(near.model, mesh=mesh)
+    index, model = near.model.base.index(MODULUS), replace(near.model, mesh=mesh)
     model.embedding  # noqa: B018 markers may lie off that mesh
     values = near.fit.values.copy()
     if _RATIO in near.model.base and near.model.mesh is None:
         at = near.model.base.index(_RATIO)
         values[at] = np.clip(values[at], *_RATIOS)
-    values[index] += _decades(near.model, model, values)
+    values[index] += decades_between(near.model, model, values)
     least, values[index] = _best_modulus(near, model, values, variance)
     if least > most:
         return None
@@ -153,7 +154,7 @@ def _best_modulus(
     base: Baseline, model: EffectModel, start: np.ndarray, variance: Float[np.ndarray, " N"]
 ) -> tuple[float, float]:
     """Least misfit in the fitted frames, and the log10 E, near the start, at which it is reached."""
-    index, count = base.model.base.index(_MODULUS), int(base.split.fitted[-1]) + 1
+    index, count = base.model.base.index(MODULUS), int(base.split.fitted[-1]) + 1
     shorter, tried = replace(model, frames=count), []
     for decades in _DECADES:
         values = start.copy()
@@ -173,21 +174,5 @@ def _surrogate(base: Baseline, mesh: TetMesh, values: np.ndarray, target: Float[
         moved = replace(coarse, stiffer=decades).motion(values).positions
         return float(np.linalg.norm(moved - target[:count]))
 
-    first = _decades(replace(base.model, mesh=mesh), coarse, values)
+    first = decades_between(replace(base.model, mesh=mesh), coarse, values)
     return first + min(_FINER, key=lambda more: missed(first + more))
-
-
-def _decades(one: EffectModel, other: EffectModel, values: np.ndarray) -> float:
-    """Decades of E by which another mesh must be stiffer to vibrate as the one does, by their lowest frequencies."""
-    return 2 * float(np.log10(lowest_frequency(one, values) / lowest_frequency(other, values)))
-
-
-def lowest_frequency(model: EffectModel, values: np.ndarray) -> float:
-    """Lowest frequency of the body's vibrations on the model's mesh [Hz], with what hangs on it."""
-    scene = model.full_scene(values)
-    carried = None if scene.hanging is None else scene.hanging.masses
-    if scene.pins is None:
-        return float(vibration_modes(scene.body, 7, carried=carried)[0][6])
-    held = np.zeros(len(scene.body.mesh.vertices), dtype=bool)
-    held[scene.pins.nodes] = True
-    return float(vibration_modes(scene.body, 1, clamped=held, carried=carried)[0][0])

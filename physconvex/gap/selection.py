@@ -52,6 +52,7 @@ _HELD = 0.7  # of the costs allowed, for a held body: its screening and its base
 _ANYTHING = 8  # doses and effects that an unknown effect is priced at
 _MANY = 40  # pairs that are ranked
 _WORTH = 4.0  # gain of evidence for which the search goes on
+_SWEEPS, _SLOW = 5, 0.98  # over the full-order fits; share of the misfit above which another one is not worth it
 _TIED = 1.0  # difference of evidence that hardly tells two forms of an effect apart
 
 
@@ -162,7 +163,7 @@ def select_effects(
 def _decided(
     base: Baseline, errors: ErrorModel, finalists: Sequence[Hypothesis], options: GapOptions, report: Report
 ) -> list[Hypothesis]:
-    """The base model and the finalists by the full-order model: each as it was found, then the best ones fitted on.
+    """The base model and the finalists by the full-order model: each as it was found, then fitted on while that helps.
 
     A finalist for which there was no time is left out; if there was none for any, the reduced model's word is taken.
     """
@@ -176,15 +177,20 @@ def _decided(
             out.append(confirmed(base, errors, hypothesis))
         except FAILURES as error:
             report(f"full-order run: {hypothesis.label}: {error}")
-    for hypothesis in [h for h in judged(base, errors, out) if h.effects]:
-        report(f"full-order fit: {hypothesis.label}")
-        try:
-            better = improved(base, errors, hypothesis, options)
-        except FAILURES as error:
-            report(f"full-order fit: {hypothesis.label}: {error}")
-            continue
-        if better is not None:
-            out[next(i for i, h in enumerate(out) if h.motion is hypothesis.motion)] = better
+    settled: set[int] = set()  # ids of motions
+    for _ in range(_SWEEPS):
+        for hypothesis in [h for h in judged(base, errors, out) if h.effects and id(h.motion) not in settled]:
+            report(f"full-order fit: {hypothesis.label}")
+            try:
+                better = improved(base, errors, hypothesis, options)
+            except FAILURES as error:
+                report(f"full-order fit: {hypothesis.label}: {error}")
+                better = None
+            if better is not None:
+                out[next(i for i, h in enumerate(out) if h.motion is hypothesis.motion)] = better
+            last = hypothesis if better is None else better
+            if last.fitted > _SLOW * hypothesis.fitted or last.fitted < 1.0:
+                settled.add(id(last.motion))
     return out if len(out) > 1 else [*out, *finalists[:1]]
 
 

@@ -18,9 +18,10 @@ def surface_area(size) -> float:
     return 2 * (a * b + b * c + c * a)
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("order", [1, 2])
-def test_box_has_the_right_volume_and_size(order):
-    mesh = box_mesh(SIZE, CELLS, order=order)
+def test_box_has_the_right_volume_and_size(order, mirrored):
+    mesh = box_mesh(SIZE, CELLS, order=order, mirrored=mirrored)
     assert mesh.order == order
     assert len(mesh.tets) == 6 * np.prod(CELLS)
     assert mesh.volume == pytest.approx(np.prod(SIZE))
@@ -30,9 +31,21 @@ def test_box_has_the_right_volume_and_size(order):
     assert len(mesh.vertices) == expected_nodes
 
 
+def test_cells_of_a_mirrored_box_are_mirror_images():
+    mesh = box_mesh((1.0, 1.0, 1.0), (2, 4, 2), mirrored=True)
+    centres = mesh.vertices[mesh.corner_tets].mean(1)
+    for axis in range(3):
+        image = centres.copy()
+        image[:, axis] = 1.0 - image[:, axis]
+        assert set(map(tuple, image.round(9))) == set(map(tuple, centres.round(9)))
+    plain = box_mesh((1.0, 1.0, 1.0), (2, 4, 2))
+    assert len(mesh.vertices) == len(plain.vertices) and len(mesh.boundary_faces) == len(plain.boundary_faces)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("order", [1, 2])
-def test_boundary_is_closed_and_points_outwards(order):
-    mesh = box_mesh(SIZE, CELLS, order=order)
+def test_boundary_is_closed_and_points_outwards(order, mirrored):
+    mesh = box_mesh(SIZE, CELLS, order=order, mirrored=mirrored)
     x = mesh.vertices[mesh.boundary_faces[:, :3]]
     areas = 0.5 * np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     np.testing.assert_allclose(areas.sum(0), 0.0, atol=1e-14)  # closed

@@ -32,7 +32,11 @@ def bodies(law: str, order: int, cells: tuple[int, int, int] = (2, 2, 1)) -> tup
     """The same heterogeneous body with the fast arithmetic and with the plain one."""
     mesh = box_mesh((0.3, 0.2, 0.1), cells, order=order)
     rng, count = np.random.default_rng(3), len(mesh.tets)
-    constants = {"youngs_modulus": rng.uniform(1e4, 1e6, count), "poisson_ratio": rng.uniform(0.1, 0.49, count)}
+    points = len(ElasticBody(mesh).quadrature_points[0])
+    constants = {
+        "youngs_modulus": rng.uniform(1e4, 1e6, (count, points)),
+        "poisson_ratio": rng.uniform(0.1, 0.49, count),
+    }
     quick, plain = ElasticBody(mesh, law=law, **constants), ElasticBody(mesh, law=law, **constants)
     assert quick._quick is not None
     plain._quick = None

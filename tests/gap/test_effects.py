@@ -168,9 +168,19 @@ def test_soft_contact_sinks_deeper(scene, plain):
 def test_uneven_stiffness_keeps_contact_and_mean(falling):
     uneven = effect("heterogeneity").scene(falling, np.array([0.3, 0.0, 0.0, 0.0]))
     centres = falling.body.mesh.vertices[falling.body.mesh.corner_tets].mean(1)
-    ratio = uneven.body.youngs_modulus / falling.body.youngs_modulus
+    ratio = (uneven.body.youngs_modulus / falling.body.youngs_modulus[:, None]).mean(1)
     assert ratio[centres[:, 0].argmax()] > 1.1 and ratio[centres[:, 0].argmin()] < 0.9
     assert uneven.contact().stiffness == falling.contact().stiffness
+
+
+def test_an_inclusion_is_stiffer_about_its_centre(falling):
+    inside = np.array([0.5, 0.5, -0.5])
+    uneven = effect("heterogeneity (inclusion, +x+y-z)").scene(falling, np.array([0.4, *inside]))
+    x = falling.body.quadrature_points.reshape(-1, 3)
+    low, high = falling.body.mesh.vertices.min(0), falling.body.mesh.vertices.max(0)
+    distance = np.linalg.norm(2 * (x - low) / (high - low) - 1 - inside, axis=1)
+    ratio = (uneven.body.youngs_modulus / falling.body.youngs_modulus[:, None]).ravel()
+    assert ratio == pytest.approx(10 ** (0.4 * np.exp(-2 * distance**2)))
 
 
 def motion_of(points=5):

@@ -5,7 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.gap import DEFAULT_EFFECTS
+from physconvex.gap import DEFAULT_EFFECTS, selection
+from physconvex.gap.cost import Cost
+from physconvex.gap.options import GapOptions
 from physconvex.gap.score import Score
 from physconvex.gap.screening import Screened, Screening, best_pairs
 from physconvex.gap.selection import _finalists
@@ -68,3 +70,20 @@ def test_a_form_that_is_as_likely_is_carried_over():
     found = [fitted(9.0, "a (x)", "b"), fitted(8.7, "a (y)", "b"), fitted(8.6, "a (y)", "b"), fitted(6.0, "a (z)", "b")]
     assert [h.evidence for h in _finalists(found, 4, tied=1.0)] == [9.0, 8.7]
     assert [h.evidence for h in _finalists(found, 4)] == [9.0]
+
+
+def test_full_order_fits_go_on_as_long_as_they_help(monkeypatch):
+    """Two rounds of a load's fit leave it behind a slip of the clock, which is quickly fitted."""
+    left = {"load": [8.0, 4.0, 2.0, 1.5, 1.49, 0.1], "clock": [3.0, 2.99, 0.1]}
+
+    def fit(name):
+        return SimpleNamespace(effects=(name,), motion=object(), fitted=left[name].pop(0), label=name)
+
+    monkeypatch.setattr(selection, "confirmed", lambda base, errors, found: found)
+    monkeypatch.setattr(selection, "improved", lambda base, errors, found, options: fit(found.label))
+    monkeypatch.setattr(selection, "judged", lambda base, errors, found: sorted(found, key=lambda h: h.fitted))
+    plain = SimpleNamespace(effects=(), motion=object(), fitted=9.0, label="base model")
+    monkeypatch.setattr(selection, "base_hypothesis", lambda base, errors: plain)
+    base = SimpleNamespace(model=SimpleNamespace(cost=Cost()), situation=SimpleNamespace(clamped=True))
+    found = selection._decided(base, None, [fit("load"), fit("clock")], GapOptions(), lambda text: None)
+    assert {h.label: h.fitted for h in found} == {"base model": 9.0, "load": 1.49, "clock": 2.99}

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from physconvex.gap.effects.effect import AnyScene, Dose, Effect
-from physconvex.gap.effects.scenes import cell_coordinates, with_material
+from physconvex.gap.effects.scenes import with_material
 from physconvex.reduced import ReducedScene
 
 __all__ = ["CLAMP_EFFECTS"]
@@ -16,7 +16,7 @@ _REACH = 0.15  # of the half size of the body: how far from the held points its 
 
 
 def _held(scene: AnyScene) -> np.ndarray:
-    """Held points, scaled as `cell_coordinates` are."""
+    """Held points, scaled as the fields of `with_material` are."""
     if isinstance(scene, ReducedScene):
         assert scene.pins is not None
         held, box = scene.pins.points, scene.body.space.samples.surface_points
@@ -30,11 +30,14 @@ def _held(scene: AnyScene) -> np.ndarray:
 def _giving(scene: AnyScene, doses: Float[np.ndarray, " D"]) -> AnyScene:
     if doses[0] <= 0 or scene.pins is None:
         return scene
-    cells = cell_coordinates(scene)
-    distance = cKDTree(_held(scene)).query(cells)[0]
-    reach = max(_REACH, 1.01 * float(distance.min()))
-    share = np.clip(1 - distance / (2 * reach), 0.0, 1.0)
-    return with_material(scene, modulus=lambda x: 10 ** (-float(doses[0]) * share))
+    held = cKDTree(_held(scene))
+
+    def factor(x: Float[np.ndarray, "N 3"]) -> np.ndarray:
+        distance = held.query(x)[0]
+        reach = max(_REACH, 1.01 * float(distance.min()))
+        return np.asarray(10 ** (-float(doses[0]) * np.clip(1 - distance / (2 * reach), 0.0, 1.0)))
+
+    return with_material(scene, modulus=factor)
 
 
 CLAMP_EFFECTS: tuple[Effect, ...] = (

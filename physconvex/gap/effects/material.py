@@ -16,6 +16,7 @@ from physconvex.materials import Law, get_law
 __all__ = ["MATERIAL_EFFECTS"]
 
 Doses = Float[np.ndarray, " D"]
+_INCLUSION = 0.5  # standard deviation of a softer or stiffer part, over half the edges of the body
 _UNYIELDING = 9.0  # log10 of a yield stress [Pa] that nothing here reaches
 
 
@@ -94,6 +95,39 @@ HETEROGENEITY = Effect(
     description="E varies over the body: along an axis, or between core and rim",
     confusable=("anisotropy",),
 )
+
+
+def _halfway(side: int) -> Callable[[Situation], float]:
+    return lambda situation: 0.5 * side
+
+
+def _inclusion(corner: tuple[int, int, int]) -> Effect:
+    """About a place that a fit begins near one corner of the body."""
+
+    def scene(scene: AnyScene, doses: Doses) -> AnyScene:
+        if doses[0] == 0:
+            return scene
+
+        def factor(x: np.ndarray) -> np.ndarray:
+            return np.asarray(10 ** (doses[0] * np.exp(-0.5 * ((x - doses[1:]) ** 2).sum(1) / _INCLUSION**2)))
+
+        return with_material(scene, modulus=factor)
+
+    return Effect(
+        "heterogeneity",
+        "material",
+        (
+            Dose("log10_modulus", "decades", -1.5, 1.5, 0.05, lambda s: -0.2, plausible=0.5),
+            *(
+                Dose(f"centre_{axis}", "", -1.0, 1.0, 0.1, _halfway(side), shape=True)
+                for axis, side in zip("xyz", corner, strict=True)
+            ),
+        ),
+        scene=scene,
+        variant="inclusion, " + "".join("-+"[side > 0] + axis for axis, side in zip("xyz", corner, strict=True)),
+        description="a part of the body is softer or stiffer than the rest (centre over half of the edges)",
+        confusable=("anisotropy",),
+    )
 
 
 def _with_fibres(axis: int) -> Effect:
@@ -182,6 +216,7 @@ MATERIAL_EFFECTS: tuple[Effect, ...] = (
     PLASTICITY,
     PLASTICITY.with_trial("bulk", lambda s: _yield_trial(s, 0.12)),
     HETEROGENEITY,
+    *(_inclusion((x, y, z)) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)),
     *(_with_fibres(axis) for axis in range(3)),
     STIFFENING,
     *OTHER_LAWS,

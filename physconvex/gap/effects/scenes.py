@@ -16,6 +16,7 @@ from physconvex.inelastic import FlowRule
 from physconvex.materials import Law
 from physconvex.reduced import ReducedBody, ReducedScene
 
+Points = Float[np.ndarray, "N 3"]
 __all__ = ["cell_coordinates", "cell_masses", "with_fields", "with_material"]
 
 
@@ -35,8 +36,29 @@ def cell_coordinates(scene: AnyScene) -> Float[np.ndarray, "C 3"]:
     else:
         mesh = scene.body.mesh
         centres, box = mesh.vertices[mesh.corner_tets].mean(1), mesh.vertices
+    return _scaled(centres, box)
+
+
+def _scaled(points: Points, box: Points) -> Points:
     low, high = box.min(0), box.max(0)
-    return 2 * (centres - low) / (high - low) - 1
+    return 2 * (points - low) / (high - low) - 1
+
+
+def _modulus_times(scene: AnyScene, field: Callable[[Points], Float[np.ndarray, " N"]]) -> Float[np.ndarray, "C ..."]:
+    """E times a field of the scaled coordinates: at the elements' quadrature points, mean over a reduced body's cells.
+
+    At the centres alone, a rim that is softer does not show in a bar that is one element thick.
+    """
+    body = scene.body
+    if isinstance(scene, ReducedScene):
+        samples = scene.body.space.samples
+        interior, box = samples.interior, samples.surface_points
+        values = interior.weights * field(_scaled(interior.points, box))
+        factor = np.bincount(interior.cells, values) / np.bincount(interior.cells, interior.weights)
+        return np.asarray(body.youngs_modulus * factor)
+    points = scene.body.quadrature_points
+    factor = field(_scaled(points.reshape(-1, 3), scene.body.mesh.vertices)).reshape(points.shape[:2])
+    return np.asarray(body.youngs_modulus.reshape(len(points), -1) * factor)
 
 
 def cell_masses(scene: AnyScene) -> Float[np.ndarray, " C"]:
@@ -52,7 +74,7 @@ def with_material(
     *,
     law: Callable[[Law], Law] | None = None,
     flow: FlowRule | None = None,
-    modulus: Callable[[Float[np.ndarray, "C 3"]], Float[np.ndarray, " C"]] | None = None,
+    modulus: Callable[[Points], Float[np.ndarray, " N"]] | None = None,
     density: Callable[[Float[np.ndarray, "C 3"], Float[np.ndarray, " C"]], Float[np.ndarray, " C"]] | None = None,
 ) -> AnyScene:
     """The scene with another material; contact (and pins) keep the stiffness they had.
@@ -61,17 +83,16 @@ def with_material(
         scene: reduced or full-order.
         law: makes the new elastic law out of the present one.
         flow: how the material flows.
-        modulus: factor on E from the cells' scaled coordinates.
+        modulus: factor on E as a field of the scaled coordinates.
         density: factor on the density from the cells' scaled coordinates and masses [kg].
     """
     body, stiffness = scene.body, scene.contact().stiffness
     if flow is not None and body.flow is not None:
         raise InputError(f"flow: the body flows already ({body.flow}); one way of flowing at a time")
-    factor: float | np.ndarray = 1.0 if modulus is None else modulus(cell_coordinates(scene))
     heavier = 1.0 if density is None else density(cell_coordinates(scene), cell_masses(scene))
     constants: dict[str, Any] = {
         "law": body.law if law is None else law(body.law),
-        "youngs_modulus": body.youngs_modulus * factor,
+        "youngs_modulus": body.youngs_modulus if modulus is None else _modulus_times(scene, modulus),
         "poisson_ratio": body.poisson_ratio,
         "density": body.density * heavier,
         "flow": body.flow if flow is None else flow,
