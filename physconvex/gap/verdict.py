@@ -10,6 +10,7 @@ import numpy as np
 
 from physconvex.gap.caveats import caveats_of, doses_in_sight
 from physconvex.gap.comparison import Hypothesis
+from physconvex.gap.effects import Effect
 from physconvex.gap.naming import (
     SOMETHING_ELSE,
     WEAK,
@@ -166,9 +167,11 @@ class _Evidence:
 
     @property
     def named(self) -> tuple[NamedEffect, ...]:
-        """Effects of the best fit."""
+        """Effects of the best fit, without those whose doses are smaller than is of interest beside others."""
+        slight = {effect.name for effect in self.best.effects if _is_slight(self.best, effect)}
         found = named_effects(self.best, self.hypotheses, self.probability, self.screening, self.options)
-        return tuple(by_weight(found, self.hypotheses))
+        kept = [effect for effect in found if effect.name not in slight] or found
+        return tuple(by_weight(kept, self.hypotheses))
 
     @property
     def possible(self) -> tuple[NamedEffect, ...]:
@@ -345,10 +348,13 @@ def _called(e: _Evidence) -> Verdict:
     return e.verdict("effect", sentence, e.possible)
 
 
-def _is_slight(hypothesis: Hypothesis) -> bool:
-    """Whether all doses lie nearer to null than is of interest: what fits so is the model's own error."""
+def _is_slight(hypothesis: Hypothesis, *effects: Effect) -> bool:
+    """Whether all doses (of all effects unless some are given) lie nearer to null than is of interest.
+
+    What fits so is the model's own error.
+    """
     slight = []
-    for effect in hypothesis.effects:
+    for effect in effects or hypothesis.effects:
         values, _ = hypothesis.doses(effect)
         slight += [
             abs(v - d.null) < d.smallest

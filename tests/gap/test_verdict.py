@@ -20,9 +20,9 @@ def effect(name):
     return next(e for e in DEFAULT_EFFECTS if e.name == name)
 
 
-def hypothesis(evidence, *names, log10_modulus=5.0, dose=0.1):
+def hypothesis(evidence, *names, log10_modulus=5.0, dose=0.1, slight=()):
     effects = tuple(effect(n) for n in names)
-    values = [np.full(len(e.doses), dose) for e in effects]
+    values = [np.full(len(e.doses), 0.0 if e.name in slight else dose) for e in effects]
     return SimpleNamespace(
         effects=effects,
         names=tuple(e.name for e in effects),
@@ -52,6 +52,13 @@ def test_probabilities_add_to_one_and_keep_the_best_variant():
     found = probabilities([hypothesis(3.0, "damping"), hypothesis(1.0, "damping"), hypothesis(0.0)])
     assert sum(found.values()) == pytest.approx(1) and len(found) == 2
     assert found["damping"] == pytest.approx(np.exp(3) / (1 + np.exp(3)))
+
+
+def test_a_dose_that_is_of_no_interest_is_not_named_beside_another():
+    both = hypothesis(20.0, "damping", "heterogeneity", slight=("heterogeneity",))
+    verdict = decide([both, hypothesis(10.0, "damping"), hypothesis(0.0)], screening(), 30.0, 1.0, 0.05, OPTIONS)
+    assert verdict.name == "effect" and [e.name for e in verdict.effects] == ["damping"]
+    assert "heterogeneity" not in verdict.sentence
 
 
 def test_a_clear_effect_is_named_with_its_dose():
