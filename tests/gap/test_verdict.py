@@ -55,7 +55,7 @@ def test_probabilities_add_to_one_and_keep_the_best_variant():
 
 
 def test_a_dose_that_is_of_no_interest_is_not_named_beside_another():
-    both = hypothesis(20.0, "damping", "heterogeneity", slight=("heterogeneity",))
+    both = hypothesis(20.0, "damping", "wind", slight=("wind",))
     verdict = decide([both, hypothesis(10.0, "damping"), hypothesis(0.0)], screening(), 30.0, 1.0, 0.05, OPTIONS)
     assert verdict.name == "effect" and [e.name for e in verdict.effects] == ["damping"]
     assert "heterogeneity" not in verdict.sentence
@@ -145,7 +145,7 @@ def test_an_effect_that_foretells_nothing_is_not_named():
 def test_a_further_effect_that_gains_little_is_not_named():
     alone, plain = hypothesis(20.0, "damping"), hypothesis(0.0)
     for gain, names in ((0.3, ["damping"]), (1.4, ["damping"]), (2.0, ["damping", "wind"])):
-        fits = [hypothesis(20.0 + gain, "damping", "wind"), alone, plain]
+        fits = [hypothesis(20.0 + gain, "damping", "wind", dose=0.6), alone, plain]
         assert list((favoured(fits) or plain).names) == names
         verdict = decide(fits, screening(), 30.0, 1.0, 0.05, OPTIONS, placebo=0.0)
         assert verdict.name == "effect" and [e.name for e in verdict.effects] == names
@@ -222,7 +222,8 @@ def test_nothing_found_tells_what_would_have_been():
 
 
 def test_the_weightier_of_two_effects_comes_first():
-    fits = [hypothesis(40.0, "wind", "damping"), hypothesis(30.0, "damping"), hypothesis(5.0, "wind"), hypothesis(0.0)]
+    fits = [hypothesis(40.0, "wind", "damping", dose=0.6), hypothesis(30.0, "damping"), hypothesis(5.0, "wind")]
+    fits.append(hypothesis(0.0))
     found = decide(fits, screening(), 30.0, 1.0, 0.1, OPTIONS)
     assert [e.name for e in found.effects[:2]] == ["damping", "wind"]
     assert found.effects[0].probability == pytest.approx(1.0, abs=1e-6)
