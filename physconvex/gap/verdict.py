@@ -31,7 +31,7 @@ _CLEAR = 4.0  # gain of log-evidence over the base model that makes a call; belo
 _LISTED = 0.02  # probability
 _FORETOLD = 0.9  # share of the gap on frames that were not fitted, of which a placebo removes no tenth
 _PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
-_CERTAIN = 0.95  # probability from which on a placebo that does much is no objection
+_CERTAIN = 0.95  # probability, or share removed of _FORETOLD, from which on a placebo that does much is no objection
 _LESS = 0.25  # and the share of what that placebo leaves which the effect may leave at most
 _BLIND = 0.1  # floor over size or motion above which "none" would say nothing
 _TELLING = 10.0  # gain that makes a call although the base model errs as expected, if half of the held-out gap goes
@@ -309,7 +309,7 @@ def _unexplained(e: _Evidence) -> Verdict | None:
 def _as_good_as_a_placebo(e: _Evidence) -> Verdict | None:
     """An effect that nothing asks for does nearly as much, or the best one does nothing where it was not fitted."""
     certain = bool(e.named) and min(n.probability for n in e.named) >= _CERTAIN
-    if certain and 1.0 - e.share <= _LESS * (1.0 - e.placebo):
+    if (certain or e.share >= _FORETOLD) and 1.0 - e.share <= _LESS * (1.0 - e.placebo):
         return None
     if not (e.share <= 0 or e.placebo > _PLACEBO * e.share):
         return None

@@ -314,6 +314,13 @@ def test_an_effect_beyond_doubt_that_leaves_far_less_than_a_placebo_is_named(oth
     assert decide(hypotheses, screening(), 30.0, 1.0, remaining, OPTIONS, placebo=0.5, other=other).name == name
 
 
+@pytest.mark.parametrize(("remaining", "name"), [(0.05, "effect"), (0.13, "inconclusive")])
+def test_so_is_one_that_takes_nearly_all_although_another_might_too(remaining, name):
+    hypotheses = [hypothesis(20.0, "damping"), hypothesis(19.0, "friction"), hypothesis(0.0)]
+    verdict = decide(hypotheses, screening(), 30.0, 1.0, remaining, OPTIONS, placebo=0.5)
+    assert verdict.name == name and 0.7 < verdict.effects[0].probability < 0.75
+
+
 def test_numerical_error_that_leaves_the_gap_is_no_answer():
     numerical = [hypothesis(20.0, "time_step"), hypothesis(0.0)]
     assert decide(numerical, screening(), 30.0, 1.0, 0.05, OPTIONS).name == "none"
