@@ -186,11 +186,12 @@ def _decided(
             except FAILURES as error:
                 report(f"full-order fit: {hypothesis.label}: {error}")
                 better = None
-            if better is not None:
-                out[next(i for i, h in enumerate(out) if h.motion is hypothesis.motion)] = better
-            last = hypothesis if better is None else better
-            if last.fitted > _SLOW * hypothesis.fitted or last.fitted < 1.0:
-                settled.add(id(last.motion))
+            if better is None:
+                settled.add(id(hypothesis.motion))
+                continue
+            out[next(i for i, h in enumerate(out) if h.motion is hypothesis.motion)] = better
+            if better.fitted > _SLOW * hypothesis.fitted or better.fitted < 1.0:
+                settled.add(id(better.motion))
     return out if len(out) > 1 else [*out, *finalists[:1]]
 
 
