@@ -17,16 +17,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from known_states import labels_of
 from torch import Tensor, nn
 
+from models.clip import touches_border
 from models.config import KinematicsConfig
 from models.kinematics import SilhouetteFeatures
 from models.mirror import mirrored_moments
 from models.motion import STATE_SCALE, MotionBranch
-from models.scaling import dimensionless_interval, log10_dimensionless_stiffness
 from models.silhouette import silhouette_moments
-from train.records import LabelledClip, read_clips
-from train.states import flipped_states, states_of_motion
+from train.records import read_clips
+from train.states import flipped_states
 
 RESULT = Path(__file__).parent / "results" / "known_silhouettes.json"
 BATCH, HELD_OUT = 48, 5
@@ -52,29 +53,18 @@ class Clips:
 
     def __init__(self, data: Path, edges: list[int]) -> None:
         clips = read_clips([data])
-        labels = [
-            np.array([getattr(clip, name) for clip in clips]) for name in ("youngs_modulus", "density", "object_size")
-        ]
-        self.stiffness = log10_dimensionless_stiffness(labels[0], density=labels[1], object_size=labels[2])
-        self.interval = dimensionless_interval(np.array([clip.fps for clip in clips]), object_size=labels[2])
+        self.states, self.interval, self.stiffness, _ = labels_of(clips)
         self.objects = np.unique([clip.record.row["object_id"] for clip in clips], return_inverse=True)[1]
         self.simulations = np.array([clip.record.row["simulation"] for clip in clips])
-        self.states = np.stack([_states(clip) for clip in clips])
         masks = [clip.record.mask() for clip in clips]
         self.moments = {edge: np.stack([_moments(mask, edge) for mask in masks]) for edge in edges}
-
-
-def _states(clip: LabelledClip) -> np.ndarray:
-    samples = clip.samples
-    return states_of_motion(samples.points, samples.displacements, samples.volume_weights, height=samples.height)
 
 
 def _moments(mask: np.ndarray, edge: int) -> np.ndarray:
     """Of the true mask as a picture of that edge would show it."""
     whole = mask.astype(np.uint8) * np.uint8(255)
     small = np.stack([cv2.resize(frame, (edge, edge), interpolation=cv2.INTER_AREA) for frame in whole])
-    touches = np.any([side.any(axis=1) for side in (mask[:, 0], mask[:, -1], mask[..., 0], mask[..., -1])], axis=0)
-    return silhouette_moments((small > 127) * np.uint8(255), touches_border=touches).moments
+    return silhouette_moments((small > 127) * np.uint8(255), touches_border=touches_border(whole)).moments
 
 
 def measure(clips: Clips, edge: int, simulations: int | None, steps: int) -> dict[str, float]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,6 @@ from models.motion import STATE_NAMES, STATE_SCALE, MotionBranch
 from models.scaling import dimensionless_interval, log10_dimensionless_stiffness
 from train.losses import smoothed_target
 from train.records import LabelledClip, Split, read_clips
-from train.states import states_of_motion
 
 RESULT = Path(__file__).parent / "results" / "known_states.json"
 BATCH = 64
@@ -58,26 +58,22 @@ class Reader(nn.Module):
         return self.stiffness(latent), self.poisson(latent)
 
 
-def read(data: list[Path], split: Split) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """States, dimensionless intervals, log10 E/(ρ g L), ν: every view of every simulation."""
-    clips = read_clips(data, split)
-    states = [_states(clip) for clip in clips]
+def labels_of(clips: Sequence[LabelledClip]) -> tuple[np.ndarray, ...]:
+    """States, dimensionless intervals, log10 E/(ρ g L), ν."""
     size, modulus, density = (
         np.array([getattr(clip, name) for clip in clips]) for name in ("object_size", "youngs_modulus", "density")
     )
-    fps = np.array([clip.fps for clip in clips])
-    columns = (
-        dimensionless_interval(fps, object_size=size),
+    return (
+        np.stack([clip.samples.states() for clip in clips]),
+        dimensionless_interval(np.array([clip.fps for clip in clips]), object_size=size),
         log10_dimensionless_stiffness(modulus, density=density, object_size=size),
         np.array([clip.poisson_ratio for clip in clips]),
     )
-    interval, stiffness, poisson = (torch.tensor(column, dtype=torch.float32) for column in columns)
-    return torch.from_numpy(np.stack(states)), interval, stiffness, poisson
 
 
-def _states(clip: LabelledClip) -> np.ndarray:
-    samples = clip.samples
-    return states_of_motion(samples.points, samples.displacements, samples.volume_weights, height=samples.height)
+def read(data: list[Path], split: Split) -> tuple[Tensor, ...]:
+    """The same of every view of every simulation of a split."""
+    return tuple(torch.tensor(column, dtype=torch.float32) for column in labels_of(read_clips(data, split)))
 
 
 def measure(

@@ -13,7 +13,15 @@ from models.timing import motion_start, resample
 from models.windows import GREY, object_windows
 from physconvex.errors import InputError
 
-__all__ = ["MOMENT_NAMES", "ClipConfig", "PreparedClip", "freeze_time", "prepare_clip", "shuffle_time"]
+__all__ = [
+    "MOMENT_NAMES",
+    "ClipConfig",
+    "PreparedClip",
+    "freeze_time",
+    "prepare_clip",
+    "shuffle_time",
+    "touches_border",
+]
 
 
 @dataclass(frozen=True)
@@ -93,7 +101,7 @@ def prepare_clip(
     )
     crop = _crop_square(foreground, config.margin, config.image_size)
     images, masks = _cut_out(shown, foreground, crop, config.image_size)
-    silhouettes = silhouette_moments(masks, touches_border=_touches_border(foreground.mask))
+    silhouettes = silhouette_moments(masks, touches_border=touches_border(foreground.mask))
     if silhouettes.empty.any():
         warnings.append(f"the object is not seen in {int(silhouettes.empty.sum())} of {len(chosen)} frames")
     padding = config.frames - len(chosen)
@@ -194,7 +202,8 @@ def _scaled(picture: np.ndarray, size: int) -> np.ndarray:
     return cv2.resize(picture, (size, size), interpolation=cv2.INTER_LINEAR)
 
 
-def _touches_border(mask: UInt8[np.ndarray, "T H W"]) -> Bool[np.ndarray, " T"]:
+def touches_border(mask: UInt8[np.ndarray, "T H W"]) -> Bool[np.ndarray, " T"]:
+    """Frames in which the picture cuts the silhouette off."""
     sides = (mask[:, 0], mask[:, -1], mask[:, :, 0], mask[:, :, -1])
     return np.any([side.any(axis=1) for side in sides], axis=0)
 

@@ -18,7 +18,7 @@ from train.config import AugmentConfig
 from train.losses import Targets
 from train.plan import Plan
 from train.records import ClipSamples, LabelledClip
-from train.states import referred_states, states_of_motion
+from train.states import referred_states
 
 __all__ = ["Item", "TrainingBatch", "TrainingClips", "batches", "collate"]
 
@@ -116,8 +116,7 @@ class TrainingClips(Dataset[_Example]):
 
 def _shown_states(clip: LabelledClip, prepared: PreparedClips, index: int) -> Float32[np.ndarray, "T S"]:
     """True states of the frames that a prepared clip shows."""
-    samples = clip.samples
-    states = states_of_motion(samples.points, samples.displacements, samples.volume_weights, height=samples.height)
+    states = clip.samples.states()
     times = prepared.start_time[index] + np.arange(prepared.valid.shape[1]) / prepared.fps[index]
     last = int(prepared.valid[index].sum()) - 1
     shown = np.clip(np.rint(times * clip.fps).astype(int), 0, len(states) - 1)

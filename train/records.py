@@ -14,6 +14,7 @@ from jaxtyping import Float, Float32
 
 from data_gen.dataset import ClipRecord, Dataset
 from physconvex.errors import InputError
+from train.states import states_of_motion
 
 __all__ = ["ClipSamples", "LabelledClip", "Split", "camera_aligned_axes", "dataset_checksum", "read_clips"]
 
@@ -32,6 +33,10 @@ class ClipSamples:
     modes: Float32[np.ndarray, "Q K"]
     importance: Float32[np.ndarray, " K"]
     """√(λ₁/λ_k): 1 for the lowest mode."""
+
+    def states(self) -> Float32[np.ndarray, "T S"]:
+        """True states of the motion (`models.motion.STATE_NAMES`)."""
+        return states_of_motion(self.points, self.displacements, self.volume_weights, height=self.height)
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,22 +58,20 @@ class ElasticBody:
         self.flow = flow
         self.device = torch.device(device)
         self._barycentric, weights = QUADRATURE[1 if mesh.order == 1 else 2]
-        each = np.ndim(youngs_modulus) == 2  # point
-        points = len(weights) if each else None
-        self.youngs_modulus = self._per_element("youngs_modulus", youngs_modulus, 0.0, np.inf, points=points)
-        self.poisson_ratio = self._per_element("poisson_ratio", poisson_ratio, -1.0, 0.5)
-        self.density = self._per_element("density", density, 0.0, np.inf)
-        modulus = self.youngs_modulus.reshape(len(mesh.tets), -1)
-        self._mu, self._lam = lame_parameters(self._tensor(modulus), self._tensor(self.poisson_ratio)[:, None])
+        shape = (len(mesh.tets), len(weights)) if np.ndim(youngs_modulus) == 2 else None
+        self.youngs_modulus = self._checked("youngs_modulus", youngs_modulus, 0.0, np.inf, shape=shape)
+        self.poisson_ratio = self._checked("poisson_ratio", poisson_ratio, -1.0, 0.5)
+        self.density = self._checked("density", density, 0.0, np.inf)
         self._weights = self._tensor(mesh.element_volumes[:, None] * weights)  # [E, Q]
-        self._gradients = self._tensor(self._rest_gradients(self._barycentric))  # [E, Q, n, 3]
+        ratio = self._tensor(self.poisson_ratio)[:, None]
+        self._mu, self._lam = lame_parameters(self._tensor(self.modulus_at_points), ratio)  # [E, Q]
+        self._gradients = self._tensor(self._rest_gradients())  # [E, Q, n, 3]
         count, points, nodes, _ = self._gradients.shape
         self._flat_gradients = self._gradients.transpose(1, 2).reshape(count, nodes, points * 3).contiguous()
         self._tets = torch.as_tensor(mesh.tets, device=self.device)
         self._quick: VolumetricElements | None = None
         if flow is None and self.device.type == "cpu" and is_volumetric(self.law):
-            constants = (c.expand(self._weights.shape).contiguous() for c in (self._mu, self._lam))
-            arrays = (t.numpy() for t in (self._gradients, self._weights, *constants))
+            arrays = (t.numpy() for t in (self._gradients, self._weights, self._mu, self._lam))
             self._quick = volumetric_elements(self.law, mesh.tets, len(mesh.vertices), *arrays)
 
     # -- set-up
@@ -81,31 +79,34 @@ class ElasticBody:
     def _tensor(self, array: np.ndarray) -> Tensor:
         return torch.as_tensor(array, dtype=torch.float64, device=self.device)
 
-    def _per_element(
-        self, name: str, value: PerPoint, low: float, high: float, *, points: int | None = None
+    def _checked(
+        self, name: str, value: PerPoint, low: float, high: float, *, shape: tuple[int, ...] | None = None
     ) -> np.ndarray:
-        """Checked values [E], or [E, points]."""
-        array, shape = (
-            np.asarray(value, dtype=np.float64),
-            (len(self.mesh.tets), *(() if points is None else (points,))),
-        )
+        """Values inside (low, high) of a shape, [E] unless given."""
+        array, shape = np.asarray(value, dtype=np.float64), shape or (len(self.mesh.tets),)
         if array.shape not in ((), shape):
             raise InputError(f"{name}: got shape {array.shape}; expected a number or {list(shape)}")
         if not ((array > low) & (array < high)).all():
             raise InputError(f"{name}: got values in [{array.min()}, {array.max()}]; expected inside ({low}, {high})")
         return np.broadcast_to(array, shape).copy()
 
-    def _rest_gradients(self, barycentric: np.ndarray) -> np.ndarray:
+    def _rest_gradients(self) -> np.ndarray:
         """∂N/∂X at the quadrature points, [E, Q, n, 3]; straight-edged elements have constant ∂b/∂X."""
         x = self.mesh.vertices[self.mesh.corner_tets]
         inner = np.linalg.inv(x[:, 1:] - x[:, :1]).transpose(0, 2, 1)  # rows: ∂b_1..3/∂X
         barycentric_gradients = np.concatenate([-inner.sum(1, keepdims=True), inner], axis=1)  # [E, 4, 3]
-        return np.einsum("qnb,ebi->eqni", shape_gradients(barycentric, self.mesh.order), barycentric_gradients)
+        return np.einsum("qnb,ebi->eqni", shape_gradients(self._barycentric, self.mesh.order), barycentric_gradients)
 
     @property
     def quadrature_points(self) -> Float[np.ndarray, "E Q 3"]:
         """Where the material is asked [m], at rest."""
         return np.asarray(self._barycentric @ self.mesh.vertices[self.mesh.corner_tets])
+
+    @property
+    def modulus_at_points(self) -> Float[np.ndarray, "E Q"]:
+        """E at the quadrature points [Pa]."""
+        modulus = self.youngs_modulus.reshape(len(self.mesh.tets), -1)
+        return np.repeat(modulus, self._weights.shape[1] // modulus.shape[1], axis=1)
 
     @cached_property
     def mass(self) -> sp.csr_matrix:
@@ -187,8 +188,7 @@ class ElasticBody:
     def flow_step(self, undo: Tensor, x: Float[np.ndarray, "V 3"], step: float) -> FlowStep:
         """Response of the flowing part during a step [s], from F_f⁻¹ at its start; what is lagged is taken at x [m]."""
         assert self.flow is not None
-        mu, lam = (constant.expand(self._weights.shape) for constant in (self._mu, self._lam))
-        return self.flow.during(undo, self.deformation_gradient(x), mu, lam, step)
+        return self.flow.during(undo, self.deformation_gradient(x), self._mu, self._lam, step)
 
     def stress(self, x: Float[np.ndarray, "V 3"]) -> Tensor:
         """First Piola–Kirchhoff stress at the quadrature points [Pa], shape [E, Q, 3, 3]."""

@@ -179,7 +179,7 @@ def _direction_tensor(body: ElasticBody) -> Float[np.ndarray, "E q 3 3"]:
 def skinning_stiffness(body: ElasticBody) -> sp.csr_matrix:
     """Matrix of ∫ E ∇w · A ∇w at the nodes [N/m], the energy of `skinning_eigenmodes`, shape [V, V]."""
     gradients = body._gradients.cpu().numpy()
-    weights = body._weights.cpu().numpy() * body.youngs_modulus.reshape(len(body.mesh.tets), -1)
+    weights = body._weights.cpu().numpy() * body.modulus_at_points
     local = np.einsum("eq,eqai,eqij,eqbj->eab", weights, gradients, _direction_tensor(body), gradients, optimize=True)
     tets, size = body.mesh.tets, len(body.mesh.vertices)
     n = tets.shape[1]

@@ -61,25 +61,22 @@ def test_nothing_is_run_once_the_costs_are_spent(runs):
     assert improved(runs) is None and not runs.made
 
 
+@dataclass(frozen=True)
+class Cheap:
+    """A model as far as its effects can be left out."""
+
+    effects: tuple = ("heterogeneity",)
+
+
 def test_a_held_body_swings_on_the_finer_mesh_as_it_did_on_the_coarser(monkeypatch):
     """The two differ by .02 decades at the base fit; with an inclusion by .07 more, which E takes up."""
     held = SimpleNamespace(clamped=True)
     full = SimpleNamespace(base=(mapping.MODULUS, "poisson_ratio"), situation=held, mesh=None, uneven=True)
     base = SimpleNamespace(situation=held, model=SimpleNamespace(uneven=False), fit=SimpleNamespace(values=np.ones(2)))
-    found = SimpleNamespace(model=mapping_model(), values=np.array([5.0, 0.4, 0.3]))
+    found = SimpleNamespace(model=Cheap(), values=np.array([5.0, 0.4, 0.3]))
     monkeypatch.setattr(mapping, "searches_itself", lambda model: False)
     monkeypatch.setattr(mapping, "decades_between", lambda one, other, values: 0.09 if other.uneven else 0.02)
     values = mapping._in_step(base, full, found)
     assert values == pytest.approx([5.07, 0.4, 0.3]) and found.values[0] == 5.0
     held.clamped = False
     assert mapping._in_step(base, full, found) is found.values
-
-
-def mapping_model():
-    """A model as far as its effects can be left out."""
-
-    @dataclass(frozen=True)
-    class Model:
-        effects: tuple = ("heterogeneity",)
-
-    return Model()

@@ -58,7 +58,7 @@ def test_a_dose_that_is_of_no_interest_is_not_named_beside_another():
     both = hypothesis(20.0, "damping", "wind", slight=("wind",))
     verdict = decide([both, hypothesis(10.0, "damping"), hypothesis(0.0)], screening(), 30.0, 1.0, 0.05, OPTIONS)
     assert verdict.name == "effect" and [e.name for e in verdict.effects] == ["damping"]
-    assert "heterogeneity" not in verdict.sentence
+    assert "wind" not in verdict.sentence
 
 
 def test_a_clear_effect_is_named_with_its_dose():

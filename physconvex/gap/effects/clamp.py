@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from physconvex.gap.effects.effect import AnyScene, Dose, Effect
-from physconvex.gap.effects.scenes import with_material
+from physconvex.gap.effects.scenes import scaled_coordinates, with_material
 from physconvex.reduced import ReducedScene
 
 __all__ = ["CLAMP_EFFECTS"]
@@ -17,14 +17,9 @@ _REACH = 0.15  # of the half size of the body: how far from the held points its 
 
 def _held(scene: AnyScene) -> np.ndarray:
     """Held points, scaled as the fields of `with_material` are."""
-    if isinstance(scene, ReducedScene):
-        assert scene.pins is not None
-        held, box = scene.pins.points, scene.body.space.samples.surface_points
-    else:
-        assert scene.pins is not None
-        held, box = scene.body.mesh.vertices[scene.pins.nodes], scene.body.mesh.vertices
-    low, high = box.min(0), box.max(0)
-    return np.asarray(2 * (held - low) / (high - low) - 1)
+    assert scene.pins is not None
+    held = scene.pins.points if isinstance(scene, ReducedScene) else scene.body.mesh.vertices[scene.pins.nodes]
+    return scaled_coordinates(scene, held)
 
 
 def _giving(scene: AnyScene, doses: Float[np.ndarray, " D"]) -> AnyScene:

@@ -14,10 +14,11 @@ from physconvex.fem import ElasticBody
 from physconvex.gap.effects.effect import AnyScene
 from physconvex.inelastic import FlowRule
 from physconvex.materials import Law
-from physconvex.reduced import ReducedBody, ReducedScene
+from physconvex.reduced import Cubature, ReducedBody, ReducedScene
+
+__all__ = ["cell_masses", "scaled_coordinates", "with_fields", "with_material"]
 
 Points = Float[np.ndarray, "N 3"]
-__all__ = ["cell_coordinates", "cell_masses", "with_fields", "with_material"]
 
 
 def with_fields(scene: AnyScene, **changes: Any) -> AnyScene:
@@ -25,23 +26,28 @@ def with_fields(scene: AnyScene, **changes: Any) -> AnyScene:
     return replace(scene, **changes)
 
 
-def cell_coordinates(scene: AnyScene) -> Float[np.ndarray, "C 3"]:
-    """Centres of the cells, scaled so that the bounding box of the body is [-1, 1]³."""
+def scaled_coordinates(scene: AnyScene, points: Points) -> Points:
+    """Rest positions [m], scaled so that the bounding box of the body is [-1, 1]³."""
+    body = scene.body
+    box = body.space.samples.surface_points if isinstance(body, ReducedBody) else body.mesh.vertices
+    low, high = box.min(0), box.max(0)
+    return np.asarray(2 * (points - low) / (high - low) - 1)
+
+
+def _cell_means(samples: Cubature, values: Float[np.ndarray, " N"]) -> Float[np.ndarray, " C"]:
+    """Of values at a reduced body's samples."""
+    return np.bincount(samples.cells, samples.weights * values) / np.bincount(samples.cells, samples.weights)
+
+
+def _cell_coordinates(scene: AnyScene) -> Float[np.ndarray, "C 3"]:
+    """Scaled coordinates of the cells' centres."""
     if isinstance(scene, ReducedScene):
         interior = scene.body.space.samples.interior
-        weights = np.bincount(interior.cells, interior.weights)
-        moments = [np.bincount(interior.cells, interior.weights * x) / weights for x in interior.points.T]
-        centres = np.stack(moments, axis=1)
-        box = scene.body.space.samples.surface_points
+        centres = np.stack([_cell_means(interior, x) for x in interior.points.T], axis=1)
     else:
         mesh = scene.body.mesh
-        centres, box = mesh.vertices[mesh.corner_tets].mean(1), mesh.vertices
-    return _scaled(centres, box)
-
-
-def _scaled(points: Points, box: Points) -> Points:
-    low, high = box.min(0), box.max(0)
-    return 2 * (points - low) / (high - low) - 1
+        centres = mesh.vertices[mesh.corner_tets].mean(1)
+    return scaled_coordinates(scene, centres)
 
 
 def _modulus_times(scene: AnyScene, field: Callable[[Points], Float[np.ndarray, " N"]]) -> Float[np.ndarray, "C ..."]:
@@ -49,16 +55,12 @@ def _modulus_times(scene: AnyScene, field: Callable[[Points], Float[np.ndarray, 
 
     At the centres alone, a rim that is softer does not show in a bar that is one element thick.
     """
-    body = scene.body
     if isinstance(scene, ReducedScene):
-        samples = scene.body.space.samples
-        interior, box = samples.interior, samples.surface_points
-        values = interior.weights * field(_scaled(interior.points, box))
-        factor = np.bincount(interior.cells, values) / np.bincount(interior.cells, interior.weights)
-        return np.asarray(body.youngs_modulus * factor)
-    points = scene.body.quadrature_points
-    factor = field(_scaled(points.reshape(-1, 3), scene.body.mesh.vertices)).reshape(points.shape[:2])
-    return np.asarray(body.youngs_modulus.reshape(len(points), -1) * factor)
+        interior = scene.body.space.samples.interior
+        factor = _cell_means(interior, field(scaled_coordinates(scene, interior.points)))
+        return np.asarray(scene.body.youngs_modulus * factor)
+    modulus, points = scene.body.modulus_at_points, scene.body.quadrature_points.reshape(-1, 3)
+    return np.asarray(modulus * field(scaled_coordinates(scene, points)).reshape(modulus.shape))
 
 
 def cell_masses(scene: AnyScene) -> Float[np.ndarray, " C"]:
@@ -89,7 +91,7 @@ def with_material(
     body, stiffness = scene.body, scene.contact().stiffness
     if flow is not None and body.flow is not None:
         raise InputError(f"flow: the body flows already ({body.flow}); one way of flowing at a time")
-    heavier = 1.0 if density is None else density(cell_coordinates(scene), cell_masses(scene))
+    heavier = 1.0 if density is None else density(_cell_coordinates(scene), cell_masses(scene))
     constants: dict[str, Any] = {
         "law": body.law if law is None else law(body.law),
         "youngs_modulus": body.youngs_modulus if modulus is None else _modulus_times(scene, modulus),
