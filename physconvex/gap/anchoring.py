@@ -14,7 +14,6 @@ import numpy as np
 from physconvex.errors import ConvergenceError
 from physconvex.gap.baseline import Baseline, Report, derivatives_of_residuals
 from physconvex.gap.model import MODULUS, SecantModel
-from physconvex.gap.observing import widened
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
 from physconvex.identify import FitOptions, fit
@@ -54,7 +53,7 @@ def early_point(base: Baseline, errors: ErrorModel, options: GapOptions, report:
         return None
     report("fit of the base model to the first frames")
     shorter, values = replace(base.model, frames=window), base.fit.values
-    weighted = widened(base.observations, errors.variance).in_frames(window)
+    weighted = base.weighted(errors.variance, window)
     secant = SecantModel(shorter, values, base.positions[:window], base.tangents[:window])
     stop = FitOptions(max_iterations=options.iterations + 3, relative_tolerance=2e-3, absolute_tolerance=0.1)
     try:

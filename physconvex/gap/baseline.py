@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import TetMesh, simulate
+from physconvex.gap.body_modes import BodyModes, TurnedObservations, body_modes
 from physconvex.gap.boxes import box_of_body
 from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Motion, Situation
@@ -34,6 +35,7 @@ from physconvex.identify import (
     scan,
     scan_values,
 )
+from physconvex.identify.observations import Observations
 from physconvex.identify.setup import start_motion
 
 __all__ = [
@@ -87,6 +89,7 @@ class Baseline:
         tangents: of the observed points by the parameters, in all frames or the first ones, shape [f, K, P, 3].
         situation: of the capture.
         contact_force: total normal force at each frame [N], shape [T].
+        modes: how the residuals are turned.
     """
 
     capture: Capture
@@ -98,6 +101,7 @@ class Baseline:
     tangents: Float[np.ndarray, "f K P 3"]
     situation: Situation
     contact_force: Float[np.ndarray, " T"]
+    modes: BodyModes
 
     @property
     def positions(self) -> Float[np.ndarray, "T P 3"]:
@@ -115,8 +119,17 @@ class Baseline:
         return components(self.observations)
 
     @property
+    def columns(self) -> Int[np.ndarray, " N"]:
+        """What in its frame each residual is of: point and coordinate, or number where they are turned."""
+        seen = self.observations
+        if not self.modes.reflections:
+            return np.asarray(seen.point_indices * self.components + np.arange(len(seen.frames)) % self.components)
+        first = np.searchsorted(seen.frames, seen.frames)
+        return np.asarray(np.arange(len(first)) - first)
+
+    @property
     def lengths(self) -> Float[np.ndarray, " N"]:
-        """Length that one standard deviation of each residual stands for [m], shape [N]."""
+        """Length that one standard deviation of each residual by point stands for [m], shape [N]."""
         return in_metres(self.observations, self.motion)
 
     def rows(self, frames: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m"]:
@@ -124,14 +137,24 @@ class Baseline:
         return np.flatnonzero(np.isin(self.observations.frames, frames))
 
     def residual(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
-        """Seen − model, in units of the stated noise, all frames."""
-        return -self.observations.residuals(positions)
+        """Seen − model, in units of the stated noise, turned, all frames."""
+        return self.modes.turn(-self.observations.residuals(positions))
+
+    def missed(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
+        """Seen − model [m], point by point, all frames."""
+        return np.asarray(-self.observations.residuals(positions) * self.lengths)
 
     def change(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
         """What the residual gains where the base motion moves to `positions`, in all frames or the first ones."""
         if len(positions) < self.model.frames:
             positions = np.concatenate([positions, self.positions[len(positions) :]])
-        return self.observations.residuals(positions) - self.observations.residuals(self.positions)
+        return self.modes.turn(self.observations.residuals(positions) - self.observations.residuals(self.positions))
+
+    def weighted(self, variance: Float[np.ndarray, " N"], count: int) -> Observations:
+        """What was seen in the first frames, its noise widened residual by residual."""
+        if not self.modes.reflections:
+            return widened(self.observations, variance).in_frames(count)
+        return TurnedObservations(self.observations, self.modes, np.sqrt(variance)).in_frames(count)
 
 
 def derivatives_of_residuals(
@@ -314,9 +337,11 @@ def run_base(
     peak, force, motion = _stress_and_contact(model, found.values)
     situation = _situation(twin, observations, peak, bool((force > 0).any()), giving)
     nothing = np.zeros((capture.frames, len(found.names), *motion.positions.shape[1:]))
+    modes = body_modes(observations, free=situation.floor and not situation.clamped)
     return Baseline(
-        capture, observations, split, replace(model, situation=situation), found, motion, nothing, situation, force
-    )
+        capture, observations, split, replace(model, situation=situation), found, motion, nothing, situation, force,
+        modes,
+    )  # fmt: skip
 
 
 def fit_baseline(
@@ -342,7 +367,7 @@ def fit_baseline(
     """
     split, names = rough.split, rough.model.base
     count = int(split.fitted[-1]) + 1
-    weighted = widened(rough.observations, variance).in_frames(count)
+    weighted = rough.weighted(variance, count)
     stop = FitOptions(max_iterations=options.iterations + 3, relative_tolerance=1e-3, absolute_tolerance=0.05)
     mesh, motion = (None, rough.motion) if fine is None else fine
     here = replace(rough, model=replace(rough.model, correction=correction, mesh=mesh), motion=motion)
@@ -376,10 +401,10 @@ def fit_baseline(
 
 def _doubt(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
     """By how much the noise overrates what the fitted frames say: lack of fit, and residuals that are alike."""
-    rows, width = base.rows(base.split.fitted), base.components
+    rows = base.rows(base.split.fitted)
     whitened = base.residual(base.positions)[rows] / np.sqrt(variance[rows])
-    columns = base.observations.point_indices[rows] * width + np.arange(len(rows)) % width
-    return max(float(np.mean(whitened**2)), 1.0) * temperature(whitened, base.observations.frames[rows], columns)
+    alike = temperature(whitened, base.observations.frames[rows], base.columns[rows])
+    return max(float(np.mean(whitened**2)), 1.0) * alike
 
 
 def misfit_of_base(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +13,6 @@ from physconvex.gap.baseline import Baseline, derivatives_of_residuals
 from physconvex.gap.effects import Effect, Motion
 from physconvex.gap.independence import temperature
 from physconvex.gap.model import EffectModel, SecantModel
-from physconvex.gap.observing import widened
 from physconvex.gap.options import GapOptions
 from physconvex.gap.ringing import ringing_likelihood
 from physconvex.gap.score import ErrorModel
@@ -52,10 +51,10 @@ class Hypothesis:
         fitted: mean square of the residuals in the fitted frames, over that of noise and numerical error.
         selecting: the same in the frames that choose.
         evidence: log-evidence up to a constant, tempered or not.
-        likelihood: its part that the residuals make, not tempered.
+        likelihood: its part that the residuals make, not tempered, by kind of residual (`physconvex.gap.body_modes`).
         attainable: what that would be if nothing but noise and numerical error were left.
-        information: number of fitted residuals.
-        divisor: residuals per independent one that the evidence is tempered with.
+        information: number of independent fitted residuals by kind.
+        divisor: residuals per independent one that the evidence is tempered with, by kind.
         ringing: log-likelihood of how the recording rings, part of the evidence that is not tempered.
     """
 
@@ -69,10 +68,10 @@ class Hypothesis:
     fitted: float
     selecting: float
     evidence: float
-    likelihood: float = 0.0
-    attainable: float = 0.0
-    information: float = 2.0
-    divisor: float = 1.0
+    likelihood: Float[np.ndarray, " D"] = field(default_factory=lambda: np.zeros(1))
+    attainable: Float[np.ndarray, " D"] = field(default_factory=lambda: np.zeros(1))
+    information: Float[np.ndarray, " D"] = field(default_factory=lambda: np.full(1, 2.0))
+    divisor: Float[np.ndarray, " D"] = field(default_factory=lambda: np.ones(1))
     ringing: float = 0.0
 
     @property
@@ -90,72 +89,112 @@ class Hypothesis:
         where = self.model.slices[self.effects.index(effect)]
         return self.values[where], self.errors[where]
 
-    def tempered(self, divisor: float) -> Hypothesis:
-        """With the evidence that it has if only one in `divisor` residuals is independent."""
+    @property
+    def independent(self) -> float:
+        """Number of independent fitted residuals, those that are alike counted once."""
+        return float((self.information / self.divisor).sum())
+
+    def tempered(self, divisor: Float[np.ndarray, " D"]) -> Hypothesis:
+        """With the evidence that it has if only one in `divisor` residuals of each kind is independent."""
         evidence = _evidence(self.likelihood, self.information, self.effects, self.values, divisor)
         return replace(self, evidence=evidence + self.ringing, divisor=divisor)
 
 
 def mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
-    """Mean square of some frames' residuals over that of noise and numerical error; NaN without any."""
+    """Mean square of some frames' residuals over that of noise and numerical error; NaN without any.
+
+    Where there are kinds of residuals, each counts by its independent ones.
+    """
+    squares, information = _squares(base, errors, positions, frames), _information(base, errors, frames)
+    there = information > 0
+    return float(squares[there] @ information[there] / information.sum()) if there.any() else float("nan")
+
+
+def _squares(
+    base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray
+) -> Float[np.ndarray, " D"]:  # fmt: skip
+    """Mean square of the residuals of each kind over that of noise and numerical error; NaN without any."""
     rows = base.rows(frames)
-    if not len(rows):
-        return float("nan")
-    return float(np.mean(base.residual(positions)[rows] ** 2 / errors.expected[rows]))
+    kinds = base.modes.kinds[rows]
+    total = np.bincount(kinds, base.residual(positions)[rows] ** 2 / errors.expected[rows], minlength=base.modes.count)
+    count = np.bincount(kinds, minlength=base.modes.count)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
+def _alike(
+    base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray
+) -> Float[np.ndarray, " D"]:  # fmt: skip
+    """Residuals per independent one, by kind, see `physconvex.gap.independence`."""
+    rows, out = base.rows(frames), np.ones(base.modes.count)
+    whitened = base.residual(positions)[rows] / np.sqrt(errors.expected[rows])
+    for kind in range(base.modes.count):
+        own = base.modes.kinds[rows] == kind
+        if own.any():
+            out[kind] = temperature(whitened[own], base.observations.frames[rows][own], base.columns[rows][own])
+    return out
 
 
 def residuals_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
-    """Residuals per independent one of what a model leaves in some frames, see `physconvex.gap.independence`."""
-    rows, width = base.rows(frames), base.components
-    columns = base.observations.point_indices[rows] * width + np.arange(len(rows)) % width
-    return temperature(
-        base.residual(positions)[rows] / np.sqrt(errors.expected[rows]), base.observations.frames[rows], columns
-    )
-
-
-def _information(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> float:
-    """Number of independent residuals: each counts by the share of its variance that is noise, smooth errors by 12."""
+    """Residuals per independent one of what a model leaves in some frames."""
     rows = base.rows(frames)
-    if not len(rows):
-        return 0.0
-    frame = base.observations.frames[rows]
-    noise = np.bincount(frame, 1 / errors.variance[rows], minlength=base.model.frames)
-    return float(np.minimum(noise + 3.0, np.bincount(frame, minlength=base.model.frames))[np.unique(frame)].sum())
+    count = np.bincount(base.modes.kinds[rows], minlength=base.modes.count)
+    return float(count.sum() / (count / _alike(base, errors, positions, frames)).sum())
 
 
-def information_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> float:
-    """What the likelihood is divided by, so that no more residuals count than are independent in what a model leaves.
+def _information(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> Float[np.ndarray, " D"]:
+    """Number of independent residuals by kind: each counts by the share of its variance that is noise, and smooth
+    errors by half of the numbers that they have in two frames.
+    """  # fmt: skip
+    rows, modes, total = base.rows(frames), base.modes, base.model.frames
+    place = modes.kinds[rows] * total + base.observations.frames[rows]
+    shape = (modes.count, total)
+    count = np.bincount(place, minlength=shape[0] * shape[1]).reshape(shape)
+    noise = np.bincount(place, 1 / errors.variance[rows], minlength=count.size).reshape(shape)
+    smooth = np.array(modes.freedom)[:, None] / 4
+    return np.asarray(np.where(count > 0, np.minimum(noise + smooth, count), 0.0).sum(1))
+
+
+def information_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> Float[np.ndarray, " D"]:
+    """What the likelihood of each kind is divided by, so that no more residuals count than are independent.
 
     Those that share their numerical error count as few already (`_information`); of that number and of the independent
-    ones the smaller one holds, as both are for the same likeness of residuals.
+    ones in what a model leaves the smaller one holds, as both are for the same likeness of residuals.
     """
     frames = np.union1d(base.split.fitted, base.split.selecting)
-    count = _information(base, errors, frames)
-    independent = len(base.rows(frames)) / residuals_per_one(base, errors, positions, frames)
-    return max(1.0, count / max(independent, 1e-9))
+    count = np.bincount(base.modes.kinds[base.rows(frames)], minlength=base.modes.count)
+    independent = count / _alike(base, errors, positions, frames)
+    return np.maximum(1.0, _information(base, errors, frames) / np.maximum(independent, 1e-9))
 
 
-def _likelihood(base: Baseline, errors: ErrorModel, fitted: float, selecting: float) -> float:
-    """−n/2 ln(mean square) with unknown scale; the mean square is over that of noise and numerical error.
+def _likelihood(base: Baseline, errors: ErrorModel, positions: np.ndarray | None) -> Float[np.ndarray, " D"]:
+    """−n/2 ln(mean square) with unknown scale, by kind; the mean square is over that of noise and numerical error.
 
     Below one it says little more.
+
+    Args:
+        base: the base fit.
+        errors: weights.
+        positions: of the model; None for one that leaves nothing but noise and numerical error.
     """
-    total = 0.0
-    for value, frames in ((fitted, base.split.fitted), (selecting, base.split.selecting)):
-        if np.isfinite(value):
-            total -= 0.5 * _information(base, errors, frames) * np.log(value + _ENOUGH)
-    return float(total)
+    total = np.zeros(base.modes.count)
+    for frames in (base.split.fitted, base.split.selecting):
+        information = _information(base, errors, frames)
+        squares = np.ones_like(total) if positions is None else _squares(base, errors, positions, frames)
+        total -= 0.5 * information * np.log(np.where(information > 0, squares, 1.0) + _ENOUGH)
+    return total
 
 
 def _evidence(
-    likelihood: float, information: float, effects: Sequence[Effect], values: np.ndarray, divisor: float = 1.0
-) -> float:
+    likelihood: np.ndarray, information: np.ndarray, effects: tuple[Effect, ...], values: np.ndarray,
+    divisor: np.ndarray | float = 1.0,
+) -> float:  # fmt: skip
     """Likelihood less ½ k ln n for k doses, as much again for every further effect, and less what is implausible."""
     price = sum(len(e.doses) for e in effects) + max(len(effects) - 1, 0)
     price += sum(e.source == "numerical" for e in effects)  # a physical cause goes before one of the same looks
     doses = [dose for effect in effects for dose in effect.doses]
     odd = sum(dose.implausibility(value) for dose, value in zip(doses, values[len(values) - len(doses) :], strict=True))
-    return float(likelihood / divisor - 0.5 * price * np.log(max(information / divisor, 2.0)) - odd)
+    independent = float((information / divisor).sum())
+    return float((likelihood / divisor).sum() - 0.5 * price * np.log(max(independent, 2.0)) - odd)
 
 
 def hypothesis_at(
@@ -166,13 +205,13 @@ def hypothesis_at(
     positions = model.observed(motion, values)
     fitted = mean_square(base, errors, positions, base.split.fitted)
     selecting = mean_square(base, errors, positions, base.split.selecting)
-    likelihood = _likelihood(base, errors, fitted, selecting)
+    likelihood = _likelihood(base, errors, positions)
     information = _information(base, errors, base.split.fitted)
     ringing = ringing_likelihood(base, positions)
     evidence = _evidence(likelihood, information, model.effects, values) + ringing
     return Hypothesis(
         model.effects, model, values, deviations, positions, motion, tangents, fitted, selecting, evidence, likelihood,
-        _likelihood(base, errors, 1.0, 1.0), information, ringing=ringing,
+        _likelihood(base, errors, None), information, ringing=ringing,
     )  # fmt: skip
 
 
@@ -210,11 +249,7 @@ def fit_effects(
     """
     point = base if starts is None else starts
     model = replace(point.model, effects=(*point.model.effects, *(entry.effect for entry in chosen)))
-    doses = np.concatenate([_start(entry) for entry in chosen])
-    values = np.concatenate([point.fit.values, doses])
-    moved = np.concatenate([_beside(base, errors, point, chosen), doses])
-    if _better(base, errors, model, moved, values):
-        values = moved
+    values = _best_start(base, errors, model, _starts(base, errors, point, chosen, options))
     count = int(base.split.fitted[-1]) + 1
     tangents = np.concatenate([point.tangents[:count], *(_tangents(entry) for entry in chosen)], axis=1)
     return refit(base, errors, model, values, tangents, options)
@@ -239,11 +274,34 @@ def _beside(base: Baseline, errors: ErrorModel, point: Baseline, chosen: Sequenc
     return np.clip(values, [p.lower for p in parameters], [p.upper for p in parameters])
 
 
-def _better(base: Baseline, errors: ErrorModel, model: EffectModel, one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether one set of values fits the fitted frames better than another."""
-    steps = np.array([p.step for p in model.parameters(other)])
-    if np.abs((one - other) / steps).max() < _MOVED:
-        return False
+def _starts(
+    base: Baseline, errors: ErrorModel, point: Baseline, chosen: Sequence[Screened], options: GapOptions
+) -> list[np.ndarray]:  # fmt: skip
+    """Values to begin at: the screened doses and shares of them, with the other values as they are or beside.
+
+    Screening is linear. Of a strong effect its doses may be twice what they should, and the motion then so far from the
+    recording's that a search goes back to none.
+    """
+    null = np.concatenate([entry.effect.null for entry in chosen])
+    shapes = np.array([dose.shape or dose.threshold for entry in chosen for dose in entry.effect.doses])
+    doses = np.concatenate([_start(entry) for entry in chosen])
+    values, beside = point.fit.values, _beside(base, errors, point, chosen)
+    starts = [np.concatenate([values, doses])]
+    for share in options.starts:
+        lesser = np.where(shapes, doses, null + share * (doses - null))
+        starts.append(np.concatenate([values + share * (beside - values), lesser]))
+    return starts
+
+
+def _best_start(base: Baseline, errors: ErrorModel, model: EffectModel, starts: Sequence[np.ndarray]) -> np.ndarray:
+    """The values that fit the fitted frames best; those that hardly differ from ones before are not tried."""
+    steps = np.array([p.step for p in model.parameters(starts[0])])
+    apart: list[np.ndarray] = []
+    for values in starts:
+        if all(np.abs((values - other) / steps).max() >= _MOVED for other in apart):
+            apart.append(values)
+    if len(apart) == 1:
+        return apart[0]
     count = int(base.split.fitted[-1]) + 1
     shorter = replace(model, frames=count)
 
@@ -254,7 +312,7 @@ def _better(base: Baseline, errors: ErrorModel, model: EffectModel, one: np.ndar
             return float("inf")
         return mean_square(base, errors, np.concatenate([here, base.positions[count:]]), base.split.fitted)
 
-    return misfit(one) < misfit(other)
+    return min(apart, key=misfit)
 
 
 def refit(
@@ -272,7 +330,7 @@ def refit(
     """
     count = int(base.split.fitted[-1]) + 1
     shorter, own = replace(model, frames=count), len(base.fit.values)
-    weighted = widened(base.observations, errors.variance).in_frames(count)
+    weighted = base.weighted(errors.variance, count)
     try:
         here = shorter.positions(values)
     except ConvergenceError:

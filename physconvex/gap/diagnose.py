@@ -16,7 +16,7 @@ from physconvex.fem import TetMesh
 from physconvex.gap.absorbing import with_absorbed_mesh
 from physconvex.gap.advice import next_experiment
 from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
-from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
+from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects, mean_square
 from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Effect, Motion, choose
 from physconvex.gap.findings import Provenance
@@ -116,6 +116,7 @@ def diagnose(
         above_error=shrinkage[-1].above_error,
         astray=_astray(base, best),
         other=evidence_of_anything(best),
+        struck=base.situation.touches and not base.situation.clamped,
     )
     if second_take is not None:
         other = second_take if isinstance(second_take, Capture) else load_capture(second_take)
@@ -187,9 +188,8 @@ def _with_directions(base: Baseline, numerics: Numerics) -> Baseline:
 
 
 def _relative_gap(base: Baseline, errors: ErrorModel, hypothesis: Hypothesis) -> float:
-    """Mean square of the residual over its expected square, all frames."""
-    residual = base.residual(hypothesis.positions)
-    return float(np.mean(residual**2 / errors.expected))
+    """Mean square of the residuals over the expected one, all frames."""
+    return mean_square(base, errors, hypothesis.positions, np.unique(base.observations.frames))
 
 
 def _extent(base: Baseline) -> float:
@@ -201,7 +201,7 @@ def _extent(base: Baseline) -> float:
 def _astray(base: Baseline, best: Hypothesis) -> float:
     """Distance of the best model from what was seen over how far that moved, rms over all frames."""
     still = np.broadcast_to(base.motion.rest, base.positions.shape)
-    left, moved = (float(np.linalg.norm(base.residual(x) * base.lengths)) for x in (best.positions, still))
+    left, moved = (float(np.linalg.norm(base.missed(x))) for x in (best.positions, still))
     return left / max(moved, 1e-12)
 
 

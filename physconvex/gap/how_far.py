@@ -54,7 +54,7 @@ def gap_squares(base: Baseline, positions: Float[np.ndarray, "T P 3"], frames: n
     rows = base.rows(frames)
     observations = base.observations
     at = observations.frames[rows]
-    squares = (base.residual(positions)[rows] * base.lengths[rows]) ** 2
+    squares = base.missed(positions)[rows] ** 2
     total = np.bincount(at, squares, minlength=base.model.frames)
     count = np.bincount(at, minlength=base.model.frames)
     return np.asarray(base.components * total[frames] / np.maximum(count[frames], 1))

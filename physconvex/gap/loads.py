@@ -23,7 +23,7 @@ from physconvex.gap.score import ErrorModel
 
 __all__ = ["loaded_starts"]
 
-_RATIOS = (0.0, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # masses of the load over the body's
+_RATIOS = (0.0, 0.03, 0.06, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # masses of the load over the body's
 _SLACKS = (0.5, 1.0, 2.0, 3.0)  # times the slack with which a loose load is screened
 _STEP, _FARTHEST = 0.05, 4  # decades of E about that frequency, and steps: a body that sags far swings otherwise
 _BOUNDS = (3.0, 8.0)  # of log10 E

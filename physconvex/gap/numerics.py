@@ -21,12 +21,15 @@ from physconvex.gap.model import ACCURACY
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
 from physconvex.identify import mesh_of_capture
+from physconvex.kabsch import best_rotation
 
 __all__ = ["Numerics", "correction_of", "detail_errors", "error_model", "numerical_differences", "other_mesh"]
 
 Positions = Float[np.ndarray, "T P 3"]
 _WORK = 600_000  # nodes times steps of a full-order run that is made some twenty times
 _ORDER = 1.75  # of convergence by edge length
+_FINEST = 2.5  # times the nodes of the finer mesh: of the one that it is compared with
+_OUT_OF_STEP = (0.1, 0.5)  # even strain and the rest, measured between this model and `physconvex.gap.blind.engine`
 _STEPS_LEFT = 0.5  # error of half the time step over the difference to the whole one
 _LASTING = 2.0  # frames for which a numerical error stays much the same
 
@@ -45,6 +48,7 @@ class Numerics:
         nodes: of the model's mesh and of the finer one.
         failed: names of runs that did not converge (their differences are zero).
         absorbed_mesh: `mesh` after E and ν have been fitted, see `physconvex.gap.absorbing`; None where they were not.
+        finest: of a free body, with a mesh finer still, to the run on the finer one; None where it was not run.
     """
 
     steps: Positions
@@ -56,18 +60,28 @@ class Numerics:
     nodes: tuple[int, int] = (1, 1)
     failed: tuple[str, ...] = ()
     absorbed_mesh: Positions | None = None
+    finest: Positions | None = None
 
     @property
     def null(self) -> tuple[Positions, ...]:
         """Differences that effect-free captures may show."""
-        mesh = self.mesh if self.absorbed_mesh is None else self.absorbed_mesh
-        return (_STEPS_LEFT * self.steps, self._mesh_left * mesh, self.contact)
+        return (_STEPS_LEFT * self.steps, self._mesh_left, self.contact)
 
     @property
-    def _mesh_left(self) -> float:
-        """Error of the finer mesh over the difference of the two (Richardson; contact lowers the order below two)."""
-        ratio = max(self.nodes[1] / self.nodes[0], 1.01)
-        return float(np.clip(1 / (ratio ** (_ORDER / 3) - 1), 0.3, 1.0))
+    def _mesh_left(self) -> Positions:
+        """Error of the finer mesh, from differences of two (Richardson; contact lowers the order below two).
+
+        After an impact one mesh may happen to fly on otherwise than all others, and so be off by ten times what the
+        finer one errs by. So that is compared with a coarser and with a finer one, and the lesser estimate is believed.
+        """
+        ratio = max(self.nodes[1] / self.nodes[0], 1.01) ** (_ORDER / 3)
+        left = float(np.clip(1 / (ratio - 1), 0.3, 1.0))
+        by_coarser = np.asarray(left * (self.mesh if self.absorbed_mesh is None else self.absorbed_mesh))
+        if self.finest is None:
+            return by_coarser
+        ratio = _FINEST ** (_ORDER / 3)
+        by_finer = np.asarray(ratio / (ratio - 1) * self.finest)
+        return min(by_coarser, by_finer, key=lambda d: float(np.linalg.norm(d)))
 
 
 def numerical_differences(base: Baseline, options: GapOptions, report: Report) -> Numerics:
@@ -97,10 +111,19 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
         fine.append((mesh, replace(model, mesh=mesh).motion(values)))
         return np.asarray(fine[0][1].positions)
 
+    def finest() -> Positions:
+        nodes = _FINEST * len(fine[0][0].vertices)
+        if nodes * steps > 2 * _FINEST * _WORK:
+            raise InputError(f"mesh: {nodes:.0f} nodes are too many for {steps} steps")
+        mesh = _mesh_of(base, int(nodes))
+        return np.asarray(replace(model, mesh=mesh).motion(values).positions - fine[0][1].positions + here)
+
     zero = np.zeros_like(here)
     # where the floor gives way its stiffness is fitted: a property of the recording's floor, and no error of the model
     stiffness_is_chosen = base.situation.touches and not base.situation.giving_floor
     mesh = difference("a finer mesh", finer)
+    compared = base.situation.touches and not base.situation.clamped and bool(fine)
+    last = difference("a mesh finer still", finest) if compared else zero
     return Numerics(
         steps=difference("half the time step", lambda: replace(model, refinement=2).motion(values).positions),
         mesh=mesh,
@@ -112,6 +135,7 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
         ),
         reduction=difference("the reduced model", lambda: model.reduced_motion(values).positions),
         failed=tuple(failed),
+        finest=last if last.any() else None,
     )
 
 
@@ -127,11 +151,16 @@ def other_mesh(base: Baseline, options: GapOptions, steps: int) -> TetMesh:
             raise InputError(f"mesh: {len(split.vertices)} nodes are too many for {steps} steps")
         return split
     wanted = max(min(options.fine_nodes, _WORK // steps), int(2.5 * len(own.vertices)))
-    box = box_of_body(base.capture, wanted)
-    mesh = mesh_of_capture(base.capture, max_nodes=wanted) if box is None else box
+    mesh = _mesh_of(base, wanted)
     if len(mesh.vertices) > 1.3 * len(own.vertices):
         return mesh
     return tetrahedralize(own.surface, max_nodes=wanted, order=2, method="auto")
+
+
+def _mesh_of(base: Baseline, nodes: int) -> TetMesh:
+    """A mesh of the body of so many nodes."""
+    box = box_of_body(base.capture, nodes)
+    return mesh_of_capture(base.capture, max_nodes=nodes) if box is None else box
 
 
 def correction_of(numerics: Numerics) -> Positions:
@@ -140,9 +169,17 @@ def correction_of(numerics: Numerics) -> Positions:
 
 
 def error_model(
-    base: Baseline, numerics: Numerics, options: GapOptions, *, scale: float | Float[np.ndarray, " T"] = 1.0
+    base: Baseline, numerics: Numerics, options: GapOptions, *, scale: float | Float[np.ndarray, " N"] = 1.0
 ) -> ErrorModel:
-    """V of `physconvex.gap.score`: noise, the size of numerical differences in each frame, and their shapes.
+    """V of `physconvex.gap.score`: noise, the size of numerical differences in each frame and kind, and their shapes.
+
+    Such errors are smooth fields that last: few numbers (`BodyModes.freedom`), and the same ones for some frames, so
+    that n residuals hold no more than about freedom/_LASTING independent ones. Widening their variance by the ratio
+    leaves a smooth signature with the significance it deserves.
+
+    Any model of finite size is credited with a share of the distance travelled, and of a free body with what programs
+    that share neither mesh nor steps nor contact fall out of phase by once it has been struck: shares `_OUT_OF_STEP` of
+    its largest even strain, and of its largest finer shape, so far.
 
     Where the base model is fitted (its tangents are known), the size is that of what the differences leave once E, ν
     and the free initial motion have absorbed what they can of them, as they do of the recording's own.
@@ -151,24 +188,45 @@ def error_model(
         base: the base fit.
         numerics: the differences.
         options: settings.
-        scale: factor on the differences, one or one per frame, see `physconvex.gap.trust`.
+        scale: factor on the differences, one or one per residual, see `physconvex.gap.trust`.
     """
     here, frames = base.positions, base.observations.frames
-    scales = options.error_scale * np.broadcast_to(scale, base.model.frames)
-    directions = scales[frames] * np.stack([base.change(here + d) for d in numerics.null])
-    count = np.maximum(np.bincount(frames, minlength=base.model.frames), 1)
+    directions = options.error_scale * scale * np.stack([base.change(here + d) for d in numerics.null])
+    kinds, shape = base.modes.kinds, (base.modes.count, base.model.frames)
+    place = kinds * base.model.frames + frames
+    count = np.maximum(np.bincount(place, minlength=shape[0] * shape[1]), 1).reshape(shape)
+
+    def mean_of(squares: np.ndarray) -> np.ndarray:
+        return np.bincount(place, squares, minlength=count.size).reshape(shape) / count
+
     travelled = np.linalg.norm(base.motion.positions - base.motion.rest, axis=-1).mean(1)
-    floor = base.change(here + (options.discretisation * travelled)[:, None, None] / np.sqrt(3)) ** 2
+    floor = mean_of(base.change(here + (options.discretisation * travelled)[:, None, None] / np.sqrt(3)) ** 2)
+    phases = np.zeros(shape)
+    if base.modes.reflections:
+        strained = mean_of(base.change(here + _strained(base)) ** 2)
+        phases[1:] = np.maximum.accumulate(np.array(_OUT_OF_STEP)[:, None] ** 2 * strained[1:], axis=1)
 
     def size_of(left: np.ndarray) -> np.ndarray:
-        total = np.bincount(frames, (left**2).sum(0), minlength=base.model.frames)
-        size = np.maximum.accumulate(total / count)  # an error made at impact stays
-        return np.asarray(size[frames] + floor)
+        size = np.maximum.accumulate(mean_of((left**2).sum(0)), axis=1)  # an error made at impact stays
+        return np.asarray((size + floor)[kinds, frames] + np.square(scale) * phases[kinds, frames])
 
     numerical = size_of(directions)
     if len(base.tangents) == base.model.frames and base.tangents.any():
         numerical = size_of(_absorbed(base, directions, 1.0 + numerical))
-    return ErrorModel(1.0 + _correlated(count)[frames] * numerical, directions, 1.0 + numerical)
+    shared = np.maximum(_LASTING * count / np.array(base.modes.freedom)[:, None], 1.0)
+    return ErrorModel(1.0 + shared[kinds, frames] * numerical, directions, 1.0 + numerical)
+
+
+def _strained(base: Baseline) -> Positions:
+    """What the base model's points have moved by beyond a rigid motion, in space [m]."""
+    rest = base.motion.rest
+    turns = [best_rotation(rest, now) for now in base.motion.positions]
+    return np.stack(
+        [
+            now - now.mean(0) - (rest - rest.mean(0)) @ turn.T
+            for now, turn in zip(base.motion.positions, turns, strict=True)
+        ]
+    )
 
 
 def detail_errors(base: Baseline, errors: ErrorModel, share: float) -> ErrorModel:
@@ -194,13 +252,3 @@ def _absorbed(base: Baseline, directions: np.ndarray, variance: np.ndarray) -> n
     weights = 1 / np.sqrt(variance[rows])
     found = np.linalg.lstsq((tangents[:, rows] * weights).T, (directions[:, rows] * weights).T, rcond=1e-8)[0]
     return np.asarray(directions - found.T @ tangents)
-
-
-def _correlated(count: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
-    """How much less the residuals of a frame tell than so many independent ones.
-
-    Numerical errors are smooth fields that last: as good as affine in space (twelve numbers) and the same for some
-    frames, so that n residuals hold about 12/_LASTING independent ones. Widening their variance by the ratio leaves a
-    smooth signature with the significance it deserves.
-    """
-    return np.maximum(_LASTING * count / 12.0, 1.0)

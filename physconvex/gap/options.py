@@ -18,7 +18,7 @@ class GapOptions:
         fine_nodes: nodes of the mesh whose difference to the model's is added to every run.
         weights: skinning weights of the reduced model of the rough fit.
         candidates: effects that are fitted after screening.
-        starts: start doses of each, in multiples of the screened estimate.
+        starts: shares of the screened doses that a fit may begin at; the one that fits best is taken.
         iterations: linearisations of each fit.
         most_effects: that are looked for together.
         search_cost: model runs after which the search begins no further fit, in seconds of one core; counted
@@ -41,7 +41,7 @@ class GapOptions:
     fine_nodes: int = 1000
     weights: int = 8
     candidates: int = 4
-    starts: tuple[float, ...] = (1.0,)
+    starts: tuple[float, ...] = (1.0, 0.5, 0.25)
     iterations: int = 9
     most_effects: int = 3
     search_cost: float = 240.0

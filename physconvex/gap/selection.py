@@ -200,8 +200,8 @@ def evidence_of_anything(best: Hypothesis) -> float:
 
     It is the better explanation where even the best fit leaves much that does not look like noise.
     """
-    price = 0.5 * _ANYTHING * np.log(max(best.information / best.divisor, 2.0))
-    return float(best.attainable / best.divisor - price)
+    price = 0.5 * _ANYTHING * np.log(max(best.independent, 2.0))
+    return float((best.attainable / best.divisor).sum() - price)
 
 
 def within_bounds(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:

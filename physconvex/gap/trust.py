@@ -8,6 +8,9 @@ keeps what an effect absorbs of numerical error by chance from being called a ca
 
 After the fitted frames differences between meshes grow on. Of these frames (the first half of them chooses between
 fits) no more is believed than what the base model leaves there, with the same margin.
+
+Each kind of residual (`physconvex.gap.body_modes`) has a scale of its own: a rebound that is off says nothing of
+strains.
 """
 
 from __future__ import annotations
@@ -26,22 +29,23 @@ _LEAST = 0.15  # scale below which nothing is believed
 _FRAMES = 2  # that tell: those whose numerical error is above noise
 
 
-def error_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> Float[np.ndarray, " T"]:
-    """Factor on the numerical error of each frame, 0.15 to 1.
+def error_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> Float[np.ndarray, " N"]:
+    """Factor on the numerical error of each residual, 0.15 to 1.
 
     Args:
         base: the base fit.
         errors: with the numerical error as other meshes, steps and contact have it.
         screening: of the effects at that fit; each may explain what it can to first order, numerical ones not.
     """
-    last = int(base.split.fitted[-1])
+    last, kinds = int(base.split.fitted[-1]), base.modes.kinds
     fitted = _fitted_scale(base, errors, screening)
     rows = base.rows(base.split.selecting)
-    late = _scale(base, errors, rows, [base.residual(base.positions)[rows]])
-    return np.where(np.arange(len(base.positions)) > last, min(fitted, late), fitted)
+    late = np.minimum(fitted, _scale(base, errors, rows, [base.residual(base.positions)[rows]]))
+    return np.where(base.observations.frames > last, late[kinds], fitted[kinds])
 
 
-def _fitted_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> float:
+def _fitted_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> Float[np.ndarray, " K"]:
+    """By kind, of the fitted frames."""
     rows = base.rows(base.split.fitted)
     weights = 1 / np.sqrt(errors.expected[rows])
     count = int(base.split.fitted[-1]) + 1
@@ -56,16 +60,20 @@ def _fitted_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> f
     return _scale(base, errors, rows, [_left(residual, [*tangents, *columns], weights) for columns in candidates])
 
 
-def _scale(base: Baseline, errors: ErrorModel, rows: np.ndarray, lefts: list[np.ndarray]) -> float:
-    """Twice what the best of several fits leaves in some rows over the numerical error expected there."""
-    numerical = errors.expected[rows] - 1.0
-    told = numerical > 1.0
-    if len(np.unique(base.observations.frames[rows][told])) < _FRAMES:
-        return 1.0
-    weights = 1 / errors.expected[rows][told] ** 2
-    expected = float(weights @ numerical[told])
-    least = min(float(weights @ (left[told] ** 2 - 1.0)) for left in lefts) / expected
-    return float(np.clip(np.sqrt(_MARGIN * max(least, 0.0)), _LEAST, 1.0))
+def _scale(
+    base: Baseline, errors: ErrorModel, rows: np.ndarray, lefts: list[np.ndarray]
+) -> Float[np.ndarray, " K"]:  # fmt: skip
+    """Twice what the best of several fits leaves in some rows over the numerical error expected there, by kind."""
+    numerical, out = errors.expected[rows] - 1.0, np.ones(base.modes.count)
+    for kind in range(base.modes.count):
+        told = (numerical > 1.0) & (base.modes.kinds[rows] == kind)
+        if len(np.unique(base.observations.frames[rows][told])) < _FRAMES:
+            continue
+        weights = 1 / errors.expected[rows][told] ** 2
+        expected = float(weights @ numerical[told])
+        least = min(float(weights @ (left[told] ** 2 - 1.0)) for left in lefts) / expected
+        out[kind] = np.clip(np.sqrt(_MARGIN * max(least, 0.0)), _LEAST, 1.0)
+    return out
 
 
 def _left(

@@ -38,6 +38,7 @@ _TELLING = 10.0  # gain that makes a call although the base model errs as expect
 _ASTRAY = 0.5  # distance from the recording over its motion above which the model is no model of it
 _LIKELY = 0.5  # probability from which on an effect is named
 _DOUBT = 0.4  # probability of none and of something else above which no effect is
+_ABUNDANT = 0.8  # of the share of the gap that must go, at twice the gain that is enough
 _OPEN = 4.0  # times the expected square: a gap, whether or not an effect explains it
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
 
@@ -76,6 +77,7 @@ def decide(
     above_error: float = float("-inf"),
     astray: float = 0.0,
     other: float = -np.inf,
+    struck: bool = False,
 ) -> Verdict:
     """The verdict: the first of a list of rules that holds.
 
@@ -93,6 +95,7 @@ def decide(
             that is not known.
         astray: distance of the best model from the recording over how far that moves, rms.
         other: evidence of something that is not among the hypotheses.
+        struck: whether a free body strikes something, after which models part for little.
     """
     base = next(h for h in hypotheses if not h.effects)
     best = favoured(hypotheses)
@@ -102,7 +105,7 @@ def decide(
         return Verdict("inconclusive", "No effect could be tried on this capture.", (), none, 0.0, ())
     evidence = _Evidence(
         base, best, tuple(hypotheses), screening, probability, before, after, 1.0 - remaining, options, floor, placebo,
-        above_error, astray,
+        above_error, astray, struck,
     )  # fmt: skip
     rules = (_nothing, _slight, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo)
     for rule in rules:
@@ -129,6 +132,7 @@ class _Evidence:
     placebo: float
     above_error: float
     astray: float
+    struck: bool
 
     @property
     def gain(self) -> float:
@@ -138,7 +142,7 @@ class _Evidence:
     @property
     def foretold(self) -> bool:
         """Whether held-out frames leave no doubt, although the evidence counts too few residuals as independent."""
-        return self.gain >= WEAK and self.share >= _FORETOLD and self.placebo < 1.0 - _FORETOLD
+        return self.gain >= WEAK and self.share >= _FORETOLD and self._beyond_placebo
 
     @property
     def clear(self) -> bool:
@@ -152,8 +156,15 @@ class _Evidence:
 
     def _kept(self, enough: float) -> bool:
         """Whether held-out frames make up for a gain below `enough`: the smaller it is, the more of the gap must go."""
-        asked = float(np.interp(self.gain, (WEAK, enough), (_FORETOLD, self.options.explained)))
-        return self.gain >= WEAK and self.share >= asked and self.placebo < 1.0 - _FORETOLD
+        shares = (_FORETOLD, self.options.explained, _ABUNDANT * self.options.explained)
+        asked = float(np.interp(self.gain, (WEAK, enough, 2 * enough), shares))
+        return self.gain >= WEAK and self.share >= asked and self._beyond_placebo
+
+    @property
+    def _beyond_placebo(self) -> bool:
+        """Whether a placebo does next to nothing, or much evidence is for an effect that leaves a quarter of it."""
+        sure = self.gain >= _TELLING and self.share >= _FORETOLD
+        return self.placebo < 1.0 - _FORETOLD or (sure and 1.0 - self.share <= _LESS * (1.0 - self.placebo))
 
     @property
     def open(self) -> bool:
@@ -299,6 +310,12 @@ def _unexplained(e: _Evidence) -> Verdict | None:
     """A gap that the best effects leave; what the model's own error may be is not for effects to explain."""
     if max(e.share, e.above_error) >= e.options.explained or e.after <= 2.0:
         return None
+    if e.struck and e.best.fitted < _FLOOR:
+        sentence = (
+            f"Inconclusive: with {e.best.label} the model fits as well as it can err, and later parts from the "
+            "recording: an unknown effect would do so, and so would a rebound that is a little off."
+        )
+        return e.verdict("inconclusive", sentence, e.possible)
     sentence = (
         f"There is a gap that none of the known effects explains: the best of them, {e.best.label}, removes "
         f"{max(e.share, 0):.0%} of it on frames that were not fitted."

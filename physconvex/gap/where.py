@@ -127,8 +127,8 @@ def locate_gap(base: Baseline, errors: ErrorModel, best: Hypothesis, options: Ga
     """Decompose the gap of the base model."""
     observations = base.observations
     sigma = base.lengths
-    before = (base.residual(base.positions) * sigma) ** 2
-    after = (base.residual(best.positions) * sigma) ** 2
+    before = base.missed(base.positions) ** 2
+    after = base.missed(best.positions) ** 2
     noise, expected = sigma**2, errors.expected * sigma**2
     total, left = _by_frame(base, before), _by_frame(base, after)
     quiet, floor = _by_frame(base, noise), _by_frame(base, expected)

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.gap.comparison import _beside, information_per_one
+from physconvex.gap.body_modes import BodyModes, undivided
+from physconvex.gap.comparison import _beside, _likelihood, information_per_one
 from physconvex.gap.score import ErrorModel
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
@@ -19,8 +20,9 @@ def case(residual, numerical):
     frames = np.repeat(np.arange(FRAMES), POINTS * 3)
     base = SimpleNamespace(
         split=SimpleNamespace(fitted=np.arange(12), selecting=np.arange(12, FRAMES)),
-        observations=SimpleNamespace(frames=frames, point_indices=np.tile(np.repeat(np.arange(POINTS), 3), FRAMES)),
-        components=3,
+        observations=SimpleNamespace(frames=frames),
+        modes=undivided(frames),
+        columns=np.tile(np.arange(POINTS * 3), FRAMES),
         model=SimpleNamespace(frames=FRAMES),
         rows=lambda chosen: np.flatnonzero(np.isin(frames, chosen)),
         residual=lambda positions: residual,
@@ -33,7 +35,7 @@ def counted(residual, numerical):
     """Residuals that the likelihood counts."""
     base, errors = case(residual, numerical)
     information = FRAMES * (POINTS * 3 / (1 + 20 * numerical) + 3 if numerical else POINTS * 3)
-    return information / information_per_one(base, errors, np.zeros(0))
+    return information / information_per_one(base, errors, np.zeros(0)).item()
 
 
 @pytest.fixture
@@ -78,3 +80,23 @@ def test_other_values_go_where_the_screened_dose_puts_them(rng):
     assert _beside(base, errors, base, [entry]) == pytest.approx([5.12])
     none = SimpleNamespace(score=SimpleNamespace(amounts=np.array([0.0])), signature=signature[None])
     assert 5.12 < _beside(base, errors, base, [none])[0] <= 5.5  # E alone takes it, at most five typical steps
+
+
+def worth_of_good_strains(noise, rebound, modes):
+    """Log-likelihood that a model gains whose strains err as expected, over one that errs by twice that."""
+    kinds = np.tile(np.repeat([0, 1], [6, POINTS * 3 - 6]), FRAMES)
+    good, poor = (case(noise * np.where(kinds == 0, rebound, strains), 0.0) for strains in (1.0, 2.0))
+    for base, _ in (good, poor):
+        base.modes = modes(base.observations.frames, kinds)
+    divisor = information_per_one(*good, np.zeros(0))
+    return float(((_likelihood(*good, np.zeros(0)) - _likelihood(*poor, np.zeros(0))) / divisor).sum())
+
+
+def test_a_rebound_that_is_off_does_not_drown_what_the_strains_say(rng):
+    noise = rng.normal(size=FRAMES * POINTS * 3)
+    sound, off = (
+        worth_of_good_strains(noise, rebound, lambda frames, kinds: BodyModes(frames, kinds, (6.0, 12.0)))
+        for rebound in (1.0, 100.0)
+    )
+    assert off == pytest.approx(sound, rel=1e-9) and sound > 100
+    assert worth_of_good_strains(noise, 100.0, lambda frames, kinds: undivided(frames)) < 0.1 * sound

@@ -61,7 +61,21 @@ def test_details_do_not_choose(rng):
 def fit(likelihood, dose, name="wind"):
     effect = next(e for e in DEFAULT_EFFECTS if e.name == name)
     values = np.array([5.0, dose, *np.zeros(len(effect.doses) - 1)])
-    return Hypothesis((effect,), None, values, None, None, None, None, 5.0, 5.0, 0.0, likelihood, -200.0, 400.0)
+    return Hypothesis(
+        (effect,),
+        None,
+        values,
+        None,
+        None,
+        None,
+        None,
+        5.0,
+        5.0,
+        0.0,
+        np.array([likelihood]),
+        np.array([-200.0]),
+        np.array([400.0]),
+    )
 
 
 @pytest.mark.wrong_types

@@ -333,3 +333,11 @@ def test_a_gap_that_opens_late_and_that_nothing_foretells_is_not_called_none():
     verdict = decide([hypothesis(2.5, "damping"), quiet], screening(), 30.0, 12.0, 0.6, OPTIONS, placebo=0.0)
     assert verdict.name == "inconclusive" and "after the frames that were fitted" in verdict.sentence
     assert decide([hypothesis(2.5, "damping"), quiet], screening(), 3.0, 2.0, 0.6, OPTIONS, placebo=0.0).name == "none"
+
+
+def test_what_parts_after_an_impact_alone_is_not_called_unknown():
+    fits = [hypothesis(30.0, "damping"), hypothesis(0.0)]
+    assert decide(fits, screening(), 30.0, 9.0, 0.8, OPTIONS, placebo=0.0).name == "unknown"
+    assert decide(fits, screening(), 30.0, 9.0, 0.8, OPTIONS, placebo=0.0, struck=True).name == "inconclusive"
+    fits[0].fitted = 3.0  # a gap in the frames that are fitted
+    assert decide(fits, screening(), 30.0, 9.0, 0.8, OPTIONS, placebo=0.0, struck=True).name == "unknown"

@@ -1,0 +1,81 @@
+"""Residuals by how a body moves: squares stay, rigid motions and strains lie where they should."""
+
+import numpy as np
+import pytest
+
+from physconvex.gap.body_modes import TurnedObservations, body_modes
+from physconvex.identify import MarkerObservations
+
+FRAMES, POINTS = 5, 30
+WHOLE, STRAIN, REST = 0, 1, 2
+
+
+@pytest.fixture
+def seen(rng):
+    rest = rng.normal(size=(POINTS, 3)) * [0.3, 0.1, 0.2]
+    positions = np.repeat(rest[None], FRAMES, axis=0) + 0.01 * rng.normal(size=(FRAMES, POINTS, 3))
+    positions[1, :7] = np.nan
+    positions[3, :-4] = np.nan  # too few points to divide
+    positions[4] = np.nan  # none at all
+    return MarkerObservations(rest, positions, 1e-3 * rng.uniform(0.5, 2.0, size=(FRAMES, POINTS)))
+
+
+@pytest.fixture
+def modes(seen):
+    return body_modes(seen, free=True)
+
+
+def shares(seen, modes, displacements):
+    """Of the squares of a small motion of the markers, by kind, in the frames that are divided."""
+    where = np.nan_to_num(seen.positions)
+    rows = seen.residuals(where + displacements) - seen.residuals(where)
+    squares = modes.turn(rows) ** 2 * (seen.frames < 3)
+    return np.bincount(modes.kinds, squares, minlength=3) / squares.sum()
+
+
+def test_squares_and_products_stay(seen, modes, rng):
+    rows = rng.normal(size=(3, len(seen.frames)))
+    turned = modes.turn(rows)
+    assert not np.allclose(turned, rows)
+    for frame in range(FRAMES):
+        own = seen.frames == frame
+        np.testing.assert_allclose(turned[:, own] @ turned[:, own].T, rows[:, own] @ rows[:, own].T, atol=1e-10)
+
+
+def test_each_motion_is_of_its_kind(seen, modes, rng):
+    x, matrix = np.nan_to_num(seen.positions), rng.normal(size=(3, 3))
+    rigid = shares(seen, modes, 1e-3 * (rng.normal(size=3) + x @ (matrix - matrix.T)))
+    assert rigid[WHOLE] == pytest.approx(1.0, abs=1e-12)
+    strain = shares(seen, modes, 1e-3 * x @ (matrix + matrix.T))
+    assert strain[REST] == pytest.approx(0.0, abs=1e-12) and strain[STRAIN] > 0.3
+    assert shares(seen, modes, 1e-3 * np.sin(40 * x))[REST] > 0.3
+
+
+def test_what_cannot_be_divided_stays(seen, modes, rng):
+    rows, last = rng.normal(size=len(seen.frames)), seen.frames == 3
+    assert last.any() and (modes.turn(rows)[last] == rows[last]).all() and (modes.kinds[last] == WHOLE).all()
+    held = body_modes(seen, free=False)
+    assert held.count == 1 and (held.turn(rows) == rows).all()
+
+
+def test_points_in_a_plane_have_no_strain_across_it(rng):
+    rest = np.c_[rng.normal(size=(POINTS, 2)), np.zeros(POINTS)]
+    seen = MarkerObservations(rest, rest[None].repeat(2, axis=0), np.full((2, POINTS), 1e-3))
+    modes = body_modes(seen, free=True)
+    assert (np.bincount(modes.kinds, minlength=3)[:2] == [12, 6]).all()  # xz and yz are turns, to first order; zz none
+    rows = rng.normal(size=len(seen.frames))
+    np.testing.assert_allclose(np.linalg.norm(modes.turn(rows)), np.linalg.norm(rows))
+
+
+def test_turned_observations_have_turned_derivatives(seen, modes, rng):
+    sigma = rng.uniform(1.0, 3.0, size=len(seen.frames))
+    turned = TurnedObservations(seen, modes, sigma)
+    positions, tangents = np.nan_to_num(seen.positions), rng.normal(size=(FRAMES, 4, POINTS, 3))
+    residuals, jacobian = turned.linearise(positions, tangents)
+    np.testing.assert_array_equal(residuals, turned.residuals(positions))
+    step = 1e-4 * rng.normal(size=4)
+    moved = turned.residuals(positions + np.einsum("tkpi,k->tpi", tangents, step))
+    np.testing.assert_allclose(moved - residuals, jacobian @ step, atol=1e-9)
+    first = turned.in_frames(2)
+    rows = seen.frames < 2
+    np.testing.assert_allclose(first.residuals(positions[:2]), residuals[rows], atol=1e-12)
