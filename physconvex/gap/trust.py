@@ -4,7 +4,8 @@ What a mesh of 250 nodes and one of 1000 differ by after an impact may be many t
 effect that is smaller is then lost in it. But the residual of the fitted frames is error and effect together. If the
 base model, or it with one effect, leaves a tenth of the expected error, then the error is no larger than that tenth
 (unless the two cancel all the time). As in a regression, the scale of the errors comes from the largest model. A margin
-keeps what an effect absorbs of numerical error by chance from being called a cause.
+keeps what an effect absorbs of numerical error by chance from being called a cause, and what unknowns absorb of few
+independent residuals is made up for by their leverage, as degrees of freedom are in a regression.
 
 After the fitted frames differences between meshes grow on. Of these frames (the first half of them chooses between
 fits) no more is believed than what the base model leaves there, with the same margin.
@@ -26,6 +27,7 @@ __all__ = ["error_scale"]
 
 _MARGIN = 4.0  # of squares: an effect must remove more than 1 − 1/(1.5 × this) of them to open a gap
 _LEAST = 0.15  # scale below which nothing is believed
+_FREE = 0.1  # share of the independent residuals that is left over, at least
 _FRAMES = 2  # that tell: those whose numerical error is above noise
 
 
@@ -40,7 +42,8 @@ def error_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> Flo
     last, kinds = int(base.split.fitted[-1]), base.modes.kinds
     fitted = _fitted_scale(base, errors, screening)
     rows = base.rows(base.split.selecting)
-    late = np.minimum(fitted, _scale(base, errors, rows, [base.residual(base.positions)[rows]]))
+    unfitted = (base.residual(base.positions)[rows], np.zeros(len(rows)))
+    late = np.minimum(fitted, _scale(base, errors, rows, [unfitted]))
     return np.where(base.observations.frames > last, late[kinds], fitted[kinds])
 
 
@@ -61,25 +64,39 @@ def _fitted_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> F
 
 
 def _scale(
-    base: Baseline, errors: ErrorModel, rows: np.ndarray, lefts: list[np.ndarray]
+    base: Baseline, errors: ErrorModel, rows: np.ndarray, fits: list[tuple[np.ndarray, np.ndarray]]
 ) -> Float[np.ndarray, " K"]:  # fmt: skip
-    """Twice what the best of several fits leaves in some rows over the numerical error expected there, by kind."""
+    """Twice what the best of several fits leaves in some rows over the numerical error expected there, by kind.
+
+    Args:
+        base: the base fit.
+        errors: what is expected.
+        rows: the residuals.
+        fits: what each leaves of them, and the leverage of each residual.
+    """
     numerical, out = errors.expected[rows] - 1.0, np.ones(base.modes.count)
     for kind in range(base.modes.count):
         told = (numerical > 1.0) & (base.modes.kinds[rows] == kind)
-        if len(np.unique(base.observations.frames[rows][told])) < _FRAMES:
+        count = len(np.unique(base.observations.frames[rows][told]))
+        if count < _FRAMES:
             continue
-        weights = 1 / errors.expected[rows][told] ** 2
+        weights = numerical[told] / errors.expected[rows][told] ** 2  # as the likelihood of one scale weighs them
         expected = float(weights @ numerical[told])
-        least = min(float(weights @ (left[told] ** 2 - 1.0)) for left in lefts) / expected
-        out[kind] = np.clip(np.sqrt(_MARGIN * max(least, 0.0)), _LEAST, 1.0)
+        independent = count * base.modes.freedom[kind] / 4
+        shares = []
+        for left, leverage in fits:
+            free = max(1.0 - float(leverage[told].sum()) / independent, _FREE)
+            shares.append(max(float(weights @ (left[told] ** 2 - 1.0)), 0.0) / expected / free)
+        out[kind] = np.clip(np.sqrt(_MARGIN * min(shares)), _LEAST, 1.0)
     return out
 
 
 def _left(
     residual: Float[np.ndarray, " n"], columns: list[np.ndarray], weights: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, " n"]:
-    """What a weighted regression on the columns leaves."""
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """What a weighted regression on the columns leaves, and the leverage of each row."""
     x = np.stack(columns, axis=1) if columns else np.zeros((len(residual), 0))
-    found = np.linalg.lstsq(x * weights[:, None], residual * weights, rcond=1e-8)[0]
-    return np.asarray(residual - x @ found)
+    u, s, _ = np.linalg.svd(x * weights[:, None], full_matrices=False)
+    u = u[:, s > 1e-8 * s.max(initial=1e-300)]
+    left = residual - u @ (u.T @ (residual * weights)) / weights
+    return np.asarray(left), np.asarray((u**2).sum(1))
