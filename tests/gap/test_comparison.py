@@ -1,12 +1,13 @@
 """How much a likelihood counts."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from physconvex.gap.body_modes import BodyModes, undivided
-from physconvex.gap.comparison import _beside, _likelihood, information_per_one
+from physconvex.gap.comparison import _beside, _best_start, _likelihood, information_per_one
 from physconvex.gap.score import ErrorModel
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
@@ -100,3 +101,27 @@ def test_a_rebound_that_is_off_does_not_drown_what_the_strains_say(rng):
     )
     assert off == pytest.approx(sound, rel=1e-9) and sound > 100
     assert worth_of_good_strains(noise, 100.0, lambda frames, kinds: undivided(frames)) < 0.1 * sound
+
+
+@dataclass(frozen=True)
+class Swinging:
+    """One angular frequency for every point; it asks for a dose of .25 of what a linear extrapolation gives."""
+
+    frames: int = FRAMES
+
+    def parameters(self, values):
+        return (SimpleNamespace(step=0.1),) * len(values)
+
+    def positions(self, values):
+        swing = np.sin((2.0 + values[0]) * np.arange(self.frames))
+        return np.broadcast_to(swing[:, None, None], (self.frames, POINTS, 3))
+
+
+def test_a_fit_begins_at_the_share_of_the_screened_dose_that_fits_best():
+    seen = Swinging().positions([0.25])
+    base, errors = case(np.zeros(FRAMES * POINTS * 3), 0.0)
+    base.positions = np.zeros((FRAMES, POINTS, 3))
+    base.residual = lambda positions: (seen - positions).ravel()
+    starts = [np.array([share]) for share in (1.0, 0.5, 0.25)]
+    assert _best_start(base, errors, Swinging(), starts) == pytest.approx([0.25])
+    assert _best_start(base, errors, Swinging(), starts[:1]) == pytest.approx([1.0])
