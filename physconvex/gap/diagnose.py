@@ -117,6 +117,7 @@ def diagnose(
         astray=_astray(base, best),
         other=evidence_of_anything(best),
         struck=base.situation.touches and not base.situation.clamped,
+        seen=shrinkage[-1].gap_before / max(shrinkage[-1].noise_floor, 1e-300),
     )
     if second_take is not None:
         other = second_take if isinstance(second_take, Capture) else load_capture(second_take)

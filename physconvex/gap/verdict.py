@@ -40,6 +40,7 @@ _LIKELY = 0.5  # probability from which on an effect is named
 _DOUBT = 0.4  # probability of none and of something else above which no effect is
 _ABUNDANT = 0.8  # of the share of the gap that must go, at twice the gain that is enough
 _OPEN = 4.0  # times the expected square: a gap, whether or not an effect explains it
+_SEEN = 1.5  # gap over the error expected on held-out frames from which on a body that is not struck has one
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
 
 
@@ -78,6 +79,7 @@ def decide(
     astray: float = 0.0,
     other: float = -np.inf,
     struck: bool = False,
+    seen: float = np.inf,
 ) -> Verdict:
     """The verdict: the first of a list of rules that holds.
 
@@ -96,6 +98,7 @@ def decide(
         astray: distance of the best model from the recording over how far that moves, rms.
         other: evidence of something that is not among the hypotheses.
         struck: whether a free body strikes something, after which models part for little.
+        seen: gap of the base model on held-out frames over what noise and numerical error lead one to expect, rms.
     """
     base = next(h for h in hypotheses if not h.effects)
     best = favoured(hypotheses)
@@ -105,7 +108,7 @@ def decide(
         return Verdict("inconclusive", "No effect could be tried on this capture.", (), none, 0.0, ())
     evidence = _Evidence(
         base, best, tuple(hypotheses), screening, probability, before, after, 1.0 - remaining, options, floor, placebo,
-        above_error, astray, struck,
+        above_error, astray, struck, seen,
     )  # fmt: skip
     rules = (_nothing, _slight, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo)
     for rule in rules:
@@ -133,6 +136,7 @@ class _Evidence:
     above_error: float
     astray: float
     struck: bool
+    seen: float
 
     @property
     def gain(self) -> float:
@@ -151,8 +155,12 @@ class _Evidence:
 
     @property
     def telling(self) -> bool:
-        """Whether the effect counts although the base model errs by no more than is expected of it."""
-        return self._kept(_TELLING)
+        """Whether the effect counts although the base model errs by no more than is expected of it.
+
+        The error of a body that strikes nothing is well known: what lies within it on held-out frames too is no gap,
+        however well some effect of many doses, an inclusion say, can follow it.
+        """
+        return self._kept(_TELLING) and (self.struck or self.seen >= _SEEN)
 
     def _kept(self, enough: float) -> bool:
         """Whether held-out frames make up for a gain below `enough`: the smaller it is, the more of the gap must go."""
@@ -221,6 +229,7 @@ class _Evidence:
 def _nothing(e: _Evidence) -> Verdict | None:
     """No gap above noise and numerical error; where those are large, that says nothing."""
     significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
+    significant = significant or (e.gain >= _TELLING and e.telling)  # a fit finds what one finite dose does not
     closed = min(e.before, e.base.fitted) < _FLOOR and not e.telling
     little = e.gain < WEAK and e.before < _OPEN
     slight = _is_slight(e.best) and not e.open

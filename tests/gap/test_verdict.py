@@ -341,3 +341,17 @@ def test_what_parts_after_an_impact_alone_is_not_called_unknown():
     assert decide(fits, screening(), 30.0, 9.0, 0.8, OPTIONS, placebo=0.0, struck=True).name == "inconclusive"
     fits[0].fitted = 3.0  # a gap in the frames that are fitted
     assert decide(fits, screening(), 30.0, 9.0, 0.8, OPTIONS, placebo=0.0, struck=True).name == "unknown"
+
+
+def test_what_lies_within_the_error_of_a_body_that_is_not_struck_is_no_gap():
+    fits = [hypothesis(13.0, "damping"), hypothesis(0.0)]
+    for seen, struck, name in ((1.2, False, "none"), (5.0, False, "effect"), (1.2, True, "effect")):
+        verdict = decide(fits, screening(), 1.2, 1.0, 0.1, OPTIONS, placebo=0.05, seen=seen, struck=struck)
+        assert verdict.name == name
+
+
+def test_much_evidence_makes_up_for_a_screening_that_saw_nothing():
+    for gain, name in ((27.0, "effect"), (6.6, "none")):
+        fits = [hypothesis(gain, "damping"), hypothesis(0.0)]
+        verdict = decide(fits, screening(0.5), 1.2, 1.0, 0.05, OPTIONS, placebo=0.0, struck=True)
+        assert verdict.name == name
