@@ -51,6 +51,11 @@ class BodyModes:
         """Number of kinds."""
         return len(self.freedom)
 
+    @property
+    def independent(self) -> Float[np.ndarray, " D"]:
+        """Independent numbers of a smooth error per frame, by kind: half of those that it has in two frames."""
+        return np.array(self.freedom) / 4
+
     def turn(self, rows: Float[np.ndarray, "*B N"]) -> Float[np.ndarray, "*B N"]:
         """Qᵀ of vectors of residuals."""
         if not self.reflections:

@@ -150,8 +150,8 @@ def _information(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> Floa
     shape = (modes.count, total)
     count = np.bincount(place, minlength=shape[0] * shape[1]).reshape(shape)
     noise = np.bincount(place, 1 / errors.variance[rows], minlength=count.size).reshape(shape)
-    smooth = np.array(modes.freedom)[:, None] / 4
-    return np.asarray(np.where(count > 0, np.minimum(noise + smooth, count), 0.0).sum(1))
+    smooth = np.minimum(noise + modes.independent[:, None], count)
+    return np.asarray(np.where(count > 0, smooth, 0.0).sum(1))
 
 
 def information_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> Float[np.ndarray, " D"]:

@@ -82,7 +82,7 @@ def _scale(
             continue
         weights = numerical[told] / errors.expected[rows][told] ** 2  # as the likelihood of one scale weighs them
         expected = float(weights @ numerical[told])
-        independent = count * base.modes.freedom[kind] / 4
+        independent = count * float(base.modes.independent[kind])
         shares = []
         for left, leverage in fits:
             free = max(1.0 - float(leverage[told].sum()) / independent, _FREE)
