@@ -6,11 +6,15 @@ import numpy as np
 import pytest
 
 from physconvex.capture import load_capture
-from physconvex.errors import InputError
-from physconvex.gap.blind import bank, diagnose_bank, generate_bank, score_bank
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.gap.blind import Bank, Shares, bank, diagnose_bank, generate_bank, score_banks
 from physconvex.gap.blind.cases import draw_case
-from physconvex.gap.blind.classes import same_class
-from physconvex.gap.blind.scoring import _share_of
+from physconvex.gap.blind.classes import class_of, same_class
+from physconvex.gap.blind.doses import score_doses
+from physconvex.gap.blind.metrics import area_under_roc, calibration_error, proportion, reliability
+from physconvex.gap.blind.plan import plan_bank
+from physconvex.gap.blind.rows import share_of
+from physconvex.gap.blind.summary import draw_score, score_markdown
 
 
 @pytest.fixture
@@ -25,13 +29,25 @@ def small(tmp_path, monkeypatch):
         return Motion(points, np.arange(case.frames) / case.fps, positions, 0 * positions), positions
 
     monkeypatch.setattr(bank, "simulate_case", made_up)
-    generate_bank(tmp_path / "captures", tmp_path / "seal.json", count=3, seed=1, effect_free=0.34, engine="fem",
-                  controls=["density", "noise"])  # fmt: skip
+    make(tmp_path)
     return tmp_path
 
 
+def make(folder, **changes):
+    settings = {"count": 3, "seed": 1, "shares": Shares(free=0.34), "engine": "fem", "controls": ["density", "noise"]}
+    return generate_bank(folder / "captures", folder / "seal.json", **settings | changes)
+
+
+def scored(folder):
+    return score_banks(Bank(folder / "captures", folder / "seal.json", folder / "answers.json"))
+
+
+def labels_of(folder):
+    return json.loads(json.loads((folder / "seal.json").read_text())["labels"])
+
+
 def test_captures_tell_nothing_of_their_labels(small):
-    labels = json.loads(json.loads((small / "seal.json").read_text())["labels"])
+    labels = labels_of(small)
     assert sorted(bool(label["effects"]) for label in labels[:3]) == [False, True, True]
     for label in labels:
         folder = small / "captures" / label["capture"]
@@ -42,19 +58,38 @@ def test_captures_tell_nothing_of_their_labels(small):
         assert not any(effect["name"] in texts.replace('"initial_velocity"', "") for effect in label["effects"])
 
 
+def told(label, name):
+    """The hidden doses, if this is what is hidden."""
+    return [
+        {"unit": unit, "value": 1.1 * dose, "interval": sorted((1.05 * dose, 1.2 * dose))}
+        for effect in label["effects"]
+        if effect["name"] == name
+        for dose, unit in zip(effect["doses"], effect["units"], strict=True)
+    ]
+
+
 def answers_of(small, first):
-    labels = json.loads(json.loads((small / "seal.json").read_text())["labels"])
+    labels = labels_of(small)
     answers = []
     for label in labels:
         name = first(label)
         effects = (
-            [{"name": name, "source": "observation", "probability": 0.9, "parameters": [], "confused_with": []}]
+            [
+                {
+                    "name": name,
+                    "source": "observation",
+                    "probability": 0.9,
+                    "parameters": told(label, name),
+                    "confused_with": [],
+                }
+            ]
             if name
             else []
         )
         answers.append({
             "capture": label["capture"], "verdict": "effect" if name else "none", "effects": effects,
-            "ranking": [[name]] if name else [], "shrinkage": 0.9, "placebo": 0.0, "visibility": 10.0,
+            "ranking": [[name]] if name else [], "shrinkage": 0.9, "placebo": 0.0,
+            "gap_before": 1e-2, "gap_after": 2e-3, "noise_floor": 1e-3, "none_probability": 0.0,
             "log10_youngs_modulus": [5.0, 5.0], "poisson_ratio": [0.3, 0.3], "seconds": 1.0,
         })  # fmt: skip
     path = small / "answers.json"
@@ -63,21 +98,61 @@ def answers_of(small, first):
     return path
 
 
+def visible(small):
+    """The same bank with labels that say so: made-up motion has no visibility."""
+    sealed = json.loads((small / "seal.json").read_text())
+    labels = [label | {"wanted": 10.0} for label in json.loads(sealed["labels"])]
+    sealed["labels"] = json.dumps(labels, indent=1)
+    (small / "seal.json").write_text(json.dumps(sealed))
+    commitment = json.loads((small / "captures" / bank.COMMITMENT).read_text())
+    commitment["sha256"] = bank.digest(sealed["labels"], sealed["salt"])
+    (small / "captures" / bank.COMMITMENT).write_text(json.dumps(commitment))
+
+
 def test_right_answers_score_one(small):
-    path = answers_of(small, lambda label: label["effects"][0]["name"] if label["effects"] else None)
-    found = score_bank(small / "captures", small / "seal.json", path)
-    assert (found.with_effect, found.effect_free) == (2, 1)
-    assert found.top_1 == found.top_1_merged == found.called == 1 and found.false_alarms == 0
+    visible(small)
+    answers_of(small, lambda label: label["effects"][0]["name"] if label["effects"] else None)
+    found = scored(small)
+    assert (found.top_1.count, found.false_alarms.count) == (2, 1)
+    assert found.top_1.value == found.top_1_merged.value == found.called.value == 1 and found.false_alarms.value == 0
+    assert found.top_1.lower < 0.5 and found.failures == ()
+    assert sorted(row.right_first.value for row in found.by_effect) == [1, 1]
 
 
 def test_wrong_answers_score_nothing(small):
-    path = answers_of(small, lambda label: "exposure")
-    found = score_bank(small / "captures", small / "seal.json", path)
-    assert found.top_1 == found.called == 0 and found.false_alarms == 1
+    visible(small)
+    answers_of(small, lambda label: "exposure")
+    found = scored(small)
+    assert found.top_1.value == found.called.value == 0 and found.false_alarms.value == 1
+    assert found.calls_right.value == 0 and len(found.failures) == 3
+    assert found.calibration_error == pytest.approx(0.9)
+    assert {first for _, first, _ in found.confusion} == {"exposure"}
+
+
+def test_captures_that_are_less_visible_count_by_visibility_alone(small):
+    answers_of(small, lambda label: label["effects"][0]["name"] if label["effects"] else None)
+    labels = [label | {"wanted": 3.0} for label in labels_of(small)]
+    sealed = {"salt": "", "labels": json.dumps(labels)}
+    (small / "seal.json").write_text(json.dumps(sealed))
+    (small / "captures" / bank.COMMITMENT).write_text(json.dumps({"sha256": bank.digest(sealed["labels"], "")}))
+    found = scored(small)
+    assert found.top_1.count == 0 and found.calls_right.count == 2
+    assert [v.right_first.count for v in found.by_visibility] == [0, 2, 0, 0]
+
+
+def test_a_score_can_be_read(small):
+    visible(small)
+    answers_of(small, lambda label: label["effects"][0]["name"] if label["effects"] else None)
+    found = scored(small)
+    text = score_markdown(found)
+    assert "| class ranked first | 1.00 [0.34, 1.00] of 2 | ≥ .85 |" in text
+    assert all(row.capture.replace("capture_", "") in text for row in found.rows)
+    draw_score(found, small / "score.png")
+    assert (small / "score.png").stat().st_size > 10_000
 
 
 def test_controls_change_what_they_say_and_nothing_else(small):
-    labels = json.loads(json.loads((small / "seal.json").read_text())["labels"])
+    labels = labels_of(small)
     assert [label["control"] for label in labels] == [None, None, None, "density", "noise"]
     density, again = labels[3], labels[4]
     assert load_capture(small / "captures" / density["capture"]).density == pytest.approx(1600)
@@ -89,28 +164,30 @@ def test_controls_change_what_they_say_and_nothing_else(small):
 
 
 def test_controls_are_scored(small):
-    path = answers_of(small, lambda label: label["effects"][0]["name"] if label["effects"] else None)
-    found = score_bank(small / "captures", small / "seal.json", path)
+    answers_of(small, lambda label: label["effects"][0]["name"] if label["effects"] else None)
+    found = scored(small)
     assert [(c.name, c.right) for c in found.controls] == [("density", True), ("noise", True)]
-    path = answers_of(small, lambda label: f"other {label['capture']}")
-    found = score_bank(small / "captures", small / "seal.json", path)
+    answers_of(small, lambda label: f"other {label['capture']}")
+    found = scored(small)
     assert [(c.name, c.right) for c in found.controls] == [("density", False), ("noise", False)]
 
 
 def test_shuffled_labels_fall_to_chance(small):
-    path = answers_of(small, lambda label: label["effects"][0]["name"] if label["effects"] else None)
-    found = score_bank(small / "captures", small / "seal.json", path)
-    assert found.top_1_merged == 1 and found.shuffled == 0
+    visible(small)
+    answers_of(small, lambda label: label["effects"][0]["name"] if label["effects"] else None)
+    found = scored(small)
+    assert found.top_1_merged.value == 1 and found.shuffled == 0
 
 
 def test_an_effect_without_a_name_counts_as_outside(small):
     path = answers_of(small, lambda label: None)
-    hidden = [e["name"] for label in json.loads(json.loads((small / "seal.json").read_text())["labels"])[:3]
+    hidden = [e["name"] for label in labels_of(small)[:3]
               for e in label["effects"]]  # fmt: skip
     content = json.loads(path.read_text()) | {"without": hidden[:1]}
     path.write_text(json.dumps(content))
-    found = score_bank(small / "captures", small / "seal.json", path)
-    assert found.outside == 1 and found.unknown == 1 and found.with_effect == 1
+    found = scored(small)
+    assert found.outside_not_called.count == 1 and found.outside_not_called.value == 1
+    assert found.outside_unknown.value == 0 and sum(row.single for row in found.rows) == 1
 
 
 def test_changed_labels_and_answers_are_refused(small):
@@ -119,12 +196,12 @@ def test_changed_labels_and_answers_are_refused(small):
     content["answers"][0]["verdict"] = "effect"
     path.write_text(json.dumps(content))
     with pytest.raises(InputError, match="were changed"):
-        score_bank(small / "captures", small / "seal.json", path)
+        scored(small)
     sealed = json.loads((small / "seal.json").read_text())
     sealed["labels"] = sealed["labels"].replace("capture_000", "capture_001")
     (small / "seal.json").write_text(json.dumps(sealed))
     with pytest.raises(InputError, match="other captures"):
-        score_bank(small / "captures", small / "seal.json", path)
+        scored(small)
 
 
 def test_declared_classes():
@@ -143,17 +220,97 @@ def test_empty_folder(tmp_path):
 
 
 def test_plan_holds_what_was_asked_for():
-    plan = bank._plan(np.random.default_rng(0), 20, ["friction", "wind", "attached_mass"],
-                      {"free": 0.2, "two": 0.2, "outside": 0.1})  # fmt: skip
-    assert len(plan) == 20 and plan.count(()) == 4
-    pairs = [names for names in plan if len(names) == 2]
+    shares = Shares(free=0.2, two=0.2, outside=0.1, deleted=0.2)
+    plan = plan_bank(0, 20, ["friction", "wind", "attached_mass"], (3.0, 10.0), shares)
+    assert len(plan) == 20 and sum(p.effects == () for p in plan) == 4
+    pairs = [p.effects for p in plan if len(p.effects) == 2]
     assert len(pairs) == 4 and not any({"attached_mass", "friction"} <= set(names) for names in pairs)
-    assert sum(names == ("tether",) for names in plan) == 2
+    assert sum(p.effects == ("tether",) for p in plan) == 2
+    singles = [p for p in plan if len(p.effects) == 1 and not p.without and p.effects != ("tether",)]
+    assert sorted((p.effects[0], p.visibility) for p in singles) == sorted(
+        (name, v) for name in ("friction", "wind", "attached_mass") for v in (3.0, 10.0)
+    )
+
+
+def test_what_is_taken_out_does_not_tell_what_is_hidden():
+    plan = plan_bank(0, 20, ["friction", "wind"], (10.0,), Shares(free=0.5, deleted=0.2))
+    deleted = [p for p in plan if p.without and p.effects]
+    decoys = [p for p in plan if p.without and not p.effects]
+    assert len(deleted) == len(decoys) == 4
+    assert all(p.without == class_of(p.effects[0]) for p in deleted)
+    assert {p.without for p in decoys} == {p.without for p in deleted} == {("friction",), ("gravity_tilt", "wind")}
+
+
+def test_shares_above_one_are_refused():
+    with pytest.raises(InputError, match="at most one"):
+        plan_bank(0, 10, ["friction"], (10.0,), Shares(free=0.6, two=0.5))
+
+
+def test_a_bank_goes_on_where_it_was_stopped(small, tmp_path, monkeypatch):
+    again = tmp_path / "again"
+    whole, real = {p.name: p.read_bytes() for p in small.glob("captures/*/tracks.npz")}, bank._make
+    made = []
+
+    def killed(job):
+        if len(made) == 2:
+            raise KeyboardInterrupt
+        made.append(job.name)
+        real(job)
+
+    monkeypatch.setattr(bank, "_make", killed)
+    with pytest.raises(KeyboardInterrupt):
+        make(again)
+    assert not (again / "seal.json").exists()
+    with pytest.raises(InputError, match="other settings"):
+        make(again, seed=2)
+    monkeypatch.setattr(bank, "_make", real)
+    before = {name: (again / "captures" / name / "capture.json").stat().st_mtime_ns for name in made}
+    assert make(again) == 5 and len(labels_of(again)) == 5
+    assert before == {name: (again / "captures" / name / "capture.json").stat().st_mtime_ns for name in made}
+    assert whole == {p.name: p.read_bytes() for p in again.glob("captures/*/tracks.npz")}
+    assert labels_of(again) == labels_of(small)
+
+
+def test_what_cannot_be_drawn_is_told(tmp_path, monkeypatch):
+    def fails(case, **_):
+        raise ConvergenceError("no")
+
+    monkeypatch.setattr(bank, "simulate_case", fails)
+    assert make(tmp_path, controls=[]) == 0
+    assert all("20 draws could not be simulated" in label["failed"] for label in labels_of(tmp_path))
+
+
+def test_doses_are_compared_as_vectors_in_one_unit():
+    hidden = [(3.0, "deg"), (4.0, "deg"), (0.1, "m")]
+    told = [{"unit": "deg", "value": 3.0, "interval": [2, 4]}, {"unit": "deg", "value": 4.5, "interval": [4.4, 4.6]},
+            {"unit": "m", "value": 0.102, "interval": [0.09, 0.11]}]  # fmt: skip
+    found = score_doses("camera_pose", hidden, told)
+    assert found.error == pytest.approx(0.1) and found.covered == (True, False, True)
+
+
+def test_logarithms_of_doses_are_taken_back():
+    told = [{"unit": "log10 Pa", "value": 4.0, "interval": [3.9, 4.1]}]
+    found = score_doses("plasticity", [(1.1e4, "Pa")], told)
+    assert found.error == pytest.approx(0.1 / 1.1) and found.covered == (True,)
+
+
+def test_other_quantities_are_not_compared():
+    assert score_doses("air_drag", [(0.1, "1/m")], [{"unit": "1/s", "value": 1, "interval": [0, 2]}]) is None
+    assert score_doses("friction", [(0.1, "")], [{"unit": "s", "value": 1, "interval": [0, 2]}]) is None
+
+
+def test_figures_of_merit():
+    assert area_under_roc([2, 3], [1, 2]) == pytest.approx(3.5 / 4) and np.isnan(area_under_roc([], [1]))
+    share = proportion([True] * 8 + [False] * 2)
+    assert (share.lower, share.upper) == pytest.approx((0.4902, 0.9433), abs=1e-4)  # Wilson, by hand
+    bins = reliability([0.95, 0.95, 0.15], [True, False, False])
+    assert [(b.probability, b.right, b.count) for b in bins] == [(0.15, 0, 1), (0.95, 0.5, 2)]
+    assert calibration_error(bins) == pytest.approx((0.15 + 2 * 0.45) / 3)
 
 
 def test_two_effects_are_counted_by_class():
-    assert _share_of(["wind", "friction"], ["gravity_tilt"]) == 0.5
-    assert _share_of([], ["friction"]) == 0.0
+    assert share_of(["wind", "friction"], ["gravity_tilt"]) == 0.5
+    assert share_of([], ["friction"]) == 0.0
 
 
 @pytest.mark.slow

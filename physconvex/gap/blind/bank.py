@@ -1,31 +1,32 @@
-"""Blind test of the diagnosis: captures whose labels are sealed, and answers."""
+"""A bank of captures whose labels are sealed."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import secrets
+import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from physconvex.capture import load_capture, save_capture
-from physconvex.errors import ConvergenceError, InputError, PhysconvexError
-from physconvex.gap.blind.cases import BLIND_EFFECTS, Case, capture_parts, draw_case, kinds_for, simulate_case
-from physconvex.gap.blind.classes import same_class
-from physconvex.gap.blind.controls import CONTROLS, Control
-from physconvex.gap.blind.explicit_cases import EXPLICIT_EFFECTS, OUTSIDE, simulate_explicit
-from physconvex.gap.diagnose import diagnose
-from physconvex.gap.options import GapOptions
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.gap.blind.cases import BLIND_EFFECTS, Case, capture_parts, draw_case, simulate_case
+from physconvex.gap.blind.explicit_cases import EXPLICIT_EFFECTS, simulate_explicit
+from physconvex.gap.blind.plan import Planned, Shares, plan_bank
+from physconvex.workers import Workers
 
-__all__ = ["COMMITMENT", "EngineName", "diagnose_bank", "digest", "generate_bank"]
+__all__ = ["COMMITMENT", "DICTIONARY", "EngineName", "digest", "generate_bank"]
 
-COMMITMENT = "commitment.json"
+COMMITMENT, DICTIONARY = "commitment.json", "dictionary.json"
 Report = Callable[[str], None]
 EngineName = Literal["explicit", "fem"]
+_DRAWS = 20  # until a capture is given up
 
 
 def digest(text: str, salt: str) -> str:
@@ -40,110 +41,145 @@ def generate_bank(
     count: int,
     seed: int,
     effects: Sequence[str] | None = None,
-    effect_free: float = 0.25,
+    shares: Shares | None = None,
     engine: EngineName = "explicit",
     visibilities: Sequence[float] = (10.0,),
-    two: float = 0.0,
-    outside: float = 0.0,
     controls: Sequence[str] = (),
+    workers: int = 1,
     report: Report = lambda _: None,
 ) -> int:
     """Write captures into `out`, their labels into the file `seal`, and the labels' hash beside the captures.
 
+    Each capture is drawn from the seed and its number, so that a bank does not depend on the number of processes. Until
+    all are made, labels lie in a folder beside the seal (its name and `.parts`); the same call goes on where it was
+    stopped. Captures that are diagnosed without some effects are listed in `dictionary.json`.
+
     Args:
-        out: new folder of the captures.
-        seal: new file of the labels, to be kept from whoever diagnoses.
+        out: folder of the captures.
+        seal: file of the labels, to be kept from whoever diagnoses.
         count: number of captures.
         seed: of the draws.
         effects: names that are drawn from; all that the engine knows unless given.
-        effect_free: share of captures without any effect.
+        shares: of the captures that hide no effect, two, and others; a quarter without effect unless given.
         engine: "explicit" (another engine than the diagnosis uses, doses by visibility) or "fem" (the full-order model
             on another mesh, doses by their size).
         visibilities: of the effects, taken in turn; see `simulate_explicit`.
-        two: share of captures with two effects.
-        outside: share of captures whose effect is in no dictionary.
         controls: names of controls (`physconvex.gap.blind.controls`), one more capture for each.
+        workers: processes.
         report: told what is done.
 
     Returns:
-        Number of captures, controls included; draws whose simulation fails are drawn anew.
+        Number of captures, controls included; draws whose simulation fails are drawn anew, twenty times, and what
+        cannot be drawn is left out, with a label that says so.
 
     Raises:
-        InputError: a folder or file exists already, or an unknown effect.
+        InputError: the bank is there already, one with other settings was begun there, or an unknown effect.
     """
     known = EXPLICIT_EFFECTS if engine == "explicit" else BLIND_EFFECTS
     names = list(known if effects is None else effects)
     unknown = set(names) - set(known)
     if unknown:
         raise InputError(f"effects: got {sorted(unknown)}; expected names among {', '.join(known)}")
-    if set(controls) - set(CONTROLS) or ("noise" in controls and not count):
-        raise InputError(
-            f"controls: got {', '.join(controls)}; expected names among {', '.join(CONTROLS)}, `noise` beside a capture"
-        )
+    plan = plan_bank(seed, count, names, visibilities, shares or Shares(), controls)
+    parts = seal.with_name(seal.name + ".parts")
+    _begin(out, seal, parts, json.dumps({"seed": seed, "engine": engine, "plan": [asdict(p) for p in plan]}))
+    jobs = [_Job(number, planned, seed, engine, out, parts) for number, planned in enumerate(plan)]
+    with Workers(workers) as pool:
+        # a capture that repeats another one needs that one first
+        for part in (
+            [j for j in jobs if j.planned.repeats is None],
+            [j for j in jobs if j.planned.repeats is not None],
+        ):
+            for job, wait in [(job, pool.start(partial(_make, job))) for job in part if not job.label.exists()]:
+                report(job.name)
+                wait()
+    labels = [json.loads(job.label.read_text(encoding="utf-8")) for job in jobs]
+    text, salt = json.dumps(labels, indent=1), secrets.token_hex(16)
+    deleted = {job.name: list(job.planned.without) for job in jobs if job.planned.without}
+    (out / DICTIONARY).write_text(json.dumps(deleted, indent=1) + "\n", encoding="utf-8")
+    commitment = {"sha256": digest(text, salt), "captures": len(labels), "hashed": "salt + labels"}
+    (out / COMMITMENT).write_text(json.dumps(commitment, indent=1) + "\n", encoding="utf-8")
+    seal.write_text(json.dumps({"salt": salt, "labels": text}) + "\n", encoding="utf-8")
+    shutil.rmtree(parts)
+    return sum("failed" not in label for label in labels)
+
+
+def _begin(out: Path, seal: Path, parts: Path, settings: str) -> None:
+    """Make the folders, or see that they belong to a bank of these settings that was begun."""
+    begun = parts / "settings.json"
+    if begun.exists():
+        if begun.read_text(encoding="utf-8") != settings:
+            raise InputError(f"{parts}: a bank with other settings was begun here; choose another place or remove it")
+        return
     for path in (out, seal):
         if path.exists():
             raise InputError(f"{path}: exists; choose another place for a new bank")
     out.mkdir(parents=True)
-    rng = np.random.default_rng(seed)
-    plan = _plan(rng, count, names, {"free": effect_free, "two": two, "outside": outside})
-    jobs: list[tuple[tuple[str, ...], Control | None]] = [(hidden, None) for hidden in plan]
-    jobs += [(CONTROLS[name].effects, CONTROLS[name]) for name in controls]
-    labels: list[dict[str, Any]] = []
-    drawn: list[Case] = []
-    for number, (hidden, control) in enumerate(jobs):
-        name = f"capture_{number:03d}"
-        report(name)
-        visibility = float(visibilities[number % len(visibilities)])
-        if control is not None and control.repeats:
-            original = next((i for i, names in enumerate(plan) if names), 0)
-            _repeated(out / name, out / labels[original]["capture"], drawn[original])
-            labels.append(labels[original] | {"capture": name, "control": control.name,
-                                              "repeats": labels[original]["capture"]})  # fmt: skip
-            continue
-        case, seen = _written(out / name, hidden, rng, engine, visibility, control)
-        drawn.append(case)
-        labels.append({"capture": name, "kind": case.kind, "seed": case.seed, "youngs_modulus": case.youngs_modulus,
-                       "poisson_ratio": case.poisson_ratio, "engine": engine, "visibility": seen,
-                       "control": None if control is None else control.name,
-                       "effects": [asdict(h) for h in case.hidden]})  # fmt: skip
-    text = json.dumps(labels, indent=1)
-    salt = secrets.token_hex(16)
-    seal.parent.mkdir(parents=True, exist_ok=True)
-    seal.write_text(json.dumps({"salt": salt, "labels": text}) + "\n", encoding="utf-8")
-    commitment = {"sha256": digest(text, salt), "captures": len(labels), "hashed": "salt + labels"}
-    (out / COMMITMENT).write_text(json.dumps(commitment, indent=1) + "\n", encoding="utf-8")
-    return len(labels)
+    parts.mkdir(parents=True)
+    begun.write_text(settings, encoding="utf-8")
 
 
-def _plan(
-    rng: np.random.Generator, count: int, effects: list[str], shares: dict[str, float]
-) -> list[tuple[str, ...]]:  # fmt: skip
-    numbers = {key: round(share * count) for key, share in shares.items()}
-    order = [effects[i] for i in rng.permutation(len(effects))]
-    singles = count - sum(numbers.values())
-    plan: list[tuple[str, ...]] = [()] * numbers["free"] + [(order[i % len(order)],) for i in range(singles)]
-    plan += [(OUTSIDE[i % len(OUTSIDE)],) for i in range(numbers["outside"])]
-    for number in range(numbers["two"]):
-        first = order[(singles + number) % len(order)]
-        together = [(a, b) for a in effects for b in effects if a != b and not same_class(a, b) and kinds_for((a, b))]
-        if not together:
-            raise InputError(f"effects: got {', '.join(effects)}; expected two that one motion can show, for `two`")
-        plan.append(together[int(rng.choice([i for i, p in enumerate(together) if p[0] == first] or len(together)))])
-    return [plan[i] for i in rng.permutation(count)]
+@dataclass(frozen=True)
+class _Job:
+    """One capture, and where it goes."""
+
+    number: int
+    planned: Planned
+    seed: int
+    engine: EngineName
+    out: Path
+    parts: Path
+
+    @property
+    def name(self) -> str:
+        return _name(self.number)
+
+    @property
+    def label(self) -> Path:
+        return self.parts / f"{self.name}.json"
 
 
-def _written(
-    folder: Path, names: tuple[str, ...], rng: np.random.Generator, engine: EngineName, visibility: float,
-    control: Control | None = None,
-) -> tuple[Case, float]:  # fmt: skip
-    for _ in range(20):
-        case, seen = draw_case(int(rng.integers(2**31)), names, dosed=engine == "fem"), float("nan")
+def _name(number: int) -> str:
+    return f"capture_{number:03d}"
+
+
+def _make(job: _Job) -> None:
+    """Write a capture, then its label."""
+    planned, control = job.planned, job.planned.control
+    label: dict[str, Any]
+    if planned.repeats is not None:
+        original = json.loads((job.parts / f"{_name(planned.repeats)}.json").read_text(encoding="utf-8"))
+        label = original | {"capture": job.name, "control": control and control.name, "repeats": original["capture"]}
+        if "failed" not in original:
+            _repeated(job.out / job.name, job.out / original["capture"], original["seed"])
+    else:
+        label = {"capture": job.name, "control": control and control.name, "planned": planned.effects}
         try:
-            if engine == "fem":
+            case, seen = _written(job)
+        except ConvergenceError as error:
+            label |= {"failed": str(error), "effects": []}
+        else:
+            label |= {
+                "kind": case.kind, "seed": case.seed, "youngs_modulus": case.youngs_modulus,
+                "poisson_ratio": case.poisson_ratio, "engine": job.engine, "wanted": planned.visibility,
+                "visibility": seen, "effects": [asdict(h) for h in case.hidden],
+            }  # fmt: skip
+    whole = job.label.with_suffix(".tmp")
+    whole.write_text(json.dumps(label), encoding="utf-8")
+    whole.replace(job.label)
+
+
+def _written(job: _Job) -> tuple[Case, float]:
+    planned, control, folder = job.planned, job.planned.control, job.out / job.name
+    rng, names = np.random.default_rng([job.seed, 1, job.number]), planned.effects
+    for _ in range(_DRAWS):
+        case, seen = draw_case(int(rng.integers(2**31)), names, dosed=job.engine == "fem"), float("nan")
+        try:
+            if job.engine == "fem":
                 motion, positions = simulate_case(case)
             else:
                 motion, positions, case, seen = simulate_explicit(
-                    case, names, visibility, rough=control is not None and control.rough
+                    case, names, planned.visibility, rough=control is not None and control.rough
                 )
         except (ConvergenceError, InputError):
             continue
@@ -154,81 +190,18 @@ def _written(
             capture = replace(capture, density=control.density * capture.density)
         save_capture(capture, **parts)
         return case, seen
-    raise ConvergenceError(f"{folder.name}: twenty draws could not be simulated")
+    raise ConvergenceError(f"{folder.name}: {_DRAWS} draws could not be simulated")
 
 
-def _repeated(folder: Path, original: Path, case: Case) -> None:
+def _repeated(folder: Path, original: Path, seed: int) -> None:
     """The same take with new noise."""
     capture = load_capture(original)
     tracks, mesh = capture.tracks(), capture.mesh()
     assert tracks is not None and mesh is not None
-    old = case.noise * np.random.default_rng([case.seed, 2]).normal(size=tracks.positions.shape)
-    new = case.noise * np.random.default_rng([case.seed, 3]).normal(size=tracks.positions.shape)
+    sigma = tracks.sigma[..., None]
+    old = sigma * np.random.default_rng([seed, 2]).normal(size=tracks.positions.shape)
+    new = sigma * np.random.default_rng([seed, 3]).normal(size=tracks.positions.shape)
     parts: dict[str, Any] = {"mesh": mesh, "tracks": replace(tracks, positions=tracks.positions - old + new)}
     if capture.boundary() is not None:
         parts["boundary"] = capture.boundary()
     save_capture(replace(capture, folder=folder), **parts)
-
-
-def diagnose_bank(
-    captures: Path, out: Path, *, without: Sequence[str] = (), options: GapOptions | None = None,
-    report: Report = lambda _: None,
-) -> Path:  # fmt: skip
-    """Diagnose every capture of a bank and write answers.json; captures that have an answer are left.
-
-    Args:
-        captures: folder of the captures.
-        out: folder of the reports.
-        without: effects that are taken out of the dictionary; captures that hide one count as `outside`.
-        options: settings.
-        report: told what is done.
-
-    Returns:
-        Path of answers.json.
-    """
-    folders = sorted(path.parent for path in captures.glob("*/capture.json"))
-    if not folders:
-        raise InputError(f"{captures}: no capture folders in it; make some with `physconvex evaluate gap generate`")
-    answers = []
-    for folder in folders:
-        target = out / folder.name
-        if not (target / "report.json").exists():
-            report(folder.name)
-            try:
-                diagnose(folder, without=without, options=options).save(target)
-            except PhysconvexError as error:
-                target.mkdir(parents=True, exist_ok=True)
-                (target / "error.txt").write_text(f"{error}\n", encoding="utf-8")
-                answers.append({"capture": folder.name, "error": str(error)})
-                continue
-        answers.append(_answer(folder.name, target))
-    text = json.dumps(answers, indent=1)
-    path = out / "answers.json"
-    path.write_text(
-        json.dumps({"sha256": digest(text, ""), "without": list(without), "answers": answers}, indent=1) + "\n",
-        encoding="utf-8",
-    )
-    return path
-
-
-def _answer(name: str, folder: Path) -> dict[str, Any]:
-    content = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    which, how_far = content["which"], content["how_far"]
-    material = {row["name"]: row for row in how_far["parameters"]}
-    fits = [h["effects"] for h in which["hypotheses"] if h["effects"]]
-    return {
-        "capture": name,
-        "verdict": which["verdict"],
-        "effects": [{k: e[k] for k in ("name", "variant", "source", "probability", "parameters", "confused_with")}
-                    for e in which["effects"]],
-        "ranking": fits,
-        "shrinkage": how_far["shrinkage"],
-        "placebo": how_far["placebo"],
-        "gap_before": how_far["gap_before"],
-        "gap_after": how_far["gap_after"],
-        "noise_floor": how_far["noise_floor"],
-        "visibility": how_far["gap_before"] / max(how_far["noise_floor"], 1e-300),
-        "log10_youngs_modulus": [material[n][k] for n in ("log10_youngs_modulus",) for k in ("before", "after")],
-        "poisson_ratio": [material[n][k] for n in ("poisson_ratio",) for k in ("before", "after")],
-        "seconds": content["provenance"]["seconds"],
-    }  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["CONFUSION_CLASSES", "same_class"]
+__all__ = ["CONFUSION_CLASSES", "class_of", "same_class"]
 
 CONFUSION_CLASSES: tuple[frozenset[str], ...] = (
     frozenset({"damping", "viscoelasticity", "time_step", "restitution"}),
@@ -16,3 +16,9 @@ CONFUSION_CLASSES: tuple[frozenset[str], ...] = (
 def same_class(first: str, second: str) -> bool:
     """Equal, or in one declared confusion class."""
     return first == second or any({first, second} <= group for group in CONFUSION_CLASSES)
+
+
+def class_of(name: str) -> tuple[str, ...]:
+    """Names of all effects that are in a declared class with this one, itself included."""
+    together = {name}.union(*(group for group in CONFUSION_CLASSES if name in group))
+    return tuple(sorted(together))

@@ -24,6 +24,9 @@ def generate(
     effect_free: Annotated[float, typer.Option(help="Share of captures without an effect.")] = 0.25,
     two: Annotated[float, typer.Option(help="Share of captures with two effects.")] = 0.0,
     outside: Annotated[float, typer.Option(help="Share of captures whose effect is in no dictionary.")] = 0.0,
+    deleted: Annotated[
+        float, typer.Option(help="Share of captures whose effect is taken out of the dictionary, with its class.")
+    ] = 0.0,
     controls: Annotated[
         str | None, typer.Option(help="Controls, one more capture each: density, numerics, camera, noise.")
     ] = None,
@@ -33,22 +36,24 @@ def generate(
     engine: Annotated[
         str, typer.Option(help="explicit (an engine of its own) or fem (the full-order model).")
     ] = "explicit",
+    workers: Annotated[int, typer.Option(help="Processes.")] = 1,
 ) -> None:
-    """Simulate marker captures with hidden effects; publish the labels' hash only."""
+    """Simulate marker captures with hidden effects; publish the labels' hash only. Goes on where it stopped."""
     from tqdm import tqdm
 
     from physconvex.errors import InputError
     from physconvex.gap.blind.bank import generate_bank
+    from physconvex.gap.blind.plan import Shares
 
     names = None if effects is None else [n.strip() for n in effects.split(",")]
     if engine not in ("explicit", "fem"):
         raise InputError(f"engine: got {engine!r}; expected explicit or fem")
     with tqdm(total=count, dynamic_ncols=True) as bar:
         count = generate_bank(
-            out, seal, count=count, seed=seed, effects=names, effect_free=effect_free, two=two,
-            outside=outside, engine="fem" if engine == "fem" else "explicit",
+            out, seal, count=count, seed=seed, effects=names,
+            shares=Shares(effect_free, two, outside, deleted), engine="fem" if engine == "fem" else "explicit",
             controls=[] if controls is None else [n.strip() for n in controls.split(",")],
-            visibilities=[float(v) for v in visibilities.split(",")],
+            visibilities=[float(v) for v in visibilities.split(",")], workers=workers,
             report=lambda name: (bar.set_description(name), bar.update())[0],
         )  # fmt: skip
     typer.echo(f"{count} captures in {out}; labels in {seal}")
@@ -61,40 +66,72 @@ def diagnose(
     without: Annotated[
         str | None, typer.Option(help="Effects that are taken out of the dictionary, separated by commas.")
     ] = None,
+    workers: Annotated[int, typer.Option(help="Processes, of one capture each.")] = 1,
 ) -> None:
     """Diagnose every capture with the default settings; goes on where it stopped."""
     from tqdm import tqdm
 
-    from physconvex.gap.blind.bank import diagnose_bank
+    from physconvex.gap.blind.answers import diagnose_bank
 
     names = [] if without is None else [n.strip() for n in without.split(",")]
     with tqdm(dynamic_ncols=True) as bar:
         path = diagnose_bank(
-            captures, out, without=names, report=lambda name: (bar.set_description(name), bar.update())[0]
+            captures,
+            out,
+            without=names,
+            workers=workers,
+            report=lambda name: (bar.set_description(name), bar.update())[0],
         )
     typer.echo(f"answers and their hash in {path}")
 
 
 @app.command()
 def score(
+    captures: Annotated[list[Path], typer.Option(help="Folder of the captures; several banks are counted together.")],
+    seal: Annotated[list[Path], typer.Option(help="File of the labels, of each bank.")],
+    answers: Annotated[list[Path], typer.Option(help="answers.json, of each bank.")],
+    oracle: Annotated[list[Path] | None, typer.Option(help="Folder of `oracle`, of each bank.")] = None,
+    out: Annotated[Path, typer.Option(help="File of the result (JSON).")] = Path("gap_score.json"),
+    tables: Annotated[Path | None, typer.Option(help="File of the result to read (Markdown).")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Picture: confusion, reliability, visibility.")] = None,
+) -> None:
+    """Open the seals and score the answers."""
+    from physconvex.errors import InputError
+    from physconvex.gap.blind.scoring import Bank, score_banks
+    from physconvex.gap.blind.summary import draw_score, score_markdown
+
+    oracles: list[Path | None] = list(oracle) if oracle else [None for _ in captures]
+    if not len(captures) == len(seal) == len(answers) == len(oracles):
+        raise InputError(
+            f"seal, answers, oracle: got {len(seal)}, {len(answers)} and {len(oracles)}; expected one for each of "
+            f"{len(captures)} banks"
+        )
+    result = score_banks(*map(Bank, captures, seal, answers, oracles))
+    out.write_text(json.dumps(asdict(result), indent=1) + "\n", encoding="utf-8")
+    text = score_markdown(result)
+    if tables is not None:
+        tables.write_text(text, encoding="utf-8")
+    if figure is not None:
+        draw_score(result, figure)
+    typer.echo(text)
+
+
+@app.command()
+def oracle(
     captures: Annotated[Path, typer.Option(help="Folder of the captures.")],
     seal: Annotated[Path, typer.Option(help="File of the labels.")],
-    answers: Annotated[Path, typer.Option(help="answers.json.")],
-    out: Annotated[Path, typer.Option(help="File of the result (JSON).")] = Path("gap_score.json"),
+    answers: Annotated[Path, typer.Option(help="answers.json, hashed before the seal is opened.")],
+    out: Annotated[Path, typer.Option(help="Folder of the results.")],
+    workers: Annotated[int, typer.Option(help="Processes, of one capture each.")] = 1,
 ) -> None:
-    """Open the seal and score the answers."""
-    from physconvex.gap.blind.scoring import score_bank
+    """Open the seal and diagnose each visible single effect with that effect alone; goes on where it stopped."""
+    from tqdm import tqdm
 
-    result = score_bank(captures, seal, answers)
-    out.write_text(json.dumps(asdict(result), indent=1) + "\n", encoding="utf-8")
-    for name, value in asdict(result).items():
-        if name in ("rows", "controls"):
-            continue
-        typer.echo(f"{name:18s} {value:.2f}" if isinstance(value, float) else f"{name:18s} {value}")
-    for control in result.controls:
-        typer.echo(
-            f"control {control.name}: {control.verdict} {', '.join(control.effects)}: "
-            f"{'right' if control.right else 'wrong'}"
-        )
-    for row in result.rows:
-        typer.echo(f"{row['capture']}  truth {row['truth']}  verdict {row['verdict']}  first {row.get('first')}")
+    from physconvex.gap.blind.oracle import run_oracle
+    from physconvex.gap.blind.scoring import Bank
+
+    with tqdm(dynamic_ncols=True) as bar:
+        run_oracle(
+            Bank(captures, seal, answers), out, workers=workers,
+            report=lambda name: (bar.set_description(name), bar.update())[0],
+        )  # fmt: skip

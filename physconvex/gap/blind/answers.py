@@ -1,0 +1,112 @@
+"""Diagnoses of a bank's captures, by whoever does not know the labels."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from physconvex.errors import InputError, PhysconvexError
+from physconvex.gap.blind.bank import DICTIONARY, digest
+from physconvex.gap.diagnose import diagnose
+from physconvex.gap.options import GapOptions
+from physconvex.workers import Workers
+
+__all__ = ["diagnose_bank"]
+
+Report = Callable[[str], None]
+
+
+def diagnose_bank(
+    captures: Path, out: Path, *, without: Sequence[str] = (), options: GapOptions | None = None, workers: int = 1,
+    report: Report = lambda _: None,
+) -> Path:  # fmt: skip
+    """Diagnose every capture of a bank and write answers.json; captures that have an answer are left.
+
+    Args:
+        captures: folder of the captures; its `dictionary.json` says which effects some are diagnosed without.
+        out: folder of the reports.
+        without: effects that are taken out of the dictionary; captures that hide one count as `outside`.
+        options: settings.
+        workers: processes, of one capture each.
+        report: told what is done.
+
+    Returns:
+        Path of answers.json.
+
+    Raises:
+        InputError: there are no captures.
+    """
+    folders = sorted(path.parent for path in captures.glob("*/capture.json"))
+    if not folders:
+        raise InputError(f"{captures}: no capture folders in it; make some with `physconvex evaluate gap generate`")
+    listed = captures / DICTIONARY
+    deleted = json.loads(listed.read_text(encoding="utf-8")) if listed.exists() else {}
+    jobs = [
+        _Job(folder, out / folder.name, tuple(dict.fromkeys([*without, *deleted.get(folder.name, ())])), options)
+        for folder in folders
+    ]
+    with Workers(workers) as pool:
+        for job, wait in [(job, pool.start(partial(_diagnose, job))) for job in jobs if not job.done]:
+            report(job.folder.name)
+            wait()
+    answers = [_answer(job) for job in jobs]
+    text = json.dumps(answers, indent=1)
+    path = out / "answers.json"
+    path.write_text(
+        json.dumps({"sha256": digest(text, ""), "without": list(without), "answers": answers}, indent=1) + "\n",
+        encoding="utf-8",
+    )
+    return path
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One capture, where its report goes, and what it is diagnosed without."""
+
+    folder: Path
+    target: Path
+    without: tuple[str, ...]
+    options: GapOptions | None
+
+    @property
+    def done(self) -> bool:
+        return (self.target / "report.json").exists()
+
+
+def _diagnose(job: _Job) -> None:
+    try:
+        diagnose(job.folder, without=job.without, options=job.options).save(job.target)
+    except PhysconvexError as error:
+        job.target.mkdir(parents=True, exist_ok=True)
+        (job.target / "error.txt").write_text(f"{error}\n", encoding="utf-8")
+
+
+def _answer(job: _Job) -> dict[str, Any]:
+    if not job.done:
+        return {"capture": job.folder.name, "error": (job.target / "error.txt").read_text(encoding="utf-8").strip()}
+    content = json.loads((job.target / "report.json").read_text(encoding="utf-8"))
+    which, how_far = content["which"], content["how_far"]
+    material = {row["name"]: row for row in how_far["parameters"]}
+    fits = [h["effects"] for h in which["hypotheses"] if h["effects"]]
+    return {
+        "capture": job.folder.name,
+        "without": list(job.without),
+        "verdict": which["verdict"],
+        "none_probability": which["none_probability"],
+        "effects": [{k: e[k] for k in ("name", "variant", "source", "probability", "parameters", "confused_with")}
+                    for e in which["effects"]],
+        "ranking": fits,
+        "shrinkage": how_far["shrinkage"],
+        "placebo": how_far["placebo"],
+        "gap_before": how_far["gap_before"],
+        "gap_after": how_far["gap_after"],
+        "noise_floor": how_far["noise_floor"],
+        "visibility": how_far["gap_before"] / max(how_far["noise_floor"], 1e-300),
+        "log10_youngs_modulus": [material[n][k] for n in ("log10_youngs_modulus",) for k in ("before", "after")],
+        "poisson_ratio": [material[n][k] for n in ("poisson_ratio",) for k in ("before", "after")],
+        "seconds": content["provenance"]["seconds"],
+    }  # fmt: skip
