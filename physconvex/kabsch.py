@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-__all__ = ["best_rotation"]
+__all__ = ["best_rotation", "beyond_rigid"]
 
 
 def best_rotation(
@@ -21,3 +21,17 @@ def best_rotation(
     a, b = start - shares @ start, now - shares @ now
     u, _, vt = np.linalg.svd(b.T @ (a * shares[:, None]))
     return np.asarray(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt)
+
+
+def beyond_rigid(
+    rest: Float[np.ndarray, "P 3"], positions: Float[np.ndarray, "T P 3"]
+) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T 3 3"]]:
+    """What points have moved by beyond the best rigid motion of each frame, in space, and its rotations.
+
+    Args:
+        rest: the points at rest [m].
+        positions: in each frame [m].
+    """
+    turns = np.stack([best_rotation(rest, now) for now in positions])
+    turned = (rest - rest.mean(0)) @ turns.transpose(0, 2, 1)
+    return positions - positions.mean(1, keepdims=True) - turned, turns

@@ -337,7 +337,7 @@ def run_base(
     peak, force, motion = _stress_and_contact(model, found.values)
     situation = _situation(twin, observations, peak, bool((force > 0).any()), giving)
     nothing = np.zeros((capture.frames, len(found.names), *motion.positions.shape[1:]))
-    modes = body_modes(observations, free=situation.floor and not situation.clamped)
+    modes = body_modes(observations, free=situation.floor and not situation.clamped, force=force)
     return Baseline(
         capture, observations, split, replace(model, situation=situation), found, motion, nothing, situation, force,
         modes,

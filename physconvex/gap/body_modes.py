@@ -6,25 +6,32 @@ material in the errors of a rebound. So the residuals of each frame are turned, 
 six then lie along rigid motions of the body where it was seen, the next six along its even strains, the others along
 neither. Squares stay what they are, and each kind has a numerical error of its own (`physconvex.gap.numerics`).
 
+Frames from the first contact on are kinds of their own: what is left of a few hundred markers before it says nothing of
+how well the model follows an impact, and a mean over both would count as if it did.
+
+How a body flies on from an impact is one change of velocity and of spin, however many frames show it: its error as a
+whole grows from frame to frame, and nothing new is learned of it until the body touches something again. So in free
+flight after an impact these residuals count by their noise alone.
+
 Q is the product of the Householder reflections of those twelve columns, kept as I − V T Vᵀ (Golub & Van Loan, Matrix
 Computations, §5.1.7).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from physconvex.identify import MarkerObservations, PixelObservations
 from physconvex.identify.observations import Observations, WrappedObservations
 
 __all__ = ["BodyModes", "TurnedObservations", "body_modes", "undivided"]
 
-_RIGID, _STRAIN, _REST = 0, 1, 2
-_FREEDOM = (6.0, 6.0, 12.0)  # numbers that a smooth error has in a frame: rigid, even strain, finer
+_RIGID, _STRAIN, _REST, _PARTS = 0, 1, 2, 3
+_FREEDOM = (6.0, 6.0, 12.0) * 2  # numbers that a smooth error has in a frame: rigid, even strain, finer
 _SMOOTH = (12.0,)  # the same where residuals are not divided: as good as affine in space
 _FEWEST = 18  # residuals of a frame that are worth dividing
 _DEPENDENT = 1e-3  # of its length: what is left of a motion that the ones before it make up
@@ -36,15 +43,18 @@ class BodyModes:
 
     Attributes:
         frames: of each residual, shape [N].
-        kinds: of each turned residual: 0 as a whole, 1 even strain, 2 the rest; all 0 where they are not divided.
+        kinds: of each turned residual: 0 as a whole, 1 even strain, 2 the rest, and 3 more from the first contact on;
+            all 0 where they are not divided.
         freedom: numbers that a smooth error has in one frame, by kind.
         reflections: rows of a frame, V [n, 12] and T [12, 12], where it is turned.
+        coasting: of each frame, whether the body flies on from an impact, shape [T]; in no frame unless given.
     """
 
     frames: Int[np.ndarray, " N"]
     kinds: Int[np.ndarray, " N"]
     freedom: tuple[float, ...] = _SMOOTH
     reflections: tuple[tuple[slice, Float[np.ndarray, "n k"], Float[np.ndarray, "k k"]], ...] = ()
+    coasting: Bool[np.ndarray, " T"] | None = None
 
     @property
     def count(self) -> int:
@@ -52,9 +62,21 @@ class BodyModes:
         return len(self.freedom)
 
     @property
-    def independent(self) -> Float[np.ndarray, " D"]:
-        """Independent numbers of a smooth error per frame, by kind: half of those that it has in two frames."""
-        return np.array(self.freedom) / 4
+    def parts(self) -> Int[np.ndarray, " D"]:
+        """Of each kind: 0 as a whole, 1 even strain, 2 the rest, whether before or after the first contact."""
+        return np.arange(self.count) % _PARTS
+
+    @property
+    def struck(self) -> Bool[np.ndarray, " D"]:
+        """Of each kind, whether it is of frames from the first contact on."""
+        return np.arange(self.count) >= _PARTS
+
+    def independent(self, frames: Int[np.ndarray, " f"]) -> Float[np.ndarray, "D f"]:
+        """Independent numbers of a smooth error by kind, in some frames: half of those that it has in two."""
+        numbers = np.repeat(np.array(self.freedom)[:, None] / 4, len(frames), axis=1)
+        if self.coasting is not None:
+            numbers[np.ix_(self.parts == _RIGID, self.coasting[frames])] = 0.0
+        return numbers
 
     def turn(self, rows: Float[np.ndarray, "*B N"]) -> Float[np.ndarray, "*B N"]:
         """Qᵀ of vectors of residuals."""
@@ -69,7 +91,7 @@ class BodyModes:
         """Those of the first frames."""
         rows = int((self.frames < count).sum())
         kept = tuple(one for one in self.reflections if one[0].stop <= rows)
-        return BodyModes(self.frames[:rows], self.kinds[:rows], self.freedom, kept)
+        return replace(self, frames=self.frames[:rows], kinds=self.kinds[:rows], reflections=kept)
 
 
 def undivided(frames: Int[np.ndarray, " N"]) -> BodyModes:
@@ -77,7 +99,9 @@ def undivided(frames: Int[np.ndarray, " N"]) -> BodyModes:
     return BodyModes(frames, np.zeros(len(frames), dtype=np.int64))
 
 
-def body_modes(seen: MarkerObservations | PixelObservations, *, free: bool) -> BodyModes:
+def body_modes(
+    seen: MarkerObservations | PixelObservations, *, free: bool, force: Float[np.ndarray, " T"] | None = None
+) -> BodyModes:
     """Rigid motions and even strains of markers, where they were seen; `undivided` else.
 
     Pixels stay as they are: how far a point is off tells outliers (Huber's loss), and depth hides half of the strains.
@@ -85,6 +109,7 @@ def body_modes(seen: MarkerObservations | PixelObservations, *, free: bool) -> B
     Args:
         seen: the observations, frames in order.
         free: whether the body flies and strikes something. Of a held one both meshes move alike.
+        force: of contact in each frame [N]; none unless given.
     """
     frames = np.asarray(seen.frames)
     if not free or not isinstance(seen, MarkerObservations):
@@ -105,7 +130,16 @@ def body_modes(seen: MarkerObservations | PixelObservations, *, free: bool) -> B
         found = np.repeat([_RIGID, _STRAIN], 6)
         kinds[start:stop] = _REST
         kinds[start : start + 12] = np.where(np.abs(np.diag(packed.T[:12])) > _DEPENDENT, found, _REST)
-    return BodyModes(frames, kinds, _FREEDOM, tuple(reflections))
+    if force is None or not reflections:
+        return BodyModes(frames, kinds, _FREEDOM, tuple(reflections))
+    struck = np.cumsum(force > 0) > 0
+    return BodyModes(frames, kinds + _PARTS * struck[frames], _FREEDOM, tuple(reflections), _coasting(force))
+
+
+def _coasting(force: Float[np.ndarray, " T"]) -> Bool[np.ndarray, " T"]:
+    """Frames after a contact that neither are next to a frame of contact nor in one; it may begin and end between."""
+    touched = np.convolve(force > 0, np.ones(3), mode="same") > 0
+    return np.asarray((np.cumsum(force > 0) > 0) & ~touched)
 
 
 def _affine_motions(x: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "n 12"]:

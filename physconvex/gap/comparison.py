@@ -103,11 +103,16 @@ class Hypothesis:
 def mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
     """Mean square of some frames' residuals over that of noise and numerical error; NaN without any.
 
-    Where there are kinds of residuals, each counts by its independent ones.
+    Where there are kinds of residuals, each counts by its independent ones; the larger of what it is before the first
+    contact and from then on.
     """
     squares, information = _squares(base, errors, positions, frames), _information(base, errors, frames)
-    there = information > 0
-    return float(squares[there] @ information[there] / information.sum()) if there.any() else float("nan")
+    found = [
+        float(squares[own] @ information[own] / information[own].sum())
+        for struck in (False, True)
+        if (own := (information > 0) & (base.modes.struck == struck)).any()
+    ]
+    return max(found, default=float("nan"))
 
 
 def _squares(
@@ -150,7 +155,7 @@ def _information(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> Floa
     shape = (modes.count, total)
     count = np.bincount(place, minlength=shape[0] * shape[1]).reshape(shape)
     noise = np.bincount(place, 1 / errors.variance[rows], minlength=count.size).reshape(shape)
-    smooth = np.minimum(noise + modes.independent[:, None], count)
+    smooth = np.minimum(noise + modes.independent(np.arange(total)), count)
     return np.asarray(np.where(count > 0, smooth, 0.0).sum(1))
 
 

@@ -19,9 +19,10 @@ from physconvex.gap.boxes import box_of_body
 from physconvex.gap.effects import Motion
 from physconvex.gap.model import ACCURACY
 from physconvex.gap.options import GapOptions
+from physconvex.gap.rebound import path_since_contact
 from physconvex.gap.score import ErrorModel
 from physconvex.identify import mesh_of_capture
-from physconvex.kabsch import best_rotation
+from physconvex.kabsch import beyond_rigid
 
 __all__ = ["Numerics", "correction_of", "detail_errors", "error_model", "numerical_differences", "other_mesh"]
 
@@ -29,7 +30,8 @@ Positions = Float[np.ndarray, "T P 3"]
 _WORK = 600_000  # nodes times steps of a full-order run that is made some twenty times
 _ORDER = 1.75  # of convergence by edge length
 _FINEST = 2.5  # times the nodes of the finer mesh: of the one that it is compared with
-_OUT_OF_STEP = (0.1, 0.5)  # even strain and the rest, measured between this model and `physconvex.gap.blind.engine`
+# as a whole, even strain and the rest, measured between this model and `physconvex.gap.blind.engine`, and MuJoCo's
+_OUT_OF_STEP = (0.02, 0.1, 0.5)
 _STEPS_LEFT = 0.5  # error of half the time step over the difference to the whole one
 _LASTING = 2.0  # frames for which a numerical error stays much the same
 
@@ -179,7 +181,7 @@ def error_model(
 
     Any model of finite size is credited with a share of the distance travelled, and of a free body with what programs
     that share neither mesh nor steps nor contact fall out of phase by once it has been struck: shares `_OUT_OF_STEP` of
-    its largest even strain, and of its largest finer shape, so far.
+    how far it has come since, of its largest even strain, and of its largest finer shape, so far.
 
     Where the base model is fitted (its tangents are known), the size is that of what the differences leave once E, ν
     and the free initial motion have absorbed what they can of them, as they do of the recording's own.
@@ -203,8 +205,11 @@ def error_model(
     floor = mean_of(base.change(here + (options.discretisation * travelled)[:, None, None] / np.sqrt(3)) ** 2)
     phases = np.zeros(shape)
     if base.modes.reflections:
-        strained = mean_of(base.change(here + _strained(base)) ** 2)
-        phases[1:] = np.maximum.accumulate(np.array(_OUT_OF_STEP)[:, None] ** 2 * strained[1:], axis=1)
+        path = path_since_contact(base.motion, base.contact_force)
+        come = mean_of(base.change(here + path[:, None, None] / np.sqrt(3)) ** 2)
+        strained = mean_of(base.change(here + beyond_rigid(base.motion.rest, base.motion.positions)[0]) ** 2)
+        so_far = np.maximum.accumulate(np.where(base.modes.parts[:, None] == 0, come, strained), axis=1)
+        phases = np.array(_OUT_OF_STEP)[base.modes.parts, None] ** 2 * so_far
 
     def size_of(left: np.ndarray) -> np.ndarray:
         size = np.maximum.accumulate(mean_of((left**2).sum(0)), axis=1)  # an error made at impact stays
@@ -215,18 +220,6 @@ def error_model(
         numerical = size_of(_absorbed(base, directions, 1.0 + numerical))
     shared = np.maximum(_LASTING * count / np.array(base.modes.freedom)[:, None], 1.0)
     return ErrorModel(1.0 + shared[kinds, frames] * numerical, directions, 1.0 + numerical)
-
-
-def _strained(base: Baseline) -> Positions:
-    """What the base model's points have moved by beyond a rigid motion, in space [m]."""
-    rest = base.motion.rest
-    turns = [best_rotation(rest, now) for now in base.motion.positions]
-    return np.stack(
-        [
-            now - now.mean(0) - (rest - rest.mean(0)) @ turn.T
-            for now, turn in zip(base.motion.positions, turns, strict=True)
-        ]
-    )
 
 
 def detail_errors(base: Baseline, errors: ErrorModel, share: float) -> ErrorModel:

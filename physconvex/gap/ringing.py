@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 
 from physconvex.gap.baseline import Baseline
 from physconvex.identify import MarkerObservations
-from physconvex.kabsch import best_rotation
+from physconvex.kabsch import beyond_rigid
 
 __all__ = ["Recorded", "deformation", "recorded_ringing", "ringing", "ringing_likelihood"]
 
@@ -67,8 +67,8 @@ def deformation(positions: Float[np.ndarray, "T P 3"], rest: Float[np.ndarray, "
     """Displacements, of a free body in the frame that turns and moves with it (Kabsch), shape [T, P, 3]."""
     if held:
         return np.asarray(positions - rest)
-    centred = rest - rest.mean(0)
-    return np.stack([(now - now.mean(0)) @ best_rotation(rest, now) - centred for now in positions])
+    moved, turns = beyond_rigid(rest, positions)
+    return moved @ turns
 
 
 @dataclass(frozen=True, eq=False)

@@ -77,12 +77,12 @@ def _scale(
     numerical, out = errors.expected[rows] - 1.0, np.ones(base.modes.count)
     for kind in range(base.modes.count):
         told = (numerical > 1.0) & (base.modes.kinds[rows] == kind)
-        count = len(np.unique(base.observations.frames[rows][told]))
-        if count < _FRAMES:
+        frames = np.unique(base.observations.frames[rows][told])
+        if len(frames) < _FRAMES:
             continue
         weights = numerical[told] / errors.expected[rows][told] ** 2  # as the likelihood of one scale weighs them
         expected = float(weights @ numerical[told])
-        independent = count * float(base.modes.independent[kind])
+        independent = max(float(base.modes.independent(frames)[kind].sum()), 1.0)
         shares = []
         for left, leverage in fits:
             free = max(1.0 - float(leverage[told].sum()) / independent, _FREE)

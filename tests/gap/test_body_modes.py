@@ -79,3 +79,21 @@ def test_turned_observations_have_turned_derivatives(seen, modes, rng):
     first = turned.in_frames(2)
     rows = seen.frames < 2
     np.testing.assert_allclose(first.residuals(positions[:2]), residuals[rows], atol=1e-12)
+
+
+def test_frames_from_the_first_contact_on_are_kinds_of_their_own(seen, modes):
+    force = np.array([0.0, 0.0, 3.0, 0.0, 0.0])
+    struck = body_modes(seen, free=True, force=force)
+    np.testing.assert_array_equal(struck.kinds, modes.kinds + 3 * (seen.frames >= 2))
+    assert list(struck.parts) == [0, 1, 2] * 2 and list(struck.struck) == [False] * 3 + [True] * 3
+    rows = np.arange(len(seen.frames), dtype=float)
+    np.testing.assert_array_equal(struck.turn(rows), modes.turn(rows))
+
+
+def test_nothing_new_is_learned_of_the_rigid_motion_in_flight_after_an_impact(seen):
+    force = np.array([0.0, 2.0, 0.0, 0.0, 0.0])
+    numbers = body_modes(seen, free=True, force=force).independent(np.arange(FRAMES))
+    assert (numbers[0] == [1.5, 1.5, 1.5, 0, 0]).all() and (numbers[0] == numbers[3]).all()
+    assert (numbers[1] == 1.5).all() and (numbers[2] == 3.0).all()
+    still = body_modes(seen, free=True, force=np.zeros(FRAMES)).independent(np.arange(FRAMES))
+    assert (still[0] == 1.5).all()  # nothing was struck

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from physconvex.gap.body_modes import BodyModes, undivided
-from physconvex.gap.comparison import _beside, _best_start, _likelihood, information_per_one
+from physconvex.gap.comparison import _beside, _best_start, _likelihood, information_per_one, mean_square
 from physconvex.gap.score import ErrorModel
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
@@ -125,3 +125,31 @@ def test_a_fit_begins_at_the_share_of_the_screened_dose_that_fits_best():
     starts = [np.array([share]) for share in (1.0, 0.5, 0.25)]
     assert _best_start(base, errors, Swinging(), starts) == pytest.approx([0.25])
     assert _best_start(base, errors, Swinging(), starts[:1]) == pytest.approx([1.0])
+
+
+def struck_case(left):
+    """Noise before the first contact in frame 8, then `left` times the numerical error that is expected."""
+    rng, (base, _) = np.random.default_rng(0), case(None, 0.0)
+    frames = base.observations.frames
+    struck = frames >= 8
+    numerical = np.where(struck, 400.0, 0.0)
+    residual = rng.normal(size=len(frames)) * np.where(struck, left * 20.0, 1.0)
+    base.residual = lambda positions: residual
+    force = np.where(np.arange(FRAMES) == 8, 1.0, 0.0)
+    base.modes = BodyModes(
+        frames, np.full(len(frames), 2) + 3 * struck, (6.0, 6.0, 12.0) * 2, coasting=np.cumsum(force) > 1
+    )
+    errors = ErrorModel(1 + 20 * numerical, np.zeros((0, len(frames))), 1 + numerical)
+    return base, errors
+
+
+def test_what_is_left_after_an_impact_is_not_averaged_with_noise_before_it():
+    base, errors = struck_case(3.0)
+    assert mean_square(base, errors, np.zeros(0), base.split.fitted) == pytest.approx(9.0, rel=0.1)
+
+
+def test_noise_before_an_impact_lends_no_weight_to_what_comes_after():
+    """With one mean over all, of which two thirds are noise, an effect in the others gained ten times as much."""
+    worse, better = (_likelihood(*struck_case(left), np.zeros(0)) for left in (3.0, 1.0))
+    independent = 3.0 * 4 + 3.0 * 3  # three numbers a frame, four fitted ones and three that choose
+    assert (better - worse).sum() == pytest.approx(0.5 * independent * np.log(10 / 2), rel=0.2)

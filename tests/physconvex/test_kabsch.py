@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from physconvex.kabsch import best_rotation
+from physconvex.kabsch import best_rotation, beyond_rigid
 
 
 def test_a_turned_and_moved_body_tells_its_turn():
@@ -31,3 +31,17 @@ def test_points_in_a_line_give_their_direction():
     line = np.outer(np.linspace(0.0, 1.0, 5), [1.0, 0.0, 0.0])
     turned = best_rotation(line, np.outer(np.linspace(0.0, 1.0, 5), [0.0, 1.0, 0.0]))
     np.testing.assert_allclose(turned @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-12)
+
+
+def test_what_is_left_of_a_rigid_motion_and_a_strain_is_the_turned_strain():
+    rng = np.random.default_rng(1)
+    rest = rng.normal(size=(20, 3))
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    strain = np.diag([0.02, -0.01, 0.03])
+    centred = rest - rest.mean(0)
+    positions = ((centred + centred @ strain) @ turn.T + [1.0, 2, 3])[None]
+    moved, turns = beyond_rigid(rest, positions)
+    np.testing.assert_allclose(turns[0], turn, atol=2e-2)
+    np.testing.assert_allclose(moved[0], centred @ strain @ turn.T, atol=2e-2 * np.abs(centred).max())
+    np.testing.assert_allclose(beyond_rigid(rest, (rest @ turn.T)[None])[0], 0, atol=1e-12)

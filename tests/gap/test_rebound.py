@@ -1,0 +1,27 @@
+"""The way that a body has come since it was struck."""
+
+import numpy as np
+import pytest
+
+from physconvex.gap import Motion
+from physconvex.gap.rebound import path_since_contact
+
+
+def motion_of(height):
+    rest = np.array([[0.0, 0, 0], [0.1, 0, 0]])
+    positions = rest + np.stack([0 * height, 0 * height, height], axis=-1)[:, None]
+    return Motion(rest, np.arange(len(height)) / 10, positions, np.zeros_like(positions))
+
+
+def test_the_way_begins_at_the_last_frame_of_the_fall():
+    path = path_since_contact(motion_of(np.array([1.0, 0.6, 0.1, 0.4, 0.5])), np.array([0, 0, 5.0, 0, 0]))
+    assert path == pytest.approx([0, 0, 0.5, 0.8, 0.9])
+
+
+def test_a_body_that_lies_comes_no_farther():
+    path = path_since_contact(motion_of(np.array([0.5, 0.1, 0.1, 0.1])), np.array([0, 5.0, 5.0, 5.0]))
+    assert path == pytest.approx([0, 0.4, 0.4, 0.4])
+
+
+def test_nothing_touched():
+    assert (path_since_contact(motion_of(np.linspace(1, 0, 5)), np.zeros(5)) == 0).all()
