@@ -10,8 +10,8 @@ Frames from the first contact on are kinds of their own: what is left of a few h
 how well the model follows an impact, and a mean over both would count as if it did.
 
 How a body flies on from an impact is one change of velocity and of spin, however many frames show it: its error as a
-whole grows from frame to frame, and nothing new is learned of it until the body touches something again. So in free
-flight after an impact these residuals count by their noise alone.
+whole grows from frame to frame, and nothing new is learned of it until the body touches something again. So from the
+first contact on these residuals count as if they were new in the frames of contact alone, spread over all.
 
 Q is the product of the Householder reflections of those twelve columns, kept as I − V T Vᵀ (Golub & Van Loan, Matrix
 Computations, §5.1.7).
@@ -47,14 +47,14 @@ class BodyModes:
             all 0 where they are not divided.
         freedom: numbers that a smooth error has in one frame, by kind.
         reflections: rows of a frame, V [n, 12] and T [12, 12], where it is turned.
-        coasting: of each frame, whether the body flies on from an impact, shape [T]; in no frame unless given.
+        touching: share of the frames from the first contact on in which, or next to which, the body touches something.
     """
 
     frames: Int[np.ndarray, " N"]
     kinds: Int[np.ndarray, " N"]
     freedom: tuple[float, ...] = _SMOOTH
     reflections: tuple[tuple[slice, Float[np.ndarray, "n k"], Float[np.ndarray, "k k"]], ...] = ()
-    coasting: Bool[np.ndarray, " T"] | None = None
+    touching: float = 1.0
 
     @property
     def count(self) -> int:
@@ -71,12 +71,10 @@ class BodyModes:
         """Of each kind, whether it is of frames from the first contact on."""
         return np.arange(self.count) >= _PARTS
 
-    def independent(self, frames: Int[np.ndarray, " f"]) -> Float[np.ndarray, "D f"]:
-        """Independent numbers of a smooth error by kind, in some frames: half of those that it has in two."""
-        numbers = np.repeat(np.array(self.freedom)[:, None] / 4, len(frames), axis=1)
-        if self.coasting is not None:
-            numbers[np.ix_(self.parts == _RIGID, self.coasting[frames])] = 0.0
-        return numbers
+    @property
+    def independent(self) -> Float[np.ndarray, " D"]:
+        """Independent numbers of a smooth error per frame, by kind: half of those that it has in two frames."""
+        return np.array(self.freedom) / 4 * np.where((self.parts == _RIGID) & self.struck, self.touching, 1.0)
 
     def turn(self, rows: Float[np.ndarray, "*B N"]) -> Float[np.ndarray, "*B N"]:
         """Qᵀ of vectors of residuals."""
@@ -133,13 +131,14 @@ def body_modes(
     if force is None or not reflections:
         return BodyModes(frames, kinds, _FREEDOM, tuple(reflections))
     struck = np.cumsum(force > 0) > 0
-    return BodyModes(frames, kinds + _PARTS * struck[frames], _FREEDOM, tuple(reflections), _coasting(force))
+    return BodyModes(frames, kinds + _PARTS * struck[frames], _FREEDOM, tuple(reflections), _touching(force))
 
 
-def _coasting(force: Float[np.ndarray, " T"]) -> Bool[np.ndarray, " T"]:
-    """Frames after a contact that neither are next to a frame of contact nor in one; it may begin and end between."""
+def _touching(force: Float[np.ndarray, " T"]) -> float:
+    """Share of the frames from the first contact on that are of contact, or next to one, since it may begin between."""
     touched = np.convolve(force > 0, np.ones(3), mode="same") > 0
-    return np.asarray((np.cumsum(force > 0) > 0) & ~touched)
+    after = np.cumsum(force > 0) > 0
+    return float(touched[after].mean()) if after.any() else 1.0
 
 
 def _affine_motions(x: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "n 12"]:

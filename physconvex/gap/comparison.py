@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from physconvex.errors import ConvergenceError
 from physconvex.gap.baseline import Baseline, derivatives_of_residuals
@@ -33,6 +33,7 @@ __all__ = [
 ]
 
 _FAR, _MOVED = 5.0, 0.3  # typical steps: most that other values are moved by, and from which on it is tried
+_UNSEEN = 0.01  # mean square of a change over the expected one below which it tells nothing
 _ENOUGH = 1.0  # mean square over the expected one that a better fit need not undercut
 
 
@@ -49,11 +50,12 @@ class Hypothesis:
         motion: of the points, before observation.
         tangents: derivatives of the positions by the values, in the first frames, shape [f, K, P, 3].
         fitted: mean square of the residuals in the fitted frames, over that of noise and numerical error.
-        selecting: the same in the frames that choose.
+        selecting: the same in the frames that choose, of the kind that has most.
         evidence: log-evidence up to a constant, tempered or not.
         likelihood: its part that the residuals make, not tempered, by kind of residual (`physconvex.gap.body_modes`).
         attainable: what that would be if nothing but noise and numerical error were left.
         information: number of independent fitted residuals by kind.
+        moved: kinds that its effects change something of: only of these the residuals tell the doses.
         divisor: residuals per independent one that the evidence is tempered with, by kind.
         ringing: log-likelihood of how the recording rings, part of the evidence that is not tempered.
     """
@@ -71,6 +73,7 @@ class Hypothesis:
     likelihood: Float[np.ndarray, " D"] = field(default_factory=lambda: np.zeros(1))
     attainable: Float[np.ndarray, " D"] = field(default_factory=lambda: np.zeros(1))
     information: Float[np.ndarray, " D"] = field(default_factory=lambda: np.full(1, 2.0))
+    moved: Bool[np.ndarray, " D"] = field(default_factory=lambda: np.ones(1, dtype=bool))
     divisor: Float[np.ndarray, " D"] = field(default_factory=lambda: np.ones(1))
     ringing: float = 0.0
 
@@ -96,7 +99,7 @@ class Hypothesis:
 
     def tempered(self, divisor: Float[np.ndarray, " D"]) -> Hypothesis:
         """With the evidence that it has if only one in `divisor` residuals of each kind is independent."""
-        evidence = _evidence(self.likelihood, self.information, self.effects, self.values, divisor)
+        evidence = _evidence(self.likelihood, self.information * self.moved, self.effects, self.values, divisor)
         return replace(self, evidence=evidence + self.ringing, divisor=divisor)
 
 
@@ -155,7 +158,7 @@ def _information(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> Floa
     shape = (modes.count, total)
     count = np.bincount(place, minlength=shape[0] * shape[1]).reshape(shape)
     noise = np.bincount(place, 1 / errors.variance[rows], minlength=count.size).reshape(shape)
-    smooth = np.minimum(noise + modes.independent(np.arange(total)), count)
+    smooth = np.minimum(noise + modes.independent[:, None], count)
     return np.asarray(np.where(count > 0, smooth, 0.0).sum(1))
 
 
@@ -193,13 +196,26 @@ def _evidence(
     likelihood: np.ndarray, information: np.ndarray, effects: tuple[Effect, ...], values: np.ndarray,
     divisor: np.ndarray | float = 1.0,
 ) -> float:  # fmt: skip
-    """Likelihood less ½ k ln n for k doses, as much again for every further effect, and less what is implausible."""
+    """Likelihood less ½ k ln n for k doses, as much again for every further effect, and less what is implausible.
+
+    `information` is of the residuals that tell the doses; n is their number.
+    """
     price = sum(len(e.doses) for e in effects) + max(len(effects) - 1, 0)
     price += sum(e.source == "numerical" for e in effects)  # a physical cause goes before one of the same looks
     doses = [dose for effect in effects for dose in effect.doses]
     odd = sum(dose.implausibility(value) for dose, value in zip(doses, values[len(values) - len(doses) :], strict=True))
     independent = float((information / divisor).sum())
     return float((likelihood / divisor).sum() - 0.5 * price * np.log(max(independent, 2.0)) - odd)
+
+
+def _moved(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> Bool[np.ndarray, " D"]:
+    """Kinds of residuals that differ visibly from the base fit's in the fitted frames; all if none does."""
+    rows = base.rows(base.split.fitted)
+    kinds = base.modes.kinds[rows]
+    squares = (base.residual(positions) - base.residual(base.positions))[rows] ** 2 / errors.expected[rows]
+    total = np.bincount(kinds, squares, minlength=base.modes.count)
+    seen = total > _UNSEEN * np.maximum(np.bincount(kinds, minlength=base.modes.count), 1)
+    return np.asarray(seen if seen.any() else np.ones_like(seen))
 
 
 def hypothesis_at(
@@ -209,14 +225,15 @@ def hypothesis_at(
     """A model at fitted values, with what it says and how well that fits."""
     positions = model.observed(motion, values)
     fitted = mean_square(base, errors, positions, base.split.fitted)
-    selecting = mean_square(base, errors, positions, base.split.selecting)
+    selecting = float(np.nanmax(_squares(base, errors, positions, base.split.selecting), initial=0.0))
     likelihood = _likelihood(base, errors, positions)
     information = _information(base, errors, base.split.fitted)
+    moved = _moved(base, errors, positions)
     ringing = ringing_likelihood(base, positions)
-    evidence = _evidence(likelihood, information, model.effects, values) + ringing
+    evidence = _evidence(likelihood, information * moved, model.effects, values) + ringing
     return Hypothesis(
         model.effects, model, values, deviations, positions, motion, tangents, fitted, selecting, evidence, likelihood,
-        _likelihood(base, errors, None), information, ringing=ringing,
+        _likelihood(base, errors, None), information, moved, ringing=ringing,
     )  # fmt: skip
 
 

@@ -82,7 +82,7 @@ def _scale(
             continue
         weights = numerical[told] / errors.expected[rows][told] ** 2  # as the likelihood of one scale weighs them
         expected = float(weights @ numerical[told])
-        independent = max(float(base.modes.independent(frames)[kind].sum()), 1.0)
+        independent = max(len(frames) * float(base.modes.independent[kind]), 1.0)
         shares = []
         for left, leverage in fits:
             free = max(1.0 - float(leverage[told].sum()) / independent, _FREE)

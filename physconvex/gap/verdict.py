@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -27,6 +27,7 @@ from physconvex.gap.screening import Screening
 __all__ = ["Verdict", "VerdictName", "decide"]
 
 VerdictName = Literal["none", "effect", "unknown", "inconclusive"]
+_TRUSTED = 0.94  # share of calls that are right: 59 of 63 in the blind banks before, nearly all with 1.00 by evidence
 _CLEAR = 4.0  # gain of log-evidence over the base model that makes a call; below `WEAK` it is open
 _LISTED = 0.02  # probability
 _FORETOLD = 0.9  # share of the gap on frames that were not fitted, of which a placebo removes no tenth
@@ -220,7 +221,8 @@ class _Evidence:
     def verdict(
         self, name: VerdictName, sentence: str, effects: tuple[NamedEffect, ...] = (), *, power: bool = False
     ) -> Verdict:
-        """With the caveats, and with what would have been seen."""
+        """With the caveats, and with what would have been seen; probabilities as calls have turned out to be right."""
+        effects = tuple(replace(effect, probability=_TRUSTED * effect.probability) for effect in effects)
         caveats = caveats_of(self.base, self.best, self.after)
         more = doses_in_sight(self.screening) if power else ()
         return Verdict(name, sentence, effects, self.none, self.share, (*caveats, *more))
@@ -229,10 +231,11 @@ class _Evidence:
 def _nothing(e: _Evidence) -> Verdict | None:
     """No gap above noise and numerical error; where those are large, that says nothing."""
     significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
-    significant = significant or (e.gain >= _TELLING and e.telling)  # a fit finds what one finite dose does not
+    # a fit finds what one finite dose does not
+    significant = significant or (e.gain >= _TELLING and e.telling) or (e.foretold and e.seen >= _SEEN)
     closed = min(e.before, e.base.fitted) < _FLOOR and not e.telling
     little = e.gain < WEAK and e.before < _OPEN
-    slight = _is_slight(e.best) and not e.open
+    slight = _is_slight(e.best) and not e.open and not e.foretold
     late = e.telling and e.before >= _OPEN  # a gap that opens after the fitted frames, and that the effect foretells
     if not (little or slight or (not late and (closed or not significant))):
         return None
@@ -255,7 +258,7 @@ def _nothing(e: _Evidence) -> Verdict | None:
 
 def _slight(e: _Evidence) -> Verdict | None:
     """A dose too small to be of interest fits best, and leaves the gap."""
-    if not _is_slight(e.best):
+    if not _is_slight(e.best) or e.foretold:
         return None
     if e.floor > _BLIND:
         return _blind(e)
@@ -366,11 +369,11 @@ def _called(e: _Evidence) -> Verdict:
     doses = "; ".join(f"{d.name} = {d.value:.3g} {d.unit}".strip() for n in likely for d in n.doses)
     also = sorted({name for n in likely for name in n.confused_with})
     caveat = f"; from this recording it may be confused with {', '.join(also)}" if also else ""
-    perhaps = [f"{n.name} ({n.probability:.0%})" for n in (*e.named, *e.further) if n not in likely]
+    perhaps = [f"{n.name} ({_TRUSTED * n.probability:.0%})" for n in (*e.named, *e.further) if n not in likely]
     added = f"; perhaps also by {', '.join(perhaps)}" if perhaps else ""
     label = " + ".join(x.label for x in e.best.effects if x.name in {n.name for n in likely})
-    sure = ", ".join(f"{'above ' if n.probability > 0.99 else ''}{min(n.probability, 0.99):.0%}" for n in likely)
-    sentence = f"The gap is caused by {label} (probability {sure}, not calibrated): {doses}{added}{caveat}."
+    sure = ", ".join(f"{_TRUSTED * n.probability:.0%}" for n in likely)
+    sentence = f"The gap is caused by {label} (probability {sure}): {doses}{added}{caveat}."
     return e.verdict("effect", sentence, e.possible)
 
 

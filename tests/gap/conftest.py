@@ -49,6 +49,6 @@ def situation(mesh: TetMesh) -> Situation:
     return Situation(mesh.size, E, 1000.0, 60.0, 10, floor=True, touches=True, peak_stress=3e3)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(3)

@@ -277,7 +277,7 @@ def test_what_cannot_be_drawn_is_told(tmp_path, monkeypatch):
 
     monkeypatch.setattr(bank, "simulate_case", fails)
     assert make(tmp_path, controls=[]) == 0
-    assert all("20 draws could not be simulated" in label["failed"] for label in labels_of(tmp_path))
+    assert all("8 draws could not be simulated" in label["failed"] for label in labels_of(tmp_path))
 
 
 def test_doses_are_compared_as_vectors_in_one_unit():

@@ -135,10 +135,7 @@ def struck_case(left):
     numerical = np.where(struck, 400.0, 0.0)
     residual = rng.normal(size=len(frames)) * np.where(struck, left * 20.0, 1.0)
     base.residual = lambda positions: residual
-    force = np.where(np.arange(FRAMES) == 8, 1.0, 0.0)
-    base.modes = BodyModes(
-        frames, np.full(len(frames), 2) + 3 * struck, (6.0, 6.0, 12.0) * 2, coasting=np.cumsum(force) > 1
-    )
+    base.modes = BodyModes(frames, np.full(len(frames), 2) + 3 * struck, (6.0, 6.0, 12.0) * 2)
     errors = ErrorModel(1 + 20 * numerical, np.zeros((0, len(frames))), 1 + numerical)
     return base, errors
 

@@ -66,7 +66,7 @@ def test_a_clear_effect_is_named_with_its_dose():
     assert verdict.name == "effect" and "damping" in verdict.sentence
     dose = verdict.effects[0].doses[0]
     assert dose.lower < dose.value < dose.upper and dose.unit == "s"
-    assert verdict.effects[0].probability > 0.99
+    assert verdict.effects[0].probability == pytest.approx(0.94, abs=1e-3)  # what calls have turned out to be right
 
 
 def test_other_fits_that_have_the_effect_widen_its_interval():
@@ -226,7 +226,7 @@ def test_the_weightier_of_two_effects_comes_first():
     fits.append(hypothesis(0.0))
     found = decide(fits, screening(), 30.0, 1.0, 0.1, OPTIONS)
     assert [e.name for e in found.effects[:2]] == ["damping", "wind"]
-    assert found.effects[0].probability == pytest.approx(1.0, abs=1e-6)
+    assert found.effects[0].probability == pytest.approx(0.94, abs=1e-6)
 
 
 def test_effects_that_are_not_likely_are_not_named():
@@ -235,7 +235,7 @@ def test_effects_that_are_not_likely_are_not_named():
     assert verdict.name == "effect" and "caused by damping + friction (" in verdict.sentence  # one of two equals
     found.insert(1, hypothesis(20.0, "damping"))
     verdict = decide(found, screening(), 30.0, 1.0, 0.05, OPTIONS)
-    assert "caused by damping (" in verdict.sentence and "perhaps also by friction (36%)" in verdict.sentence
+    assert "caused by damping (" in verdict.sentence and "perhaps also by friction (33%)" in verdict.sentence
 
 
 def test_something_else_takes_probability():
@@ -244,7 +244,7 @@ def test_something_else_takes_probability():
     assert verdict.name == "inconclusive" and "something else 79%" in verdict.sentence  # 0.88 of the 0.9 that is left
     assert decide(found, screening(), 30.0, 1.0, 0.9, OPTIONS, other=16.0).name == "effect"
     verdict = decide(found, screening(), 30.0, 1.0, 0.4, OPTIONS, other=22.0)
-    assert verdict.name == "effect" and verdict.effects[0].probability == pytest.approx(1 - 0.88 * 0.4, abs=0.01)
+    assert verdict.name == "effect" and verdict.effects[0].probability == pytest.approx(0.94 * (1 - 0.88 * 0.4), abs=0.01)
 
 
 def test_a_clear_gap_that_no_effect_explains_better_is_not_none():
@@ -318,7 +318,7 @@ def test_an_effect_beyond_doubt_that_leaves_far_less_than_a_placebo_is_named(oth
 def test_so_is_one_that_takes_nearly_all_although_another_might_too(remaining, name):
     hypotheses = [hypothesis(20.0, "damping"), hypothesis(19.0, "friction"), hypothesis(0.0)]
     verdict = decide(hypotheses, screening(), 30.0, 1.0, remaining, OPTIONS, placebo=0.5)
-    assert verdict.name == name and 0.7 < verdict.effects[0].probability < 0.75
+    assert verdict.name == name and 0.66 < verdict.effects[0].probability < 0.7
 
 
 def test_numerical_error_that_leaves_the_gap_is_no_answer():
@@ -350,8 +350,8 @@ def test_what_lies_within_the_error_of_a_body_that_is_not_struck_is_no_gap():
         assert verdict.name == name
 
 
-def test_much_evidence_makes_up_for_a_screening_that_saw_nothing():
-    for gain, name in ((27.0, "effect"), (6.6, "none")):
+def test_much_evidence_or_an_open_gap_makes_up_for_a_screening_that_saw_nothing():
+    for gain, seen, name in ((27.0, 1.2, "effect"), (6.6, 1.2, "none"), (6.6, 3.0, "effect")):
         fits = [hypothesis(gain, "damping"), hypothesis(0.0)]
-        verdict = decide(fits, screening(0.5), 1.2, 1.0, 0.05, OPTIONS, placebo=0.0, struck=True)
+        verdict = decide(fits, screening(0.5), 1.2, 1.0, 0.05, OPTIONS, placebo=0.0, struck=True, seen=seen)
         assert verdict.name == name

@@ -26,7 +26,7 @@ __all__ = ["COMMITMENT", "DICTIONARY", "EngineName", "digest", "generate_bank"]
 COMMITMENT, DICTIONARY = "commitment.json", "dictionary.json"
 Report = Callable[[str], None]
 EngineName = Literal["explicit", "fem"]
-_DRAWS = 20  # until a capture is given up
+_DRAWS = 8  # until a capture is given up
 
 
 def digest(text: str, salt: str) -> str:
@@ -69,7 +69,7 @@ def generate_bank(
         report: told what is done.
 
     Returns:
-        Number of captures, controls included; draws whose simulation fails are drawn anew, twenty times, and what
+        Number of captures, controls included; draws whose simulation fails are drawn anew, eight times in all, and what
         cannot be drawn is left out, with a label that says so.
 
     Raises:
