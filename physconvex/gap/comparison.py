@@ -11,7 +11,15 @@ from jaxtyping import Bool, Float
 from physconvex.errors import ConvergenceError
 from physconvex.gap.baseline import Baseline, derivatives_of_residuals
 from physconvex.gap.effects import Effect, Motion
-from physconvex.gap.independence import temperature
+from physconvex.gap.evidence import (
+    evidence_of,
+    information_by_kind,
+    likelihood_by_kind,
+    mean_square,
+    moved_kinds,
+    residuals_per_one,
+    squares_by_kind,
+)
 from physconvex.gap.model import EffectModel, SecantModel
 from physconvex.gap.options import GapOptions
 from physconvex.gap.ringing import ringing_likelihood
@@ -26,15 +34,10 @@ __all__ = [
     "doses_at_bounds",
     "fit_effects",
     "hypothesis_at",
-    "information_per_one",
-    "mean_square",
     "refit",
-    "residuals_per_one",
 ]
 
 _FAR, _MOVED = 5.0, 0.3  # typical steps: most that other values are moved by, and from which on it is tried
-_UNSEEN = 0.01  # mean square of a change over the expected one below which it tells nothing
-_ENOUGH = 1.0  # mean square over the expected one that a better fit need not undercut
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,123 +102,8 @@ class Hypothesis:
 
     def tempered(self, divisor: Float[np.ndarray, " D"]) -> Hypothesis:
         """With the evidence that it has if only one in `divisor` residuals of each kind is independent."""
-        evidence = _evidence(self.likelihood, self.information * self.moved, self.effects, self.values, divisor)
+        evidence = evidence_of(self.likelihood, self.information * self.moved, self.effects, self.values, divisor)
         return replace(self, evidence=evidence + self.ringing, divisor=divisor)
-
-
-def mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
-    """Mean square of some frames' residuals over that of noise and numerical error; NaN without any.
-
-    Where there are kinds of residuals, each counts by its independent ones; the larger of what it is before the first
-    contact and from then on.
-    """
-    squares, information = _squares(base, errors, positions, frames), _information(base, errors, frames)
-    found = [
-        float(squares[own] @ information[own] / information[own].sum())
-        for struck in (False, True)
-        if (own := (information > 0) & (base.modes.struck == struck)).any()
-    ]
-    return max(found, default=float("nan"))
-
-
-def _squares(
-    base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray
-) -> Float[np.ndarray, " D"]:  # fmt: skip
-    """Mean square of the residuals of each kind over that of noise and numerical error; NaN without any."""
-    rows = base.rows(frames)
-    kinds = base.modes.kinds[rows]
-    total = np.bincount(kinds, base.residual(positions)[rows] ** 2 / errors.expected[rows], minlength=base.modes.count)
-    count = np.bincount(kinds, minlength=base.modes.count)
-    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
-
-
-def _alike(
-    base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray
-) -> Float[np.ndarray, " D"]:  # fmt: skip
-    """Residuals per independent one, by kind, see `physconvex.gap.independence`."""
-    rows, out = base.rows(frames), np.ones(base.modes.count)
-    whitened = base.residual(positions)[rows] / np.sqrt(errors.expected[rows])
-    for kind in range(base.modes.count):
-        own = base.modes.kinds[rows] == kind
-        if own.any():
-            out[kind] = temperature(whitened[own], base.observations.frames[rows][own], base.columns[rows][own])
-    return out
-
-
-def residuals_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
-    """Residuals per independent one of what a model leaves in some frames."""
-    rows = base.rows(frames)
-    count = np.bincount(base.modes.kinds[rows], minlength=base.modes.count)
-    return float(count.sum() / (count / _alike(base, errors, positions, frames)).sum())
-
-
-def _information(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> Float[np.ndarray, " D"]:
-    """Number of independent residuals by kind: each counts by the share of its variance that is noise, and smooth
-    errors by half of the numbers that they have in two frames.
-    """  # fmt: skip
-    rows, modes, total = base.rows(frames), base.modes, base.model.frames
-    place = modes.kinds[rows] * total + base.observations.frames[rows]
-    shape = (modes.count, total)
-    count = np.bincount(place, minlength=shape[0] * shape[1]).reshape(shape)
-    noise = np.bincount(place, 1 / errors.variance[rows], minlength=count.size).reshape(shape)
-    smooth = np.minimum(noise + modes.independent[:, None], count)
-    return np.asarray(np.where(count > 0, smooth, 0.0).sum(1))
-
-
-def information_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> Float[np.ndarray, " D"]:
-    """What the likelihood of each kind is divided by, so that no more residuals count than are independent.
-
-    Those that share their numerical error count as few already (`_information`); of that number and of the independent
-    ones in what a model leaves the smaller one holds, as both are for the same likeness of residuals.
-    """
-    frames = np.union1d(base.split.fitted, base.split.selecting)
-    count = np.bincount(base.modes.kinds[base.rows(frames)], minlength=base.modes.count)
-    independent = count / _alike(base, errors, positions, frames)
-    return np.maximum(1.0, _information(base, errors, frames) / np.maximum(independent, 1e-9))
-
-
-def _likelihood(base: Baseline, errors: ErrorModel, positions: np.ndarray | None) -> Float[np.ndarray, " D"]:
-    """−n/2 ln(mean square) with unknown scale, by kind; the mean square is over that of noise and numerical error.
-
-    Below one it says little more.
-
-    Args:
-        base: the base fit.
-        errors: weights.
-        positions: of the model; None for one that leaves nothing but noise and numerical error.
-    """
-    total = np.zeros(base.modes.count)
-    for frames in (base.split.fitted, base.split.selecting):
-        information = _information(base, errors, frames)
-        squares = np.ones_like(total) if positions is None else _squares(base, errors, positions, frames)
-        total -= 0.5 * information * np.log(np.where(information > 0, squares, 1.0) + _ENOUGH)
-    return total
-
-
-def _evidence(
-    likelihood: np.ndarray, information: np.ndarray, effects: tuple[Effect, ...], values: np.ndarray,
-    divisor: np.ndarray | float = 1.0,
-) -> float:  # fmt: skip
-    """Likelihood less ½ k ln n for k doses, as much again for every further effect, and less what is implausible.
-
-    `information` is of the residuals that tell the doses; n is their number.
-    """
-    price = sum(len(e.doses) for e in effects) + max(len(effects) - 1, 0)
-    price += sum(e.source == "numerical" for e in effects)  # a physical cause goes before one of the same looks
-    doses = [dose for effect in effects for dose in effect.doses]
-    odd = sum(dose.implausibility(value) for dose, value in zip(doses, values[len(values) - len(doses) :], strict=True))
-    independent = float((information / divisor).sum())
-    return float((likelihood / divisor).sum() - 0.5 * price * np.log(max(independent, 2.0)) - odd)
-
-
-def _moved(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> Bool[np.ndarray, " D"]:
-    """Kinds of residuals that differ visibly from the base fit's in the fitted frames; all if none does."""
-    rows = base.rows(base.split.fitted)
-    kinds = base.modes.kinds[rows]
-    squares = (base.residual(positions) - base.residual(base.positions))[rows] ** 2 / errors.expected[rows]
-    total = np.bincount(kinds, squares, minlength=base.modes.count)
-    seen = total > _UNSEEN * np.maximum(np.bincount(kinds, minlength=base.modes.count), 1)
-    return np.asarray(seen if seen.any() else np.ones_like(seen))
 
 
 def hypothesis_at(
@@ -225,15 +113,15 @@ def hypothesis_at(
     """A model at fitted values, with what it says and how well that fits."""
     positions = model.observed(motion, values)
     fitted = mean_square(base, errors, positions, base.split.fitted)
-    selecting = float(np.nanmax(_squares(base, errors, positions, base.split.selecting), initial=0.0))
-    likelihood = _likelihood(base, errors, positions)
-    information = _information(base, errors, base.split.fitted)
-    moved = _moved(base, errors, positions)
+    selecting = float(np.nanmax(squares_by_kind(base, errors, positions, base.split.selecting), initial=0.0))
+    likelihood = likelihood_by_kind(base, errors, positions)
+    information = information_by_kind(base, errors, base.split.fitted)
+    moved = moved_kinds(base, errors, positions)
     ringing = ringing_likelihood(base, positions)
-    evidence = _evidence(likelihood, information * moved, model.effects, values) + ringing
+    evidence = evidence_of(likelihood, information * moved, model.effects, values) + ringing
     return Hypothesis(
         model.effects, model, values, deviations, positions, motion, tangents, fitted, selecting, evidence, likelihood,
-        _likelihood(base, errors, None), information, moved, ringing=ringing,
+        likelihood_by_kind(base, errors, None), information, moved, ringing=ringing,
     )  # fmt: skip
 
 

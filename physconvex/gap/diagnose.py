@@ -16,9 +16,10 @@ from physconvex.fem import TetMesh
 from physconvex.gap.absorbing import with_absorbed_mesh
 from physconvex.gap.advice import next_experiment
 from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
-from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects, mean_square
+from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
 from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Effect, Motion, choose
+from physconvex.gap.evidence import mean_square
 from physconvex.gap.findings import Provenance
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
 from physconvex.gap.mapping import as_reduced

@@ -14,8 +14,8 @@ import numpy as np
 
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.baseline import Baseline
-from physconvex.gap.comparison import mean_square
 from physconvex.gap.effects import Effect
+from physconvex.gap.evidence import mean_square
 from physconvex.gap.lowest_mode import lowest_frequency
 from physconvex.gap.model import MODULUS, EffectModel
 from physconvex.gap.ringing import recorded_ringing

@@ -24,11 +24,10 @@ from physconvex.gap.comparison import (
     continued,
     doses_at_bounds,
     fit_effects,
-    information_per_one,
     refit,
-    residuals_per_one,
 )
 from physconvex.gap.effects import Effect, applicable
+from physconvex.gap.evidence import information_per_one, residuals_per_one
 from physconvex.gap.loads import loaded_starts
 from physconvex.gap.mapping import as_reduced, confirmed, improved
 from physconvex.gap.model import EffectModel, reduced_like

@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from physconvex.gap.body_modes import BodyModes, undivided
-from physconvex.gap.comparison import _beside, _best_start, _likelihood, information_per_one, mean_square
+from physconvex.gap.comparison import _beside, _best_start
+from physconvex.gap.evidence import (
+    evidence_of,
+    information_per_one,
+    likelihood_by_kind,
+    mean_square,
+    moved_kinds,
+)
 from physconvex.gap.score import ErrorModel
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
@@ -90,7 +97,7 @@ def worth_of_good_strains(noise, rebound, modes):
     for base, _ in (good, poor):
         base.modes = modes(base.observations.frames, kinds)
     divisor = information_per_one(*good, np.zeros(0))
-    return float(((_likelihood(*good, np.zeros(0)) - _likelihood(*poor, np.zeros(0))) / divisor).sum())
+    return float(((likelihood_by_kind(*good, np.zeros(0)) - likelihood_by_kind(*poor, np.zeros(0))) / divisor).sum())
 
 
 def test_a_rebound_that_is_off_does_not_drown_what_the_strains_say(rng):
@@ -147,6 +154,19 @@ def test_what_is_left_after_an_impact_is_not_averaged_with_noise_before_it():
 
 def test_noise_before_an_impact_lends_no_weight_to_what_comes_after():
     """With one mean over all, of which two thirds are noise, an effect in the others gained ten times as much."""
-    worse, better = (_likelihood(*struck_case(left), np.zeros(0)) for left in (3.0, 1.0))
+    worse, better = (likelihood_by_kind(*struck_case(left), np.zeros(0)) for left in (3.0, 1.0))
     independent = 3.0 * 4 + 3.0 * 3  # three numbers a frame, four fitted ones and three that choose
     assert (better - worse).sum() == pytest.approx(0.5 * independent * np.log(10 / 2), rel=0.2)
+
+
+def test_a_dose_is_priced_by_the_residuals_that_tell_it():
+    """What only an impact shows is not told by hundreds of markers before it, and need not outweigh their number."""
+    base, errors = struck_case(3.0)
+    residual, struck = base.residual(None), base.observations.frames >= 8
+    base.positions = np.zeros(0)
+    base.residual = lambda positions: residual if positions is base.positions else residual + 5.0 * struck
+    assert list(moved_kinds(base, errors, np.ones(1))) == [False] * 5 + [True]
+    assert moved_kinds(base, errors, base.positions).all()  # the base model itself
+    effects = (SimpleNamespace(doses=(SimpleNamespace(implausibility=lambda value: 0.0),), source="material"),)
+    few, many = (evidence_of(np.zeros(6), n * np.eye(6)[5], effects, np.ones(1)) for n in (21.0, 981.0))
+    assert few - many == pytest.approx(0.5 * np.log(981 / 21))

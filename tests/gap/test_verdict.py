@@ -244,7 +244,9 @@ def test_something_else_takes_probability():
     assert verdict.name == "inconclusive" and "something else 79%" in verdict.sentence  # 0.88 of the 0.9 that is left
     assert decide(found, screening(), 30.0, 1.0, 0.9, OPTIONS, other=16.0).name == "effect"
     verdict = decide(found, screening(), 30.0, 1.0, 0.4, OPTIONS, other=22.0)
-    assert verdict.name == "effect" and verdict.effects[0].probability == pytest.approx(0.94 * (1 - 0.88 * 0.4), abs=0.01)
+    assert verdict.name == "effect" and verdict.effects[0].probability == pytest.approx(
+        0.94 * (1 - 0.88 * 0.4), abs=0.01
+    )
 
 
 def test_a_clear_gap_that_no_effect_explains_better_is_not_none():
