@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import torch
 import trimesh
+from jaxtyping import Float
 
 from data_gen.benchmark_scenes import (
     DENSITY,
@@ -163,24 +164,14 @@ def drop_object(
     """
     kept = folder.parent / f"{folder.name}_motion.npz"
     if not kept.exists():
-        body = placed(load_user_mesh(mesh), options.object_size, rng)
-        grid = _meshed(body, options.nodes)
-        moved = Embedding.of_points(grid, body.vertices).apply(_rolled(scene_of(grid, truth, body, Motion()), options))
-        camera = _cameras(moved, options)[0]
-        white, mask = _filmed(body, moved, camera)
-        _write_capture(folder, body, camera, white, mask, options, Motion())
+        take = _Take(placed(load_user_mesh(mesh), options.object_size, rng), truth, Motion(), options)
+        grid = take.mesh()
+        moved = take.moved(grid, take.scene(grid))
+        camera = take.cameras(moved)[0]
+        take.write_capture(folder, camera, *take.filmed(moved, camera))
         np.savez_compressed(kept, moved=moved)
     with np.load(kept, allow_pickle=False) as archive:
         return folder, archive["moved"]
-
-
-def _filmed(body: ObjectMesh, moved: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """The object before white [T, H, W, 3], and where it is seen [T, H, W]."""
-    surface = Surface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
-    frames = np.stack(rendered_frames(surface, camera, FLAT, moved))
-    alpha = frames[..., 3:].astype(np.float32) / 255
-    white = (frames[..., :3] * alpha + 255 * (1 - alpha)).round().astype(np.uint8)
-    return white, frames[..., 3] > 127
 
 
 def _plain(options: BenchmarkOptions) -> Any:
@@ -208,19 +199,17 @@ def _make(out: Path, name: str, path: Path, options: BenchmarkOptions, rng: np.r
         "poisson_ratio": float(rng.uniform(*options.poisson_ratio)),
         "damping_time": float(np.exp(rng.uniform(*np.log(options.damping_time)))),
     }
-    mesh = _meshed(body, options.nodes)
     motion = motion_of(options.motion, (options.frames - 1) / options.fps, rng)
-    scene = scene_of(mesh, truth, body, motion)
-    positions = _rolled(scene, options)
-    surface = Embedding.of_points(mesh, body.vertices)
-    moved = surface.apply(positions)
-    cameras = _cameras(moved, options)
-    front = _write_pictures(out, name, body, moved, cameras, options, motion)
+    take = _Take(body, truth, motion, options)
+    mesh = take.mesh()
+    scene = take.scene(mesh)
+    moved = take.moved(mesh, scene)
+    cameras = take.cameras(moved)
+    front = _write_pictures(out, name, take, moved, cameras)
     chosen = np.sort(rng.choice(len(body.vertices), min(POINTS, len(body.vertices)), replace=False))
     arrays = {"rest": body.vertices[chosen], "positions": moved[:, chosen]}
     for change in changes_of(scene):
-        again = _rolled(changed(scene, change), options)
-        arrays[f"positions_{change}"] = surface.apply(again)[:, chosen]
+        arrays[f"positions_{change}"] = take.moved(mesh, changed(scene, change))[:, chosen]
     folder = out / "truth" / name
     np.savez_compressed(folder / "points.npz", **arrays)  # type: ignore[arg-type]
     stated = {**truth, "density": DENSITY, "nodes": len(mesh.vertices), "licence": body.licence}
@@ -228,98 +217,98 @@ def _make(out: Path, name: str, path: Path, options: BenchmarkOptions, rng: np.r
         stated["overlap"] = overlap(mesh, body.vertices, body.faces)
     stated |= {"friction": FRICTION} if motion.floor else {}
     if options.checked:
-        stated |= _errors(body, truth, mesh, moved, (cameras[0], front), options, motion)
+        stated |= take.errors(mesh, moved, cameras[0], front)
     (folder / "truth.json").write_text(json.dumps(stated, indent=1) + "\n", encoding="utf-8")
 
 
-def _meshed(body: ObjectMesh, nodes: int) -> TetMesh:
-    """Quadratic tetrahedra that are the body that is shown, as well as that many nodes can be."""
-    return tetrahedralize((body.vertices, body.faces), max_nodes=nodes, order=2, method="auto", thorough=True)
+@dataclass(frozen=True, eq=False)
+class _Take:
+    """One object: what moves, of what it is made, how it starts, and the sizes of it all."""
+
+    body: ObjectMesh
+    truth: dict[str, float]
+    motion: Motion
+    options: BenchmarkOptions
+
+    def mesh(self, share: float = 1.0) -> TetMesh:
+        """Quadratic tetrahedra that are the body that is shown, as well as (a share of) that many nodes can be."""
+        nodes = int(share * self.options.nodes)
+        return tetrahedralize(
+            (self.body.vertices, self.body.faces), max_nodes=nodes, order=2, method="auto", thorough=True
+        )
+
+    def scene(self, mesh: TetMesh) -> Scene:
+        """On a mesh."""
+        return scene_of(mesh, self.truth, self.body, self.motion)
+
+    def moved(self, mesh: TetMesh, scene: Scene, *, share: float = 1.0) -> Float[np.ndarray, "T V 3"]:
+        """The surface's vertices in all frames [m], with (a share of) the time steps."""
+        sizes = self.options
+        nodes = rolled(scene, sizes.frames, sizes.fps, max(1, round(share * sizes.steps_per_frame)))
+        return Embedding.of_points(mesh, self.body.vertices).apply(nodes)
+
+    def cameras(self, moved: Float[np.ndarray, "T V 3"]) -> list[Camera]:
+        """About all of the motion; the first is the front one."""
+        views = StillViews(self.options.views, (12.0, 28.0, 4.0), name="view")
+        return still_cameras(moved.reshape(-1, 3), views, self.options.size)
+
+    def filmed(self, moved: Float[np.ndarray, "T V 3"], camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+        """The object before white [T, H, W, 3], and where it is seen [T, H, W]."""
+        body = self.body
+        surface = Surface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
+        frames = np.stack(rendered_frames(surface, camera, FLAT, moved))
+        alpha = frames[..., 3:].astype(np.float32) / 255
+        white = (frames[..., :3] * alpha + 255 * (1 - alpha)).round().astype(np.uint8)
+        return white, frames[..., 3] > 127
+
+    def errors(
+        self, mesh: TetMesh, moved: Float[np.ndarray, "T V 3"], camera: Camera, seen: np.ndarray
+    ) -> dict[str, Any]:
+        """How far the truth is from itself with half the steps and with half the nodes, by frame.
+
+        Rms distance [m] of the surface, and PSNR [dB] and SSIM of the pictures `seen` by a camera: what nobody can
+        exceed by much who does not have this very mesh.
+        """
+        out: dict[str, Any] = {}
+        for label, grid, share in (("half_steps", mesh, 0.5), ("half_nodes", self.mesh(0.5), 1.0)):
+            other = self.moved(grid, self.scene(grid), share=share)
+            out[f"rms_to_{label}_m"] = np.sqrt(np.square(other - moved).sum(-1).mean(-1)).tolist()
+            drawn, _ = self.filmed(other, camera)
+            pairs = [[torch.as_tensor(x / np.float32(255)) for x in both] for both in zip(drawn, seen, strict=True)]
+            out[f"psnr_to_{label}"] = [psnr(a, b) for a, b in pairs]
+            out[f"ssim_to_{label}"] = [float(structural_similarity(a, b)) for a, b in pairs]
+        return out
+
+    def write_capture(self, folder: Path, camera: Camera, video: np.ndarray, mask: np.ndarray) -> None:
+        """What one camera saw, with the rest geometry and how it starts."""
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        capture = Capture(
+            folder,
+            self.options.fps,
+            self.options.frames,
+            self.options.observed_frames,
+            cameras=(camera,),
+            density=DENSITY,
+            floor=Floor(np.zeros(3), np.array([0.0, 0.0, 1.0]), friction=FRICTION) if self.motion.floor else None,
+            initial_velocity=np.array(self.motion.velocity),
+            initial_angular_velocity=np.array(self.motion.spin),
+        )
+        rest = trimesh.Trimesh(self.body.vertices, self.body.faces, process=False)
+        save_capture(capture, videos={camera.name: video}, masks={camera.name: mask}, mesh=rest, crf=6)
 
 
-def _rolled(scene: Scene, options: BenchmarkOptions, *, share: float = 1.0) -> np.ndarray:
-    return rolled(scene, options.frames, options.fps, max(1, round(share * options.steps_per_frame)))
-
-
-def _errors(
-    body: ObjectMesh,
-    truth: dict[str, float],
-    mesh: TetMesh,
-    moved: np.ndarray,
-    front: tuple[Camera, np.ndarray],
-    options: BenchmarkOptions,
-    motion: Motion,
-) -> dict[str, Any]:
-    """How far the truth is from itself with half the steps and with half the nodes, by frame.
-
-    Rms distance [m] of the surface, and PSNR [dB] and SSIM of the front view's pictures (`front`: camera and frames):
-    what nobody can exceed by much who does not have this very mesh.
-    """
-    coarse = _meshed(body, options.nodes // 2)
-    camera, seen = front
-    out: dict[str, Any] = {}
-    for label, grid, share in (("half_steps", mesh, 0.5), ("half_nodes", coarse, 1.0)):
-        scene = scene_of(grid, truth, body, motion)
-        other = Embedding.of_points(grid, body.vertices).apply(_rolled(scene, options, share=share))
-        out[f"rms_to_{label}_m"] = np.sqrt(np.square(other - moved).sum(-1).mean(-1)).tolist()
-        drawn, _ = _filmed(body, other, camera)
-        pairs = [[torch.as_tensor(x / np.float32(255)) for x in both] for both in zip(drawn, seen, strict=True)]
-        out[f"psnr_to_{label}"] = [psnr(a, b) for a, b in pairs]
-        out[f"ssim_to_{label}"] = [float(structural_similarity(a, b)) for a, b in pairs]
-    return out
-
-
-def _cameras(moved: np.ndarray, options: BenchmarkOptions) -> list[Camera]:
-    """Cameras about all of the motion; the first is the front one."""
-    views = StillViews(options.views, (12.0, 28.0, 4.0), name="view")
-    return still_cameras(moved.reshape(-1, 3), views, options.size)
-
-
-def _write_pictures(
-    out: Path,
-    name: str,
-    body: ObjectMesh,
-    moved: np.ndarray,
-    cameras: list[Camera],
-    options: BenchmarkOptions,
-    motion: Motion,
-) -> np.ndarray:
+def _write_pictures(out: Path, name: str, take: _Take, moved: np.ndarray, cameras: list[Camera]) -> np.ndarray:
     """What all cameras saw, the capture and the first frames; returns the frames of the front view [T, H, W, 3]."""
-    truth = out / "truth" / name
+    truth, size = out / "truth" / name, take.options.size
     truth.mkdir(parents=True, exist_ok=True)
-    front, mask = _filmed(body, moved, cameras[0])
+    front, mask = take.filmed(moved, cameras[0])
     for camera in cameras:
-        white = front if camera is cameras[0] else _filmed(body, moved, camera)[0]
-        write_video(truth / f"{camera.name}.mp4", white, fps=options.fps, crf=6)
+        white = front if camera is cameras[0] else take.filmed(moved, camera)[0]
+        write_video(truth / f"{camera.name}.mp4", white, fps=take.options.fps, crf=6)
     if not (out / "captures" / name).exists():
-        _write_capture(out / "captures" / name, body, cameras[0], front, mask, options, motion)
+        take.write_capture(out / "captures" / name, cameras[0], front, mask)
     (truth / "cameras.json").write_text(json.dumps([c.to_json() for c in cameras], indent=1) + "\n", encoding="utf-8")
     if not (out / "first_frames" / name).exists():
         (out / "first_frames").mkdir(exist_ok=True)
-        write_still_capture(out / "first_frames" / name, body, (), size=options.size, lighting=FLAT, cameras=cameras)
+        write_still_capture(out / "first_frames" / name, take.body, (), size=size, lighting=FLAT, cameras=cameras)
     return front
-
-
-def _write_capture(
-    folder: Path,
-    body: ObjectMesh,
-    camera: Camera,
-    video: np.ndarray,
-    mask: np.ndarray,
-    options: BenchmarkOptions,
-    motion: Motion,
-) -> None:
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    capture = Capture(
-        folder,
-        options.fps,
-        options.frames,
-        options.observed_frames,
-        cameras=(camera,),
-        density=DENSITY,
-        floor=Floor(np.zeros(3), np.array([0.0, 0.0, 1.0]), friction=FRICTION) if motion.floor else None,
-        initial_velocity=np.array(motion.velocity),
-        initial_angular_velocity=np.array(motion.spin),
-    )
-    rest = trimesh.Trimesh(body.vertices, body.faces, process=False)
-    save_capture(capture, videos={camera.name: video}, masks={camera.name: mask}, mesh=rest, crf=6)

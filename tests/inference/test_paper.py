@@ -75,7 +75,7 @@ def benchmark(tmp_path_factory):
     waves = 127 + 120 * np.sin(12 * ball.vertices @ np.array([[1, 0.3, 0], [0, 1, 0.4], [0.5, 0, 1]]))
     ball.visual = trimesh.visual.ColorVisuals(ball, vertex_colors=waves.astype(np.uint8))
     ball.export(root / "objects" / "ball" / "ball.ply")
-    sizes = "--count 1 --size 96 --views 3 --frames 10 --observed-frames 9 --nodes 120 --steps-per-frame 8 --no-check"
+    sizes = "--count 1 --size 96 --views 3 --frames 10 --observed-frames 9 --nodes 120 --steps-per-frame 8"
     command = f"benchmark --objects {root / 'objects'} --out {root / 'made'} {sizes} --modulus 4.5 4.6 --no-progress"
     result = CliRunner().invoke(app, command.split())
     assert result.exit_code == 0, result.output
@@ -88,6 +88,10 @@ def test_a_benchmark_keeps_truth_apart(benchmark):
     assert files == {"capture.json", "mesh.obj", "view0.mp4", "view0_mask.mp4"}
     truth = json.loads((benchmark / "truth" / "ball" / "truth.json").read_text())
     assert 4.5 <= np.log10(truth["youngs_modulus"]) <= 4.6
+    for label in ("half_steps", "half_nodes"):
+        assert len(truth[f"psnr_to_{label}"]) == len(truth[f"ssim_to_{label}"]) == 10
+        assert truth[f"rms_to_{label}_m"][0] == pytest.approx(0, abs=5e-3) and max(truth[f"rms_to_{label}_m"]) > 1e-5
+    assert truth["psnr_to_half_nodes"][-1] < truth["psnr_to_half_nodes"][0]
     with np.load(benchmark / "truth" / "ball" / "points.npz") as arrays:
         assert arrays["positions"].shape == (10, len(arrays["rest"]), 3)
         assert np.abs(arrays["positions_pushed"] - arrays["positions"]).max() > 0.05
