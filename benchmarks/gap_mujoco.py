@@ -20,7 +20,7 @@ from physconvex.capture import Boundary, Capture, Floor, Tracks, load_capture, s
 from physconvex.errors import PhysconvexError
 from physconvex.fem import TetMesh
 from physconvex.gap import GapOptions, diagnose
-from physconvex.gap.baseline import fit_baseline, rough_baseline
+from physconvex.gap.base_fit import fit_baseline, rough_baseline
 from physconvex.gap.numerics import correction_of, error_model, numerical_differences
 from physconvex.gap.setting import find_setting
 

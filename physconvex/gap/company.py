@@ -15,7 +15,8 @@ from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import TetMesh
-from physconvex.gap.baseline import Baseline, steps_per_frame
+from physconvex.gap.base_fit import steps_per_frame
+from physconvex.gap.baseline import Baseline
 from physconvex.gap.effects import DEFAULT_EFFECTS, Effect, applicable
 from physconvex.gap.model import EffectModel, SecantModel
 from physconvex.gap.observing import Seen

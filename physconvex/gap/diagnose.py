@@ -15,7 +15,8 @@ from physconvex.errors import ConvergenceError
 from physconvex.fem import TetMesh
 from physconvex.gap.absorbing import with_absorbed_mesh
 from physconvex.gap.advice import next_experiment
-from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
+from physconvex.gap.base_fit import fit_baseline, rough_baseline
+from physconvex.gap.baseline import Baseline
 from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
 from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Effect, Motion, choose

@@ -18,7 +18,8 @@ from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import TetMesh
-from physconvex.gap.baseline import Baseline, fit_baseline, misfit_of_base
+from physconvex.gap.base_fit import fit_baseline, misfit_of_base
+from physconvex.gap.baseline import Baseline
 from physconvex.gap.effects import DEFAULT_EFFECTS, applicable
 from physconvex.gap.lowest_mode import decades_between
 from physconvex.gap.model import MODULUS, EffectModel, searches_itself

@@ -8,7 +8,8 @@ import numpy as np
 
 from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.gap.baseline import FLOOR_LAW, Baseline, Report, rough_baseline
+from physconvex.gap.base_fit import rough_baseline
+from physconvex.gap.baseline import FLOOR_LAW, Baseline, Report
 from physconvex.gap.comparison import Hypothesis, hypothesis_at
 from physconvex.gap.how_far import HowFar, shrinkage_on
 from physconvex.gap.numerics import other_mesh

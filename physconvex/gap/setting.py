@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physconvex.errors import ConvergenceError
-from physconvex.gap.baseline import FLOOR_LAW, Baseline, run_base
+from physconvex.gap.base_fit import run_base
+from physconvex.gap.baseline import FLOOR_LAW, Baseline
 from physconvex.gap.company import Company
 from physconvex.gap.dissipation import damped_fit
 from physconvex.gap.giving_floor import on_giving_floor, sinks_in, softness

@@ -9,7 +9,8 @@ import pytest
 from physconvex.capture import Capture, Floor, Tracks, save_capture
 from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, box_mesh, simulate
 from physconvex.gap import GapOptions, Situation, numerics
-from physconvex.gap.baseline import FLOOR_LAW, Baseline, rough_baseline
+from physconvex.gap.base_fit import rough_baseline
+from physconvex.gap.baseline import FLOOR_LAW, Baseline
 from physconvex.gap.effects import DEFAULT_EFFECTS, applicable
 from physconvex.gap.giving_floor import depth_seen
 from physconvex.gap.model import EffectModel

@@ -9,7 +9,7 @@ import pytest
 from physconvex.capture import Boundary, Capture, Tracks, save_capture
 from physconvex.fem import ElasticBody, HangingLoad, Pins, Scene, TetMesh, box_mesh, simulate
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions
-from physconvex.gap.baseline import fit_baseline, rough_baseline
+from physconvex.gap.base_fit import fit_baseline, rough_baseline
 from physconvex.gap.effects import applicable
 from physconvex.gap.loads import loaded_starts
 from physconvex.gap.mapping import as_reduced

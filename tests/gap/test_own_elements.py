@@ -8,7 +8,8 @@ import pytest
 from physconvex.capture import Boundary, Capture, Tracks, save_capture
 from physconvex.fem import ElasticBody, Pins, Scene, TetMesh, box_mesh, simulate
 from physconvex.gap import GapOptions
-from physconvex.gap.baseline import Baseline, fit_baseline, rough_baseline
+from physconvex.gap.base_fit import fit_baseline, rough_baseline
+from physconvex.gap.baseline import Baseline
 from physconvex.gap.caveats import _elements
 from physconvex.gap.comparison import base_hypothesis
 from physconvex.gap.model import reduced_like
