@@ -1,15 +1,27 @@
 """Blind banks: the seal holds, classes are declared, scores count what they say."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from physconvex.capture import load_capture
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.gap.blind import Bank, Shares, bank, diagnose_bank, generate_bank, score_banks
+from physconvex.gap.blind import (
+    Bank,
+    Shares,
+    bank,
+    diagnose_bank,
+    generate_bank,
+    oracle,
+    run_oracle,
+    score_banks,
+)
 from physconvex.gap.blind.cases import draw_case
 from physconvex.gap.blind.classes import class_of, same_class
+from physconvex.gap.blind.command import app
 from physconvex.gap.blind.doses import score_doses
 from physconvex.gap.blind.metrics import area_under_roc, calibration_error, proportion, reliability
 from physconvex.gap.blind.plan import plan_bank
@@ -170,6 +182,41 @@ def test_controls_are_scored(small):
     answers_of(small, lambda label: f"other {label['capture']}")
     found = scored(small)
     assert [(c.name, c.right) for c in found.controls] == [("density", False), ("noise", False)]
+
+
+def test_the_oracle_tries_the_hidden_effect_alone(small, monkeypatch):
+    visible(small)
+    answers_of(small, lambda label: label["effects"][0]["name"] if label["effects"] else None)
+    asked = []
+
+    def alone(folder, effects, options):
+        asked.append((folder.name, *effects))
+        if len(asked) == 1:
+            raise ConvergenceError("no")
+        return SimpleNamespace(how_far=(SimpleNamespace(shrinkage=0.75),))
+
+    monkeypatch.setattr(oracle, "diagnose", alone)
+    bank_of = Bank(small / "captures", small / "seal.json", small / "answers.json", small / "oracle")
+    run_oracle(bank_of, small / "oracle")
+    run_oracle(bank_of, small / "oracle")  # nothing is done twice
+    hidden = [(label["capture"], label["effects"][0]["name"]) for label in labels_of(small)[:3] if label["effects"]]
+    assert asked == hidden
+    found = score_banks(bank_of)
+    assert found.oracles == 1 and found.share_of_oracle == pytest.approx(0.9 / 0.75)
+
+
+def test_the_command_scores_and_writes(small):
+    visible(small)
+    answers_of(small, lambda label: label["effects"][0]["name"] if label["effects"] else None)
+    files = {key: str(small / name) for key, name in (("out", "s.json"), ("tables", "s.md"), ("figure", "s.png"))}
+    bank_of = {"captures": "captures", "seal": "seal.json", "answers": "answers.json"}
+    arguments = ["score", *(a for key, name in bank_of.items() for a in (f"--{key}", str(small / name)))]
+    result = CliRunner().invoke(app, [*arguments, *(a for key, name in files.items() for a in (f"--{key}", name))])
+    assert result.exit_code == 0, result.output
+    assert json.loads((small / "s.json").read_text())["top_1"]["value"] == 1.0
+    assert (small / "s.md").read_text() in result.output and (small / "s.png").exists()
+    result = CliRunner().invoke(app, [*arguments, "--captures", str(small / "captures")])
+    assert isinstance(result.exception, InputError) and "one for each of 2 banks" in str(result.exception)
 
 
 def test_shuffled_labels_fall_to_chance(small):

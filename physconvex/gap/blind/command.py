@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -98,7 +96,7 @@ def score(
     """Open the seals and score the answers."""
     from physconvex.errors import InputError
     from physconvex.gap.blind.scoring import Bank, score_banks
-    from physconvex.gap.blind.summary import draw_score, score_markdown
+    from physconvex.gap.blind.summary import draw_score, score_json, score_markdown
 
     oracles: list[Path | None] = list(oracle) if oracle else [None for _ in captures]
     if not len(captures) == len(seal) == len(answers) == len(oracles):
@@ -107,7 +105,7 @@ def score(
             f"{len(captures)} banks"
         )
     result = score_banks(*map(Bank, captures, seal, answers, oracles))
-    out.write_text(json.dumps(asdict(result), indent=1) + "\n", encoding="utf-8")
+    out.write_text(score_json(result), encoding="utf-8")
     text = score_markdown(result)
     if tables is not None:
         tables.write_text(text, encoding="utf-8")

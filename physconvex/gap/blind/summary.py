@@ -2,15 +2,31 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from physconvex.gap.blind.rows import Row
 from physconvex.gap.blind.scoring import BankScore
 
-__all__ = ["draw_score", "score_markdown"]
+__all__ = ["draw_score", "score_json", "score_markdown"]
+
+
+def score_json(score: BankScore) -> str:
+    """All of a score; what is not known is null."""
+    return json.dumps(_known(asdict(score)), indent=1, allow_nan=False) + "\n"
+
+
+def _known(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _known(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_known(part) for part in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def score_markdown(score: BankScore) -> str:
