@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from physconvex.capture import load_capture
 from physconvex.errors import ConvergenceError, InputError
+from physconvex.gap import Motion
 from physconvex.gap.blind import (
     Bank,
     Shares,
@@ -23,10 +24,12 @@ from physconvex.gap.blind.cases import draw_case
 from physconvex.gap.blind.classes import class_of, same_class
 from physconvex.gap.blind.command import app
 from physconvex.gap.blind.doses import score_doses
+from physconvex.gap.blind.explicit_cases import _seen_effect
 from physconvex.gap.blind.metrics import area_under_roc, calibration_error, proportion, reliability
 from physconvex.gap.blind.plan import plan_bank
 from physconvex.gap.blind.rows import share_of
 from physconvex.gap.blind.summary import draw_score, score_markdown
+from physconvex.gap.effects import DEFAULT_EFFECTS
 
 
 @pytest.fixture
@@ -34,8 +37,6 @@ def small(tmp_path, monkeypatch):
     """A bank of three captures whose motion is made up."""
 
     def made_up(case, **_):
-        from physconvex.gap import Motion
-
         points = np.asarray(case.surface.vertices)[:12]
         positions = np.repeat(points[None], case.frames, axis=0)
         return Motion(points, np.arange(case.frames) / case.fps, positions, 0 * positions), positions
@@ -371,3 +372,20 @@ def test_doses_follow_visibility(monkeypatch):
     assert 4 < visibility < 9 and hidden.hidden[0].name == "time_offset" and np.isfinite(seen).all()
     stronger = simulate_explicit(case, ("time_offset",), 12.0)[2]
     assert abs(stronger.hidden[0].doses[0]) > 1.5 * abs(hidden.hidden[0].doses[0])
+
+
+@pytest.mark.parametrize("name", ["camera_pose", "time_offset", "time_scale"])
+def test_doses_of_what_is_seen_mean_what_they_mean_in_the_dictionary(name, rng):
+    case = draw_case(3, (name,), dosed=False)
+    rest = rng.normal(size=(12, 3))
+    times = np.arange(case.frames) / case.fps
+    fall = np.array([0.0, 0.0, -9.81])
+    motion = Motion(
+        rest,
+        times,
+        rest + 0.5 * fall * times[:, None, None] ** 2,
+        np.broadcast_to(fall * times[:, None, None], (len(times), 12, 3)),
+    )
+    dosed = _seen_effect(name, 0.5, case, rng)
+    effect = next(e for e in DEFAULT_EFFECTS if e.name == name)
+    np.testing.assert_allclose(dosed.observe(motion), effect.observe(motion, np.array(dosed.doses)), atol=1e-3)

@@ -152,11 +152,12 @@ def _seen_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> D
         return Dosed(None, lambda m: at_times(m, m.times * (1 + change)), (change,), ("",))
     turn, shift = np.radians(1.0 * s) * _direction(rng), 0.01 * s * case.size * _direction(rng)
     matrix = rotation_vector_matrix(turn)
-    pivot = case.surface.vertices.mean(0)
-    return Dosed(
-        None, lambda m: (m.positions - pivot) @ matrix.T + pivot + shift, (*np.degrees(turn), *shift),
-        ("deg",) * 3 + ("m",) * 3,
-    )  # fmt: skip
+
+    def moved(motion: Motion) -> Positions:  # about the markers' mean, as the dictionary has it
+        pivot = motion.rest.mean(0)
+        return np.asarray((motion.positions - pivot) @ matrix.T + pivot + shift)
+
+    return Dosed(None, moved, (*np.degrees(turn), *shift), ("deg",) * 3 + ("m",) * 3)
 
 
 def _dosed(name: str, s: float, case: Case, seed: int) -> Dosed:
