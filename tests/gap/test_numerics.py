@@ -1,9 +1,15 @@
 """What runs of other meshes say of the error of the one that is used."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from physconvex.gap.numerics import Numerics
+from physconvex.gap import GapOptions, Motion
+from physconvex.gap.body_modes import body_modes
+from physconvex.gap.numerics import Numerics, error_model
+from physconvex.gap.rebound import path_since_contact
+from physconvex.identify import MarkerObservations
 
 STILL = np.zeros((4, 3, 3))
 NODES = (250, 1000)
@@ -27,3 +33,31 @@ def test_richardson_with_either_mesh():
 def test_the_lesser_estimate_is_believed():
     assert mesh_error(10.0, 0.1) == pytest.approx(STILL + 0.1 * BY_FINER)  # the coarse mesh flew on otherwise
     assert mesh_error(0.1, 10.0) == pytest.approx(STILL + 0.1 * BY_COARSER)  # the finest did
+
+
+@pytest.mark.wrong_types
+def test_a_rebound_may_be_off_by_a_hundredth_of_its_way(rng):
+    """As a whole, from the frame of the first contact on; strains, of which this body has none, are not widened."""
+    frames, points, sigma = 8, 20, 1e-4
+    rest = rng.normal(size=(points, 3))
+    height = np.abs(np.linspace(1.0, -0.75, frames))
+    positions = rest + height[:, None, None] * np.array([0, 0, 1.0])
+    motion = Motion(rest, np.arange(frames) / 10, positions, np.zeros_like(positions))
+    seen = MarkerObservations(rest, positions, np.full((frames, points), sigma))
+    force = np.where(np.arange(frames) == 4, 1.0, 0.0)
+    modes = body_modes(seen, free=True, force=force)
+    base = SimpleNamespace(
+        positions=positions, motion=motion, observations=seen, modes=modes, contact_force=force,
+        tangents=np.zeros((0,)), model=SimpleNamespace(frames=frames),
+        change=lambda moved: modes.turn(seen.residuals(moved) - seen.residuals(positions)),
+    )  # fmt: skip
+    nothing = np.zeros_like(positions)
+    numerics = Numerics(*[nothing] * 5)
+    errors = error_model(base, numerics, GapOptions(discretisation=1e-9))
+    numerical = errors.expected - 1.0
+    path = path_since_contact(motion, force)
+    for frame in range(frames):
+        own = (seen.frames == frame) & (modes.parts[modes.kinds] == 0)
+        squares = points * (0.01 * path[frame] / sigma) ** 2 if frame >= 4 else 0.0
+        assert numerical[own].sum() == pytest.approx(squares, rel=1e-6, abs=1e-6)
+    assert numerical[modes.parts[modes.kinds] > 0] == pytest.approx(0, abs=1e-6)
