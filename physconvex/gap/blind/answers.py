@@ -5,15 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from physconvex.errors import InputError, PhysconvexError
 from physconvex.gap.blind.bank import DICTIONARY, digest
+from physconvex.gap.blind.jobs import run_jobs
 from physconvex.gap.diagnose import diagnose
 from physconvex.gap.options import GapOptions
-from physconvex.workers import Workers
 
 __all__ = ["diagnose_bank"]
 
@@ -49,10 +48,7 @@ def diagnose_bank(
         _Job(folder, out / folder.name, tuple(dict.fromkeys([*without, *deleted.get(folder.name, ())])), options)
         for folder in folders
     ]
-    with Workers(workers) as pool:
-        for job, wait in [(job, pool.start(partial(_diagnose, job))) for job in jobs if not job.done]:
-            report(job.folder.name)
-            wait()
+    run_jobs(_diagnose, [job for job in jobs if not job.done], workers=workers, report=report)
     answers = [_answer(job) for job in jobs]
     text = json.dumps(answers, indent=1)
     path = out / "answers.json"
@@ -73,6 +69,10 @@ class _Job:
     options: GapOptions | None
 
     @property
+    def name(self) -> str:
+        return self.folder.name
+
+    @property
     def done(self) -> bool:
         return (self.target / "report.json").exists()
 
@@ -87,13 +87,13 @@ def _diagnose(job: _Job) -> None:
 
 def _answer(job: _Job) -> dict[str, Any]:
     if not job.done:
-        return {"capture": job.folder.name, "error": (job.target / "error.txt").read_text(encoding="utf-8").strip()}
+        return {"capture": job.name, "error": (job.target / "error.txt").read_text(encoding="utf-8").strip()}
     content = json.loads((job.target / "report.json").read_text(encoding="utf-8"))
     which, how_far = content["which"], content["how_far"]
     material = {row["name"]: row for row in how_far["parameters"]}
     fits = [h["effects"] for h in which["hypotheses"] if h["effects"]]
     return {
-        "capture": job.folder.name,
+        "capture": job.name,
         "without": list(job.without),
         "verdict": which["verdict"],
         "none_probability": which["none_probability"],
@@ -105,7 +105,6 @@ def _answer(job: _Job) -> dict[str, Any]:
         "gap_before": how_far["gap_before"],
         "gap_after": how_far["gap_after"],
         "noise_floor": how_far["noise_floor"],
-        "visibility": how_far["gap_before"] / max(how_far["noise_floor"], 1e-300),
         "log10_youngs_modulus": [material[n][k] for n in ("log10_youngs_modulus",) for k in ("before", "after")],
         "poisson_ratio": [material[n][k] for n in ("poisson_ratio",) for k in ("before", "after")],
         "seconds": content["provenance"]["seconds"],

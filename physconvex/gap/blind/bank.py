@@ -8,7 +8,6 @@ import secrets
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,8 +17,8 @@ from physconvex.capture import load_capture, save_capture
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.blind.cases import BLIND_EFFECTS, Case, capture_parts, draw_case, simulate_case
 from physconvex.gap.blind.explicit_cases import EXPLICIT_EFFECTS, simulate_explicit
+from physconvex.gap.blind.jobs import run_jobs
 from physconvex.gap.blind.plan import Planned, Shares, plan_bank
-from physconvex.workers import Workers
 
 __all__ = ["COMMITMENT", "DICTIONARY", "EngineName", "digest", "generate_bank"]
 
@@ -84,15 +83,10 @@ def generate_bank(
     parts = seal.with_name(seal.name + ".parts")
     _begin(out, seal, parts, json.dumps({"seed": seed, "engine": engine, "plan": [asdict(p) for p in plan]}))
     jobs = [_Job(number, planned, seed, engine, out, parts) for number, planned in enumerate(plan)]
-    with Workers(workers) as pool:
-        # a capture that repeats another one needs that one first
-        for part in (
-            [j for j in jobs if j.planned.repeats is None],
-            [j for j in jobs if j.planned.repeats is not None],
-        ):
-            for job, wait in [(job, pool.start(partial(_make, job))) for job in part if not job.label.exists()]:
-                report(job.name)
-                wait()
+    todo = [job for job in jobs if not job.label.exists()]
+    run_jobs(_make, [job for job in todo if job.planned.repeats is None], workers=workers, report=report)
+    # a capture that repeats another one needs that one first
+    run_jobs(_make, [job for job in todo if job.planned.repeats is not None], workers=1, report=report)
     labels = [json.loads(job.label.read_text(encoding="utf-8")) for job in jobs]
     text, salt = json.dumps(labels, indent=1), secrets.token_hex(16)
     deleted = {job.name: list(job.planned.without) for job in jobs if job.planned.without}

@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from physconvex.errors import PhysconvexError
+from physconvex.gap.blind.jobs import run_jobs
 from physconvex.gap.blind.scoring import VISIBLE, Bank, score_banks
 from physconvex.gap.diagnose import diagnose
 from physconvex.gap.options import GapOptions
-from physconvex.workers import Workers
 
 __all__ = ["run_oracle"]
 
@@ -43,10 +42,7 @@ def run_oracle(
         if row.single and row.visibility >= VISIBLE
     ]
     out.mkdir(parents=True, exist_ok=True)
-    with Workers(workers) as pool:
-        for job, wait in [(job, pool.start(partial(_shrink, job))) for job in jobs if not job.target.exists()]:
-            report(job.folder.name)
-            wait()
+    run_jobs(_shrink, [job for job in jobs if not job.target.exists()], workers=workers, report=report)
 
 
 @dataclass(frozen=True)
@@ -55,6 +51,10 @@ class _Job:
     target: Path
     effects: tuple[str, ...]
     options: GapOptions | None
+
+    @property
+    def name(self) -> str:
+        return self.folder.name
 
 
 def _shrink(job: _Job) -> None:

@@ -87,7 +87,12 @@ class Row:
     @property
     def called(self) -> bool:
         """Whether it is the cause that was called."""
-        return self.alarm and bool(self.truth) and any(same_class(self.named, name) for name in self.truth)
+        return self.alarm and self.named_right
+
+    @property
+    def named_right(self) -> bool:
+        """Whether the effect whose probability is told is hidden."""
+        return any(same_class(self.named, name) for name in self.truth)
 
     @property
     def unknown_score(self) -> float:

@@ -194,7 +194,7 @@ def _scored(rows: Sequence[Row], controls: tuple[ControlScore, ...], undrawn: in
     oracles = [row.shrinkage / row.oracle for row in visible if row.oracle > 0 and np.isfinite(row.shrinkage)]
     doses = [row.dose for row in visible if row.alarm and row.dose is not None]
     told = [row for row in answered if np.isfinite(row.probability) and not row.outside]
-    bins = reliability([r.probability for r in told], [share_right(r) for r in told])
+    bins = reliability([r.probability for r in told], [r.named_right for r in told])
 
     def share(part: Sequence[Row], hit: Callable[[Row], bool]) -> Proportion:
         return proportion([hit(row) for row in part])
@@ -233,11 +233,6 @@ def _scored(rows: Sequence[Row], controls: tuple[ControlScore, ...], undrawn: in
         controls=controls,
         rows=tuple(rows),
     )  # fmt: skip
-
-
-def share_right(row: Row) -> bool:
-    """Whether the effect whose probability is told is hidden."""
-    return any(same_class(row.named, name) for name in row.truth)
 
 
 def _leading(row: Row) -> tuple[str, str]:
