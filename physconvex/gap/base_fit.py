@@ -45,6 +45,7 @@ _STARTS = 3  # of the rough fit of a held body
 _MOST_STEPS = 1000  # of one roll-out
 _ROUNDS = 3  # of full-order run and search with the reduced model
 _STILL = 0.02  # of typical steps: a change of the values that is none
+_RATIO, _USUAL = "poisson_ratio", (0.15, 0.47)  # beyond which another start is tried, from the middle
 
 
 def _twin(capture: Capture, weights: int, max_nodes: int, steps: int) -> Twin:
@@ -219,7 +220,9 @@ def fit_baseline(
 ) -> Baseline:
     """Fit the full-order base model to the fitted frames, with what a finer model would change added.
 
-    The reduced model searches, the full-order one is run at what it found, see `physconvex.gap.mapping`.
+    The reduced model searches, the full-order one is run at what it found, see `physconvex.gap.mapping`. Of a free body
+    that comes out nearly incompressible, or hardly so, the fit is made from a middling ν too, and the better one taken:
+    such a ν may be a valley of its own, which an effect that is missing has opened and which no dose is found from.
 
     Args:
         rough: where to begin.
@@ -230,6 +233,38 @@ def fit_baseline(
         options: settings.
         report: told what is done.
     """
+    first = _fit_from(rough, correction, fine, variance, options, report)
+    names = first.model.base
+    if rough.situation.clamped or _RATIO not in names or first.model.cost.over:
+        return first
+    at = names.index(_RATIO)
+    if _USUAL[0] <= first.fit.values[at] <= _USUAL[1]:
+        return first
+    values = rough.fit.values.copy()
+    values[at] = float(np.mean(_USUAL))
+    twin = rough.model.twin.with_values(names, values)
+    try:
+        start = run_base(
+            rough.capture, rough.observations, rough.split, twin, replace(rough.fit, values=values),
+            cost=rough.model.cost,
+        )  # fmt: skip
+        if fine is not None:
+            fine = (fine[0], replace(start.model, mesh=fine[0]).motion(values))
+        other = _fit_from(start, correction, fine, variance, options, report)
+    except ConvergenceError:
+        return first
+    return min((first, other), key=lambda base: misfit_of_base(base, variance))
+
+
+def _fit_from(
+    rough: Baseline,
+    correction: Float[np.ndarray, "T P 3"],
+    fine: tuple[TetMesh, Motion] | None,
+    variance: Float[np.ndarray, " N"],
+    options: GapOptions,
+    report: Report,
+) -> Baseline:
+    """From one start."""
     split, names = rough.split, rough.model.base
     count = int(split.fitted[-1]) + 1
     weighted = rough.weighted(variance, count)

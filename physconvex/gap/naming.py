@@ -27,6 +27,7 @@ __all__ = [
 SOMETHING_ELSE = "something else"
 WEAK = 1.5  # gain of log-evidence by an effect that leaves open whether it is there
 _ALIKE = 0.95  # cosine of signatures
+_FORM = 0.02  # of a dose: what two programs that mean the same effect differ by, as a standard error
 
 
 @dataclass(frozen=True)
@@ -121,10 +122,25 @@ def _errors(
     others = [h for h in hypotheses if effect in h.effects]
     weights = np.array([probability.get(h.label, 0.0) for h in others])
     own, errors = chosen.doses(effect)
-    if not weights.sum() > 0:
-        return errors
-    squares = np.array([e**2 + (v - own) ** 2 for v, e in (h.doses(effect) for h in others)])
-    return np.asarray(np.sqrt(weights @ squares / weights.sum()))
+    squares = errors**2
+    if weights.sum() > 0:
+        squares = weights @ np.array([e**2 + (v - own) ** 2 for v, e in (h.doses(effect) for h in others)])
+        squares /= weights.sum()
+    return np.asarray(np.sqrt(squares + _form_errors(effect, own) ** 2))
+
+
+def _form_errors(effect: Effect, doses: np.ndarray) -> np.ndarray:
+    """A share of the dose, of several in one unit of the length of their vector; of one in decades, as many of it.
+
+    Where the fit leaves next to nothing, the residuals would have a dose to a hundredth of what the model's mesh, steps
+    and contact make of it.
+    """
+    out = np.empty(len(doses))
+    for i, dose in enumerate(effect.doses):
+        alike = [j for j, other in enumerate(effect.doses) if other.unit == dose.unit]
+        size = np.linalg.norm(doses[alike] - np.array([effect.doses[j].null for j in alike]))
+        out[i] = _FORM * (1 / np.log(10) if dose.unit.startswith("log10") else size)
+    return out
 
 
 def named_effects(

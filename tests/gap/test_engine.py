@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+import torch
 
+from physconvex.elastic_terms import with_strain_stiffening
 from physconvex.errors import ConvergenceError
 from physconvex.fem import ElasticBody, Embedding, Pins, Scene, box_mesh, simulate
 from physconvex.gap.blind.engine import World, _Body, run_explicit
+from physconvex.materials import get_law
 
 MESH = box_mesh((0.2, 0.1, 0.1), (4, 2, 2), order=1)
 POINTS = MESH.vertices[[0, 5, 20, -1]]
@@ -93,14 +96,31 @@ def test_a_beam_sways_as_the_full_order_model_has_it():
     assert np.sqrt((apart**2).sum(-1).mean()) < 0.03 * np.ptp(sway)
 
 
-def test_small_strain_gives_the_stress_of_linear_elasticity():
-    """Virtual work of a uniform strain: Σ f Xᵀ = −V σ."""
-    body = _Body(world(floor=None, gravity=(0.0, 0.0, 0.0)))
+@pytest.mark.parametrize("stiffening", [0.0, 8.0])
+def test_small_strain_gives_the_stress_of_linear_elasticity(stiffening):
+    """Virtual work of a uniform strain: Σ f Xᵀ = −V σ; what stiffens with strain leaves E and ν."""
+    body = _Body(world(floor=None, gravity=(0.0, 0.0, 0.0), stiffening=stiffening))
     strain = 1e-6 * np.array([[1.0, 0.3, 0.0], [0.3, -0.5, 0.2], [0.0, 0.2, 0.4]])
     x = MESH.vertices @ (np.eye(3) + strain)
     work = (body.accelerations(x, np.zeros_like(x), 0.0) * body.masses[:, None]).T @ MESH.vertices
     stress = 2 * 4e4 / 2.6 * strain + 4e4 * 0.3 / 1.3 / 0.4 * np.trace(strain) * np.eye(3)
     np.testing.assert_allclose(work, -0.2 * 0.1 * 0.1 * stress, atol=1e-4 * 2e-3 * np.abs(stress).max())
+
+
+def test_stiffening_starts_as_yeohs_term_does():
+    """μ/2b (exp(b q) − 1 − b q) = μ b/4 q² + …, of which the dictionary's rate μ/2 q² is a half of b."""
+    strain, rate = 0.02 * np.array([[1.0, 0.5, 0.0], [-0.4, -0.6, 0.3], [0.0, 0.2, -1.0]]), 1.5
+    x = MESH.vertices @ (np.eye(3) + strain).T
+
+    def stress(stiffening):
+        body = _Body(world(floor=None, gravity=(0.0, 0.0, 0.0), stiffening=stiffening))
+        return -(body.accelerations(x, np.zeros_like(x), 0.0) * body.masses[:, None]).T @ MESH.vertices / 2e-3
+
+    f = torch.eye(3, dtype=torch.float64) + torch.as_tensor(strain)
+    mu, lam = (torch.tensor(v, dtype=torch.float64) for v in (4e4 / 2.6, 4e4 * 0.3 / 1.3 / 0.4))
+    ground = get_law("neo_hookean")
+    added = (with_strain_stiffening(ground, rate).stress(f, mu, lam) - ground.stress(f, mu, lam)).numpy()
+    np.testing.assert_allclose(stress(2 * rate) - stress(0.0), added, atol=0.02 * np.abs(added).max())
 
 
 def test_the_step_is_just_below_the_stability_limit():

@@ -36,6 +36,10 @@ def hypothesis(evidence, *names, log10_modulus=5.0, dose=0.1, slight=()):
 
 
 def screening(p_value=1e-6, alike=0.1):
+    return screening_with("damping", "wind", "friction", "time_step", p_value=p_value, alike=alike)
+
+
+def screening_with(*names, p_value=1e-6, alike=0.1):
     ranked = tuple(
         SimpleNamespace(
             effect=effect(n),
@@ -43,7 +47,7 @@ def screening(p_value=1e-6, alike=0.1):
             power=1.0,
             errors=np.full(len(effect(n).doses), 0.01),
         )
-        for n in ("damping", "wind", "friction", "time_step")
+        for n in names
     )
     return SimpleNamespace(ranked=ranked, one_per_name=ranked, similarity=lambda a, b: alike)
 
@@ -67,6 +71,19 @@ def test_a_clear_effect_is_named_with_its_dose():
     dose = verdict.effects[0].doses[0]
     assert dose.lower < dose.value < dose.upper and dose.unit == "s"
     assert verdict.effects[0].probability == pytest.approx(0.94, abs=1e-3)  # what calls have turned out to be right
+
+
+def test_no_fit_tells_a_dose_better_than_two_programs_mean_it():
+    sure = hypothesis(20.0, "gravity_tilt")
+    sure.doses = lambda one: (np.array([3.0, 4.0]), np.full(2, 1e-6))
+    verdict = decide([sure, hypothesis(0.0)], screening_with("gravity_tilt"), 30.0, 1.0, 0.05, OPTIONS)
+    for dose in verdict.effects[0].doses:  # by a fiftieth of the tilt, about either axis
+        assert dose.upper - dose.value == pytest.approx(1.645 * 0.02 * 5.0, rel=1e-3)
+    sure = hypothesis(20.0, "plasticity")
+    sure.doses = lambda one: (np.array([4.0]), np.full(1, 1e-6))
+    verdict = decide([sure, hypothesis(0.0)], screening_with("plasticity"), 30.0, 1.0, 0.05, OPTIONS)
+    dose = verdict.effects[0].doses[0]  # log10 of a yield stress
+    assert 10 ** (dose.upper - dose.value) == pytest.approx(1.0 + 1.645 * 0.02, rel=1e-3)
 
 
 def test_other_fits_that_have_the_effect_widen_its_interval():

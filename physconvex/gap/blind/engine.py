@@ -50,7 +50,7 @@ class World:
         wind: pressure per squared relative velocity times the air's velocity: ρ C_d/8 [kg/m³] and velocity [m/s].
         yield_stress: von Mises stress of the Kirchhoff stress at which flow sets in [Pa].
         branch: modulus ratio and relaxation time [s] of a Maxwell branch in the isochoric response.
-        stiffening: β of a shear modulus μ (1 + β (I₁ − 3)).
+        stiffening: b of μ/2b (exp(b q) − 1 − b q), q = Ī₁ − 3, the exponential law (Demiray 1972) less its first term.
         tied: stiffness of springs between nodes and where they started [N/m], shape [V].
         fibre: modulus over μ and direction of fibres, W = k/2 (I₄ − 1)².
     """
@@ -225,14 +225,16 @@ class _Body:
         volume = (f[:, 0] * cofactor[:, 0]).sum(1)
         if not (volume > 0).all():
             raise ConvergenceError("explicit engine: a tetrahedron turned inside out")
-        mu = self.mu
-        if world.stiffening:
-            mu = mu * (1 + world.stiffening * np.maximum((f * f).sum((1, 2)) - 3, 0.0))
         pressure = self.mu * (volume - 2)
         elastic = f
         if np.isfinite(world.yield_stress):
             elastic = f @ self._yield(f, cofactor, volume)
-        stress = mu[:, None, None] * elastic + pressure[:, None, None] * cofactor
+        stress = self.mu[:, None, None] * elastic + pressure[:, None, None] * cofactor
+        if world.stiffening:
+            shrink, square = volume ** (-2 / 3), (f * f).sum((1, 2))
+            slope = 0.5 * self.mu * np.expm1(world.stiffening * (shrink * square - 3))
+            along = f - (square / 3 / volume)[:, None, None] * cofactor
+            stress = stress + (2 * shrink * slope)[:, None, None] * along  # ∂Ī₁/∂F = 2 J^(−2/3) (F − tr C/3 F⁻ᵀ)
         if world.branch is not None:
             ratio, time = world.branch
             inverse = cofactor / volume[:, None, None]  # F⁻ᵀ

@@ -16,6 +16,7 @@ from physconvex.materials import Law, get_law
 __all__ = ["MATERIAL_EFFECTS"]
 
 Doses = Float[np.ndarray, " D"]
+Axis = tuple[int, int, int]
 _INCLUSION = 0.5  # standard deviation of a softer or stiffer part, over half the edges of the body
 _UNYIELDING = 9.0  # log10 of a yield stress [Pa] that nothing here reaches
 
@@ -130,13 +131,14 @@ def _inclusion(corner: tuple[int, int, int]) -> Effect:
     )
 
 
-def _with_fibres(axis: int) -> Effect:
+def _with_fibres(variant: str, axes: tuple[Axis, Axis, Axis]) -> Effect:
+    """About a direction that a fit begins at, with angles towards two others across it."""
+    along, first, second = (np.array(axis) / np.linalg.norm(axis) for axis in axes)
+
     def scene(scene: AnyScene, doses: Doses) -> AnyScene:
         if doses[0] <= 0:
             return scene
-        first, second = (axis + 1) % 3, (axis + 2) % 3
-        direction = np.zeros(3)
-        direction[axis], direction[first], direction[second] = 1.0, np.tan(doses[1]), np.tan(doses[2])
+        direction = along + np.tan(doses[1]) * first + np.tan(doses[2]) * second
         return with_material(scene, law=lambda law: with_fibres(law, direction, float(doses[0])))
 
     return Effect(
@@ -148,10 +150,23 @@ def _with_fibres(axis: int) -> Effect:
             Dose("angle_2", "rad", -0.9, 0.9, 0.1, lambda s: 0.0, shape=True),
         ),
         scene=scene,
-        variant="xyz"[axis],
+        variant=variant,
         description="fibres stiffen one direction",
         confusable=("heterogeneity", "nonlinear_elasticity"),
     )
+
+
+# three axes of the body and its four diagonals: no direction is more than 28 degrees from one of them, and fibres along
+# a diagonal look like fibres along no axis
+_FIBRES: dict[str, tuple[Axis, Axis, Axis]] = {
+    "x": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "y": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),
+    "z": ((0, 0, 1), (1, 0, 0), (0, 1, 0)),
+    "+x+y+z": ((1, 1, 1), (1, -1, 0), (1, 1, -2)),
+    "-x+y+z": ((-1, 1, 1), (-1, -1, 0), (-1, 1, -2)),
+    "+x-y+z": ((1, -1, 1), (1, 1, 0), (1, -1, -2)),
+    "+x+y-z": ((1, 1, -1), (1, -1, 0), (1, 1, 2)),
+}
 
 
 def _stiffening(scene: AnyScene, doses: Doses) -> AnyScene:
@@ -217,7 +232,7 @@ MATERIAL_EFFECTS: tuple[Effect, ...] = (
     PLASTICITY.with_trial("bulk", lambda s: _yield_trial(s, 0.12)),
     HETEROGENEITY,
     *(_inclusion((x, y, z)) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)),
-    *(_with_fibres(axis) for axis in range(3)),
+    *(_with_fibres(variant, axes) for variant, axes in _FIBRES.items()),
     STIFFENING,
     *OTHER_LAWS,
 )
