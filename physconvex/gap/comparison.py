@@ -61,6 +61,7 @@ class Hypothesis:
         moved: kinds that its effects change something of: only of these the residuals tell the doses.
         divisor: residuals per independent one that the evidence is tempered with, by kind.
         ringing: log-likelihood of how the recording rings, part of the evidence that is not tempered.
+        later: the part of the likelihood that the frames make which choose, and which no fit saw.
     """
 
     effects: tuple[Effect, ...]
@@ -79,6 +80,7 @@ class Hypothesis:
     moved: Bool[np.ndarray, " D"] = field(default_factory=lambda: np.ones(1, dtype=bool))
     divisor: Float[np.ndarray, " D"] = field(default_factory=lambda: np.ones(1))
     ringing: float = 0.0
+    later: Float[np.ndarray, " D"] = field(default_factory=lambda: np.zeros(1))
 
     @property
     def label(self) -> str:
@@ -100,6 +102,10 @@ class Hypothesis:
         """Number of independent fitted residuals, those that are alike counted once."""
         return float((self.information / self.divisor).sum())
 
+    def foretells_more_than(self, other: Hypothesis) -> bool:
+        """Whether the frames that choose are no less likely than with another fit, kinds weighed as in the evidence."""
+        return bool(((self.later - other.later) / self.divisor).sum() >= 0)
+
     def tempered(self, divisor: Float[np.ndarray, " D"]) -> Hypothesis:
         """With the evidence that it has if only one in `divisor` residuals of each kind is independent."""
         evidence = evidence_of(self.likelihood, self.information * self.moved, self.effects, self.values, divisor)
@@ -114,14 +120,16 @@ def hypothesis_at(
     positions = model.observed(motion, values)
     fitted = mean_square(base, errors, positions, base.split.fitted)
     selecting = float(np.nanmax(squares_by_kind(base, errors, positions, base.split.selecting), initial=0.0))
-    likelihood = likelihood_by_kind(base, errors, positions)
+    seen, later = (likelihood_by_kind(base, errors, positions, f) for f in (base.split.fitted, base.split.selecting))
+    attainable = sum(likelihood_by_kind(base, errors, None, f) for f in (base.split.fitted, base.split.selecting))
+    likelihood = seen + later
     information = information_by_kind(base, errors, base.split.fitted)
     moved = moved_kinds(base, errors, positions)
     ringing = ringing_likelihood(base, positions)
     evidence = evidence_of(likelihood, information * moved, model.effects, values) + ringing
     return Hypothesis(
         model.effects, model, values, deviations, positions, motion, tangents, fitted, selecting, evidence, likelihood,
-        likelihood_by_kind(base, errors, None), information, moved, ringing=ringing,
+        np.asarray(attainable), information, moved, ringing=ringing, later=later,
     )  # fmt: skip
 
 

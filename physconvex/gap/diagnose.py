@@ -22,6 +22,7 @@ from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Effect, Motion, choose
 from physconvex.gap.evidence import mean_square
 from physconvex.gap.findings import Provenance
+from physconvex.gap.flight import gain_in_flight
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
 from physconvex.gap.mapping import as_reduced
 from physconvex.gap.naming import favoured
@@ -120,6 +121,7 @@ def diagnose(
         other=evidence_of_anything(best),
         struck=base.situation.touches and not base.situation.clamped,
         seen=shrinkage[-1].gap_before / max(shrinkage[-1].noise_floor, 1e-300),
+        flight=gain_in_flight(base, weights, best, next((h for h in hypotheses if not h.effects), best)),
     )
     if second_take is not None:
         other = second_take if isinstance(second_take, Capture) else load_capture(second_take)

@@ -99,7 +99,9 @@ def information_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarra
     return np.maximum(1.0, information_by_kind(base, errors, frames) / np.maximum(independent, 1e-9))
 
 
-def likelihood_by_kind(base: Baseline, errors: ErrorModel, positions: np.ndarray | None) -> Float[np.ndarray, " D"]:
+def likelihood_by_kind(
+    base: Baseline, errors: ErrorModel, positions: np.ndarray | None, frames: np.ndarray
+) -> Float[np.ndarray, " D"]:  # fmt: skip
     """−n/2 ln(mean square) with unknown scale, by kind; the mean square is over that of noise and numerical error.
 
     Below one it says little more.
@@ -108,13 +110,11 @@ def likelihood_by_kind(base: Baseline, errors: ErrorModel, positions: np.ndarray
         base: the base fit.
         errors: weights.
         positions: of the model; None for one that leaves nothing but noise and numerical error.
+        frames: of which.
     """
-    total = np.zeros(base.modes.count)
-    for frames in (base.split.fitted, base.split.selecting):
-        information = information_by_kind(base, errors, frames)
-        squares = np.ones_like(total) if positions is None else squares_by_kind(base, errors, positions, frames)
-        total -= 0.5 * information * np.log(np.where(information > 0, squares, 1.0) + _ENOUGH)
-    return total
+    information = information_by_kind(base, errors, frames)
+    squares = np.ones(base.modes.count) if positions is None else squares_by_kind(base, errors, positions, frames)
+    return np.asarray(-0.5 * information * np.log(np.where(information > 0, squares, 1.0) + _ENOUGH))
 
 
 def evidence_of(

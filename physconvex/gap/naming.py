@@ -57,6 +57,9 @@ class NamedEffect:
 def favoured(hypotheses: Sequence[Hypothesis]) -> Hypothesis | None:
     """The fit with effects that is reported: the best, or with fewer of its effects if the others gain too little.
 
+    Effects that gain in the fitted frames and lose in those that no fit saw count as gaining too little: what programs
+    differ by after an impact is followed so, by damping or an uneven E beside the cause.
+
     Args:
         hypotheses: best evidence first.
     """
@@ -64,8 +67,11 @@ def favoured(hypotheses: Sequence[Hypothesis]) -> Hypothesis | None:
     if best is None:
         return None
     enough = [
-        h for h in hypotheses if h.effects and set(h.names) < set(best.names) and best.evidence - h.evidence < WEAK
-    ]
+        h
+        for h in hypotheses
+        if h.effects and set(h.names) < set(best.names)
+        and (best.evidence - h.evidence < WEAK or not best.foretells_more_than(h))
+    ]  # fmt: skip
     return min(enough, key=lambda h: (len(h.effects), -h.evidence), default=best)
 
 

@@ -43,6 +43,11 @@ _ABUNDANT = 0.8  # of the share of the gap that must go, at twice the gain that 
 _OPEN = 4.0  # times the expected square: a gap, whether or not an effect explains it
 _SEEN = 1.5  # gap over the error expected on held-out frames from which on a body that is not struck has one
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
+_IN_FLIGHT = ("external", "initial state", "observation")  # sources of effects that need no contact to be seen
+_LATER = (
+    "The flight before the first contact shows it beyond doubt. Of the held-out gap after it, it removes {:.0%}: the "
+    "rest has another cause, of which a contact that works otherwise is the likeliest."
+)
 
 
 @dataclass(frozen=True)
@@ -81,6 +86,7 @@ def decide(
     other: float = -np.inf,
     struck: bool = False,
     seen: float = np.inf,
+    flight: float = -np.inf,
 ) -> Verdict:
     """The verdict: the first of a list of rules that holds.
 
@@ -100,16 +106,19 @@ def decide(
         other: evidence of something that is not among the hypotheses.
         struck: whether a free body strikes something, after which models part for little.
         seen: gap of the base model on held-out frames over what noise and numerical error lead one to expect, rms.
+        flight: what the best effects gain before the first contact, see `physconvex.gap.flight`.
     """
     base = next(h for h in hypotheses if not h.effects)
     best = favoured(hypotheses)
-    probability = beside_something_else(probabilities(hypotheses, other), 1.0 - remaining)
-    none = probability.get("base model", 0.0)
+    shown = probabilities(hypotheses, other)
     if best is None:
+        none = beside_something_else(shown, 0.0).get("base model", 0.0)
         return Verdict("inconclusive", "No effect could be tried on this capture.", (), none, 0.0, ())
+    flies = flight >= _TELLING and any(effect.source in _IN_FLIGHT for effect in best.effects)
+    probability = beside_something_else(shown, 1.0 if flies else 1.0 - remaining)
     evidence = _Evidence(
         base, best, tuple(hypotheses), screening, probability, before, after, 1.0 - remaining, options, floor, placebo,
-        above_error, astray, struck, seen,
+        above_error, astray, struck, seen, flies,
     )  # fmt: skip
     rules = (_nothing, _slight, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo)
     for rule in rules:
@@ -138,6 +147,12 @@ class _Evidence:
     astray: float
     struck: bool
     seen: float
+    flies: bool
+
+    @property
+    def in_flight_alone(self) -> bool:
+        """Whether the effects show beyond doubt before the first contact, and explain little of what follows it."""
+        return self.flies and self.share < self.options.explained
 
     @property
     def gain(self) -> float:
@@ -191,6 +206,8 @@ class _Evidence:
         slight = {effect.name for effect in self.best.effects if _is_slight(self.best, effect)}
         found = named_effects(self.best, self.hypotheses, self.probability, self.screening, self.options)
         kept = [effect for effect in found if effect.name not in slight] or found
+        if self.in_flight_alone:
+            kept = [effect for effect in kept if effect.source in _IN_FLIGHT] or kept
         return tuple(by_weight(kept, self.hypotheses))
 
     @property
@@ -224,6 +241,8 @@ class _Evidence:
         """With the caveats, and with what would have been seen; probabilities as calls have turned out to be right."""
         effects = tuple(replace(effect, probability=_TRUSTED * effect.probability) for effect in effects)
         caveats = caveats_of(self.base, self.best, self.after)
+        if name == "effect" and self.in_flight_alone:
+            caveats = (_LATER.format(max(self.share, 0.0)), *caveats)
         more = doses_in_sight(self.screening) if power else ()
         return Verdict(name, sentence, effects, self.none, self.share, (*caveats, *more))
 
@@ -320,7 +339,7 @@ def _off_the_recording(e: _Evidence) -> Verdict | None:
 
 def _unexplained(e: _Evidence) -> Verdict | None:
     """A gap that the best effects leave; what the model's own error may be is not for effects to explain."""
-    if max(e.share, e.above_error) >= e.options.explained or e.after <= 2.0:
+    if max(e.share, e.above_error) >= e.options.explained or e.after <= 2.0 or e.flies:
         return None
     if e.struck and e.best.fitted < _FLOOR:
         sentence = (
@@ -338,7 +357,7 @@ def _unexplained(e: _Evidence) -> Verdict | None:
 def _as_good_as_a_placebo(e: _Evidence) -> Verdict | None:
     """An effect that nothing asks for does nearly as much, or the best one does nothing where it was not fitted."""
     certain = bool(e.named) and min(n.probability for n in e.named) >= _CERTAIN
-    if (certain or e.share >= _FORETOLD) and 1.0 - e.share <= _LESS * (1.0 - e.placebo):
+    if e.flies or ((certain or e.share >= _FORETOLD) and 1.0 - e.share <= _LESS * (1.0 - e.placebo)):
         return None
     if not (e.share <= 0 or e.placebo > _PLACEBO * e.share):
         return None
@@ -359,7 +378,7 @@ def _called(e: _Evidence) -> Verdict:
     likely = tuple(n for n in e.named if n.probability >= _LIKELY) or (
         max(e.named, key=lambda n: n.probability),
     )  # of several that are alike none may have half, and it is one of them all the same
-    if e.probability.get(SOMETHING_ELSE, 0.0) + e.none >= _DOUBT and not e.foretold:
+    if e.probability.get(SOMETHING_ELSE, 0.0) + e.none >= _DOUBT and not (e.foretold or e.flies):
         shares = ", ".join(f"{n.name} {n.probability:.0%}" for n in e.possible)
         sentence = (
             f"Inconclusive: there is a gap, and {e.best.label} fits best, but leaves so much that "

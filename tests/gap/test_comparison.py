@@ -90,6 +90,12 @@ def test_other_values_go_where_the_screened_dose_puts_them(rng):
     assert 5.12 < _beside(base, errors, base, [none])[0] <= 5.5  # E alone takes it, at most five typical steps
 
 
+def likelihood(base, errors):
+    """Of the fitted frames and of those that choose, by kind."""
+    parts = (base.split.fitted, base.split.selecting)
+    return sum(likelihood_by_kind(base, errors, np.zeros(0), frames) for frames in parts)
+
+
 def worth_of_good_strains(noise, rebound, modes):
     """Log-likelihood that a model gains whose strains err as expected, over one that errs by twice that."""
     kinds = np.tile(np.repeat([0, 1], [6, POINTS * 3 - 6]), FRAMES)
@@ -97,7 +103,7 @@ def worth_of_good_strains(noise, rebound, modes):
     for base, _ in (good, poor):
         base.modes = modes(base.observations.frames, kinds)
     divisor = information_per_one(*good, np.zeros(0))
-    return float(((likelihood_by_kind(*good, np.zeros(0)) - likelihood_by_kind(*poor, np.zeros(0))) / divisor).sum())
+    return float(((likelihood(*good) - likelihood(*poor)) / divisor).sum())
 
 
 def test_a_rebound_that_is_off_does_not_drown_what_the_strains_say(rng):
@@ -154,7 +160,7 @@ def test_what_is_left_after_an_impact_is_not_averaged_with_noise_before_it():
 
 def test_noise_before_an_impact_lends_no_weight_to_what_comes_after():
     """With one mean over all, of which two thirds are noise, an effect in the others gained ten times as much."""
-    worse, better = (likelihood_by_kind(*struck_case(left), np.zeros(0)) for left in (3.0, 1.0))
+    worse, better = (likelihood(*struck_case(left)) for left in (3.0, 1.0))
     independent = 3.0 * 4 + 3.0 * 3  # three numbers a frame, four fitted ones and three that choose
     assert (better - worse).sum() == pytest.approx(0.5 * independent * np.log(10 / 2), rel=0.2)
 

@@ -1,0 +1,52 @@
+"""What effects gain before the first contact."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from physconvex.gap import DEFAULT_EFFECTS
+from physconvex.gap.body_modes import BodyModes
+from physconvex.gap.flight import gain_in_flight
+from physconvex.gap.score import ErrorModel
+
+pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
+
+FRAMES, ROWS, TOUCHED = 12, 60, 8
+WIND = next(e for e in DEFAULT_EFFECTS if e.name == "wind")
+
+
+def case(touched=TOUCHED):
+    """A base fit of one kind of residual before the first contact, and one from then on."""
+    frames = np.repeat(np.arange(FRAMES), ROWS)
+    modes = BodyModes(frames, np.where(frames < touched, 0, 3), (6.0, 6.0, 12.0) * 2)
+    base = SimpleNamespace(
+        split=SimpleNamespace(fitted=np.arange(FRAMES)),
+        observations=SimpleNamespace(frames=frames),
+        modes=modes,
+        model=SimpleNamespace(frames=FRAMES),
+        rows=lambda chosen: np.flatnonzero(np.isin(frames, chosen)),
+        residual=lambda positions: positions,
+    )
+    return base, ErrorModel(np.ones(len(frames)), np.zeros((0, len(frames))), np.ones(len(frames)))
+
+
+def fits(base, flight, after, gain):
+    """One that leaves so much before and after the first contact, and the base model; the flight gains so much."""
+    left = np.where(base.modes.kinds == 0, flight, after)
+    likelihood = np.array([gain, 0, 0, -300.0, 0, 0])  # worse than the base model after the impact
+    best = SimpleNamespace(effects=(WIND,), positions=left, likelihood=likelihood, divisor=np.full(6, 2.0))
+    return best, SimpleNamespace(likelihood=np.zeros(6))
+
+
+def test_a_gain_in_flight_counts_whatever_follows_the_impact():
+    base, errors = case()
+    found = gain_in_flight(base, errors, *fits(base, 1.0, 30.0, 80.0))
+    # tempered by two; two doses, told by half of the numbers in flight
+    assert found == pytest.approx(40.0 - 0.5 * 2 * np.log((TOUCHED * (ROWS + 1.5)) / 2), rel=0.02)
+
+
+@pytest.mark.parametrize(("flight", "touched"), [(2.0, TOUCHED), (1.0, FRAMES)])
+def test_none_where_the_flight_is_not_followed_or_nothing_follows_it(flight, touched):
+    base, errors = case(touched)
+    assert gain_in_flight(base, errors, *fits(base, flight, 1.0, 80.0)) == -np.inf
