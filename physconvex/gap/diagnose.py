@@ -30,6 +30,7 @@ from physconvex.gap.numerics import Numerics, correction_of, detail_errors, erro
 from physconvex.gap.observing import lost_points
 from physconvex.gap.options import GapOptions
 from physconvex.gap.own_elements import with_own_elements
+from physconvex.gap.rebound import forgiving
 from physconvex.gap.report import GapReport
 from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screening, screen
@@ -121,6 +122,7 @@ def diagnose(
         other=evidence_of_anything(best),
         struck=base.situation.touches and not base.situation.clamped,
         seen=shrinkage[-1].gap_before / max(shrinkage[-1].noise_floor, 1e-300),
+        forgiven=_relative_gap(base, forgiving(errors, base.modes), best),
         flight=gain_in_flight(base, weights, best, next((h for h in hypotheses if not h.effects), best)),
     )
     if second_take is not None:

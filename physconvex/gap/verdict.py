@@ -87,6 +87,7 @@ def decide(
     struck: bool = False,
     seen: float = np.inf,
     flight: float = -np.inf,
+    forgiven: float = np.inf,
 ) -> Verdict:
     """The verdict: the first of a list of rules that holds.
 
@@ -107,6 +108,8 @@ def decide(
         struck: whether a free body strikes something, after which models part for little.
         seen: gap of the base model on held-out frames over what noise and numerical error lead one to expect, rms.
         flight: what the best effects gain before the first contact, see `physconvex.gap.flight`.
+        forgiven: `after`, if a rebound as a whole may be off by three times as much, see
+            `physconvex.gap.rebound.forgiving`.
     """
     base = next(h for h in hypotheses if not h.effects)
     best = favoured(hypotheses)
@@ -118,7 +121,7 @@ def decide(
     probability = beside_something_else(shown, 1.0 if flies else 1.0 - remaining)
     evidence = _Evidence(
         base, best, tuple(hypotheses), screening, probability, before, after, 1.0 - remaining, options, floor, placebo,
-        above_error, astray, struck, seen, flies,
+        above_error, astray, struck, seen, flies, forgiven,
     )  # fmt: skip
     rules = (_nothing, _slight, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo)
     for rule in rules:
@@ -148,6 +151,7 @@ class _Evidence:
     struck: bool
     seen: float
     flies: bool
+    forgiven: float
 
     @property
     def in_flight_alone(self) -> bool:
@@ -341,7 +345,7 @@ def _unexplained(e: _Evidence) -> Verdict | None:
     """A gap that the best effects leave; what the model's own error may be is not for effects to explain."""
     if max(e.share, e.above_error) >= e.options.explained or e.after <= 2.0 or e.flies:
         return None
-    if e.struck and e.best.fitted < _FLOOR:
+    if e.struck and (e.best.fitted < _FLOOR or e.forgiven <= 2.0):
         sentence = (
             f"Inconclusive: with {e.best.label} the model fits as well as it can err, and later parts from the "
             "recording: an unknown effect would do so, and so would a rebound that is a little off."

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from physconvex.gap import Motion
-from physconvex.gap.rebound import path_since_contact
+from physconvex.gap.body_modes import BodyModes
+from physconvex.gap.rebound import forgiving, path_since_contact
+from physconvex.gap.score import ErrorModel
 
 
 def motion_of(height):
@@ -25,3 +27,11 @@ def test_a_body_that_lies_comes_no_farther():
 
 def test_nothing_touched():
     assert (path_since_contact(motion_of(np.linspace(1, 0, 5)), np.zeros(5)) == 0).all()
+
+
+def test_a_rebound_as_a_whole_is_forgiven_and_nothing_else():
+    kinds = np.arange(6)
+    modes = BodyModes(np.zeros(6, dtype=int), kinds, (6.0, 6.0, 12.0) * 2)
+    found = forgiving(ErrorModel(np.full(6, 21.0), np.zeros((0, 6)), np.full(6, 5.0)), modes)
+    assert found.expected == pytest.approx([5, 5, 5, 1 + 9 * 4, 5, 5])
+    assert found.variance == pytest.approx([21, 21, 21, 1 + 9 * 20, 21, 21])

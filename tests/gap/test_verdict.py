@@ -370,7 +370,9 @@ def test_what_parts_after_an_impact_alone_is_not_called_unknown():
     assert decide(fits, screening(), 30.0, 9.0, 0.8, OPTIONS, placebo=0.0).name == "unknown"
     assert decide(fits, screening(), 30.0, 9.0, 0.8, OPTIONS, placebo=0.0, struck=True).name == "inconclusive"
     fits[0].fitted = 3.0  # a gap in the frames that are fitted
-    assert decide(fits, screening(), 30.0, 9.0, 0.8, OPTIONS, placebo=0.0, struck=True).name == "unknown"
+    for forgiven, name in ((1.6, "inconclusive"), (4.0, "unknown")):  # of a rebound as a whole, or of more than that
+        verdict = decide(fits, screening(), 30.0, 9.0, 0.8, OPTIONS, placebo=0.0, struck=True, forgiven=forgiven)
+        assert verdict.name == name
 
 
 def test_what_lies_within_the_error_of_a_body_that_is_not_struck_is_no_gap():
