@@ -122,6 +122,7 @@ def diagnose(
         other=evidence_of_anything(best),
         struck=base.situation.touches and not base.situation.clamped,
         seen=shrinkage[-1].gap_before / max(shrinkage[-1].noise_floor, 1e-300),
+        reported=shrinkage[0].shrinkage,
         forgiven=_relative_gap(base, forgiving(errors, base.modes), best),
         flight=gain_in_flight(base, weights, best, next((h for h in hypotheses if not h.effects), best)),
     )

@@ -11,6 +11,7 @@ import numpy as np
 from physconvex.gap.caveats import caveats_of, doses_in_sight
 from physconvex.gap.comparison import Hypothesis
 from physconvex.gap.effects import Effect
+from physconvex.gap.flight import IN_FLIGHT
 from physconvex.gap.naming import (
     SOMETHING_ELSE,
     WEAK,
@@ -42,8 +43,8 @@ _DOUBT = 0.4  # probability of none and of something else above which no effect 
 _ABUNDANT = 0.8  # of the share of the gap that must go, at twice the gain that is enough
 _OPEN = 4.0  # times the expected square: a gap, whether or not an effect explains it
 _SEEN = 1.5  # gap over the error expected on held-out frames from which on a body that is not struck has one
+_WIDE = 4.0  # times the expected error of held-out frames, rms: a gap that no screening and no fit argues away
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
-_IN_FLIGHT = ("external", "initial state", "observation")  # sources of effects that need no contact to be seen
 _LATER = (
     "The flight before the first contact shows it beyond doubt. Of the held-out gap after it, it removes {:.0%}: the "
     "rest has another cause, of which a contact that works otherwise is the likeliest."
@@ -88,6 +89,7 @@ def decide(
     seen: float = np.inf,
     flight: float = -np.inf,
     forgiven: float = np.inf,
+    reported: float = np.inf,
 ) -> Verdict:
     """The verdict: the first of a list of rules that holds.
 
@@ -110,6 +112,7 @@ def decide(
         flight: what the best effects gain before the first contact, see `physconvex.gap.flight`.
         forgiven: `after`, if a rebound as a whole may be off by three times as much, see
             `physconvex.gap.rebound.forgiving`.
+        reported: the share that the best effects remove in those held-out frames that did not choose them.
     """
     base = next(h for h in hypotheses if not h.effects)
     best = favoured(hypotheses)
@@ -117,11 +120,11 @@ def decide(
     if best is None:
         none = beside_something_else(shown, 0.0).get("base model", 0.0)
         return Verdict("inconclusive", "No effect could be tried on this capture.", (), none, 0.0, ())
-    flies = flight >= _TELLING and any(effect.source in _IN_FLIGHT for effect in best.effects)
+    flies = flight >= _TELLING and any(effect.source in IN_FLIGHT for effect in best.effects)
     probability = beside_something_else(shown, 1.0 if flies else 1.0 - remaining)
     evidence = _Evidence(
         base, best, tuple(hypotheses), screening, probability, before, after, 1.0 - remaining, options, floor, placebo,
-        above_error, astray, struck, seen, flies, forgiven,
+        above_error, astray, struck, seen, flies, forgiven, reported,
     )  # fmt: skip
     rules = (_nothing, _slight, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo)
     for rule in rules:
@@ -152,6 +155,7 @@ class _Evidence:
     seen: float
     flies: bool
     forgiven: float
+    reported: float
 
     @property
     def in_flight_alone(self) -> bool:
@@ -200,6 +204,11 @@ class _Evidence:
         return min(self.before, self.after) >= _OPEN
 
     @property
+    def left_wide_open(self) -> bool:
+        """Whether held-out frames have a gap far beyond what is expected, which the best effects leave."""
+        return self.seen >= _WIDE and self.share < self.options.explained and np.isfinite(self.seen)
+
+    @property
     def none(self) -> float:
         """Probability of the base model."""
         return self.probability.get("base model", 0.0)
@@ -211,7 +220,7 @@ class _Evidence:
         found = named_effects(self.best, self.hypotheses, self.probability, self.screening, self.options)
         kept = [effect for effect in found if effect.name not in slight] or found
         if self.in_flight_alone:
-            kept = [effect for effect in kept if effect.source in _IN_FLIGHT] or kept
+            kept = [effect for effect in kept if effect.source in IN_FLIGHT] or kept
         return tuple(by_weight(kept, self.hypotheses))
 
     @property
@@ -264,7 +273,7 @@ def _nothing(e: _Evidence) -> Verdict | None:
         return None
     if e.floor > _BLIND:
         return _blind(e)
-    if e.open and not _is_slight(e.best):
+    if (e.open and not _is_slight(e.best)) or e.left_wide_open:
         sentence = (
             "Inconclusive: a gap opens after the frames that were fitted, above noise and numerical error, and "
             f"{e.best.label}, which fits best, does not foretell it."
@@ -363,9 +372,10 @@ def _as_good_as_a_placebo(e: _Evidence) -> Verdict | None:
     certain = bool(e.named) and min(n.probability for n in e.named) >= _CERTAIN
     if e.flies or ((certain or e.share >= _FORETOLD) and 1.0 - e.share <= _LESS * (1.0 - e.placebo)):
         return None
-    if not (e.share <= 0 or e.placebo > _PLACEBO * e.share):
+    nothing = e.share <= 0 or (e.reported <= 0 and e.after > 2.0)
+    if not (nothing or e.placebo > _PLACEBO * e.share):
         return None
-    if e.share <= 0:
+    if nothing:
         sentence = (
             f"Inconclusive: {e.best.label} fits best, but removes nothing of the gap on frames that were not fitted."
         )

@@ -161,6 +161,26 @@ def test_an_effect_that_foretells_nothing_is_not_named():
         assert verdict.name == "inconclusive" and "removes nothing of the gap" in verdict.sentence
 
 
+@pytest.mark.parametrize(
+    ("reported", "after", "name"), [(-0.03, 9.0, "inconclusive"), (-0.03, 1.2, "effect"), (0.1, 9.0, "effect")]
+)
+def test_an_effect_must_foretell_frames_that_did_not_choose_it(reported, after, name):
+    """Fibres followed a tether into the frames that choose, .64 of the gap there, and removed nothing of the others."""
+    fits = [hypothesis(20.0, "damping"), hypothesis(0.0)]
+    verdict = decide(fits, screening(), 30.0, after, 0.36, OPTIONS, placebo=0.07, reported=reported)
+    assert verdict.name == name
+
+
+@pytest.mark.parametrize(
+    ("seen", "remaining", "name"), [(5.4, 1.0, "inconclusive"), (3.0, 1.0, "none"), (5.4, 0.3, "none")]
+)
+def test_a_wide_gap_in_held_out_frames_is_not_argued_away(seen, remaining, name):
+    """An impact near the end of the fitted frames: 25 mm where 5 are expected, and no effect that fits."""
+    fits = [hypothesis(0.5, "damping", dose=0.6), hypothesis(0.0)]
+    verdict = decide(fits, screening(p_value=0.5), 3.0, 3.0, remaining, OPTIONS, placebo=0.0, seen=seen, struck=True)
+    assert verdict.name == name
+
+
 def test_a_further_effect_that_gains_little_is_not_named():
     alone, plain = hypothesis(20.0, "damping"), hypothesis(0.0)
     for gain, names in ((0.3, ["damping"]), (1.4, ["damping"]), (2.0, ["damping", "wind"])):
