@@ -28,7 +28,6 @@ from physconvex.gap.comparison import (
 )
 from physconvex.gap.effects import Effect, applicable
 from physconvex.gap.evidence import information_per_one, residuals_per_one
-from physconvex.gap.flight import fitted_to_the_flight
 from physconvex.gap.loads import loaded_starts
 from physconvex.gap.mapping import as_reduced, confirmed, improved
 from physconvex.gap.model import EffectModel, reduced_like
@@ -192,12 +191,6 @@ def _decided(
             out[next(i for i, h in enumerate(out) if h.motion is hypothesis.motion)] = better
             if better.fitted > _SLOW * hypothesis.fitted or better.fitted < 1.0:
                 settled.add(id(better.motion))
-    for index, hypothesis in enumerate(out):
-        try:
-            base.model.cost.check()
-            out[index] = fitted_to_the_flight(base, errors, hypothesis, options) or hypothesis
-        except FAILURES as error:
-            report(f"fit to the flight: {hypothesis.label}: {error}")
     return out if len(out) > 1 else [*out, *finalists[:1]]
 
 

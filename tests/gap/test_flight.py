@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.gap import DEFAULT_EFFECTS, GapOptions, flight
+from physconvex.gap import DEFAULT_EFFECTS
 from physconvex.gap.body_modes import BodyModes
-from physconvex.gap.flight import fitted_to_the_flight, gain_in_flight
+from physconvex.gap.flight import gain_in_flight
 from physconvex.gap.score import ErrorModel
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
@@ -50,49 +50,3 @@ def test_a_gain_in_flight_counts_whatever_follows_the_impact():
 def test_none_where_the_flight_is_not_followed_or_nothing_follows_it(before, touched):
     base, errors = case(touched)
     assert gain_in_flight(base, errors, *fits(base, before, 1.0, 80.0)) == -np.inf
-
-
-@pytest.fixture
-def bent(monkeypatch):
-    """A straight flight at speed 1 and a rebound that is off by as much as one at 3: a fit to all comes out between."""
-    base, errors = case()
-    frames = base.observations.frames
-    pull = np.where(base.modes.kinds == 0, 1.0, 3.0)
-
-    def refit(base, errors, model, values, tangents, options):
-        weights = 1 / errors.variance
-        speed = float((weights * frames**2 * pull).sum() / (weights * frames**2).sum())
-        return SimpleNamespace(values=np.array([speed]), errors=np.zeros(1), tangents=None)
-
-    def at(base, errors, model, values, deviations, motion, tangents, effect=WIND):
-        left = 10.0 * frames * (values[0] - pull)
-        before, after = (np.mean(left[base.modes.kinds == kind] ** 2) for kind in (0, 3))
-        evidence = -0.5 * (200 * np.log(1 + before) + 10 * np.log(1 + after))  # few numbers tell of the rebound
-        return SimpleNamespace(
-            effects=(effect,), model=model, values=values, errors=deviations, positions=left, motion=None,
-            tangents=tangents, evidence=evidence,
-        )  # fmt: skip
-
-    monkeypatch.setattr(flight, "refit", refit)
-    monkeypatch.setattr(flight, "hypothesis_at", at)
-    monkeypatch.setattr(flight, "reduced_like", lambda full, motion, values: (None, None))
-    model = SimpleNamespace(motion=lambda values: None)
-    start = refit(base, errors, None, None, None, None).values
-    return SimpleNamespace(
-        base=base,
-        errors=errors,
-        at=lambda values, **k: at(base, errors, model, values, None, None, None, **k),
-        start=start,
-    )
-
-
-def test_a_rebound_that_is_off_does_not_bend_the_flight(bent):
-    assert bent.start[0] > 2.0  # what a fit to all frames comes to
-    found = fitted_to_the_flight(bent.base, bent.errors, bent.at(bent.start), GapOptions())
-    assert found.values[0] == pytest.approx(1.0, abs=0.1)
-
-
-def test_it_is_left_where_the_flight_is_followed_or_no_effect_acts_on_it(bent):
-    assert fitted_to_the_flight(bent.base, bent.errors, bent.at(np.array([1.0])), GapOptions()) is None
-    friction = next(e for e in DEFAULT_EFFECTS if e.name == "friction")
-    assert fitted_to_the_flight(bent.base, bent.errors, bent.at(bent.start, effect=friction), GapOptions()) is None

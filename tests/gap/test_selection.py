@@ -81,7 +81,6 @@ def test_full_order_fits_go_on_as_long_as_they_help(monkeypatch):
 
     monkeypatch.setattr(selection, "confirmed", lambda base, errors, found: found)
     monkeypatch.setattr(selection, "improved", lambda base, errors, found, options: fit(found.label))
-    monkeypatch.setattr(selection, "fitted_to_the_flight", lambda base, errors, found, options: None)
     monkeypatch.setattr(selection, "judged", lambda base, errors, found: sorted(found, key=lambda h: h.fitted))
     plain = SimpleNamespace(effects=(), motion=object(), fitted=9.0, label="base model")
     monkeypatch.setattr(selection, "base_hypothesis", lambda base, errors: plain)
