@@ -239,10 +239,13 @@ class _Evidence:
 
     @property
     def further(self) -> tuple[NamedEffect, ...]:
-        """Effects that the best fit gains too little by to have them, and that are possible all the same."""
+        """Effects that the best fit gains too little by to have them, and that are possible all the same.
+
+        Not those which gain much in the fitted frames and lose in later ones.
+        """
         found: dict[str, NamedEffect] = {}
         for h in self.hypotheses:
-            if set(h.names) > set(self.best.names):
+            if set(h.names) > set(self.best.names) and h.foretells_more_than(self.best):
                 for effect in named_effects(h, self.hypotheses, self.probability, self.screening, self.options):
                     if effect.name not in self.best.names and effect.probability > _LISTED:
                         found.setdefault(effect.name, effect)

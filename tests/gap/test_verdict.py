@@ -199,7 +199,7 @@ def test_a_further_effect_that_foretells_nothing_is_not_named(later, names):
     both = hypothesis(40.0, "damping", "wind", dose=0.6, later=later)
     verdict = decide([both, hypothesis(20.0, "damping"), hypothesis(0.0)], screening(), 30.0, 1.0, 0.05, OPTIONS)
     assert verdict.name == "effect" and [e.name for e in verdict.effects if e.probability > 0.9] == names
-    assert ("wind" in verdict.sentence.split("perhaps")[0]) == ("wind" in names)
+    assert ("wind" in verdict.sentence) == ("wind" in names)
 
 
 def test_a_model_that_does_not_follow_the_recording_names_nothing():
