@@ -96,6 +96,24 @@ def test_friction_found_on_one_take_holds_on_another(diagnosed):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_an_inert_effect_is_never_named(capture, diagnosed):
+    """A dose that does nothing explains nothing: the answer is what it is without."""
+    from physconvex.gap import Dose, Effect, GapOptions, diagnose
+
+    inert = Effect(
+        "inert", "material", (Dose("amount", "", -1.0, 1.0, 0.01, lambda s: 0.1),), scene=lambda scene, _: scene
+    )
+    names = ("friction", "gravity_tilt", "air_drag", "damping", "inert")
+    report = diagnose(capture, effects=names, extra=[inert], options=GapOptions(max_nodes=100, candidates=2))
+    before = json.loads((diagnosed / "report.json").read_text())["which"]
+    assert [e.name for e in report.verdict.effects] == [e["name"] for e in before["effects"]]
+    assert all("inert" not in h.names for h in report.hypotheses[:1]) and "inert" not in report.verdict.sentence
+    entry = next(e for e in report.screening.ranked if e.effect.name == "inert")
+    assert entry.score.statistic == pytest.approx(0.0, abs=1e-9) and not np.any(entry.score.amounts)
+
+
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_a_second_take_without_the_floor_is_refused(capture, second_take, tmp_path):
     from types import SimpleNamespace
