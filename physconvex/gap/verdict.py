@@ -3,73 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
-from physconvex.gap.caveats import caveats_of, doses_in_sight
+from physconvex.gap.case import FORETOLD, LESS, OPEN, SEEN, TELLING, TRUSTED, Case, Verdict, VerdictName, is_slight
 from physconvex.gap.comparison import Hypothesis
-from physconvex.gap.effects import Effect
 from physconvex.gap.flight import IN_FLIGHT
-from physconvex.gap.naming import (
-    SOMETHING_ELSE,
-    WEAK,
-    NamedEffect,
-    beside_something_else,
-    by_weight,
-    favoured,
-    named_effects,
-    probabilities,
-)
+from physconvex.gap.naming import SOMETHING_ELSE, WEAK, beside_something_else, favoured, probabilities
 from physconvex.gap.options import GapOptions
 from physconvex.gap.screening import Screening
 
 __all__ = ["Verdict", "VerdictName", "decide"]
 
-VerdictName = Literal["none", "effect", "unknown", "inconclusive"]
-_TRUSTED = 0.94  # share of calls that are right: 59 of 63 in the blind banks before, nearly all with 1.00 by evidence
-_CLEAR = 4.0  # gain of log-evidence over the base model that makes a call; below `WEAK` it is open
-_LISTED = 0.02  # probability
-_FORETOLD = 0.9  # share of the gap on frames that were not fitted, of which a placebo removes no tenth
 _PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
-_CERTAIN = 0.95  # probability, or share removed of _FORETOLD, from which on a placebo that does much is no objection
-_LESS = 0.25  # and the share of what that placebo leaves which the effect may leave at most
+_CERTAIN = 0.95  # probability, or share removed of FORETOLD, from which on a placebo that does much is no objection
 _BLIND = 0.1  # floor over size or motion above which "none" would say nothing
-_TELLING = 10.0  # gain that makes a call although the base model errs as expected, if half of the held-out gap goes
 _ASTRAY = 0.5  # distance from the recording over its motion above which the model is no model of it
 _LIKELY = 0.5  # probability from which on an effect is named
 _DOUBT = 0.4  # probability of none and of something else above which no effect is
-_ABUNDANT = 0.8  # of the share of the gap that must go, at twice the gain that is enough
-_OPEN = 4.0  # times the expected square: a gap, whether or not an effect explains it
-_SEEN = 1.5  # gap over the error expected on held-out frames from which on a body that is not struck has one
-_WIDE = 4.0  # times the expected error of held-out frames, rms: a gap that no screening and no fit argues away
 _FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
-_LATER = (
-    "The flight before the first contact shows it beyond doubt. Of the held-out gap after it, it removes {:.0%}: the "
-    "rest has another cause, of which a contact that works otherwise is the likeliest."
-)
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """The answer.
-
-    Attributes:
-        name: none, effect, unknown or inconclusive.
-        sentence: for people.
-        effects: the named effects and those that remain possible, most probable first.
-        none_probability: of the base model.
-        share: of the held-out gap above the floor that the best effect removes.
-        caveats: what limits the answer.
-    """
-
-    name: VerdictName
-    sentence: str
-    effects: tuple[NamedEffect, ...]
-    none_probability: float
-    share: float
-    caveats: tuple[str, ...]
 
 
 def decide(
@@ -120,9 +72,9 @@ def decide(
     if best is None:
         none = beside_something_else(shown, 0.0).get("base model", 0.0)
         return Verdict("inconclusive", "No effect could be tried on this capture.", (), none, 0.0, ())
-    flies = flight >= _TELLING and any(effect.source in IN_FLIGHT for effect in best.effects)
+    flies = flight >= TELLING and any(effect.source in IN_FLIGHT for effect in best.effects)
     probability = beside_something_else(shown, 1.0 if flies else 1.0 - remaining)
-    evidence = _Evidence(
+    evidence = Case(
         base, best, tuple(hypotheses), screening, probability, before, after, 1.0 - remaining, options, floor, placebo,
         above_error, astray, struck, seen, flies, forgiven, reported,
     )  # fmt: skip
@@ -134,149 +86,20 @@ def decide(
     return _called(evidence)
 
 
-@dataclass(frozen=True, eq=False)
-class _Evidence:
-    """What the rules read; the numbers are the arguments of `decide`, `share` is what the best effects remove."""
-
-    base: Hypothesis
-    best: Hypothesis
-    hypotheses: tuple[Hypothesis, ...]
-    screening: Screening
-    probability: dict[str, float]
-    before: float
-    after: float
-    share: float
-    options: GapOptions
-    floor: float
-    placebo: float
-    above_error: float
-    astray: float
-    struck: bool
-    seen: float
-    flies: bool
-    forgiven: float
-    reported: float
-
-    @property
-    def in_flight_alone(self) -> bool:
-        """Whether the effects show beyond doubt before the first contact, and explain little of what follows it."""
-        return self.flies and self.share < self.options.explained
-
-    @property
-    def gain(self) -> float:
-        """Of log-evidence."""
-        return self.best.evidence - self.base.evidence
-
-    @property
-    def foretold(self) -> bool:
-        """Whether held-out frames leave no doubt, although the evidence counts too few residuals as independent."""
-        return self.gain >= WEAK and self.share >= _FORETOLD and self._beyond_placebo
-
-    @property
-    def clear(self) -> bool:
-        """Whether fitted and held-out frames together make a call: the less sure the ones, the more the others do."""
-        return self.gain >= _CLEAR or self._kept(_CLEAR)
-
-    @property
-    def telling(self) -> bool:
-        """Whether the effect counts although the base model errs by no more than is expected of it.
-
-        The error of a body that strikes nothing is well known: what lies within it on held-out frames too is no gap,
-        however well some effect of many doses, an inclusion say, can follow it.
-        """
-        return self._kept(_TELLING) and (self.struck or self.seen >= _SEEN)
-
-    def _kept(self, enough: float) -> bool:
-        """Whether held-out frames make up for a gain below `enough`: the smaller it is, the more of the gap must go."""
-        shares = (_FORETOLD, self.options.explained, _ABUNDANT * self.options.explained)
-        asked = float(np.interp(self.gain, (WEAK, enough, 2 * enough), shares))
-        return self.gain >= WEAK and self.share >= asked and self._beyond_placebo
-
-    @property
-    def _beyond_placebo(self) -> bool:
-        """Whether a placebo does next to nothing, or much evidence is for an effect that leaves a quarter of it."""
-        sure = self.gain >= _TELLING and self.share >= _FORETOLD
-        return self.placebo < 1.0 - _FORETOLD or (sure and 1.0 - self.share <= _LESS * (1.0 - self.placebo))
-
-    @property
-    def open(self) -> bool:
-        """Whether a gap is there, of the base model and on held-out frames with the best effects too."""
-        return min(self.before, self.after) >= _OPEN
-
-    @property
-    def left_wide_open(self) -> bool:
-        """Whether held-out frames have a gap far beyond what is expected, which the best effects leave."""
-        return self.seen >= _WIDE and self.share < self.options.explained and np.isfinite(self.seen)
-
-    @property
-    def none(self) -> float:
-        """Probability of the base model."""
-        return self.probability.get("base model", 0.0)
-
-    @property
-    def named(self) -> tuple[NamedEffect, ...]:
-        """Effects of the best fit, without those whose doses are smaller than is of interest beside others."""
-        slight = {effect.name for effect in self.best.effects if _is_slight(self.best, effect)}
-        found = named_effects(self.best, self.hypotheses, self.probability, self.screening, self.options)
-        kept = [effect for effect in found if effect.name not in slight] or found
-        if self.in_flight_alone:
-            kept = [effect for effect in kept if effect.source in IN_FLIGHT] or kept
-        return tuple(by_weight(kept, self.hypotheses))
-
-    @property
-    def possible(self) -> tuple[NamedEffect, ...]:
-        """Those of the best fit, and the single ones that remain possible."""
-        others = [
-            effect
-            for h in self.hypotheses
-            if len(h.effects) == 1
-            and h is not self.best
-            and h.names[0] not in self.best.names
-            and self.probability.get(h.label, 0.0) > _LISTED
-            for effect in named_effects(h, self.hypotheses, self.probability, self.screening, self.options)
-        ]
-        return (*self.named, *others)
-
-    @property
-    def further(self) -> tuple[NamedEffect, ...]:
-        """Effects that the best fit gains too little by to have them, and that are possible all the same.
-
-        Not those which gain much in the fitted frames and lose in later ones.
-        """
-        found: dict[str, NamedEffect] = {}
-        for h in self.hypotheses:
-            if set(h.names) > set(self.best.names) and h.foretells_more_than(self.best):
-                for effect in named_effects(h, self.hypotheses, self.probability, self.screening, self.options):
-                    if effect.name not in self.best.names and effect.probability > _LISTED:
-                        found.setdefault(effect.name, effect)
-        return tuple(found.values())
-
-    def verdict(
-        self, name: VerdictName, sentence: str, effects: tuple[NamedEffect, ...] = (), *, power: bool = False
-    ) -> Verdict:
-        """With the caveats, and with what would have been seen; probabilities as calls have turned out to be right."""
-        effects = tuple(replace(effect, probability=_TRUSTED * effect.probability) for effect in effects)
-        caveats = caveats_of(self.base, self.best, self.after)
-        if name == "effect" and self.in_flight_alone:
-            caveats = (_LATER.format(max(self.share, 0.0)), *caveats)
-        more = doses_in_sight(self.screening) if power else ()
-        return Verdict(name, sentence, effects, self.none, self.share, (*caveats, *more))
-
-
-def _nothing(e: _Evidence) -> Verdict | None:
+def _nothing(e: Case) -> Verdict | None:
     """No gap above noise and numerical error; where those are large, that says nothing."""
     significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
     # a fit finds what one finite dose does not
-    significant = significant or (e.gain >= _TELLING and e.telling) or (e.foretold and e.seen >= _SEEN)
+    significant = significant or (e.gain >= TELLING and e.telling) or (e.foretold and e.seen >= SEEN)
     closed = min(e.before, e.base.fitted) < _FLOOR and not e.telling
-    little = e.gain < WEAK and e.before < _OPEN
-    slight = _is_slight(e.best) and not e.open and not e.foretold
-    late = e.telling and e.before >= _OPEN  # a gap that opens after the fitted frames, and that the effect foretells
+    little = e.gain < WEAK and e.before < OPEN
+    slight = is_slight(e.best) and not e.open and not e.foretold
+    late = e.telling and e.before >= OPEN  # a gap that opens after the fitted frames, and that the effect foretells
     if not (little or slight or (not late and (closed or not significant))):
         return None
     if e.floor > _BLIND:
         return _blind(e)
-    if (e.open and not _is_slight(e.best)) or e.left_wide_open:
+    if (e.open and not is_slight(e.best)) or e.left_wide_open:
         sentence = (
             "Inconclusive: a gap opens after the frames that were fitted, above noise and numerical error, and "
             f"{e.best.label}, which fits best, does not foretell it."
@@ -285,15 +108,15 @@ def _nothing(e: _Evidence) -> Verdict | None:
     reason = "is no more than chance"
     if closed:
         reason = "lies within these errors"
-    if _is_slight(e.best):
+    if is_slight(e.best):
         reason = "is smaller than is of interest"
     sentence = f"No gap above noise and numerical error: what {e.best.label} would add {reason}."
     return e.verdict("none", sentence, power=True)
 
 
-def _slight(e: _Evidence) -> Verdict | None:
+def _slight(e: Case) -> Verdict | None:
     """A dose too small to be of interest fits best, and leaves the gap."""
-    if not _is_slight(e.best) or e.foretold:
+    if not is_slight(e.best) or e.foretold:
         return None
     if e.floor > _BLIND:
         return _blind(e)
@@ -304,7 +127,7 @@ def _slight(e: _Evidence) -> Verdict | None:
     return e.verdict("inconclusive", sentence, power=True)
 
 
-def _blind(e: _Evidence) -> Verdict:
+def _blind(e: Case) -> Verdict:
     sentence = (
         f"Inconclusive: the model's own numerical error and the noise ({e.floor:.0%} of the body's size or "
         "motion) hide whatever gap there is. Allow a finer mesh, or record a motion with less contact."
@@ -312,7 +135,7 @@ def _blind(e: _Evidence) -> Verdict:
     return e.verdict("inconclusive", sentence, power=True)
 
 
-def _numerical(e: _Evidence) -> Verdict | None:
+def _numerical(e: Case) -> Verdict | None:
     """All effects of the best fit are numerical; where such errors are large, that says nothing either."""
     if any(effect.source != "numerical" for effect in e.best.effects):
         return None
@@ -331,7 +154,7 @@ def _numerical(e: _Evidence) -> Verdict | None:
     return e.verdict("none", sentence, e.possible)
 
 
-def _weak(e: _Evidence) -> Verdict | None:
+def _weak(e: Case) -> Verdict | None:
     """A gain too small for a call."""
     if e.clear:
         return None
@@ -342,7 +165,7 @@ def _weak(e: _Evidence) -> Verdict | None:
     return e.verdict("inconclusive", sentence, e.possible, power=True)
 
 
-def _off_the_recording(e: _Evidence) -> Verdict | None:
+def _off_the_recording(e: Case) -> Verdict | None:
     """The model is none of this recording."""
     if e.astray <= _ASTRAY:
         return None
@@ -353,7 +176,7 @@ def _off_the_recording(e: _Evidence) -> Verdict | None:
     return e.verdict("unknown", sentence)
 
 
-def _unexplained(e: _Evidence) -> Verdict | None:
+def _unexplained(e: Case) -> Verdict | None:
     """A gap that the best effects leave; what the model's own error may be is not for effects to explain."""
     if max(e.share, e.above_error) >= e.options.explained or e.after <= 2.0 or e.flies:
         return None
@@ -370,10 +193,10 @@ def _unexplained(e: _Evidence) -> Verdict | None:
     return e.verdict("unknown", sentence, e.possible)
 
 
-def _as_good_as_a_placebo(e: _Evidence) -> Verdict | None:
+def _as_good_as_a_placebo(e: Case) -> Verdict | None:
     """An effect that nothing asks for does nearly as much, or the best one does nothing where it was not fitted."""
     certain = bool(e.named) and min(n.probability for n in e.named) >= _CERTAIN
-    if e.flies or ((certain or e.share >= _FORETOLD) and 1.0 - e.share <= _LESS * (1.0 - e.placebo)):
+    if e.flies or ((certain or e.share >= FORETOLD) and 1.0 - e.share <= LESS * (1.0 - e.placebo)):
         return None
     nothing = e.share <= 0 or (e.reported <= 0 and e.after > 2.0)
     if not (nothing or e.placebo > _PLACEBO * e.share):
@@ -390,7 +213,7 @@ def _as_good_as_a_placebo(e: _Evidence) -> Verdict | None:
     return e.verdict("inconclusive", sentence, e.possible)
 
 
-def _called(e: _Evidence) -> Verdict:
+def _called(e: Case) -> Verdict:
     """The best effects are the cause."""
     likely = tuple(n for n in e.named if n.probability >= _LIKELY) or (
         max(e.named, key=lambda n: n.probability),
@@ -405,25 +228,9 @@ def _called(e: _Evidence) -> Verdict:
     doses = "; ".join(f"{d.name} = {d.value:.3g} {d.unit}".strip() for n in likely for d in n.doses)
     also = sorted({name for n in likely for name in n.confused_with})
     caveat = f"; from this recording it may be confused with {', '.join(also)}" if also else ""
-    perhaps = [f"{n.name} ({_TRUSTED * n.probability:.0%})" for n in (*e.named, *e.further) if n not in likely]
+    perhaps = [f"{n.name} ({TRUSTED * n.probability:.0%})" for n in (*e.named, *e.further) if n not in likely]
     added = f"; perhaps also by {', '.join(perhaps)}" if perhaps else ""
     label = " + ".join(x.label for x in e.best.effects if x.name in {n.name for n in likely})
-    sure = ", ".join(f"{_TRUSTED * n.probability:.0%}" for n in likely)
+    sure = ", ".join(f"{TRUSTED * n.probability:.0%}" for n in likely)
     sentence = f"The gap is caused by {label} (probability {sure}): {doses}{added}{caveat}."
     return e.verdict("effect", sentence, e.possible)
-
-
-def _is_slight(hypothesis: Hypothesis, *effects: Effect) -> bool:
-    """Whether all doses (of all effects unless some are given) lie nearer to null than is of interest.
-
-    What fits so is the model's own error.
-    """
-    slight = []
-    for effect in effects or hypothesis.effects:
-        values, _ = hypothesis.doses(effect)
-        slight += [
-            abs(v - d.null) < d.smallest
-            for v, d in zip(values, effect.doses, strict=True)
-            if not d.shape and effect.source != "numerical"
-        ]
-    return bool(slight) and all(slight)
