@@ -78,12 +78,24 @@ def decide(
         base, best, tuple(hypotheses), screening, probability, before, after, 1.0 - remaining, options, floor, placebo,
         above_error, astray, struck, seen, flies, forgiven, reported,
     )  # fmt: skip
-    rules = (_nothing, _slight, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo)
+    rules = (_wide_open, _nothing, _slight, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo)
     for rule in rules:
         verdict = rule(evidence)
         if verdict is not None:
             return verdict
     return _called(evidence)
+
+
+def _wide_open(e: Case) -> Verdict | None:
+    """A gap that no error of the model comes near, and that the best effects leave."""
+    if not e.left_wide_open or e.flies:
+        return None
+    sentence = (
+        f"There is a gap that none of the known effects explains: on frames that were not fitted it is {e.seen:.1f} "
+        f"times what noise and numerical error lead one to expect, and the best of them, {e.best.label}, removes "
+        f"{max(e.share, 0):.0%} of it."
+    )
+    return e.verdict("unknown", sentence, e.possible)
 
 
 def _nothing(e: Case) -> Verdict | None:
@@ -99,7 +111,7 @@ def _nothing(e: Case) -> Verdict | None:
         return None
     if e.floor > _BLIND:
         return _blind(e)
-    if (e.open and not is_slight(e.best)) or e.left_wide_open:
+    if e.open and not is_slight(e.best):
         sentence = (
             "Inconclusive: a gap opens after the frames that were fitted, above noise and numerical error, and "
             f"{e.best.label}, which fits best, does not foretell it."
