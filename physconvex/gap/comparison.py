@@ -37,6 +37,7 @@ __all__ = [
     "refit",
 ]
 
+_FOLLOWED = 1.5  # mean square over the expected one up to which nothing is left of a kind of residuals
 _FAR, _MOVED = 5.0, 0.3  # typical steps: most that other values are moved by, and from which on it is tried
 
 
@@ -101,6 +102,18 @@ class Hypothesis:
     def independent(self) -> float:
         """Number of independent fitted residuals, those that are alike counted once."""
         return float((self.information / self.divisor).sum())
+
+    @property
+    def left_to_explain(self) -> float:
+        """Gain of log-likelihood in the fitted frames by whatever would leave nothing but noise and numerical error.
+
+        Kind by kind: what little is left of a flight hides in the mean beside what a rebound errs by. Kinds that lie
+        within their errors leave nothing.
+        """
+        seen = self.likelihood - self.later
+        followed = seen >= -0.5 * self.information * np.log(_FOLLOWED + 1.0)
+        gain = (-0.5 * self.information * np.log(2.0) - seen) / self.divisor
+        return float(gain[~followed].sum())
 
     def foretells_more_than(self, other: Hypothesis) -> bool:
         """Whether the frames that choose are no less likely than with another fit, kinds weighed as in the evidence."""
@@ -316,10 +329,15 @@ def _add_shapes(model: EffectModel, values: np.ndarray, here: np.ndarray, tangen
 
 
 def doses_at_bounds(best: Hypothesis) -> list[str]:
-    """Doses that the fit drove to a bound other than their null value."""
+    """Doses that the fit drove to a bound other than their null value.
+
+    Those that only shape an effect may lie there: an inclusion at the very face of a body is none less.
+    """
     found = []
     for effect in best.effects:
         for dose, value in zip(effect.doses, best.doses(effect)[0], strict=True):
+            if dose.shape:
+                continue
             near = 1e-3 * (dose.upper - dose.lower)
             if any(abs(value - bound) < near and abs(bound - dose.null) > near for bound in (dose.lower, dose.upper)):
                 found.append(f"{effect.name} ({dose.name} = {value:.3g} {dose.unit})".replace(" )", ")"))

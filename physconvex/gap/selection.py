@@ -24,6 +24,7 @@ from physconvex.gap.comparison import (
     continued,
     doses_at_bounds,
     fit_effects,
+    hypothesis_at,
     refit,
 )
 from physconvex.gap.effects import Effect, applicable
@@ -44,7 +45,7 @@ _SEARCHED, _DECIDED = 0.6, 0.85  # of the deadline: then the search ends, then t
 _LONGEST = 0.15  # of the cost of the search that a single fit may take
 _CLOSED = 1.5  # mean square over the expected one below which there is no gap to explain
 _LATE_GAP = 5.0  # the same of the frames that choose: an impact near the end of the fitted ones shows after them
-_LEFT = 2.5  # above which a further effect is looked for
+_LEFT = 6.0  # log-likelihood that is left to gain, above which a further effect is looked for
 _SINGLES, _PAIRS, _ADDED, _EARLY = 7, 4, 3, 4  # fits: alone, two at once, in each further round, from the first frames
 _STEMS, _POLISHED = 2, 3  # fits that the first further round goes on from; fits with derivatives taken anew
 _HELD = 0.7  # of the costs allowed, for a held body: its screening and its base fit cost more
@@ -60,7 +61,8 @@ class Selection:
     """A search in progress.
 
     Attributes:
-        base: base fit, of the reduced model.
+        full: base fit, of the full-order model.
+        base: the same of the reduced one.
         errors: weights of the residuals.
         options: settings.
         report: told what is done.
@@ -69,6 +71,7 @@ class Selection:
         independent: number of independent residuals in what the base model leaves.
     """
 
+    full: Baseline
     base: Baseline
     errors: ErrorModel
     options: GapOptions
@@ -135,7 +138,7 @@ def select_effects(
     screening = screening or screen(cheap, errors, numerics, dictionary, report)
     cost = cheap.model.cost
     cost.allow(options.search_cost * (_HELD if base.situation.clamped else 1.0), _SEARCHED)
-    search = Selection(cheap, errors, options, report)
+    search = Selection(base, cheap, errors, options, report)
     search.found.append(base_hypothesis(cheap, errors))
     rows = len(base.rows(base.split.fitted))
     search.independent = rows / residuals_per_one(base, errors, base.positions, base.split.fitted)
@@ -256,7 +259,7 @@ def _from_there(search: Selection, full: Baseline, effects: tuple[Effect, ...], 
 
 def _together(search: Selection, screening: Screening) -> None:
     """Pairs that explain much more than the better of the two, where single effects leave something."""
-    if search.best.fitted < _LEFT:
+    if search.best.left_to_explain < _LEFT:
         return
     for pair in plausible_pairs(screening, search.independent, held=search.base.situation.clamped)[:_PAIRS]:
         search.fit([pair.first, pair.second])
@@ -285,7 +288,7 @@ def plausible_pairs(screening: Screening, independent: float, *, held: bool) -> 
 
 def _from_first_frames(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
     """Screen and fit again from where the first frames alone put the base model, if that is elsewhere."""
-    if search.best.fitted < _LEFT or search.late:
+    if search.best.left_to_explain < _LEFT or search.late:
         return
     point = early_point(search.base, search.errors, search.options, search.report)
     if point is not None and not search.base.model.cost.over:
@@ -296,9 +299,10 @@ def _from_first_frames(search: Selection, numerics: Numerics, dictionary: tuple[
 
 def _one_more(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...], stems: int) -> bool:
     """Screen at the best fits, add one effect to each; tells whether that was worth it."""
+    stems_in_full = [_in_full(search, stem) for stem in _finalists(search.ranked, stems)[:stems]]
     before = search.best
-    for stem in _finalists(search.ranked, stems)[:stems]:
-        if stem.fitted < _LEFT or len(stem.effects) >= search.options.most_effects or search.late:
+    for stem in stems_in_full:
+        if stem.left_to_explain < _LEFT or len(stem.effects) >= search.options.most_effects or search.late:
             continue
         point = continued(search.base, stem)
         screening = screen(point, search.errors, numerics, dictionary, search.report)
@@ -308,6 +312,29 @@ def _one_more(search: Selection, numerics: Numerics, dictionary: tuple[Effect, .
     ranked = search.ranked
     again = [h.evidence for h in ranked if h.motion is before.motion]  # by what the best fit leaves now
     return not again or ranked[0].evidence > again[0] + _WORTH
+
+
+def _in_full(search: Selection, stem: Hypothesis) -> Hypothesis:
+    """A fit in which the reduced model says what the full-order one does there, which is fitted a little further.
+
+    What the two differ by at the base fit is soon out of date where an effect is strong: of a body that is thrown with
+    another spin, the reduced model's own error hid all that a damping left.
+    """
+    if search.base.situation.clamped or search.late or not stem.effects or stem.left_to_explain < _LEFT:
+        return stem
+    search.report(f"full-order fit: {stem.label}")
+    try:
+        here = confirmed(search.full, search.errors, stem)
+        here = improved(search.full, search.errors, here, search.options) or here
+        point = as_reduced(continued(search.full, here))
+    except FAILURES as error:
+        search.report(f"full-order fit: {stem.label}: {error}")
+        return stem
+    found = hypothesis_at(
+        search.base, search.errors, point.model, here.values, here.errors, point.motion, here.tangents
+    ).tempered(stem.divisor)
+    search.found = [*(h for h in search.found if h.motion is not stem.motion), found]
+    return found
 
 
 def _polish(search: Selection) -> None:

@@ -6,8 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from physconvex.gap import DEFAULT_EFFECTS
 from physconvex.gap.body_modes import BodyModes, undivided
-from physconvex.gap.comparison import _beside, _best_start
+from physconvex.gap.comparison import Hypothesis, _beside, _best_start, doses_at_bounds
 from physconvex.gap.evidence import (
     evidence_of,
     information_per_one,
@@ -176,3 +177,29 @@ def test_a_dose_is_priced_by_the_residuals_that_tell_it():
     effects = (SimpleNamespace(doses=(SimpleNamespace(implausibility=lambda value: 0.0),), source="material"),)
     few, many = (evidence_of(np.zeros(6), n * np.eye(6)[5], effects, np.ones(1)) for n in (21.0, 981.0))
     assert few - many == pytest.approx(0.5 * np.log(981 / 21))
+
+
+def left(squares, information, **changed):
+    """What kinds of residuals that are so large leave to explain."""
+    seen, later = (-0.5 * information * np.log(np.array(part) + 1.0) for part in (squares, (9.0, 9.0)))
+    fields = {"likelihood": seen + later, "later": later, "information": information, "divisor": np.ones(2)} | changed
+    blank = dict.fromkeys(("model", "values", "errors", "positions", "motion", "tangents"))
+    return Hypothesis((), **blank, fitted=0.0, selecting=0.0, evidence=0.0, **fields).left_to_explain
+
+
+def test_what_a_flight_leaves_is_left_to_explain_however_well_the_rest_is_followed():
+    """In the mean over both kinds, of which the second has ten times as many, 1.2 of what is expected is left."""
+    information = np.array([20.0, 200.0])
+    assert left((4.0, 0.9), information) == pytest.approx(10 * np.log(5 / 2))
+    assert left((0.9, 0.9), information) == 0.0
+    assert left((1.4, 1.2), 100 * information) == 0.0  # much information on what lies within the errors
+    assert left((4.0, 0.9), information, divisor=np.array([2.0, 1.0])) == pytest.approx(5 * np.log(5 / 2))
+
+
+def test_where_an_inclusion_lies_is_no_dose_that_a_body_could_not_bear():
+    """Of a body with a stiff end and a slow clock, the fit of both was left out: its inclusion lay at the face."""
+    effect = next(e for e in DEFAULT_EFFECTS if e.label == "heterogeneity (inclusion, +x+y+z)")
+    fit = SimpleNamespace(effects=(effect,), doses=lambda _: (np.array([0.5, 1.0, 0.2, 0.2]), None))
+    assert doses_at_bounds(fit) == []
+    fit.doses = lambda _: (np.array([1.5, 0.5, 0.2, 0.2]), None)
+    assert len(doses_at_bounds(fit)) == 1

@@ -40,7 +40,7 @@ def test_no_fit_is_begun_beyond_the_limit(spent, begun):
     cost.allow(5.0, 1.0)
     cost.spent = spent
     base = SimpleNamespace(model=SimpleNamespace(cost=cost))
-    search = Selection(base, None, GapOptions(), lambda _: None)
+    search = Selection(base, base, None, GapOptions(), lambda _: None)
     search.found += [SimpleNamespace(), SimpleNamespace()]  # the base model, and the first fit, which is always made
 
     def run():

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from physconvex.errors import ConvergenceError
 from physconvex.gap import DEFAULT_EFFECTS, selection
 from physconvex.gap.cost import Cost
 from physconvex.gap.options import GapOptions
@@ -87,3 +88,33 @@ def test_full_order_fits_go_on_as_long_as_they_help(monkeypatch):
     base = SimpleNamespace(model=SimpleNamespace(cost=Cost()), situation=SimpleNamespace(clamped=True))
     found = selection._decided(base, None, [fit("load"), fit("clock")], GapOptions(), lambda text: None)
     assert {h.label: h.fitted for h in found} == {"base model": 9.0, "load": 1.49, "clock": 2.99}
+
+
+def test_what_is_left_of_a_fit_is_screened_with_the_reduced_model_made_anew_there(monkeypatch):
+    """Of a spin that is far from what is stated, the base fit's difference of the models hid a damping beside it."""
+    stem = SimpleNamespace(effects=("spin",), motion="reduced", left_to_explain=20.0, divisor=2.0, label="spin")
+    full = SimpleNamespace(effects=("spin",), values="values", errors="errors", tangents="tangents")
+    point = SimpleNamespace(model="reduced like the full-order one there", motion="of it")
+
+    def at(base, errors, model, values, deviations, motion, tangents):
+        assert (model, values, motion) == (point.model, "values", point.motion)
+        return SimpleNamespace(tempered=lambda divisor: SimpleNamespace(effects=("spin",), motion=motion, left=divisor))
+
+    monkeypatch.setattr(selection, "confirmed", lambda base, errors, found: full)
+    monkeypatch.setattr(selection, "improved", lambda base, errors, here, options: None)
+    monkeypatch.setattr(selection, "continued", lambda base, here: here)
+    monkeypatch.setattr(selection, "as_reduced", lambda base: point)
+    monkeypatch.setattr(selection, "hypothesis_at", at)
+    free = SimpleNamespace(model=SimpleNamespace(cost=Cost()), situation=SimpleNamespace(clamped=False))
+    search = selection.Selection(free, free, None, GapOptions(), lambda text: None, found=[stem])
+    found = selection._in_full(search, stem)
+    assert found.motion == "of it" and found.left == 2.0 and search.found == [found]
+
+    closed = SimpleNamespace(effects=("spin",), motion="reduced", left_to_explain=0.5)
+    assert selection._in_full(search, closed) is closed  # nothing is left to look for
+
+    def fails(*arguments):
+        raise ConvergenceError("at step 3")
+
+    monkeypatch.setattr(selection, "confirmed", fails)
+    assert selection._in_full(search, stem) is stem and search.found == [found]
