@@ -14,6 +14,7 @@ from physconvex.gap.caveats import caveats_of, doses_in_sight
 from physconvex.gap.comparison import Hypothesis
 from physconvex.gap.effects import Effect
 from physconvex.gap.flight import IN_FLIGHT
+from physconvex.gap.measured import Measured
 from physconvex.gap.naming import WEAK, NamedEffect, by_weight, named_effects
 from physconvex.gap.options import GapOptions
 from physconvex.gap.screening import Screening
@@ -60,31 +61,31 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """What the rules read; the numbers are the arguments of `decide`, `share` is what the best effects remove."""
+    """What the rules read.
+
+    Attributes:
+        base, best: the base model, and the fit with effects that is reported.
+        hypotheses: all fits, best evidence first.
+        screening: for what is alike.
+        probability: by label.
+        measured: what residuals say of both.
+        options: settings.
+        flies: whether effects that need no contact show beyond doubt before the first one.
+    """
 
     base: Hypothesis
     best: Hypothesis
     hypotheses: tuple[Hypothesis, ...]
     screening: Screening
     probability: dict[str, float]
-    before: float
-    after: float
-    share: float
+    measured: Measured
     options: GapOptions
-    floor: float
-    placebo: float
-    above_error: float
-    astray: float
-    struck: bool
-    seen: float
     flies: bool
-    forgiven: float
-    reported: float
 
     @property
     def in_flight_alone(self) -> bool:
         """Whether the effects show beyond doubt before the first contact, and explain little of what follows it."""
-        return self.flies and self.share < self.options.explained
+        return self.flies and self.measured.share < self.options.explained
 
     @property
     def gain(self) -> float:
@@ -94,7 +95,7 @@ class Case:
     @property
     def foretold(self) -> bool:
         """Whether held-out frames leave no doubt, although the evidence counts too few residuals as independent."""
-        return self.gain >= WEAK and self.share >= FORETOLD and self._beyond_placebo
+        return self.gain >= WEAK and self.measured.share >= FORETOLD and self._beyond_placebo
 
     @property
     def clear(self) -> bool:
@@ -108,29 +109,30 @@ class Case:
         The error of a body that strikes nothing is well known: what lies within it on held-out frames too is no gap,
         however well some effect of many doses, an inclusion say, can follow it.
         """
-        return self._kept(TELLING) and (self.struck or self.seen >= SEEN)
+        return self._kept(TELLING) and (self.measured.struck or self.measured.seen >= SEEN)
 
     def _kept(self, enough: float) -> bool:
         """Whether held-out frames make up for a gain below `enough`: the smaller it is, the more of the gap must go."""
         shares = (FORETOLD, self.options.explained, _ABUNDANT * self.options.explained)
         asked = float(np.interp(self.gain, (WEAK, enough, 2 * enough), shares))
-        return self.gain >= WEAK and self.share >= asked and self._beyond_placebo
+        return self.gain >= WEAK and self.measured.share >= asked and self._beyond_placebo
 
     @property
     def _beyond_placebo(self) -> bool:
         """Whether a placebo does next to nothing, or much evidence is for an effect that leaves a quarter of it."""
-        sure = self.gain >= TELLING and self.share >= FORETOLD
-        return self.placebo < 1.0 - FORETOLD or (sure and 1.0 - self.share <= LESS * (1.0 - self.placebo))
+        m, sure = self.measured, self.gain >= TELLING and self.measured.share >= FORETOLD
+        return m.placebo < 1.0 - FORETOLD or (sure and 1.0 - m.share <= LESS * (1.0 - m.placebo))
 
     @property
     def open(self) -> bool:
         """Whether a gap is there, of the base model and on held-out frames with the best effects too."""
-        return min(self.before, self.after) >= OPEN
+        return min(self.measured.before, self.measured.after) >= OPEN
 
     @property
     def left_wide_open(self) -> bool:
         """Whether held-out frames have a gap far beyond what is expected, which the best effects leave."""
-        return self.seen >= _WIDE and self.share < self.options.explained and np.isfinite(self.seen)
+        m = self.measured
+        return m.seen >= _WIDE and m.share < self.options.explained and bool(np.isfinite(m.seen))
 
     @property
     def none(self) -> float:
@@ -180,11 +182,11 @@ class Case:
     ) -> Verdict:
         """With the caveats, and with what would have been seen; probabilities as calls have turned out to be right."""
         effects = tuple(replace(effect, probability=TRUSTED * effect.probability) for effect in effects)
-        caveats = caveats_of(self.base, self.best, self.after)
+        caveats = caveats_of(self.base, self.best, self.measured.after)
         if name == "effect" and self.in_flight_alone:
-            caveats = (_LATER.format(max(self.share, 0.0)), *caveats)
+            caveats = (_LATER.format(max(self.measured.share, 0.0)), *caveats)
         more = doses_in_sight(self.screening) if power else ()
-        return Verdict(name, sentence, effects, self.none, self.share, (*caveats, *more))
+        return Verdict(name, sentence, effects, self.none, self.measured.share, (*caveats, *more))
 
 
 def is_slight(hypothesis: Hypothesis, *effects: Effect) -> bool:

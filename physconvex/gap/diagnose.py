@@ -20,22 +20,20 @@ from physconvex.gap.baseline import Baseline
 from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
 from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Effect, Motion, choose
-from physconvex.gap.evidence import mean_square
 from physconvex.gap.findings import Provenance
-from physconvex.gap.flight import gain_in_flight
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
 from physconvex.gap.mapping import as_reduced
+from physconvex.gap.measured import measure, relative_gap
 from physconvex.gap.naming import favoured
 from physconvex.gap.numerics import Numerics, correction_of, detail_errors, error_model, numerical_differences
 from physconvex.gap.observing import lost_points
 from physconvex.gap.options import GapOptions
 from physconvex.gap.own_elements import with_own_elements
-from physconvex.gap.rebound import forgiving
 from physconvex.gap.report import GapReport
 from physconvex.gap.score import ErrorModel
 from physconvex.gap.screening import Screening, screen
 from physconvex.gap.second_take import second_take_shrinkage
-from physconvex.gap.selection import FAILURES, evidence_of_anything, select_effects
+from physconvex.gap.selection import FAILURES, select_effects
 from physconvex.gap.setting import find_setting
 from physconvex.gap.shortening import MOST_FRAMES, shortened
 from physconvex.gap.trust import error_scale
@@ -108,24 +106,7 @@ def diagnose(
     report("placebo")
     placebo = _placebo(base, weights, screening, best, options)
     shrinkage = _shrinkages(base, errors, best, placebo, options)
-    verdict = decide(
-        hypotheses,
-        screening,
-        _relative_gap(base, errors, base_hypothesis(base, errors)),
-        _relative_gap(base, errors, best),
-        1.0 - shrinkage[-1].shrinkage,
-        options,
-        floor=shrinkage[-1].noise_floor / _extent(base),
-        placebo=shrinkage[-1].placebo,
-        above_error=shrinkage[-1].above_error,
-        astray=_astray(base, best),
-        other=evidence_of_anything(best),
-        struck=base.situation.touches and not base.situation.clamped,
-        seen=shrinkage[-1].gap_before / max(shrinkage[-1].noise_floor, 1e-300),
-        reported=shrinkage[0].shrinkage,
-        forgiven=_relative_gap(base, forgiving(errors, base.modes), best),
-        flight=gain_in_flight(base, weights, best, next((h for h in hypotheses if not h.effects), best)),
-    )
+    verdict = decide(hypotheses, screening, measure(base, errors, weights, best, hypotheses, shrinkage), options)
     if second_take is not None:
         other = second_take if isinstance(second_take, Capture) else load_capture(second_take)
         again = second_take_shrinkage(base, best, other, options, report)
@@ -170,7 +151,7 @@ def _trusted(
     """
     errors = error_model(base, numerics, options)
     correction = base.model.correction
-    swamped = _relative_gap(base, errors, base_hypothesis(base, errors)) < 1.0
+    swamped = relative_gap(base, errors, base_hypothesis(base, errors)) < 1.0
     if correction is None or (base.situation.clamped and not swamped):
         return base, errors, None
     screening = screen(as_reduced(base), errors, numerics, dictionary, report)
@@ -193,24 +174,6 @@ def _with_directions(base: Baseline, numerics: Numerics) -> Baseline:
         "reduction": numerics.reduction,
     }
     return replace(base, model=replace(base.model, directions=directions))
-
-
-def _relative_gap(base: Baseline, errors: ErrorModel, hypothesis: Hypothesis) -> float:
-    """Mean square of the residuals over the expected one, all frames."""
-    return mean_square(base, errors, hypothesis.positions, np.unique(base.observations.frames))
-
-
-def _extent(base: Baseline) -> float:
-    """What an error of the model is measured by [m]: the size of the body, or how far it moved if that is less."""
-    moved = base.motion.positions - base.motion.rest
-    return float(np.clip(np.sqrt((moved**2).sum(-1).mean()), 1e-6 * base.situation.size, base.situation.size))
-
-
-def _astray(base: Baseline, best: Hypothesis) -> float:
-    """Distance of the best model from what was seen over how far that moved, rms over all frames."""
-    still = np.broadcast_to(base.motion.rest, base.positions.shape)
-    left, moved = (float(np.linalg.norm(base.missed(x))) for x in (best.positions, still))
-    return left / max(moved, 1e-12)
 
 
 def _placebo(

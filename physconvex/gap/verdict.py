@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from physconvex.gap.case import FORETOLD, LESS, OPEN, SEEN, TELLING, TRUSTED, Case, Verdict, VerdictName, is_slight
 from physconvex.gap.comparison import Hypothesis
 from physconvex.gap.flight import IN_FLIGHT
+from physconvex.gap.measured import Measured
 from physconvex.gap.naming import SOMETHING_ELSE, WEAK, beside_something_else, favoured, probabilities
 from physconvex.gap.options import GapOptions
 from physconvex.gap.screening import Screening
@@ -25,65 +24,31 @@ _FLOOR = 1.5  # a gap of less than this many times the expected square counts as
 
 
 def decide(
-    hypotheses: Sequence[Hypothesis],
-    screening: Screening,
-    before: float,
-    after: float,
-    remaining: float,
-    options: GapOptions,
-    *,
-    floor: float = 0.0,
-    placebo: float = float("nan"),
-    above_error: float = float("-inf"),
-    astray: float = 0.0,
-    other: float = -np.inf,
-    struck: bool = False,
-    seen: float = np.inf,
-    flight: float = -np.inf,
-    forgiven: float = np.inf,
-    reported: float = np.inf,
-) -> Verdict:
+    hypotheses: Sequence[Hypothesis], screening: Screening, measured: Measured, options: GapOptions
+) -> Verdict:  # fmt: skip
     """The verdict: the first of a list of rules that holds.
 
     Args:
         hypotheses: the base model and fits, best evidence first.
         screening: for what is alike.
-        before: mean square of the base model's residual over its expected square, all frames.
-        after: the same with the best effects, held-out frames; one = nothing left above noise and numerical error.
-        remaining: share of the held-out gap above noise that the best effects leave, 0 to 1 and more.
+        measured: what residuals say of the base model and of the best effects.
         options: settings.
-        floor: numerical error and noise over the size of the body, or over its motion if that is less; a model that
-            errs by a tenth of it tells nothing.
-        placebo: share of the held-out gap that an effect removes which screening ranked last; NaN where none was tried.
-        above_error: share that the best effects remove of the held-out gap above noise and numerical error; −inf where
-            that is not known.
-        astray: distance of the best model from the recording over how far that moves, rms.
-        other: evidence of something that is not among the hypotheses.
-        struck: whether a free body strikes something, after which models part for little.
-        seen: gap of the base model on held-out frames over what noise and numerical error lead one to expect, rms.
-        flight: what the best effects gain before the first contact, see `physconvex.gap.flight`.
-        forgiven: `after`, if a rebound as a whole may be off by three times as much, see
-            `physconvex.gap.rebound.forgiving`.
-        reported: the share that the best effects remove in those held-out frames that did not choose them.
     """
     base = next(h for h in hypotheses if not h.effects)
     best = favoured(hypotheses)
-    shown = probabilities(hypotheses, other)
+    shown = probabilities(hypotheses, measured.other)
     if best is None:
         none = beside_something_else(shown, 0.0).get("base model", 0.0)
         return Verdict("inconclusive", "No effect could be tried on this capture.", (), none, 0.0, ())
-    flies = flight >= TELLING and any(effect.source in IN_FLIGHT for effect in best.effects)
-    probability = beside_something_else(shown, 1.0 if flies else 1.0 - remaining)
-    evidence = Case(
-        base, best, tuple(hypotheses), screening, probability, before, after, 1.0 - remaining, options, floor, placebo,
-        above_error, astray, struck, seen, flies, forgiven, reported,
-    )  # fmt: skip
+    flies = measured.flight >= TELLING and any(effect.source in IN_FLIGHT for effect in best.effects)
+    probability = beside_something_else(shown, 1.0 if flies else measured.share)
+    case = Case(base, best, tuple(hypotheses), screening, probability, measured, options, flies)
     rules = (_wide_open, _nothing, _slight, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo)
     for rule in rules:
-        verdict = rule(evidence)
+        verdict = rule(case)
         if verdict is not None:
             return verdict
-    return _called(evidence)
+    return _called(case)
 
 
 def _wide_open(e: Case) -> Verdict | None:
@@ -91,9 +56,9 @@ def _wide_open(e: Case) -> Verdict | None:
     if not e.left_wide_open or e.flies:
         return None
     sentence = (
-        f"There is a gap that none of the known effects explains: on frames that were not fitted it is {e.seen:.1f} "
-        f"times what noise and numerical error lead one to expect, and the best of them, {e.best.label}, removes "
-        f"{max(e.share, 0):.0%} of it."
+        "There is a gap that none of the known effects explains: on frames that were not fitted it is "
+        f"{e.measured.seen:.1f} times what noise and numerical error lead one to expect, and the best of them, "
+        f"{e.best.label}, removes {max(e.measured.share, 0):.0%} of it."
     )
     return e.verdict("unknown", sentence, e.possible)
 
@@ -102,14 +67,14 @@ def _nothing(e: Case) -> Verdict | None:
     """No gap above noise and numerical error; where those are large, that says nothing."""
     significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
     # a fit finds what one finite dose does not
-    significant = significant or (e.gain >= TELLING and e.telling) or (e.foretold and e.seen >= SEEN)
-    closed = min(e.before, e.base.fitted) < _FLOOR and not e.telling
-    little = e.gain < WEAK and e.before < OPEN
+    significant = significant or (e.gain >= TELLING and e.telling) or (e.foretold and e.measured.seen >= SEEN)
+    closed = min(e.measured.before, e.base.fitted) < _FLOOR and not e.telling
+    little = e.gain < WEAK and e.measured.before < OPEN
     slight = is_slight(e.best) and not e.open and not e.foretold
-    late = e.telling and e.before >= OPEN  # a gap that opens after the fitted frames, and that the effect foretells
+    late = e.telling and e.measured.before >= OPEN  # opens after the fitted frames, and the effect foretells it
     if not (little or slight or (not late and (closed or not significant))):
         return None
-    if e.floor > _BLIND:
+    if e.measured.floor > _BLIND:
         return _blind(e)
     if e.open and not is_slight(e.best):
         sentence = (
@@ -130,7 +95,7 @@ def _slight(e: Case) -> Verdict | None:
     """A dose too small to be of interest fits best, and leaves the gap."""
     if not is_slight(e.best) or e.foretold:
         return None
-    if e.floor > _BLIND:
+    if e.measured.floor > _BLIND:
         return _blind(e)
     sentence = (
         f"Inconclusive: there is a gap above noise and numerical error, but what fits it best, {e.best.label}, is "
@@ -141,7 +106,7 @@ def _slight(e: Case) -> Verdict | None:
 
 def _blind(e: Case) -> Verdict:
     sentence = (
-        f"Inconclusive: the model's own numerical error and the noise ({e.floor:.0%} of the body's size or "
+        f"Inconclusive: the model's own numerical error and the noise ({e.measured.floor:.0%} of the body's size or "
         "motion) hide whatever gap there is. Allow a finer mesh, or record a motion with less contact."
     )
     return e.verdict("inconclusive", sentence, power=True)
@@ -151,7 +116,7 @@ def _numerical(e: Case) -> Verdict | None:
     """All effects of the best fit are numerical; where such errors are large, that says nothing either."""
     if any(effect.source != "numerical" for effect in e.best.effects):
         return None
-    if e.floor > _BLIND:
+    if e.measured.floor > _BLIND:
         return _blind(e)
     if e.open:
         sentence = (
@@ -179,20 +144,20 @@ def _weak(e: Case) -> Verdict | None:
 
 def _off_the_recording(e: Case) -> Verdict | None:
     """The model is none of this recording."""
-    if e.astray <= _ASTRAY:
+    if e.measured.astray <= _ASTRAY:
         return None
     sentence = (
-        f"The model does not follow the recording: with {e.best.label} it is still off by {e.astray:.0%} of the "
-        "motion. Check rest geometry, boundary, units, frame rate and gravity before looking for an effect."
+        f"The model does not follow the recording: with {e.best.label} it is still off by {e.measured.astray:.0%} of "
+        "the motion. Check rest geometry, boundary, units, frame rate and gravity before looking for an effect."
     )
     return e.verdict("unknown", sentence)
 
 
 def _unexplained(e: Case) -> Verdict | None:
     """A gap that the best effects leave; what the model's own error may be is not for effects to explain."""
-    if max(e.share, e.above_error) >= e.options.explained or e.after <= 2.0 or e.flies:
+    if max(e.measured.share, e.measured.above_error) >= e.options.explained or e.measured.after <= 2.0 or e.flies:
         return None
-    if e.struck and (e.best.fitted < _FLOOR or e.forgiven <= 2.0):
+    if e.measured.struck and (e.best.fitted < _FLOOR or e.measured.forgiven <= 2.0):
         sentence = (
             f"Inconclusive: with {e.best.label} the model fits as well as it can err, and later parts from the "
             "recording: an unknown effect would do so, and so would a rebound that is a little off."
@@ -200,18 +165,18 @@ def _unexplained(e: Case) -> Verdict | None:
         return e.verdict("inconclusive", sentence, e.possible)
     sentence = (
         f"There is a gap that none of the known effects explains: the best of them, {e.best.label}, removes "
-        f"{max(e.share, 0):.0%} of it on frames that were not fitted."
+        f"{max(e.measured.share, 0):.0%} of it on frames that were not fitted."
     )
     return e.verdict("unknown", sentence, e.possible)
 
 
 def _as_good_as_a_placebo(e: Case) -> Verdict | None:
     """An effect that nothing asks for does nearly as much, or the best one does nothing where it was not fitted."""
-    certain = bool(e.named) and min(n.probability for n in e.named) >= _CERTAIN
-    if e.flies or ((certain or e.share >= FORETOLD) and 1.0 - e.share <= LESS * (1.0 - e.placebo)):
+    certain, m = bool(e.named) and min(n.probability for n in e.named) >= _CERTAIN, e.measured
+    if e.flies or ((certain or m.share >= FORETOLD) and 1.0 - m.share <= LESS * (1.0 - m.placebo)):
         return None
-    nothing = e.share <= 0 or (e.reported <= 0 and e.after > 2.0)
-    if not (nothing or e.placebo > _PLACEBO * e.share):
+    nothing = m.share <= 0 or (m.reported <= 0 and m.after > 2.0)
+    if not (nothing or m.placebo > _PLACEBO * m.share):
         return None
     if nothing:
         sentence = (
@@ -219,8 +184,8 @@ def _as_good_as_a_placebo(e: Case) -> Verdict | None:
         )
         return e.verdict("inconclusive", sentence, e.possible)
     sentence = (
-        f"Inconclusive: {e.best.label} fits best and removes {e.share:.0%} of the gap on frames that were not fitted, "
-        f"but an effect that the recording does not ask for removes {e.placebo:.0%} as well."
+        f"Inconclusive: {e.best.label} fits best and removes {m.share:.0%} of the gap on frames that were not fitted, "
+        f"but an effect that the recording does not ask for removes {m.placebo:.0%} as well."
     )
     return e.verdict("inconclusive", sentence, e.possible)
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions
+from physconvex.gap import verdict as rules
 from physconvex.gap.caveats import caveats_of
+from physconvex.gap.measured import Measured
 from physconvex.gap.naming import favoured, probabilities
 from physconvex.gap.selection import within_bounds
-from physconvex.gap.verdict import decide
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 
@@ -35,6 +36,10 @@ def hypothesis(evidence, *names, log10_modulus=5.0, dose=0.1, slight=(), later=0
         model=SimpleNamespace(base=("log10_youngs_modulus",), mesh=None),
         doses=lambda one: (values[effects.index(one)], 0.1 * values[effects.index(one)]),
     )
+
+
+def decide(hypotheses, screening, before, after, remaining, options, **more):
+    return rules.decide(hypotheses, screening, Measured(before, after, 1.0 - remaining, **more), options)
 
 
 def screening(p_value=1e-6, alike=0.1):
