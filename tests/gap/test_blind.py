@@ -238,6 +238,20 @@ def test_an_effect_without_a_name_counts_as_outside(small):
     assert found.outside_unknown.value == 0 and sum(row.single for row in found.rows) == 1
 
 
+@pytest.mark.parametrize(("believed_in", "area"), [("what is known", 1.0), ("what is not", 0.0), ("none", 0.5)])
+def test_an_unknown_effect_is_told_by_how_little_is_believed(small, believed_in, area):
+    visible(small)
+    gone = next(label["effects"][0]["name"] for label in labels_of(small) if label["effects"])
+
+    def first(label):
+        known = bool(label["effects"]) and label["effects"][0]["name"] != gone
+        return "exposure" if believed_in != "none" and known == (believed_in == "what is known") else None
+
+    path = answers_of(small, first)
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"without": [gone]}))
+    assert scored(small).unknown_auroc == area
+
+
 def test_changed_labels_and_answers_are_refused(small):
     path = answers_of(small, lambda label: None)
     content = json.loads(path.read_text())

@@ -96,11 +96,12 @@ class Row:
 
     @property
     def unknown_score(self) -> float:
-        """How much an answer speaks for an unknown effect: the share of the held-out gap that the best effects leave.
+        """How little an answer believes in an effect that it knows: one less the probability told of the likeliest.
 
-        Zero where the answer is that there is no gap.
+        Known classes are told from unknown ones so (Hendrycks & Gimpel, ICLR 2017). One where no effect is named or
+        remains possible, be it that a gap is left or that none is seen.
         """
-        return 0.0 if self.verdict == "none" else 1.0 - float(np.clip(self.shrinkage, 0.0, 1.0))
+        return 1.0 - (self.probability if np.isfinite(self.probability) else 0.0)
 
     @property
     def right(self) -> bool:
