@@ -238,6 +238,22 @@ def test_an_effect_without_a_name_counts_as_outside(small):
     assert found.outside_unknown.value == 0 and sum(row.single for row in found.rows) == 1
 
 
+@pytest.mark.parametrize(("source", "verdict", "right"), [
+    ("numerical", "none", 1.0), ("observation", "none", 0.0), ("numerical", "effect", 0.0),
+])  # fmt: skip
+def test_numerical_error_is_a_right_answer_where_nothing_is_hidden(small, source, verdict, right):
+    """Another engine's captures differ by it; an answer that said so counted as a probability told wrongly."""
+    path = answers_of(small, lambda label: None if label["effects"] else "mesh_resolution")
+    answers = json.loads(path.read_text())["answers"]
+    for answer in answers:
+        for effect in answer["effects"]:
+            answer["verdict"], effect["source"] = verdict, source
+    path.write_text(json.dumps({"sha256": bank.digest(json.dumps(answers, indent=1), ""), "answers": answers}))
+    found = scored(small)
+    assert [(b.probability, b.right, b.count) for b in found.reliability] == [(0.9, right, 1)]
+    assert found.false_alarms.value == (verdict == "effect")
+
+
 @pytest.mark.parametrize(("believed_in", "area"), [("what is known", 1.0), ("what is not", 0.0), ("none", 0.5)])
 def test_an_unknown_effect_is_told_by_how_little_is_believed(small, believed_in, area):
     visible(small)

@@ -28,6 +28,7 @@ class Row:
     fit: effects of the best fit.
     probability: told of the first effect that is named or remains possible; NaN where none does.
     named: that effect.
+    numerical: whether it is a numerical one.
     dose: of the first effect that is named, if it is the hidden one.
     shrinkage, placebo: of the held-out gap.
     oracle: shrinkage by the hidden effect, had it been the only one tried; NaN where that was not run.
@@ -48,6 +49,7 @@ class Row:
     fit: tuple[str, ...] = ()
     probability: float = float("nan")
     named: str = ""
+    numerical: bool = False
     dose: DoseScore | None = None
     shrinkage: float = float("nan")
     placebo: float = float("nan")
@@ -93,6 +95,11 @@ class Row:
     def named_right(self) -> bool:
         """Whether the effect whose probability is told is hidden."""
         return any(same_class(self.named, name) for name in self.truth)
+
+    @property
+    def told_right(self) -> bool:
+        """Whether the effect whose probability is told is there: hidden, or the other engine's numerical error."""
+        return self.named_right or (self.numerical and not self.truth and not self.alarm)
 
     @property
     def unknown_score(self) -> float:
@@ -155,6 +162,7 @@ def scored_row(
         fit=tuple(ranking[0]) if ranking else (),
         probability=float("nan") if named is None else named["probability"],
         named="" if named is None else named["name"],
+        numerical=named is not None and named["source"] == "numerical",
         dose=score_doses(truth[0], doses, named["parameters"]) if same and named is not None else None,
         shrinkage=answer["shrinkage"],
         placebo=float("nan") if answer["placebo"] is None else answer["placebo"],

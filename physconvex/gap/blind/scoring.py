@@ -97,7 +97,8 @@ class BankScore:
         oracles: number of these captures.
         median_dose_error: of named effects that are the hidden ones, |told - hidden| over |hidden|.
         doses_covered: share of their doses whose 90 % interval holds the hidden one.
-        calibration_error: of the probability told of the first effect that is named or remains possible.
+        calibration_error: of the probability told of the first effect that is named or remains possible; a numerical
+            one is right where nothing is hidden and nothing is called.
         reliability: bins of it.
         bias: |log10 E| and |ν| off after the diagnosis, medians and 90th percentiles, of single effects and of captures
             without any.
@@ -194,7 +195,7 @@ def _scored(rows: Sequence[Row], controls: tuple[ControlScore, ...], undrawn: in
     oracles = [row.shrinkage / row.oracle for row in visible if row.oracle > 0 and np.isfinite(row.shrinkage)]
     doses = [row.dose for row in visible if row.alarm and row.dose is not None]
     told = [row for row in answered if np.isfinite(row.probability) and not row.outside]
-    bins = reliability([r.probability for r in told], [r.named_right for r in told])
+    bins = reliability([r.probability for r in told], [r.told_right for r in told])
 
     def share(part: Sequence[Row], hit: Callable[[Row], bool]) -> Proportion:
         return proportion([hit(row) for row in part])
