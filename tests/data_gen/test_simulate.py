@@ -40,5 +40,6 @@ def test_the_contact_solver_is_what_was_asked_for(runs):
 def test_flight_takes_fewer_steps_and_never_more(runs):
     halved = runs["condensed"].statistics.halved_steps
     assert halved == 0
-    assert runs["condensed"].statistics.steps == 5 * 8 - 4  # the second frame
+    # of the second frame, and of the third where the mesh, which differs between processors, leaves room
+    assert 5 * 8 - runs["condensed"].statistics.steps in (4, 8)
     assert runs["many"].statistics.steps == 5 * 8

@@ -160,7 +160,7 @@ def test_a_column_of_sand_becomes_a_heap_that_rests():
     space = ReducedSpace(eigenmode_weights(ElasticBody(mesh), 12), BodySamples.of_mesh(mesh))
     body = ReducedBody(space, youngs_modulus=1e5, poisson_ratio=0.3, flow=Sand(np.radians(30.0)))
     scene = ReducedScene(body, obstacles=(Plane(friction=1.0),))
-    run = simulate(scene, frames=13, fps=24, steps_per_frame=8, tolerance=1e-6)
+    run = simulate(scene, frames=16, fps=24, steps_per_frame=8, tolerance=1e-6)
     positions = run.positions(mesh.vertices)
     speeds = np.linalg.norm(np.diff(positions, axis=0), axis=2).max(axis=1) * 24
     assert speeds.max() > 0.5 and speeds[-1] < 0.1 * speeds.max()
