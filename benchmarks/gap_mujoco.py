@@ -9,20 +9,14 @@ contact that loses energy by itself (the cube sinks in by 6 % of its size). The 
 
 from __future__ import annotations
 
-import argparse
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from foreign_captures import run
 
-from physconvex.capture import Boundary, Capture, Floor, Tracks, load_capture, save_capture
-from physconvex.errors import PhysconvexError
+from physconvex.capture import Boundary, Capture, Floor, Tracks, save_capture
 from physconvex.fem import TetMesh
-from physconvex.gap import GapOptions, diagnose
-from physconvex.gap.base_fit import fit_baseline, rough_baseline
-from physconvex.gap.numerics import correction_of, error_model, numerical_differences
-from physconvex.gap.setting import find_setting
 
 SIZE, COUNT, GAP, DENSITY, STEP, FPS, FRAMES, MARKERS, SIGMA = 0.12, 7, 0.2, 1000.0, 1e-4, 50.0, 30, 30, 6e-5
 GRAVITY = 9.81
@@ -178,58 +172,5 @@ def write_capture(folder: Path, name: str) -> None:
     save_capture(capture, tets=mesh, tracks=tracks)
 
 
-def answer(folder: Path, out: Path) -> dict[str, object]:
-    """Of the diagnosis with default settings."""
-    try:
-        report = diagnose(folder)
-    except PhysconvexError as error:
-        return {"error": str(error)}
-    report.save(out)
-    main = report.how_far[0]
-    return {
-        "verdict": report.verdict.name,
-        "sentence": report.verdict.sentence,
-        "effects": {e.name: {d.name: d.value for d in e.doses} for e in report.verdict.effects},
-        "base_parameters": {p["name"]: [p["before"], p["after"]] for p in report.parameters()},
-        "caveats": list(report.verdict.caveats),
-        "ranking": [list(h.names) for h in report.hypotheses],
-        "gap": [main.gap_before, main.gap_after, main.noise_floor],
-        "shrinkage": main.shrinkage,
-        "placebo": main.placebo if np.isfinite(main.placebo) else None,
-        "seconds": report.provenance.seconds,
-    }
-
-
-def base_fit(folder: Path) -> dict[str, object]:
-    """Of the base model alone, before any effect is tried."""
-    options, silent = GapOptions(), lambda text: None
-    rough = find_setting(rough_baseline(load_capture(folder), options, silent), options, silent).base
-    numerics = numerical_differences(rough, options, silent)
-    variance = error_model(rough, numerics, options).variance
-    base = fit_baseline(rough, correction_of(numerics), numerics.fine, variance, options, silent)
-    return {
-        "base_parameters": dict(zip(base.model.base, base.fit.values.tolist(), strict=True)),
-        "rms_in_standard_deviations": float(np.sqrt(np.mean(base.residual(base.positions) ** 2))),
-    }
-
-
-def main() -> None:
-    """Every case: captures, then answers, one line each."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--cases", default=",".join([*CASES, *BEAMS]))
-    parser.add_argument("--captures-only", action="store_true")
-    parser.add_argument("--base-only", action="store_true", help="fit the base model alone")
-    arguments = parser.parse_args()
-    for name in arguments.cases.split(","):
-        folder = arguments.out / "captures" / name
-        if not (folder / "capture.json").exists():
-            write_capture(folder, name)
-        if arguments.base_only:
-            print(json.dumps({"hidden": name} | base_fit(folder)), flush=True)
-        elif not arguments.captures_only:
-            print(json.dumps({"hidden": name} | answer(folder, arguments.out / "answers" / name)), flush=True)
-
-
 if __name__ == "__main__":
-    main()
+    run(__doc__, [*CASES, *BEAMS], write_capture)

@@ -1,0 +1,76 @@
+"""Captures of other programs: what `physconvex diagnose` says of each, a line of JSON per capture."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from physconvex.capture import load_capture
+from physconvex.errors import PhysconvexError
+from physconvex.gap import GapOptions, diagnose
+from physconvex.gap.base_fit import fit_baseline, rough_baseline
+from physconvex.gap.numerics import correction_of, error_model, numerical_differences
+from physconvex.gap.setting import find_setting
+
+
+def answer(folder: Path, out: Path) -> dict[str, object]:
+    """Of the diagnosis with default settings."""
+    try:
+        report = diagnose(folder)
+    except PhysconvexError as error:
+        return {"error": str(error)}
+    report.save(out)
+    main = report.how_far[0]
+    return {
+        "verdict": report.verdict.name,
+        "sentence": report.verdict.sentence,
+        "effects": {e.name: {d.name: d.value for d in e.doses} for e in report.verdict.effects},
+        "base_parameters": {p["name"]: [p["before"], p["after"]] for p in report.parameters()},
+        "caveats": list(report.verdict.caveats),
+        "ranking": [list(h.names) for h in report.hypotheses],
+        "gap": [main.gap_before, main.gap_after, main.noise_floor],
+        "shrinkage": main.shrinkage,
+        "placebo": main.placebo if np.isfinite(main.placebo) else None,
+        "seconds": report.provenance.seconds,
+    }
+
+
+def base_fit(folder: Path) -> dict[str, object]:
+    """Of the base model alone, before any effect is tried."""
+    options, silent = GapOptions(), lambda text: None
+    rough = find_setting(rough_baseline(load_capture(folder), options, silent), options, silent).base
+    numerics = numerical_differences(rough, options, silent)
+    variance = error_model(rough, numerics, options).variance
+    base = fit_baseline(rough, correction_of(numerics), numerics.fine, variance, options, silent)
+    return {
+        "base_parameters": dict(zip(base.model.base, base.fit.values.tolist(), strict=True)),
+        "rms_in_standard_deviations": float(np.sqrt(np.mean(base.residual(base.positions) ** 2))),
+    }
+
+
+def run(description: str | None, cases: Sequence[str], write: Callable[[Path, str], None]) -> None:
+    """Every case that the command line asks for: its capture, then the answer.
+
+    Args:
+        description: of the script.
+        cases: names.
+        write: of a capture, given its folder and the name.
+    """
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--cases", default=",".join(cases))
+    parser.add_argument("--captures-only", action="store_true")
+    parser.add_argument("--base-only", action="store_true", help="fit the base model alone")
+    arguments = parser.parse_args()
+    for name in arguments.cases.split(","):
+        folder = arguments.out / "captures" / name
+        if not (folder / "capture.json").exists():
+            write(folder, name)
+        if arguments.base_only:
+            print(json.dumps({"hidden": name} | base_fit(folder)), flush=True)
+        elif not arguments.captures_only:
+            print(json.dumps({"hidden": name} | answer(folder, arguments.out / "answers" / name)), flush=True)
