@@ -95,6 +95,11 @@ class Selection:
         """Whether the runs so far have cost what they may."""
         return self.base.model.cost.over
 
+    def wanting(self, fit: Hypothesis) -> bool:
+        """Whether a further effect is worth looking for beside those of a fit."""
+        room = len(fit.effects) < self.options.most_effects
+        return room and not self.late and fit.left_to_explain >= _LEFT
+
     def attempt(self, text: str, run: Callable[[], Hypothesis]) -> Hypothesis | None:
         """Fit and keep, unless it fails or the runs have cost too much; the first one is begun all the same."""
         if self.late and len(self.found) > 1:
@@ -299,11 +304,9 @@ def _from_first_frames(search: Selection, numerics: Numerics, dictionary: tuple[
 
 def _one_more(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...], stems: int) -> bool:
     """Screen at the best fits, add one effect to each; tells whether that was worth it."""
-    stems_in_full = [_in_full(search, stem) for stem in _finalists(search.ranked, stems)[:stems]]
+    found = [_in_full(search, stem) for stem in _finalists(search.ranked, stems)[:stems] if search.wanting(stem)]
     before = search.best
-    for stem in stems_in_full:
-        if stem.left_to_explain < _LEFT or len(stem.effects) >= search.options.most_effects or search.late:
-            continue
+    for stem in filter(search.wanting, found):
         point = continued(search.base, stem)
         screening = screen(point, search.errors, numerics, dictionary, search.report)
         for entry in screening.one_per_name[:_ADDED]:
@@ -320,7 +323,7 @@ def _in_full(search: Selection, stem: Hypothesis) -> Hypothesis:
     What the two differ by at the base fit is soon out of date where an effect is strong: of a body that is thrown with
     another spin, the reduced model's own error hid all that a damping left.
     """
-    if search.base.situation.clamped or search.late or not stem.effects or stem.left_to_explain < _LEFT:
+    if search.base.situation.clamped or not stem.effects:
         return stem
     search.report(f"full-order fit: {stem.label}")
     try:

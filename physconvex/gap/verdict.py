@@ -55,12 +55,7 @@ def _wide_open(e: Case) -> Verdict | None:
     """A gap that no error of the model comes near, and that the best effects leave."""
     if not e.left_wide_open or e.flies:
         return None
-    sentence = (
-        "There is a gap that none of the known effects explains: on frames that were not fitted it is "
-        f"{e.measured.seen:.1f} times what noise and numerical error lead one to expect, and the best of them, "
-        f"{e.best.label}, removes {max(e.measured.share, 0):.0%} of it."
-    )
-    return e.verdict("unknown", sentence, e.possible)
+    return _unknown(e)
 
 
 def _nothing(e: Case) -> Verdict | None:
@@ -163,9 +158,14 @@ def _unexplained(e: Case) -> Verdict | None:
             "recording: an unknown effect would do so, and so would a rebound that is a little off."
         )
         return e.verdict("inconclusive", sentence, e.possible)
+    return _unknown(e)
+
+
+def _unknown(e: Case) -> Verdict:
     sentence = (
-        f"There is a gap that none of the known effects explains: the best of them, {e.best.label}, removes "
-        f"{max(e.measured.share, 0):.0%} of it on frames that were not fitted."
+        "There is a gap that none of the known effects explains: on frames that were not fitted it is "
+        f"{e.measured.seen:.1f} times what noise and numerical error lead one to expect, and the best of them, "
+        f"{e.best.label}, removes {max(e.measured.share, 0):.0%} of it."
     )
     return e.verdict("unknown", sentence, e.possible)
 

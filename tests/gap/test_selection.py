@@ -110,11 +110,23 @@ def test_what_is_left_of_a_fit_is_screened_with_the_reduced_model_made_anew_ther
     found = selection._in_full(search, stem)
     assert found.motion == "of it" and found.left == 2.0 and search.found == [found]
 
-    closed = SimpleNamespace(effects=("spin",), motion="reduced", left_to_explain=0.5)
-    assert selection._in_full(search, closed) is closed  # nothing is left to look for
-
     def fails(*arguments):
         raise ConvergenceError("at step 3")
 
     monkeypatch.setattr(selection, "confirmed", fails)
     assert selection._in_full(search, stem) is stem and search.found == [found]
+
+
+def test_a_further_effect_is_looked_for_where_something_is_left_and_there_is_room_and_time():
+    cost = Cost()
+    base = SimpleNamespace(model=SimpleNamespace(cost=cost))
+    search = selection.Selection(base, base, None, GapOptions(most_effects=2), lambda text: None)
+
+    def one(left, *effects):
+        return SimpleNamespace(effects=effects, left_to_explain=left)
+
+    assert search.wanting(one(20.0, "spin"))
+    assert not search.wanting(one(0.5, "spin"))
+    assert not search.wanting(one(20.0, "spin", "wind"))
+    cost.spent, cost.limit = 2.0, 1.0
+    assert not search.wanting(one(20.0, "spin"))
