@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 import scipy.sparse as sp
 import torch
 from jaxtyping import Bool, Float
-from scipy.sparse.linalg import eigsh, splu
+from scipy.sparse.linalg import LinearOperator, eigsh
 
 from physconvex.errors import InputError
 from physconvex.fem.assembly import Assembler
 from physconvex.fem.body import ElasticBody
+from physconvex.linear_solvers import SymmetricSolver
 
 __all__ = [
     "elastic_responses",
@@ -29,9 +33,24 @@ def _smallest(stiffness: sp.csr_matrix, mass: sp.csr_matrix, count: int) -> tupl
         raise InputError(f"count: got {count}; expected between 1 and {stiffness.shape[0] - 2} for this mesh")
     scale = stiffness.diagonal().sum() / mass.diagonal().sum()
     start = np.random.default_rng(0).normal(size=stiffness.shape[0])
-    values, vectors = eigsh(stiffness.tocsc(), k=count, M=mass.tocsc(), sigma=-1e-6 * scale, v0=start)
+    shift = 1e-6 * scale
+    with _factorised(stiffness + shift * mass) as solver:
+        inverse = LinearOperator(stiffness.shape, matvec=solver.solve, dtype=np.float64)
+        values, vectors = eigsh(stiffness, k=count, M=mass, sigma=-shift, v0=start, OPinv=inverse)
     order = np.argsort(values)
     return values[order], vectors[:, order]
+
+
+@contextmanager
+def _factorised(matrix: sp.csr_matrix) -> Iterator[SymmetricSolver]:
+    upper = sp.triu(matrix, format="csr")
+    upper.sort_indices()
+    solver = SymmetricSolver(upper)
+    try:
+        solver.factorise(upper.data)
+        yield solver
+    finally:
+        solver.close()
 
 
 def tangent_stiffness(
@@ -71,7 +90,8 @@ def _relieved(
     """
     balanced = loads - mass @ (rigid.T @ (rigid @ loads))
     shift = 1e-8 * stiffness.diagonal().sum() / mass.diagonal().sum()  # takes the rigid motions away
-    answers = splu((stiffness + shift * mass).tocsc()).solve(balanced)
+    with _factorised(stiffness + shift * mass) as solver:
+        answers = solver.solve(balanced)
     return answers - rigid.T @ (rigid @ (mass @ answers)), balanced
 
 
