@@ -1,4 +1,4 @@
-"""Captures of other programs: what `physconvex diagnose` says of each, a line of JSON per capture."""
+"""Captures of other programs: what `physconvex diagnose` says of each, printed and stored as JSON."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from physconvex.gap import GapOptions, diagnose
 from physconvex.gap.base_fit import fit_baseline, rough_baseline
 from physconvex.gap.numerics import correction_of, error_model, numerical_differences
 from physconvex.gap.setting import find_setting
+
+RESULTS = Path(__file__).parent / "results"
 
 
 def answer(folder: Path, out: Path) -> dict[str, object]:
@@ -52,13 +54,21 @@ def base_fit(folder: Path) -> dict[str, object]:
     }
 
 
-def run(description: str | None, cases: Sequence[str], write: Callable[[Path, str], None]) -> None:
+def store(result: Path, name: str, found: dict[str, object]) -> None:
+    """Put the answer of one case into a file of results, beside those of others."""
+    content = json.loads(result.read_text(encoding="utf-8")) if result.exists() else {"cases": {}}
+    content["cases"][name] = found
+    result.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def run(description: str | None, cases: Sequence[str], write: Callable[[Path, str], None], result: Path) -> None:
     """Every case that the command line asks for: its capture, then the answer.
 
     Args:
         description: of the script.
         cases: names.
         write: of a capture, given its folder and the name.
+        result: JSON file of the answers; those of other cases are kept.
     """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
@@ -73,4 +83,6 @@ def run(description: str | None, cases: Sequence[str], write: Callable[[Path, st
         if arguments.base_only:
             print(json.dumps({"hidden": name} | base_fit(folder)), flush=True)
         elif not arguments.captures_only:
-            print(json.dumps({"hidden": name} | answer(folder, arguments.out / "answers" / name)), flush=True)
+            found = answer(folder, arguments.out / "answers" / name)
+            store(result, name, found)
+            print(json.dumps({"hidden": name} | found), flush=True)

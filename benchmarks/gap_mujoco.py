@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from foreign_captures import run
+from foreign_captures import RESULTS, run
 
 from physconvex.capture import Boundary, Capture, Floor, Tracks, save_capture
 from physconvex.fem import TetMesh
@@ -173,4 +173,4 @@ def write_capture(folder: Path, name: str) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, [*CASES, *BEAMS], write_capture)
+    run(__doc__, [*CASES, *BEAMS], write_capture, RESULTS / "gap_mujoco.json")

@@ -16,13 +16,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from foreign_captures import RESULTS, store
 
 from data_gen.benchmark import BenchmarkOptions, drop_object
 from physconvex.capture.folder import CAPTURE_FILE
 from physconvex.gap import diagnose
 
 TOY = "SCHOOL_BUS"
-RESULT = Path(__file__).parent / "results" / "gap_video.json"
+RESULT = RESULTS / "gap_video.json"
 
 
 @dataclass(frozen=True)
@@ -51,9 +52,7 @@ def main() -> None:
         report.save(out / "diagnosis")
         content = {"truth": truth, "focal_length": film.focal_length}
         content |= summary(json.loads((out / "diagnosis" / "report.json").read_text(encoding="utf-8")))
-        stored = json.loads(RESULT.read_text(encoding="utf-8"))
-        stored["cases"][name] = content
-        RESULT.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+        store(RESULT, name, content)
         print(json.dumps(content, indent=1))
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from foreign_captures import run
+from foreign_captures import RESULTS, run
 from scipy.spatial.transform import Rotation
 
 from physconvex.capture import Boundary, Capture, Floor, Tracks, save_capture
@@ -188,4 +188,4 @@ def write_capture(folder: Path, name: str) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, list(CASES), write_capture)
+    run(__doc__, list(CASES), write_capture, RESULTS / "gap_warp.json")
