@@ -1,4 +1,4 @@
-"""Captures of other programs: what `physconvex diagnose` says of each, printed and stored as JSON."""
+"""Captures that this package did not simulate: their files, and what `physconvex diagnose` says of each, as JSON."""
 
 from __future__ import annotations
 
@@ -9,23 +9,51 @@ from pathlib import Path
 
 import numpy as np
 
-from physconvex.capture import load_capture
+from physconvex.capture import Boundary, Floor, Tracks, load_capture
 from physconvex.errors import PhysconvexError
-from physconvex.gap import GapOptions, diagnose
+from physconvex.fem import TetMesh
+from physconvex.gap import GapOptions, GapReport, diagnose
 from physconvex.gap.base_fit import fit_baseline, rough_baseline
 from physconvex.gap.numerics import correction_of, error_model, numerical_differences
 from physconvex.gap.setting import find_setting
 
 RESULTS = Path(__file__).parent / "results"
+FLOOR = Floor(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+HELD = Boundary(clamped_box=np.array([[-1e-4, -1.0, -1.0], [1e-4, 1.0, 1.0]]))  # at x = 0
+
+
+def markers(mesh: TetMesh, trajectory: np.ndarray, name: str, count: int, sigma: float, beyond: float = 0.0) -> Tracks:
+    """So many nodes of the surface, drawn by the case's name, with noise.
+
+    Args:
+        mesh: at t = 0.
+        trajectory: nodes at the frames [m], shape [T, V, 3].
+        name: of the case.
+        count: of the markers.
+        sigma: of the noise [m].
+        beyond: those nearer to x = 0 are left out [m]; 0 where nothing is held.
+    """
+    rng = np.random.default_rng(sum(map(ord, name)))
+    outer = np.unique(mesh.boundary_faces[:, :3])
+    if beyond:
+        outer = outer[mesh.vertices[outer, 0] > beyond]
+    seen = rng.choice(outer, count, replace=False)
+    positions = trajectory[:, seen] + sigma * rng.normal(size=(len(trajectory), count, 3))
+    return Tracks(mesh.vertices[seen], positions, np.full(positions.shape[:2], sigma))
 
 
 def answer(folder: Path, out: Path) -> dict[str, object]:
-    """Of the diagnosis with default settings."""
+    """Of the diagnosis with default settings, whose report is put into `out`."""
     try:
         report = diagnose(folder)
     except PhysconvexError as error:
         return {"error": str(error)}
     report.save(out)
+    return summary(report)
+
+
+def summary(report: GapReport) -> dict[str, object]:
+    """Verdict, doses, fits, and the gap on held-out frames [m]."""
     main = report.how_far[0]
     return {
         "verdict": report.verdict.name,
@@ -36,6 +64,7 @@ def answer(folder: Path, out: Path) -> dict[str, object]:
         "ranking": [list(h.names) for h in report.hypotheses],
         "gap": [main.gap_before, main.gap_after, main.noise_floor],
         "shrinkage": main.shrinkage,
+        "interval": [main.lower, main.upper],
         "placebo": main.placebo if np.isfinite(main.placebo) else None,
         "seconds": report.provenance.seconds,
     }

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from foreign_captures import RESULTS, run
+from foreign_captures import FLOOR, HELD, RESULTS, markers, run
 
-from physconvex.capture import Boundary, Capture, Floor, Tracks, save_capture
+from physconvex.capture import Capture, save_capture
 from physconvex.fem import TetMesh
 
 SIZE, COUNT, GAP, DENSITY, STEP, FPS, FRAMES, MARKERS, SIGMA = 0.12, 7, 0.2, 1000.0, 1e-4, 50.0, 30, 30, 6e-5
@@ -140,17 +140,11 @@ def released(release: Release) -> tuple[TetMesh, np.ndarray]:
 def write_beam(folder: Path, name: str) -> None:
     """Marker tracks of sixteen nodes of the surface; the end that is held is a box."""
     mesh, trajectory = released(BEAMS[name])
-    rng = np.random.default_rng(sum(map(ord, name)))
-    outer = np.unique(mesh.boundary_faces[:, :3])
-    seen = rng.choice(outer[mesh.vertices[outer, 0] > 0.3 * BEAM[0]], 16, replace=False)
-    positions = trajectory[:, seen] + SIGMA * rng.normal(size=(BEAM_FRAMES, 16, 3))
     capture = Capture(
         folder, BEAM_FPS, BEAM_FRAMES, 2 * BEAM_FRAMES // 3, density=BEAM_DENSITY,
         gravity=np.array([0.0, 0.0, -GRAVITY]),
     )  # fmt: skip
-    held = Boundary(clamped_box=np.array([[-1e-4, -1.0, -1.0], [1e-4, 1.0, 1.0]]))
-    tracks = Tracks(mesh.vertices[seen], positions, np.full(positions.shape[:2], SIGMA))
-    save_capture(capture, tets=mesh, tracks=tracks, boundary=held)
+    save_capture(capture, tets=mesh, tracks=markers(mesh, trajectory, name, 16, SIGMA, 0.3 * BEAM[0]), boundary=HELD)
 
 
 def write_capture(folder: Path, name: str) -> None:
@@ -159,17 +153,11 @@ def write_capture(folder: Path, name: str) -> None:
         write_beam(folder, name)
         return
     mesh, trajectory = simulated(CASES[name])
-    rng = np.random.default_rng(sum(map(ord, name)))
-    outer = np.unique(mesh.boundary_faces[:, :3])
-    seen = rng.choice(outer, MARKERS, replace=False)
-    positions = trajectory[:, seen] + SIGMA * rng.normal(size=(FRAMES, MARKERS, 3))
     capture = Capture(
-        folder, FPS, FRAMES, 2 * FRAMES // 3, density=DENSITY, gravity=np.array([0.0, 0.0, -GRAVITY]),
-        floor=Floor(np.zeros(3), np.array([0.0, 0.0, 1.0])), initial_velocity=np.array(CASES[name].velocity),
-        initial_angular_velocity=np.zeros(3),
+        folder, FPS, FRAMES, 2 * FRAMES // 3, density=DENSITY, gravity=np.array([0.0, 0.0, -GRAVITY]), floor=FLOOR,
+        initial_velocity=np.array(CASES[name].velocity), initial_angular_velocity=np.zeros(3),
     )  # fmt: skip
-    tracks = Tracks(mesh.vertices[seen], positions, np.full(positions.shape[:2], SIGMA))
-    save_capture(capture, tets=mesh, tracks=tracks)
+    save_capture(capture, tets=mesh, tracks=markers(mesh, trajectory, name, MARKERS, SIGMA))
 
 
 if __name__ == "__main__":

@@ -16,11 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from foreign_captures import RESULTS, store
+from foreign_captures import RESULTS, answer, store
 
 from data_gen.benchmark import BenchmarkOptions, drop_object
 from physconvex.capture.folder import CAPTURE_FILE
-from physconvex.gap import diagnose
 
 TOY = "SCHOOL_BUS"
 RESULT = RESULTS / "gap_video.json"
@@ -48,10 +47,8 @@ def main() -> None:
         out, film = given.out / name, CASES[name]
         out.mkdir(parents=True, exist_ok=True)
         truth = {"youngs_modulus": 1e5, "poisson_ratio": 0.4, "damping_time": film.damping_time}
-        report = diagnose(filmed(out / "capture", given.objects, truth, film.focal_length))
-        report.save(out / "diagnosis")
-        content = {"truth": truth, "focal_length": film.focal_length}
-        content |= summary(json.loads((out / "diagnosis" / "report.json").read_text(encoding="utf-8")))
+        capture = filmed(out / "capture", given.objects, truth, film.focal_length)
+        content = {"truth": truth, "focal_length": film.focal_length} | answer(capture, out / "diagnosis")
         store(RESULT, name, content)
         print(json.dumps(content, indent=1))
 
@@ -66,22 +63,6 @@ def filmed(folder: Path, objects: Path, truth: dict[str, float], focal_length: f
             camera["fl_x"], camera["fl_y"] = focal_length * camera["fl_x"], focal_length * camera["fl_y"]
         (folder / CAPTURE_FILE).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return folder
-
-
-def summary(content: dict) -> dict:
-    """Of a report: verdict, doses, what was fitted, and the gap on held-out frames [m]."""
-    which, how_far = content["which"], content["how_far"]
-    return {
-        "verdict": which["verdict"],
-        "sentence": which["sentence"],
-        "caveats": which["caveats"],
-        "hypotheses": which["hypotheses"],
-        "parameters": how_far["parameters"],
-        "gap": [how_far["gap_before"], how_far["gap_after"], how_far["noise_floor"]],
-        "shrinkage": [how_far["shrinkage"], *how_far["interval"]],
-        "placebo": how_far["placebo"],
-        "seconds": content["provenance"]["seconds"],
-    }
 
 
 if __name__ == "__main__":

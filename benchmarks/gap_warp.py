@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from foreign_captures import RESULTS, run
+from foreign_captures import FLOOR, HELD, RESULTS, markers, run
 from scipy.spatial.transform import Rotation
 
-from physconvex.capture import Boundary, Capture, Floor, Tracks, save_capture
+from physconvex.capture import Capture, save_capture
 from physconvex.fem import TetMesh, box_mesh, tetrahedralize
 
 GRAVITY, DENSITY, FPS, FRAMES, MARKERS, SIGMA, STEP = 9.81, 1000.0, 50.0, 30, 30, 6e-5, 2e-5
@@ -168,23 +168,15 @@ def write_capture(folder: Path, name: str) -> None:
     take = CASES[name]
     body = surface_of(take)
     mesh, trajectory = simulated(take, body)
-    rng = np.random.default_rng(sum(map(ord, name)))
-    outer = np.unique(mesh.boundary_faces[:, :3])
-    if take.held:
-        outer = outer[mesh.vertices[outer, 0] > 0.3 * BAR[0]]
-    seen = rng.choice(outer, MARKERS, replace=False)
-    positions = trajectory[:, seen] + SIGMA * rng.normal(size=(FRAMES, MARKERS, 3))
+    tracks = markers(mesh, trajectory, name, MARKERS, SIGMA, 0.3 * BAR[0] if take.held else 0.0)
     capture = Capture(
         folder, FPS, FRAMES, 2 * FRAMES // 3, density=DENSITY, gravity=np.array([0.0, 0.0, -GRAVITY]),
         initial_velocity=np.array(take.velocity), initial_angular_velocity=np.zeros(3),
     )  # fmt: skip
-    tracks = Tracks(mesh.vertices[seen], positions, np.full(positions.shape[:2], SIGMA))
     if take.held:
-        box = np.array([[-1e-4, -1.0, -1.0], [1e-4, 1.0, 1.0]])
-        save_capture(capture, mesh=body, tracks=tracks, boundary=Boundary(clamped_box=box))
+        save_capture(capture, mesh=body, tracks=tracks, boundary=HELD)
     else:
-        floor = Floor(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-        save_capture(replace(capture, floor=floor), mesh=body, tracks=tracks)
+        save_capture(replace(capture, floor=FLOOR), mesh=body, tracks=tracks)
 
 
 if __name__ == "__main__":
