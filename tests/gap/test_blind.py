@@ -310,6 +310,12 @@ def test_plan_holds_what_was_asked_for():
     )
 
 
+def test_a_capture_with_new_noise_is_asked_with_the_same_dictionary():
+    *plan, again = plan_bank(0, 4, ["friction", "wind"], (10.0,), Shares(free=0, deleted=1), ("noise",))
+    first = plan[again.repeats]
+    assert again.without == first.without != () and again.effects == first.effects and again.control.name == "noise"
+
+
 def test_what_is_taken_out_does_not_tell_what_is_hidden():
     plan = plan_bank(0, 20, ["friction", "wind"], (10.0,), Shares(free=0.5, deleted=0.2))
     deleted = [p for p in plan if p.without and p.effects]

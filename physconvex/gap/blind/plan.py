@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -85,7 +85,7 @@ def plan_bank(
     for name in controls:
         control = CONTROLS[name]
         if control.repeats:
-            plan.append(Planned(plan[first].effects, plan[first].visibility, control=control, repeats=first))
+            plan.append(replace(plan[first], control=control, repeats=first))
         else:
             plan.append(Planned(control.effects, visibility(0), control=control))
     return plan
