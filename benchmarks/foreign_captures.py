@@ -12,7 +12,7 @@ import numpy as np
 from physconvex.capture import Boundary, Floor, Tracks, load_capture
 from physconvex.errors import PhysconvexError
 from physconvex.fem import TetMesh
-from physconvex.gap import GapOptions, GapReport, diagnose
+from physconvex.gap import GapOptions, diagnose
 from physconvex.gap.base_fit import fit_baseline, rough_baseline
 from physconvex.gap.numerics import correction_of, error_model, numerical_differences
 from physconvex.gap.setting import find_setting
@@ -43,17 +43,12 @@ def markers(mesh: TetMesh, trajectory: np.ndarray, name: str, count: int, sigma:
 
 
 def answer(folder: Path, out: Path) -> dict[str, object]:
-    """Of the diagnosis with default settings, whose report is put into `out`."""
+    """Of the diagnosis with default settings, gaps in metres on held-out frames; its report is put into `out`."""
     try:
         report = diagnose(folder)
     except PhysconvexError as error:
         return {"error": str(error)}
     report.save(out)
-    return summary(report)
-
-
-def summary(report: GapReport) -> dict[str, object]:
-    """Verdict, doses, fits, and the gap on held-out frames [m]."""
     main = report.how_far[0]
     return {
         "verdict": report.verdict.name,

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from foreign_captures import FLOOR, HELD, RESULTS, run
-from scipy.spatial.transform import Rotation
 
 from physconvex.capture import Boundary, Capture, Tracks, save_capture
+from physconvex.kabsch import best_rotation
 
 DATA = Path(__file__).parents[1] / "tests" / "data"
 RADIUS, MASS, BALL_SIGMA = 0.03429, 0.0577, 4e-4  # [m], [kg], [m] of second differences, 0.1 to 0.6 mm
@@ -48,8 +48,8 @@ def write_fish(folder: Path) -> None:
     """The tip of the tail, 100 frames per second, in the frame in which it stands on z = 0."""
     markers = np.genfromtxt(DATA / "srl_soft_fish" / "soft_fish_data.csv", delimiter=";").reshape(-1, 4, 3) / 1e3
     points = np.array(FISH_POINTS)
-    turn, _ = Rotation.align_vectors(points - points.mean(0), markers[0] - markers[0].mean(0))
-    tip = turn.apply(markers[:FISH_FRAMES, 0] - markers[0].mean(0)) + points.mean(0)
+    turn = best_rotation(markers[0], points)
+    tip = (markers[:FISH_FRAMES, 0] - markers[0].mean(0)) @ turn.T + points.mean(0)
     mesh = trimesh.load(DATA / "srl_soft_fish" / "soft_fish.stl")
     mesh.apply_scale(1e-3)
     mesh.apply_translation([*-mesh.bounds.mean(0)[:2], 0.0])
