@@ -1,25 +1,37 @@
 """What `physconvex diagnose` says of filmed drops, effects hidden or not, from the video of one camera alone.
 
-python benchmarks/gap_video.py --objects FOLDER --out gap_video [--cases damping,none,focal_length]
+python benchmarks/gap_video.py --objects FOLDER --out gap_video [--cases damping,none,focal_length,exposure,motion_blur]
 
 FOLDER holds Google Scanned Objects, one folder each with `model.obj` and `texture.png`. The toy is dropped by the
 full-order model on another mesh than the diagnosis makes, at 24 frames per second and 224 pixels; `capture.json` states
 the floor and that the body starts at rest, and nothing of damping. In `focal_length` nothing is amiss but the camera,
-whose focal length is stated 3 % too long: that must not be called a material. What is stored of other cases is kept.
+whose focal length is stated 3 % too long: that must not be called a material. Nor is it in the last two, where the
+light fades by half a stop or the shutter stays open for half of the time between two frames (rendered 17 times in it).
+What is stored of other cases is kept.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import dataclass
+import shutil
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 from foreign_captures import RESULTS, answer, store
+from scipy.interpolate import CubicSpline
 
 from data_gen.benchmark import BenchmarkOptions, drop_object
+from data_gen.benchmark_scenes import placed
+from data_gen.objects.library import ObjectMesh
+from data_gen.objects.user_meshes import load_user_mesh
+from data_gen.still_captures import FLAT, rendered_frames
+from data_gen.surface import Surface
+from physconvex.camera import Camera
+from physconvex.capture import load_capture
 from physconvex.capture.folder import CAPTURE_FILE
+from physconvex.video import write_video
 
 TOY = "SCHOOL_BUS"
 RESULT = RESULTS / "gap_video.json"
@@ -27,13 +39,21 @@ RESULT = RESULTS / "gap_video.json"
 
 @dataclass(frozen=True)
 class Film:
-    """Damping time of the toy [s], and the stated focal length over the true one."""
+    """Damping time [s], stated over true focal length, drift of the light [1/s], time the shutter is open [s]."""
 
     damping_time: float = 0.0
     focal_length: float = 1.0
+    drift: float = 0.0
+    exposure_time: float = 0.0
 
 
-CASES = {"damping": Film(damping_time=12e-3), "none": Film(), "focal_length": Film(focal_length=1.03)}
+CASES = {
+    "damping": Film(damping_time=12e-3),
+    "none": Film(),
+    "focal_length": Film(focal_length=1.03),
+    "exposure": Film(drift=-0.35),
+    "motion_blur": Film(exposure_time=0.5 / 24),
+}
 
 
 def main() -> None:
@@ -44,25 +64,47 @@ def main() -> None:
     parser.add_argument("--cases", default=",".join(CASES))
     given = parser.parse_args()
     for name in given.cases.split(","):
-        out, film = given.out / name, CASES[name]
-        out.mkdir(parents=True, exist_ok=True)
-        truth = {"youngs_modulus": 1e5, "poisson_ratio": 0.4, "damping_time": film.damping_time}
-        capture = filmed(out / "capture", given.objects, truth, film.focal_length)
-        content = {"truth": truth, "focal_length": film.focal_length} | answer(capture, out / "diagnosis")
+        film, folder = CASES[name], given.out / name
+        capture = filmed(folder / "capture", given.objects, film)
+        content = {"truth": asdict(film)} | answer(capture, folder / "diagnosis")
         store(RESULT, name, content)
         print(json.dumps(content, indent=1))
 
 
-def filmed(folder: Path, objects: Path, truth: dict[str, float], focal_length: float) -> Path:
-    """The capture, whose cameras state so many times their focal length."""
-    if not folder.exists():
-        options = BenchmarkOptions(size=224, views=2, nodes=600, steps_per_frame=24)
-        drop_object(folder, objects / TOY / "model.obj", truth, options, np.random.default_rng(2))
-        content = json.loads((folder / CAPTURE_FILE).read_text(encoding="utf-8"))
-        for camera in content["cameras"]:
-            camera["fl_x"], camera["fl_y"] = focal_length * camera["fl_x"], focal_length * camera["fl_y"]
-        (folder / CAPTURE_FILE).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+def filmed(folder: Path, objects: Path, film: Film) -> Path:
+    """The capture."""
+    if folder.exists():
+        return folder
+    mesh, options = objects / TOY / "model.obj", BenchmarkOptions(size=224, views=2, nodes=600, steps_per_frame=24)
+    truth = {"youngs_modulus": 1e5, "poisson_ratio": 0.4, "damping_time": film.damping_time}
+    sharp = folder.parent.parent / f"sharp_{1e3 * film.damping_time:g}ms"
+    sharp, moved = drop_object(sharp, mesh, truth, options, np.random.default_rng(2))
+    shutil.copytree(sharp, folder)
+    (camera,) = load_capture(folder).cameras
+    frames = load_capture(sharp).video(camera.name).frames
+    if film.exposure_time:
+        body = placed(load_user_mesh(mesh), options.object_size, np.random.default_rng(2))
+        frames = smeared(body, camera, moved, film.exposure_time * options.fps)
+    fading = np.exp(film.drift * np.arange(len(frames)) / options.fps / 2.2)[:, None, None, None]
+    write_video(folder / f"{camera.name}.mp4", (frames * fading).round().astype(np.uint8), fps=options.fps, crf=6)
+    content = json.loads((folder / CAPTURE_FILE).read_text(encoding="utf-8"))
+    for stated in content["cameras"]:
+        stated["fl_x"], stated["fl_y"] = film.focal_length * stated["fl_x"], film.focal_length * stated["fl_y"]
+    (folder / CAPTURE_FILE).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return folder
+
+
+def smeared(body: ObjectMesh, camera: Camera, moved: np.ndarray, share: float) -> np.ndarray:
+    """The pictures before white, each the mean light of that share of a frame around its time."""
+    surface = Surface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
+    motion, parts = CubicSpline(np.arange(len(moved)), moved), np.linspace(-0.5, 0.5, 17) * share
+    frames = []
+    for t in range(len(moved)):
+        times = (t + parts).clip(0, len(moved) - 1)
+        rgba = np.stack(rendered_frames(surface, camera, FLAT, motion(times))) / 255.0
+        light = (rgba[..., :3] * rgba[..., 3:] + 1 - rgba[..., 3:]) ** 2.2
+        frames.append((255 * light.mean(0) ** (1 / 2.2)).round())
+    return np.stack(frames)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Effect, Motion, choose
 from physconvex.gap.findings import Provenance
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
+from physconvex.gap.image_formation import image_findings, with_pictures
 from physconvex.gap.mapping import as_reduced
 from physconvex.gap.measured import measure, relative_gap
 from physconvex.gap.naming import favoured
@@ -112,6 +113,9 @@ def diagnose(
         again = second_take_shrinkage(base, best, other, options, report)
         shrinkage = (*shrinkage, *(() if again is None else (again,)))
     verdict = replace(verdict, caveats=(*verdict.caveats, *lost_points(base.observations)))
+    report("pictures")
+    pictures = image_findings(base, dictionary, options)
+    verdict = with_pictures(verdict, pictures)
     if cost.cut:
         verdict = replace(verdict, caveats=(*verdict.caveats, _CUT.format(options.deadline)))
     if capture.frames == MOST_FRAMES:
@@ -121,6 +125,7 @@ def diagnose(
         where=locate_gap(base, errors, best, options),
         verdict=verdict,
         how_far=shrinkage,
+        pictures=pictures,
         base=base,
         best=best,
         hypotheses=tuple(hypotheses),

@@ -10,6 +10,7 @@ import numpy as np
 from physconvex.gap.baseline import Baseline
 from physconvex.gap.comparison import Hypothesis
 from physconvex.gap.how_far import HowFar
+from physconvex.gap.image_formation import ImageFinding
 from physconvex.gap.options import GapOptions
 from physconvex.gap.screening import Screening
 from physconvex.gap.verdict import Verdict
@@ -56,6 +57,7 @@ class GapFindings:
         where: the decomposition.
         verdict: which.
         how_far: shrinkage by held-out data, the first for the frames that served nothing else.
+        pictures: of a video, what its light says of effects of image formation.
         base: the base fit.
         best: the best hypothesis with effects (the base model where none could be tried).
         hypotheses: all that were fitted, best evidence first.
@@ -68,6 +70,7 @@ class GapFindings:
     where: Where
     verdict: Verdict
     how_far: tuple[HowFar, ...]
+    pictures: tuple[ImageFinding, ...]
     base: Baseline
     best: Hypothesis
     hypotheses: tuple[Hypothesis, ...]
@@ -124,6 +127,7 @@ class GapFindings:
                 "all": [_cleaned(asdict(part)) for part in self.how_far],
                 "parameters": self.parameters(),
             },
+            "pictures": [_picture_json(finding, self.base.capture.fps) for finding in self.pictures],
             "next_experiment": self.next_experiment,
             "provenance": asdict(self.provenance),
             "options": asdict(self.options),
@@ -162,6 +166,25 @@ def _where_json(where: Where) -> dict[str, Any]:
             asdict(entry) | {"units": {"impulse": "N s", "angular_impulse": "N m s", "work": "J"}}
             for entry in where.ledger
         ],
+    }
+
+
+def _picture_json(finding: ImageFinding, fps: float) -> dict[str, Any]:
+    series, dose = finding.series, finding.named.doses[0].value
+    frames = [
+        {"frame": int(t), "time": t / fps, "seen": float(seen), "error": float(error), "foretold": float(told)}
+        for t, seen, error, told in zip(series.frames, series.seen, series.errors, series.at(dose), strict=True)
+    ]
+    return {
+        **_effect_json(finding.named),
+        "called": finding.called,
+        "statistic": finding.statistic,
+        "gap_before": finding.gap_before,
+        "gap_after": finding.gap_after,
+        "noise_floor": finding.noise_floor,
+        "shrinkage": finding.shrinkage,
+        "placebo": _number(finding.placebo),
+        "frames": frames,
     }
 
 

@@ -156,6 +156,28 @@ def _provenance(report: GapFindings) -> str:
     return _table(["", ""], rows)
 
 
+def _image_formation(report: GapFindings) -> list[str]:
+    """The section of what the pictures' light shows, where there is a video."""
+    if not report.pictures:
+        return []
+    rows = [
+        [
+            finding.effect.name,
+            "called" if finding.called else "not called",
+            f"{dose.value:.3g} {dose.unit}",
+            f"{dose.lower:.3g} to {dose.upper:.3g}",
+            f"{finding.gap_before:.2g} → {finding.gap_after:.2g} ({finding.noise_floor:.2g})",
+            f"{finding.shrinkage:.0%}",
+            "–" if not np.isfinite(finding.placebo) else f"{finding.placebo:.0%}",
+        ]
+        for finding in report.pictures
+        for dose in finding.named.doses
+    ]
+    head = ["effect", "", "dose", "interval", "gap before → after (floor)", "shrinkage", "placebo"]
+    note = "Effects that move no point: fitted to every other frame, judged on the frames between."
+    return [_section("Which: pictures", note, pictures.svg_of(pictures.image_series(report)) + _table(head, rows))]
+
+
 def _video(report: GapFindings) -> list[str]:
     """The section with the video, where there is one."""
     figure = video_strip(report)
@@ -192,6 +214,7 @@ def write_html(report: GapFindings, path: Path) -> None:
                  "frequency and damping ratio.", _modes(report)),
         _section("Where: ledger", "What the observed body received and the base model's did not.", _ledger(report)),
         _section("Which: effects", "Fitted on the first frames, chosen on later ones.", _effects(report)),
+        *_image_formation(report),
         _section("Which: doses", "What the residual asks for, effect by effect, before any of them is fitted.",
                  pictures.svg_of(pictures.forest(report)) + _screening(report)),
         _section("Which: what looks alike here", "A dark square: this recording cannot tell the two apart.",

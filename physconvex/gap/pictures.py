@@ -18,8 +18,8 @@ from physconvex.gap.findings import GapFindings
 from physconvex.gap.where import Where
 
 __all__ = [
-    "body_map", "budget", "confusion", "forest", "parameter_arrows", "png_of", "shrinkage_bars", "svg_of", "timeline",
-    "write_body",
+    "body_map", "budget", "confusion", "forest", "image_series", "parameter_arrows", "png_of", "shrinkage_bars",
+    "svg_of", "timeline", "write_body",
 ]  # fmt: skip
 
 _BLUE, _ORANGE, _GREY = "#2b6ca3", "#d9772b", "#8a8a8a"
@@ -222,6 +222,24 @@ def shrinkage_bars(report: GapFindings) -> Figure:
     axes.set_xlabel("share of the gap above noise that is removed [%], cut off at −100")
     axes.legend(fontsize=8, loc="lower left")
     _clean(axes)
+    return figure
+
+
+def image_series(report: GapFindings) -> Figure:
+    """Statistics of the pictures frame by frame, and what the fitted effects foretell."""
+    figure = Figure(figsize=(7, 0.4 + 2.0 * len(report.pictures)), layout="constrained")
+    panels = figure.subplots(len(report.pictures), squeeze=False)[:, 0]
+    for axes, finding in zip(panels, report.pictures, strict=True):
+        series, dose = finding.series, finding.named.doses[0]
+        times = 1e3 * series.frames / report.base.capture.fps
+        axes.errorbar(times, series.seen, 1.645 * series.errors, fmt="o", color=_ORANGE, ms=3, lw=1, label="seen")
+        axes.plot(times, series.at(dose.value), color=_BLUE, label=f"{dose.name} {dose.value:.3g} {dose.unit}")
+        axes.axhline(0, color="black", lw=0.8)
+        axes.set_title(f"{finding.effect.name}: {'called' if finding.called else 'not called'}", fontsize=9)
+        axes.set_ylabel(finding.statistic.replace(", ", ",\n"), fontsize=7)
+        axes.legend(fontsize=7)
+        _clean(axes)
+    panels[-1].set_xlabel("time [ms]")
     return figure
 
 

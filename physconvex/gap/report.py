@@ -15,6 +15,7 @@ from physconvex.fem import Scene
 from physconvex.gap.comparison import Hypothesis
 from physconvex.gap.findings import GapFindings
 from physconvex.gap.html import write_html
+from physconvex.gap.image_formation import ImageFinding
 from physconvex.gap.pictures import write_body
 from physconvex.reduced import ReducedScene
 
@@ -23,9 +24,15 @@ __all__ = ["GapReport", "ImprovedTwin"]
 
 @dataclass(frozen=True, eq=False)
 class ImprovedTwin:
-    """The base model with the effects, at the fitted values."""
+    """The base model with the effects, at the fitted values.
+
+    Attributes:
+        hypothesis: of the motion.
+        pictures: effects of image formation that were called; they move no point.
+    """
 
     hypothesis: Hypothesis
+    pictures: tuple[ImageFinding, ...] = ()
 
     @property
     def scene(self) -> Scene:
@@ -40,7 +47,8 @@ class ImprovedTwin:
     @property
     def values(self) -> dict[str, float]:
         """Parameters and doses by name."""
-        return {n: float(v) for n, v in zip(self.hypothesis.model.names, self.hypothesis.values, strict=True)}
+        motion = {n: float(v) for n, v in zip(self.hypothesis.model.names, self.hypothesis.values, strict=True)}
+        return motion | {f"{p.effect.name}.{p.named.doses[0].name}": p.named.doses[0].value for p in self.pictures}
 
     def positions(self) -> Float[np.ndarray, "T P 3"]:
         """What is observed of it [m]."""
@@ -61,7 +69,10 @@ class GapReport(GapFindings):
             raise InputError(
                 f"apply: the verdict is {self.verdict.name!r}; expected 'effect'. The best fit is in `best` regardless"
             )
-        return ImprovedTwin(self.best)
+        called = tuple(finding for finding in self.pictures if finding.called)
+        moved = {effect.name for effect in self.verdict.effects} & set(self.best.names)
+        base = next(h for h in self.hypotheses if not h.effects)
+        return ImprovedTwin(self.best if moved else base, called)
 
     def save(self, folder: Path | str) -> None:
         """Write report.json, report.html and body.ply.

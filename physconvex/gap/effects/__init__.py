@@ -1,7 +1,7 @@
 """Named effects that a base model may lack, each with its doses and its place in the simulators."""
 
 from physconvex.gap.effects.catalogue import DEFAULT_EFFECTS, EFFECT_NAMES, applicable, choose
-from physconvex.gap.effects.effect import Dose, Effect, Motion, Situation, Source
+from physconvex.gap.effects.effect import Dose, Effect, Motion, Patches, Situation, Source
 
 __all__ = [
     "DEFAULT_EFFECTS",
@@ -9,6 +9,7 @@ __all__ = [
     "Dose",
     "Effect",
     "Motion",
+    "Patches",
     "Situation",
     "Source",
     "applicable",

@@ -8,6 +8,7 @@ from physconvex.errors import InputError
 from physconvex.gap.effects.clamp import CLAMP_EFFECTS
 from physconvex.gap.effects.declared import DECLARED_EFFECTS
 from physconvex.gap.effects.effect import Effect, Situation
+from physconvex.gap.effects.image import IMAGE_EFFECTS
 from physconvex.gap.effects.load import LOAD_EFFECTS
 from physconvex.gap.effects.material import MATERIAL_EFFECTS
 from physconvex.gap.effects.observation import OBSERVATION_EFFECTS
@@ -16,7 +17,8 @@ from physconvex.gap.effects.world import WORLD_EFFECTS
 __all__ = ["DEFAULT_EFFECTS", "EFFECT_NAMES", "applicable", "choose"]
 
 DEFAULT_EFFECTS: tuple[Effect, ...] = (
-    *MATERIAL_EFFECTS, *WORLD_EFFECTS, *LOAD_EFFECTS, *CLAMP_EFFECTS, *OBSERVATION_EFFECTS, *DECLARED_EFFECTS,
+    *MATERIAL_EFFECTS, *WORLD_EFFECTS, *LOAD_EFFECTS, *CLAMP_EFFECTS, *OBSERVATION_EFFECTS, *IMAGE_EFFECTS,
+    *DECLARED_EFFECTS,
 )  # fmt: skip
 EFFECT_NAMES: tuple[str, ...] = tuple(dict.fromkeys(effect.name for effect in DEFAULT_EFFECTS))
 
@@ -41,5 +43,9 @@ def choose(
 
 
 def applicable(effects: Iterable[Effect], situation: Situation) -> tuple[Effect, ...]:
-    """Those that can be tried in a situation: gauges never are."""
-    return tuple(effect for effect in effects if effect.source != "gauge" and effect.applies(situation))
+    """Those that can be tried on the motion of points: never gauges, nor what shows in the pictures' light alone."""
+    return tuple(
+        effect
+        for effect in effects
+        if effect.source != "gauge" and effect.photograph is None and effect.applies(situation)
+    )

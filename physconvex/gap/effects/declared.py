@@ -1,18 +1,10 @@
-"""Effects that are declared and not simulated as such: numerical errors, gauges, and what only pixels' colours tell."""
+"""Effects that are declared and not simulated as such: numerical errors and gauges."""
 
 from __future__ import annotations
 
-import numpy as np
-from jaxtyping import Float
-
-from physconvex.gap.effects.effect import Dose, Effect, Motion
+from physconvex.gap.effects.effect import Dose, Effect
 
 __all__ = ["DECLARED_EFFECTS", "GAUGES", "NUMERICAL"]
-
-
-def _as_seen(motion: Motion, doses: Float[np.ndarray, " D"]) -> Float[np.ndarray, "T P 3"]:
-    """Positions of points do not show it."""
-    return motion.positions
 
 
 # Their directions are differences of runs of the full-order model, see `physconvex.gap.numerics`.
@@ -52,18 +44,4 @@ GAUGES: tuple[Effect, ...] = (
         description="size, time and E change together; only gravity in free flight ties them",
     ),
 )
-_COLOUR_ONLY: tuple[Effect, ...] = tuple(
-    Effect(
-        name,
-        "observation",
-        (Dose(dose, unit, 0.0, 10.0, 0.01, lambda s: 0.1),),
-        observe=_as_seen,
-        applies=lambda s: False,
-        description=text,
-    )
-    for name, dose, unit, text in (
-        ("motion_blur", "exposure_time", "s", "edges widen along the motion; followed points do not show it"),
-        ("exposure", "gain", "", "brightness of the picture; followed points do not show it"),
-    )
-)
-DECLARED_EFFECTS: tuple[Effect, ...] = (*NUMERICAL, *_COLOUR_ONLY, *GAUGES)
+DECLARED_EFFECTS: tuple[Effect, ...] = (*NUMERICAL, *GAUGES)

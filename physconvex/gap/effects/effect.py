@@ -14,7 +14,7 @@ from physconvex.errors import InputError
 from physconvex.fem import Scene
 from physconvex.reduced import ReducedScene
 
-__all__ = ["SOURCES", "AnyScene", "Dose", "Effect", "Motion", "Situation", "Source"]
+__all__ = ["SOURCES", "AnyScene", "Dose", "Effect", "Motion", "Patches", "Situation", "Source"]
 
 AnyScene = ReducedScene | Scene
 Source = Literal["material", "contact", "external", "initial state", "observation", "numerical", "gauge"]
@@ -147,6 +147,21 @@ class Motion:
         return Motion(self.rest, self.times[:count], self.positions[:count], self.velocities[:count], self.camera)
 
 
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """Square pieces of pictures.
+
+    Attributes:
+        light: brightness, linear in the light, shape [N, h, w].
+        velocities: of what they show [pixels/s], x to the right and y down, shape [N, 2].
+        times: when they were taken, after the first picture [s], shape [N].
+    """
+
+    light: Float[np.ndarray, "N h w"]
+    velocities: Float[np.ndarray, "N 2"]
+    times: Float[np.ndarray, " N"]
+
+
 def _always(situation: Situation) -> bool:
     return True
 
@@ -161,6 +176,8 @@ class Effect:
         doses: the numbers that measure it.
         scene: puts doses [D] into a reduced or a full-order scene; None where it acts on the observation alone.
         observe: puts doses into what is observed: from a `Motion` to positions [T, P, 3]; None where it does not.
+        photograph: puts doses into pictures: from sharp, evenly exposed `Patches` to their light [N, h, w]; None where
+            it does not. Such an effect moves no point, and is looked for by `physconvex.gap.image_formation`.
         applies: whether the effect makes sense in a situation.
         variant: distinguishes forms of one effect.
         description: one line for people.
@@ -175,6 +192,7 @@ class Effect:
     doses: tuple[Dose, ...]
     scene: Callable[[AnyScene, Float[np.ndarray, " D"]], AnyScene] | None = None
     observe: Callable[[Motion, Float[np.ndarray, " D"]], Float[np.ndarray, "T P 3"]] | None = None
+    photograph: Callable[[Patches, Float[np.ndarray, " D"]], Float[np.ndarray, "N h w"]] | None = None
     applies: Callable[[Situation], bool] = _always
     variant: str = ""
     description: str = ""
@@ -185,8 +203,9 @@ class Effect:
             raise InputError(f"effect {self.name}: got no dose; expected at least one number that measures it")
         if self.source not in SOURCES:
             raise InputError(f"effect {self.name}: source: got {self.source!r}; expected one of {', '.join(SOURCES)}")
-        if self.source not in ("gauge", "numerical") and self.scene is None and self.observe is None:
-            raise InputError(f"effect {self.name}: acts on nothing; give it `scene` or `observe`")
+        acts = (self.scene, self.observe, self.photograph)
+        if self.source not in ("gauge", "numerical") and not any(acts):
+            raise InputError(f"effect {self.name}: acts on nothing; give it `scene`, `observe` or `photograph`")
 
     @property
     def label(self) -> str:
