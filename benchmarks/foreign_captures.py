@@ -59,6 +59,7 @@ def answer(folder: Path, out: Path) -> dict[str, object]:
         "ranking": [list(h.names) for h in report.hypotheses],
         "gap": [main.gap_before, main.gap_after, main.noise_floor],
         "shrinkage": main.shrinkage,
+        "shrinkage_by_data": {part.data: part.shrinkage for part in report.how_far},
         "interval": [main.lower, main.upper],
         "placebo": main.placebo if np.isfinite(main.placebo) else None,
         "seconds": report.provenance.seconds,

@@ -21,6 +21,7 @@ from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
 from physconvex.gap.cost import Cost
 from physconvex.gap.effects import Effect, Motion, choose
 from physconvex.gap.findings import Provenance
+from physconvex.gap.held_out_views import held_out_views
 from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
 from physconvex.gap.image_formation import image_findings, with_pictures
 from physconvex.gap.mapping import as_reduced
@@ -108,6 +109,7 @@ def diagnose(
     placebo = _placebo(base, weights, screening, best, options)
     shrinkage = _shrinkages(base, errors, best, placebo, options)
     verdict = decide(hypotheses, screening, measure(base, errors, weights, best, hypotheses, shrinkage), options)
+    shrinkage = (*shrinkage, *held_out_views(base, best, placebo, options))
     if second_take is not None:
         other = second_take if isinstance(second_take, Capture) else load_capture(second_take)
         again = second_take_shrinkage(base, best, other, options, report)
@@ -209,9 +211,10 @@ def _shrinkages(
     """On the frames that served nothing else, then on all held-out frames."""
     split = base.split
     pairs = [(split.reporting, "held-out frames that chose nothing"), (split.held_out, "all held-out frames")]
+    other = None if placebo is None else (placebo.label, placebo.positions)
     return tuple(
         shrinkage_on(
-            base, errors, best, placebo, np.unique(frames), f"{data}, {frames.min()} to {frames.max()}", options
+            base, errors, best.positions, other, np.unique(frames), f"{data}, {frames.min()} to {frames.max()}", options
         )
         for frames, data in pairs
         if len(gap_squares(base, base.positions, frames))

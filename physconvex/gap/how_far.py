@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.gap.baseline import Baseline
-from physconvex.gap.comparison import Hypothesis
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
 from physconvex.gap.where import block_bootstrap
 
-__all__ = ["HowFar", "gap_squares", "shrinkage_on"]
+Positions = Float[np.ndarray, "T P 3"]
+__all__ = ["HowFar", "Positions", "gap_squares", "shrinkage_on"]
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class HowFar:
         return float(_share(*squares))
 
 
-def gap_squares(base: Baseline, positions: Float[np.ndarray, "T P 3"], frames: np.ndarray) -> Float[np.ndarray, " n"]:
+def gap_squares(base: Baseline, positions: Positions, frames: np.ndarray) -> Float[np.ndarray, " n"]:
     """Mean square distance between model and observation in some frames [m²], shape [n]."""
     rows = base.rows(frames)
     observations = base.observations
@@ -83,14 +83,24 @@ def _share(before: np.ndarray, after: np.ndarray, floor: np.ndarray) -> np.ndarr
 def shrinkage_on(
     base: Baseline,
     errors: ErrorModel,
-    best: Hypothesis,
-    placebo: Hypothesis | None,
+    improved: Positions,
+    placebo: tuple[str, Positions] | None,
     frames: np.ndarray,
     data: str,
     options: GapOptions,
 ) -> HowFar:
-    """Shrinkage in some frames. Noise is subtracted; the floor that is told includes numerical error."""
-    before, after = gap_squares(base, base.positions, frames), gap_squares(base, best.positions, frames)
+    """Shrinkage in some frames. Noise is subtracted; the floor that is told includes numerical error.
+
+    Args:
+        base: the observations, and what the base model says.
+        errors: of the residuals.
+        improved: what is observed with the effects [m].
+        placebo: name of another effect, and what is observed with it [m].
+        frames: in which.
+        data: their name.
+        options: settings.
+    """
+    before, after = gap_squares(base, base.positions, frames), gap_squares(base, improved, frames)
     noise, floor = _floor(base, errors, frames)
     draws = block_bootstrap(np.stack([before, after, noise], axis=1), 3, options)
     tail = (1 - options.confidence) / 2
@@ -98,7 +108,7 @@ def shrinkage_on(
     share = float(_share(before.mean(), after.mean(), noise.mean()))
     other = float("nan")
     if placebo is not None:
-        other = float(_share(before.mean(), gap_squares(base, placebo.positions, frames).mean(), noise.mean()))
+        other = float(_share(before.mean(), gap_squares(base, placebo[1], frames).mean(), noise.mean()))
     return HowFar(
         data=data,
         gap_before=float(np.sqrt(before.mean())),
@@ -108,6 +118,6 @@ def shrinkage_on(
         lower=float(low),
         upper=float(high),
         placebo=other,
-        placebo_effect="" if placebo is None else placebo.label,
+        placebo_effect="" if placebo is None else placebo[0],
         net_shrinkage=share - (max(other, 0.0) if np.isfinite(other) else 0.0),
     )

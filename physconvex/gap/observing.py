@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from physconvex.camera import Camera
 from physconvex.capture import Capture
 from physconvex.errors import InputError
 from physconvex.fem import TetMesh
@@ -14,7 +15,16 @@ from physconvex.gap.effects import Motion
 from physconvex.identify import MarkerObservations, PixelObservations, Twin, marker_observations
 from physconvex.identify.video_tracks import follow, seed_points
 
-__all__ = ["Seen", "in_metres", "lost_points", "observe", "starts_elsewhere", "widened", "with_honest_noise"]
+__all__ = [
+    "Seen",
+    "followed",
+    "in_metres",
+    "lost_points",
+    "observe",
+    "starts_elsewhere",
+    "widened",
+    "with_honest_noise",
+]
 
 Seen = MarkerObservations | PixelObservations
 # of a followed point [pixels]: the flow drifts by more than a single step's error, and by the same amount for a while
@@ -38,15 +48,23 @@ def observe(capture: Capture, twin: Twin) -> Seen:
             f"{capture.folder}: no tracks.npz and no cameras; expected marker tracks (rest, positions, sigma) or a "
             "camera in capture.json with its video"
         )
-    camera = capture.cameras[0]
+    return followed(capture, capture.cameras[0], twin)
+
+
+def followed(capture: Capture, camera: Camera, twin: Twin) -> PixelObservations:
+    """Points of the surface followed in the video of a camera.
+
+    Raises:
+        InputError: no video, or too few points can be followed in it.
+    """
     frames = capture.video(camera.name).frames[: capture.frames]
     masks = capture.mask(camera.name)
     vertices, triangles = twin.surface
     seeds = seed_points(camera, frames[0], vertices, triangles, mask=None if masks is None else masks[0] > 0)
-    if len(seeds.points) < 6:
+    if len(seeds.points) < _FOLLOWED:
         raise InputError(
             f"{capture.folder}: camera {camera.name!r}: {len(seeds.points)} points to follow in its first image; "
-            "expected at least 6: a textured body, sharp and well lit"
+            f"expected at least {_FOLLOWED}: a textured body, sharp and well lit"
         )
     pixels = follow(frames, seeds.pixels)
     return PixelObservations(camera, seeds.points, pixels, np.full(pixels.shape[:2], PIXEL_SIGMA))

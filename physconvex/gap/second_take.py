@@ -10,7 +10,7 @@ from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.base_fit import rough_baseline
 from physconvex.gap.baseline import FLOOR_LAW, Baseline, Report
-from physconvex.gap.comparison import Hypothesis, hypothesis_at
+from physconvex.gap.comparison import Hypothesis
 from physconvex.gap.how_far import HowFar, shrinkage_on
 from physconvex.gap.numerics import other_mesh
 from physconvex.gap.options import GapOptions
@@ -57,12 +57,11 @@ def second_take_shrinkage(
         )])  # fmt: skip
         model = replace(own.model, effects=best.effects)
         plain = replace(plain, motion=plain.model.motion(plain.fit.values))
-        motion = model.motion(values)
+        improved = model.positions(values)
     except ConvergenceError:
         return None
     count = len(plain.residual(plain.positions))
     errors = ErrorModel(np.ones(count), np.zeros((0, count)))
-    improved = hypothesis_at(plain, errors, model, values, np.zeros(len(values)), motion, plain.tangents)
     frames = np.unique(plain.observations.frames)
     return shrinkage_on(plain, errors, improved, None, frames, "second take, all frames", options)
 
