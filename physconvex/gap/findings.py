@@ -156,6 +156,7 @@ def _where_json(where: Where) -> dict[str, Any]:
     ]  # fmt: skip
     return {
         "sources": _parts(where.sources),
+        "reduction": None if where.reduction is None else _parts((where.reduction,))[0],
         "phases": _parts(where.phases),
         "regions": _parts(where.regions),
         "frames": frames,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 
@@ -194,11 +195,13 @@ def write_html(report: GapFindings, path: Path) -> None:
     """Write the page; it needs no other file and no network."""
     verdict = report.verdict
     caveats = "".join(f"<li>{escape(c)}</li>" for c in verdict.caveats)
+    reduction = report.where.reduction
+    extra = () if reduction is None else (replace(reduction, name="beside, of the reduced twin alone: reduction"),)
     phases = _table(
         ["part", "rms distance", "interval"],
         [
             [p.name, _millimetres(p.value), f"{_millimetres(p.lower)} to {_millimetres(p.upper)}"]
-            for p in (*report.where.sources, *report.where.phases, *report.where.regions, *report.where.image)
+            for p in (*report.where.sources, *extra, *report.where.phases, *report.where.regions, *report.where.image)
         ],
     )
     sections = [

@@ -63,15 +63,15 @@ def _clean(axes: object) -> None:
 
 
 def budget(where: Where) -> Figure:
-    """Waterfall of the mean squares: noise, discretisation, what the effect explains, what is left."""
-    figure = Figure(figsize=(7, 2.6), layout="constrained")
+    """Waterfall of the mean squares of the sources."""
+    figure = Figure(figsize=(7, 3.2), layout="constrained")
     axes = figure.subplots()
     squares = np.array([part.value**2 for part in where.sources])
     total = max(squares.sum(), 1e-300)
     shares = 100 * squares / total
     left = np.concatenate([[0], np.cumsum(shares)[:-1]])
     names = [part.name for part in where.sources]
-    colours = [_GREY, "#b7a16a", _BLUE, _ORANGE]
+    colours = [_GREY, "#b7a16a", "#7d6aa8", "#4a9a92", _BLUE, _ORANGE]
     axes.barh(names, shares, left=left, color=colours)
     for i, (share, start) in enumerate(zip(shares, left, strict=True)):
         if share > 12:  # inside the bar

@@ -13,6 +13,7 @@ from physconvex.gap.comparison import Hypothesis
 from physconvex.gap.ledger import Entry, impulses
 from physconvex.gap.options import GapOptions
 from physconvex.gap.score import ErrorModel
+from physconvex.gap.sources import budget_of, reduction_by_frame, squares_by_frame
 from physconvex.gap.vibration import Mode, vibrations
 from physconvex.identify import PixelObservations
 
@@ -34,7 +35,8 @@ class Where:
     """The decomposition.
 
     Attributes:
-        sources: noise, discretisation, dynamics (explained by the best effects), unexplained; mean squares add up.
+        sources: see `physconvex.gap.sources`; mean squares add up.
+        reduction: what the reduced twin would be off by beside; None where it was not run.
         phases: gap of the base model by phase of the motion.
         regions: by region of the body.
         image: by ninth of the picture [m at the points' depth]; empty for markers.
@@ -53,6 +55,7 @@ class Where:
     """
 
     sources: tuple[Part, ...]
+    reduction: Part | None
     phases: tuple[Part, ...]
     regions: tuple[Part, ...]
     image: tuple[Part, ...]
@@ -114,27 +117,13 @@ def _part(name: str, squares: np.ndarray, options: GapOptions) -> Part:
     return Part(name, float(root[0]), float(root[1]), float(root[2]))
 
 
-def _by_frame(base: Baseline, squares: np.ndarray) -> np.ndarray:
-    """Mean over the residuals of a frame of squares [N] in m², times the coordinates (a distance), shape [T]."""
-    count = base.model.frames
-    frames = base.observations.frames
-    seen = np.bincount(frames, minlength=count)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return base.components * np.bincount(frames, squares, minlength=count) / np.where(seen, seen, np.nan)
-
-
 def locate_gap(base: Baseline, errors: ErrorModel, best: Hypothesis, options: GapOptions) -> Where:
     """Decompose the gap of the base model."""
     observations = base.observations
-    sigma = base.lengths
     before = base.missed(base.positions) ** 2
-    after = base.missed(best.positions) ** 2
-    noise, expected = sigma**2, errors.expected * sigma**2
-    total, left = _by_frame(base, before), _by_frame(base, after)
-    quiet, floor = _by_frame(base, noise), _by_frame(base, expected)
-    explained = np.maximum(total - left, 0.0)
-    numerical = np.clip(np.minimum(left, floor) - quiet, 0.0, None)
-    unexplained = np.clip(left - quiet - numerical, 0.0, None)
+    total, left = squares_by_frame(base, before), squares_by_frame(base, base.missed(best.positions) ** 2)
+    floor = squares_by_frame(base, errors.expected * base.lengths**2)
+    budget, reduction = budget_of(base, errors, best), reduction_by_frame(base)
     speed = np.linalg.norm(base.motion.velocities, axis=-1).mean(1)
     phases = phases_of(base.contact_force, speed)
     order = list(dict.fromkeys(phases))
@@ -145,11 +134,14 @@ def locate_gap(base: Baseline, errors: ErrorModel, best: Hypothesis, options: Ga
     regions = _regions(base, before, options)
     return Where(
         sources=(
-            _part("noise", np.minimum(quiet, total), options),
-            _part("discretisation", numerical, options),
-            _part("dynamics explained", explained, options),
-            _part("unexplained", unexplained, options),
+            _part("noise", budget.noise, options),
+            _part("discretisation", budget.numerical, options),
+            _part("appearance and geometry", budget.geometry, options),
+            _part("camera and time", budget.observation, options),
+            _part("dynamics explained", budget.dynamics, options),
+            _part("unexplained", budget.unexplained, options),
         ),
+        reduction=None if reduction is None else _part("reduction", reduction, options),
         phases=tuple(_part(n, total[[p == n for p in phases]], options) for n in order),
         regions=regions,
         image=_image(base, before, options),

@@ -75,7 +75,7 @@ def test_command_names_friction(diagnosed):
     assert how_far["shrinkage"] > 0.6 > (how_far["placebo"] or 0.0)
     assert how_far["gap_after"] < how_far["gap_before"] and how_far["unit"] == "m"
     assert {p["name"] for p in content["where"]["sources"]} == {
-        "noise", "discretisation", "dynamics explained", "unexplained",
+        "noise", "discretisation", "appearance and geometry", "camera and time", "dynamics explained", "unexplained",
     }  # fmt: skip
     assert len(content["where"]["frames"]) == 12 and content["provenance"]["fitted"] == list(range(8))
     page = (diagnosed / "report.html").read_text()
