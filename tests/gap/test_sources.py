@@ -107,13 +107,14 @@ def test_shares_do_not_depend_on_the_order_of_effects(drop):
     np.testing.assert_allclose(one, other, rtol=1e-12)
 
 
-def test_of_two_that_work_against_each_other_one_has_no_share(drop):
+def test_of_two_that_work_against_each_other_one_has_no_share(drop, rng):
     plain, dragged = drop
     best = hypothesis(dragged, (DRAG, 0.4), (LATE, 0.003))
-    base, errors, best = case(best.positions, plain, best)
+    seen = best.positions + SIGMA * rng.normal(size=best.positions.shape)
+    base, errors, best = case(seen, plain, best)
     found = parts(budget_of(base, errors, best))
     assert found[3] < 0.01 * found[4]  # what it explains of the first frames, where the other does nothing yet
-    assert sum(found) == pytest.approx((base.missed(plain.positions) ** 2).sum() / (FRAMES * POINTS), rel=1e-9)
+    assert sum(found) == pytest.approx((base.missed(plain.positions) ** 2).sum() / (FRAMES * POINTS), rel=1e-3)
 
 
 def test_a_numerical_effect_is_discretisation(drop):
