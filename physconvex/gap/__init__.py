@@ -6,17 +6,17 @@ report.save("diagnosis/")
 improved = report.apply()
 """
 
-from physconvex.gap.comparison import Hypothesis
+from physconvex.gap.base.model import EffectModel
 from physconvex.gap.diagnose import diagnose
 from physconvex.gap.effects import DEFAULT_EFFECTS, Dose, Effect, Motion, Situation, choose
-from physconvex.gap.how_far import HowFar
-from physconvex.gap.model import EffectModel
-from physconvex.gap.naming import NamedDose, NamedEffect
+from physconvex.gap.errors.score import ErrorModel, Projector, Score, score
+from physconvex.gap.judgement.naming import NamedDose, NamedEffect
+from physconvex.gap.judgement.verdict import Verdict
+from physconvex.gap.location.where import Part, Where
 from physconvex.gap.options import GapOptions
-from physconvex.gap.report import GapReport, ImprovedTwin
-from physconvex.gap.score import ErrorModel, Projector, Score, score
-from physconvex.gap.verdict import Verdict
-from physconvex.gap.where import Part, Where
+from physconvex.gap.page.report import GapReport, ImprovedTwin
+from physconvex.gap.search.comparison import Hypothesis
+from physconvex.gap.shrinkage.how_far import HowFar
 
 __all__ = [
     "DEFAULT_EFFECTS",

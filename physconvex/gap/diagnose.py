@@ -13,34 +13,34 @@ import physconvex
 from physconvex.capture import Capture, load_capture
 from physconvex.errors import ConvergenceError
 from physconvex.fem import TetMesh
-from physconvex.gap.absorbing import with_absorbed_mesh
-from physconvex.gap.advice import next_experiment
-from physconvex.gap.base_fit import fit_baseline, rough_baseline
-from physconvex.gap.baseline import Baseline
-from physconvex.gap.comparison import Hypothesis, base_hypothesis, fit_effects
-from physconvex.gap.cost import Cost
+from physconvex.gap.base.base_fit import fit_baseline, rough_baseline
+from physconvex.gap.base.baseline import Baseline
+from physconvex.gap.base.cost import Cost
+from physconvex.gap.base.observing import lost_points
+from physconvex.gap.base.shortening import MOST_FRAMES, shortened
+from physconvex.gap.conditions.own_elements import with_own_elements
+from physconvex.gap.conditions.setting import find_setting
 from physconvex.gap.effects import Effect, Motion, choose
-from physconvex.gap.findings import Provenance
-from physconvex.gap.held_out_views import held_out_views
-from physconvex.gap.how_far import HowFar, gap_squares, shrinkage_on
-from physconvex.gap.image_formation import image_findings, with_pictures
-from physconvex.gap.mapping import as_reduced
-from physconvex.gap.measured import measure, relative_gap
-from physconvex.gap.naming import favoured
-from physconvex.gap.numerics import Numerics, correction_of, detail_errors, error_model, numerical_differences
-from physconvex.gap.observing import lost_points
+from physconvex.gap.errors.absorbing import with_absorbed_mesh
+from physconvex.gap.errors.numerics import Numerics, correction_of, detail_errors, error_model, numerical_differences
+from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.errors.screening import Screening, screen
+from physconvex.gap.errors.trust import error_scale
+from physconvex.gap.judgement.advice import next_experiment
+from physconvex.gap.judgement.measured import measure, relative_gap
+from physconvex.gap.judgement.naming import favoured
+from physconvex.gap.judgement.verdict import decide
+from physconvex.gap.light.image_formation import image_findings, with_pictures
+from physconvex.gap.location.where import locate_gap
 from physconvex.gap.options import GapOptions
-from physconvex.gap.own_elements import with_own_elements
-from physconvex.gap.report import GapReport
-from physconvex.gap.score import ErrorModel
-from physconvex.gap.screening import Screening, screen
-from physconvex.gap.second_take import second_take_shrinkage
-from physconvex.gap.selection import FAILURES, select_effects
-from physconvex.gap.setting import find_setting
-from physconvex.gap.shortening import MOST_FRAMES, shortened
-from physconvex.gap.trust import error_scale
-from physconvex.gap.verdict import decide
-from physconvex.gap.where import locate_gap
+from physconvex.gap.page.findings import Provenance
+from physconvex.gap.page.report import GapReport
+from physconvex.gap.search.comparison import Hypothesis, base_hypothesis, fit_effects
+from physconvex.gap.search.mapping import as_reduced
+from physconvex.gap.search.selection import FAILURES, select_effects
+from physconvex.gap.shrinkage.held_out_views import held_out_views
+from physconvex.gap.shrinkage.how_far import HowFar, gap_squares, shrinkage_on
+from physconvex.gap.shrinkage.second_take import second_take_shrinkage
 
 __all__ = ["diagnose"]
 

@@ -22,7 +22,7 @@ class GapOptions:
         iterations: linearisations of each fit.
         most_effects: that are looked for together.
         search_cost: model runs after which the search begins no further fit, in seconds of one core; counted
-            (`physconvex.gap.cost`), so that the answer does not depend on what else the machine does.
+            (`physconvex.gap.base.cost`), so that the answer does not depend on what else the machine does.
         decision_cost: the same of the full-order fits that decide.
         deadline: seconds by the clock in which a diagnosis ought to be through: what has been found by then is
             reported, with a caveat. Only where the machine is slow or busy does that come before the costs above.

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from physconvex.gap import GapOptions
-from physconvex.gap.absorbing import with_absorbed_mesh
-from physconvex.gap.cost import Cost
+from physconvex.gap.base.cost import Cost
 from physconvex.gap.effects import Motion
-from physconvex.gap.numerics import Numerics
+from physconvex.gap.errors.absorbing import with_absorbed_mesh
+from physconvex.gap.errors.numerics import Numerics
 from physconvex.identify.parameters import default_parameter
 
 TIMES = np.arange(40) / 100
@@ -47,7 +47,7 @@ class Bending:
 @pytest.fixture
 def base(monkeypatch):
     monkeypatch.setattr(
-        "physconvex.gap.absorbing.replace",
+        "physconvex.gap.errors.absorbing.replace",
         lambda thing, **changes: (
             Bending(changes.get("frames", 40)) if isinstance(thing, Bending) else thing.changed(**changes)
         ),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from physconvex.errors import ConvergenceError
-from physconvex.gap import base_fit
+from physconvex.gap.base import base_fit
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 

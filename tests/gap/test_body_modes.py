@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from physconvex.gap.body_modes import TurnedObservations, body_modes
+from physconvex.gap.base.body_modes import TurnedObservations, body_modes
 from physconvex.identify import MarkerObservations
 
 FRAMES, POINTS = 5, 30

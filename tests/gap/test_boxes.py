@@ -6,7 +6,7 @@ import trimesh
 
 from physconvex.capture import Boundary, Capture, save_capture
 from physconvex.fem import ElasticBody, Pins, Scene, box_mesh, solve_static
-from physconvex.gap.boxes import box_cells, box_of_body, with_plane
+from physconvex.gap.base.boxes import box_cells, box_of_body, with_plane
 
 CLAMP = Boundary(clamped_box=np.array([[-0.001, -1, -1], [0.001, 1, 1]]))
 

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from physconvex.gap import DEFAULT_EFFECTS
-from physconvex.gap.body_modes import BodyModes, undivided
-from physconvex.gap.comparison import Hypothesis, _beside, _best_start, doses_at_bounds
-from physconvex.gap.evidence import (
+from physconvex.gap.base.body_modes import BodyModes, undivided
+from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.search.comparison import Hypothesis, _beside, _best_start, doses_at_bounds
+from physconvex.gap.search.evidence import (
     evidence_of,
     information_per_one,
     likelihood_by_kind,
     mean_square,
     moved_kinds,
 )
-from physconvex.gap.score import ErrorModel
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from physconvex.fem import SolveStatistics
-from physconvex.gap.cost import Cost, OutOfBudget, newton_step
+from physconvex.gap.base.cost import Cost, OutOfBudget, newton_step
+from physconvex.gap.base.model import SecantModel
 from physconvex.gap.effects.scenes import with_material
-from physconvex.gap.model import SecantModel
 from physconvex.gap.options import GapOptions
-from physconvex.gap.selection import Selection, _decided
+from physconvex.gap.search.selection import Selection, _decided
 from physconvex.inelastic import StandardLinearSolid
 
 
@@ -82,7 +82,7 @@ def test_the_clock_ends_what_the_count_does_not():
 def test_nothing_that_was_found_is_lost_when_time_is_up(monkeypatch, full_order, expected):
     """The first finalist is run by the full-order model all the same; where that fails, the fit counts as it is."""
     from physconvex.errors import ConvergenceError
-    from physconvex.gap import selection
+    from physconvex.gap.search import selection
 
     def hypothesis(label):
         return SimpleNamespace(label=label, effects=() if label == "base" else (1,), motion=object())

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from physconvex.gap import DEFAULT_EFFECTS
-from physconvex.gap.body_modes import BodyModes
-from physconvex.gap.flight import gain_in_flight
-from physconvex.gap.score import ErrorModel
+from physconvex.gap.base.body_modes import BodyModes
+from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.judgement.flight import gain_in_flight
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 

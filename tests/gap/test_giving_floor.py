@@ -8,14 +8,15 @@ import pytest
 
 from physconvex.capture import Capture, Floor, Tracks, save_capture
 from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, box_mesh, simulate
-from physconvex.gap import GapOptions, Situation, numerics
-from physconvex.gap.base_fit import rough_baseline
-from physconvex.gap.baseline import FLOOR_LAW, Baseline
+from physconvex.gap import GapOptions, Situation
+from physconvex.gap.base.base_fit import rough_baseline
+from physconvex.gap.base.baseline import FLOOR_LAW, Baseline
+from physconvex.gap.base.model import EffectModel
+from physconvex.gap.conditions.giving_floor import depth_seen
+from physconvex.gap.conditions.setting import find_setting
 from physconvex.gap.effects import DEFAULT_EFFECTS, applicable
-from physconvex.gap.giving_floor import depth_seen
-from physconvex.gap.model import EffectModel
-from physconvex.gap.numerics import numerical_differences
-from physconvex.gap.setting import find_setting
+from physconvex.gap.errors import numerics
+from physconvex.gap.errors.numerics import numerical_differences
 from physconvex.reduced import parameter_values
 
 MODULUS, SIGMA, FPS = 4e4, 1e-5, 100.0

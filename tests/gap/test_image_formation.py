@@ -9,12 +9,12 @@ import pytest
 
 from physconvex.camera import look_at
 from physconvex.gap.effects import DEFAULT_EFFECTS, Patches
-from physconvex.gap.image_formation import BRIGHTNESS, SMEAR, finding_of, with_pictures
-from physconvex.gap.naming import NamedEffect
+from physconvex.gap.judgement.naming import NamedEffect
+from physconvex.gap.judgement.verdict import Verdict
+from physconvex.gap.light.image_formation import BRIGHTNESS, SMEAR, finding_of, with_pictures
+from physconvex.gap.light.patches import body_patches, light_of, still_patches
 from physconvex.gap.options import GapOptions
-from physconvex.gap.patches import body_patches, light_of, still_patches
-from physconvex.gap.pictures import image_series
-from physconvex.gap.verdict import Verdict
+from physconvex.gap.page.pictures import image_series
 from physconvex.identify import PixelObservations
 
 SIZE, SIDE, FPS, FRAMES, FALL = 160, 64, 24.0, 16, 0.6  # pixels; pixels per frame²

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from physconvex.gap import DEFAULT_EFFECTS
-from physconvex.gap.comparison import Hypothesis
-from physconvex.gap.independence import temperature
-from physconvex.gap.numerics import detail_errors
-from physconvex.gap.score import ErrorModel
-from physconvex.gap.selection import evidence_of_anything
+from physconvex.gap.base.independence import temperature
+from physconvex.gap.errors.numerics import detail_errors
+from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.search.comparison import Hypothesis
+from physconvex.gap.search.selection import evidence_of_anything
 
 FRAMES, COLUMNS = 40, 9
 

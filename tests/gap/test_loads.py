@@ -9,11 +9,11 @@ import pytest
 from physconvex.capture import Boundary, Capture, Tracks, save_capture
 from physconvex.fem import ElasticBody, HangingLoad, Pins, Scene, TetMesh, box_mesh, simulate
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions
-from physconvex.gap.base_fit import fit_baseline, rough_baseline
+from physconvex.gap.base.base_fit import fit_baseline, rough_baseline
 from physconvex.gap.effects import applicable
-from physconvex.gap.loads import loaded_starts
-from physconvex.gap.mapping import as_reduced
-from physconvex.gap.numerics import Numerics, error_model
+from physconvex.gap.errors.numerics import Numerics, error_model
+from physconvex.gap.search.loads import loaded_starts
+from physconvex.gap.search.mapping import as_reduced
 
 MODULUS, SIGMA, FPS, FRAMES = 2e5, 5e-5, 80.0, 30
 OPTIONS = GapOptions(max_nodes=100, weights=4, iterations=6)

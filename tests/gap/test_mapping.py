@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.gap import mapping
-from physconvex.gap.cost import Cost
+from physconvex.gap.base.cost import Cost
 from physconvex.gap.options import GapOptions
+from physconvex.gap.search import mapping
 
 pytestmark = pytest.mark.wrong_types
 

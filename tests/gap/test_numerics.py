@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from physconvex.gap import GapOptions, Motion
-from physconvex.gap.body_modes import body_modes
-from physconvex.gap.numerics import Numerics, error_model
-from physconvex.gap.rebound import path_since_contact
+from physconvex.gap.base.body_modes import body_modes
+from physconvex.gap.errors.numerics import Numerics, error_model
+from physconvex.gap.errors.rebound import path_since_contact
 from physconvex.identify import MarkerObservations
 
 STILL = np.zeros((4, 3, 3))

@@ -9,7 +9,7 @@ from physconvex.camera import Camera
 from physconvex.capture import Capture
 from physconvex.errors import InputError
 from physconvex.gap import DEFAULT_EFFECTS, Motion
-from physconvex.gap.observing import components, in_metres, lost_points, observe, widened
+from physconvex.gap.base.observing import components, in_metres, lost_points, observe, widened
 from physconvex.identify import MarkerObservations, PixelObservations
 
 

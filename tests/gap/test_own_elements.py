@@ -8,13 +8,13 @@ import pytest
 from physconvex.capture import Boundary, Capture, Tracks, save_capture
 from physconvex.fem import ElasticBody, Pins, Scene, TetMesh, box_mesh, simulate
 from physconvex.gap import GapOptions
-from physconvex.gap.base_fit import fit_baseline, rough_baseline
-from physconvex.gap.baseline import Baseline
-from physconvex.gap.caveats import _elements
-from physconvex.gap.comparison import base_hypothesis
-from physconvex.gap.model import reduced_like
-from physconvex.gap.numerics import Numerics, error_model
-from physconvex.gap.own_elements import own_elements, with_own_elements
+from physconvex.gap.base.base_fit import fit_baseline, rough_baseline
+from physconvex.gap.base.baseline import Baseline
+from physconvex.gap.base.model import reduced_like
+from physconvex.gap.conditions.own_elements import own_elements, with_own_elements
+from physconvex.gap.errors.numerics import Numerics, error_model
+from physconvex.gap.judgement.caveats import _elements
+from physconvex.gap.search.comparison import base_hypothesis
 
 MODULUS, SIGMA, FPS, FRAMES = 2e5, 2e-5, 60.0, 18
 OPTIONS = GapOptions(max_nodes=100, weights=4, iterations=6)
@@ -81,7 +81,7 @@ def test_a_recording_of_particles_of_equal_mass_is_modelled_so(tmp_path: Path, t
 
 @pytest.mark.slow
 def test_a_coarser_mesh_that_searches_is_made_as_stiff(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("physconvex.gap.model._SMALL", 0.0)
+    monkeypatch.setattr("physconvex.gap.base.model._SMALL", 0.0)
     rough, base, numerics, variance = fitted(released(tmp_path, 1))
     own, _ = with_own_elements(base, rough, numerics, variance, OPTIONS, lambda text: None)
     assert own.model.surrogate_stiffer > 0.05

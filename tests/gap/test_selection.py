@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from physconvex.errors import ConvergenceError
-from physconvex.gap import DEFAULT_EFFECTS, selection
-from physconvex.gap.cost import Cost
+from physconvex.gap import DEFAULT_EFFECTS
+from physconvex.gap.base.cost import Cost
+from physconvex.gap.errors.score import Score
+from physconvex.gap.errors.screening import Screened, Screening, best_pairs
 from physconvex.gap.options import GapOptions
-from physconvex.gap.score import Score
-from physconvex.gap.screening import Screened, Screening, best_pairs
-from physconvex.gap.selection import _finalists
+from physconvex.gap.search import selection
+from physconvex.gap.search.selection import _finalists
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 

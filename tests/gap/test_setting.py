@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from physconvex.errors import ConvergenceError
-from physconvex.gap import GapOptions, diagnose, setting
-from physconvex.gap.setting import find_setting
+from physconvex.gap import GapOptions, diagnose
+from physconvex.gap.conditions import setting
+from physconvex.gap.conditions.setting import find_setting
 
 
 def silent(text):

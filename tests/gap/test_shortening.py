@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from physconvex.capture import Boundary, Capture, Tracks, load_capture, save_capture
-from physconvex.gap.shortening import shortened
+from physconvex.gap.base.shortening import shortened
 
 
 @pytest.fixture

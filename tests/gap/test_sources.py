@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from physconvex.gap.effects import DEFAULT_EFFECTS, Motion
-from physconvex.gap.score import ErrorModel
-from physconvex.gap.sources import budget_of, reduction_by_frame
+from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.location.sources import budget_of, reduction_by_frame
 from physconvex.identify import MarkerObservations
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.gap.body_modes import BodyModes, undivided
-from physconvex.gap.score import ErrorModel
-from physconvex.gap.trust import error_scale
+from physconvex.gap.base.body_modes import BodyModes, undivided
+from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.errors.trust import error_scale
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 

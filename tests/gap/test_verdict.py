@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions
-from physconvex.gap import verdict as rules
-from physconvex.gap.caveats import caveats_of
-from physconvex.gap.measured import Measured
-from physconvex.gap.naming import favoured, probabilities
-from physconvex.gap.selection import within_bounds
+from physconvex.gap.judgement import verdict as rules
+from physconvex.gap.judgement.caveats import caveats_of
+from physconvex.gap.judgement.measured import Measured
+from physconvex.gap.judgement.naming import favoured, probabilities
+from physconvex.gap.search.selection import within_bounds
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 

@@ -8,9 +8,9 @@ import pytest
 from physconvex.capture import Capture
 from physconvex.errors import InputError
 from physconvex.fem import box_mesh
-from physconvex.gap.ledger import _rigid_motion
-from physconvex.gap.observing import _check_on_body, starts_elsewhere, with_honest_noise
-from physconvex.gap.ringing import deformation, ringing, ringing_likelihood
+from physconvex.gap.base.observing import _check_on_body, starts_elsewhere, with_honest_noise
+from physconvex.gap.location.ledger import _rigid_motion
+from physconvex.gap.search.ringing import deformation, ringing, ringing_likelihood
 from physconvex.identify import MarkerObservations
 
 

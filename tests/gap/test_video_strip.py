@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from physconvex.gap.video_strip import _difference, _drawn, video_strip
+from physconvex.gap.page.video_strip import _difference, _drawn, video_strip
 from physconvex.identify import MarkerObservations
 
 

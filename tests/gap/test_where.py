@@ -8,8 +8,8 @@ import pytest
 from physconvex.capture import Capture
 from physconvex.errors import InputError
 from physconvex.gap import GapOptions
-from physconvex.gap.baseline import split_frames
-from physconvex.gap.where import _spread, block_bootstrap, phases_of
+from physconvex.gap.base.baseline import split_frames
+from physconvex.gap.location.where import _spread, block_bootstrap, phases_of
 
 
 def test_phases_of_a_bounce():

@@ -12,9 +12,9 @@ from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError
 from physconvex.fem import TetMesh, tetrahedralize
+from physconvex.gap.base.boxes import with_plane
 from physconvex.gap.blind.cases import Case, HiddenEffect, floor_height
 from physconvex.gap.blind.engine import World, run_explicit
-from physconvex.gap.boxes import with_plane
 from physconvex.gap.effects import Motion
 from physconvex.gap.effects.observation import at_times
 from physconvex.gap.effects.world import rotation_vector_matrix

@@ -7,7 +7,7 @@ from physconvex.gap.effects.effect import Dose, Effect
 __all__ = ["DECLARED_EFFECTS", "GAUGES", "NUMERICAL"]
 
 
-# Their directions are differences of runs of the full-order model, see `physconvex.gap.numerics`.
+# Their directions are differences of runs of the full-order model, see `physconvex.gap.errors.numerics`.
 _SHARE = Dose("share", "", -30.0, 30.0, 0.5, lambda s: 1.0, plausible=5.0)
 NUMERICAL: tuple[Effect, ...] = (
     Effect(

@@ -177,7 +177,7 @@ class Effect:
         scene: puts doses [D] into a reduced or a full-order scene; None where it acts on the observation alone.
         observe: puts doses into what is observed: from a `Motion` to positions [T, P, 3]; None where it does not.
         photograph: puts doses into pictures: from sharp, evenly exposed `Patches` to their light [N, h, w]; None where
-            it does not. Such an effect moves no point, and is looked for by `physconvex.gap.image_formation`.
+            it does not. Such an effect moves no point, and is looked for by `physconvex.gap.light.image_formation`.
         applies: whether the effect makes sense in a situation.
         variant: distinguishes forms of one effect.
         description: one line for people.

@@ -1,0 +1,314 @@
+"""The fits of the base model: a rough one by the reduced model, and the one by the full-order model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.capture import Capture
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.fem import TetMesh, simulate
+from physconvex.gap.base.baseline import FLOOR_LAW, Baseline, Report, Split, split_frames
+from physconvex.gap.base.body_modes import body_modes
+from physconvex.gap.base.boxes import box_of_body
+from physconvex.gap.base.cost import Cost
+from physconvex.gap.base.independence import temperature
+from physconvex.gap.base.model import ACCURACY, EffectModel, SecantModel, reduced_like
+from physconvex.gap.base.observing import Seen, observe, starts_elsewhere, with_honest_noise
+from physconvex.gap.base.rough_errors import with_rough_errors
+from physconvex.gap.effects import Motion, Situation
+from physconvex.gap.options import GapOptions
+from physconvex.identify import (
+    Fit,
+    FitOptions,
+    MarkerObservations,
+    Parameter,
+    PixelObservations,
+    ReducedModel,
+    Twin,
+    TwinOptions,
+    base_twin,
+    default_parameters,
+    fit,
+    scan,
+    scan_values,
+)
+from physconvex.identify.setup import start_motion
+
+__all__ = ["fit_baseline", "misfit_of_base", "rough_baseline", "run_base", "steps_per_frame"]
+
+_STEPS_PER_WAVE = 8  # time steps in the time an elastic wave takes through the body
+_HELD = 4  # the same for a held body, which bends slowly and is not struck
+_STARTS = 3  # of the rough fit of a held body
+_MOST_STEPS = 1000  # of one roll-out
+_ROUNDS = 3  # of full-order run and search with the reduced model
+_STILL = 0.02  # of typical steps: a change of the values that is none
+_RATIO, _USUAL = "poisson_ratio", (0.15, 0.47)  # beyond which another start is tried, from the middle
+
+
+def _twin(capture: Capture, weights: int, max_nodes: int, steps: int) -> Twin:
+    """The capture's twin on a mesh of so many nodes, or of up to four times as many if the boundary needs them.
+
+    Raises:
+        InputError: the capture lacks something.
+    """
+    for factor in (1, 2, 4):
+        chosen = TwinOptions(weights=weights, max_nodes=factor * max_nodes, steps_per_frame=steps)
+        try:
+            return base_twin(capture, chosen, mesh=box_of_body(capture, chosen.max_nodes))
+        except InputError as error:
+            if factor == 4 or not str(error).startswith("boundary"):
+                raise
+    raise AssertionError("unreachable")
+
+
+def _cheap(capture: Capture, options: GapOptions) -> Twin:
+    """For the scan over E."""
+    return _twin(capture, 5, min(200, options.max_nodes), max(4, int(np.ceil(192 / capture.fps))))
+
+
+def _first_values(capture: Capture, observations: Seen, frames: int, options: GapOptions) -> tuple[Parameter, ...]:
+    """Starts of the base parameters: rigid motion from the first frames, E from a scan."""
+    twin = _cheap(capture, options)
+    if isinstance(observations, MarkerObservations):
+        twin = start_motion(twin, observations)
+    parameters = default_parameters(twin)
+    gravity = float(np.linalg.norm(capture.gravity))
+    moduli = scan_values(density=capture.density, gravity=gravity, size=twin.mesh.size)
+    if isinstance(observations, MarkerObservations):
+        middle = twin.with_values(["log10_youngs_modulus"], np.array(moduli[len(moduli) // 2 : len(moduli) // 2 + 1]))
+        observations = with_rough_errors(observations, middle, frames)
+    names = tuple(p.name for p in parameters)
+    windows = _windows(frames, held=twin.clamp is not None)
+    model = ReducedModel(twin, names, observations.points, windows[0])
+    candidates = scan(model, observations.in_frames(windows[0]), parameters, moduli=moduli, ratios=(0.35,))
+    tried = []
+    for candidate in candidates[: _STARTS if twin.clamp is not None else 1]:
+        chosen = candidate.parameters
+        try:
+            for count in windows:  # a vibration that is off by a period pulls the wrong way: begin with few
+                model = ReducedModel(twin, names, observations.points, count)
+                found = fit(model, observations.in_frames(count), chosen, options=FitOptions(max_iterations=8))
+                chosen = tuple(p.at(float(v)) for p, v in zip(found.parameters, found.values, strict=True))
+        except ConvergenceError:
+            continue
+        tried.append((found.misfit, chosen))
+    if not tried:
+        return candidates[0].parameters
+    return min(tried, key=lambda pair: pair[0])[1]
+
+
+def _windows(frames: int, *, held: bool) -> tuple[int, ...]:
+    """Numbers of frames that are fitted one after the other; held bodies vibrate from the start.
+
+    Fewer than ten frames may show no more than the first fall, which any soft body makes.
+    """
+    if not held:
+        return (frames,)
+    return tuple(sorted({min(frames, max(10, frames // 2)), frames}))
+
+
+def steps_per_frame(twin: Twin, values: dict[str, float]) -> int:
+    """Time steps per frame that resolve the body's vibrations, within what can be afforded."""
+    wave = twin.mesh.size * np.sqrt(twin.capture.density / 10 ** values["log10_youngs_modulus"])
+    wanted = int(np.ceil((_STEPS_PER_WAVE if twin.clamp is None else _HELD) / (wave * twin.fps)))
+    most = max(twin.steps_per_frame, _MOST_STEPS // twin.capture.frames)
+    return int(np.clip(wanted, twin.steps_per_frame, most))
+
+
+def _situation(twin: Twin, seen: Seen, peak_stress: float, touches: bool, giving: bool) -> Situation:
+    scene, capture = twin.scene, twin.capture
+    return Situation(
+        size=twin.mesh.size,
+        youngs_modulus=float(np.mean(scene.body.youngs_modulus)),
+        density=capture.density,
+        fps=capture.fps,
+        frames=capture.frames,
+        floor=bool(scene.obstacles),
+        clamped=twin.clamp is not None,
+        touches=touches,
+        giving_floor=giving,
+        friction=max((o.friction for o in scene.obstacles), default=0.0),
+        states_velocity=capture.initial_velocity is not None or twin.clamp is not None,
+        states_spin=capture.initial_angular_velocity is not None or twin.clamp is not None,
+        starts_elsewhere=starts_elsewhere(seen),
+        peak_stress=peak_stress,
+        gravity=(float(capture.gravity[0]), float(capture.gravity[1]), float(capture.gravity[2])),
+        camera=seen.camera if isinstance(seen, PixelObservations) else None,
+    )
+
+
+def _stress_and_contact(model: EffectModel, values: np.ndarray) -> tuple[float, np.ndarray, Motion]:
+    """Peak von Mises stress [Pa] (99th percentile), normal force per frame [N], and the motion of the points."""
+    scene = model.full_scene(values)
+    run = simulate(scene, **model.twin.timing(model.frames), **ACCURACY)
+    model.cost.add(scene, len(scene.body.mesh.vertices), run.statistics)
+    contact, peak, force = scene.contact(), 0.0, np.zeros(len(run.times))
+    for frame, x in enumerate(run.positions):
+        stress = scene.body.stress(x).cpu().numpy()
+        deviator = stress - np.trace(stress, axis1=-2, axis2=-1)[..., None, None] / 3 * np.eye(3)
+        mises = np.sqrt(1.5 * (deviator**2).sum((-1, -2)))
+        peak = max(peak, float(np.quantile(mises, 0.99)))
+        force[frame] = np.linalg.norm(contact.energy_and_gradient(x, run.times[frame])[1], axis=1).sum()
+    embedding = model.embedding
+    positions, velocities = embedding.apply(run.positions), embedding.apply(run.velocities)
+    return peak, force, Motion(model.points, run.times, positions, velocities, model.camera)
+
+
+def rough_baseline(
+    capture: Capture, options: GapOptions, report: Report, *, cost: Cost | None = None
+) -> Baseline:  # fmt: skip
+    """Fit what the capture leaves free of the reduced base model, and run the full-order one there.
+
+    Args:
+        capture: the capture.
+        options: settings.
+        report: told what is done.
+        cost: where the runs of all models derived from it are counted.
+
+    Raises:
+        InputError: no tracks, no rest geometry, or too few frames.
+        ConvergenceError: the base model cannot be simulated.
+    """
+    observations = with_honest_noise(observe(capture, _cheap(capture, options)))
+    split = split_frames(capture, observations.frames)
+    count = int(split.fitted[-1]) + 1
+    fitted = observations.in_frames(count)
+    report("rough fit of the base model")
+    starts = _first_values(capture, fitted, count, options)
+    values = {p.name: p.start for p in starts}
+    twin = _twin(capture, options.weights, options.max_nodes, 6)
+    twin = replace(twin, steps_per_frame=steps_per_frame(twin, values))
+    names = tuple(values)
+    twin = twin.with_values(names, np.array(list(values.values())))
+    report("fit of the reduced base model")
+    fitted = with_rough_errors(fitted, twin, count)
+    rough = fit(ReducedModel(twin, names, fitted.points, count), fitted, starts, options=FitOptions(max_iterations=6))
+    return run_base(capture, observations, split, twin.with_values(names, rough.values), rough, cost=cost)
+
+
+def run_base(
+    capture: Capture, observations: Seen, split: Split, twin: Twin, found: Fit, *, mesh: TetMesh | None = None,
+    cost: Cost | None = None,
+) -> Baseline:  # fmt: skip
+    """The full-order model at fitted values, all frames, without tangents."""
+    giving = bool(set(FLOOR_LAW) & set(found.names))
+    situation = _situation(twin, observations, 1e3, bool(twin.scene.obstacles), giving)
+    points, camera = np.asarray(observations.points), situation.camera
+    model = EffectModel(
+        twin, found.names, points, capture.frames, situation, camera=camera, mesh=mesh, cost=cost or Cost()
+    )
+    peak, force, motion = _stress_and_contact(model, found.values)
+    situation = _situation(twin, observations, peak, bool((force > 0).any()), giving)
+    nothing = np.zeros((capture.frames, len(found.names), *motion.positions.shape[1:]))
+    modes = body_modes(observations, free=situation.floor and not situation.clamped, force=force)
+    return Baseline(
+        capture, observations, split, replace(model, situation=situation), found, motion, nothing, situation, force,
+        modes,
+    )  # fmt: skip
+
+
+def fit_baseline(
+    rough: Baseline,
+    correction: Float[np.ndarray, "T P 3"],
+    fine: tuple[TetMesh, Motion] | None,
+    variance: Float[np.ndarray, " N"],
+    options: GapOptions,
+    report: Report,
+) -> Baseline:
+    """Fit the full-order base model to the fitted frames, with what a finer model would change added.
+
+    The reduced model searches, the full-order one is run at what it found, see `physconvex.gap.search.mapping`. Of a
+    free body that comes out nearly incompressible, or hardly so, the fit is made from a middling ν too, and the better
+    one taken: such a ν may be a valley of its own, which an effect that is missing has opened and which no dose is
+    found from.
+
+    Args:
+        rough: where to begin.
+        correction: see `EffectModel`.
+        fine: a finer mesh for the full-order model, and its motion at the rough fit.
+        variance: of the residuals in units of the stated noise, all frames: frames that the model cannot tell count
+            less.
+        options: settings.
+        report: told what is done.
+    """
+    first = _fit_from(rough, correction, fine, variance, options, report)
+    names = first.model.base
+    if rough.situation.clamped or _RATIO not in names or first.model.cost.over:
+        return first
+    at = names.index(_RATIO)
+    if _USUAL[0] <= first.fit.values[at] <= _USUAL[1]:
+        return first
+    values = rough.fit.values.copy()
+    values[at] = float(np.mean(_USUAL))
+    twin = rough.model.twin.with_values(names, values)
+    try:
+        start = run_base(
+            rough.capture, rough.observations, rough.split, twin, replace(rough.fit, values=values),
+            cost=rough.model.cost,
+        )  # fmt: skip
+        if fine is not None:
+            fine = (fine[0], replace(start.model, mesh=fine[0]).motion(values))
+        other = _fit_from(start, correction, fine, variance, options, report)
+    except ConvergenceError:
+        return first
+    return min((first, other), key=lambda base: misfit_of_base(base, variance))
+
+
+def _fit_from(
+    rough: Baseline,
+    correction: Float[np.ndarray, "T P 3"],
+    fine: tuple[TetMesh, Motion] | None,
+    variance: Float[np.ndarray, " N"],
+    options: GapOptions,
+    report: Report,
+) -> Baseline:
+    """From one start."""
+    split, names = rough.split, rough.model.base
+    count = int(split.fitted[-1]) + 1
+    weighted = rough.weighted(variance, count)
+    stop = FitOptions(max_iterations=options.iterations + 3, relative_tolerance=1e-3, absolute_tolerance=0.05)
+    mesh, motion = (None, rough.motion) if fine is None else fine
+    here = replace(rough, model=replace(rough.model, correction=correction, mesh=mesh), motion=motion)
+    scales = np.array([p.step for p in here.model.parameters(here.fit.values)])
+    best, least = here, misfit_of_base(here, variance)
+    for number in range(_ROUNDS):
+        report(f"fit of the full-order base model, round {number + 1}")
+        model, motion = reduced_like(here.model, here.motion, here.fit.values)
+        tangents = model.tangents(here.fit.values, motion)
+        here = replace(here, tangents=tangents)
+        best = here if best.motion is here.motion else best
+        shorter = replace(model, frames=count, doubt=_doubt(here, variance))
+        secant = SecantModel(shorter, here.fit.values, here.positions[:count], tangents[:count])
+        found = fit(secant, weighted, shorter.parameters(here.fit.values), options=stop)
+        if np.abs((found.values - here.fit.values) / scales).max() < _STILL:
+            return replace(here, fit=found) if here is best else best
+        twin = rough.model.twin.with_values(names, found.values)
+        here = run_base(rough.capture, rough.observations, split, twin, found, mesh=mesh, cost=here.model.cost)
+        stiffer = rough.model.surrogate_stiffer
+        here = replace(here, model=replace(here.model, correction=correction, surrogate_stiffer=stiffer))
+        misfit = misfit_of_base(here, variance)
+        if misfit < least:
+            best, least = here, misfit
+        if here.model.cost.over:
+            break
+    if not best.tangents.any():
+        model, motion = reduced_like(best.model, best.motion, best.fit.values)
+        best = replace(best, tangents=model.tangents(best.fit.values, motion))
+    return best
+
+
+def _doubt(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
+    """By how much the noise overrates what the fitted frames say: lack of fit, and residuals that are alike."""
+    rows = base.rows(base.split.fitted)
+    whitened = base.residual(base.positions)[rows] / np.sqrt(variance[rows])
+    alike = temperature(whitened, base.observations.frames[rows], base.columns[rows])
+    return max(float(np.mean(whitened**2)), 1.0) * alike
+
+
+def misfit_of_base(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
+    """Mean square of the residuals of the fitted frames over their variance."""
+    rows = base.rows(base.split.fitted)
+    return float(np.mean(base.residual(base.positions)[rows] ** 2 / variance[rows]))

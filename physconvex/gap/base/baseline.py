@@ -1,0 +1,153 @@
+"""A base model at its best: what was seen, what is fitted and what is held out, and how residuals are counted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from physconvex.capture import Capture
+from physconvex.errors import InputError
+from physconvex.gap.base.body_modes import BodyModes, TurnedObservations
+from physconvex.gap.base.model import EffectModel
+from physconvex.gap.base.observing import Seen, components, in_metres, widened
+from physconvex.gap.effects import Motion, Situation
+from physconvex.identify import (
+    Fit,
+    Twin,
+)
+from physconvex.identify.observations import Observations
+
+__all__ = [
+    "FLOOR_LAW",
+    "Baseline",
+    "Split",
+    "derivatives_of_residuals",
+    "split_frames",
+]
+
+Report = Callable[[str], None]
+FLOOR_LAW = ("log10_contact_stiffness", "contact_damping")  # joins the base parameters where the floor gives way
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Frames that are fitted, that choose between effects, and that the shrinkage is reported on."""
+
+    fitted: Int[np.ndarray, " f"]
+    selecting: Int[np.ndarray, " s"]
+    reporting: Int[np.ndarray, " r"]
+
+    @property
+    def held_out(self) -> Int[np.ndarray, " h"]:
+        """Frames that no fit sees."""
+        return np.concatenate([self.selecting, self.reporting])
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """The base model at its best.
+
+    Attributes:
+        capture: the capture.
+        observations: what was seen in all frames.
+        split: how the frames are used.
+        model: the full-order model; without effects but where a search goes on from a fit.
+        fit: of the model to the fitted frames.
+        motion: of the observed points at the fit, all frames.
+        tangents: of the observed points by the parameters, in all frames or the first ones, shape [f, K, P, 3].
+        situation: of the capture.
+        contact_force: total normal force at each frame [N], shape [T].
+        modes: how the residuals are turned.
+    """
+
+    capture: Capture
+    observations: Seen
+    split: Split
+    model: EffectModel
+    fit: Fit
+    motion: Motion
+    tangents: Float[np.ndarray, "f K P 3"]
+    situation: Situation
+    contact_force: Float[np.ndarray, " T"]
+    modes: BodyModes
+
+    @property
+    def positions(self) -> Float[np.ndarray, "T P 3"]:
+        """What the base model says is observed [m]."""
+        return self.model.observed(self.motion, self.fit.values)
+
+    @property
+    def twin(self) -> Twin:
+        """The twin with the fitted values."""
+        return self.model.twin.with_values(self.model.base, self.fit.values[: len(self.model.base)])
+
+    @property
+    def components(self) -> int:
+        """Residuals per point and frame."""
+        return components(self.observations)
+
+    @property
+    def columns(self) -> Int[np.ndarray, " N"]:
+        """What in its frame each residual is of: point and coordinate, or number where they are turned."""
+        seen = self.observations
+        if not self.modes.reflections:
+            return np.asarray(seen.point_indices * self.components + np.arange(len(seen.frames)) % self.components)
+        first = np.searchsorted(seen.frames, seen.frames)
+        return np.asarray(np.arange(len(first)) - first)
+
+    @property
+    def lengths(self) -> Float[np.ndarray, " N"]:
+        """Length that one standard deviation of each residual by point stands for [m], shape [N]."""
+        return in_metres(self.observations, self.motion)
+
+    def rows(self, frames: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m"]:
+        """Residuals of some frames."""
+        return np.flatnonzero(np.isin(self.observations.frames, frames))
+
+    def residual(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
+        """Seen − model, in units of the stated noise, turned, all frames."""
+        return self.modes.turn(-self.observations.residuals(positions))
+
+    def missed(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
+        """Seen − model [m], point by point, all frames."""
+        return np.asarray(-self.observations.residuals(positions) * self.lengths)
+
+    def change(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
+        """What the residual gains where the base motion moves to `positions`, in all frames or the first ones."""
+        if len(positions) < self.model.frames:
+            positions = np.concatenate([positions, self.positions[len(positions) :]])
+        return self.modes.turn(self.observations.residuals(positions) - self.observations.residuals(self.positions))
+
+    def weighted(self, variance: Float[np.ndarray, " N"], count: int) -> Observations:
+        """What was seen in the first frames, its noise widened residual by residual."""
+        if not self.modes.reflections:
+            return widened(self.observations, variance).in_frames(count)
+        return TurnedObservations(self.observations, self.modes, np.sqrt(variance)).in_frames(count)
+
+
+def derivatives_of_residuals(
+    base: Baseline, positions: Float[np.ndarray, "f P 3"], tangents: Float[np.ndarray, "f K P 3"]
+) -> Float[np.ndarray, "K N"]:
+    """What the residuals gain per unit of each value, along its derivative of the positions in the first f frames."""
+    return np.stack([base.change(positions + 1e-3 * d) / 1e-3 for d in np.moveaxis(tangents, 1, 0)])
+
+
+def split_frames(capture: Capture, seen: Int[np.ndarray, " n"]) -> Split:
+    """Fitted: the observed frames, or the first two thirds where all are; the rest selects and reports, half each.
+
+    Raises:
+        InputError: fewer than six frames are seen.
+    """
+    frames = np.unique(seen)
+    if len(frames) < 6:
+        raise InputError(f"{capture.folder}: points are seen in {len(frames)} frames; a diagnosis needs at least 6")
+    first = frames[frames < capture.observed_frames]
+    rest = frames[frames >= capture.observed_frames]
+    if len(rest) < 2 or len(first) < 4:
+        cut = max(4, (2 * len(frames)) // 3)
+        first, rest = frames[:cut], frames[cut:]
+    half = (len(rest) + 1) // 2
+    return Split(first, rest[:half], rest[half:] if len(rest) > half else rest[-1:])

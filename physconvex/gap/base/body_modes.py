@@ -1,0 +1,193 @@
+"""Residuals of a free body by how it moves: as a whole, by an even strain, and by what is left of both.
+
+After an impact two meshes of one body soon differ in how it flies on, by ten times and more what they differ by in its
+strain, and that by several times what they differ by in everything finer. One size for all of these would hide a
+material in the errors of a rebound. So the residuals of each frame are turned, r → Qᵀ r with Q orthogonal: the first
+six then lie along rigid motions of the body where it was seen, the next six along its even strains, the others along
+neither. Squares stay what they are, and each kind has a numerical error of its own (`physconvex.gap.errors.numerics`).
+
+Frames from the first contact on are kinds of their own: what is left of a few hundred markers before it says nothing of
+how well the model follows an impact, and a mean over both would count as if it did.
+
+How a body flies on from an impact is one change of velocity and of spin, however many frames show it: its error as a
+whole grows from frame to frame, and nothing new is learned of it until the body touches something again. So from the
+first contact on these residuals count as if they were new in the frames of contact alone, spread over all.
+
+Q is the product of the Householder reflections of those twelve columns, kept as I − V T Vᵀ (Golub & Van Loan, Matrix
+Computations, §5.1.7).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from physconvex.identify import MarkerObservations, PixelObservations
+from physconvex.identify.observations import Observations, WrappedObservations
+
+__all__ = ["BodyModes", "TurnedObservations", "body_modes", "undivided"]
+
+_RIGID, _STRAIN, _REST, _PARTS = 0, 1, 2, 3
+_FREEDOM = (6.0, 6.0, 12.0) * 2  # numbers that a smooth error has in a frame: rigid, even strain, finer
+_SMOOTH = (12.0,)  # the same where residuals are not divided: as good as affine in space
+_FEWEST = 18  # residuals of a frame that are worth dividing
+_DEPENDENT = 1e-3  # of its length: what is left of a motion that the ones before it make up
+
+
+@dataclass(frozen=True, eq=False)
+class BodyModes:
+    """An orthogonal change of the residuals, frame by frame.
+
+    Attributes:
+        frames: of each residual, shape [N].
+        kinds: of each turned residual: 0 as a whole, 1 even strain, 2 the rest, and 3 more from the first contact on;
+            all 0 where they are not divided.
+        freedom: numbers that a smooth error has in one frame, by kind.
+        reflections: rows of a frame, V [n, 12] and T [12, 12], where it is turned.
+        touching: share of the frames from the first contact on in which, or next to which, the body touches something.
+    """
+
+    frames: Int[np.ndarray, " N"]
+    kinds: Int[np.ndarray, " N"]
+    freedom: tuple[float, ...] = _SMOOTH
+    reflections: tuple[tuple[slice, Float[np.ndarray, "n k"], Float[np.ndarray, "k k"]], ...] = ()
+    touching: float = 1.0
+
+    @property
+    def count(self) -> int:
+        """Number of kinds."""
+        return len(self.freedom)
+
+    @property
+    def parts(self) -> Int[np.ndarray, " D"]:
+        """Of each kind: 0 as a whole, 1 even strain, 2 the rest, whether before or after the first contact."""
+        return np.arange(self.count) % _PARTS
+
+    @property
+    def struck(self) -> Bool[np.ndarray, " D"]:
+        """Of each kind, whether it is of frames from the first contact on."""
+        return np.arange(self.count) >= _PARTS
+
+    @property
+    def independent(self) -> Float[np.ndarray, " D"]:
+        """Independent numbers of a smooth error per frame, by kind: half of those that it has in two frames."""
+        return np.array(self.freedom) / 4 * np.where((self.parts == _RIGID) & self.struck, self.touching, 1.0)
+
+    def turn(self, rows: Float[np.ndarray, "*B N"]) -> Float[np.ndarray, "*B N"]:
+        """Qᵀ of vectors of residuals."""
+        if not self.reflections:
+            return np.asarray(rows)
+        out = np.array(rows)
+        for where, v, t in self.reflections:
+            out[..., where] -= ((out[..., where] @ v) @ t) @ v.T
+        return out
+
+    def in_frames(self, count: int) -> BodyModes:
+        """Those of the first frames."""
+        rows = int((self.frames < count).sum())
+        kept = tuple(one for one in self.reflections if one[0].stop <= rows)
+        return replace(self, frames=self.frames[:rows], kinds=self.kinds[:rows], reflections=kept)
+
+
+def undivided(frames: Int[np.ndarray, " N"]) -> BodyModes:
+    """Residuals as they are, all of one kind."""
+    return BodyModes(frames, np.zeros(len(frames), dtype=np.int64))
+
+
+def body_modes(
+    seen: MarkerObservations | PixelObservations, *, free: bool, force: Float[np.ndarray, " T"] | None = None
+) -> BodyModes:
+    """Rigid motions and even strains of markers, where they were seen; `undivided` else.
+
+    Pixels stay as they are: how far a point is off tells outliers (Huber's loss), and depth hides half of the strains.
+
+    Args:
+        seen: the observations, frames in order.
+        free: whether the body flies and strikes something. Of a held one both meshes move alike.
+        force: of contact in each frame [N]; none unless given.
+    """
+    frames = np.asarray(seen.frames)
+    if not free or not isinstance(seen, MarkerObservations):
+        return undivided(frames)
+    kinds, reflections = np.zeros(len(frames), dtype=np.int64), []
+    ends = np.searchsorted(frames, np.arange(frames[-1] + 2))
+    for start, stop in pairwise(ends):
+        if stop - start < _FEWEST:
+            continue
+        points = seen.point_indices[start:stop:3]
+        where = seen.positions[frames[start], points]
+        motions = _affine_motions(where) / np.repeat(seen.sigma[frames[start], points], 3)[:, None]
+        motions /= np.linalg.norm(motions, axis=0)
+        packed, tau = np.linalg.qr(motions, mode="raw")
+        v = np.tril(packed.T, -1)
+        np.fill_diagonal(v, 1.0)
+        reflections.append((slice(int(start), int(stop)), v, _block(v, tau)))
+        found = np.repeat([_RIGID, _STRAIN], 6)
+        kinds[start:stop] = _REST
+        kinds[start : start + 12] = np.where(np.abs(np.diag(packed.T[:12])) > _DEPENDENT, found, _REST)
+    if force is None or not reflections:
+        return BodyModes(frames, kinds, _FREEDOM, tuple(reflections))
+    struck = np.cumsum(force > 0) > 0
+    return BodyModes(frames, kinds + _PARTS * struck[frames], _FREEDOM, tuple(reflections), _touching(force))
+
+
+def _touching(force: Float[np.ndarray, " T"]) -> float:
+    """Share of the frames from the first contact on that are of contact, or next to one, since it may begin between."""
+    touched = np.convolve(force > 0, np.ones(3), mode="same") > 0
+    after = np.cumsum(force > 0) > 0
+    return float(touched[after].mean()) if after.any() else 1.0
+
+
+def _affine_motions(x: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "n 12"]:
+    """Translations, rotations and even strains of points about their centre, as columns."""
+    size = max(float(np.sqrt(((x - x.mean(0)) ** 2).sum(-1).mean())), 1e-300)
+    arm, unit = (x - x.mean(0)) / size, np.eye(3)
+    columns = [np.broadcast_to(e, x.shape) for e in unit]
+    columns += [np.cross(e, arm) for e in unit]
+    for i in range(3):
+        for j in range(i, 3):
+            strain = 0.5 * (np.outer(unit[i], unit[j]) + np.outer(unit[j], unit[i]))
+            columns.append(arm @ strain)
+    moved = np.stack([c.ravel() for c in columns], axis=1)
+    return moved + 1e-12 * np.arange(1, 13)  # a column that is zero (all points in one plane) keeps a direction
+
+
+def _block(v: Float[np.ndarray, "n k"], tau: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
+    """T of I − V T Vᵀ = (I − τ₁ v₁ v₁ᵀ) … (I − τ_k v_k v_kᵀ)."""
+    t = np.zeros((len(tau), len(tau)))
+    for j, factor in enumerate(tau):
+        t[:j, j] = -factor * t[:j, :j] @ (v[:, :j].T @ v[:, j])
+        t[j, j] = factor
+    return t
+
+
+@dataclass(frozen=True, eq=False)
+class TurnedObservations(WrappedObservations):
+    """Observations whose residuals are turned, and then widened one by one.
+
+    Attributes:
+        modes: of all of them.
+        sigma: standard deviation of the turned residuals in units of the stated noise, shape [N].
+    """
+
+    modes: BodyModes
+    sigma: Float[np.ndarray, " N"]
+
+    def residuals(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
+        """(model − seen)/σ, turned."""
+        return np.asarray(self.modes.turn(self.seen.residuals(positions)) / self.sigma)
+
+    def linearise(
+        self, positions: Float[np.ndarray, "T P 3"], tangents: Float[np.ndarray, "T K P 3"]
+    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+        """The residuals and their derivatives."""
+        residuals, jacobian = self.seen.linearise(positions, tangents)
+        return self.modes.turn(residuals) / self.sigma, (self.modes.turn(jacobian.T) / self.sigma).T
+
+    def in_frames(self, count: int) -> Observations:
+        """The first `count` frames alone."""
+        modes = self.modes.in_frames(count)
+        return TurnedObservations(self.seen.in_frames(count), modes, self.sigma[: len(modes.frames)])

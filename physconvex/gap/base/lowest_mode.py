@@ -1,0 +1,26 @@
+"""The lowest vibration of a twin: by it two meshes are made to swing alike."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from physconvex.fem import vibration_modes
+from physconvex.gap.base.model import EffectModel
+
+__all__ = ["decades_between", "lowest_frequency"]
+
+
+def decades_between(one: EffectModel, other: EffectModel, values: np.ndarray) -> float:
+    """Decades of E by which another mesh must be stiffer to vibrate as the one does, by their lowest frequencies."""
+    return 2 * float(np.log10(lowest_frequency(one, values) / lowest_frequency(other, values)))
+
+
+def lowest_frequency(model: EffectModel, values: np.ndarray) -> float:
+    """Lowest frequency of the body's vibrations on the model's mesh [Hz], with what hangs on it."""
+    scene = model.full_scene(values)
+    carried = None if scene.hanging is None else scene.hanging.masses
+    if scene.pins is None:
+        return float(vibration_modes(scene.body, 7, carried=carried)[0][6])
+    held = np.zeros(len(scene.body.mesh.vertices), dtype=bool)
+    held[scene.pins.nodes] = True
+    return float(vibration_modes(scene.body, 1, clamped=held, carried=carried)[0][0])

@@ -1,0 +1,312 @@
+"""A twin with effects: positions of points by base parameters and doses, from the full-order or the reduced model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.camera import Camera
+from physconvex.errors import ConvergenceError
+from physconvex.fem import Embedding, TetMesh
+from physconvex.fem import Scene as FullScene
+from physconvex.fem import simulate as simulate_full
+from physconvex.gap.base.cost import Cost
+from physconvex.gap.effects import Effect, Motion, Situation
+from physconvex.identify import Parameter, Twin, default_parameter
+from physconvex.integrators import IntegratorName
+from physconvex.reduced import ReducedScene, parameter_values, simulate
+
+__all__ = ["ACCURACY", "MODULUS", "EffectModel", "SecantModel", "reduced_like", "searches_itself"]
+
+Positions = Float[np.ndarray, "T P 3"]
+Vector = Float[np.ndarray, " K"]
+_RATIO = (0.4, 0.1)  # mean and deviation of ν of soft bodies
+MODULUS = "log10_youngs_modulus"  # as the parameter is called
+_BASE_STEP = 0.1  # of a typical step, for differences
+_SMALL = 1.5  # times the nodes of the coarse mesh
+# of the full-order runs: their errors stay below 1e-5 of the size, a hundredth of what the mesh leaves
+ACCURACY: dict[str, Any] = {"tolerance": 1e-6, "friction_passes": 4}
+
+
+@dataclass(frozen=True, eq=False)
+class EffectModel:
+    """Base parameters and doses → positions of the observed points.
+
+    Attributes:
+        twin: the base model.
+        base: names of the free base parameters.
+        points: rest positions of the points [m], shape [P, 3].
+        frames: number of frames T.
+        situation: for the sizes of finite doses.
+        effects: what is added.
+        camera: the camera that looks, for effects of the observation.
+        directions: of effects that are differences of runs (numerical ones), by name, shape [T, P, 3].
+        correction: added to every motion, shape [T, P, 3]: what a finer model would change.
+        mesh: another mesh for the full-order model.
+        refinement: factor on its time steps.
+        integrator: of the full-order model.
+        doubt: how much the stated noise overrates what the fit says, by which priors weigh more; see
+            `physconvex.gap.base.independence`.
+        reduced: whether motions come from the reduced model; `correction` then makes up for the difference.
+        stiffer: decades of E added in every run.
+        surrogate_stiffer: the same for the cheaper model that `reduced_like` makes.
+        cost: what the runs of this model, and of all that were made of it by `replace`, have cost.
+    """
+
+    twin: Twin
+    base: tuple[str, ...]
+    points: Float[np.ndarray, "P 3"]
+    frames: int
+    situation: Situation
+    effects: tuple[Effect, ...] = ()
+    camera: Camera | None = None
+    directions: Mapping[str, Positions] = field(default_factory=dict)
+    correction: Positions | None = None
+    mesh: TetMesh | None = None
+    refinement: int = 1
+    integrator: IntegratorName = "bdf2"
+    doubt: float = 1.0
+    reduced: bool = False
+    stiffer: float = 0.0
+    surrogate_stiffer: float = 0.0
+    cost: Cost = field(default_factory=Cost)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters: base ones, then `effect.dose`."""
+        return self.base + tuple(f"{e.label}.{d.name}" for e in self.effects for d in e.doses)
+
+    @property
+    def slices(self) -> tuple[slice, ...]:
+        """Where the doses of each effect are among the values."""
+        ends = np.cumsum([len(self.base), *(len(e.doses) for e in self.effects)])
+        return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
+
+    def parameters(self, values: Vector) -> tuple[Parameter, ...]:
+        """The unknowns, starting at `values`."""
+        out: list[Parameter] = [
+            self._weighed(default_parameter(name).at(float(value)), name)
+            for name, value in zip(self.base, values, strict=False)
+        ]
+        for effect, where in zip(self.effects, self.slices, strict=True):
+            for dose, value, name in zip(effect.doses, values[where], self.names[where], strict=True):
+                step = 2 * dose.smallest if dose.shape else max(abs(dose.trial(self.situation)), dose.smallest)
+                start = float(np.clip(value, dose.lower, dose.upper))
+                sigma = dose.plausible / float(np.sqrt(self.doubt)) if self.situation.clamped else np.inf
+                out.append(_DoseParameter(name, start, dose.lower, dose.upper, step, dose.null, sigma))
+        return tuple(out)
+
+    def _weighed(self, parameter: Parameter, name: str) -> Parameter:
+        """With a prior on the ν of a held body, which bending does not tell."""
+        if name != "poisson_ratio" or not self.situation.clamped:
+            return parameter
+        mean, sigma = _RATIO
+        return replace(parameter, prior_mean=mean, prior_sigma=sigma / float(np.sqrt(self.doubt)))
+
+    def null_values(self) -> Vector:
+        """The twin's base parameters, and doses at which the effects are absent."""
+        return np.concatenate([parameter_values(self.twin.scene, self.base), *(e.null for e in self.effects)])
+
+    # -- scenes
+
+    def _in_scene(self, scene: Any, values: Vector) -> Any:
+        for effect, where in zip(self.effects, self.slices, strict=True):
+            if effect.scene is not None:
+                scene = effect.scene(scene, values[where])
+        return scene
+
+    def _based(self, values: Vector) -> Twin:
+        if self.stiffer and MODULUS in self.base:
+            values = values.copy()
+            values[self.base.index(MODULUS)] += self.stiffer
+        return self.twin.with_values(self.base, values[: len(self.base)])
+
+    def full_scene(self, values: Vector) -> FullScene:
+        """Full-order scene with the effects."""
+        return self._in_scene(self._based(values).full_scene(self.mesh), values)
+
+    def reduced_scene(self, values: Vector) -> ReducedScene:
+        """Reduced scene with the effects."""
+        return self._in_scene(self._based(values).scene, values)
+
+    # -- motions
+
+    @cached_property
+    def embedding(self) -> Embedding:
+        """The points in the full-order mesh."""
+        return Embedding.of_points(self.twin.mesh if self.mesh is None else self.mesh, self.points)
+
+    def _motion(self, times: np.ndarray, positions: np.ndarray, velocities: np.ndarray) -> Motion:
+        return Motion(self.points, times, positions, velocities, self.camera)
+
+    def motion(self, values: Vector) -> Motion:
+        """Motion of the points, before correction and observation."""
+        if self.reduced:
+            return self.reduced_motion(values)
+        timing = self.twin.timing(self.frames)
+        timing["steps_per_frame"] *= self.refinement
+        scene = self.full_scene(values)
+        nodes = len(scene.body.mesh.vertices)
+        try:
+            run = simulate_full(scene, integrator=self.integrator, **timing, **ACCURACY)
+        except ConvergenceError:
+            self.cost.add_failed(scene, nodes, self.frames * timing["steps_per_frame"])
+            raise
+        self.cost.add(scene, nodes, run.statistics)
+        return self._motion(run.times, self.embedding.apply(run.positions), self.embedding.apply(run.velocities))
+
+    def reduced_motion(self, values: Vector) -> Motion:
+        """The same by the reduced model."""
+        timing, scene = self.twin.timing(self.frames), self.reduced_scene(values)
+        try:
+            run = simulate(scene, **timing, **ACCURACY)
+        except ConvergenceError:
+            self.cost.add_failed(scene, None, self.frames * timing["steps_per_frame"])
+            raise
+        self.cost.add(scene, None, run.statistics)
+        shapes = self.twin.scene.body.space.shape_values(self.points)
+        return self._motion(run.times, shapes @ run.coordinates, shapes @ run.velocities)
+
+    def observed(self, motion: Motion, values: Vector) -> Positions:
+        """What is observed of a motion: corrected, observation effects applied, numerical directions added."""
+        positions = motion.positions
+        if self.correction is not None:
+            positions = positions + self.correction[: self.frames]
+        for effect, where in zip(self.effects, self.slices, strict=True):
+            if effect.observe is not None:
+                moved = Motion(motion.rest, motion.times, positions, motion.velocities, self.camera)
+                positions = effect.observe(moved, values[where])
+            if effect.name in self.directions:
+                positions = positions + float(values[where][0]) * self.directions[effect.name][: self.frames]
+        return positions
+
+    def positions(self, values: Vector) -> Positions:
+        """Observed positions [m]."""
+        return self.observed(self.motion(values), values)
+
+    # -- differences
+
+    def tangents(self, values: Vector, motion: Motion) -> Float[np.ndarray, "T K P 3"]:
+        """Derivatives by all parameters, doses included, by differences of runs.
+
+        Args:
+            values: where.
+            motion: the motion there.
+        """
+        here, columns = self.observed(motion, values), []
+        for index, parameter in enumerate(self.parameters(values)):
+            step = _BASE_STEP * parameter.step
+            if not parameter.lower <= values[index] + step <= parameter.upper:
+                step = -step
+            changed = values.copy()
+            changed[index] += step
+            columns.append((self.positions(changed) - here) / step)
+        shape = (len(here), 0, *here.shape[1:])
+        return np.stack(columns, axis=1) if columns else np.zeros(shape)
+
+    def signature(self, changed: Vector, values: Vector, motion: Motion) -> Positions:
+        """What a change of the doses does to the observed positions [m].
+
+        Args:
+            changed: values with a finite dose.
+            values: values without.
+            motion: the motion without.
+
+        Raises:
+            ConvergenceError: the body with that dose cannot be simulated.
+        """
+        moves = any(
+            effect.scene is not None and not np.array_equal(changed[where], values[where])
+            for effect, where in zip(self.effects, self.slices, strict=True)
+        )
+        moved = self.motion(changed) if moves else motion
+        return self.observed(moved, changed) - self.observed(motion, values)
+
+
+@dataclass(frozen=True)
+class _DoseParameter(Parameter):
+    """An unknown whose name is none of `physconvex.reduced.PARAMETERS`."""
+
+    def __post_init__(self) -> None:
+        assert self.lower <= self.start <= self.upper and self.step > 0
+
+
+def reduced_like(full: EffectModel, motion: Motion, values: np.ndarray) -> tuple[EffectModel, Motion]:
+    """The cheaper model with what it lacks to a full-order motion added, and its own motion at the same values.
+
+    Cheaper is the reduced model; of a held body the full-order one on the twin's own, coarser mesh: what the reduced
+    one lacks there is a vibration of another frequency, which an added motion makes up for only while nothing damps it.
+    Where the mesh of a held body is itself no larger, it is the cheaper one.
+    """
+    if searches_itself(full):
+        reduced = replace(full, correction=None)
+    else:
+        reduced = replace(
+            full, reduced=not full.situation.clamped, mesh=None, correction=None, stiffer=full.surrogate_stiffer
+        )
+    own = reduced.motion(values)
+    exact = motion.positions if full.correction is None else motion.positions + full.correction[: full.frames]
+    return replace(reduced, correction=exact - own.positions), own
+
+
+def searches_itself(full: EffectModel) -> bool:
+    """Whether no other model of a held body is cheaper: a run on its mesh costs hardly more than on the coarse one."""
+    mesh, coarse = full.mesh, full.twin.mesh
+    if mesh is None or not full.situation.clamped:
+        return False
+    return len(mesh.vertices) <= _SMALL * len(coarse.vertices) and mesh.order <= coarse.order
+
+
+class SecantModel:
+    """A model whose derivatives are carried along by Broyden's update: one run per linearisation.
+
+    Args:
+        model: gives positions.
+        values: where the derivatives were taken, shape [K].
+        positions: there, shape [T, P, 3].
+        tangents: the derivatives, shape [T, K, P, 3].
+    """
+
+    def __init__(self, model: EffectModel, values: Vector, positions: Positions, tangents: np.ndarray) -> None:
+        self.model = model
+        self._last, self._tangents = (values.copy(), positions), tangents
+        self._scales = np.array([p.step for p in model.parameters(values)])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.model.names
+
+    @property
+    def tangents(self) -> Float[np.ndarray, "T K P 3"]:
+        """The derivatives as they are now."""
+        return self._tangents
+
+    def positions(self, values: Vector) -> Positions:
+        """Observed positions [m]."""
+        return self.model.positions(values)
+
+    def linearise(self, values: Vector) -> tuple[Positions, Float[np.ndarray, "T K P 3"]]:
+        """Positions, and the derivatives updated by what the last step showed.
+
+        Raises:
+            ConvergenceError: the model cannot be run there, or the runs have cost what they may.
+        """
+        old, before = self._last
+        if np.array_equal(values, old):
+            return before, self._tangents
+        self.model.cost.check()
+        positions = self.model.positions(values)
+        if not np.isfinite(positions).all():
+            raise ConvergenceError("the motion is not finite")
+        step = (values - old) / self._scales
+        missed = positions - before - np.einsum("tkpi,k->tpi", self._tangents, values - old)
+        change = missed[:, None] * (step / self._scales / float(step @ step))[None, :, None, None]
+        self._tangents, self._last = self._tangents + change, (values.copy(), positions)
+        return positions, self._tangents

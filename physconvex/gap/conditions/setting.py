@@ -1,0 +1,113 @@
+"""What the recording was made with: a floor that gives way or not, its own linear elements or any; or much damping.
+
+Of a free body both are asked at once, by short fits of the full-order model on either floor and either mesh, in the
+company of effects (`physconvex.gap.conditions.company`): a mesh whose diagonals all run one way makes a cube tumble
+after it has struck the floor, which hides what the floor does, and the other way round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from physconvex.errors import ConvergenceError
+from physconvex.gap.base.base_fit import run_base
+from physconvex.gap.base.baseline import FLOOR_LAW, Baseline
+from physconvex.gap.conditions.company import Company
+from physconvex.gap.conditions.dissipation import damped_fit
+from physconvex.gap.conditions.giving_floor import on_giving_floor, sinks_in, softness
+from physconvex.gap.conditions.own_elements import own_elements
+from physconvex.gap.options import GapOptions
+from physconvex.identify import Fit
+
+__all__ = ["Setting", "find_setting"]
+
+_SOFTER = 1 / 3  # of the stiffness that a floor has in the base model
+_BETTER = 0.7  # share of the squares that a giving floor, or the own elements, may leave to be believed; both: squared
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """The rough base fit on the floor that is believed, and whether the recording's own elements are.
+
+    Attributes:
+        base: the rough base fit; its parameters hold `FLOOR_LAW` where the floor gives way.
+        own: None where that was not asked: of held bodies, and without linear tetrahedra that can be afforded.
+        damped: the base model with damping, at what E and it come to together; None where that explains little.
+    """
+
+    base: Baseline
+    own: bool | None
+    damped: Baseline | None = None
+
+
+def find_setting(base: Baseline, options: GapOptions, report: Callable[[str], None]) -> Setting:
+    """Ask whether the floor gives way, whether the capture's tetrahedra are the recording's, or the body is damped.
+
+    Args:
+        base: the rough base fit, on a hard floor.
+        options: settings.
+        report: told what is done.
+
+    Returns:
+        The base fit as it is where none of that is so, or where a model of it cannot be simulated.
+    """
+    if base.situation.clamped or not base.situation.touches:
+        return Setting(base, None)
+    try:
+        return _asked(base, options, report)
+    except ConvergenceError:
+        return Setting(base, None)
+
+
+def _asked(base: Baseline, options: GapOptions, report: Callable[[str], None]) -> Setting:
+    own, sinks = own_elements(base), sinks_in(base)
+    if own is None and not sinks:
+        return _damped(base, options, report)
+    company, names = Company(base, options), (base.model.base, (*base.model.base, *FLOOR_LAW))
+    report("fits in the company of effects")
+    hard = company.best(names[0], [np.append(base.fit.values, company.nothing)])
+    doses = company.nothing if hard is None else hard.values[len(names[0]) :]
+    soft = on_giving_floor(company, doses) if sinks else None
+    if soft is not None and softness(base, names[1], soft.values) > _SOFTER:
+        soft = None
+    if own is None and soft is None:
+        return _damped(base, options, report)
+    report("floor and elements of the recording")
+    floors: list[tuple[tuple[str, ...], Fit]] = [(n, f) for n, f in zip(names, (hard, soft), strict=True) if f]
+    tried: dict[tuple[bool, bool], Fit] = {}  # by whether the elements are the own ones, and the floor gives way
+    for mesh in (None,) if own is None else (None, own):
+        for which, start in floors:
+            found = company.full(which, start, mesh)
+            if found is not None:
+                tried[mesh is not None, which is names[1]] = found
+    if not tried:
+        return Setting(base, None)
+    theirs, gives = min(tried, key=lambda case: tried[case].misfit / _BETTER ** sum(case))
+    if gives:
+        return Setting(_moved(base, company, names[1], tried[theirs, gives]), None if own is None else theirs)
+    return replace(_damped(base, options, report), own=None if own is None else theirs)
+
+
+def _damped(base: Baseline, options: GapOptions, report: Callable[[str], None]) -> Setting:
+    """On a floor that does not give way, damping is what takes the energy of an impact."""
+    report("scan over E and damping")
+    damped = damped_fit(base, options)
+    if damped is None:
+        return Setting(base, None)
+    company, found = damped
+    base = _moved(base, company, base.model.base, found)
+    model = replace(base.model, effects=company.effects)
+    return Setting(base, None, replace(base, model=model, fit=found, motion=model.motion(found.values)))
+
+
+def _moved(base: Baseline, company: Company, names: tuple[str, ...], found: Fit) -> Baseline:
+    """The rough base fit at the values of a fit in company, without it."""
+    count = len(names)
+    alone = replace(
+        found, parameters=found.parameters[:count], values=found.values[:count], jacobian=found.jacobian[:, :count]
+    )
+    twin = company.model(names, alone.values).twin.with_values(names, alone.values)
+    return run_base(base.capture, base.observations, base.split, twin, alone, cost=base.model.cost)

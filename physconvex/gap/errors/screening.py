@@ -1,0 +1,205 @@
+"""Which effects the residual of the base fit asks for: one finite dose of each, and its score."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.gap.base.baseline import Baseline, Report, derivatives_of_residuals
+from physconvex.gap.base.model import EffectModel
+from physconvex.gap.effects import Effect, applicable
+from physconvex.gap.errors.numerics import Numerics
+from physconvex.gap.errors.score import ErrorModel, Projector, Score, least_squares, score
+
+__all__ = ["Pair", "Screened", "Screening", "best_pairs", "screen"]
+
+
+@dataclass(frozen=True, eq=False)
+class Screened:
+    """One effect after screening.
+
+    Attributes:
+        effect: the effect.
+        score: what the residual of the fitted frames says of it.
+        doses: estimate of all its doses, shape [D].
+        errors: standard errors of the screened ones, zero for those that only shape it, shape [D].
+        signature: what the trial doses do to the observed positions of the fitted frames [m], shape [S, f, P, 3].
+        trials: the trial doses, shape [S, D].
+        profile: projected and whitened signature along the estimate, for comparing effects, shape [N].
+        projected: projected and whitened signatures, shape [S, N].
+        signs: +1 where only multiples ≥ 0 of a signature make sense, else 0.
+    """
+
+    effect: Effect
+    score: Score
+    doses: Float[np.ndarray, " D"]
+    errors: Float[np.ndarray, " D"]
+    signature: Float[np.ndarray, "S f P 3"]
+    trials: Float[np.ndarray, "S D"]
+    profile: Float[np.ndarray, " N"]
+    projected: Float[np.ndarray, "S N"]
+    signs: tuple[int, ...]
+
+    @property
+    def power(self) -> float:
+        """Smallest dose of interest over the standard error, of the least certain screened dose."""
+        used = self.errors > 0
+        smallest = np.array([d.smallest for d in self.effect.doses])
+        return float((smallest[used] / self.errors[used]).min()) if used.any() else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Screening:
+    """All effects, best first; those that could not be simulated; the base model's lack of fit |P r|² and its freedom.
+
+    Attributes:
+        ranked: screened effects, the most significant first.
+        failed: labels of effects whose trial dose could not be simulated.
+        lack_of_fit: square of the whitened, projected residual of the fitted frames.
+        freedom: number of residuals less nuisances.
+        left: whitened and projected residual, shape [N].
+    """
+
+    ranked: tuple[Screened, ...]
+    failed: tuple[str, ...]
+    lack_of_fit: float
+    freedom: int
+    left: Float[np.ndarray, " N"]
+
+    @property
+    def one_per_name(self) -> tuple[Screened, ...]:
+        """The best variant of each effect, best first."""
+        best: dict[str, Screened] = {}
+        for entry in self.ranked:
+            best.setdefault(entry.effect.name, entry)
+        return tuple(best.values())
+
+    def similarity(self, first: Screened, second: Screened) -> float:
+        """|cosine| of two effects' signatures after projection: 1 = cannot be told apart here."""
+        a, b = first.profile, second.profile
+        return float(abs(a @ b) / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
+
+
+def screen(
+    base: Baseline, errors: ErrorModel, numerics: Numerics, effects: Iterable[Effect], report: Report
+) -> Screening:
+    """Score every effect that can be tried, on the fitted frames."""
+    rows = base.rows(base.split.fitted)
+    here, count = base.positions, int(base.split.fitted[-1]) + 1
+    nuisances = derivatives_of_residuals(base, here[:count], base.tangents[:count])[:, rows]
+    projector = Projector(errors.restricted(rows), nuisances)
+    residual = base.residual(here)[rows]
+    directions = {
+        "time_step": numerics.implicit_euler,
+        "mesh_resolution": numerics.mesh,
+        "reduction": numerics.reduction,
+    }
+    entries, failed = [], []
+    for effect in applicable(effects, base.situation):
+        if effect.name in {e.name for e in base.model.effects}:
+            continue
+        report(f"screening: {effect.label}")
+        if effect.source == "numerical" and effect.name in directions and not directions[effect.name].any():
+            continue
+        model = replace(base.model, frames=count, effects=(*base.model.effects, effect), directions=directions)
+        try:
+            entries.append(_screened(base, model, effect, projector, residual, rows))
+        except (ConvergenceError, InputError, np.linalg.LinAlgError):
+            failed.append(effect.label)
+    ranked = sorted(entries, key=lambda entry: (entry.score.p_value, -entry.score.statistic))
+    left = projector.apply(residual)
+    return Screening(tuple(ranked), tuple(failed), float(left @ left), len(rows) - projector.rank, left)
+
+
+def _screened(
+    base: Baseline, model: EffectModel, effect: Effect, projector: Projector, residual: np.ndarray, rows: np.ndarray
+) -> Screened:
+    null = np.concatenate([base.fit.values, effect.null])
+    motion, here = base.motion.first(model.frames), base.positions[: model.frames]
+    signatures, trials, signs, screened = [], [], [], []
+    for index, doses in effect.trials(base.situation):
+        without = np.concatenate([base.fit.values, np.where([d.shape for d in effect.doses], doses, effect.null)])
+        changed = np.concatenate([base.fit.values, doses])
+        signatures.append(model.signature(changed, without if effect.scene is None else null, motion))
+        trials.append(doses)
+        signs.append(abs(effect.doses[index].sign))
+        screened.append(index)
+    signature = np.stack(signatures)
+    if not np.isfinite(signature).all():
+        raise ConvergenceError(f"{effect.label}: the motion is not finite")
+    in_residuals = np.stack([base.change(here + s)[rows] for s in signature])
+    found = score(projector, residual, in_residuals, signs)
+    doses, errors = np.array(trials[0], copy=True), np.zeros(len(effect.doses))
+    for amount, error, index, trial in zip(found.amounts, found.errors, screened, trials, strict=True):
+        doses[index], errors[index] = effect.doses[index].estimate(float(amount), float(error), float(trial[index]))
+    weights = found.amounts if np.any(found.amounts) else np.ones(len(signature))
+    projected = projector.apply(in_residuals)
+    return Screened(
+        effect, found, doses, errors, signature, np.array(trials), weights @ projected, projected, tuple(signs)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two screened effects together: doses of the first, of the second, and the score of both less the better one's."""
+
+    first: Screened
+    second: Screened
+    statistic: float
+    gain: float
+
+
+def best_pairs(screening: Screening, count: int) -> list[Pair]:
+    """Pairs of effects whose signatures together explain most, by one regression each, the doses set to its result.
+
+    Effects may help only together: damping of the right strength cannot show while a load keeps the frequency wrong.
+    """
+    entries, left = screening.ranked, screening.left
+    rows = np.concatenate([entry.projected for entry in entries]) if entries else np.zeros((0, len(left)))
+    gram, right, total = rows @ rows.T, rows @ left, float(left @ left)
+    ends = np.cumsum([0, *(len(entry.projected) for entry in entries)])
+    found: list[tuple[float, float, int, int, np.ndarray]] = []
+    for i, first in enumerate(entries):
+        for j in range(i + 1, len(entries)):
+            second = entries[j]
+            if first.effect.name == second.effect.name or "numerical" in (first.effect.source, second.effect.source):
+                continue
+            index = np.r_[ends[i] : ends[i + 1], ends[j] : ends[j + 1]]
+            amounts, explained = _joint(gram[np.ix_(index, index)], right[index], total, first.signs + second.signs)
+            gain = explained - max(first.score.statistic, second.score.statistic)
+            if np.any(amounts[: len(first.signs)]) and np.any(amounts[len(first.signs) :]):
+                found.append((explained, gain, i, j, amounts))
+    found.sort(key=lambda row: -row[0])
+    out, seen = [], set()
+    for explained, gain, i, j, amounts in found:
+        names = frozenset((entries[i].effect.name, entries[j].effect.name))
+        if names not in seen:
+            seen.add(names)
+            cut = len(entries[i].signs)
+            pair = Pair(_dosed(entries[i], amounts[:cut]), _dosed(entries[j], amounts[cut:]), explained, gain)
+            out.append(pair)
+        if len(out) == count:
+            break
+    return out
+
+
+def _joint(gram: np.ndarray, right: np.ndarray, total: float, signs: tuple[int, ...]) -> tuple[np.ndarray, float]:
+    """Amounts of several signatures and what they explain, from inner products alone."""
+    values, vectors = np.linalg.eigh(gram + 1e-10 * np.trace(gram) * np.eye(len(gram)))
+    root = (vectors * np.sqrt(np.maximum(values, 1e-300))).T  # rootᵀ root = gram
+    target = np.linalg.lstsq(root.T, right, rcond=None)[0]
+    amounts = least_squares(root.T, target, signs)
+    return amounts, float(min(2 * amounts @ right - amounts @ gram @ amounts, total))
+
+
+def _dosed(entry: Screened, amounts: np.ndarray) -> Screened:
+    """The same effect with the doses of a joint regression."""
+    doses = entry.doses.copy()
+    screened = [i for i, dose in enumerate(entry.effect.doses) if not dose.shape]
+    for amount, index, trial in zip(amounts, screened, entry.trials, strict=True):
+        doses[index] = entry.effect.doses[index].estimate(float(amount), 0.0, float(trial[index]))[0]
+    return replace(entry, doses=doses)

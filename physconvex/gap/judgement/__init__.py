@@ -1,0 +1,1 @@
+"""From fits to an answer: probabilities, doses and intervals by name, rules, caveats, the next experiment."""

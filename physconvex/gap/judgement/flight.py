@@ -1,0 +1,44 @@
+"""What effects gain before a body first touches anything.
+
+A flight is simple: two programs that share neither mesh nor contact agree on it to within noise. What they part by
+after an impact may then be many times what a load on the flight does, and hide on held-out frames what the flight shows
+beyond doubt.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from physconvex.gap.base.baseline import Baseline
+from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.search.comparison import Hypothesis
+from physconvex.gap.search.evidence import information_by_kind, squares_by_kind
+
+__all__ = ["IN_FLIGHT", "gain_in_flight"]
+
+IN_FLIGHT = ("external", "initial state", "observation")  # sources of effects that need no contact to be seen
+_CLOSED = 2.0  # mean square over the expected one up to which a flight is followed
+
+
+def gain_in_flight(base: Baseline, errors: ErrorModel, best: Hypothesis, plain: Hypothesis) -> float:
+    """Log-likelihood of the frames before the first contact that effects gain, less ½ k ln n for their k doses.
+
+    −∞ unless they leave nothing there but noise and numerical error, or where no contact follows.
+
+    Args:
+        base: the base fit.
+        errors: weights.
+        best: the effects.
+        plain: the base model.
+    """
+    fitted, struck = base.split.fitted, base.modes.struck
+    information = information_by_kind(base, errors, fitted)
+    flight = ~struck & (information > 0)
+    if not flight.any() or not information[struck].any():
+        return -np.inf
+    if squares_by_kind(base, errors, best.positions, fitted)[flight].max() > _CLOSED:
+        return -np.inf
+    gain = ((best.likelihood - plain.likelihood) / best.divisor)[flight].sum()
+    independent = (information / best.divisor)[flight].sum()
+    doses = sum(len(effect.doses) for effect in best.effects)
+    return float(gain - 0.5 * doses * np.log(max(float(independent), 2.0)))

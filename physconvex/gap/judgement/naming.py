@@ -1,0 +1,200 @@
+"""Effects by name: with what probability, which doses and intervals, and what they cannot be told apart from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from physconvex.gap.effects import Effect
+from physconvex.gap.errors.screening import Screening
+from physconvex.gap.options import GapOptions
+from physconvex.gap.search.comparison import Hypothesis
+
+__all__ = [
+    "SOMETHING_ELSE",
+    "WEAK",
+    "NamedDose",
+    "NamedEffect",
+    "beside_something_else",
+    "by_weight",
+    "favoured",
+    "named_effects",
+    "probabilities",
+]
+
+SOMETHING_ELSE = "something else"
+WEAK = 1.5  # gain of log-evidence by an effect that leaves open whether it is there
+_ALIKE = 0.95  # cosine of signatures
+_FORM = 0.02  # of a dose: what two programs that mean the same effect differ by, as a standard error
+
+
+@dataclass(frozen=True)
+class NamedDose:
+    """A fitted dose with its interval, in its unit."""
+
+    name: str
+    unit: str
+    value: float
+    lower: float
+    upper: float
+    null: float
+
+
+@dataclass(frozen=True)
+class NamedEffect:
+    """One effect with its probability, doses, and the effects it may be confused with."""
+
+    name: str
+    variant: str
+    source: str
+    probability: float
+    doses: tuple[NamedDose, ...]
+    confused_with: tuple[str, ...]
+
+
+def favoured(hypotheses: Sequence[Hypothesis]) -> Hypothesis | None:
+    """The fit with effects that is reported: the best, or with fewer of its effects if the others gain too little.
+
+    Effects that gain in the fitted frames and lose in those that no fit saw count as gaining too little: what programs
+    differ by after an impact is followed so, by damping or an uneven E beside the cause.
+
+    Args:
+        hypotheses: best evidence first.
+    """
+    best = next((h for h in hypotheses if h.effects), None)
+    if best is None:
+        return None
+    enough = [
+        h
+        for h in hypotheses
+        if h.effects and set(h.names) < set(best.names)
+        and (best.evidence - h.evidence < WEAK or not best.foretells_more_than(h))
+    ]  # fmt: skip
+    return min(enough, key=lambda h: (len(h.effects), -h.evidence), default=best)
+
+
+def probabilities(hypotheses: Sequence[Hypothesis], other: float = -np.inf) -> dict[str, float]:
+    """Probability by label: softmax of the evidence, one hypothesis per set of names.
+
+    Args:
+        hypotheses: what was fitted.
+        other: evidence of something that is not among them.
+    """
+    best: dict[tuple[str, ...], Hypothesis] = {}
+    for hypothesis in hypotheses:
+        names = tuple(sorted(hypothesis.names))
+        if names not in best or hypothesis.evidence > best[names].evidence:
+            best[names] = hypothesis
+    kept = list(best.values())
+    evidence = np.array([*(h.evidence for h in kept), other])
+    weights = np.exp(evidence - evidence.max())
+    labels = [*(h.label for h in kept), SOMETHING_ELSE]
+    return {label: float(w) for label, w in zip(labels, weights / weights.sum(), strict=True) if w > 0}
+
+
+def beside_something_else(probability: dict[str, float], share: float) -> dict[str, float]:
+    """Probability of something else only for what the best effects leave: what they remove is theirs all the same."""
+    other = probability.get(SOMETHING_ELSE, 0.0)
+    left = other * float(np.clip(1.0 - share, 0.0, 1.0))
+    known = {label: p for label, p in probability.items() if label != SOMETHING_ELSE}
+    total = max(sum(known.values()), 1e-300)
+    return {
+        **{label: p / total * (1.0 - left) for label, p in known.items()},
+        **({SOMETHING_ELSE: left} if left > 0 else {}),
+    }
+
+
+def _of_name(name: str, probability: dict[str, float]) -> float:
+    """Probability that an effect is there: of all fits that have it."""
+    return min(sum(p for label, p in probability.items() if name in _names(label)), 1.0)
+
+
+def _names(label: str) -> list[str]:
+    return [part.split(" (")[0] for part in label.split(" + ")]
+
+
+def by_weight(found: list[NamedEffect], hypotheses: Sequence[Hypothesis]) -> list[NamedEffect]:
+    """Effects of one fit, the one first that explains most by itself."""
+    alone = {h.names[0]: h.evidence for h in reversed(hypotheses) if len(h.effects) == 1}
+    return sorted(found, key=lambda effect: -alone.get(effect.name, -np.inf))
+
+
+def _errors(
+    effect: Effect, chosen: Hypothesis, hypotheses: Sequence[Hypothesis], probability: dict[str, float]
+) -> np.ndarray:
+    """Standard errors of an effect's doses, where other fits that have it differ counted in by their probability."""
+    others = [h for h in hypotheses if effect in h.effects]
+    weights = np.array([probability.get(h.label, 0.0) for h in others])
+    own, errors = chosen.doses(effect)
+    squares = errors**2
+    if weights.sum() > 0:
+        squares = weights @ np.array([e**2 + (v - own) ** 2 for v, e in (h.doses(effect) for h in others)])
+        squares /= weights.sum()
+    return np.asarray(np.sqrt(squares + _form_errors(effect, own) ** 2))
+
+
+def _form_errors(effect: Effect, doses: np.ndarray) -> np.ndarray:
+    """A share of the dose, of several in one unit of the length of their vector; of one in decades, as many of it.
+
+    Where the fit leaves next to nothing, the residuals would have a dose to a hundredth of what the model's mesh, steps
+    and contact make of it.
+    """
+    out = np.empty(len(doses))
+    for i, dose in enumerate(effect.doses):
+        alike = [j for j, other in enumerate(effect.doses) if other.unit == dose.unit]
+        size = np.linalg.norm(doses[alike] - np.array([effect.doses[j].null for j in alike]))
+        out[i] = _FORM * (1 / np.log(10) if dose.unit.startswith("log10") else size)
+    return out
+
+
+def named_effects(
+    hypothesis: Hypothesis,
+    hypotheses: Sequence[Hypothesis],
+    probability: dict[str, float],
+    screening: Screening,
+    options: GapOptions,
+) -> list[NamedEffect]:
+    """Effects of a fit.
+
+    Args:
+        hypothesis: the fit.
+        hypotheses: all fits, of which others may have the same effects.
+        probability: by label.
+        screening: for what looks alike.
+        options: for the confidence of intervals.
+    """
+    from scipy.stats import norm
+
+    width = float(norm.ppf(0.5 + options.confidence / 2))
+    by_label = {entry.effect.label: entry for entry in screening.ranked}
+    out = []
+    for effect in hypothesis.effects:
+        values, errors = hypothesis.doses(effect)[0], _errors(effect, hypothesis, hypotheses, probability)
+        doses = tuple(
+            NamedDose(
+                d.name, d.unit, float(v), float(np.clip(v - width * e, d.lower, d.upper)),
+                float(np.clip(v + width * e, d.lower, d.upper)), d.null,
+            )
+            for d, v, e in zip(effect.doses, values, errors, strict=True)
+        )  # fmt: skip
+        own = by_label[effect.label]
+        alike = [
+            e.effect.name
+            for e in screening.one_per_name
+            if e.effect.name != effect.name and screening.similarity(own, e) > _ALIKE
+        ]
+        rivals = [
+            label.split(" (")[0]
+            for label, p in probability.items()
+            if p > 0.1
+            and label != hypothesis.label
+            and label not in ("base model", SOMETHING_ELSE)
+            and " + " not in label
+        ]
+        confused = tuple(dict.fromkeys(n for n in [*alike, *rivals] if n != effect.name))
+        out.append(
+            NamedEffect(effect.name, effect.variant, effect.source, _of_name(effect.name, probability), doses, confused)
+        )
+    return out

@@ -1,0 +1,224 @@
+"""From fits to a verdict, by a list of rules."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from physconvex.gap.errors.screening import Screening
+from physconvex.gap.judgement.case import (
+    FORETOLD,
+    LESS,
+    OPEN,
+    SEEN,
+    TELLING,
+    TRUSTED,
+    Case,
+    Verdict,
+    VerdictName,
+    is_slight,
+)
+from physconvex.gap.judgement.flight import IN_FLIGHT
+from physconvex.gap.judgement.measured import Measured
+from physconvex.gap.judgement.naming import SOMETHING_ELSE, WEAK, beside_something_else, favoured, probabilities
+from physconvex.gap.options import GapOptions
+from physconvex.gap.search.comparison import Hypothesis
+
+__all__ = ["Verdict", "VerdictName", "decide"]
+
+_PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
+_CERTAIN = 0.95  # probability, or share removed of FORETOLD, from which on a placebo that does much is no objection
+_BLIND = 0.1  # floor over size or motion above which "none" would say nothing
+_ASTRAY = 0.5  # distance from the recording over its motion above which the model is no model of it
+_LIKELY = 0.5  # probability from which on an effect is named
+_DOUBT = 0.4  # probability of none and of something else above which no effect is
+_FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
+
+
+def decide(
+    hypotheses: Sequence[Hypothesis], screening: Screening, measured: Measured, options: GapOptions
+) -> Verdict:  # fmt: skip
+    """The verdict: the first of a list of rules that holds.
+
+    Args:
+        hypotheses: the base model and fits, best evidence first.
+        screening: for what is alike.
+        measured: what residuals say of the base model and of the best effects.
+        options: settings.
+    """
+    base = next(h for h in hypotheses if not h.effects)
+    best = favoured(hypotheses)
+    shown = probabilities(hypotheses, measured.other)
+    if best is None:
+        none = beside_something_else(shown, 0.0).get("base model", 0.0)
+        return Verdict("inconclusive", "No effect could be tried on this capture.", (), none, 0.0, ())
+    flies = measured.flight >= TELLING and any(effect.source in IN_FLIGHT for effect in best.effects)
+    probability = beside_something_else(shown, 1.0 if flies else measured.share)
+    case = Case(base, best, tuple(hypotheses), screening, probability, measured, options, flies)
+    rules = (_wide_open, _nothing, _slight, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo)
+    for rule in rules:
+        verdict = rule(case)
+        if verdict is not None:
+            return verdict
+    return _called(case)
+
+
+def _wide_open(e: Case) -> Verdict | None:
+    """A gap that no error of the model comes near, and that the best effects leave."""
+    if not e.left_wide_open or e.flies:
+        return None
+    return _unknown(e)
+
+
+def _nothing(e: Case) -> Verdict | None:
+    """No gap above noise and numerical error; where those are large, that says nothing."""
+    significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
+    # a fit finds what one finite dose does not
+    significant = significant or (e.gain >= TELLING and e.telling) or (e.foretold and e.measured.seen >= SEEN)
+    closed = min(e.measured.before, e.base.fitted) < _FLOOR and not e.telling
+    little = e.gain < WEAK and e.measured.before < OPEN
+    slight = is_slight(e.best) and not e.open and not e.foretold
+    late = e.telling and e.measured.before >= OPEN  # opens after the fitted frames, and the effect foretells it
+    if not (little or slight or (not late and (closed or not significant))):
+        return None
+    if e.measured.floor > _BLIND:
+        return _blind(e)
+    if e.open and not is_slight(e.best):
+        sentence = (
+            "Inconclusive: a gap opens after the frames that were fitted, above noise and numerical error, and "
+            f"{e.best.label}, which fits best, does not foretell it."
+        )
+        return e.verdict("inconclusive", sentence, power=True)
+    reason = "is no more than chance"
+    if closed:
+        reason = "lies within these errors"
+    if is_slight(e.best):
+        reason = "is smaller than is of interest"
+    sentence = f"No gap above noise and numerical error: what {e.best.label} would add {reason}."
+    return e.verdict("none", sentence, power=True)
+
+
+def _slight(e: Case) -> Verdict | None:
+    """A dose too small to be of interest fits best, and leaves the gap."""
+    if not is_slight(e.best) or e.foretold:
+        return None
+    if e.measured.floor > _BLIND:
+        return _blind(e)
+    sentence = (
+        f"Inconclusive: there is a gap above noise and numerical error, but what fits it best, {e.best.label}, is "
+        "smaller than is of interest and leaves it."
+    )
+    return e.verdict("inconclusive", sentence, power=True)
+
+
+def _blind(e: Case) -> Verdict:
+    sentence = (
+        f"Inconclusive: the model's own numerical error and the noise ({e.measured.floor:.0%} of the body's size or "
+        "motion) hide whatever gap there is. Allow a finer mesh, or record a motion with less contact."
+    )
+    return e.verdict("inconclusive", sentence, power=True)
+
+
+def _numerical(e: Case) -> Verdict | None:
+    """All effects of the best fit are numerical; where such errors are large, that says nothing either."""
+    if any(effect.source != "numerical" for effect in e.best.effects):
+        return None
+    if e.measured.floor > _BLIND:
+        return _blind(e)
+    if e.open:
+        sentence = (
+            f"Inconclusive: numerical error ({e.best.label}) fits best, but leaves a gap above noise and what "
+            "else this model errs by."
+        )
+        return e.verdict("inconclusive", sentence, e.possible)
+    sentence = (
+        f"No physical cause: what the recording differs by is numerical error ({e.best.label}), of this model or of "
+        "the program that made the recording."
+    )
+    return e.verdict("none", sentence, e.possible)
+
+
+def _weak(e: Case) -> Verdict | None:
+    """A gain too small for a call."""
+    if e.clear:
+        return None
+    sentence = (
+        f"Inconclusive: {e.best.label} is favoured, but the recording cannot tell it from no effect that is known "
+        f"(probability {e.probability[e.best.label]:.0%} against {e.none:.0%} for none)."
+    )
+    return e.verdict("inconclusive", sentence, e.possible, power=True)
+
+
+def _off_the_recording(e: Case) -> Verdict | None:
+    """The model is none of this recording."""
+    if e.measured.astray <= _ASTRAY:
+        return None
+    sentence = (
+        f"The model does not follow the recording: with {e.best.label} it is still off by {e.measured.astray:.0%} of "
+        "the motion. Check rest geometry, boundary, units, frame rate and gravity before looking for an effect."
+    )
+    return e.verdict("unknown", sentence)
+
+
+def _unexplained(e: Case) -> Verdict | None:
+    """A gap that the best effects leave; what the model's own error may be is not for effects to explain."""
+    if max(e.measured.share, e.measured.above_error) >= e.options.explained or e.measured.after <= 2.0 or e.flies:
+        return None
+    if e.measured.struck and (e.best.fitted < _FLOOR or e.measured.forgiven <= 2.0):
+        sentence = (
+            f"Inconclusive: with {e.best.label} the model fits as well as it can err, and later parts from the "
+            "recording: an unknown effect would do so, and so would a rebound that is a little off."
+        )
+        return e.verdict("inconclusive", sentence, e.possible)
+    return _unknown(e)
+
+
+def _unknown(e: Case) -> Verdict:
+    sentence = (
+        "There is a gap that none of the known effects explains: on frames that were not fitted it is "
+        f"{e.measured.seen:.1f} times what noise and numerical error lead one to expect, and the best of them, "
+        f"{e.best.label}, removes {max(e.measured.share, 0):.0%} of it."
+    )
+    return e.verdict("unknown", sentence, e.possible)
+
+
+def _as_good_as_a_placebo(e: Case) -> Verdict | None:
+    """An effect that nothing asks for does nearly as much, or the best one does nothing where it was not fitted."""
+    certain, m = bool(e.named) and min(n.probability for n in e.named) >= _CERTAIN, e.measured
+    if e.flies or ((certain or m.share >= FORETOLD) and 1.0 - m.share <= LESS * (1.0 - m.placebo)):
+        return None
+    nothing = m.share <= 0 or (m.reported <= 0 and m.after > 2.0)
+    if not (nothing or m.placebo > _PLACEBO * m.share):
+        return None
+    if nothing:
+        sentence = (
+            f"Inconclusive: {e.best.label} fits best, but removes nothing of the gap on frames that were not fitted."
+        )
+        return e.verdict("inconclusive", sentence, e.possible)
+    sentence = (
+        f"Inconclusive: {e.best.label} fits best and removes {m.share:.0%} of the gap on frames that were not fitted, "
+        f"but an effect that the recording does not ask for removes {m.placebo:.0%} as well."
+    )
+    return e.verdict("inconclusive", sentence, e.possible)
+
+
+def _called(e: Case) -> Verdict:
+    """The best effects are the cause."""
+    likely = tuple(n for n in e.named if n.probability >= _LIKELY) or (
+        max(e.named, key=lambda n: n.probability),
+    )  # of several that are alike none may have half, and it is one of them all the same
+    if e.probability.get(SOMETHING_ELSE, 0.0) + e.none >= _DOUBT and not (e.foretold or e.flies):
+        shares = ", ".join(f"{n.name} {n.probability:.0%}" for n in e.possible)
+        sentence = (
+            f"Inconclusive: there is a gap, and {e.best.label} fits best, but leaves so much that "
+            f"it may well be none of them ({shares}; something else {e.probability.get(SOMETHING_ELSE, 0.0):.0%})."
+        )
+        return e.verdict("inconclusive", sentence, e.possible)
+    doses = "; ".join(f"{d.name} = {d.value:.3g} {d.unit}".strip() for n in likely for d in n.doses)
+    also = sorted({name for n in likely for name in n.confused_with})
+    caveat = f"; from this recording it may be confused with {', '.join(also)}" if also else ""
+    perhaps = [f"{n.name} ({TRUSTED * n.probability:.0%})" for n in (*e.named, *e.further) if n not in likely]
+    added = f"; perhaps also by {', '.join(perhaps)}" if perhaps else ""
+    label = " + ".join(x.label for x in e.best.effects if x.name in {n.name for n in likely})
+    sure = ", ".join(f"{TRUSTED * n.probability:.0%}" for n in likely)
+    sentence = f"The gap is caused by {label} (probability {sure}): {doses}{added}{caveat}."
+    return e.verdict("effect", sentence, e.possible)

@@ -1,0 +1,1 @@
+"""What the light of a video tells, apart from the motion."""

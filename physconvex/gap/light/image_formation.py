@@ -1,0 +1,310 @@
+"""Effects of image formation: exposure that drifts, a shutter that stays open.
+
+They move no point, so they are looked for apart from the motion. Of each picture two statistics are taken, relative to
+the first one: the logarithm of the light of the still background, and of the body's patches the logarithm of the energy
+of gradients along their motion over that across it, which a smear along the motion lowers, and which lack of focus, a
+lossy codec or a patch that is a pixel off leave alone. Each effect, put into patches of the first picture, foretells
+one of the two. Its dose is fitted to every other frame, and judged on the frames between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.interpolate import PchipInterpolator
+from scipy.optimize import minimize_scalar
+from scipy.stats import norm
+
+from physconvex.gap.base.baseline import Baseline
+from physconvex.gap.effects import Effect, Patches, Situation
+from physconvex.gap.judgement.case import TRUSTED, Verdict
+from physconvex.gap.judgement.naming import NamedDose, NamedEffect
+from physconvex.gap.light.patches import HALF, Compared, body_patches, light_of, still_patches
+from physconvex.gap.options import GapOptions
+from physconvex.identify import PixelObservations
+from physconvex.identify.raster import cast_camera_rays
+
+__all__ = [
+    "BRIGHTNESS",
+    "SMEAR",
+    "ImageFinding",
+    "Series",
+    "Statistic",
+    "finding_of",
+    "fit_series",
+    "image_findings",
+    "with_pictures",
+]
+
+Feature = Callable[[Float[np.ndarray, "N h w"], Patches], Float[np.ndarray, " N"]]
+_CLEAR = 4.0  # gain of log-likelihood that makes a call
+_PLACEBO = 0.5  # share of an effect's shrinkage that one of the wrong direction may reach
+_DOSES = 9  # at which an effect is put into the patches
+_LEAST, _FRAMES = 5, 6  # patches in a frame, and such frames, below which nothing is told
+_TINY = 1e-9
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """A number of each patch: its name, light [N, h, w] and patches to numbers [N], what it errs by without effect."""
+
+    name: str
+    of: Feature
+    floor: float
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """A statistic of the pictures, frame by frame, and what an effect makes of it.
+
+    Attributes:
+        frames: shape [n].
+        seen: medians over the patches of a frame, relative to the first picture, shape [n].
+        errors: their standard errors, shape [n].
+        doses: at which the effect was tried, shape [K].
+        foretold: the statistic at these doses, shape [K, n].
+    """
+
+    frames: Int[np.ndarray, " n"]
+    seen: Float[np.ndarray, " n"]
+    errors: Float[np.ndarray, " n"]
+    doses: Float[np.ndarray, " K"]
+    foretold: Float[np.ndarray, "K n"]
+
+    def at(self, dose: float) -> Float[np.ndarray, " n"]:
+        """The statistic at a dose."""
+        return np.asarray(PchipInterpolator(self.doses, self.foretold)(dose))
+
+    def missed(self, dose: float) -> float:
+        """Mean square of what is seen less what the dose foretells."""
+        return float(((self.seen - self.at(dose)) ** 2).mean())
+
+    def every_other(self, first: int) -> Series:
+        """Every other frame from the first one or the next."""
+        part = slice(first, None, 2)
+        return Series(self.frames[part], self.seen[part], self.errors[part], self.doses, self.foretold[:, part])
+
+
+@dataclass(frozen=True, eq=False)
+class ImageFinding:
+    """What the pictures say of one effect.
+
+    Attributes:
+        effect: the effect.
+        named: with probability, dose and interval.
+        called: whether it is a cause.
+        statistic: what was compared, for people.
+        gap_before, gap_after, noise_floor: rms of the statistic (a logarithm) in frames that fitted nothing.
+        shrinkage: share of the gap above the floor that the effect removes there.
+        placebo: the same by an effect of the wrong direction; NaN where there is none.
+        series: what was seen.
+    """
+
+    effect: Effect
+    named: NamedEffect
+    called: bool
+    statistic: str
+    gap_before: float
+    gap_after: float
+    noise_floor: float
+    shrinkage: float
+    placebo: float
+    series: Series
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        dose = self.named.doses[0]
+        return (
+            f"The pictures show {self.effect.name} (probability {self.named.probability:.0%}): {dose.name} = "
+            f"{dose.value:.3g} {dose.unit}, which moves no point."
+        )
+
+
+def image_findings(base: Baseline, effects: Sequence[Effect], options: GapOptions) -> tuple[ImageFinding, ...]:
+    """What the pictures say of effects of image formation; none where markers were compared.
+
+    Args:
+        base: the base fit, for the points and the surface.
+        effects: the dictionary.
+        options: for the confidence, and the least share of the gap that a named effect must remove.
+    """
+    seen = base.observations
+    tried = [effect for effect in effects if effect.photograph is not None and effect.applies(base.situation)]
+    if not tried or not isinstance(seen, PixelObservations):
+        return ()
+    fps = base.capture.fps
+    light = light_of(base.capture.video(seen.camera.name).frames[: base.model.frames])
+    outline = cast_camera_rays(seen.camera, *base.model.twin.surface).faces >= 0
+    still, moving = still_patches(light, seen, fps, outline), body_patches(light, seen, fps, outline)
+    found = [
+        finding_of(effect, base.situation, statistic, compared, options)
+        for effect in tried
+        for statistic, compared in ((BRIGHTNESS, still), (SMEAR, moving))
+    ]
+    return tuple(finding for finding in found if finding is not None)
+
+
+def with_pictures(verdict: Verdict, findings: Sequence[ImageFinding]) -> Verdict:
+    """The verdict on the motion, and what the pictures show beside.
+
+    An effect of the pictures is a cause of its own; where the motion's verdict stays open, it stays so.
+    """
+    called = [finding for finding in findings if finding.called]
+    if not called:
+        return verdict
+    named, told = tuple(finding.named for finding in called), " ".join(finding.sentence for finding in called)
+    if verdict.name == "none":
+        return replace(verdict, name="effect", sentence=f"{told} Of the motion: {verdict.sentence}", effects=named)
+    effects = (*verdict.effects, *named)
+    if verdict.name == "effect":
+        return replace(verdict, sentence=f"{verdict.sentence} {told}", effects=effects)
+    return replace(verdict, effects=effects, caveats=(told, *verdict.caveats))
+
+
+def finding_of(
+    effect: Effect, situation: Situation, statistic: Statistic, compared: Compared, options: GapOptions
+) -> ImageFinding | None:
+    """What one statistic says of one effect; None where the effect does not show in it, or too little is seen."""
+    series = series_of(effect, situation, statistic, compared)
+    if series is None:
+        return None
+    first, fitted, judging = effect.doses[0], series.every_other(0), series.every_other(1)
+    dose, error, gain = fit_series(fitted, first.null)
+    width = error * float(norm.ppf(0.5 + options.confidence / 2))
+    lower, upper = np.clip([dose - width, dose + width], first.lower, first.upper)
+    before, after, floor = judging.missed(first.null), judging.missed(dose), float((judging.errors**2).mean())
+    share = _share(before, after, floor)
+    placebo = _placebo(effect, situation, statistic, compared, before, floor)
+    called = (
+        gain >= _CLEAR
+        and abs(dose - first.null) >= first.smallest
+        and share >= options.explained
+        and not placebo > _PLACEBO * share
+    )
+    named = NamedEffect(
+        effect.name, effect.variant, effect.source, TRUSTED / (1 + float(np.exp(-gain))),
+        (NamedDose(first.name, first.unit, dose, float(lower), float(upper), first.null),), (),
+    )  # fmt: skip
+    return ImageFinding(
+        effect,
+        named,
+        called,
+        statistic.name,
+        gap_before=float(np.sqrt(before)),
+        gap_after=float(np.sqrt(after)),
+        noise_floor=float(np.sqrt(floor)),
+        shrinkage=share,
+        placebo=placebo,
+        series=series,
+    )
+
+
+def series_of(
+    effect: Effect, situation: Situation, statistic: Statistic, compared: Compared, *, across: bool = False
+) -> Series | None:
+    """The statistic in all frames with enough patches, seen and foretold at a row of doses.
+
+    Args:
+        effect: with `photograph`.
+        situation: for the range of doses: twice the trial one to both sides, within the bounds.
+        statistic: what is compared.
+        compared: the patches.
+        across: turn the motion by a right angle (a placebo).
+    """
+    assert effect.photograph is not None
+    dose, trial = effect.doses[0], 2 * effect.doses[0].trial(situation)
+    doses = np.linspace(max(dose.lower, dose.null - trial), min(dose.upper, dose.null + trial), _DOSES)
+    frames, counts = np.unique(compared.frames, return_counts=True)
+    frames = frames[counts >= _LEAST]
+    if len(frames) < _FRAMES:
+        return None
+    sharp = compared.sharp
+    turned = Patches(sharp.light, sharp.velocities[:, ::-1] * [-1, 1], sharp.times) if across else sharp
+    plain = statistic.of(_middle(sharp.light), sharp)
+    seen = statistic.of(compared.seen, sharp) - plain
+    others = np.tile(effect.null, (_DOSES, 1))
+    others[:, 0] = doses
+    foretold = [statistic.of(_middle(effect.photograph(turned, row)), sharp) - plain for row in others]
+    per_frame = [np.flatnonzero(compared.frames == frame) for frame in frames]
+    medians = np.array([[np.median(values[rows]) for rows in per_frame] for values in foretold])
+    if np.ptp(medians, axis=0).max() < statistic.floor:
+        return None
+    errors = [_median_error(seen[rows]) for rows in per_frame]
+    return Series(
+        frames,
+        np.array([np.median(seen[rows]) for rows in per_frame]),
+        np.hypot(errors, statistic.floor),
+        doses,
+        medians,
+    )
+
+
+def fit_series(series: Series, null: float) -> tuple[float, float, float]:
+    """Dose, its standard error, and what it gains of log-likelihood over `null`, half of ln n for the dose paid.
+
+    Scatter beyond the stated errors widens them all.
+    """
+
+    def square(dose: float) -> float:
+        return float((((series.seen - series.at(dose)) / series.errors) ** 2).sum())
+
+    values = [square(dose) for dose in series.doses]
+    best = int(np.argmin(values))
+    low, high = series.doses[max(best - 1, 0)], series.doses[min(best + 1, len(series.doses) - 1)]
+    dose = float(minimize_scalar(square, bounds=(low, high), method="bounded").x)
+    scatter = max(1.0, square(dose) / max(len(series.frames) - 1, 1))
+    step = 0.1 * (series.doses[1] - series.doses[0])
+    ahead, behind = min(dose + step, series.doses[-1]), max(dose - step, series.doses[0])
+    slope = (series.at(ahead) - series.at(behind)) / (ahead - behind) / series.errors
+    error = float(np.sqrt(scatter / max(slope @ slope, 1e-300)))
+    return dose, error, 0.5 * (square(null) - square(dose)) / scatter - 0.5 * float(np.log(len(series.frames)))
+
+
+def _placebo(
+    effect: Effect, situation: Situation, statistic: Statistic, compared: Compared, before: float, floor: float
+) -> float:
+    """Share that the effect removes if the motion were at a right angle to what it is; NaN where nothing moves."""
+    if not compared.sharp.velocities.any():
+        return float("nan")
+    series = series_of(effect, situation, statistic, compared, across=True)
+    if series is None:
+        return 0.0
+    dose, _, _ = fit_series(series.every_other(0), effect.doses[0].null)
+    return _share(before, series.every_other(1).missed(dose), floor)
+
+
+def _share(before: float, after: float, floor: float) -> float:
+    """Of the squares above the floor; zero where there are none."""
+    return 1.0 - max(after - floor, 0.0) / (before - floor) if before > floor else 0.0
+
+
+def _middle(light: Float[np.ndarray, "N H W"]) -> Float[np.ndarray, "N h w"]:
+    """Without the margin."""
+    middle = light.shape[1] // 2
+    side = slice(middle - HALF, middle + HALF + 1)
+    return np.asarray(light[:, side, side])
+
+
+def _median_error(values: Float[np.ndarray, " n"]) -> float:
+    """Standard error of a median, from the median deviation."""
+    return float(1.25 * 1.48 * np.median(np.abs(values - np.median(values))) / np.sqrt(len(values)))
+
+
+def _brightness(light: Float[np.ndarray, "N h w"], patches: Patches) -> Float[np.ndarray, " N"]:
+    return np.asarray(np.log(light.mean((1, 2)) + _TINY))
+
+
+def _smear(light: Float[np.ndarray, "N h w"], patches: Patches) -> Float[np.ndarray, " N"]:
+    down, right = np.gradient(light, axis=(1, 2))
+    way = patches.velocities / np.maximum(np.linalg.norm(patches.velocities, axis=1, keepdims=True), _TINY)
+    x, y = way[:, 0, None, None], way[:, 1, None, None]
+    along, across = (right * x + down * y) ** 2, (down * x - right * y) ** 2
+    return np.asarray(np.log((along.mean((1, 2)) + _TINY) / (across.mean((1, 2)) + _TINY)))
+
+
+BRIGHTNESS = Statistic("light of the background, logarithm", _brightness, 0.01)
+SMEAR = Statistic("gradients along the motion over those across it, logarithm of energies", _smear, 0.1)

@@ -1,0 +1,1 @@
+"""Where the gap lies: sources, time, body, vibrations, impulse and work."""

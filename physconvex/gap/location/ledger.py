@@ -1,0 +1,86 @@
+"""What the world did to the body beyond the base model: impulse, angular impulse and work, phase by phase."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.gap.base.baseline import Baseline
+from physconvex.identify import MarkerObservations
+
+__all__ = ["Entry", "impulses"]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One phase of the motion.
+
+    Attributes:
+        phase: its name.
+        frames: first and last.
+        impulse: that the observed body received and the model's did not [N s], shape [3].
+        angular_impulse: about its centre [N m s], shape [3].
+        work: gain of kinetic and potential energy of its rigid motion beyond the model's [J].
+        impulse_error: standard error of each component of the impulse [N s], from the noise.
+    """
+
+    phase: str
+    frames: tuple[int, int]
+    impulse: tuple[float, float, float]
+    angular_impulse: tuple[float, float, float]
+    work: float
+    impulse_error: float
+
+
+def _rigid_motion(
+    positions: Float[np.ndarray, "T P 3"], fps: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Centre [T, 3], its velocity and the spin [T, 3] of a cloud of points, by central differences of the points."""
+    velocity = np.gradient(positions, 1 / fps, axis=0)
+    centre, mean = positions.mean(1), velocity.mean(1)
+    spin = np.empty_like(centre)
+    for t in range(len(positions)):
+        arm, speed = positions[t] - centre[t], velocity[t] - mean[t]
+        inertia = (arm**2).sum() * np.eye(3) - arm.T @ arm
+        spin[t] = np.linalg.lstsq(inertia, np.cross(arm, speed).sum(0), rcond=1e-9)[0]
+    return centre, mean, spin
+
+
+def impulses(base: Baseline, phases: tuple[str, ...]) -> tuple[Entry, ...]:
+    """The ledger of a free body followed by markers; empty else.
+
+    The markers' centre stands for the body's; its inertia is that of the rest shape, its mean over directions.
+    """
+    seen = base.observations
+    if not isinstance(seen, MarkerObservations) or base.situation.clamped:
+        return ()
+    points = np.flatnonzero(np.isfinite(seen.positions).all((0, 2)))
+    if len(points) < 4 or base.model.frames < 4:
+        return ()
+    mesh, fps = base.model.twin.mesh, base.capture.fps
+    mass = base.capture.density * float(np.abs(mesh.element_volumes).sum())
+    cells, volumes = mesh.vertices[mesh.corner_tets].mean(1), np.abs(mesh.element_volumes)
+    middle = volumes @ cells / volumes.sum()
+    inertia = base.capture.density * float(volumes @ ((cells - middle) ** 2).sum(1)) * 2 / 3
+    real, model = (_rigid_motion(p[:, points], fps) for p in (seen.positions, base.positions))
+    gravity = np.asarray(base.capture.gravity)
+    energy = [
+        0.5 * mass * (v**2).sum(1) + 0.5 * inertia * (w**2).sum(1) - mass * (c - c[0]) @ gravity
+        for c, v, w in (real, model)
+    ]
+    gain, push, turn = energy[0] - energy[1], mass * (real[1] - model[1]), inertia * (real[2] - model[2])
+    sigma = float(np.median(seen.sigma[:, points]))
+    error = mass * sigma * fps / np.sqrt(len(points))
+    out, start = [], 0
+    for name, group in groupby(phases):
+        end = start + len(list(group))
+        first, last = max(start - 1, 0), end - 1
+        out.append(Entry(
+            name, (start, last), tuple(float(x) for x in push[last] - push[first]),  # type: ignore[arg-type]
+            tuple(float(x) for x in turn[last] - turn[first]), float(gain[last] - gain[first]), error,  # type: ignore[arg-type]
+        ))  # fmt: skip
+        start = end
+    return tuple(out)

@@ -1,0 +1,116 @@
+"""What the gap is made of, by source: noise, numerical error, geometry, observation, dynamics, and what is left.
+
+Mean squares add up frame by frame. What the best effects explain is shared between dynamics, observation and numerical
+effects by their Shapley values: the mean, over the orders in which the three may be added, of what each takes away.
+No model is run for that: effects of the observation and numerical ones act on motions that are known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import permutations
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.gap.base.baseline import Baseline
+from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.search.comparison import Hypothesis
+
+__all__ = ["Budget", "budget_of", "reduction_by_frame", "squares_by_frame"]
+
+Squares = Float[np.ndarray, " T"]
+_GROUPS = ("dynamics", "observation", "numerical")
+
+
+@dataclass(frozen=True, eq=False)
+class Budget:
+    """Mean squares by frame [m²], shape [T] each; NaN where nothing is seen.
+
+    Attributes:
+        noise: of the observation.
+        numerical: of mesh, step and contact, as far as the best fit leaves it; and what numerical effects explain.
+        geometry: what the first frame, in which nothing has moved yet, is off by beyond noise: markers that are not
+            where they are said to be, a body of another shape. Carried along; none of followed points, which are taken
+            from there.
+        observation: what effects of cameras and clocks explain.
+        dynamics: what all other effects explain.
+        unexplained: what is left.
+    """
+
+    noise: Squares
+    numerical: Squares
+    geometry: Squares
+    observation: Squares
+    dynamics: Squares
+    unexplained: Squares
+
+
+def squares_by_frame(base: Baseline, squares: Float[np.ndarray, " N"]) -> Squares:
+    """Mean over the residuals of a frame of squares [N] in m², times the coordinates (a distance)."""
+    count, frames = base.model.frames, base.observations.frames
+    seen = np.bincount(frames, minlength=count)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(
+            base.components * np.bincount(frames, squares, minlength=count) / np.where(seen, seen, np.nan)
+        )
+
+
+def budget_of(base: Baseline, errors: ErrorModel, best: Hypothesis) -> Budget:
+    """The gap of the base model in parts."""
+    noise, expected = base.lengths**2, errors.expected * base.lengths**2
+    total, left = (squares_by_frame(base, base.missed(x) ** 2) for x in (base.positions, best.positions))
+    quiet, floor = squares_by_frame(base, noise), squares_by_frame(base, expected)
+    shares = _explained(base, best)
+    above = np.clip(left - quiet, 0.0, None)
+    geometry = np.minimum(above, np.nan_to_num(above[0]))
+    numerical = np.clip(np.minimum(left, floor) - quiet, 0.0, above - geometry)
+    return Budget(
+        noise=np.minimum(quiet, total),
+        numerical=numerical + shares[2],
+        geometry=geometry,
+        observation=shares[1],
+        dynamics=shares[0],
+        unexplained=above - geometry - numerical,
+    )
+
+
+def reduction_by_frame(base: Baseline) -> Squares | None:
+    """What the reduced model differs from the full-order one by; None where it was not run.
+
+    It is no part of the gap, in which the full-order model is compared: it comes on top of it in the reduced twin.
+    """
+    missed = base.model.directions.get("reduction")
+    return None if missed is None else np.asarray((missed[: base.model.frames] ** 2).sum(-1).mean(1))
+
+
+def _explained(base: Baseline, best: Hypothesis) -> Float[np.ndarray, "3 T"]:
+    """What dynamics, observation and numerical effects take away of the squares, by frame."""
+    known = {frozenset(group): _left(base, best, frozenset(group)) for group in _subsets()}
+    shares = np.zeros((3, base.model.frames))
+    orders = list(permutations(range(3)))
+    for order in orders:
+        for place, group in enumerate(order):
+            shares[group] += known[frozenset(order[:place])] - known[frozenset(order[: place + 1])]
+    taken = np.clip(shares.sum(0) / len(orders), 0.0, None)  # where they make a frame worse, they explain nothing of it
+    helping = np.clip(shares, 0.0, None)  # one of two that work against each other has no share of what both take away
+    return np.asarray(helping * taken / np.maximum(helping.sum(0), 1e-300))
+
+
+def _subsets() -> list[tuple[int, ...]]:
+    return [tuple(i for i in range(3) if code >> i & 1) for code in range(8)]
+
+
+def _left(base: Baseline, best: Hypothesis, groups: frozenset[int]) -> Squares:
+    """Squares by frame with some groups of the best effects alone, the others at their null doses."""
+    values = best.values.copy()
+    for effect, where in zip(best.model.effects, best.model.slices, strict=True):
+        if _group(effect.source) not in groups:
+            values[where] = effect.null
+    motion, correction = (best.motion, best.model.correction) if 0 in groups else (base.motion, base.model.correction)
+    positions = replace(best.model, correction=correction).observed(motion, values)
+    return squares_by_frame(base, base.missed(positions) ** 2)
+
+
+def _group(source: str) -> int:
+    return _GROUPS.index(source) if source in _GROUPS else 0

@@ -1,0 +1,1 @@
+"""The result as JSON, as a page with pictures, and as an improved twin."""

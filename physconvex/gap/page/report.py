@@ -1,0 +1,99 @@
+"""The result of a diagnosis: files, and the twin that it improves."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.errors import InputError
+from physconvex.fem import Scene
+from physconvex.gap.light.image_formation import ImageFinding
+from physconvex.gap.page.findings import GapFindings
+from physconvex.gap.page.html import write_html
+from physconvex.gap.page.pictures import write_body
+from physconvex.gap.search.comparison import Hypothesis
+from physconvex.reduced import ReducedScene
+
+__all__ = ["GapReport", "ImprovedTwin"]
+
+
+@dataclass(frozen=True, eq=False)
+class ImprovedTwin:
+    """The base model with the effects, at the fitted values.
+
+    Attributes:
+        hypothesis: of the motion.
+        pictures: effects of image formation that were called; they move no point.
+    """
+
+    hypothesis: Hypothesis
+    pictures: tuple[ImageFinding, ...] = ()
+
+    @property
+    def scene(self) -> Scene:
+        """Full-order scene."""
+        return self.hypothesis.model.full_scene(self.hypothesis.values)
+
+    @property
+    def reduced_scene(self) -> ReducedScene:
+        """Reduced scene."""
+        return self.hypothesis.model.reduced_scene(self.hypothesis.values)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters and doses by name."""
+        motion = {n: float(v) for n, v in zip(self.hypothesis.model.names, self.hypothesis.values, strict=True)}
+        return motion | {f"{p.effect.name}.{p.named.doses[0].name}": p.named.doses[0].value for p in self.pictures}
+
+    def positions(self) -> Float[np.ndarray, "T P 3"]:
+        """What is observed of it [m]."""
+        return self.hypothesis.positions
+
+
+@dataclass(frozen=True, eq=False)
+class GapReport(GapFindings):
+    """`GapFindings` that can be applied and saved."""
+
+    def apply(self) -> ImprovedTwin:
+        """The twin with the named effects added.
+
+        Raises:
+            InputError: the verdict names no effect.
+        """
+        if self.verdict.name != "effect":
+            raise InputError(
+                f"apply: the verdict is {self.verdict.name!r}; expected 'effect'. The best fit is in `best` regardless"
+            )
+        called = tuple(finding for finding in self.pictures if finding.called)
+        moved = {effect.name for effect in self.verdict.effects} & set(self.best.names)
+        base = next(h for h in self.hypotheses if not h.effects)
+        return ImprovedTwin(self.best if moved else base, called)
+
+    def save(self, folder: Path | str) -> None:
+        """Write report.json, report.html and body.ply.
+
+        Raises:
+            InputError: the folder cannot be made.
+        """
+        target = Path(folder)
+        try:
+            target.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(f"{target}: cannot be made ({error}); choose another folder for the results") from error
+        text = json.dumps(self.to_json(), indent=1, allow_nan=False, default=_plain)
+        (target / "report.json").write_text(text + "\n", encoding="utf-8")
+        write_body(self.where, target / "body.ply")
+        write_html(self, target / "report.html")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is no JSON")

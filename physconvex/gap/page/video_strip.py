@@ -1,0 +1,123 @@
+"""The video beside what the models show: observed, base model, with the effects, and what differs.
+
+A model's picture is the first image, carried along by the surface as the model moves it; where the first image does not
+show the surface, the picture is left empty.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.figure import Figure
+
+from physconvex.errors import ConvergenceError
+from physconvex.gap.page.findings import GapFindings
+from physconvex.gap.search.comparison import Hypothesis
+from physconvex.identify import PixelObservations
+from physconvex.identify.raster import cast_camera_rays
+from physconvex.identify.video_tracks import appearance_map
+
+__all__ = ["video_strip"]
+
+_COLUMNS = 6
+_EMPTY = 235  # grey of pixels that a model's picture leaves open
+_MARGIN = 12  # pixels around the body
+
+
+def video_strip(report: GapFindings) -> Figure | None:
+    """Some frames of the video in columns; None where markers were compared, or a model cannot be run again."""
+    seen, base = report.base.observations, report.base
+    if not isinstance(seen, PixelObservations):
+        return None
+    frames = base.capture.video(seen.camera.name).frames[: base.model.frames]
+    vertices, triangles = base.model.twin.surface
+    first = next(h for h in report.hypotheses if not h.effects)
+    models = [("base model", first)]
+    if report.best.effects:
+        models.append((f"with {report.best.label}", report.best))
+    try:
+        moved = [(name, _moved(h, vertices)) for name, h in models]
+    except ConvergenceError:
+        return None
+    chosen = np.unique(np.linspace(0, len(frames) - 1, _COLUMNS + 1).round().astype(int)[1:])
+    rows = [("observed", [frames[t] for t in chosen])]
+    rows += [(name, [_picture(report, frames[0], x, t, triangles) for t in chosen]) for name, x in moved]
+    differences = [(f"observed − {name}", [_difference(frames[t], picture) for t, picture in zip(chosen, shown)])  # noqa: B905
+                   for name, shown in rows[1:]]  # fmt: skip
+    return _drawn(rows, differences, chosen, base.capture.fps, _window(report, [x for _, x in moved], frames))
+
+
+def _moved(hypothesis: Hypothesis, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "T V 3"]:
+    """The surface's motion as the model has it observed.
+
+    Raises:
+        ConvergenceError: the model cannot be run again.
+    """
+    model = replace(hypothesis.model, points=vertices, correction=None, directions={})
+    return model.positions(hypothesis.values)
+
+
+def _picture(
+    report: GapFindings, origin: np.ndarray, moved: np.ndarray, frame: int, triangles: np.ndarray
+) -> np.ndarray:
+    """The first image as the model moves it, [H, W, 4]; the last channel is where it is known."""
+    import cv2
+
+    seen = report.base.observations
+    assert isinstance(seen, PixelObservations)
+    rest = cast_camera_rays(seen.camera, moved[0], triangles)
+    hits = cast_camera_rays(seen.camera, moved[frame], triangles)
+    source, known = appearance_map(seen.camera, moved[0], triangles, hits, rest)
+    picture = cv2.remap(origin, source[..., 0], source[..., 1], cv2.INTER_LINEAR)
+    return np.dstack([np.where(known[..., None], picture, _EMPTY), 255 * known]).astype(np.uint8)
+
+
+def _difference(observed: np.ndarray, picture: np.ndarray) -> np.ndarray:
+    """Brightness of the observed image less the model's, −1 to 1; NaN where the model shows nothing."""
+    known = picture[..., 3] > 0
+    signed = (observed.astype(np.float64).mean(-1) - picture[..., :3].astype(np.float64).mean(-1)) / 255
+    return np.where(known, signed, np.nan)
+
+
+def _window(report: GapFindings, moved: list[np.ndarray], frames: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of the picture in which the body is ever seen."""
+    seen = report.base.observations
+    assert isinstance(seen, PixelObservations)
+    pixels = np.concatenate([seen.camera.project(x.reshape(-1, 3))[0] for x in moved])
+    pixels = pixels[np.isfinite(pixels).all(1)]
+    height, width = frames.shape[1:3]
+    low = np.clip(pixels.min(0) - _MARGIN, 0, [width - 2, height - 2]).astype(int)
+    high = np.clip(pixels.max(0) + _MARGIN, low + 2, [width, height]).astype(int)
+    return slice(low[1], high[1]), slice(low[0], high[0])
+
+
+def _drawn(
+    rows: list[tuple[str, list[np.ndarray]]],
+    differences: list[tuple[str, list[np.ndarray]]],
+    chosen: np.ndarray,
+    fps: float,
+    window: tuple[slice, slice],
+) -> Figure:
+    height, width = rows[0][1][0][window].shape[:2]
+    count = len(rows) + len(differences)
+    side = 9.5 / len(chosen)
+    figure = Figure(figsize=(9.5 + 1.0, count * side * height / width + 0.3), layout="constrained")
+    panels = figure.subplots(count, len(chosen), squeeze=False)
+    for number, (line, (name, pictures)) in enumerate(zip(panels, [*rows, *differences], strict=True)):
+        for axes, picture, frame in zip(line, pictures, chosen, strict=True):
+            axes.set_xticks([])
+            axes.set_yticks([])
+            for spine in axes.spines.values():
+                spine.set_visible(False)
+            shown = picture[window]
+            if picture.ndim == 2:
+                axes.set_facecolor("#f2f2f2")
+                axes.imshow(shown, cmap="RdBu", vmin=-0.5, vmax=0.5)
+            else:
+                axes.imshow(shown[..., :3])
+            if number == 0:
+                axes.set_title(f"frame {frame}, {1e3 * frame / fps:.0f} ms", fontsize=8)
+        line[0].set_ylabel(name.replace(" + ", "\n+ ").replace("observed − ", "observed −\n"), fontsize=7)
+    return figure

@@ -1,0 +1,143 @@
+"""How much residuals say: mean squares, how many of them are independent, and what evidence for effects they make.
+
+All of it by kind of residual (`physconvex.gap.base.body_modes`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from physconvex.gap.base.baseline import Baseline
+from physconvex.gap.base.independence import temperature
+from physconvex.gap.effects import Effect
+from physconvex.gap.errors.score import ErrorModel
+
+__all__ = [
+    "evidence_of",
+    "information_by_kind",
+    "information_per_one",
+    "likelihood_by_kind",
+    "mean_square",
+    "moved_kinds",
+    "residuals_per_one",
+    "squares_by_kind",
+]
+
+_UNSEEN = 0.01  # mean square of a change over the expected one below which it tells nothing
+_ENOUGH = 1.0  # mean square over the expected one that a better fit need not undercut
+
+
+def mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
+    """Mean square of some frames' residuals over that of noise and numerical error; NaN without any.
+
+    Where there are kinds of residuals, each counts by its independent ones; the larger of what it is before the first
+    contact and from then on.
+    """
+    squares, information = squares_by_kind(base, errors, positions, frames), information_by_kind(base, errors, frames)
+    found = [
+        float(squares[own] @ information[own] / information[own].sum())
+        for struck in (False, True)
+        if (own := (information > 0) & (base.modes.struck == struck)).any()
+    ]
+    return max(found, default=float("nan"))
+
+
+def squares_by_kind(
+    base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray
+) -> Float[np.ndarray, " D"]:  # fmt: skip
+    """Mean square of the residuals of each kind over that of noise and numerical error; NaN without any."""
+    rows = base.rows(frames)
+    kinds = base.modes.kinds[rows]
+    total = np.bincount(kinds, base.residual(positions)[rows] ** 2 / errors.expected[rows], minlength=base.modes.count)
+    count = np.bincount(kinds, minlength=base.modes.count)
+    return np.asarray(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+
+
+def _alike(
+    base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray
+) -> Float[np.ndarray, " D"]:  # fmt: skip
+    """Residuals per independent one, by kind, see `physconvex.gap.base.independence`."""
+    rows, out = base.rows(frames), np.ones(base.modes.count)
+    whitened = base.residual(positions)[rows] / np.sqrt(errors.expected[rows])
+    for kind in range(base.modes.count):
+        own = base.modes.kinds[rows] == kind
+        if own.any():
+            out[kind] = temperature(whitened[own], base.observations.frames[rows][own], base.columns[rows][own])
+    return out
+
+
+def residuals_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
+    """Residuals per independent one of what a model leaves in some frames."""
+    rows = base.rows(frames)
+    count = np.bincount(base.modes.kinds[rows], minlength=base.modes.count)
+    return float(count.sum() / (count / _alike(base, errors, positions, frames)).sum())
+
+
+def information_by_kind(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> Float[np.ndarray, " D"]:
+    """Number of independent residuals by kind: each counts by the share of its variance that is noise, and smooth
+    errors by half of the numbers that they have in two frames.
+    """  # fmt: skip
+    rows, modes, total = base.rows(frames), base.modes, base.model.frames
+    place = modes.kinds[rows] * total + base.observations.frames[rows]
+    shape = (modes.count, total)
+    count = np.bincount(place, minlength=shape[0] * shape[1]).reshape(shape)
+    noise = np.bincount(place, 1 / errors.variance[rows], minlength=count.size).reshape(shape)
+    smooth = np.minimum(noise + modes.independent[:, None], count)
+    return np.asarray(np.where(count > 0, smooth, 0.0).sum(1))
+
+
+def information_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> Float[np.ndarray, " D"]:
+    """What the likelihood of each kind is divided by, so that no more residuals count than are independent.
+
+    Those that share their numerical error count as few already (`information_by_kind`); of that number and of the
+    independent ones in what a model leaves the smaller one holds, as both are for the same likeness of residuals.
+    """
+    frames = np.union1d(base.split.fitted, base.split.selecting)
+    count = np.bincount(base.modes.kinds[base.rows(frames)], minlength=base.modes.count)
+    independent = count / _alike(base, errors, positions, frames)
+    return np.maximum(1.0, information_by_kind(base, errors, frames) / np.maximum(independent, 1e-9))
+
+
+def likelihood_by_kind(
+    base: Baseline, errors: ErrorModel, positions: np.ndarray | None, frames: np.ndarray
+) -> Float[np.ndarray, " D"]:  # fmt: skip
+    """−n/2 ln(mean square) with unknown scale, by kind; the mean square is over that of noise and numerical error.
+
+    Below one it says little more.
+
+    Args:
+        base: the base fit.
+        errors: weights.
+        positions: of the model; None for one that leaves nothing but noise and numerical error.
+        frames: of which.
+    """
+    information = information_by_kind(base, errors, frames)
+    squares = np.ones(base.modes.count) if positions is None else squares_by_kind(base, errors, positions, frames)
+    return np.asarray(-0.5 * information * np.log(np.where(information > 0, squares, 1.0) + _ENOUGH))
+
+
+def evidence_of(
+    likelihood: np.ndarray, information: np.ndarray, effects: tuple[Effect, ...], values: np.ndarray,
+    divisor: np.ndarray | float = 1.0,
+) -> float:  # fmt: skip
+    """Likelihood less ½ k ln n for k doses, as much again for every further effect, and less what is implausible.
+
+    `information` is of the residuals that tell the doses; n is their number.
+    """
+    price = sum(len(e.doses) for e in effects) + max(len(effects) - 1, 0)
+    price += sum(e.source == "numerical" for e in effects)  # a physical cause goes before one of the same looks
+    doses = [dose for effect in effects for dose in effect.doses]
+    odd = sum(dose.implausibility(value) for dose, value in zip(doses, values[len(values) - len(doses) :], strict=True))
+    independent = float((information / divisor).sum())
+    return float((likelihood / divisor).sum() - 0.5 * price * np.log(max(independent, 2.0)) - odd)
+
+
+def moved_kinds(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> Bool[np.ndarray, " D"]:
+    """Kinds of residuals that differ visibly from the base fit's in the fitted frames; all if none does."""
+    rows = base.rows(base.split.fitted)
+    kinds = base.modes.kinds[rows]
+    squares = (base.residual(positions) - base.residual(base.positions))[rows] ** 2 / errors.expected[rows]
+    total = np.bincount(kinds, squares, minlength=base.modes.count)
+    seen = total > _UNSEEN * np.maximum(np.bincount(kinds, minlength=base.modes.count), 1)
+    return np.asarray(seen if seen.any() else np.ones_like(seen))

@@ -1,0 +1,106 @@
+"""A held body with a load at its free end: E and load are looked for together, along the line of one frequency.
+
+A load makes a body sag further and swing slower. So does less stiffness, in another proportion: a fit of E alone ends
+between the two, out of step, and from there no load looks right. How fast the recording swings is known by itself, and
+to each load belongs one E at which the loaded body swings so; of these pairs the recording chooses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.gap.base.baseline import Baseline
+from physconvex.gap.base.lowest_mode import lowest_frequency
+from physconvex.gap.base.model import MODULUS, EffectModel
+from physconvex.gap.effects import Effect
+from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.search.evidence import mean_square
+from physconvex.gap.search.ringing import recorded_ringing
+
+__all__ = ["loaded_starts"]
+
+_RATIOS = (0.0, 0.03, 0.06, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # masses of the load over the body's
+_SLACKS = (0.5, 1.0, 2.0, 3.0)  # times the slack with which a loose load is screened
+_STEP, _FARTHEST = 0.05, 4  # decades of E about that frequency, and steps: a body that sags far swings otherwise
+_BOUNDS = (3.0, 8.0)  # of log10 E
+_LABELS = ("attached_mass ({})", "attached_mass ({}, loose)", "damping")
+Start = tuple[tuple[Effect, ...], np.ndarray]
+
+
+def loaded_starts(base: Baseline, errors: ErrorModel, dictionary: Iterable[Effect]) -> list[Start]:
+    """Effects and values to begin fits at: a load, fixed or loose, alone and with damping; none where none fits best.
+
+    Args:
+        base: of the model that searches.
+        errors: weights of the residuals.
+        dictionary: effects that are tried.
+    """
+    recorded, known, end = recorded_ringing(base), {effect.label: effect for effect in dictionary}, _free_end(base)
+    load, loose, damping = (known.get(name.format(end)) for name in _LABELS)
+    if recorded is None or load is None or MODULUS not in base.model.base:
+        return []
+    damped = () if damping is None else (damping,)
+    # what damps the main shape by the ratio that was recorded, E in proportion to viscosity
+    dose = max(recorded.ratio, 0.0) / (np.pi * recorded.frequency)
+    model = replace(base.model, effects=(load, *damped), correction=None, frames=int(base.split.fitted[-1]) + 1)
+    tried = []
+    for ratio in _RATIOS:  # at the very end: further in, a larger one looks nearly alike
+        values = np.concatenate([base.fit.values[: len(model.base)], [ratio, 0.0], np.full(len(damped), dose)])
+        tried.append(_best_modulus(base, errors, model, values, recorded.frequency))
+    misfit, values = min(tried, key=lambda one: one[0])
+    if not np.isfinite(misfit) or values[len(model.base)] == 0.0:
+        return []
+    loaded = len(model.base) + len(load.doses)
+    starts: list[Start] = [((load, *damped), values), ((load,), values[:loaded])]
+    if loose is not None:
+        effects, trial = (loose, *damped), loose.doses[-1].trial(base.situation)
+        hanging = [np.insert(values, loaded, share * trial) for share in _SLACKS]
+        model = replace(model, effects=effects)
+        starts.append((effects, min(hanging, key=lambda one: _misfit(base, errors, model, one))))
+    return starts
+
+
+def _free_end(base: Baseline) -> str:
+    """The end that is farthest from what is held, as variants of the effect call it."""
+    scene = base.model.full_scene(base.fit.values)
+    assert scene.pins is not None
+    vertices = scene.body.mesh.vertices
+    low, high = vertices.min(0), vertices.max(0)
+    away = 0.5 * (low + high) - vertices[scene.pins.nodes].mean(0)
+    axis = int(np.argmax(np.abs(away)))
+    return f"{'-' if away[axis] < 0 else '+'}{'xyz'[axis]}"
+
+
+def _best_modulus(
+    base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray, frequency: float
+) -> tuple[float, np.ndarray]:
+    """Misfit and values with the E that fits best, down from where the lowest vibration has a frequency [Hz]."""
+    index = model.base.index(MODULUS)
+    line = float(values[index]) + 2 * np.log10(frequency / lowest_frequency(model, values))
+
+    def at(step: int) -> tuple[float, np.ndarray]:
+        changed = values.copy()
+        changed[index] = np.clip(line + _STEP * step, *_BOUNDS)
+        return _misfit(base, errors, model, changed), changed
+
+    best, where = at(0), 0
+    for way in (1, -1):
+        while abs(where + way) <= _FARTHEST and (found := at(where + way))[0] < best[0]:
+            best, where = found, where + way
+        if where:
+            break
+    return best
+
+
+def _misfit(base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray) -> float:
+    """Mean square of the fitted frames' residuals over the expected one; infinite where nothing comes out."""
+    try:
+        positions = model.positions(values)
+    except (ConvergenceError, InputError):
+        return np.inf
+    whole = np.concatenate([positions, base.positions[len(positions) :]])
+    return mean_square(base, errors, whole, base.split.fitted)

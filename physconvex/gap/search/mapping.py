@@ -1,0 +1,87 @@
+"""Two models of one twin: the reduced one searches, the full-order one decides (space mapping).
+
+A reduced run costs a tenth of a full-order one. What the two differ by at one set of values is added to the reduced
+model, which is then searched; a full-order run at what was found gives the next difference, and so on, until the values
+stay. The residual is thus always the full-order model's, the derivatives are the reduced model's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from physconvex.errors import ConvergenceError
+from physconvex.gap.base.baseline import Baseline
+from physconvex.gap.base.lowest_mode import decades_between
+from physconvex.gap.base.model import MODULUS, EffectModel, reduced_like, searches_itself
+from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.options import GapOptions
+from physconvex.gap.search.comparison import Hypothesis, hypothesis_at, refit
+
+__all__ = ["as_reduced", "confirmed", "improved"]
+
+_ROUNDS = 2  # of full-order run and search
+_STILL = 0.02  # of typical steps: a change of the values below which another round is not worth it
+
+
+def as_reduced(base: Baseline) -> Baseline:
+    """The baseline with the reduced model in the place of the full-order one; it says the same at the fit."""
+    model, motion = reduced_like(base.model, base.motion, base.fit.values)
+    return replace(base, model=model, motion=motion)
+
+
+def confirmed(base: Baseline, errors: ErrorModel, found: Hypothesis) -> Hypothesis:
+    """What a fit of the reduced model is worth by the full-order one.
+
+    Args:
+        base: the full-order base fit.
+        errors: weights of the residuals.
+        found: what the reduced model came to.
+
+    Raises:
+        ConvergenceError: the full-order model cannot be run there.
+    """
+    full = replace(base.model, effects=found.model.effects)
+    values = _in_step(base, full, found)
+    return hypothesis_at(base, errors, full, values, found.errors, full.motion(values), found.tangents)
+
+
+def _in_step(base: Baseline, full: EffectModel, found: Hypothesis) -> np.ndarray:
+    """Values with which a held body swings on the full-order model's mesh as it did on the one that found them.
+
+    The two differ at the base fit already, which the search makes up for. What an effect adds to that, as an
+    inclusion does that few elements resolve, is taken up by E: else the motions are soon out of step.
+    """
+    if not base.situation.clamped or MODULUS not in full.base or searches_itself(full):
+        return found.values
+    count = len(full.base)
+    cheap = replace(found.model, effects=())
+    ratio = decades_between(found.model, full, found.values)
+    values = found.values.copy()
+    values[full.base.index(MODULUS)] += ratio - decades_between(cheap, base.model, base.fit.values[:count])
+    return values
+
+
+def improved(base: Baseline, errors: ErrorModel, here: Hypothesis, options: GapOptions) -> Hypothesis | None:
+    """A better fit of the full-order model, searched with the reduced one about the one that is there.
+
+    None where there is none, or where it is no better.
+    """
+    scales = np.array([p.step for p in here.model.parameters(here.values)])
+    first = best = last = here
+    for _ in range(_ROUNDS):
+        try:
+            base.model.cost.check()
+            model, _ = reduced_like(here.model, here.motion, here.values)
+            last = refit(base, errors, model, here.values, last.tangents, options)
+            if np.abs((last.values - here.values) / scales).max() < _STILL:
+                break
+            motion = here.model.motion(last.values)
+        except ConvergenceError:
+            break
+        here = hypothesis_at(base, errors, here.model, last.values, last.errors, motion, last.tangents)
+        if here.fitted > 1.5 * best.fitted:
+            break
+        best = here if here.fitted < best.fitted else best
+    return None if best.fitted >= first.fitted else best

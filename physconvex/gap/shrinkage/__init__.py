@@ -1,0 +1,1 @@
+"""How far the gap shrinks: on held-out frames, in held-out views, on a second take."""
