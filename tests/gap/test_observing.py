@@ -9,6 +9,7 @@ from physconvex.camera import Camera
 from physconvex.capture import Capture
 from physconvex.errors import InputError
 from physconvex.gap import DEFAULT_EFFECTS, Motion
+from physconvex.gap.base.model import EffectModel
 from physconvex.gap.base.observing import components, in_metres, lost_points, observe, widened
 from physconvex.identify import MarkerObservations, PixelObservations
 
@@ -107,3 +108,21 @@ def test_markers_are_in_metres_already(motion):
 def test_nothing_seen(tmp_path):
     with pytest.raises(InputError, match=r"no tracks\.npz and no cameras"):
         observe(Capture(tmp_path, 24.0, 12, 8), None)  # type: ignore[arg-type]
+
+
+@pytest.mark.wrong_types  # no twin is needed for what is observed of a motion
+@pytest.mark.parametrize("name", ["focal_length", "time_offset"])
+def test_errors_of_a_camera_move_points_from_its_first_image_on(camera, motion, name):
+    """Points are put on the surface where the first image, with the error in it, shows them."""
+    true, late = (camera, 0.02) if name == "time_offset" else (replace(camera, fl_x=480.0, fl_y=480.0), 0.0)
+    dose = late or 480.0 / 500.0 - 1
+    happened = motion.positions + late * motion.velocities
+    seen = pixels_of(true, happened)
+    local = (happened[0] - camera.position) @ camera.rotation
+    local[:, :2] *= true.fl_x / camera.fl_x  # where rays of the stated camera through the first image's pixels go
+    placed = local @ camera.rotation.T + camera.position
+    taken = replace(motion, rest=placed, positions=motion.positions - motion.positions[0] + placed)
+    model = EffectModel(None, (), placed, len(seen), None, (effect(name),), camera)
+    np.testing.assert_allclose(pixels_of(camera, model.observed(taken, np.array([dose]))), seen, atol=1e-6)
+    off = pixels_of(camera, model.observed(taken, np.zeros(1))) - seen
+    assert np.abs(off[0]).max() < 1e-9 and (np.abs(off[-1]).max() > 0.5 or name == "time_offset")

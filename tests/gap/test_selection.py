@@ -123,10 +123,12 @@ def test_a_further_effect_is_looked_for_where_something_is_left_and_there_is_roo
     base = SimpleNamespace(model=SimpleNamespace(cost=cost))
     search = selection.Selection(base, base, None, GapOptions(most_effects=2), lambda text: None)
 
-    def one(left, *effects):
-        return SimpleNamespace(effects=effects, left_to_explain=left)
+    def one(left, *effects, fitted=2.0, selecting=2.0):
+        return SimpleNamespace(effects=effects, left_to_explain=left, fitted=fitted, selecting=selecting)
 
     assert search.wanting(one(20.0, "spin"))
+    assert search.wanting(one(0.5, "spin", fitted=14.0))  # smooth, and wide open
+    assert search.wanting(one(0.5, "spin", selecting=14.0))  # opens later
     assert not search.wanting(one(0.5, "spin"))
     assert not search.wanting(one(20.0, "spin", "wind"))
     cost.spent, cost.limit = 2.0, 1.0

@@ -174,14 +174,21 @@ class EffectModel:
         return self._motion(run.times, shapes @ run.coordinates, shapes @ run.velocities)
 
     def observed(self, motion: Motion, values: Vector) -> Positions:
-        """What is observed of a motion: corrected, observation effects applied, numerical directions added."""
+        """What is observed of a motion: corrected, observation effects applied, numerical directions added.
+
+        Points that a camera follows are put on the surface by its own first image, so that an error of the camera or
+        the clock moves them only from that image on.
+        """
         positions = motion.positions
         if self.correction is not None:
             positions = positions + self.correction[: self.frames]
+        first = positions[0]
         for effect, where in zip(self.effects, self.slices, strict=True):
             if effect.observe is not None:
                 moved = Motion(motion.rest, motion.times, positions, motion.velocities, self.camera)
                 positions = effect.observe(moved, values[where])
+                if self.camera is not None:
+                    positions = _from_first_image(self.camera, positions, first)
             if effect.name in self.directions:
                 positions = positions + float(values[where][0]) * self.directions[effect.name][: self.frames]
         return positions
@@ -227,6 +234,21 @@ class EffectModel:
         )
         moved = self.motion(changed) if moves else motion
         return self.observed(moved, changed) - self.observed(motion, values)
+
+
+def _from_first_image(camera: Camera, positions: Positions, first: Float[np.ndarray, "P 3"]) -> Positions:
+    """Moved across the camera's view, by as much in all images, so that the first one shows the points where they are.
+
+    Args:
+        camera: of the images.
+        positions: of the points as it sees them [m].
+        first: where the first image shows them [m], shape [P, 3].
+    """
+    local, start = ((x - camera.position) @ camera.rotation for x in (positions, first))
+    across = local[..., :2] / local[..., 2:]
+    across = across - across[0] + start[:, :2] / start[:, 2:]
+    local = np.concatenate([across * local[..., 2:], local[..., 2:]], axis=-1)
+    return np.asarray(local @ camera.rotation.T + camera.position)
 
 
 @dataclass(frozen=True)

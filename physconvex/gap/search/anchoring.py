@@ -33,7 +33,7 @@ def early_window(base: Baseline, errors: ErrorModel) -> int | None:
     count = int(base.split.fitted[-1]) + 1
     touching = np.flatnonzero(base.contact_force > 0)
     lowest = int(touching[0]) + 2 if len(touching) else max(6, count // 3)
-    here = base.positions
+    here = base.positions[: len(base.tangents)]
     columns = derivatives_of_residuals(base, here, base.tangents)
     scales = np.array([p.step for p in base.model.parameters(base.fit.values)])[: len(columns)]
     for window in range(lowest, int(_MOST * count) + 1):

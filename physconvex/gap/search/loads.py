@@ -35,7 +35,7 @@ def loaded_starts(base: Baseline, errors: ErrorModel, dictionary: Iterable[Effec
     """Effects and values to begin fits at: a load, fixed or loose, alone and with damping; none where none fits best.
 
     Args:
-        base: of the model that searches.
+        base: of the model that searches, at a fit with other effects perhaps: the load then comes beside these.
         errors: weights of the residuals.
         dictionary: effects that are tried.
     """
@@ -43,25 +43,36 @@ def loaded_starts(base: Baseline, errors: ErrorModel, dictionary: Iterable[Effec
     load, loose, damping = (known.get(name.format(end)) for name in _LABELS)
     if recorded is None or load is None or MODULUS not in base.model.base:
         return []
-    damped = () if damping is None else (damping,)
+    known_already = base.model.effects
+    damped = () if damping is None or "damping" in {e.name for e in known_already} else (damping,)
     # what damps the main shape by the ratio that was recorded, E in proportion to viscosity
     dose = max(recorded.ratio, 0.0) / (np.pi * recorded.frequency)
-    model = replace(base.model, effects=(load, *damped), correction=None, frames=int(base.split.fitted[-1]) + 1)
-    tried = []
+    model = replace(
+        base.model, effects=(*known_already, load, *damped), correction=None, frames=int(base.split.fitted[-1]) + 1
+    )
+    frequency, here, tried = recorded.frequency / _clock(base), len(base.fit.values), []
     for ratio in _RATIOS:  # at the very end: further in, a larger one looks nearly alike
-        values = np.concatenate([base.fit.values[: len(model.base)], [ratio, 0.0], np.full(len(damped), dose)])
-        tried.append(_best_modulus(base, errors, model, values, recorded.frequency))
+        values = np.concatenate([base.fit.values, [ratio, 0.0], np.full(len(damped), dose)])
+        tried.append(_best_modulus(base, errors, model, values, frequency))
     misfit, values = min(tried, key=lambda one: one[0])
-    if not np.isfinite(misfit) or values[len(model.base)] == 0.0:
+    if not np.isfinite(misfit) or values[here] == 0.0:
         return []
-    loaded = len(model.base) + len(load.doses)
-    starts: list[Start] = [((load, *damped), values), ((load,), values[:loaded])]
+    loaded = here + len(load.doses)
+    starts: list[Start] = [(model.effects, values), ((*known_already, load), values[:loaded])]
     if loose is not None:
-        effects, trial = (loose, *damped), loose.doses[-1].trial(base.situation)
+        effects, trial = (*known_already, loose, *damped), loose.doses[-1].trial(base.situation)
         hanging = [np.insert(values, loaded, share * trial) for share in _SLACKS]
         model = replace(model, effects=effects)
         starts.append((effects, min(hanging, key=lambda one: _misfit(base, errors, model, one))))
     return starts
+
+
+def _clock(base: Baseline) -> float:
+    """How much faster the recording's clock runs than the model's, by the fit."""
+    for effect, where in zip(base.model.effects, base.model.slices, strict=True):
+        if effect.name == "time_scale":
+            return 1.0 + float(base.fit.values[where][0])
+    return 1.0
 
 
 def _free_end(base: Baseline) -> str:

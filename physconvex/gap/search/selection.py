@@ -46,6 +46,7 @@ _SEARCHED, _DECIDED = 0.6, 0.85  # of the deadline: then the search ends, then t
 _LONGEST = 0.15  # of the cost of the search that a single fit may take
 _CLOSED = 1.5  # mean square over the expected one below which there is no gap to explain
 _LATE_GAP = 5.0  # the same of the frames that choose: an impact near the end of the fitted ones shows after them
+_WIDE = 3.0  # mean square over the expected one from which on a further effect is looked for in any case
 _LEFT = 6.0  # log-likelihood that is left to gain, above which a further effect is looked for
 _SINGLES, _PAIRS, _ADDED, _EARLY = 7, 4, 3, 4  # fits: alone, two at once, in each further round, from the first frames
 _STEMS, _POLISHED = 2, 3  # fits that the first further round goes on from; fits with derivatives taken anew
@@ -99,7 +100,15 @@ class Selection:
     def wanting(self, fit: Hypothesis) -> bool:
         """Whether a further effect is worth looking for beside those of a fit."""
         room = len(fit.effects) < self.options.most_effects
-        return room and not self.late and fit.left_to_explain >= _LEFT
+        return room and not self.late and self.open(fit)
+
+    def open(self, fit: Hypothesis) -> bool:
+        """Whether a fit leaves something to explain.
+
+        What is left of a wide gap is smooth, and counts as few independent residuals: it is open all the same. So is one
+        that opens in the frames that choose.
+        """
+        return fit.left_to_explain >= _LEFT or fit.fitted > _WIDE or fit.selecting > _LATE_GAP
 
     def attempt(self, text: str, run: Callable[[], Hypothesis]) -> Hypothesis | None:
         """Fit and keep, unless it fails or the runs have cost too much; the first one is begun all the same."""
@@ -160,9 +169,11 @@ def select_effects(
         _together(search, screening)
         _from_first_frames(search, numerics, dictionary)
         _polish(search)
+        _load_beside(search, dictionary)
         for number in range(options.most_effects - 1):
             if not _one_more(search, numerics, dictionary, 1 if number else _STEMS):
                 break
+        _beside_in_first_frames(search, numerics, dictionary)
         _leave_out(search)
     finalists = _finalists(search.ranked, options.candidates if open_gap else 1, tied=_TIED)
     return judged(base, errors, _decided(base, errors, finalists, options, report)), screening
@@ -263,9 +274,21 @@ def _from_there(search: Selection, full: Baseline, effects: tuple[Effect, ...], 
     search.attempt(" + ".join(effect.label for effect in effects) + ", from a scan", run)
 
 
+def _load_beside(search: Selection, dictionary: tuple[Effect, ...]) -> None:
+    """A load at the end of a held body beside the best effects: E has to move with it, so that no dose alone helps."""
+    best = search.best
+    if not search.base.situation.clamped or not best.effects or "attached_mass" in best.names:
+        return
+    if search.wanting(best):
+        point = continued(search.base, best)
+        for effects, values in loaded_starts(point, search.errors, applicable(dictionary, point.situation)):
+            if len(effects) <= search.options.most_effects:
+                _from_there(search, search.base, effects, values)
+
+
 def _together(search: Selection, screening: Screening) -> None:
     """Pairs that explain much more than the better of the two, where single effects leave something."""
-    if search.best.left_to_explain < _LEFT:
+    if not search.open(search.best):
         return
     for pair in plausible_pairs(screening, search.independent, held=search.base.situation.clamped)[:_PAIRS]:
         search.fit([pair.first, pair.second])
@@ -294,9 +317,24 @@ def plausible_pairs(screening: Screening, independent: float, *, held: bool) -> 
 
 def _from_first_frames(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
     """Screen and fit again from where the first frames alone put the base model, if that is elsewhere."""
-    if search.best.left_to_explain < _LEFT or search.late:
-        return
-    point = early_point(search.base, search.errors, search.options, search.report)
+    if search.open(search.best) and not search.late:
+        _early(search, search.base, numerics, dictionary)
+
+
+def _beside_in_first_frames(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
+    """The same beside the best effects, where these leave something or part from the recording after the fitted frames.
+
+    Over all fitted frames E absorbs a second effect as it does a first one; what that does comes out later.
+    """
+    best = search.best
+    if best.effects and search.wanting(best):
+        _early(search, continued(search.base, best), numerics, dictionary)
+        _polish(search)
+
+
+def _early(search: Selection, base: Baseline, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
+    """Fits from the first frames of a baseline."""
+    point = early_point(base, search.errors, search.options, search.report)
     if point is not None and not search.base.model.cost.over:
         screening = screen(point, search.errors, numerics, dictionary, search.report)
         for entry in screening.one_per_name[:_EARLY]:
