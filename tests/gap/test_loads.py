@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from physconvex.gap import DEFAULT_EFFECTS, GapOptions
 from physconvex.gap.base.base_fit import fit_baseline, rough_baseline
 from physconvex.gap.effects import applicable
 from physconvex.gap.errors.numerics import Numerics, error_model
-from physconvex.gap.search.loads import loaded_starts
+from physconvex.gap.search.loads import _clock, loaded_starts
 from physconvex.gap.search.mapping import as_reduced
 
 MODULUS, SIGMA, FPS, FRAMES = 2e5, 5e-5, 80.0, 30
@@ -39,15 +40,23 @@ def released(folder: Path, ratio: float) -> Capture:
     return capture
 
 
-def starts(capture: Capture) -> tuple[list[tuple[tuple[str, ...], np.ndarray]], float]:
-    """Labels and values, and E of the base fit."""
+def starts(
+    capture: Capture, *beside: tuple[str, list[float]]
+) -> tuple[list[tuple[tuple[str, ...], np.ndarray]], float]:
+    """Labels and values, and E of the base fit; the latter with effects at given doses."""
     rough = rough_baseline(capture, OPTIONS, lambda text: None)
     still = np.zeros_like(rough.motion.positions)
     variance = np.ones(len(rough.residual(rough.positions)))
     base = as_reduced(fit_baseline(rough, still, None, variance, OPTIONS, lambda text: None))
     errors = error_model(base, Numerics(still, still, still, still, still), OPTIONS)
+    alone = base.fit.values
+    known = {effect.label: effect for effect in DEFAULT_EFFECTS}
+    if beside:
+        model = replace(base.model, effects=tuple(known[name] for name, _ in beside))
+        values = np.concatenate([alone, *(doses for _, doses in beside)])
+        base = replace(base, model=model, fit=replace(base.fit, parameters=model.parameters(values), values=values))
     found = loaded_starts(base, errors, applicable(DEFAULT_EFFECTS, base.situation))
-    return [(tuple(e.label for e in effects), values) for effects, values in found], base.fit.values[0]
+    return [(tuple(e.label for e in effects), values) for effects, values in found], alone[0]
 
 
 @pytest.mark.slow
@@ -62,6 +71,23 @@ def test_a_load_is_found_with_its_modulus(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_load_is_found_beside_another_effect(tmp_path: Path) -> None:
+    """Markers in another frame: without that effect the shift would count as sag."""
+    capture = released(tmp_path, 0.8)
+    tracks = capture.tracks()
+    assert tracks is not None
+    moved = replace(tracks, positions=tracks.positions + np.array([0.0, 0.0, 0.01]))
+    save_capture(
+        replace(capture, folder=tmp_path / "moved"), tets=capture.tets(), tracks=moved, boundary=capture.boundary()
+    )
+    found, _ = starts(replace(capture, folder=tmp_path / "moved"), ("camera_pose", [0.0, 0.0, 0.0, 0.0, 0.0, 0.01]))
+    labels, values = found[1]
+    assert labels == ("camera_pose", "attached_mass (-x)")
+    modulus, shift, ratio = values[[0, 7, 8]]
+    assert modulus == pytest.approx(np.log10(MODULUS), abs=0.15) and 0.4 <= ratio <= 1.6 and shift == 0.01
+
+
+@pytest.mark.slow
 def test_none_is_begun_with_where_there_is_none(tmp_path: Path) -> None:
     assert starts(released(tmp_path, 0.0))[0] == []
 
@@ -70,3 +96,13 @@ def test_without_the_effect_there_is_nothing_to_begin_with(tmp_path: Path) -> No
     rough = rough_baseline(released(tmp_path, 0.8), replace(OPTIONS, max_nodes=60), lambda text: None)
     errors = error_model(rough, Numerics(*[np.zeros_like(rough.motion.positions)] * 5), OPTIONS)
     assert loaded_starts(rough, errors, [e for e in DEFAULT_EFFECTS if e.name != "attached_mass"]) == []
+
+
+@pytest.mark.wrong_types
+def test_the_clock_of_the_recording_counts() -> None:
+    clock = next(e for e in DEFAULT_EFFECTS if e.name == "time_scale")
+    load = next(e for e in DEFAULT_EFFECTS if e.label == "attached_mass (-x)")
+    model = SimpleNamespace(effects=(load, clock), slices=(slice(2, 4), slice(4, 5)))
+    base = SimpleNamespace(model=model, fit=SimpleNamespace(values=np.array([5.0, 0.4, 0.3, 0.0, 0.05])))
+    assert _clock(base) == pytest.approx(1.05)
+    assert _clock(SimpleNamespace(model=SimpleNamespace(effects=(), slices=()), fit=None)) == 1.0

@@ -105,8 +105,8 @@ class Selection:
     def open(self, fit: Hypothesis) -> bool:
         """Whether a fit leaves something to explain.
 
-        What is left of a wide gap is smooth, and counts as few independent residuals: it is open all the same. So is one
-        that opens in the frames that choose.
+        What is left of a wide gap is smooth, and counts as few independent residuals: it is open all the same. So is
+        one that opens in the frames that choose.
         """
         return fit.left_to_explain >= _LEFT or fit.fitted > _WIDE or fit.selecting > _LATE_GAP
 
