@@ -8,6 +8,10 @@ import numpy as np
 import pytest
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from physconvex.capture import Capture
     from physconvex.fem import Scene, TetMesh
     from physconvex.gap import Situation
     from physconvex.reduced import ReducedScene
@@ -52,3 +56,31 @@ def situation(mesh: TetMesh) -> Situation:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(3)
+
+
+@pytest.fixture(scope="session")
+def released() -> Callable[[Path, float], Capture]:
+    """Writes the capture of a beam of 0.2 MPa into a folder."""
+    from physconvex.capture import Boundary, Capture, Tracks, save_capture
+    from physconvex.fem import ElasticBody, HangingLoad, Pins, Scene, TetMesh, box_mesh, simulate
+
+    def released(folder: Path, ratio: float) -> Capture:
+        """A beam that is held at its right end and let go, a load of so many of its own masses at its left end."""
+        mesh = box_mesh((0.12, 0.03, 0.03), (8, 1, 1), order=2)
+        corners = box_mesh((0.12, 0.03, 0.03), (8, 1, 1), order=1)
+        body = ElasticBody(mesh, youngs_modulus=2e5, poisson_ratio=0.4, density=1000.0)
+        x = mesh.vertices[:, 0]
+        end, held = x < x.min() + 1e-9, np.flatnonzero(x > x.max() - 1e-9)
+        load = HangingLoad(np.where(end, ratio * body.total_mass / end.sum(), 0.0)) if ratio else None
+        run = simulate(Scene(body, pins=Pins(held), hanging=load), frames=30, fps=80.0, steps_per_frame=8)
+        shown = np.flatnonzero(x < x.min() + 0.06)[::5]
+        positions = run.positions[:, shown] + 5e-5 * np.random.default_rng(1).normal(size=(30, len(shown), 3))
+        capture = Capture(folder / "capture", 80.0, 30, 20, gravity=np.array([0.0, 0.0, -9.81]), density=1000.0)
+        box = np.array([[x.max() - 1e-4, -1.0, -1.0], [x.max() + 1e-4, 1.0, 1.0]])
+        tracks = Tracks(mesh.vertices[shown], positions, np.full(positions.shape[:2], 5e-5))
+        save_capture(
+            capture, tets=TetMesh(corners.vertices, corners.tets), tracks=tracks, boundary=Boundary(clamped_box=box)
+        )
+        return capture
+
+    return released

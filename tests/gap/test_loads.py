@@ -1,5 +1,6 @@
 """A load at the free end of a held body is found together with E, which alone would be far off."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -7,8 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.capture import Boundary, Capture, Tracks, save_capture
-from physconvex.fem import ElasticBody, HangingLoad, Pins, Scene, TetMesh, box_mesh, simulate
+from physconvex.capture import Capture, save_capture
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions
 from physconvex.gap.base.base_fit import fit_baseline, rough_baseline
 from physconvex.gap.effects import applicable
@@ -16,28 +16,9 @@ from physconvex.gap.errors.numerics import Numerics, error_model
 from physconvex.gap.search.loads import _clock, loaded_starts
 from physconvex.gap.search.mapping import as_reduced
 
-MODULUS, SIGMA, FPS, FRAMES = 2e5, 5e-5, 80.0, 30
+MODULUS = 2e5  # of the fixture `released`
+Released = Callable[[Path, float], Capture]
 OPTIONS = GapOptions(max_nodes=100, weights=4, iterations=6)
-
-
-def released(folder: Path, ratio: float) -> Capture:
-    """A beam that is held at its right end and let go, a load of so many of its own masses at its left end."""
-    mesh = box_mesh((0.12, 0.03, 0.03), (8, 1, 1), order=2)
-    corners = box_mesh((0.12, 0.03, 0.03), (8, 1, 1), order=1)
-    body = ElasticBody(mesh, youngs_modulus=MODULUS, poisson_ratio=0.4, density=1000.0)
-    x = mesh.vertices[:, 0]
-    end, held = x < x.min() + 1e-9, np.flatnonzero(x > x.max() - 1e-9)
-    load = HangingLoad(np.where(end, ratio * body.total_mass / end.sum(), 0.0)) if ratio else None
-    run = simulate(Scene(body, pins=Pins(held), hanging=load), frames=FRAMES, fps=FPS, steps_per_frame=8)
-    shown = np.flatnonzero(x < x.min() + 0.06)[::5]
-    positions = run.positions[:, shown] + SIGMA * np.random.default_rng(1).normal(size=(FRAMES, len(shown), 3))
-    capture = Capture(folder / "capture", FPS, FRAMES, 20, gravity=np.array([0.0, 0.0, -9.81]), density=1000.0)
-    box = np.array([[x.max() - 1e-4, -1.0, -1.0], [x.max() + 1e-4, 1.0, 1.0]])
-    tracks = Tracks(mesh.vertices[shown], positions, np.full(positions.shape[:2], SIGMA))
-    save_capture(
-        capture, tets=TetMesh(corners.vertices, corners.tets), tracks=tracks, boundary=Boundary(clamped_box=box)
-    )
-    return capture
 
 
 def starts(
@@ -60,7 +41,7 @@ def starts(
 
 
 @pytest.mark.slow
-def test_a_load_is_found_with_its_modulus(tmp_path: Path) -> None:
+def test_a_load_is_found_with_its_modulus(released: Released, tmp_path: Path) -> None:
     found, alone = starts(released(tmp_path, 0.8))
     assert [labels for labels, _ in found] == [
         ("attached_mass (-x)", "damping"), ("attached_mass (-x)",), ("attached_mass (-x, loose)", "damping"),
@@ -71,7 +52,7 @@ def test_a_load_is_found_with_its_modulus(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_load_is_found_beside_another_effect(tmp_path: Path) -> None:
+def test_a_load_is_found_beside_another_effect(released: Released, tmp_path: Path) -> None:
     """Markers in another frame: without that effect the shift would count as sag."""
     capture = released(tmp_path, 0.8)
     tracks = capture.tracks()
@@ -88,11 +69,11 @@ def test_a_load_is_found_beside_another_effect(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_none_is_begun_with_where_there_is_none(tmp_path: Path) -> None:
+def test_none_is_begun_with_where_there_is_none(released: Released, tmp_path: Path) -> None:
     assert starts(released(tmp_path, 0.0))[0] == []
 
 
-def test_without_the_effect_there_is_nothing_to_begin_with(tmp_path: Path) -> None:
+def test_without_the_effect_there_is_nothing_to_begin_with(released: Released, tmp_path: Path) -> None:
     rough = rough_baseline(released(tmp_path, 0.8), replace(OPTIONS, max_nodes=60), lambda text: None)
     errors = error_model(rough, Numerics(*[np.zeros_like(rough.motion.positions)] * 5), OPTIONS)
     assert loaded_starts(rough, errors, [e for e in DEFAULT_EFFECTS if e.name != "attached_mass"]) == []
