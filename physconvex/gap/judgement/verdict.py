@@ -70,7 +70,12 @@ def _wide_open(e: Case) -> Verdict | None:
 
 
 def _nothing(e: Case) -> Verdict | None:
-    """No gap above noise and numerical error; where those are large, that says nothing."""
+    """No gap above noise and numerical error; where those are large, that says nothing.
+
+    What the flight shows beyond doubt is there, however little later frames can tell.
+    """
+    if e.flies and not is_slight(e.best):
+        return None
     significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
     # a fit finds what one finite dose does not
     significant = significant or (e.gain >= TELLING and e.telling) or (e.foretold and e.measured.seen >= SEEN)

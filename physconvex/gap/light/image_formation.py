@@ -307,4 +307,4 @@ def _smear(light: Float[np.ndarray, "N h w"], patches: Patches) -> Float[np.ndar
 
 
 BRIGHTNESS = Statistic("light of the background, logarithm", _brightness, 0.01)
-SMEAR = Statistic("gradients along the motion over those across it, logarithm of energies", _smear, 0.1)
+SMEAR = Statistic("gradients along over across the motion, logarithm", _smear, 0.1)
