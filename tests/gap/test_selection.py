@@ -120,7 +120,7 @@ def test_what_is_left_of_a_fit_is_screened_with_the_reduced_model_made_anew_ther
 
 def test_a_further_effect_is_looked_for_where_something_is_left_and_there_is_room_and_time():
     cost = Cost()
-    base = SimpleNamespace(model=SimpleNamespace(cost=cost))
+    base = SimpleNamespace(model=SimpleNamespace(cost=cost), situation=SimpleNamespace(clamped=False))
     search = selection.Selection(base, base, None, GapOptions(most_effects=2), lambda text: None)
 
     def one(left, *effects, fitted=2.0, selecting=2.0):
@@ -129,6 +129,8 @@ def test_a_further_effect_is_looked_for_where_something_is_left_and_there_is_roo
     assert search.wanting(one(20.0, "spin"))
     assert search.wanting(one(0.5, "spin", fitted=14.0))  # smooth, and wide open
     assert search.wanting(one(0.5, "spin", selecting=14.0))  # opens later
+    search.base = SimpleNamespace(model=base.model, situation=SimpleNamespace(clamped=True))
+    assert search.wanting(one(20.0, "spin")) and not search.wanting(one(0.5, "spin", fitted=14.0, selecting=14.0))
     assert not search.wanting(one(0.5, "spin"))
     assert not search.wanting(one(20.0, "spin", "wind"))
     cost.spent, cost.limit = 2.0, 1.0
