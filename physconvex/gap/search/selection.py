@@ -106,8 +106,8 @@ class Selection:
         """Whether a fit leaves something to explain.
 
         What is left of a wide gap is smooth, and counts as few independent residuals: it is open all the same. So is
-        one that opens in the frames that choose. Not of held bodies: what holds a real one and how it is let go leave
-        a wide gap always, which a load that is not there then follows (the measured beam).
+        one that opens in the frames that choose. Not of held bodies: what holds a real one, and how it is let go, leave
+        a wide gap always.
         """
         wide = fit.fitted > _WIDE or fit.selecting > _LATE_GAP
         return fit.left_to_explain >= _LEFT or (wide and not self.base.situation.clamped)
