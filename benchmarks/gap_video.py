@@ -1,11 +1,11 @@
-"""What `physconvex diagnose` says of filmed drops, effects hidden or not, from the video of one camera alone.
+"""What `physconvex diagnose` says of filmed drops, effects hidden or not, from the video of the front camera.
 
 python benchmarks/gap_video.py --objects FOLDER --out gap_video [--cases damping,none,focal_length,exposure,motion_blur]
 
 FOLDER holds Google Scanned Objects, one folder each with `model.obj` and `texture.png`. The toy is dropped by the
-full-order model on another mesh than the diagnosis makes, at 24 frames per second and 224 pixels, and filmed from the
-front and the side: the second view is held out; `capture.json` states
-the floor and that the body starts at rest, and nothing of damping. In `focal_length` nothing is amiss but the camera,
+full-order model on another mesh than the diagnosis makes, and filmed from the front and the side, which is a held-out
+view, at 24 frames per second and 224 pixels; `capture.json` states the floor and that the body starts at rest, and
+nothing of damping. In `focal_length` nothing is amiss but the camera,
 whose focal length is stated 3 % too long: that must not be called a material. Nor is it in the last two, where the
 light fades by half a stop or the shutter stays open for half of the time between two frames (rendered 17 times in it).
 What is stored of other cases is kept.

@@ -42,6 +42,11 @@ class ErrorModel:
     directions: Float[np.ndarray, "B N"]
     single: Float[np.ndarray, " N"] | None = None
 
+    @classmethod
+    def of_noise(cls, count: int) -> ErrorModel:
+        """That of so many residuals with nothing but the stated noise."""
+        return cls(np.ones(count), np.zeros((0, count)))
+
     @property
     def expected(self) -> Float[np.ndarray, " N"]:
         """Square of each residual that noise and numerical error lead one to expect."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.errors.score import ErrorModel
@@ -46,14 +46,15 @@ class Budget:
     unexplained: Squares
 
 
-def squares_by_frame(base: Baseline, squares: Float[np.ndarray, " N"]) -> Squares:
-    """Mean over the residuals of a frame of squares [N] in m², times the coordinates (a distance)."""
-    count, frames = base.model.frames, base.observations.frames
+def squares_by_frame(
+    base: Baseline, squares: Float[np.ndarray, " N"], rows: Bool[np.ndarray, " N"] | slice = slice(None)
+) -> Squares:
+    """Mean over the residuals (or some) of a frame of squares [N] in m², times the coordinates (a distance)."""
+    count, frames = base.model.frames, base.observations.frames[rows]
     seen = np.bincount(frames, minlength=count)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(
-            base.components * np.bincount(frames, squares, minlength=count) / np.where(seen, seen, np.nan)
-        )
+        total = np.bincount(frames, squares[rows], minlength=count)
+        return np.asarray(base.components * total / np.where(seen, seen, np.nan))
 
 
 def budget_of(base: Baseline, errors: ErrorModel, best: Hypothesis) -> Budget:

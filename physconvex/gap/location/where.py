@@ -172,16 +172,8 @@ def _image(base: Baseline, squares: np.ndarray, options: GapOptions) -> tuple[Pa
         for column, side in enumerate(("left", "centre", "right")):
             rows = (shares == [column, row]).all(1)
             if rows.any():
-                out.append(_part(f"{height} {side}", _mean_by_frame(base, squares, rows), options))
+                out.append(_part(f"{height} {side}", squares_by_frame(base, squares, rows), options))
     return tuple(out)
-
-
-def _mean_by_frame(base: Baseline, squares: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    frames = base.observations.frames[rows]
-    count = np.bincount(frames, minlength=base.model.frames)
-    total = np.bincount(frames, squares[rows], minlength=base.model.frames)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(base.components * total / np.where(count, count, np.nan))
 
 
 def _regions(base: Baseline, squares: np.ndarray, options: GapOptions) -> tuple[Part, ...]:
@@ -200,7 +192,7 @@ def _regions(base: Baseline, squares: np.ndarray, options: GapOptions) -> tuple[
             rows = third[observations.point_indices] == index
             if not rows.any():
                 continue
-            out.append(_part(f"{name} third along {axis}", _mean_by_frame(base, squares, rows), options))
+            out.append(_part(f"{name} third along {axis}", squares_by_frame(base, squares, rows), options))
     return tuple(out)
 
 

@@ -48,21 +48,20 @@ def held_out_views(
     try:
         plain = _positions(base, None, points)
         improved = _positions(base, best, points)
-        other = _positions(base, placebo, points) if placebo is not None and _kept(placebo) else None
+        other = (placebo.label, _positions(base, placebo, points)) if placebo is not None and _kept(placebo) else None
     except ConvergenceError:
         return ()
     found = []
     for view, part in zip(views, (slice(*pair) for pair in pairwise(ends)), strict=True):
-        count, still = len(view.frames), np.zeros_like(plain[:, part])
-        motion = Motion(view.points, base.motion.times, plain[:, part], still)
+        motion = Motion(view.points, base.motion.times, plain[:, part], np.zeros_like(plain[:, part]))
         model = replace(base.model, points=view.points, correction=None, directions={}, camera=view.camera)
         seen = replace(base, observations=view, model=model, motion=motion, modes=undivided(view.frames))
         found.append(
             shrinkage_on(
                 seen,
-                ErrorModel(np.ones(count), np.zeros((0, count))),
+                ErrorModel.of_noise(len(view.frames)),
                 improved[:, part],
-                None if placebo is None or other is None else (placebo.label, other[:, part]),
+                None if other is None else (other[0], other[1][:, part]),
                 np.unique(view.frames),
                 f"held-out view {view.camera.name}, all frames",
                 options,

@@ -60,8 +60,7 @@ def second_take_shrinkage(
         improved = model.positions(values)
     except ConvergenceError:
         return None
-    count = len(plain.residual(plain.positions))
-    errors = ErrorModel(np.ones(count), np.zeros((0, count)))
+    errors = ErrorModel.of_noise(len(plain.residual(plain.positions)))
     frames = np.unique(plain.observations.frames)
     return shrinkage_on(plain, errors, improved, None, frames, "second take, all frames", options)
 
