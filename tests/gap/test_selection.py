@@ -135,3 +135,28 @@ def test_a_further_effect_is_looked_for_where_something_is_left_and_there_is_roo
     assert not search.wanting(one(20.0, "spin", "wind"))
     cost.spent, cost.limit = 2.0, 1.0
     assert not search.wanting(one(20.0, "spin"))
+
+
+def test_a_search_that_the_clock_ends_says_whether_all_single_effects_were_tried(screening, monkeypatch):
+    def searched(clock):
+        """The clock strikes after so many fits."""
+        fits = []
+        cost = Cost(deadline=10.0)
+        model = SimpleNamespace(cost=cost)
+        search = selection.Selection(None, SimpleNamespace(model=model), None, GapOptions(), lambda text: None)
+
+        def fit(base, errors, chosen, options, *, starts):
+            fits.append(chosen)
+            if len(fits) == clock:
+                cost.begun = -1e9
+            return SimpleNamespace(positions=np.zeros(1))
+
+        monkeypatch.setattr(selection, "fit_effects", fit)
+        search.found.append(None)
+        selection._alone(search, screening.ranked)
+        assert len(fits) == min(clock, 3)
+        return cost
+
+    assert searched(1).hurried and searched(2).hurried
+    assert not searched(3).hurried  # the search goes no further, but has seen what the recording asks for
+    assert not searched(4).hurried

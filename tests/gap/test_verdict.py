@@ -33,7 +33,7 @@ def hypothesis(evidence, *names, log10_modulus=5.0, dose=0.1, slight=(), later=0
         later=later,
         fitted=9.0 if not names else 1.0,
         values=np.array([log10_modulus]),
-        model=SimpleNamespace(base=("log10_youngs_modulus",), mesh=None),
+        model=SimpleNamespace(base=("log10_youngs_modulus",), mesh=None, situation=SimpleNamespace(clamped=False)),
         doses=lambda one: (values[effects.index(one)], 0.1 * values[effects.index(one)]),
     )
 
@@ -86,11 +86,21 @@ def test_no_fit_tells_a_dose_better_than_two_programs_mean_it():
     verdict = decide([sure, hypothesis(0.0)], screening_with("gravity_tilt"), 30.0, 1.0, 0.05, OPTIONS)
     for dose in verdict.effects[0].doses:  # by a fiftieth of the tilt, about either axis
         assert dose.upper - dose.value == pytest.approx(1.645 * 0.02 * 5.0, rel=1e-3)
+    sure.model.situation.clamped = True  # a body that does nothing but deform
+    verdict = decide([sure, hypothesis(0.0)], screening_with("gravity_tilt"), 30.0, 1.0, 0.05, OPTIONS)
+    assert all(d.upper - d.value == pytest.approx(1.645 * 0.05 * 5.0, rel=1e-3) for d in verdict.effects[0].doses)
     sure = hypothesis(20.0, "plasticity")
     sure.doses = lambda one: (np.array([4.0]), np.full(1, 1e-6))
     verdict = decide([sure, hypothesis(0.0)], screening_with("plasticity"), 30.0, 1.0, 0.05, OPTIONS)
     dose = verdict.effects[0].doses[0]  # log10 of a yield stress
-    assert 10 ** (dose.upper - dose.value) == pytest.approx(1.0 + 1.645 * 0.02, rel=1e-3)
+    assert np.log(10) * (dose.upper - dose.value) == pytest.approx(1.645 * 0.05, rel=1e-3)
+
+
+def test_nothing_is_called_where_the_clock_left_no_time_for_what_the_recording_asks_for():
+    fits = [hypothesis(20.0, "damping"), hypothesis(0.0)]
+    verdict = decide(fits, screening(), 30.0, 1.0, 0.05, OPTIONS, hurried=True)
+    assert verdict.name == "inconclusive" and "clock" in verdict.sentence
+    assert [e.name for e in verdict.effects] == ["damping"]
 
 
 def test_other_fits_that_have_the_effect_widen_its_interval():

@@ -62,6 +62,7 @@ class Cost:
         share: of the deadline, from which on the same holds.
         begun: by the clock [s].
         cut: whether the clock has ended something.
+        hurried: whether it did so before each effect that screening ranks first had been tried; set by the search.
     """
 
     deadline: float = float("inf")
@@ -70,6 +71,7 @@ class Cost:
     share: float = 1.0
     begun: float = field(default_factory=time.monotonic)
     cut: bool = False
+    hurried: bool = False
 
     def allow(self, budget: float, share: float) -> None:
         """From here on so much more may be spent, up to a share of the deadline."""
@@ -86,11 +88,16 @@ class Cost:
             self.limit = before
 
     @property
-    def over(self) -> bool:
-        """Whether no further step of a fit is to begin."""
+    def out_of_time(self) -> bool:
+        """Whether the clock ends what is done."""
         late = time.monotonic() - self.begun > self.share * self.deadline
         self.cut |= late
-        return late or self.spent > self.limit
+        return late
+
+    @property
+    def over(self) -> bool:
+        """Whether no further step of a fit is to begin."""
+        return self.out_of_time or self.spent > self.limit
 
     def check(self) -> None:
         """End a fit in progress.

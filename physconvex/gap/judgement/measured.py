@@ -40,6 +40,7 @@ class Measured:
         forgiven: `after`, if a rebound as a whole may be off by three times as much, see
             `physconvex.gap.errors.rebound.forgiving`.
         reported: the share that the best effects remove in those held-out frames that did not choose them.
+        hurried: whether the clock ended the search before each effect that screening ranks first had been tried.
     """
 
     before: float
@@ -55,6 +56,7 @@ class Measured:
     flight: float = -np.inf
     forgiven: float = np.inf
     reported: float = np.inf
+    hurried: bool = False
 
 
 def measure(
@@ -91,6 +93,7 @@ def measure(
         flight=gain_in_flight(base, weights, best, plain),
         forgiven=relative_gap(base, forgiving(errors, base.modes), best),
         reported=shrinkage[0].shrinkage,
+        hurried=base.model.cost.hurried,
     )
 
 

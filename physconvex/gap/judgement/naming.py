@@ -27,7 +27,9 @@ __all__ = [
 SOMETHING_ELSE = "something else"
 WEAK = 1.5  # gain of log-evidence by an effect that leaves open whether it is there
 _ALIKE = 0.95  # cosine of signatures
-_FORM = 0.02  # of a dose: what two programs that mean the same effect differ by, as a standard error
+# of a dose: what two programs that mean the same effect differ by, as a standard error; the second of effects that act
+# through how the body deforms or touches, and of bodies that are held, which do nothing but deform
+_FORM, _FORM_DEFORMING = 0.02, 0.05
 
 
 @dataclass(frozen=True)
@@ -132,20 +134,21 @@ def _errors(
     if weights.sum() > 0:
         squares = weights @ np.array([e**2 + (v - own) ** 2 for v, e in (h.doses(effect) for h in others)])
         squares /= weights.sum()
-    return np.asarray(np.sqrt(squares + _form_errors(effect, own) ** 2))
+    return np.asarray(np.sqrt(squares + _form_errors(effect, own, held=chosen.model.situation.clamped) ** 2))
 
 
-def _form_errors(effect: Effect, doses: np.ndarray) -> np.ndarray:
+def _form_errors(effect: Effect, doses: np.ndarray, *, held: bool) -> np.ndarray:
     """A share of the dose, of several in one unit of the length of their vector; of one in decades, as many of it.
 
     Where the fit leaves next to nothing, the residuals would have a dose to a hundredth of what the model's mesh, steps
     and contact make of it.
     """
+    share = _FORM_DEFORMING if held or effect.source in ("material", "contact") else _FORM
     out = np.empty(len(doses))
     for i, dose in enumerate(effect.doses):
         alike = [j for j, other in enumerate(effect.doses) if other.unit == dose.unit]
         size = np.linalg.norm(doses[alike] - np.array([effect.doses[j].null for j in alike]))
-        out[i] = _FORM * (1 / np.log(10) if dose.unit.startswith("log10") else size)
+        out[i] = share * (1 / np.log(10) if dose.unit.startswith("log10") else size)
     return out
 
 

@@ -54,7 +54,10 @@ def decide(
     flies = measured.flight >= TELLING and any(effect.source in IN_FLIGHT for effect in best.effects)
     probability = beside_something_else(shown, 1.0 if flies else measured.share)
     case = Case(base, best, tuple(hypotheses), screening, probability, measured, options, flies)
-    rules = (_wide_open, _nothing, _slight, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo)
+    rules = (
+        _wide_open, _nothing, _slight, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo,
+        _hurried,
+    )  # fmt: skip
     for rule in rules:
         verdict = rule(case)
         if verdict is not None:
@@ -202,6 +205,17 @@ def _as_good_as_a_placebo(e: Case) -> Verdict | None:
     sentence = (
         f"Inconclusive: {e.best.label} fits best and removes {m.share:.0%} of the gap on frames that were not fitted, "
         f"but an effect that the recording does not ask for removes {m.placebo:.0%} as well."
+    )
+    return e.verdict("inconclusive", sentence, e.possible)
+
+
+def _hurried(e: Case) -> Verdict | None:
+    """Effects that the recording asks for were not tried: the best of the others is no cause yet."""
+    if not e.measured.hurried:
+        return None
+    sentence = (
+        f"Inconclusive: the clock ended the search before all effects that the recording asks for were tried; of those "
+        f"that were, {e.best.label} fits best. Diagnose again while the machine does less, or with a later deadline."
     )
     return e.verdict("inconclusive", sentence, e.possible)
 

@@ -165,8 +165,7 @@ def select_effects(
     if open_gap and base.situation.clamped:
         for effects, values in loaded_starts(cheap, errors, applicable(dictionary, base.situation)):
             _from_there(search, base, effects, values)
-    for entry in screening.one_per_name[: _SINGLES if open_gap else 2]:
-        search.fit([entry])
+    _alone(search, screening.one_per_name[: _SINGLES if open_gap else 2])
     if open_gap:
         _together(search, screening)
         _from_first_frames(search, numerics, dictionary)
@@ -261,6 +260,14 @@ def judged(base: Baseline, errors: ErrorModel, hypotheses: Sequence[Hypothesis])
     best = max(hypotheses, key=lambda h: h.evidence)
     divisor = information_per_one(base, errors, best.positions)
     return sorted((h.tempered(divisor) for h in hypotheses), key=lambda h: -h.evidence)
+
+
+def _alone(search: Selection, screened: Iterable[Screened]) -> None:
+    """Each by itself; a search that the clock ends here has not seen what the recording asks for."""
+    cost = search.base.model.cost
+    for entry in screened:
+        cost.hurried |= cost.out_of_time
+        search.fit([entry])
 
 
 def _from_there(search: Selection, full: Baseline, effects: tuple[Effect, ...], values: np.ndarray) -> None:
