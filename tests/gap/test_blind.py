@@ -20,6 +20,7 @@ from physconvex.gap.blind import (
     run_oracle,
     score_banks,
 )
+from physconvex.gap.blind.answers import likeliest_known
 from physconvex.gap.blind.cases import draw_case
 from physconvex.gap.blind.classes import class_of, same_class
 from physconvex.gap.blind.command import app
@@ -103,7 +104,8 @@ def answers_of(small, first):
             "capture": label["capture"], "verdict": "effect" if name else "none", "effects": effects,
             "ranking": [[name]] if name else [], "shrinkage": 0.9, "placebo": 0.0,
             "gap_before": 1e-2, "gap_after": 2e-3, "noise_floor": 1e-3, "none_probability": 0.0,
-            "log10_youngs_modulus": [5.0, 5.0], "poisson_ratio": [0.3, 0.3], "seconds": 1.0,
+            "known": 0.9 if name else 0.0, "log10_youngs_modulus": [5.0, 5.0], "poisson_ratio": [0.3, 0.3],
+            "seconds": 1.0,
         })  # fmt: skip
     path = small / "answers.json"
     text = json.dumps(answers, indent=1)
@@ -266,6 +268,21 @@ def test_an_unknown_effect_is_told_by_how_little_is_believed(small, believed_in,
     path = answers_of(small, first)
     path.write_text(json.dumps(json.loads(path.read_text()) | {"without": [gone]}))
     assert scored(small).unknown_auroc == area
+
+
+def test_what_is_believed_is_read_from_the_fits_whatever_was_called():
+    screening = [{"effect": "mesh_resolution", "source": "numerical"}, {"effect": "wind", "source": "external"}]
+
+    def known(**evidence):
+        fits = [{"effects": [n for n in key.split("__") if n], "evidence": e} for key, e in evidence.items()]
+        return likeliest_known({"screening": screening, "hypotheses": fits})
+
+    assert known(**{"wind": np.log(3.0), "": 0.0}) == pytest.approx(0.75)
+    assert known(**{"wind": np.log(3.0), "wind__drag": np.log(4.0), "": 0.0}) == pytest.approx(7 / 8)
+    assert known(**{"mesh_resolution": np.log(6.0), "wind": np.log(3.0), "": 0.0}) == pytest.approx(0.3)
+    assert known(**{"": 0.0}) == known(**{"mesh_resolution": 9.0, "": 0.0}) == 0.0
+    twice = [{"effects": ["wind"], "evidence": e} for e in (np.log(3.0), 0.0)] + [{"effects": [], "evidence": 0.0}]
+    assert likeliest_known({"screening": screening, "hypotheses": twice}) == pytest.approx(0.75)
 
 
 def test_changed_labels_and_answers_are_refused(small):

@@ -11,8 +11,8 @@ from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, box_mesh, simulat
 from physconvex.gap import GapOptions, Situation
 from physconvex.gap.base.base_fit import rough_baseline
 from physconvex.gap.base.baseline import FLOOR_LAW, Baseline
+from physconvex.gap.base.depth import depth_seen
 from physconvex.gap.base.model import EffectModel
-from physconvex.gap.conditions.giving_floor import depth_seen
 from physconvex.gap.conditions.setting import find_setting
 from physconvex.gap.effects import DEFAULT_EFFECTS, applicable
 from physconvex.gap.errors import numerics
@@ -103,7 +103,8 @@ def test_a_hard_floor_stays_as_it_is(tmp_path: Path) -> None:
 
 def test_a_shifted_frame_of_the_markers_is_no_depth(tmp_path: Path) -> None:
     base = rough(dropped(tmp_path, frames=8, lowered=0.03))
-    assert depth_seen(base) < 0.01 * base.situation.size
+    assert base.situation.depth == depth_seen(base.capture, base.observations, base.split.fitted)
+    assert base.situation.depth < 0.01 * base.situation.size
 
 
 def test_the_fitted_stiffness_of_a_giving_floor_is_no_numerical_error(tmp_path: Path, monkeypatch) -> None:

@@ -33,7 +33,9 @@ def hypothesis(evidence, *names, log10_modulus=5.0, dose=0.1, slight=(), later=0
         later=later,
         fitted=9.0 if not names else 1.0,
         values=np.array([log10_modulus]),
-        model=SimpleNamespace(base=("log10_youngs_modulus",), mesh=None, situation=SimpleNamespace(clamped=False)),
+        model=SimpleNamespace(
+            base=("log10_youngs_modulus",), mesh=None, situation=SimpleNamespace(clamped=False, depth=0.0, size=1.0)
+        ),
         doses=lambda one: (values[effects.index(one)], 0.1 * values[effects.index(one)]),
     )
 
@@ -204,6 +206,19 @@ def test_a_further_effect_that_gains_little_is_not_named():
     other = hypothesis(19.9, "friction")  # no part of the best fit
     assert favoured([hypothesis(20.0, "damping", "wind"), other, plain]).names == ("damping", "wind")
     assert favoured([hypothesis(20.0, "damping"), plain]).names == ("damping",) and favoured([plain]) is None
+
+
+@pytest.mark.parametrize(("depth", "gain", "names"), [
+    (0.0, 6.0, ("friction", "damping")), (0.05, 6.0, ("friction",)), (0.05, 12.0, ("friction", "damping")),
+])  # fmt: skip
+def test_a_further_effect_must_gain_more_beside_a_floor_that_gives_way(depth, gain, names):
+    """Damping beside the friction of a cube that MuJoCo threw on a soft floor, where there was none."""
+    fits = [hypothesis(20.0 + gain, "friction", "damping"), hypothesis(20.0, "friction"), hypothesis(0.0)]
+    for fit in fits:
+        fit.model.situation.depth = depth
+    assert favoured(fits).names == names
+    told = decide(fits, screening_with("friction", "damping"), 30.0, 1.0, 0.05, OPTIONS)
+    assert ("perhaps also by damping" in told.sentence) == (len(names) == 1)
 
 
 @pytest.mark.parametrize(("later", "names"), [(-0.5, ["damping"]), (0.5, ["damping", "wind"])])

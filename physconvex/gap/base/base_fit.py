@@ -14,6 +14,7 @@ from physconvex.gap.base.baseline import FLOOR_LAW, Baseline, Report, Split, spl
 from physconvex.gap.base.body_modes import body_modes
 from physconvex.gap.base.boxes import box_of_body
 from physconvex.gap.base.cost import Cost
+from physconvex.gap.base.depth import depth_seen
 from physconvex.gap.base.independence import temperature
 from physconvex.gap.base.model import ACCURACY, EffectModel, SecantModel, reduced_like
 from physconvex.gap.base.observing import Seen, observe, starts_elsewhere, with_honest_noise
@@ -118,7 +119,9 @@ def steps_per_frame(twin: Twin, values: dict[str, float]) -> int:
     return int(np.clip(wanted, twin.steps_per_frame, most))
 
 
-def _situation(twin: Twin, seen: Seen, peak_stress: float, touches: bool, giving: bool) -> Situation:
+def _situation(
+    twin: Twin, seen: Seen, peak_stress: float, touches: bool, giving: bool, depth: float
+) -> Situation:  # fmt: skip
     scene, capture = twin.scene, twin.capture
     return Situation(
         size=twin.mesh.size,
@@ -130,6 +133,7 @@ def _situation(twin: Twin, seen: Seen, peak_stress: float, touches: bool, giving
         clamped=twin.clamp is not None,
         touches=touches,
         giving_floor=giving,
+        depth=depth,
         friction=max((o.friction for o in scene.obstacles), default=0.0),
         states_velocity=capture.initial_velocity is not None or twin.clamp is not None,
         states_spin=capture.initial_angular_velocity is not None or twin.clamp is not None,
@@ -195,13 +199,14 @@ def run_base(
 ) -> Baseline:  # fmt: skip
     """The full-order model at fitted values, all frames, without tangents."""
     giving = bool(set(FLOOR_LAW) & set(found.names))
-    situation = _situation(twin, observations, 1e3, bool(twin.scene.obstacles), giving)
+    depth = depth_seen(capture, observations, split.fitted)
+    situation = _situation(twin, observations, 1e3, bool(twin.scene.obstacles), giving, depth)
     points, camera = np.asarray(observations.points), situation.camera
     model = EffectModel(
         twin, found.names, points, capture.frames, situation, camera=camera, mesh=mesh, cost=cost or Cost()
     )
     peak, force, motion = _stress_and_contact(model, found.values)
-    situation = _situation(twin, observations, peak, bool((force > 0).any()), giving)
+    situation = _situation(twin, observations, peak, bool((force > 0).any()), giving, depth)
     nothing = np.zeros((capture.frames, len(found.names), *motion.positions.shape[1:]))
     modes = body_modes(observations, free=situation.floor and not situation.clamped, force=force)
     return Baseline(

@@ -8,13 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from physconvex.errors import InputError, PhysconvexError
 from physconvex.gap.blind.bank import DICTIONARY, digest
 from physconvex.gap.blind.jobs import run_jobs
 from physconvex.gap.diagnose import diagnose
 from physconvex.gap.options import GapOptions
 
-__all__ = ["diagnose_bank"]
+__all__ = ["diagnose_bank", "likeliest_known"]
 
 Report = Callable[[str], None]
 
@@ -97,6 +99,7 @@ def _answer(job: _Job) -> dict[str, Any]:
         "without": list(job.without),
         "verdict": which["verdict"],
         "none_probability": which["none_probability"],
+        "known": likeliest_known(which),
         "effects": [{k: e[k] for k in ("name", "variant", "source", "probability", "parameters", "confused_with")}
                     for e in which["effects"]],
         "ranking": fits,
@@ -109,3 +112,22 @@ def _answer(job: _Job) -> dict[str, Any]:
         "poisson_ratio": [material[n][k] for n in ("poisson_ratio",) for k in ("before", "after")],
         "seconds": content["provenance"]["seconds"],
     }  # fmt: skip
+
+
+def likeliest_known(which: dict[str, Any]) -> float:
+    """Probability that the likeliest effect is there, by the evidence of the fits alone, whatever was called.
+
+    Of fits with the same effects the best one counts; numerical effects are none.
+
+    Args:
+        which: that part of a report.json.
+    """
+    numerical = {row["effect"] for row in which["screening"] if row["source"] == "numerical"}
+    best: dict[frozenset[str], float] = {}
+    for fit in which["hypotheses"]:
+        names = frozenset(fit["effects"])
+        best[names] = max(best.get(names, -np.inf), fit["evidence"])
+    evidence = np.array(list(best.values()))
+    weights = np.exp(evidence - evidence.max())
+    known = frozenset().union(*best) - numerical
+    return max((float(weights[[name in names for names in best]].sum() / weights.sum()) for name in known), default=0.0)

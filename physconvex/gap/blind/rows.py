@@ -29,6 +29,7 @@ class Row:
     probability: told of the first effect that is named or remains possible; NaN where none does.
     named: that effect.
     numerical: whether it is a numerical one.
+    known: probability of the likeliest effect by the fits alone, whatever was called.
     dose: of the first effect that is named, if it is the hidden one.
     shrinkage, placebo: of the held-out gap.
     oracle: shrinkage by the hidden effect, had it been the only one tried; NaN where that was not run.
@@ -50,6 +51,7 @@ class Row:
     probability: float = float("nan")
     named: str = ""
     numerical: bool = False
+    known: float = 0.0
     dose: DoseScore | None = None
     shrinkage: float = float("nan")
     placebo: float = float("nan")
@@ -103,12 +105,11 @@ class Row:
 
     @property
     def unknown_score(self) -> float:
-        """How little an answer believes in an effect that it knows: one less the probability told of the likeliest.
+        """How little the fits believe in an effect that they know: one less the probability of the likeliest.
 
-        Known classes are told from unknown ones so (Hendrycks & Gimpel, ICLR 2017). One where no effect is named or
-        remains possible, be it that a gap is left or that none is seen.
+        Known classes are told from unknown ones so (Hendrycks & Gimpel, ICLR 2017).
         """
-        return 1.0 - (self.probability if np.isfinite(self.probability) else 0.0)
+        return 1.0 - self.known
 
     @property
     def right(self) -> bool:
@@ -163,6 +164,7 @@ def scored_row(
         probability=float("nan") if named is None else named["probability"],
         named="" if named is None else named["name"],
         numerical=named is not None and named["source"] == "numerical",
+        known=answer["known"],
         dose=score_doses(truth[0], doses, named["parameters"]) if same and named is not None else None,
         shrinkage=answer["shrinkage"],
         placebo=float("nan") if answer["placebo"] is None else answer["placebo"],

@@ -15,9 +15,9 @@ from jaxtyping import Float
 
 from physconvex.gap.base.baseline import FLOOR_LAW, Baseline
 from physconvex.gap.conditions.company import Company
-from physconvex.identify import Fit, MarkerObservations
+from physconvex.identify import Fit
 
-__all__ = ["depth_seen", "on_giving_floor", "sinks_in", "softness"]
+__all__ = ["on_giving_floor", "sinks_in", "softness"]
 
 _DEPTH = 0.01  # of the size of the body: markers lie deeper in a floor that gives way
 _FACTORS = (0.0, 0.25, 0.45, 0.6, 0.75)  # decades of E above the fit with the hard floor, which is too soft
@@ -26,27 +26,9 @@ _DASHPOTS = (0.0, 1.0, 3.0)  # in times that the body takes to sink in
 _FITS = 2
 
 
-def depth_seen(base: Baseline) -> float:
-    """How deep markers lie in the floor in the fitted frames [m]: the second deepest, noise taken off.
-
-    What frame 0 lies off its rest state by counts as a shift of the markers' frame.
-    """
-    seen, capture = base.observations, base.capture
-    if not isinstance(seen, MarkerObservations) or capture.floor is None:
-        return 0.0
-    normal = np.asarray(capture.floor.normal) / np.linalg.norm(capture.floor.normal)
-    frames = base.split.fitted
-
-    first = (seen.positions[0] - seen.points) @ normal
-    shift = float(np.nanmean(first)) if np.isfinite(first).any() else 0.0
-    height = (seen.positions[frames] - np.asarray(capture.floor.point)) @ normal - shift + 4 * seen.sigma[frames]
-    deep = np.sort(-height[np.isfinite(height)])
-    return max(float(deep[-2]), 0.0) if len(deep) > 1 else 0.0
-
-
 def sinks_in(base: Baseline) -> bool:
     """Whether markers lie deeper in the floor than a stiff one allows."""
-    return depth_seen(base) >= _DEPTH * base.situation.size
+    return base.situation.depth >= _DEPTH * base.situation.size
 
 
 def on_giving_floor(company: Company, doses: Float[np.ndarray, " D"]) -> Fit | None:
@@ -76,7 +58,7 @@ def _starts(base: Baseline) -> list[np.ndarray]:
     """Values of the base parameters, the floor's last."""
     normal = np.asarray(base.capture.floor.normal) / np.linalg.norm(base.capture.floor.normal)  # type: ignore[union-attr]
     speed = max(-float((base.motion.velocities.mean(1) @ normal).min()), 1e-2)
-    depth, names = depth_seen(base), base.model.base
+    depth, names = base.situation.depth, base.model.base
     at, out = names.index("log10_youngs_modulus"), []
     for decades, shift, dashpot in product(_FACTORS, _STIFFNESSES, _DASHPOTS):
         values = base.fit.values.copy()

@@ -37,6 +37,7 @@ class Situation:
         clamped: whether part of the body is held.
         touches: whether the base model touches the floor within the frames.
         giving_floor: whether stiffness and dashpot of the floor are fitted with the base parameters.
+        depth: how deep markers are seen to lie in the floor [m].
         friction: stated coefficient of the floor.
         states_velocity, states_spin: whether the capture states the initial motion (else it is estimated freely).
         starts_elsewhere: whether the first frame differs from the rest state by more than noise.
@@ -54,6 +55,7 @@ class Situation:
     clamped: bool = False
     touches: bool = False
     giving_floor: bool = False
+    depth: float = 0.0
     friction: float = 0.0
     states_velocity: bool = True
     states_spin: bool = True

@@ -26,6 +26,9 @@ __all__ = [
 
 SOMETHING_ELSE = "something else"
 WEAK = 1.5  # gain of log-evidence by an effect that leaves open whether it is there
+# share of the size: where markers lie deeper in the floor, its law is another than any here; and the gain below which it
+# may be that law that a further effect follows
+_DEEP, _BESIDE_A_SOFT_FLOOR = 0.02, 10.0
 _ALIKE = 0.95  # cosine of signatures
 # of a dose: what two programs that mean the same effect differ by, as a standard error; the second of effects that act
 # through how the body deforms or touches, and of bodies that are held, which do nothing but deform
@@ -60,7 +63,9 @@ def favoured(hypotheses: Sequence[Hypothesis]) -> Hypothesis | None:
     """The fit with effects that is reported: the best, or with fewer of its effects if the others gain too little.
 
     Effects that gain in the fitted frames and lose in those that no fit saw count as gaining too little: what programs
-    differ by after an impact is followed so, by damping or an uneven E beside the cause.
+    differ by after an impact is followed so, by damping or an uneven E beside the cause. In a recording whose floor
+    gives way by percents of the body's size they have to gain more: what such a contact takes and gives back otherwise
+    than the model's is followed so too.
 
     Args:
         hypotheses: best evidence first.
@@ -68,11 +73,13 @@ def favoured(hypotheses: Sequence[Hypothesis]) -> Hypothesis | None:
     best = next((h for h in hypotheses if h.effects), None)
     if best is None:
         return None
+    situation = best.model.situation
+    little = _BESIDE_A_SOFT_FLOOR if situation.depth >= _DEEP * situation.size else WEAK
     enough = [
         h
         for h in hypotheses
         if h.effects and set(h.names) < set(best.names)
-        and (best.evidence - h.evidence < WEAK or not best.foretells_more_than(h))
+        and (best.evidence - h.evidence < little or not best.foretells_more_than(h))
     ]  # fmt: skip
     return min(enough, key=lambda h: (len(h.effects), -h.evidence), default=best)
 
