@@ -26,8 +26,8 @@ __all__ = [
 
 SOMETHING_ELSE = "something else"
 WEAK = 1.5  # gain of log-evidence by an effect that leaves open whether it is there
-# share of the size: where markers lie deeper in the floor, its law is another than any here; and the gain below which it
-# may be that law that a further effect follows
+# share of the size: where markers lie deeper in the floor, its law is another than any here; and the gain below which a
+# further effect may be following that law
 _DEEP, _BESIDE_A_SOFT_FLOOR = 0.02, 10.0
 _ALIKE = 0.95  # cosine of signatures
 # of a dose: what two programs that mean the same effect differ by, as a standard error; the second of effects that act
