@@ -74,6 +74,14 @@ class Camera:
         """Camera-to-world rotation; the columns are the camera's right, up and backward axes."""
         return self.transform_matrix[:3, :3]
 
+    def local(self, points: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+        """World points [m] along the camera's right, up and backward axes, from where it stands [m]."""
+        return np.asarray((np.asarray(points, dtype=np.float64) - self.position) @ self.rotation)
+
+    def world(self, local: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+        """World points [m] of such coordinates."""
+        return np.asarray(local @ self.rotation.T + self.position)
+
     def project(
         self, points: Float[np.ndarray, "... 3"]
     ) -> tuple[Float[np.ndarray, "... 2"], Float[np.ndarray, " ..."]]:
@@ -82,7 +90,7 @@ class Camera:
         Depth is the distance along the viewing direction; it is ≤ 0 behind the camera, where the pixel
         coordinates are NaN.
         """
-        local = (np.asarray(points, dtype=np.float64) - self.position) @ self.rotation
+        local = self.local(points)
         depth = np.asarray(-local[..., 2])
         safe = np.where(depth > 0, depth, np.nan)
         x, y = local[..., 0] / safe, -local[..., 1] / safe

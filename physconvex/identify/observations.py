@@ -192,7 +192,7 @@ class MarkerObservations(PointwiseObservations):
 
 def camera_jacobian(camera: Camera, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2 3"]:
     """Derivatives of a camera's pixel coordinates by world positions [pixels/m]; NaN behind the camera."""
-    local = (np.asarray(points, dtype=np.float64) - camera.position) @ camera.rotation
+    local = camera.local(points)
     depth = np.where(local[:, 2] < 0, -local[:, 2], np.nan)
     plane = np.stack([local[:, 0] / depth, -local[:, 1] / depth], axis=-1)
     zero = np.zeros_like(depth)

@@ -27,6 +27,14 @@ def test_look_at_centres_the_target_and_keeps_up_upward():
     assert camera.project(edge)[0][1] == pytest.approx(0, abs=1e-9)
 
 
+def test_points_in_the_axes_of_a_camera():
+    camera = look_at((0, -4, 1), (0, 0, 1), width=64, height=48, vertical_field_of_view=0.7)
+    np.testing.assert_allclose(camera.local(np.array([0.5, -1.0, 1.2])), [0.5, 0.2, -3.0], atol=1e-12)
+    points = np.random.default_rng(0).normal(size=(2, 5, 3))
+    np.testing.assert_allclose(camera.world(camera.local(points)), points, atol=1e-12)
+    np.testing.assert_allclose(-camera.local(points)[..., 2], camera.project(points)[1])
+
+
 @pytest.mark.parametrize("distortion", [(0.0, 0.0), (-0.12, 0.03)])
 def test_rays_invert_project(distortion):
     base = look_at((1, -3, 2), (0, 0, 0.5), width=32, height=24, vertical_field_of_view=0.8).to_json()

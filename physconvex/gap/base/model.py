@@ -244,11 +244,10 @@ def _from_first_image(camera: Camera, positions: Positions, first: Float[np.ndar
         positions: of the points as it sees them [m].
         first: where the first image shows them [m], shape [P, 3].
     """
-    local, start = ((x - camera.position) @ camera.rotation for x in (positions, first))
+    local, start = camera.local(positions), camera.local(first)
     across = local[..., :2] / local[..., 2:]
     across = across - across[0] + start[:, :2] / start[:, 2:]
-    local = np.concatenate([across * local[..., 2:], local[..., 2:]], axis=-1)
-    return np.asarray(local @ camera.rotation.T + camera.position)
+    return camera.world(np.concatenate([across * local[..., 2:], local[..., 2:]], axis=-1))
 
 
 @dataclass(frozen=True)

@@ -79,18 +79,10 @@ CAMERA_POSE = Effect(
 )
 
 
-def _local(motion: Motion) -> np.ndarray:
-    assert motion.camera is not None
-    return np.asarray((motion.positions - motion.camera.position) @ motion.camera.rotation)
-
-
-def _world(motion: Motion, local: np.ndarray) -> np.ndarray:
-    assert motion.camera is not None
-    return np.asarray(local @ motion.camera.rotation.T + motion.camera.position)
-
-
 def _zoomed(motion: Motion, doses: Doses) -> Positions:
-    return _world(motion, _local(motion) * np.array([1 + doses[0], 1 + doses[0], 1.0]))
+    camera = motion.camera
+    assert camera is not None
+    return camera.world(camera.local(motion.positions) * np.array([1 + doses[0], 1 + doses[0], 1.0]))
 
 
 def _seen_by_camera(situation: Situation) -> bool:
@@ -109,9 +101,12 @@ FOCAL_LENGTH = Effect(
 
 
 def _bent(motion: Motion, doses: Doses) -> Positions:
-    local = _local(motion)
+    camera = motion.camera
+    assert camera is not None
+    local = camera.local(motion.positions)
     square = (local[..., :2] ** 2).sum(-1, keepdims=True) / local[..., 2:] ** 2
-    return _world(motion, local * np.concatenate([np.repeat(1 + doses[0] * square, 2, -1), np.ones_like(square)], -1))
+    factors = np.concatenate([np.repeat(1 + doses[0] * square, 2, -1), np.ones_like(square)], -1)
+    return camera.world(local * factors)
 
 
 LENS_DISTORTION = Effect(
