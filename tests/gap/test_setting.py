@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from physconvex.errors import ConvergenceError
-from physconvex.gap import GapOptions, diagnose
+from physconvex.gap import GapOptions, Situation, diagnose
 from physconvex.gap.conditions import setting
 from physconvex.gap.conditions.setting import find_setting
 
@@ -52,3 +52,20 @@ def test_a_base_model_that_fails_on_the_finer_mesh_is_fitted_without_it(monkeypa
     rough = SimpleNamespace(model=None, fit=SimpleNamespace(values=np.zeros(2)))
     assert module._motion_on_fine_mesh(rough, SimpleNamespace(fine=None)) is None
     assert module._motion_on_fine_mesh(rough, SimpleNamespace(fine=("mesh", "motion"))) is None
+
+
+@pytest.mark.parametrize(("refuted", "left", "chosen"), [
+    (False, {(False, False): 1.0, (False, True): 0.8, (True, True): 0.6}, (False, False)),
+    (False, {(False, False): 1.0, (False, True): 0.6, (True, True): 0.6}, (False, True)),
+    (True, {(False, False): 1.0, (False, True): 1.2, (True, False): 0.4, (True, True): 1.0}, (False, True)),
+    (True, {(False, False): 1.0, (False, True): 1.2, (True, True): 0.8}, (True, True)),
+    (True, {(False, False): 1.0, (True, False): 0.4}, (True, False)),
+])  # fmt: skip
+def test_a_hard_floor_is_refuted_by_how_deep_markers_lie_in_it(refuted, left, chosen):
+    """MuJoCo's thrown cube: as well off on a hard floor, with friction, at a third of its E."""
+    assert setting._likeliest(left, refuted=refuted) == chosen
+
+
+def test_markers_lie_in_a_soft_floor_from_two_percent_of_the_size_on():
+    above, below = (Situation(0.1, 4e4, 1000.0, 60.0, 10, floor=True, depth=d) for d in (1.9e-3, 2.1e-3))
+    assert not above.in_soft_floor and below.in_soft_floor

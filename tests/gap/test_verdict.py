@@ -34,7 +34,7 @@ def hypothesis(evidence, *names, log10_modulus=5.0, dose=0.1, slight=(), later=0
         fitted=9.0 if not names else 1.0,
         values=np.array([log10_modulus]),
         model=SimpleNamespace(
-            base=("log10_youngs_modulus",), mesh=None, situation=SimpleNamespace(clamped=False, depth=0.0, size=1.0)
+            base=("log10_youngs_modulus",), mesh=None, situation=SimpleNamespace(clamped=False, in_soft_floor=False)
         ),
         doses=lambda one: (values[effects.index(one)], 0.1 * values[effects.index(one)]),
     )
@@ -208,14 +208,14 @@ def test_a_further_effect_that_gains_little_is_not_named():
     assert favoured([hypothesis(20.0, "damping"), plain]).names == ("damping",) and favoured([plain]) is None
 
 
-@pytest.mark.parametrize(("depth", "gain", "names"), [
-    (0.0, 6.0, ("friction", "damping")), (0.05, 6.0, ("friction",)), (0.05, 12.0, ("friction", "damping")),
+@pytest.mark.parametrize(("soft", "gain", "names"), [
+    (False, 6.0, ("friction", "damping")), (True, 6.0, ("friction",)), (True, 12.0, ("friction", "damping")),
 ])  # fmt: skip
-def test_a_further_effect_must_gain_more_beside_a_floor_that_gives_way(depth, gain, names):
+def test_a_further_effect_must_gain_more_beside_a_floor_that_gives_way(soft, gain, names):
     """Damping beside the friction of a cube that MuJoCo threw on a soft floor, where there was none."""
     fits = [hypothesis(20.0 + gain, "friction", "damping"), hypothesis(20.0, "friction"), hypothesis(0.0)]
     for fit in fits:
-        fit.model.situation.depth = depth
+        fit.model.situation.in_soft_floor = soft
     assert favoured(fits).names == names
     told = decide(fits, screening_with("friction", "damping"), 30.0, 1.0, 0.05, OPTIONS)
     assert ("perhaps also by damping" in told.sentence) == (len(names) == 1)

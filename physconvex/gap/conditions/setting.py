@@ -85,10 +85,23 @@ def _asked(base: Baseline, options: GapOptions, report: Callable[[str], None]) -
                 tried[mesh is not None, which is names[1]] = found
     if not tried:
         return Setting(base, None)
-    theirs, gives = min(tried, key=lambda case: tried[case].misfit / _BETTER ** sum(case))
+    misfits = {case: found.misfit for case, found in tried.items()}
+    theirs, gives = _likeliest(misfits, refuted=base.situation.in_soft_floor)
     if gives:
         return Setting(_moved(base, company, names[1], tried[theirs, gives]), None if own is None else theirs)
     return replace(_damped(base, options, report), own=None if own is None else theirs)
+
+
+def _likeliest(misfits: dict[tuple[bool, bool], float], *, refuted: bool) -> tuple[bool, bool]:
+    """Whether the elements are the own ones, and whether the floor gives way.
+
+    Args:
+        misfits: by the same.
+        refuted: whether no hard floor can be, however well it does beside wrong values.
+    """
+    possible = {case: misfit for case, misfit in misfits.items() if case[1]} if refuted else {}
+    possible = possible or misfits
+    return min(possible, key=lambda case: possible[case] / _BETTER ** sum(case))
 
 
 def _damped(base: Baseline, options: GapOptions, report: Callable[[str], None]) -> Setting:

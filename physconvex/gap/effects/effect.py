@@ -21,6 +21,7 @@ Source = Literal["material", "contact", "external", "initial state", "observatio
 SOURCES: tuple[Source, ...] = (
     "material", "contact", "external", "initial state", "observation", "numerical", "gauge",
 )  # fmt: skip
+_DEEP = 0.02  # share of the size of a body
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,11 @@ class Situation:
     def wave_time(self) -> float:
         """Time an elastic wave takes through the body, L √(ρ/E) [s]: the scale of its vibrations."""
         return float(self.size * np.sqrt(self.density / self.youngs_modulus))
+
+    @property
+    def in_soft_floor(self) -> bool:
+        """Whether markers lie so deep in the floor that no stiff one bore them."""
+        return self.depth >= _DEEP * self.size
 
 
 @dataclass(frozen=True)

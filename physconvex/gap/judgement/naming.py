@@ -26,9 +26,7 @@ __all__ = [
 
 SOMETHING_ELSE = "something else"
 WEAK = 1.5  # gain of log-evidence by an effect that leaves open whether it is there
-# share of the size: where markers lie deeper in the floor, its law is another than any here; and the gain below which a
-# further effect may be following that law
-_DEEP, _BESIDE_A_SOFT_FLOOR = 0.02, 10.0
+_BESIDE_A_SOFT_FLOOR = 10.0  # gain below which a further effect may be following what a law of such a contact is
 _ALIKE = 0.95  # cosine of signatures
 # of a dose: what two programs that mean the same effect differ by, as a standard error; the second of effects that act
 # through how the body deforms or touches, and of bodies that are held, which do nothing but deform
@@ -73,8 +71,7 @@ def favoured(hypotheses: Sequence[Hypothesis]) -> Hypothesis | None:
     best = next((h for h in hypotheses if h.effects), None)
     if best is None:
         return None
-    situation = best.model.situation
-    little = _BESIDE_A_SOFT_FLOOR if situation.depth >= _DEEP * situation.size else WEAK
+    little = _BESIDE_A_SOFT_FLOOR if best.model.situation.in_soft_floor else WEAK
     enough = [
         h
         for h in hypotheses
