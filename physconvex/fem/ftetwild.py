@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
@@ -18,6 +19,8 @@ __all__ = ["diagonal_of", "fill", "fill_within"]
 MIN_MEAN_RATIO = 0.02
 # How often the resolution is made coarser to respect `max_nodes`, and by how much.
 COARSENINGS, COARSENING_FACTOR = 6, 1.35
+# The share of `max_nodes` below which a mesh does not come near it, and how often it is then made finer again.
+NEAR, REFINEMENTS = 0.75, 3
 # What fTetWild writes into the current folder, whatever it is told.
 LEFT_BEHIND = "__tracked_surface.stl"
 # Volume per area of the surface, in units of fTetWild's tolerance, below which nothing was enclosed: a single sliver
@@ -40,25 +43,34 @@ def fill_within(
     match_volume: bool,
     iterations: int,
     threads: int,
+    near: bool = False,
 ) -> TetMesh:
     """A mesh of at most `max_nodes` nodes: edge length and tolerance grow until that is met.
+
+    With `near` they shrink again, thrice at most, where that mesh has less than three quarters of these.
 
     Raises:
         InputError: the surface encloses no volume.
         ConvergenceError: no mesh with sound elements, or none within `max_nodes`, was found.
     """
     volume = enclosed_volume(vertices, faces) if match_volume else None
+
+    def meshed(factor: float) -> TetMesh:
+        mesh = fill(vertices, faces, length * factor, epsilon * factor, iterations, threads)
+        return to_quadratic(mesh) if order == 2 else mesh
+
     factor, sound, lost, nodes = 1.0, 1.0, np.inf, 0
     for _ in range(COARSENINGS):
         try:
-            mesh = fill(vertices, faces, length * factor, epsilon * factor, iterations, threads)
+            mesh = meshed(factor)
         except _NothingEnclosedError:
             if nodes == 0:
                 raise
             factor, lost = float(np.sqrt(factor * sound)), factor  # thin walls: as coarse as they stand
             continue
-        mesh = to_quadratic(mesh) if order == 2 else mesh
         if max_nodes is None or len(mesh.vertices) <= max_nodes:
+            if near and max_nodes is not None:
+                mesh = _finer(mesh, factor, sound if nodes else None, max_nodes, meshed)
             return mesh if volume is None else with_volume(mesh, volume)
         nodes, sound = len(mesh.vertices), factor
         factor = min(factor * COARSENING_FACTOR, float(np.sqrt(factor * lost)))
@@ -67,6 +79,33 @@ def fill_within(
         f"tetrahedralize: still {nodes} nodes at epsilon {epsilon * sound:.3f}{thin} after {COARSENINGS} attempts, "
         f"max_nodes is {max_nodes}; allow more nodes or simplify the surface"
     )
+
+
+def _finer(
+    mesh: TetMesh, factor: float, too_fine: float | None, max_nodes: int, meshed: Callable[[float], TetMesh]
+) -> TetMesh:
+    """A mesh that comes near `max_nodes`, or the one with most nodes of those that were made.
+
+    Args:
+        mesh: one of few nodes, which this factor on edge length and tolerance gave.
+        factor: on edge length and tolerance.
+        too_fine: a factor that gave too many nodes, if one is known.
+        max_nodes: of the result.
+        meshed: makes another.
+    """
+    for _ in range(REFINEMENTS):
+        if len(mesh.vertices) >= NEAR * max_nodes:
+            break
+        trial = factor / COARSENING_FACTOR if too_fine is None else float(np.sqrt(factor * too_fine))
+        try:
+            other = meshed(trial)
+        except (ConvergenceError, InputError):
+            break
+        if len(other.vertices) > max_nodes:
+            too_fine = trial
+        else:
+            factor, mesh = trial, max(mesh, other, key=lambda one: len(one.vertices))
+    return mesh
 
 
 def fill(

@@ -78,7 +78,7 @@ def tetrahedralize(
             diagonal of the bounding box. It governs the number of nodes more than `target_edge_length` does.
             fTetWild only.
         max_nodes: upper bound on the nodes of the result; edge length and epsilon grow until it is met. The lattice
-            mesher always has such a bound, 700 by default, and comes close to it.
+            mesher always has such a bound, 700 by default, and comes close to it, and so does fTetWild under "auto".
         order: 1 for linear, 2 for quadratic elements.
         method: the mesher.
         signed_distance: negative inside [m], if it is at hand; the lattice mesher computes it otherwise.
@@ -120,6 +120,7 @@ def tetrahedralize(
             match_volume=match_volume,
             iterations=max_iterations,
             threads=threads,
+            near=method == "auto",
         ),
         "simplified": partial(_simplified_mesh, vertices, faces, limit, order),
     }
