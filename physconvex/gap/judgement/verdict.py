@@ -235,7 +235,9 @@ def _called(e: Case) -> Verdict:
     doses = "; ".join(f"{d.name} = {d.value:.3g} {d.unit}".strip() for n in likely for d in n.doses)
     also = sorted({name for n in likely for name in n.confused_with})
     caveat = f"; from this recording it may be confused with {', '.join(also)}" if also else ""
-    perhaps = [f"{n.name} ({TRUSTED * n.probability:.0%})" for n in (*e.named, *e.further) if n not in likely]
+    perhaps = [f"{n.name} ({TRUSTED * n.probability:.0%})" for n in e.named if n not in likely]
+    soft = e.best.model.situation.in_soft_floor  # whose law may be what further effects follow
+    perhaps += [f"{n.name} ({'or the floor' if soft else f'{TRUSTED * n.probability:.0%}'})" for n in e.further]
     added = f"; perhaps also by {', '.join(perhaps)}" if perhaps else ""
     label = " + ".join(x.label for x in e.best.effects if x.name in {n.name for n in likely})
     sure = ", ".join(f"{TRUSTED * n.probability:.0%}" for n in likely)
