@@ -155,9 +155,18 @@ def judge(
     left = arrays["left"]
     if twin.may_strike:  # after an impact meshes do not converge: all that a finer one moved
         left = np.hypot(left, np.abs(last.values - found.values))
+    if arrays.get("runs_away", False):
+        last = found
+        warnings.append(
+            "A finer mesh, or half the time step, moves the estimates further at every turn: after what it strikes, "
+            "models of this body part ever further. The estimates are those of the coarser model; their intervals take "
+            "in what the finer one moved."
+        )
     return Judged(last, left, arrays["errors"], mesh)
 
 
 def arrays_of_finer(found: FinerFit) -> dict[str, np.ndarray]:
     """What the stage keeps."""
-    return arrays_of_fit(found.fit) | {"left": found.left, "errors": found.frame_errors}
+    return arrays_of_fit(found.fit) | {
+        "left": found.left, "errors": found.frame_errors, "runs_away": np.array(found.runs_away),
+    }  # fmt: skip

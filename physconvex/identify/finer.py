@@ -34,6 +34,7 @@ _STEP_LEFT = 1.0 / 3.0
 _SETTLED = 0.3  # of a standard deviation
 _FAR = 0.2  # typical steps
 _BELIEVED = 1.0  # typical steps
+_RUNS_AWAY = 0.5  # typical steps, in the last turn
 _LINEAR_OPTIONS = replace(FULL_OPTIONS, max_iterations=30)  # a straight line costs nothing
 
 
@@ -57,11 +58,14 @@ class FinerFit:
         fit: of the cheap model, shifted.
         left: standard deviation of each value by the error that is left, shape [K].
         frame_errors: e_t, the error that is left by frame, in standard deviations of the noise, shape [T].
+        runs_away: whether the last turn still moved a value by half a typical step: meshes that part ever further, as
+            of a body that has landed on thin legs, do not say where the values are.
     """
 
     fit: Fit
     left: Float[np.ndarray, " K"]
     frame_errors: Float[np.ndarray, " T"]
+    runs_away: bool = False
 
 
 def fit_finer(
@@ -91,7 +95,7 @@ def fit_finer(
     """
     finest = replace(coarse, mesh=coarse.mesh if mesh is None else mesh)
     scales = np.array([p.step for p in found.parameters])
-    values, last, there = found.values, found, None
+    values, last, there, runs_away = found.values, found, None, False
     for _ in range(turns):
         if there is None or (np.abs(values - there.anchor) > _FAR * scales).any():
             there = _differences(cheap, coarse, finest, observations, values)
@@ -103,13 +107,14 @@ def fit_finer(
         last = fit(model, there.weighted, [_near(p) for p in start], options=_LINEAR_OPTIONS)
         last = replace(last, parameters=start)
         moved, values = np.abs(last.values - values), last.values
+        runs_away = bool((moved > _RUNS_AWAY * scales).any())
         if (moved <= _SETTLED * np.sqrt(np.diag(noise_covariance(last)))).all():
             break
     assert there is not None
     left = np.hypot(
         there.share.left * there.effect(last, there.by_mesh), _STEP_LEFT * there.effect(last, there.by_step)
     )
-    return FinerFit(last, left, there.errors)
+    return FinerFit(last, left, there.errors, runs_away)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,7 @@
 """The full model fitted with its own derivatives, and with what a finer mesh adds."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from physconvex.identify import (
     base_twin,
     default_parameters,
     extrapolated_nodes,
+    finer,
     fit,
     fit_finer,
     fit_full,
@@ -87,6 +89,33 @@ def test_what_a_finer_mesh_adds_removes_most_of_the_error_and_states_what_is_lef
     noise = np.sqrt(np.diag(noise_covariance(after.fit)))
     assert (after.left > 0).all() and (errors[1] < 2.5 * np.hypot(noise, after.left)).all()
     assert after.frame_errors[0] < after.frame_errors[-1]
+
+
+@pytest.mark.wrong_types  # stand-ins for differences of models
+def test_differences_that_move_the_values_further_at_every_turn_are_told(bar, fitted, monkeypatch):
+    """A lion on its legs: ν from .29 to .19, .09 and its bound."""
+    twin, seen = bar
+    coarse, before = FullModel(twin, NAMES, seen.points, FRAMES), fitted[1].fit
+    tangents = coarse.linearise(before.values)[1]
+    steps = np.array([p.step for p in before.parameters])
+    ahead, taken = np.array([0.9, 0.0]), []
+
+    def differences(cheap, coarse, finest, observations, values):
+        taken.append(values)
+        wanted = ahead if len(taken) <= runs else 0.0  # by this the finer model asks for more each time
+        return SimpleNamespace(
+            anchor=values, finest=seen.positions - np.tensordot(wanted * steps, tangents, ([0], [1])), beyond=0.0,
+            tangents=tangents, weighted=seen, errors=np.zeros(FRAMES), share=SimpleNamespace(left=0.5),
+            by_mesh=None, by_step=None, effect=lambda last, difference: np.zeros(2),
+        )  # fmt: skip
+
+    monkeypatch.setattr(finer, "_differences", differences)
+    for runs, away in ((3, True), (1, False)):
+        taken.clear()
+        found = fit_finer(coarse, coarse, None, seen, before)
+        assert found.runs_away == away and len(taken) == runs + (not away)
+        moved = (found.fit.values - before.values) / steps
+        assert moved == pytest.approx(runs * ahead, abs=0.05)
 
 
 def test_what_halving_the_mesh_changes_is_added_in_part_where_nothing_is_struck(bar):
