@@ -153,14 +153,15 @@ def judge(
         )
     last = fit_of(arrays, found.parameters) if "values" in arrays else found
     left = arrays["left"]
-    if twin.may_strike:  # after an impact meshes do not converge: all that a finer one moved
+    runs_away = bool(arrays.get("runs_away", False))
+    if twin.may_strike or runs_away:  # after an impact meshes do not converge: all that a finer one moved
         left = np.hypot(left, np.abs(last.values - found.values))
-    if arrays.get("runs_away", False):
+    if runs_away:
         last = found
         warnings.append(
-            "A finer mesh, or half the time step, moves the estimates further at every turn: after what it strikes, "
-            "models of this body part ever further. The estimates are those of the coarser model; their intervals take "
-            "in what the finer one moved."
+            "A finer mesh, or half the time step, moves the estimates further at every turn: models of this body part "
+            "ever further. The estimates are those of the coarser model; their intervals take in what the finer one "
+            "moved."
         )
     return Judged(last, left, arrays["errors"], mesh)
 

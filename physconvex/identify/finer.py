@@ -107,8 +107,9 @@ def fit_finer(
         last = fit(model, there.weighted, [_near(p) for p in start], options=_LINEAR_OPTIONS)
         last = replace(last, parameters=start)
         moved, values = np.abs(last.values - values), last.values
-        runs_away = bool((moved > _RUNS_AWAY * scales).any())
-        if (moved <= _SETTLED * np.sqrt(np.diag(noise_covariance(last)))).all():
+        settled = bool((moved <= _SETTLED * np.sqrt(np.diag(noise_covariance(last)))).all())
+        runs_away = not settled and bool((moved > _RUNS_AWAY * scales).any())
+        if settled:
             break
     assert there is not None
     left = np.hypot(
