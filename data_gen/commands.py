@@ -93,6 +93,31 @@ def captures(
     _report(out, "captures", summary)
 
 
+@app.command("falls")
+def falls(
+    out: Out,
+    shapes: Annotated[int, typer.Option(min=1, help="Number of shapes.")] = 1720,
+    each: Annotated[int, typer.Option(min=1, help="Falls of each shape.")] = 4,
+    nodes: Annotated[int, typer.Option(help="Most nodes of a mesh.")] = 1900,
+    config: Config = "training",
+    seed: Seed = 0,
+    workers: Workers = 2,
+    engine: Engine = "local",
+    settings: Settings = None,
+    progress: Progress = True,
+) -> None:
+    """Draw and mesh bodies that fall, for `physconvex pretrain`, which simulates them on a GPU."""
+    from data_gen.explicit.generate import generate_falls
+
+    resolved = _resolved(config, [*(settings or []), f"objects.simulations_per_object={each}"], None)
+    with tqdm(total=shapes, unit="shape", disable=not progress) as bar:
+        count = generate_falls(
+            out, shapes=shapes, config=resolved, seed=seed, nodes=nodes, workers=workers, engine=engine,
+            on_file=lambda done: bar.update(done - bar.n),
+        )  # fmt: skip
+    typer.echo(f"{out}: {count} falls")
+
+
 @app.command("benchmark")
 def benchmark(
     objects: Annotated[Path, typer.Option(help="Folder of folders, each with a textured mesh.")],

@@ -34,7 +34,7 @@ def landing_heights(
         velocity, angular_velocity: of the body at the start [m/s], [rad/s].
         duration: of the flight at most [s].
     """
-    centre, inertia = _mass_properties(mesh)
+    centre, inertia = mass_properties(mesh)
     arms, turn = mesh.vertices - centre, Rotation.identity()
     momentum = inertia @ np.asarray(angular_velocity)
     for time in np.arange(0.0, duration, _STEP):
@@ -47,7 +47,7 @@ def landing_heights(
     return None
 
 
-def _mass_properties(mesh: TetMesh) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
+def mass_properties(mesh: TetMesh) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
     """Centre [m] and inertia about it [m⁵], of density one: exact for straight tetrahedra."""
     volumes, corners = mesh.element_volumes, mesh.vertices[mesh.corner_tets]
     centre = volumes @ corners.mean(axis=1) / volumes.sum()

@@ -16,7 +16,7 @@ from data_gen.surface import Surface
 from data_gen.textures import background_texture, floor_texture, vertex_colors
 from physconvex.camera import Camera, look_at
 
-__all__ = ["Drop", "Look", "draw_drop", "draw_look", "split_of"]
+__all__ = ["Drop", "Look", "draw_drop", "draw_look", "draw_object", "split_of"]
 
 # Kinds of random streams; the first number of each stream's key.
 _OBJECT, _MOTION, LOOK = 0, 1, 2
@@ -70,9 +70,11 @@ def split_of(object_id: str, train_share: float, validation_share: float) -> str
     return "validation" if place < train_share + validation_share else "test"
 
 
-def draw_drop(config: GeneratorConfig, seed: int, simulation: int, attempt: int) -> Drop:
-    """The drop with that number; `attempt` counts replacements of failed ones."""
-    body = _object(config, seed, simulation, attempt)
+def draw_drop(
+    config: GeneratorConfig, seed: int, simulation: int, attempt: int, *, body: ObjectMesh | None = None
+) -> Drop:
+    """The drop with that number; `attempt` counts replacements of failed ones, `body` is its object if known."""
+    body = draw_object(config, seed, simulation, attempt) if body is None else body
     rng = stream(seed, _MOTION, simulation, attempt)
     motion, material = config.motion, config.material
     size = motion.size.sample(rng)
@@ -98,7 +100,8 @@ def draw_drop(config: GeneratorConfig, seed: int, simulation: int, attempt: int)
     )
 
 
-def _object(config: GeneratorConfig, seed: int, simulation: int, attempt: int) -> ObjectMesh:
+def draw_object(config: GeneratorConfig, seed: int, simulation: int, attempt: int) -> ObjectMesh:
+    """The object of the simulation with that number, before it is scaled."""
     number = simulation // config.objects.simulations_per_object
     if config.objects.folder is not None:
         paths = objects_from_folder(config.objects.folder)

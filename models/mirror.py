@@ -12,7 +12,7 @@ from torch import Tensor
 from models.network import ClipBatch, NetworkOutput, PhysicsNetwork
 from models.silhouette import MOMENT_NAMES
 
-__all__ = ["answer_both_ways", "mirrored_batch", "mirrored_moments"]
+__all__ = ["answer_both_ways", "mirrored_batch", "mirrored_moments", "mirrored_moments_tensor"]
 
 _SWAPPED = {"left": "right", "right": "left"}
 _SOURCE = np.array([MOMENT_NAMES.index(_SWAPPED.get(name, name)) for name in MOMENT_NAMES])
@@ -24,10 +24,14 @@ def mirrored_moments(moments: Float[np.ndarray, "*T M"]) -> Float[np.ndarray, "*
     return moments[..., _SOURCE] * _SIGN
 
 
+def mirrored_moments_tensor(moments: Float[Tensor, "*T M"]) -> Float[Tensor, "*T M"]:
+    """`mirrored_moments` of a tensor."""
+    return moments[..., _SOURCE] * torch.from_numpy(_SIGN).to(moments.device)
+
+
 def mirrored_batch(batch: ClipBatch) -> ClipBatch:
     """Left and right exchanged."""
-    sign = torch.from_numpy(_SIGN).to(batch.moments.device)
-    return replace(batch, windows=batch.windows.flip(3), moments=batch.moments[..., _SOURCE] * sign)
+    return replace(batch, windows=batch.windows.flip(3), moments=mirrored_moments_tensor(batch.moments))
 
 
 def answer_both_ways(

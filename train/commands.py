@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from tqdm import tqdm
 
-__all__ = ["calibrate", "train", "train_outline", "train_segmenter"]
+__all__ = ["calibrate", "pretrain", "train", "train_outline", "train_segmenter"]
 
 
 def train(
@@ -50,6 +50,33 @@ def train(
         )
     score = "none" if result.best_score is None else f"{result.best_score:.3f}"
     typer.echo(f"{result.steps} steps, best validation score {score}, checkpoint in {result.checkpoint}")
+
+
+def pretrain(
+    falls: Annotated[Path, typer.Option(help="Folder of `physconvex generate falls`.")],
+    data: Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")],
+    out: Annotated[Path, typer.Option(help="Run folder; its `best/` is the checkpoint.")],
+    config: Annotated[str, typer.Option(help="YAML file or preset.")] = "falls",
+    minutes: Annotated[float, typer.Option(help="Of training on the falls.")] = 6.4,
+    drawn: Annotated[int, typer.Option(help="Falls of each step.", min=1)] = 168,
+    real: Annotated[int, typer.Option(help="Clips of data sets of each step.", min=1)] = 24,
+    device: Annotated[str, typer.Option(help="A CUDA device, or `cpu`, which is some hundred times slower.")] = "cuda",
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    cache: Annotated[Path | None, typer.Option(help="Where prepared clips live; OUT/cache unless given.")] = None,
+    workers: Annotated[int, typer.Option(help="Processes that prepare clips and bodies.", min=1)] = 2,
+) -> None:
+    """Train the predictor on falls simulated and drawn on a GPU, beside data sets."""
+    from train.config import load_train_config
+    from train.falls.pretrain import Pretraining
+    from train.falls.run import train_on_falls
+
+    plan = Pretraining(minutes=minutes, drawn=drawn, real=real, seed=seed)
+    with _Bar() as bar:
+        checkpoint = train_on_falls(
+            load_train_config(config, seed=seed), plan, falls, data, out,
+            device=device, cache=cache, workers=workers, report=bar.report, log=tqdm.write,
+        )  # fmt: skip
+    typer.echo(f"checkpoint in {checkpoint}")
 
 
 def calibrate(

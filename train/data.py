@@ -63,9 +63,9 @@ class TrainingClips(Dataset[_Example]):
         modes: int,
         seed: int,
     ) -> None:
-        self._prepared, self._augmentation, self._modes, self._seed = prepared, augmentation, modes, seed
+        self.prepared, self._augmentation, self._modes, self._seed = prepared, augmentation, modes, seed
         self._samples = [clip.samples for clip in clips]
-        self._states = [_shown_states(clip, prepared, k) for k, clip in enumerate(clips)]
+        self.states = [_shown_states(clip, prepared, k) for k, clip in enumerate(clips)]
         size = np.array([clip.object_size for clip in clips])
         modulus = np.array([clip.youngs_modulus for clip in clips])
         density = np.array([clip.density for clip in clips])
@@ -82,12 +82,12 @@ class TrainingClips(Dataset[_Example]):
         samples = self._subsampled(self._samples[k], generator)
         true_moments = config is not None and generator.random() < config.true_moments_share
         sample = Sample(
-            windows=np.asarray(self._prepared.windows[k]),
-            moments=np.asarray(self._prepared.moments[k, int(true_moments)]),
-            valid=np.asarray(self._prepared.valid[k]),
+            windows=np.asarray(self.prepared.windows[k]),
+            moments=np.asarray(self.prepared.moments[k, int(true_moments)]),
+            valid=np.asarray(self.prepared.valid[k]),
             interval=float(self.interval[k]),
             points=samples.points,
-            states=self._states[k],
+            states=self.states[k],
         )
         if config is not None:
             sample = augment(sample, config, generator)
@@ -95,7 +95,7 @@ class TrainingClips(Dataset[_Example]):
         motion = np.moveaxis(samples.displacements[shown], 0, 1).reshape(len(samples.points), -1)
         return _Example(
             sample=sample,
-            confidence=float(self._prepared.confidence[k]),
+            confidence=float(self.prepared.confidence[k]),
             log10_stiffness=float(self.log10_stiffness[k]),
             poisson_ratio=float(self.poisson_ratio[k]),
             samples=samples,

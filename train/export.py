@@ -31,6 +31,7 @@ def export_best(
     data: Sequence[Path | str],
     checkpoint: str | None = None,
     share: float | None = None,
+    beside: str = "",
 ) -> None:
     """Write network, calibration, ranges and metrics where `PhysicsPredictor.from_pretrained` finds them."""
     stiffness, poisson = validation.metrics(calibration)
@@ -51,7 +52,7 @@ def export_best(
             "skinning_energy_missed": validation.captured,
         },
     )
-    card = model_card(stiffness, poisson, ranges, validation, len(clips), data, checkpoint, share)
+    card = model_card(stiffness, poisson, ranges, validation, len(clips), data, checkpoint, share, beside)
     PhysicsPredictor(network, config).save_pretrained(folder, model_card=card)
 
 
@@ -68,9 +69,11 @@ def model_card(
     data: Sequence[Path | str],
     checkpoint: str | None = None,
     share: float | None = None,
+    beside: str = "",
 ) -> str:
     """Markdown: what it was trained on (and the checkpoint that it went on from, and which share of the way from that
-    one's weights was taken), how good it is, where it ends."""
+    one's weights was taken; what else it saw, `beside`), how good
+    it is, where it ends."""
     sources = "\n".join(f"- `{Path(folder).name}`, manifest SHA-256 `{dataset_checksum(folder)}`" for folder in data)
     low, high = ranges.log10_stiffness
     earlier = "" if checkpoint is None else _earlier_training(checkpoint, share)
@@ -83,7 +86,7 @@ Reads a clip of one soft object that falls on a floor; says Young's modulus, Poi
 {clips} clips, simulated by the finite-element code of this project and rendered, from
 
 {sources}
-{earlier}
+{f"{chr(10)}{beside}{chr(10)}" if beside else ""}{earlier}
 log10(E / (ρ g L)) from {low:.2f} to {high:.2f}; ν from {ranges.poisson_ratio[0]:.2f} to {ranges.poisson_ratio[1]:.2f};
 frame interval {ranges.interval[0]:.3f} to {ranges.interval[1]:.3f} √(L/g).
 

@@ -16,7 +16,16 @@ from models.network import NetworkOutput
 from models.skinning_energy import captured_energy_loss, span_loss
 from train.config import LossConfig
 
-__all__ = ["Losses", "Targets", "compute_losses", "noisy_states", "smoothed_target", "state_loss"]
+__all__ = [
+    "Losses",
+    "Targets",
+    "compute_losses",
+    "density_losses",
+    "noisy_states",
+    "noisy_states_at_once",
+    "smoothed_target",
+    "state_loss",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,20 +72,50 @@ def compute_losses(
     network: NetworkConfig,
 ) -> Losses:
     """Cross-entropy with smoothed targets and CRPS for both densities; states; span and captured energy for W."""
-    stiffness = _scores(output.stiffness_logits, targets.log10_stiffness, network.stiffness, config.smoothing)
-    poisson = _scores(output.poisson_logits, targets.poisson_ratio, network.poisson, config.smoothing)
+    stiffness, poisson = (
+        (nll.mean(), crps.mean())
+        for nll, crps in _both_scores(output, targets.log10_stiffness, targets.poisson_ratio, config, network)
+    )
     assert output.weights is not None
     weights = output.weights.float()
     span = span_loss(weights, targets.modes, targets.volume_weights, targets.importance).mean()
     captured = captured_energy_loss(weights, targets.displacements, targets.points, targets.volume_weights).mean()
-    densities = [
-        config.nll * nll + config.crps * crps / _scale(bins)
-        for (nll, crps), bins in ((stiffness, network.stiffness), (poisson, network.poisson))
-    ]
+    densities = density_losses(output, targets.log10_stiffness, targets.poisson_ratio, config, network)
     states = state_loss(output.states.float(), targets.states, interval, valid)
-    total = densities[0] + config.poisson * densities[1] + config.states * states
+    total = densities + config.states * states
     total = total + config.span * span + config.captured * captured
     return Losses(*stiffness, *poisson, states=states, span=span, captured=captured, total=total)
+
+
+def density_losses(
+    output: NetworkOutput,
+    log10_stiffness: Float[Tensor, " B"],
+    poisson_ratio: Float[Tensor, " B"],
+    config: LossConfig,
+    network: NetworkConfig,
+    *,
+    weight: Float[Tensor, " B"] | None = None,
+) -> Float[Tensor, ""]:
+    """Weighted terms of both densities; `weight` is how much each clip counts, once unless given."""
+    total = torch.zeros_like(log10_stiffness)
+    shares = (1.0, config.poisson)
+    scores = _both_scores(output, log10_stiffness, poisson_ratio, config, network)
+    for share, (nll, crps), bins in zip(shares, scores, (network.stiffness, network.poisson), strict=True):
+        total = total + share * (config.nll * nll + config.crps * crps / _scale(bins))
+    return total.mean() if weight is None else (total * weight).mean()
+
+
+def _both_scores(
+    output: NetworkOutput,
+    log10_stiffness: Float[Tensor, " B"],
+    poisson_ratio: Float[Tensor, " B"],
+    config: LossConfig,
+    network: NetworkConfig,
+) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
+    return (
+        _scores(output.stiffness_logits, log10_stiffness, network.stiffness, config.smoothing),
+        _scores(output.poisson_logits, poisson_ratio, network.poisson, config.smoothing),
+    )
 
 
 def state_loss(
@@ -94,10 +133,11 @@ def state_loss(
 
 def _scores(
     logits: Float[Tensor, "B K"], values: Float[Tensor, " B"], bins: BinConfig, smoothing: float
-) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
+    """Negative logarithmic score and CRPS of each clip."""
     target = smoothed_target(values, bins, smoothing)
     nll = -(target * logits.float().log_softmax(dim=-1)).sum(dim=-1)
-    return nll.mean(), BinnedDensity.from_logits(logits, bins).crps(values).mean()
+    return nll, BinnedDensity.from_logits(logits, bins).crps(values)
 
 
 def _scale(bins: BinConfig) -> float:
@@ -120,7 +160,12 @@ def smoothed_target(values: Float[Tensor, " B"], bins: BinConfig, smoothing: flo
 
 def noisy_states(targets: Targets, generator: torch.Generator) -> Float[Tensor, "B T S"]:
     """True states as a good observer would see them: off by 0.3 to 10 % of typical magnitudes, clip by clip."""
-    shape = targets.states.shape
-    level = 10 ** (1.5 * torch.rand(shape[0], 1, 1, generator=generator) - 2.5)
-    noise = level * torch.randn(shape, generator=generator) * STATE_SCALE
-    return targets.states + noise.to(targets.states.device)
+    return noisy_states_at_once(targets.states, generator)
+
+
+def noisy_states_at_once(states: Float[Tensor, "B T S"], generator: torch.Generator) -> Float[Tensor, "B T S"]:
+    """The same of states on any device, with numbers drawn on the generator's."""
+    device = generator.device
+    level = 10 ** (1.5 * torch.rand(states.shape[0], 1, 1, generator=generator, device=device) - 2.5)
+    noise = level * torch.randn(states.shape, generator=generator, device=device) * STATE_SCALE.to(device)
+    return states + noise.to(states.device)

@@ -7,11 +7,11 @@ from jaxtyping import Float, Float32, Float64
 
 from models.motion import STATE_NAMES
 
-__all__ = ["flipped_states", "referred_states", "states_of_motion"]
+__all__ = ["MIRROR", "flipped_states", "referred_states", "states_of_motion"]
 
 _SHIFT, _GRADIENT = slice(0, 3), slice(10, 19)
 _TURNS = {"shift_x", "gradient_xy", "gradient_xz", "gradient_yx", "gradient_zx"}
-_MIRROR = np.array([-1.0 if name in _TURNS else 1.0 for name in STATE_NAMES], np.float32)
+MIRROR = np.array([-1.0 if name in _TURNS else 1.0 for name in STATE_NAMES], np.float32)
 _OUTERMOST = 0.01  # share of the points left out below the lowest and above the highest
 
 
@@ -62,4 +62,4 @@ def referred_states(states: Float32[np.ndarray, "T S"]) -> Float32[np.ndarray, "
 
 def flipped_states(states: Float32[np.ndarray, "T S"]) -> Float32[np.ndarray, "T S"]:
     """Of the mirror image: x turns."""
-    return states * _MIRROR
+    return states * MIRROR

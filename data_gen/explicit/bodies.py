@@ -1,0 +1,293 @@
+"""Falling bodies as the explicit roll-outs take them: small to store, and laid out for the kernel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Float64, Int, Int16, Int32, UInt16
+from scipy.spatial.transform import Rotation
+
+from data_gen.explicit.chebyshev import reach, stages_for, step_coefficients
+from data_gen.landing import mass_properties
+from data_gen.scene import Drop
+from physconvex.fem import ElasticBody, TetMesh
+from physconvex.fem.mesh import linear_part, to_quadratic
+from physconvex.fem.scene import CONTACT_STIFFNESS_RATIO
+
+Array = TypeVar("Array", np.ndarray, torch.Tensor)
+
+__all__ = ["LARGEST", "FallingBody", "Layout", "falling_body", "lay_out"]
+
+LARGEST = 2048  # nodes, as in gpu/kernel.cu
+_LEAST_STEPS = 48  # per frame
+_LEAST_STAGES = 20  # friction asks for these, since it is as stiff on soft bodies
+_SAFETY = 2.0  # of the stiffness, which grows where elements are squeezed
+_LUMPED = np.array([1 / 36] * 4 + [4 / 27] * 6)  # Hinton, Rock, Zienkiewicz 1976: the consistent diagonal, scaled
+_CONTACT = 8.0  # most of (step × frequency of a node on the floor)², beyond which friction may make it grow
+_MARGIN = 2e-3  # [s] before the landing
+_POWER = 30
+
+
+@dataclass(frozen=True, eq=False)
+class FallingBody:
+    """A drop, its mesh and its flight until just before it lands, in SI units.
+
+    Attributes:
+        corners: corner nodes of the quadratic mesh in any frame, shape [V, 3]; bodies of one shape share them.
+        tets: between them, shape [E, 4].
+        place: takes corners to where the drop starts, scale included: x → place[:, :3] x + place[:, 3].
+        size: largest edge of the body's box there [m].
+        youngs_modulus, poisson_ratio, density, damping_time, friction: of the drop.
+        turns: rotations since the start at the frames of the flight, quaternions (x, y, z, w), shape [T, 4].
+        centres: of mass at these, shape [T, 3].
+        velocity, spin: at the last of them [m/s], [rad/s].
+        stiffest: largest ω² of the elements [1/s²].
+    """
+
+    corners: Float32[np.ndarray, "V 3"]
+    tets: UInt16[np.ndarray, "E 4"]
+    place: Float64[np.ndarray, "3 4"]
+    size: float
+    youngs_modulus: float
+    poisson_ratio: float
+    density: float
+    damping_time: float
+    friction: float
+    turns: Float32[np.ndarray, "T 4"]
+    centres: Float32[np.ndarray, "T 3"]
+    velocity: Float64[np.ndarray, " 3"]
+    spin: Float64[np.ndarray, " 3"]
+    stiffest: float
+
+    def mesh(self) -> TetMesh:
+        """Its quadratic mesh where the drop starts."""
+        corners = self.corners @ self.place[:, :3].T + self.place[:, 3]
+        return to_quadratic(TetMesh(corners, self.tets.astype(np.int64)))
+
+
+def falling_body(
+    drop: Drop, mesh: TetMesh, *, scale: float = 1.0, frames: int = 24, fps: float = 24.0, gravity: float = -9.81
+) -> FallingBody:
+    """A drop with a mesh of its body, lifted off the floor if its nodes reach below.
+
+    Args:
+        drop: what falls.
+        mesh: in the frame of `drop.body`, but for the scale.
+        scale: of the drop's body over the mesh.
+        frames, fps: of the fall [1/s].
+        gravity: upwards [m/s²].
+    """
+    linear = linear_part(mesh)
+    corners = linear.vertices.astype(np.float32)
+    x = drop.placed(scale * corners.astype(np.float64))
+    shift = drop.shift + np.array([0.0, 0.0, max(0.0, 1e-3 * drop.size - x[:, 2].min())])
+    placed = TetMesh(x + shift - drop.shift, linear.tets)
+    turns, centres, velocity, spin = _flight(drop, placed, frames, fps, gravity)
+    return FallingBody(
+        corners=corners,
+        tets=linear.tets.astype(np.uint16),
+        place=np.column_stack([scale * drop.rotation, shift]),
+        size=drop.size,
+        youngs_modulus=drop.youngs_modulus,
+        poisson_ratio=drop.poisson_ratio,
+        density=drop.density,
+        damping_time=drop.damping_time,
+        friction=drop.friction,
+        turns=turns.astype(np.float32),
+        centres=centres.astype(np.float32),
+        velocity=velocity,
+        spin=spin,
+        stiffest=_stiffest(drop, to_quadratic(placed)),
+    )
+
+
+def _lumped_masses(mesh: TetMesh, density: float) -> Float64[np.ndarray, " V"]:
+    shares = density * mesh.element_volumes[:, None] * _LUMPED
+    return np.bincount(mesh.tets.ravel(), shares.ravel(), minlength=len(mesh.vertices))
+
+
+def _stiffest(drop: Drop, mesh: TetMesh) -> float:
+    """Largest eigenvalue of any element's stiffness with the lumped masses, which no mesh of them exceeds [1/s²]."""
+    elastic = ElasticBody(
+        mesh, youngs_modulus=drop.youngs_modulus, poisson_ratio=drop.poisson_ratio, density=drop.density
+    )
+    stiffness = elastic.element_hessians(mesh.vertices)
+    mass = np.repeat(drop.density * mesh.element_volumes[:, None] * _LUMPED, 3, axis=1)
+    vector = np.random.default_rng(0).normal(size=mass.shape)
+    value = np.ones(len(mass))
+    for _ in range(_POWER):
+        vector = np.einsum("eab,eb->ea", stiffness, vector) / mass
+        value = np.sqrt((vector**2).sum(axis=1))
+        vector /= value[:, None]
+    return float(value.max())
+
+
+def _flight(
+    drop: Drop, mesh: TetMesh, frames: int, fps: float, gravity: float
+) -> tuple[
+    Float64[np.ndarray, "T 4"], Float64[np.ndarray, "T 3"], Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]
+]:
+    """Rotations and centres at the frames before the rigid body touches the floor, velocity and spin at the last."""
+    centre, inertia = mass_properties(mesh)
+    arms, turn, momentum = mesh.vertices - centre, Rotation.identity(), inertia @ drop.initial_angular_velocity
+    speed, between = np.asarray(drop.initial_velocity), int(np.ceil(1000 / fps))
+    step, largest = 1 / (fps * between), np.linalg.norm(arms, axis=1).max()
+    turns: list[np.ndarray] = []
+    centres: list[np.ndarray] = []
+    velocity, spin_then = speed, np.asarray(drop.initial_angular_velocity)
+    for number in range((frames - 1) * between + 1):
+        time = number * step
+        axes = turn.as_matrix()
+        spin = axes @ np.linalg.solve(inertia, axes.T @ momentum)
+        gained = np.array([0.0, 0.0, time * gravity])
+        now, fall = centre + time * (speed + 0.5 * gained), speed[2] + gained[2]
+        lowest = now[2] - largest if now[2] > 1.1 * largest else now[2] + (arms @ axes[2]).min()
+        if turns and lowest + _MARGIN * (fall - np.linalg.norm(spin) * largest) <= 0:
+            break
+        if number % between == 0:
+            turns.append(turn.as_quat())
+            centres.append(now)
+            velocity, spin_then = speed + gained, spin
+        turn = Rotation.from_rotvec(step * spin) * turn
+    return np.stack(turns), np.stack(centres), velocity, spin_then
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Bodies one behind the other, as the kernel reads them (gpu/kernel.cu); `out` holds the flight already.
+
+    Body n has its nodes at `table[n, 0]`, `table[n, 1]` of them.
+    """
+
+    table: Int32[np.ndarray, "B 9"]
+    materials: Float32[np.ndarray, "B 10"]
+    coefficients: Float32[np.ndarray, "C 4"]
+    geometry: Float32[np.ndarray, "E 10"]
+    corners: Int16[np.ndarray, "E 10"]
+    incident: Int32[np.ndarray, " S"]
+    begin: Int32[np.ndarray, " N1"]
+    nodes: Float32[np.ndarray, "N 2"]
+    start: Float32[np.ndarray, "N 6"]
+    out: Float32[np.ndarray, " T"]
+    frames: int
+    boundary: tuple[Int[np.ndarray, "F 3"], ...]
+    """Triangles of each body's surface, between its nodes."""
+
+    def positions(self, out: Array, body: int) -> Array:
+        """Of one body, from a filled `out`: [T, V, 3] m, an array or a tensor as `out` is."""
+        node, count = (int(v) for v in self.table[body, :2])
+        return out[3 * node * self.frames :][: 3 * count * self.frames].reshape(self.frames, count, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class _Laid:
+    """One body's part of a layout."""
+
+    mesh: TetMesh
+    material: Float64[np.ndarray, " 10"]
+    stages: int
+    steps: int
+    geometry: Float64[np.ndarray, "E 10"]
+    nodes: Float64[np.ndarray, "V 2"]
+    start: Float64[np.ndarray, "V 6"]
+    first_frame: int
+    flight: Float64[np.ndarray, "T V 3"]
+
+
+def lay_out(
+    bodies: Sequence[FallingBody],
+    *,
+    frames: int = 24,
+    fps: float = 24.0,
+    gravity: float = -9.81,
+    caution: float = 1.0,
+    workers: int = 0,
+) -> Layout:
+    """For the kernel.
+
+    Args:
+        bodies: those that take longest should come first.
+        frames, fps, gravity: as in `falling_body`.
+        caution: steps are shorter by this factor than is usually enough.
+        workers: processes; 0 does all in this one.
+    """
+    lay = partial(_laid, frames=frames, fps=fps, gravity=gravity, caution=caution)
+    if workers:
+        with ProcessPoolExecutor(workers) as pool:
+            laid = list(pool.map(lay, bodies, chunksize=16))
+    else:
+        laid = [lay(body) for body in bodies]
+    stages = sorted({one.stages for one in laid})
+    offset = dict(zip(stages, np.cumsum([0] + [s + 1 for s in stages]), strict=False))
+    table, incident, begin = [], [], []
+    node = element = slot = total = 0
+    for one in laid:
+        count, elements = len(one.mesh.vertices), len(one.mesh.tets)
+        table.append((node, count, element, elements, one.first_frame, one.stages, offset[one.stages], slot, one.steps))
+        owner = one.mesh.tets.ravel()
+        incident.append(np.argsort(owner, kind="stable"))
+        begin.append(np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=count))]))
+        node, element, slot, total = node + count, element + elements, slot + len(owner), total + 3 * count * frames
+    out = np.zeros(total, np.float32)
+    layout = Layout(
+        table=np.array(table, np.int32),
+        materials=np.array([one.material for one in laid], np.float32),
+        coefficients=np.concatenate([step_coefficients(s) for s in stages]).astype(np.float32),
+        geometry=np.concatenate([one.geometry for one in laid]).astype(np.float32),
+        corners=np.concatenate([one.mesh.tets for one in laid]).astype(np.int16),
+        incident=np.concatenate(incident).astype(np.int32),
+        begin=np.concatenate(begin).astype(np.int32),
+        nodes=np.concatenate([one.nodes for one in laid]).astype(np.float32),
+        start=np.concatenate([one.start for one in laid]).astype(np.float32),
+        out=out,
+        frames=frames,
+        boundary=tuple(_triangles(one.mesh) for one in laid),
+    )
+    for number, one in enumerate(laid):
+        layout.positions(out, number)[: len(one.flight)] = one.flight
+    return layout
+
+
+def _laid(body: FallingBody, frames: int, fps: float, gravity: float, caution: float) -> _Laid:
+    mesh = body.mesh()
+    size, turns, centres = mesh.size, body.turns[:frames], body.centres[:frames]
+    stiffness = CONTACT_STIFFNESS_RATIO * body.youngs_modulus / size
+    masses, areas = _lumped_masses(mesh, body.density), mesh.node_areas
+    fastest = stiffness * float((areas / masses).max())
+    steps = int(np.ceil(caution * max(_LEAST_STEPS, np.sqrt(fastest / _CONTACT) / fps)))
+    step = 1 / (fps * steps)
+    stages = max(_LEAST_STAGES, stages_for(_SAFETY * step * body.damping_time * body.stiffest))
+    shear = body.youngs_modulus / (2 * (1 + body.poisson_ratio))
+    bulk = body.youngs_modulus * body.poisson_ratio / ((1 + body.poisson_ratio) * (1 - 2 * body.poisson_ratio))
+    material = (
+        *(shear, bulk, body.damping_time, stiffness, 5e-4 * size, body.friction, 2e-3 * np.sqrt(9.81 * size)),
+        *(step, gravity, 0.25 * reach(stages) / step),
+    )
+    x = mesh.vertices[mesh.corner_tets]
+    inner = np.linalg.inv(x[:, 1:] - x[:, :1]).transpose(0, 2, 1)
+    arms = mesh.vertices - mass_properties(mesh)[0]
+    flight = np.stack([Rotation.from_quat(q).apply(arms) + c for q, c in zip(turns, centres, strict=True)])
+    velocities = body.velocity + np.cross(body.spin, flight[-1] - centres[-1])
+    return _Laid(
+        mesh=mesh,
+        material=np.array(material),
+        stages=stages,
+        steps=steps,
+        geometry=np.column_stack([inner.reshape(len(x), 9), mesh.element_volumes]),
+        nodes=np.column_stack([masses, areas]),
+        start=np.hstack([flight[-1], velocities]),
+        first_frame=len(flight) - 1,
+        flight=flight,
+    )
+
+
+def _triangles(mesh: TetMesh) -> Int[np.ndarray, "F 3"]:
+    """The faces of the surface cut in four at the middles of their edges."""
+    a, b, c, ab, bc, ca = mesh.boundary_faces.T
+    return np.concatenate([np.stack(f, axis=1) for f in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])

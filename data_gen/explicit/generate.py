@@ -1,0 +1,148 @@
+"""Falls without pictures: shapes drawn, meshed and dropped several times each, as the generator draws its drops."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from data_gen.config import GeneratorConfig
+from data_gen.dataset import write_claim
+from data_gen.engines import EngineName, run_tasks
+from data_gen.explicit.bodies import LARGEST, FallingBody, falling_body
+from data_gen.explicit.store import load_bodies, save_bodies
+from data_gen.scene import draw_drop, draw_object
+from physconvex import __version__
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.fem.implicit_meshing import tetrahedralize_implicit
+from physconvex.threads import one_torch_thread
+
+__all__ = ["draw_falls", "generate_falls", "read_falls"]
+
+SHAPES = 20  # of one file
+_NODES = 1900
+
+
+@dataclass(frozen=True)
+class _Task:
+    root: Path
+    config: GeneratorConfig
+    seed: int
+    number: int
+    shapes: tuple[int, int]
+    nodes: int
+
+
+def generate_falls(
+    root: Path | str,
+    *,
+    shapes: int,
+    config: GeneratorConfig,
+    seed: int = 0,
+    nodes: int = _NODES,
+    workers: int = 1,
+    engine: EngineName = "local",
+    on_file: Callable[[int], None] | None = None,
+) -> int:
+    """Make (or finish) a folder of the falls of so many shapes; how many falls it holds.
+
+    Each shape falls `config.objects.simulations_per_object` times. Nothing is simulated yet; the bytes depend on the
+    arguments alone. A shape that cannot be meshed is left out.
+
+    Args:
+        root: folder.
+        shapes: number of shapes.
+        config: what is drawn.
+        seed: of everything random.
+        nodes: most nodes of a mesh, at most 2,048.
+        workers, engine: where it runs.
+        on_file: told the number of shapes drawn after each file.
+
+    Raises:
+        InputError: the folder was begun with something else, or an argument out of range.
+    """
+    root = Path(root)
+    if shapes < 1:
+        raise InputError(f"shapes: got {shapes}; expected at least 1")
+    if not 20 <= nodes <= LARGEST:
+        raise InputError(f"nodes: got {nodes}; expected 20 to {LARGEST}, which fit into a GPU's shared memory")
+    claim = {"seed": seed, "configuration": config.model_dump(mode="json"), "generator_version": __version__}
+    write_claim(root, claim | {"nodes": nodes})
+    parts = [(first, min(first + SHAPES, shapes)) for first in range(0, shapes, SHAPES)]
+    tasks = [_Task(root.resolve(), config, seed, k, part, nodes) for k, part in enumerate(parts)]
+    waiting = [task for task in tasks if not _holds(_file(root, task.number), task.shapes)]
+    done = shapes - sum(b - a for a, b in (task.shapes for task in waiting))
+    for made in run_tasks(_make_file, waiting, workers=workers, engine=engine):
+        done += made
+        if on_file is not None:
+            on_file(done)
+    return len(read_falls(root))
+
+
+def read_falls(root: Path | str) -> list[FallingBody]:
+    """All falls of a folder.
+
+    Raises:
+        InputError: there are none.
+    """
+    paths = sorted(Path(root).glob("falls-[0-9]*.npz"))
+    if not paths:
+        raise InputError(f"falls: {root} holds no falls; make some with `physconvex generate falls --out {root}`")
+    return [body for path in paths for body in load_bodies(path)]
+
+
+def draw_falls(config: GeneratorConfig, seed: int, shape: int, *, nodes: int = _NODES) -> list[FallingBody]:
+    """The falls of one shape; none if it cannot be meshed.
+
+    Raises:
+        InputError: the configuration asks for objects of a folder.
+    """
+    if config.objects.folder is not None:
+        raise InputError(f"objects: got the folder {config.objects.folder}; expected procedural bodies")
+    falls = config.objects.simulations_per_object
+    try:
+        drawn = draw_object(config, seed, shape * falls, 0)
+        drops = [draw_drop(config, seed, shape * falls + number, 0, body=drawn) for number in range(falls)]
+        body = drops[0].body
+        assert body.signed_distance is not None
+        surface = (body.vertices, body.faces)
+        mesh = tetrahedralize_implicit(body.signed_distance, body.bounds, surface=surface, max_nodes=nodes, order=2)
+    except (ConvergenceError, InputError):
+        return []
+    gravity = config.motion.gravity
+    if gravity[0] or gravity[1]:
+        raise InputError(f"motion.gravity: got {gravity}; expected it to point down")
+    frames, fps = config.video.frames, config.video.fps
+    return [
+        falling_body(
+            drop,
+            mesh,
+            scale=drop.body.size / body.size,
+            frames=frames,
+            fps=fps,
+            gravity=gravity[2],
+        )
+        for drop in drops
+    ]
+
+
+def _file(root: Path, number: int) -> Path:
+    return root / f"falls-{number:04d}.npz"
+
+
+def _holds(path: Path, shapes: tuple[int, int]) -> bool:
+    """Whether a file of so many shapes is there; one of fewer, from a smaller run, is made anew."""
+    if not path.is_file():
+        return False
+    with np.load(path, allow_pickle=False) as file:
+        return json.loads(str(file["drawn"])) == list(shapes)
+
+
+def _make_file(task: _Task) -> int:
+    with one_torch_thread():
+        found = [draw_falls(task.config, task.seed, shape, nodes=task.nodes) for shape in range(*task.shapes)]
+    save_bodies(_file(task.root, task.number), [falls for falls in found if falls], drawn=task.shapes)
+    return task.shapes[1] - task.shapes[0]

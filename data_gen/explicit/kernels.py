@@ -1,0 +1,113 @@
+"""The kernels of `gpu/` as functions of torch tensors: on a CUDA device by NVRTC, elsewhere by the C++ compiler."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float32, Int32
+from torch import Tensor
+
+from data_gen.explicit.bodies import Layout
+from physconvex.native import FLAGS, POINTER, KernelUnavailable, loaded
+
+__all__ = ["LOOK", "VIEW", "draw", "roll_out"]
+
+VIEW, LOOK = 16, 40  # numbers of a view and a look, as in gpu/draw.h
+_HERE = Path(__file__).parent / "gpu"
+_HEADERS = {"roll_out": "body.h", "nearest": "draw.h", "resolve": "draw.h"}
+_SOURCES = {"roll_out": "kernel.cu", "nearest": "draw.cu", "resolve": "draw.cu"}
+_FUNCTIONS = (
+    ("roll_out", None, [ctypes.c_int, *[POINTER] * 10, ctypes.c_int]),
+    ("draw", None, [ctypes.c_int, *[POINTER] * 7, *[ctypes.c_int] * 3]),
+)
+_THREADS = 256
+
+
+def roll_out(layout: Layout, device: torch.device | str = "cpu") -> Float32[Tensor, " T"]:
+    """Positions of all bodies at all frames, as `Layout.positions` splits them [m].
+
+    A body that became unstable has values that are not finite.
+
+    Raises:
+        KernelUnavailable: neither a CUDA device that torch can compile for nor a C++ compiler.
+    """
+    names = ("table", "materials", "coefficients", "geometry", "corners", "incident", "begin", "nodes", "start", "out")
+    tensors = {name: torch.from_numpy(getattr(layout, name)).to(device, copy=True) for name in names}
+    start, out = tensors["start"], tensors["out"]
+    if out.device.type != "cuda":
+        addresses = [tensors[name].data_ptr() for name in names]
+        _library().roll_out(len(layout.table), *addresses, layout.frames)
+        return out
+    work = torch.empty(18 * len(start), device=device)
+    forces = torch.empty(30 * len(layout.geometry), device=device)
+    given = [tensors[name] for name in names[:8]]
+    _launch("roll_out", len(layout.table), [*given, start, work, forces, out, layout.frames])
+    return out
+
+
+def draw(
+    clips: Int32[Tensor, "B 4"],
+    views: Float32[Tensor, "B T 16"],
+    looks: Float32[Tensor, "B 40"],
+    positions: Float32[Tensor, " P"],
+    rest: Float32[Tensor, "N 3"],
+    triangles: Int32[Tensor, "F 3"],
+    *,
+    side: int,
+    factor: int = 2,
+) -> Float32[Tensor, "B T S S 4"]:
+    """Colours and coverage (0..255, 0..1) of every frame of some clips.
+
+    Args:
+        clips: first node of the body, its nodes, first triangle, its triangles.
+        views: see gpu/draw.h; their last number is `factor`.
+        looks: see gpu/draw.h.
+        positions: of all bodies, from `roll_out`.
+        rest: where the colours are fixed to the nodes, in sizes.
+        triangles: of all bodies, each counting its own nodes.
+        side: of the picture [px].
+        factor: samples per pixel and axis.
+    """
+    count, frames = views.shape[:2]
+    pictures = torch.empty((count, frames, side, side, 4), device=positions.device)
+    tensors = [t.contiguous() for t in (clips, views, looks, positions, rest, triangles)]
+    if positions.device.type != "cuda":
+        addresses = [t.data_ptr() for t in (*tensors, pictures)]
+        _library().draw(count, *addresses, frames, side * factor, factor)
+        return pictures
+    samples = torch.full((count * frames, side * factor, side * factor), -1, dtype=torch.int64, device=positions.device)
+    clips, views, looks, positions, rest, triangles = tensors
+    _launch("nearest", count * frames, [clips, views, positions, triangles, samples, frames, side * factor])
+    arguments = [clips, views, looks, positions, rest, triangles, samples, pictures, frames, side * factor, factor]
+    _launch("resolve", count * frames, arguments)
+    return pictures
+
+
+@cache
+def _library() -> ctypes.CDLL:
+    return loaded(_HERE, _FUNCTIONS, flags=(*FLAGS, "-ffast-math"))
+
+
+def source(name: str) -> str:
+    """The CUDA text of one of the kernels."""
+    texts = [(_HERE / part).read_text(encoding="utf-8") for part in (_HEADERS[name], _SOURCES[name])]
+    return "#define DEVICE __device__ __forceinline__\n" + "".join(texts)
+
+
+@cache
+def _kernel(name: str, device: int) -> Any:
+    compile_kernel = getattr(torch.cuda, "_compile_kernel", None)
+    if compile_kernel is None:
+        raise KernelUnavailable("this torch has no torch.cuda._compile_kernel (it came with 2.9)")
+    with torch.cuda.device(device):
+        return compile_kernel(source(name), name)
+
+
+def _launch(name: str, blocks: int, arguments: list[Any]) -> None:
+    device = next(value.device for value in arguments if isinstance(value, Tensor))
+    with torch.cuda.device(device):
+        _kernel(name, device.index or 0)(grid=(blocks, 1, 1), block=(_THREADS, 1, 1), args=arguments)

@@ -1,0 +1,138 @@
+"""From a folder of falls and data sets to a checkpoint: the command `physconvex pretrain`."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import torch
+
+from data_gen.explicit.bodies import FallingBody
+from data_gen.explicit.generate import read_falls
+from models.network import PhysicsNetwork
+from physconvex.devices import device_named
+from physconvex.errors import InputError
+from train.cache import prepare_clips
+from train.config import TrainConfig
+from train.data import TrainingClips
+from train.export import export_best
+from train.falls.pretrain import Pretraining, pretrain
+from train.falls.real import RealClips
+from train.falls.skinning import HeadTraining, fit_skinning_head
+from train.falls.world import simulate_falls
+from train.records import Split, read_clips
+from train.run_log import write_config
+from train.validation import validate
+
+__all__ = ["train_on_falls"]
+
+Report = Callable[[str, int, int], None]
+_HELD_OUT = 80  # falls that are looked at only
+
+
+def train_on_falls(
+    config: TrainConfig,
+    plan: Pretraining,
+    falls: Path | str,
+    data: Sequence[Path | str],
+    out: Path | str,
+    *,
+    device: str = "cuda",
+    head: HeadTraining | None = None,
+    cache: Path | str | None = None,
+    workers: int = 2,
+    report: Report | None = None,
+    log: Callable[[str], None] = lambda line: None,
+) -> Path:
+    """Simulate the falls, train on them and on the data sets' clips, then the skinning head; calibrate; export.
+
+    Args:
+        config: network, losses, augmentation.
+        plan: of the training on falls.
+        falls: folder of `physconvex generate falls`.
+        data: data sets, for their clips and their skinning modes; their `validation` objects calibrate.
+        out: run folder: `config.json`, `log.jsonl`, `average.safetensors`, `best/`.
+        device: a CUDA device; the processor works too, some hundred times slower.
+        head: of the training of the skinning head.
+        cache: where prepared clips live; `out/cache` unless given.
+        workers: processes that prepare clips and bodies.
+        report: called with a name of the work, the number done and the total.
+        log: told a line of the log now and then.
+
+    Returns:
+        The checkpoint, `out/best`.
+
+    Raises:
+        InputError: bad data, or too few falls.
+    """
+    place, out, report = device_named(device), Path(out), report or (lambda name, done, total: None)
+    bodies = read_falls(falls)
+    if len(bodies) <= _HELD_OUT:
+        raise InputError(f"falls: {falls} holds {len(bodies)}; expected more than the {_HELD_OUT} that are held out")
+    out.mkdir(parents=True, exist_ok=True)
+    write_config(out, config, data)
+    cache = Path(cache) if cache else out / "cache"
+    train, validation = (_clips(split, config, data, cache, workers, report) for split in ("train", "validation"))
+    report("simulating falls", 0, len(bodies))
+    frames = config.network.encoder.frames
+    held_out, world = (
+        simulate_falls(some, device=place, frames=frames, workers=workers)
+        for some in (bodies[:_HELD_OUT], bodies[_HELD_OUT:])
+    )
+    report("simulating falls", len(bodies), len(bodies))
+    torch.manual_seed(config.seed)
+    network = pretrain(
+        PhysicsNetwork(config.network).to(place),
+        world,
+        held_out,
+        config,
+        plan,
+        out,
+        real=RealClips.of(train, place),
+        validation=RealClips.of(validation, place),
+        log=log,
+    ).cpu()
+    fit_skinning_head(network, train, config.loss, head, report=report)
+    found = validate(network, validation)
+    export_best(
+        out / "best",
+        network,
+        clips=train,
+        settings=config.clip,
+        calibration=found.calibration(),
+        validation=found,
+        data=data,
+        beside=_described(bodies[_HELD_OUT:], len(world)),
+    )
+    return out / "best"
+
+
+def _clips(
+    split: Split, config: TrainConfig, data: Sequence[Path | str], cache: Path, workers: int, report: Report
+) -> TrainingClips:
+    clips, training = read_clips(data, split), split == "train"
+    prepared = prepare_clips(
+        clips,
+        config.clip,
+        cache,
+        true_mask_share=config.true_mask_share if training else 0.0,
+        workers=workers,
+        progress=lambda done, total: report(f"preparing {split} clips", done, total),
+    )
+    return TrainingClips(
+        clips,
+        prepared,
+        augmentation=config.augment if training else None,
+        modes=config.loss.modes,
+        seed=config.seed,
+    )
+
+
+def _described(bodies: Sequence[FallingBody], kept: int) -> str:
+    """For the model card."""
+    shapes = {hashlib.sha256(body.corners.tobytes()).digest() for body in bodies}
+    return (
+        f"and, drawn anew at every step, views of {kept} falls of {len(shapes)} shapes, simulated by explicit steps "
+        "(`data_gen/explicit`) and drawn plainly (`train/falls`)."
+    )
