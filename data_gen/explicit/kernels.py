@@ -12,7 +12,7 @@ from jaxtyping import Float32, Int32
 from torch import Tensor
 
 from data_gen.explicit.bodies import Layout
-from physconvex.native import FLAGS, POINTER, KernelUnavailable, loaded
+from physconvex.native import POINTER, KernelUnavailable, loaded
 
 __all__ = ["LOOK", "VIEW", "draw", "roll_out"]
 
@@ -89,7 +89,7 @@ def draw(
 
 @cache
 def _library() -> ctypes.CDLL:
-    return loaded(_HERE, _FUNCTIONS, flags=(*FLAGS, "-ffast-math"))
+    return loaded(_HERE, _FUNCTIONS)
 
 
 def source(name: str) -> str:

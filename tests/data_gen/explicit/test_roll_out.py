@@ -93,6 +93,13 @@ def test_more_caution_is_shorter_steps(body):
     assert careful.materials[0, 7] == pytest.approx(usual.materials[0, 7] / 3)
 
 
+def test_the_kernel_leaves_the_processors_arithmetic_as_it_was(body):
+    """A library linked for fast mathematics would have the process take the smallest numbers for zero from then on."""
+    roll_out(lay_out([body], frames=1))
+    smallest = np.array([5e-324, 1e-310])
+    assert (smallest * np.array([1.0, 0.5]) > 0).all()
+
+
 @pytest.mark.gpu
 def test_a_gpu_moves_them_as_the_processor_does(body, drop, box):
     layout = lay_out([body, falling_body(drop(0.2, friction=0.5), box())], frames=FRAMES)
