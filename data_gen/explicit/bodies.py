@@ -22,8 +22,10 @@ from physconvex.fem.scene import CONTACT_STIFFNESS_RATIO
 
 Array = TypeVar("Array", np.ndarray, torch.Tensor)
 
-__all__ = ["LARGEST", "FallingBody", "Layout", "falling_body", "lay_out"]
+__all__ = ["FPS", "GRAVITY", "LARGEST", "FallingBody", "Layout", "falling_body", "lay_out"]
 
+FPS = 24.0  # [1/s]
+GRAVITY = (0.0, 0.0, -9.81)  # [m/s²]
 LARGEST = 2048  # nodes, as in gpu/kernel.cu
 _LEAST_STEPS = 48  # per frame
 _LEAST_STAGES = 20  # friction asks for these, since it is as stiff on soft bodies
@@ -72,7 +74,7 @@ class FallingBody:
 
 
 def falling_body(
-    drop: Drop, mesh: TetMesh, *, scale: float = 1.0, frames: int = 24, fps: float = 24.0, gravity: float = -9.81
+    drop: Drop, mesh: TetMesh, *, scale: float = 1.0, frames: int = 24, fps: float = FPS, gravity: float = GRAVITY[2]
 ) -> FallingBody:
     """A drop with a mesh of its body, lifted off the floor if its nodes reach below.
 
@@ -204,8 +206,8 @@ def lay_out(
     bodies: Sequence[FallingBody],
     *,
     frames: int = 24,
-    fps: float = 24.0,
-    gravity: float = -9.81,
+    fps: float = FPS,
+    gravity: float = GRAVITY[2],
     caution: float = 1.0,
     workers: int = 0,
 ) -> Layout:

@@ -12,7 +12,7 @@ import numpy as np
 from data_gen.config import GeneratorConfig
 from data_gen.dataset import write_claim
 from data_gen.engines import EngineName, run_tasks
-from data_gen.explicit.bodies import LARGEST, FallingBody, falling_body
+from data_gen.explicit.bodies import FPS, GRAVITY, LARGEST, FallingBody, falling_body
 from data_gen.explicit.store import load_bodies, save_bodies
 from data_gen.scene import draw_drop, draw_object
 from physconvex import __version__
@@ -98,10 +98,16 @@ def draw_falls(config: GeneratorConfig, seed: int, shape: int, *, nodes: int = _
     """The falls of one shape; none if it cannot be meshed.
 
     Raises:
-        InputError: the configuration asks for objects of a folder.
+        InputError: the configuration asks for objects of a folder, or for a gravity or a frame rate that falls are not
+            rolled out with.
     """
     if config.objects.folder is not None:
         raise InputError(f"objects: got the folder {config.objects.folder}; expected procedural bodies")
+    if config.motion.gravity != GRAVITY or config.video.fps != FPS:
+        raise InputError(
+            f"motion.gravity, video.fps: got {config.motion.gravity}, {config.video.fps}; expected {GRAVITY}, {FPS}, "
+            "with which falls are rolled out"
+        )
     falls = config.objects.simulations_per_object
     try:
         drawn = draw_object(config, seed, shape * falls, 0)
@@ -112,21 +118,8 @@ def draw_falls(config: GeneratorConfig, seed: int, shape: int, *, nodes: int = _
         mesh = tetrahedralize_implicit(body.signed_distance, body.bounds, surface=surface, max_nodes=nodes, order=2)
     except (ConvergenceError, InputError):
         return []
-    gravity = config.motion.gravity
-    if gravity[0] or gravity[1]:
-        raise InputError(f"motion.gravity: got {gravity}; expected it to point down")
-    frames, fps = config.video.frames, config.video.fps
-    return [
-        falling_body(
-            drop,
-            mesh,
-            scale=drop.body.size / body.size,
-            frames=frames,
-            fps=fps,
-            gravity=gravity[2],
-        )
-        for drop in drops
-    ]
+    frames = config.video.frames
+    return [falling_body(drop, mesh, scale=drop.body.size / body.size, frames=frames) for drop in drops]
 
 
 def _file(root: Path, number: int) -> Path:

@@ -10,14 +10,17 @@ import torch
 from jaxtyping import Float, Float32, Int, Int32
 from torch import Tensor
 
-from data_gen.explicit.bodies import FallingBody, Layout, lay_out
+from data_gen.explicit.bodies import FPS, FallingBody, Layout, lay_out
 from data_gen.explicit.kernels import roll_out
 from models.scaling import dimensionless_interval, log10_dimensionless_stiffness
+from physconvex.errors import ConvergenceError
 
-__all__ = ["Falls", "simulate_falls"]
+__all__ = ["Falls", "Index", "joined", "motion_states", "simulate_falls", "turned"]
+
+Index = Int[Tensor, " B"]
+"""Numbers of falls."""
 
 _OUTERMOST = 0.01  # as in train.states
-_FPS = 24.0
 _FARTHEST = 20.0  # [m]
 _CAUTION = 3.0  # with those that became unstable
 _NEAR, _FAR = (5 + 3 * np.sqrt(5)) / 20, (5 - np.sqrt(5)) / 20
@@ -68,12 +71,18 @@ def simulate_falls(
         device: where.
         frames: of each fall.
         workers: processes that prepare them; 0 does so in this one.
+
+    Raises:
+        ConvergenceError: not one stayed stable.
     """
     parts = [_simulated(bodies, device, frames, workers, 1.0)]
     lost = [body for body, ok in zip(parts[0].bodies, parts[0].sound, strict=True) if not ok]
     if lost:
         parts.append(_simulated(lost, device, frames, workers, _CAUTION))
-    return joined([_falls(part) for part in parts if any(part.sound)])
+    sound = [part for part in parts if any(part.sound)]
+    if not sound:
+        raise ConvergenceError(f"none of {len(bodies)} falls stayed stable")
+    return joined([_falls(part) for part in sound])
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +99,7 @@ def _simulated(
     bodies: Sequence[FallingBody], device: torch.device | str, frames: int, workers: int, caution: float
 ) -> _Simulated:
     longest_first = sorted(bodies, key=lambda body: -body.stiffest * body.damping_time)
-    layout = lay_out(longest_first, frames=frames, fps=_FPS, workers=workers, caution=caution)
+    layout = lay_out(longest_first, frames=frames, workers=workers, caution=caution)
     positions = roll_out(layout, device)
     within = [bool((layout.positions(positions, k).abs() < _FARTHEST).all()) for k in range(len(bodies))]
     return _Simulated(longest_first, layout, positions, within)
@@ -137,7 +146,7 @@ def _falls(part: _Simulated) -> Falls:
         size=sent(size),
         log10_stiffness=sent(log10_dimensionless_stiffness(modulus, density=density, object_size=size)),
         poisson_ratio=sent(np.array([body.poisson_ratio for body in bodies])),
-        interval=sent(dimensionless_interval(np.full(len(size), _FPS), object_size=size)),
+        interval=sent(dimensionless_interval(np.full(len(size), FPS), object_size=size)),
         frames=layout.frames,
     )
 
@@ -213,6 +222,3 @@ def turned(states: Float[Tensor, "B T S"], turn: Float[Tensor, "B 3 3"]) -> Floa
     gradient = states[..., 10:].unflatten(-1, (3, 3))
     result[..., 10:] = torch.einsum("bij,btjk,blk->btil", turn, gradient, turn).flatten(-2)
     return result
-
-
-Index = Int[Tensor, " B"]

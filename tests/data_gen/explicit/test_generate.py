@@ -62,6 +62,8 @@ def test_bad_arguments_are_named(tmp_path):
         generate_falls(tmp_path, shapes=0, config=CONFIG)
     with pytest.raises(InputError, match="holds no falls"):
         read_falls(tmp_path)
+    with pytest.raises(InputError, match=r"video.fps: got \(0.0, 0.0, -9.81\), 30.0; expected"):
+        draw_falls(load_config("training", overrides=["video.fps=30"]), 0, 0)
     with pytest.raises(InputError, match="procedural"):
         draw_falls(load_config("training", overrides=["objects.folder=meshes"]), 0, 0)
 

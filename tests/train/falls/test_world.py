@@ -9,6 +9,7 @@ import torch
 from data_gen.explicit import lay_out, roll_out
 from models.motion import STATE_NAMES, STATE_SCALE
 from models.scaling import dimensionless_interval, log10_dimensionless_stiffness
+from physconvex.errors import ConvergenceError
 from physconvex.fem.embedding import Embedding, sample_interior
 from train.falls import simulate_falls
 from train.falls.world import joined, turned
@@ -73,6 +74,17 @@ def test_what_becomes_unstable_is_tried_with_shorter_steps(bodies, monkeypatch):
     assert bool(falls.positions.isfinite().all())
     usual = lay_out(bodies[:1], frames=16)
     assert torch.allclose(falls.body(0), usual.positions(roll_out(usual), 0), atol=5e-3)
+
+
+def test_no_stable_fall_is_an_error(bodies, monkeypatch):
+    def laid(given, **options):
+        layout = lay_out(given, **options)
+        layout.materials[:, 3] *= 1e6
+        return layout
+
+    monkeypatch.setattr("train.falls.world.lay_out", laid)
+    with pytest.raises(ConvergenceError, match="none of 1 falls"):
+        simulate_falls(bodies[:1], frames=16)
 
 
 def test_bodies_are_not_changed(bodies):
