@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from physconvex.fem import TetMesh
 from physconvex.fem.local_refinement import refine_locally
 
-__all__ = ["landing_heights", "refine_at_landing"]
+__all__ = ["landing_heights", "mass_properties", "refine_at_landing", "turning"]
 
 _STEP = 1e-3  # [s]
 _REACH = 0.08  # of the size: wanted spacings are proportional to the height at landing plus this
@@ -35,16 +35,32 @@ def landing_heights(
         duration: of the flight at most [s].
     """
     centre, inertia = mass_properties(mesh)
-    arms, turn = mesh.vertices - centre, Rotation.identity()
-    momentum = inertia @ np.asarray(angular_velocity)
-    for time in np.arange(0.0, duration, _STEP):
+    arms = mesh.vertices - centre
+    for time, (turn, _) in zip(
+        np.arange(0.0, duration, _STEP), turning(inertia, angular_velocity, _STEP), strict=False
+    ):
         heights = turn.apply(arms)[:, 2] + centre[2] + time * velocity[2] + 0.5 * time**2 * gravity[2]
         if heights.min() <= 0.0:
             return np.maximum(heights, 0.0)
+    return None
+
+
+def turning(
+    inertia: Float[np.ndarray, "3 3"], angular_velocity: Sequence[float], step: float
+) -> Iterator[tuple[Rotation, Float[np.ndarray, " 3"]]]:
+    """Rotation since the start and angular velocity [rad/s] of a free rigid body, every `step` [s] from the start on.
+
+    Args:
+        inertia: about the centre of mass at the start, in any unit.
+        angular_velocity: at the start [rad/s].
+        step: of the integration [s].
+    """
+    turn, momentum = Rotation.identity(), inertia @ np.asarray(angular_velocity)
+    while True:
         axes = turn.as_matrix()
         spin = axes @ np.linalg.solve(inertia, axes.T @ momentum)
-        turn = Rotation.from_rotvec(_STEP * spin) * turn
-    return None
+        yield turn, spin
+        turn = Rotation.from_rotvec(step * spin) * turn
 
 
 def mass_properties(mesh: TetMesh) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:

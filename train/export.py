@@ -72,11 +72,11 @@ def model_card(
     beside: str = "",
 ) -> str:
     """Markdown: what it was trained on (and the checkpoint that it went on from, and which share of the way from that
-    one's weights was taken; what else it saw, `beside`), how good
-    it is, where it ends."""
+    one's weights was taken; what else it saw, `beside`), how good it is, where it ends."""
     sources = "\n".join(f"- `{Path(folder).name}`, manifest SHA-256 `{dataset_checksum(folder)}`" for folder in data)
     low, high = ranges.log10_stiffness
     earlier = "" if checkpoint is None else _earlier_training(checkpoint, share)
+    also = f"\n{beside}\n" if beside else ""
     return f"""# physconvex predictor
 
 Reads a clip of one soft object that falls on a floor; says Young's modulus, Poisson's ratio and skinning weights.
@@ -86,7 +86,7 @@ Reads a clip of one soft object that falls on a floor; says Young's modulus, Poi
 {clips} clips, simulated by the finite-element code of this project and rendered, from
 
 {sources}
-{f"{chr(10)}{beside}{chr(10)}" if beside else ""}{earlier}
+{also}{earlier}
 log10(E / (ρ g L)) from {low:.2f} to {high:.2f}; ν from {ranges.poisson_ratio[0]:.2f} to {ranges.poisson_ratio[1]:.2f};
 frame interval {ranges.interval[0]:.3f} to {ranges.interval[1]:.3f} √(L/g).
 

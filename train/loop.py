@@ -23,14 +23,13 @@ from models.checkpoint import load_checkpoint
 from models.encoder import load_pretrained_encoder
 from models.network import PhysicsNetwork
 from physconvex.errors import InputError
-from train.cache import prepare_clips
 from train.config import TrainConfig
-from train.data import TrainingBatch, TrainingClips, batches
+from train.data import TrainingBatch, batches
 from train.export import export_best
 from train.losses import compute_losses, noisy_states
 from train.plan import Plan, Step
-from train.records import read_clips
 from train.run_log import RunLog, fingerprint, write_config
+from train.split_clips import split_clips
 from train.state import Progress, load_state, save_state
 from train.validation import Validation, validate
 
@@ -104,28 +103,11 @@ class _Run:
 
     def _read_data(self, cache: Path) -> None:
         with self.accelerator.main_process_first():
-            self.train_clips = self._clips("train", cache)
-            self.validation_clips = self._clips("validation", cache)
+            self.train_clips, self.validation_clips = (
+                split_clips(split, self.config, self.data, cache, workers=self.config.workers, report=self.report)
+                for split in ("train", "validation")
+            )
         self.plan = Plan.of(self.config, len(self.train_clips), world=self.accelerator.num_processes)
-
-    def _clips(self, split: str, cache: Path) -> TrainingClips:
-        training = split == "train"
-        clips = read_clips(self.data, "train" if training else "validation")
-        prepared = prepare_clips(
-            clips,
-            self.config.clip,
-            cache,
-            true_mask_share=self.config.true_mask_share if training else 0.0,
-            workers=self.config.workers,
-            progress=lambda done, total: self.report(f"preparing {split} clips", done, total),
-        )
-        return TrainingClips(
-            clips,
-            prepared,
-            augmentation=self.config.augment if training else None,
-            modes=self.config.loss.modes,
-            seed=self.config.seed,
-        )
 
     def _build(self) -> None:
         config = self.config
@@ -243,7 +225,7 @@ class _Run:
         self.model.train()
         targets = batch.targets.to(device)
         clips = batch.clips.to(device)
-        output = self.model(clips, targets.points, states=noisy_states(targets, generator), generator=generator)
+        output = self.model(clips, targets.points, states=noisy_states(targets.states, generator), generator=generator)
         losses = compute_losses(output, targets, clips.interval, clips.valid, config.loss, config.network)
         self.optimizer.zero_grad()
         self.accelerator.backward(losses.total)

@@ -22,10 +22,12 @@ __all__ = [
     "compute_losses",
     "density_losses",
     "noisy_states",
-    "noisy_states_at_once",
     "smoothed_target",
     "state_loss",
 ]
+
+_Scores = tuple[Float[Tensor, " B"], Float[Tensor, " B"]]
+"""Negative logarithmic score and CRPS of each clip."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,19 +74,25 @@ def compute_losses(
     network: NetworkConfig,
 ) -> Losses:
     """Cross-entropy with smoothed targets and CRPS for both densities; states; span and captured energy for W."""
-    stiffness, poisson = (
-        (nll.mean(), crps.mean())
-        for nll, crps in _both_scores(output, targets.log10_stiffness, targets.poisson_ratio, config, network)
-    )
+    stiffness, poisson = _scores_of_both(output, targets.log10_stiffness, targets.poisson_ratio, config, network)
     assert output.weights is not None
     weights = output.weights.float()
     span = span_loss(weights, targets.modes, targets.volume_weights, targets.importance).mean()
     captured = captured_energy_loss(weights, targets.displacements, targets.points, targets.volume_weights).mean()
-    densities = density_losses(output, targets.log10_stiffness, targets.poisson_ratio, config, network)
+    densities = _weighted(stiffness, poisson, config, network).mean()
     states = state_loss(output.states.float(), targets.states, interval, valid)
     total = densities + config.states * states
     total = total + config.span * span + config.captured * captured
-    return Losses(*stiffness, *poisson, states=states, span=span, captured=captured, total=total)
+    return Losses(
+        stiffness_nll=stiffness[0].mean(),
+        stiffness_crps=stiffness[1].mean(),
+        poisson_nll=poisson[0].mean(),
+        poisson_crps=poisson[1].mean(),
+        states=states,
+        span=span,
+        captured=captured,
+        total=total,
+    )
 
 
 def density_losses(
@@ -97,25 +105,31 @@ def density_losses(
     weight: Float[Tensor, " B"] | None = None,
 ) -> Float[Tensor, ""]:
     """Weighted terms of both densities; `weight` is how much each clip counts, once unless given."""
-    total = torch.zeros_like(log10_stiffness)
-    shares = (1.0, config.poisson)
-    scores = _both_scores(output, log10_stiffness, poisson_ratio, config, network)
-    for share, (nll, crps), bins in zip(shares, scores, (network.stiffness, network.poisson), strict=True):
-        total = total + share * (config.nll * nll + config.crps * crps / _scale(bins))
+    scores = _scores_of_both(output, log10_stiffness, poisson_ratio, config, network)
+    total = _weighted(*scores, config, network)
     return total.mean() if weight is None else (total * weight).mean()
 
 
-def _both_scores(
+def _scores_of_both(
     output: NetworkOutput,
     log10_stiffness: Float[Tensor, " B"],
     poisson_ratio: Float[Tensor, " B"],
     config: LossConfig,
     network: NetworkConfig,
-) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
+) -> tuple[_Scores, _Scores]:
     return (
         _scores(output.stiffness_logits, log10_stiffness, network.stiffness, config.smoothing),
         _scores(output.poisson_logits, poisson_ratio, network.poisson, config.smoothing),
     )
+
+
+def _weighted(stiffness: _Scores, poisson: _Scores, config: LossConfig, network: NetworkConfig) -> Float[Tensor, " B"]:
+    """What each clip's scores cost."""
+    one, other = (
+        config.nll * nll + config.crps * crps / _scale(bins)
+        for (nll, crps), bins in ((stiffness, network.stiffness), (poisson, network.poisson))
+    )
+    return one + config.poisson * other
 
 
 def state_loss(
@@ -131,10 +145,7 @@ def state_loss(
     return ((error.abs() + rates.abs() / 3) * weight).sum()
 
 
-def _scores(
-    logits: Float[Tensor, "B K"], values: Float[Tensor, " B"], bins: BinConfig, smoothing: float
-) -> tuple[Float[Tensor, " B"], Float[Tensor, " B"]]:
-    """Negative logarithmic score and CRPS of each clip."""
+def _scores(logits: Float[Tensor, "B K"], values: Float[Tensor, " B"], bins: BinConfig, smoothing: float) -> _Scores:
     target = smoothed_target(values, bins, smoothing)
     nll = -(target * logits.float().log_softmax(dim=-1)).sum(dim=-1)
     return nll, BinnedDensity.from_logits(logits, bins).crps(values)
@@ -158,13 +169,8 @@ def smoothed_target(values: Float[Tensor, " B"], bins: BinConfig, smoothing: flo
     return mass / mass.sum(dim=-1, keepdim=True)
 
 
-def noisy_states(targets: Targets, generator: torch.Generator) -> Float[Tensor, "B T S"]:
+def noisy_states(states: Float[Tensor, "B T S"], generator: torch.Generator) -> Float[Tensor, "B T S"]:
     """True states as a good observer would see them: off by 0.3 to 10 % of typical magnitudes, clip by clip."""
-    return noisy_states_at_once(targets.states, generator)
-
-
-def noisy_states_at_once(states: Float[Tensor, "B T S"], generator: torch.Generator) -> Float[Tensor, "B T S"]:
-    """The same of states on any device, with numbers drawn on the generator's."""
     device = generator.device
     level = 10 ** (1.5 * torch.rand(states.shape[0], 1, 1, generator=generator, device=device) - 2.5)
     noise = level * torch.randn(states.shape, generator=generator, device=device) * STATE_SCALE.to(device)

@@ -14,13 +14,12 @@ from jaxtyping import Float32, Float64, Int, Int16, Int32, UInt16
 from scipy.spatial.transform import Rotation
 
 from data_gen.explicit.chebyshev import reach, stages_for, step_coefficients
-from data_gen.landing import mass_properties
+from data_gen.landing import mass_properties, turning
 from data_gen.scene import Drop
 from physconvex.fem import ElasticBody, TetMesh
 from physconvex.fem.mesh import linear_part, to_quadratic
-from physconvex.fem.scene import CONTACT_STIFFNESS_RATIO
-
-Array = TypeVar("Array", np.ndarray, torch.Tensor)
+from physconvex.fem.scene import contact_defaults
+from physconvex.materials import lame_parameters
 
 __all__ = ["FPS", "GRAVITY", "LARGEST", "FallingBody", "Layout", "falling_body", "lay_out"]
 
@@ -33,7 +32,9 @@ _SAFETY = 2.0  # of the stiffness, which grows where elements are squeezed
 _LUMPED = np.array([1 / 36] * 4 + [4 / 27] * 6)  # Hinton, Rock, Zienkiewicz 1976: the consistent diagonal, scaled
 _CONTACT = 8.0  # most of (step × frequency of a node on the floor)², beyond which friction may make it grow
 _MARGIN = 2e-3  # [s] before the landing
-_POWER = 30
+_POWER = 30  # iterations
+
+Array = TypeVar("Array", np.ndarray, torch.Tensor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,26 +138,24 @@ def _flight(
 ]:
     """Rotations and centres at the frames before the rigid body touches the floor, velocity and spin at the last."""
     centre, inertia = mass_properties(mesh)
-    arms, turn, momentum = mesh.vertices - centre, Rotation.identity(), inertia @ drop.initial_angular_velocity
+    arms = mesh.vertices - centre
     speed, between = np.asarray(drop.initial_velocity), int(np.ceil(1000 / fps))
     step, largest = 1 / (fps * between), np.linalg.norm(arms, axis=1).max()
     turns: list[np.ndarray] = []
     centres: list[np.ndarray] = []
     velocity, spin_then = speed, np.asarray(drop.initial_angular_velocity)
-    for number in range((frames - 1) * between + 1):
+    turned = turning(inertia, drop.initial_angular_velocity, step)
+    for number, (turn, spin) in zip(range((frames - 1) * between + 1), turned, strict=False):
         time = number * step
-        axes = turn.as_matrix()
-        spin = axes @ np.linalg.solve(inertia, axes.T @ momentum)
         gained = np.array([0.0, 0.0, time * gravity])
         now, fall = centre + time * (speed + 0.5 * gained), speed[2] + gained[2]
-        lowest = now[2] - largest if now[2] > 1.1 * largest else now[2] + (arms @ axes[2]).min()
+        lowest = now[2] - largest if now[2] > 1.1 * largest else now[2] + (arms @ turn.as_matrix()[2]).min()
         if turns and lowest + _MARGIN * (fall - np.linalg.norm(spin) * largest) <= 0:
             break
         if number % between == 0:
             turns.append(turn.as_quat())
             centres.append(now)
             velocity, spin_then = speed + gained, spin
-        turn = Rotation.from_rotvec(step * spin) * turn
     return np.stack(turns), np.stack(centres), velocity, spin_then
 
 
@@ -259,16 +258,17 @@ def lay_out(
 def _laid(body: FallingBody, frames: int, fps: float, gravity: float, caution: float) -> _Laid:
     mesh = body.mesh()
     size, turns, centres = mesh.size, body.turns[:frames], body.centres[:frames]
-    stiffness = CONTACT_STIFFNESS_RATIO * body.youngs_modulus / size
+    stiffness, smoothing, slip = contact_defaults(body.youngs_modulus, size)
     masses, areas = _lumped_masses(mesh, body.density), mesh.node_areas
     fastest = stiffness * float((areas / masses).max())
     steps = int(np.ceil(caution * max(_LEAST_STEPS, np.sqrt(fastest / _CONTACT) / fps)))
     step = 1 / (fps * steps)
     stages = max(_LEAST_STAGES, stages_for(_SAFETY * step * body.damping_time * body.stiffest))
-    shear = body.youngs_modulus / (2 * (1 + body.poisson_ratio))
-    bulk = body.youngs_modulus * body.poisson_ratio / ((1 + body.poisson_ratio) * (1 - 2 * body.poisson_ratio))
+    mu, lam = lame_parameters(
+        *(torch.tensor(v, dtype=torch.float64) for v in (body.youngs_modulus, body.poisson_ratio))
+    )
     material = (
-        *(shear, bulk, body.damping_time, stiffness, 5e-4 * size, body.friction, 2e-3 * np.sqrt(9.81 * size)),
+        *(float(mu), float(lam), body.damping_time, stiffness, smoothing, body.friction, slip),
         *(step, gravity, 0.25 * reach(stages) / step),
     )
     x = mesh.vertices[mesh.corner_tets]

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import torch
 from jaxtyping import Float32, Int32
 from torch import Tensor
 
 from data_gen.explicit.bodies import Layout
-from physconvex.native import POINTER, KernelUnavailable, loaded
+from physconvex.cuda_kernels import launch
+from physconvex.native import POINTER, loaded
 
 __all__ = ["LOOK", "VIEW", "draw", "roll_out"]
 
@@ -82,8 +83,8 @@ def draw(
     samples = torch.full((count * frames, side * factor, side * factor), -1, dtype=torch.int64, device=positions.device)
     clips, views, looks, positions, rest, triangles = tensors
     _launch("nearest", count * frames, [clips, views, positions, triangles, samples, frames, side * factor])
-    arguments = [clips, views, looks, positions, rest, triangles, samples, pictures, frames, side * factor, factor]
-    _launch("resolve", count * frames, arguments)
+    seen = [clips, views, looks, positions, rest, triangles, samples, pictures]
+    _launch("resolve", count * frames, [*seen, frames, side * factor, factor])
     return pictures
 
 
@@ -92,22 +93,12 @@ def _library() -> ctypes.CDLL:
     return loaded(_HERE, _FUNCTIONS)
 
 
+@cache
 def source(name: str) -> str:
     """The CUDA text of one of the kernels."""
     texts = [(_HERE / part).read_text(encoding="utf-8") for part in (_HEADERS[name], _SOURCES[name])]
     return "#define DEVICE __device__ __forceinline__\n" + "".join(texts)
 
 
-@cache
-def _kernel(name: str, device: int) -> Any:
-    compile_kernel = getattr(torch.cuda, "_compile_kernel", None)
-    if compile_kernel is None:
-        raise KernelUnavailable("this torch has no torch.cuda._compile_kernel (it came with 2.9)")
-    with torch.cuda.device(device):
-        return compile_kernel(source(name), name)
-
-
-def _launch(name: str, blocks: int, arguments: list[Any]) -> None:
-    device = next(value.device for value in arguments if isinstance(value, Tensor))
-    with torch.cuda.device(device):
-        _kernel(name, device.index or 0)(grid=(blocks, 1, 1), block=(_THREADS, 1, 1), args=arguments)
+def _launch(name: str, blocks: int, arguments: Sequence[Tensor | int]) -> None:
+    launch(source(name), name, grid=(blocks, 1), threads=_THREADS, arguments=arguments)

@@ -30,7 +30,7 @@ ENOUGH, ALMOST = 0.9, 0.8
 # Of meshes of a simplified surface: nodes of the result for each triangle by order, distance from those triangles over
 # the diagonal, how often both are tried coarser, and how many meshes of few nodes are made if the first has less than
 # ENOUGH of the body: fTetWild gives another one each time, of a slab on legs with .88 to .99.
-NODES_PER_TRIANGLE, SIMPLIFIED_EPSILON, SIMPLIFICATIONS, DRAWS = {1: 0.7, 2: 3.2}, 0.01, 4, 2
+NODES_PER_TRIANGLE, SIMPLIFIED_EPSILON, SIMPLIFICATIONS, DRAWS = {1: 0.7, 2: 3.2}, 0.01, 6, 4
 
 
 @runtime_checkable

@@ -16,11 +16,16 @@ from physconvex.fem.embedding import Embedding
 from physconvex.fem.hanging import HangingLoad
 from physconvex.wind import Wind
 
-__all__ = ["Loads", "Pins", "Scene"]
+__all__ = ["Loads", "Pins", "Scene", "contact_defaults"]
 
 Vector = Sequence[float] | Float[np.ndarray, " 3"]
 Loads = Float[np.ndarray, "V 3"] | Callable[[float], Float[np.ndarray, "V 3"]]
 CONTACT_STIFFNESS_RATIO = 50.0  # kc·L / E: measured bias of E below 0.01 decades
+
+
+def contact_defaults(youngs_modulus: float, size: float) -> tuple[float, float, float]:
+    """Stiffness kc [Pa/m], smoothing ε [m] and slip velocity v_s [m/s] of a body of that E [Pa] and size [m]."""
+    return CONTACT_STIFFNESS_RATIO * youngs_modulus / size, 5e-4 * size, 2e-3 * np.sqrt(9.81 * size)
 
 
 @dataclass(frozen=True)
@@ -166,15 +171,13 @@ class Scene:
         return CarriedContact(self._contact(points.areas), Embedding.of_points(mesh, points.points))
 
     def _contact(self, areas: Float[np.ndarray, " S"]) -> Contact:
-        mesh = self.body.mesh
-        size = mesh.size
-        stiffness = CONTACT_STIFFNESS_RATIO * float(self.body.youngs_modulus.max()) / size
+        stiffness, smoothing, slip = contact_defaults(float(self.body.youngs_modulus.max()), self.body.mesh.size)
         return Contact(
             obstacles=tuple(self.obstacles),
             areas=areas,
             stiffness=stiffness if self.contact_stiffness is None else self.contact_stiffness,
-            smoothing=5e-4 * size if self.contact_smoothing is None else self.contact_smoothing,
-            slip_velocity=2e-3 * np.sqrt(9.81 * size) if self.slip_velocity is None else self.slip_velocity,
+            smoothing=smoothing if self.contact_smoothing is None else self.contact_smoothing,
+            slip_velocity=slip if self.slip_velocity is None else self.slip_velocity,
             damping=self.contact_damping,
         )
 

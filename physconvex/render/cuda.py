@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from physconvex.native import KernelUnavailable
+from physconvex.cuda_kernels import launch
 from physconvex.render.directions import Directions, stacked
 from physconvex.render.hull import Hulls
 from physconvex.render.projection import Splats
@@ -63,6 +63,7 @@ def planar_hulls_cuda(points: Float[Tensor, "N C 2"]) -> Hulls:
     return Hulls(order, number, width)
 
 
+@cache
 def source(name: str) -> str:
     """The CUDA text that holds one of `FUNCTIONS`."""
     here = Path(__file__).parent
@@ -72,23 +73,9 @@ def source(name: str) -> str:
     return "#define DEVICE __device__\n" + "".join(part.read_text(encoding="utf-8") for part in parts)
 
 
-@cache
-def _kernel(name: str, device: int) -> Any:
-    """One of `FUNCTIONS`, compiled."""
-    compile_kernel = getattr(torch.cuda, "_compile_kernel", None)
-    if compile_kernel is None:
-        raise KernelUnavailable("this torch has no torch.cuda._compile_kernel (it came with 2.9)")
-    with torch.cuda.device(device):
-        return compile_kernel(source(name), name)
-
-
 def _launch(name: str, grid: tuple[int, int], arguments: Sequence[Tensor | int]) -> None:
     """Run one of `FUNCTIONS` with `BLOCK` threads in each block."""
-    device = next(value.device for value in arguments if isinstance(value, Tensor))
-    if device.type != "cuda":
-        raise KernelUnavailable(f"the CUDA kernel was given tensors on {device}; move field and view to a CUDA device")
-    with torch.cuda.device(device):
-        _kernel(name, device.index or 0)(grid=(*grid, 1), block=(BLOCK, 1, 1), args=list(arguments))
+    launch(source(name), name, grid=grid, threads=BLOCK, arguments=arguments)
 
 
 class _Scene:

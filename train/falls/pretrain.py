@@ -24,7 +24,7 @@ from train.falls.prepare import prepare_clips_at_once
 from train.falls.real import RealClips
 from train.falls.views import draw_views
 from train.falls.world import Falls, turned
-from train.losses import density_losses, noisy_states_at_once, state_loss
+from train.losses import density_losses, noisy_states, state_loss
 
 __all__ = ["FallBatch", "Pretraining", "draw_batch", "pretrain", "scores"]
 
@@ -236,7 +236,7 @@ def _update(
     """One step of the optimiser; the terms of the loss."""
     network.train()
     shown, clips = batch.shown, batch.clips()
-    given = noisy_states_at_once(shown.states, generator)
+    given = noisy_states(shown.states, generator)
     with torch.autocast(clips.moments.device.type, torch.bfloat16, enabled=clips.moments.is_cuda):
         output: NetworkOutput = network(clips, states=given, generator=processor)
     material = density_losses(

@@ -13,16 +13,14 @@ from data_gen.explicit.generate import read_falls
 from models.network import PhysicsNetwork
 from physconvex.devices import device_named
 from physconvex.errors import InputError
-from train.cache import prepare_clips
 from train.config import TrainConfig
-from train.data import TrainingClips
 from train.export import export_best
 from train.falls.pretrain import Pretraining, pretrain
 from train.falls.real import RealClips
 from train.falls.skinning import HeadTraining, fit_skinning_head
 from train.falls.world import simulate_falls
-from train.records import Split, read_clips
 from train.run_log import write_config
+from train.split_clips import split_clips
 from train.validation import validate
 
 __all__ = ["train_on_falls"]
@@ -73,7 +71,9 @@ def train_on_falls(
     out.mkdir(parents=True, exist_ok=True)
     write_config(out, config, data)
     cache = Path(cache) if cache else out / "cache"
-    train, validation = (_clips(split, config, data, cache, workers, report) for split in ("train", "validation"))
+    train, validation = (
+        split_clips(split, config, data, cache, workers=workers, report=report) for split in ("train", "validation")
+    )
     report("simulating falls", 0, len(bodies))
     frames = config.network.encoder.frames
     held_out, world = (
@@ -106,27 +106,6 @@ def train_on_falls(
         beside=_described(bodies[_HELD_OUT:], len(world)),
     )
     return out / "best"
-
-
-def _clips(
-    split: Split, config: TrainConfig, data: Sequence[Path | str], cache: Path, workers: int, report: Report
-) -> TrainingClips:
-    clips, training = read_clips(data, split), split == "train"
-    prepared = prepare_clips(
-        clips,
-        config.clip,
-        cache,
-        true_mask_share=config.true_mask_share if training else 0.0,
-        workers=workers,
-        progress=lambda done, total: report(f"preparing {split} clips", done, total),
-    )
-    return TrainingClips(
-        clips,
-        prepared,
-        augmentation=config.augment if training else None,
-        modes=config.loss.modes,
-        seed=config.seed,
-    )
 
 
 def _described(bodies: Sequence[FallingBody], kept: int) -> str:

@@ -14,6 +14,7 @@ from data_gen.explicit.bodies import FPS, FallingBody, Layout, lay_out
 from data_gen.explicit.kernels import roll_out
 from models.scaling import dimensionless_interval, log10_dimensionless_stiffness
 from physconvex.errors import ConvergenceError
+from physconvex.fem.elements import QUADRATURE, shape_values
 
 __all__ = ["Falls", "Index", "joined", "motion_states", "simulate_falls", "turned"]
 
@@ -23,8 +24,7 @@ Index = Int[Tensor, " B"]
 _OUTERMOST = 0.01  # as in train.states
 _FARTHEST = 20.0  # [m]
 _CAUTION = 3.0  # with those that became unstable
-_NEAR, _FAR = (5 + 3 * np.sqrt(5)) / 20, (5 - np.sqrt(5)) / 20
-_EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))
+_SHAPES = torch.from_numpy(shape_values(QUADRATURE[2][0], 2)).float()  # at the points of an element
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +157,7 @@ def _states(layout: Layout, positions: Tensor, number: int, size: float) -> Floa
     x, device = layout.positions(positions, number), positions.device
     tets = torch.from_numpy(layout.corners[element : element + elements].astype(np.int64)).to(device)
     volumes = torch.from_numpy(layout.geometry[element : element + elements, 9].copy()).to(device)
-    now = torch.einsum("qa,teai->teqi", _shapes(device), x[:, tets]).flatten(1, 2).double()
+    now = torch.einsum("qa,teai->teqi", _SHAPES.to(device), x[:, tets]).flatten(1, 2).double()
     share = (volumes.double() / volumes.sum()).repeat_interleave(4) / 4
     return _motion(now, share, size).float()
 
@@ -203,16 +203,6 @@ def _with_stretches(states: Float[Tensor, "... S"]) -> Float[Tensor, "... S"]:
     stretches = torch.linalg.svdvals(gradient).clamp(0.1, 10).log()
     both = torch.cat([stretches, stretches.sum(dim=-1, keepdim=True)], dim=-1).to(states)
     return torch.cat([states[..., :5], both, states[..., 9:]], dim=-1)
-
-
-def _shapes(device: torch.device) -> Float32[Tensor, "Q 10"]:
-    """Values of the shape functions at the four points."""
-    rows = []
-    for q in range(4):
-        b = np.full(4, _FAR)
-        b[q] = _NEAR
-        rows.append([*(b * (2 * b - 1)), *(4 * b[i] * b[j] for i, j in _EDGES)])
-    return torch.tensor(rows, dtype=torch.float32, device=device)
 
 
 def turned(states: Float[Tensor, "B T S"], turn: Float[Tensor, "B 3 3"]) -> Float[Tensor, "B T S"]:

@@ -15,12 +15,10 @@ extern "C" __global__ void nearest(
     for (int t = threadIdx.x; t < c[3]; t += THREADS) {
         Screen s;
         if (!on_screen(view, x, triangles + 3 * (c[2] + t), s)) continue;
-        const int x0 = max(0, (int)floorf(fminf(fminf(s.a[0], s.b[0]), s.c[0])));
-        const int x1 = min(side - 1, (int)ceilf(fmaxf(fmaxf(s.a[0], s.b[0]), s.c[0])));
-        const int y0 = max(0, (int)floorf(fminf(fminf(s.a[1], s.b[1]), s.c[1])));
-        const int y1 = min(side - 1, (int)ceilf(fmaxf(fmaxf(s.a[1], s.b[1]), s.c[1])));
-        for (int row = y0; row <= y1; row++)
-            for (int column = x0; column <= x1; column++) {
+        int box[4];
+        box_of(s, side, box);
+        for (int row = box[2]; row <= box[3]; row++)
+            for (int column = box[0]; column <= box[1]; column++) {
                 float w[3];
                 if (!inside(s, column + 0.5f, row + 0.5f, w)) continue;
                 const float depth = w[0] * s.a[2] + w[1] * s.b[2] + w[2] * s.c[2];
@@ -39,23 +37,7 @@ extern "C" __global__ void resolve(
     const float *x = positions + 3 * ((long long)c[0] * frames + (long long)frame * c[1]);
     const Sample *mine = samples + (long long)blockIdx.x * side * side;
     float *shown = pictures + 4 * (long long)blockIdx.x * small * small;
-    for (int pixel = threadIdx.x; pixel < small * small; pixel += THREADS) {
-        float sum[4] = {0, 0, 0, 0};
-        for (int s = 0; s < factor * factor; s++) {
-            const int row = pixel / small * factor + s / factor, column = pixel % small * factor + s % factor;
-            const Sample found = mine[row * side + column];
-            float rgb[3] = {look[3], look[4], look[5]};
-            if (found != ~(Sample)0) {
-                const int *t = triangles + 3 * (c[2] + (int)(found & 0xffffffffu));
-                Screen screen;
-                float w[3];
-                on_screen(view, x, t, screen);
-                inside(screen, column + 0.5f, row + 0.5f, w);
-                shade(look, x, rest + 3 * c[0], t, w, rgb);
-                sum[3] += 1;
-            }
-            for (int k = 0; k < 3; k++) sum[k] += rgb[k];
-        }
-        for (int k = 0; k < 4; k++) shown[4 * pixel + k] = sum[k] / (factor * factor);
-    }
+    for (int pixel = threadIdx.x; pixel < small * small; pixel += THREADS)
+        resolve_pixel(
+            view, look, x, rest + 3 * c[0], triangles + 3 * c[2], mine, side, factor, pixel, shown + 4 * pixel);
 }

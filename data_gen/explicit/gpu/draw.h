@@ -31,6 +31,16 @@ DEVICE bool on_screen(const float *view, const float *positions, const int *tria
     return s.area < 0 && s.a[2] > 0 && s.b[2] > 0 && s.c[2] > 0; // rows run downwards
 }
 
+// First and last column and row of the samples that a triangle may cover.
+DEVICE void box_of(const Screen &s, int side, int *box)
+{
+    for (int k = 0; k < 2; k++) {
+        const int low = (int)floorf(fminf(fminf(s.a[k], s.b[k]), s.c[k]));
+        const int high = (int)ceilf(fmaxf(fmaxf(s.a[k], s.b[k]), s.c[k]));
+        box[2 * k] = low > 0 ? low : 0, box[2 * k + 1] = high < side - 1 ? high : side - 1;
+    }
+}
+
 DEVICE bool inside(const Screen &s, float x, float y, float *w)
 {
     w[1] = ((x - s.a[0]) * (s.c[1] - s.a[1]) - (y - s.a[1]) * (s.c[0] - s.a[0])) / s.area;
@@ -59,4 +69,29 @@ DEVICE void shade(const float *look, const float *positions, const float *rest, 
         for (int k = 0; k < 3; k++) rgb[k] += wave[4 + k] * s;
     }
     for (int k = 0; k < 3; k++) rgb[k] = fminf(fmaxf(rgb[k] * light, 0.0f), 255.0f);
+}
+
+// Colour and coverage of a pixel from its samples; triangles are those of the body.
+DEVICE void resolve_pixel(
+    const float *view, const float *look, const float *positions, const float *rest, const int *triangles,
+    const Sample *samples, int side, int factor, int pixel, float *shown)
+{
+    const int small = side / factor;
+    float sum[4] = {0, 0, 0, 0};
+    for (int s = 0; s < factor * factor; s++) {
+        const int row = pixel / small * factor + s / factor, column = pixel % small * factor + s % factor;
+        const Sample found = samples[row * side + column];
+        float rgb[3] = {look[3], look[4], look[5]};
+        if (found != ~(Sample)0) {
+            const int *t = triangles + 3 * (int)(found & 0xffffffffu);
+            Screen screen;
+            float w[3];
+            on_screen(view, positions, t, screen);
+            inside(screen, column + 0.5f, row + 0.5f, w);
+            shade(look, positions, rest, t, w, rgb);
+            sum[3] += 1;
+        }
+        for (int k = 0; k < 3; k++) sum[k] += rgb[k];
+    }
+    for (int k = 0; k < 4; k++) shown[k] = sum[k] / (factor * factor);
 }
