@@ -132,7 +132,7 @@ def main() -> None:
     tree = {
         "command": "python " + " ".join([f"benchmarks/{Path(__file__).name}", *sys.argv[1:]]),
         "states": STATE_NAMES,
-        "simulations": {"train": len(training[0]), "test": len(held_out[0])},
+        "clips": {"train": len(training[0]), "test": len(held_out[0])},
         "rows": rows,
     }
     options.out.parent.mkdir(parents=True, exist_ok=True)

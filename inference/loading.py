@@ -225,10 +225,10 @@ def load_array(
 
     Args:
         array: numpy array or torch tensor of shape [T, H, W, 3 or 4], uint8 or floating point in [0, 1];
-            a fourth channel is alpha (0 = background).
+            a fourth channel is alpha (0 = background), unless it is opaque everywhere.
         mask: boolean foreground, shape [T, H, W].
         fps: frames per second [1/s]; None if unknown.
-        timestamps: times of the frames [s], shape [T].
+        timestamps: times of the frames [s], shape [T]; they say what fps is.
 
     Raises:
         InputError: shape, type or range is another.
@@ -241,10 +241,15 @@ def load_array(
         )
     pixels = _as_uint8(values)
     alpha = pixels[..., 3] if pixels.shape[-1] == 4 else None
+    if alpha is not None and alpha.min() == 255:
+        alpha = None  # opaque everywhere, as most RGBA arrays are: it tells nothing
+    times = None if timestamps is None else _as_times(timestamps, len(pixels))
+    if times is not None and len(times) > 1:
+        fps = float((len(times) - 1) / (times[-1] - times[0]))
     return LoadedClip(
         frames=np.ascontiguousarray(pixels[..., :3]),
         fps=fps,
-        timestamps=None if timestamps is None else _as_times(timestamps, len(pixels)),
+        timestamps=times,
         mask=None if mask is None else _as_mask(mask, pixels.shape[:3]),
         alpha=alpha,
     )

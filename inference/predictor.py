@@ -33,13 +33,14 @@ def predict(
     Args:
         path_or_array: a video file, a capture folder (`capture.json`), a folder of numbered images, or frames
             of shape [T, H, W, 3 or 4] as numpy array or torch tensor, uint8 or floating point in [0, 1]
-            (a fourth channel is alpha).
+            (a fourth channel is alpha, unless it is opaque everywhere).
         fps: frames per second of the motion [1/s]. None: the file's; 24 for arrays and images without one.
         density: density [kg/m³]. None: the capture's, else 1000.
         object_size: largest edge of the object's rest bounding box [m]. None: that of the capture's mesh,
             else 1.
         mask: boolean foreground of shape [T, H, W]. None: the file's alpha or mask, else it is searched.
-        timestamps: times of the frames [s], shape [T], increasing; for arrays of variable rate.
+        timestamps: times of the frames [s], shape [T], increasing; for arrays of variable rate. With `fps` too they
+            are stretched to that mean rate, as those of a file are.
         predictor: a loaded predictor; None loads `checkpoint` (and keeps the last one for later calls).
         checkpoint: name or folder of a checkpoint.
         device: torch device of the network, such as "cpu" or "cuda".

@@ -14,10 +14,13 @@ def format_pascals(value: float) -> str:
 
 
 def format_pascals_range(low: float, high: float) -> str:
-    """Return an interval [Pa], such as `0.81–1.9 MPa`; a wide one has two units, such as `3.9 kPa–1.0 MPa`."""
-    if high > 100 * low:
-        return "–".join(f"{_digits(value / scale, 2)} {unit}" for value, (scale, unit) in _each(low, high))
-    scale, unit = _scale(math.sqrt(low * high))
+    """Return an interval [Pa], such as `0.12–2.6 MPa`.
+
+    It has two units, such as `3.9 kPa–1.0 MPa`, where its low end is less than a tenth of the unit of its high one.
+    """
+    scale, unit = _scale(high)
+    if low < 0.1 * scale:
+        return "–".join(f"{_digits(value / own, 2)} {name}" for value, (own, name) in _each(low, high))
     return f"{_digits(low / scale, 2)}–{_digits(high / scale, 2)} {unit}"
 
 

@@ -24,6 +24,9 @@ __all__ = [
 ]
 
 
+_SURE = 0.5  # confidence of the foreground
+
+
 @dataclass(frozen=True)
 class ClipConfig:
     """What the network's input looks like."""
@@ -99,6 +102,10 @@ def prepare_clip(
     foreground = locate_foreground(
         shown, alpha=None if alpha is None else alpha[chosen], mask=None if mask is None else mask[chosen]
     )
+    if foreground.source == "whole_frame":
+        warnings.append("no object was found: the answer is of the whole picture and says little; give a mask")
+    elif foreground.confidence < _SURE:
+        warnings.append(f"the object was found with a confidence of {foreground.confidence:.2f}: look at its outline")
     crop = _crop_square(foreground, config.margin, config.image_size)
     images, masks = _cut_out(shown, foreground, crop, config.image_size)
     silhouettes = silhouette_moments(masks, touches_border=touches_border(foreground.mask))

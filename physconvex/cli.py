@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.markup import escape
 from typer.core import TyperCommand, TyperGroup
 
 import physconvex
@@ -75,7 +76,17 @@ def _load(point: EntryPoint) -> Any:
         single.command(name=point.name)(target)
         command = typer.main.get_command(single)
     command.name = point.name
+    _escape_brackets(command)
     return command
+
+
+def _escape_brackets(command: Any) -> None:
+    """Units such as [m] are text, which rich would take for markup and leave out of the help."""
+    for option in command.params:
+        if getattr(option, "help", None):
+            option.help = escape(option.help)
+    for inner in getattr(command, "commands", {}).values():
+        _escape_brackets(inner)
 
 
 class _EntryPointGroup(TyperGroup):

@@ -97,6 +97,11 @@ def test_installed_command_loads_and_has_help(command: str) -> None:
     assert cli._short_help(cli._commands()[command])
 
 
+def test_help_shows_units(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "[kg/m³]" in _main(capsys, "predict", "--help")[1]
+    assert "[pixels]" in _main(capsys, "generate", "benchmark", "--help")[1]  # a command of a group
+
+
 @pytest.mark.usefixtures("commands")
 def test_help_reads_docstrings_without_importing(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = _main(capsys, "--help")

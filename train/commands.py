@@ -57,11 +57,15 @@ def pretrain(
     data: Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")],
     out: Annotated[Path, typer.Option(help="Run folder; its `best/` is the checkpoint.")],
     config: Annotated[str, typer.Option(help="YAML file or preset.")] = "falls",
-    minutes: Annotated[float, typer.Option(help="Of training on the falls.")] = 6.4,
+    steps: Annotated[int, typer.Option(help="Of the optimiser.", min=1)] = 3700,
+    minutes: Annotated[
+        float | None, typer.Option(help="Stop after this time, the learning rate falling with it.")
+    ] = None,
     drawn: Annotated[int, typer.Option(help="Falls of each step.", min=1)] = 168,
     real: Annotated[int, typer.Option(help="Clips of data sets of each step.", min=1)] = 24,
     device: Annotated[str, typer.Option(help="A CUDA device, or `cpu`, which is some hundred times slower.")] = "cuda",
     seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    resume: Annotated[bool, typer.Option(help="Go on with the run in --out.")] = True,
     cache: Annotated[Path | None, typer.Option(help="Where prepared clips live; OUT/cache unless given.")] = None,
     workers: Annotated[int, typer.Option(help="Processes that prepare clips and bodies.", min=1)] = 2,
 ) -> None:
@@ -70,11 +74,11 @@ def pretrain(
     from train.falls.pretrain import Pretraining
     from train.falls.run import train_on_falls
 
-    plan = Pretraining(minutes=minutes, drawn=drawn, real=real, seed=seed)
+    plan = Pretraining(steps=steps, minutes=minutes, drawn=drawn, real=real)
     with _Bar() as bar:
         checkpoint = train_on_falls(
             load_train_config(config, seed=seed), plan, falls, data, out,
-            device=device, cache=cache, workers=workers, report=bar.report, log=tqdm.write,
+            device=device, cache=cache, workers=workers, resume=resume, report=bar.report,
         )  # fmt: skip
     typer.echo(f"checkpoint in {checkpoint}")
 

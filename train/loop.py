@@ -16,7 +16,6 @@ import torch
 from accelerate import Accelerator
 from accelerate.utils import DistributedDataParallelKwargs, broadcast
 from timm.optim import create_optimizer_v2
-from timm.scheduler import CosineLRScheduler
 from timm.utils import ModelEmaV3
 
 from models.checkpoint import load_checkpoint
@@ -29,6 +28,7 @@ from train.export import export_best
 from train.losses import compute_losses, noisy_states
 from train.plan import Plan, Step
 from train.run_log import RunLog, fingerprint, write_config
+from train.schedule import cosine_schedule
 from train.split_clips import split_clips
 from train.state import Progress, load_state, save_state
 from train.validation import Validation, validate
@@ -123,18 +123,8 @@ class _Run:
         optimizer = create_optimizer_v2(
             network, opt=config.optimizer, lr=config.learning_rate, weight_decay=config.weight_decay
         )
-        self.schedule = self._schedule(optimizer, self.plan.steps)
+        self.schedule = cosine_schedule(optimizer, config, self.plan.steps)
         self.model, self.optimizer = self.accelerator.prepare(network, optimizer)
-
-    def _schedule(self, optimizer: torch.optim.Optimizer, steps: int) -> CosineLRScheduler:
-        return CosineLRScheduler(
-            optimizer,
-            t_initial=max(steps, 1),
-            lr_min=self.config.learning_rate * self.config.final_share,
-            warmup_t=round(self.config.warmup_share * steps),
-            warmup_lr_init=self.config.learning_rate * 0.01,
-            t_in_epochs=False,
-        )
 
     @property
     def network(self) -> PhysicsNetwork:

@@ -14,6 +14,8 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
+from inference.units import format_pascals, format_pascals_range
+
 TARGET = Path(__file__).parents[1] / "images" / "demo.png"
 
 
@@ -31,7 +33,7 @@ def main() -> None:
         field.imshow(plt.imread(folder / f"{record['name']}.skinning.png"))
         low, high = record["youngs_modulus_interval"]
         title = (
-            f"{record['name']}: E = {record['youngs_modulus'] / 1e3:.3g} kPa ({low / 1e3:.3g}–{high / 1e3:.3g}), "
+            f"{record['name']}: E = {format_pascals(record['youngs_modulus'])} ({format_pascals_range(low, high)}), "
             f"ν = {record['poisson_ratio']:.2f} ({'–'.join(f'{v:.2f}' for v in record['poisson_ratio_interval'])})"
         )
         frames.set_title(title, fontsize=7, loc="left", pad=2)

@@ -161,6 +161,6 @@ def _check_memory(path: Path, probe: Probe, limits: Limits, frame_bytes: int) ->
 def _too_large(path: Path, frames: int, width: int, height: int, limits: Limits) -> VideoError:
     detail = (
         f"{frames} frames of {width}x{height} need more than the {limits.max_bytes / 2**20:.0f} MiB allowed; "
-        "give a smaller max_side, max_frames or max_seconds"
+        "cut the video or make its pictures smaller (of read_video: give a smaller max_side, max_frames or max_seconds)"
     )
     return VideoError(path, "too_large", detail)

@@ -1,5 +1,6 @@
 """Read a folder of numbered images as a video."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,10 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 def read_image_sequence(folder: Path | str, *, fps: float) -> Video:
-    """Frames from the PNG and JPEG files of a folder, in the order of their names; PNG alpha is kept.
+    """Frames from the PNG and JPEG files of a folder, in the order of the numbers that their names end with.
+
+    Images without a number are left out where two or more have one, else they come in the order of their names. PNG
+    alpha is kept.
 
     Raises:
         VideoError: no folder, fewer than two images, an unreadable image, images of different sizes.
@@ -25,7 +29,7 @@ def read_image_sequence(folder: Path | str, *, fps: float) -> Video:
     if not (np.isfinite(fps) and fps > 0):
         raise InputError(f"fps: got {fps!r}, expected a positive number of frames per second")
     try:
-        paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+        paths = _in_order([path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES])
     except PermissionError:
         raise VideoError(folder, "permission", "no permission to list the folder") from None
     except OSError as error:
@@ -43,6 +47,13 @@ def read_image_sequence(folder: Path | str, *, fps: float) -> Video:
     alpha = None if rgba[..., 3].min() == 255 else np.ascontiguousarray(rgba[..., 3])
     times = np.arange(len(images)) / fps
     return Video(frames=np.ascontiguousarray(rgba[..., :3]), fps=float(fps), timestamps=times, alpha=alpha)
+
+
+def _in_order(paths: list[Path]) -> list[Path]:
+    """`f2` before `f10`, whose names differ by more than their numbers by these first."""
+    ends = {path: re.search(r"^(.*?)(\d+)$", path.stem) for path in paths}
+    numbered = [(end[1], int(end[2]), path.name, path) for path, end in ends.items() if end]
+    return [entry[-1] for entry in sorted(numbered)] if len(numbered) > 1 else sorted(paths)
 
 
 def _read_image(path: Path) -> np.ndarray:

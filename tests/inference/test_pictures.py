@@ -110,9 +110,11 @@ def test_pascals(value: float, text: str) -> None:
     assert format_pascals(value) == text
 
 
-def test_ranges_have_one_unit_unless_they_are_wide() -> None:
+def test_ranges_have_one_unit_unless_their_ends_are_far_apart() -> None:
+    assert format_pascals_range(1.24e5, 2.601e6) == "0.12–2.6 MPa"
     assert format_pascals_range(8.1e5, 1.9e6) == "0.81–1.9 MPa"
     assert format_pascals_range(120.0, 450.0) == "120–450 Pa"
+    assert format_pascals_range(1.2e3, 4.5e5) == "1.2–450 kPa"
     assert format_pascals_range(3.9e3, 1.014e6) == "3.9 kPa–1.0 MPa"
 
 

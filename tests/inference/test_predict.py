@@ -49,6 +49,21 @@ def test_alpha_and_mask_decide_the_foreground(ball: np.ndarray) -> None:
     assert by_alpha.youngs_modulus == by_mask.youngs_modulus
 
 
+def test_an_opaque_alpha_tells_nothing(ball: np.ndarray) -> None:
+    opaque = np.concatenate([ball, np.full((*ball.shape[:3], 1), 255, np.uint8)], axis=-1)
+    found, plain = (predict(frames, predictor=PredictorDouble()) for frames in (opaque, ball))
+    assert found.foreground == plain.foreground == "background_model"
+    assert found.youngs_modulus == plain.youngs_modulus
+
+
+def test_timestamps_say_the_rate(ball: np.ndarray) -> None:
+    slow = predict(ball, timestamps=np.arange(12) / 12, predictor=PredictorDouble())
+    assert slow.fps == pytest.approx(12.0) and not any("fps" in name for name in slow.assumed)
+    stated = predict(ball, timestamps=np.arange(12) / 24, fps=12.0, predictor=PredictorDouble())
+    assert stated.fps == 12.0 and stated.youngs_modulus == pytest.approx(slow.youngs_modulus)
+    assert stated.youngs_modulus != predict(ball, fps=24.0, predictor=PredictorDouble()).youngs_modulus
+
+
 def test_uneven_timestamps_are_used(ball: np.ndarray) -> None:
     even = predict(ball, timestamps=np.arange(12) / 24, fps=24.0, predictor=PredictorDouble())
     late = np.arange(12) / 24

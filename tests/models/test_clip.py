@@ -151,6 +151,7 @@ def test_whole_frame_is_shown_where_nothing_is_found() -> None:
     clip = prepare_clip(np.stack([noise] * 24))
     assert (clip.foreground, clip.confidence) == ("whole_frame", 0.0)
     assert clip.crop == (0, -10, 80)
+    assert any("no object was found" in warning for warning in clip.warnings)
     np.testing.assert_array_equal(clip.moments[:, COLUMN["touches_border"]], 1.0)
     assert clip.windows[0, 40, 40:60, :3].std() > 20  # the picture, not grey
     assert (clip.windows[0, 2, :, :3] == GREY).all()  # beyond it

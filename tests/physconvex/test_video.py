@@ -487,3 +487,12 @@ def test_bad_image_folders(tmp_path: Path) -> None:
     assert cause(tmp_path) == "undecodable"
     with pytest.raises(InputError, match="fps"):
         read_image_sequence(tmp_path, fps=0.0)
+
+
+def test_numbered_images_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    for name, grey in (("f_2", 20), ("f_10", 100), ("f_1", 10), ("cover", 200)):
+        Image.fromarray(np.full((8, 8, 3), grey, np.uint8)).save(tmp_path / f"{name}.png")
+    assert read_image_sequence(tmp_path, fps=24.0).frames[:, 0, 0, 0].tolist() == [10, 20, 100]
+    for path in tmp_path.glob("f_*.png"):
+        path.rename(path.with_stem(path.stem + "_x"))
+    assert read_image_sequence(tmp_path, fps=24.0).frames[:, 0, 0, 0].tolist() == [200, 10, 100, 20]

@@ -1,15 +1,20 @@
-"""Training on falls that are drawn anew at every step, beside clips of data sets if there are any."""
+"""Training on falls that are drawn anew at every step, beside clips of data sets if there are any.
+
+Whatever is random is a function of seed and step, and all that a run needs to go on is written at every report, so that
+a run that was killed goes on with the same losses.
+"""
 
 from __future__ import annotations
 
-import json
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
+from timm.optim import create_optimizer_v2
 from timm.utils import ModelEmaV3
 from torch import Tensor
 
@@ -17,95 +22,40 @@ from data_gen.config import CameraConfig
 from models.heads import BinnedDensity
 from models.mirror import answer_both_ways
 from models.motion import STATE_SCALE
-from models.network import ClipBatch, NetworkOutput, PhysicsNetwork
+from models.network import NetworkOutput, PhysicsNetwork
+from physconvex.errors import InputError
 from train.config import TrainConfig
-from train.falls.augment import Shown, augment_at_once
-from train.falls.prepare import prepare_clips_at_once
+from train.falls.augment import augment_at_once
+from train.falls.batches import FallBatch, draw_batch, joined_batches, real_batch
 from train.falls.real import RealClips
-from train.falls.views import draw_views
-from train.falls.world import Falls, turned
+from train.falls.world import Falls
 from train.losses import density_losses, noisy_states, state_loss
+from train.run_log import RunLog
+from train.schedule import cosine_schedule
+from train.state import Progress, load_state, read_progress, save_state
 
-__all__ = ["FallBatch", "Pretraining", "draw_batch", "pretrain", "scores"]
+__all__ = ["Pretraining", "pretrain", "refuse_other_run", "scores"]
 
-_WARMUP = 0.03
+Report = Callable[[str, int, int], None]
+_STATE = "state.safetensors"
+_STEP_SCALE = 1_000_003  # between the seeds of two runs
 
 
 @dataclass(frozen=True)
 class Pretraining:
-    """How it goes, besides what `TrainConfig` says of network, losses and augmentation."""
+    """How it goes, besides what `TrainConfig` says."""
 
-    minutes: float = 7.0
+    steps: int = 3700
+    minutes: float | None = None
+    """Stop after this time, the learning rate falling accordingly: how far it comes then depends on the machine."""
     drawn: int = 168
     """Falls of each step."""
     real: int = 24
     """Clips of data sets of each step."""
     real_weight: float = 0.5
     """Of what is said of their material, which few simulations can teach by heart; not of their states."""
-    learning_rate: float = 1.2e-3
-    weight_decay: float = 0.05
-    ema_decay: float = 0.999
-    report_seconds: float = 30.0
-    seed: int = 0
-
-
-@dataclass(frozen=True, eq=False)
-class FallBatch:
-    """Clips, labels, and how much each label counts."""
-
-    shown: Shown
-    confidence: Tensor
-    log10_stiffness: Tensor
-    poisson_ratio: Tensor
-    weight: Tensor
-
-    def clips(self) -> ClipBatch:
-        """As the network reads them."""
-        shown = self.shown
-        windows = shown.windows.round().clamp(0, 255).byte()
-        return ClipBatch(windows, shown.moments, shown.valid, shown.interval, self.confidence)
-
-
-def draw_batch(
-    falls: Falls,
-    chosen: Tensor,
-    confidence: Tensor,
-    config: TrainConfig,
-    camera: CameraConfig,
-    generator: torch.Generator,
-) -> FallBatch:
-    """Random views of some falls, prepared as at inference."""
-    views = draw_views(falls, chosen, camera, generator)
-    prepared = prepare_clips_at_once(views.images, views.masks, config.clip)
-    shown = Shown(
-        windows=prepared.windows,
-        moments=prepared.moments,
-        valid=torch.ones(prepared.moments.shape[:2], dtype=torch.bool, device=chosen.device),
-        interval=falls.interval[chosen],
-        states=turned(falls.states[chosen], views.turn),
-    )
-    return FallBatch(
-        shown, confidence, falls.log10_stiffness[chosen], falls.poisson_ratio[chosen], torch.ones_like(confidence)
-    )
-
-
-def _real_batch(
-    real: RealClips, chosen: Tensor, config: TrainConfig, weight: float, generator: torch.Generator
-) -> FallBatch:
-    draw = torch.rand(len(chosen), generator=generator, device=chosen.device)
-    shown = real.shown(chosen, true_moments=draw < config.augment.true_moments_share)
-    weights = torch.full_like(draw, weight)
-    return FallBatch(shown, real.confidence[chosen], real.log10_stiffness[chosen], real.poisson_ratio[chosen], weights)
-
-
-def _joined(one: FallBatch, other: FallBatch) -> FallBatch:
-    def both(name: str) -> Tensor:
-        return torch.cat([getattr(one, name), getattr(other, name)])
-
-    shown = Shown(
-        **{name: torch.cat([getattr(one.shown, name), getattr(other.shown, name)]) for name in vars(one.shown)}
-    )
-    return FallBatch(shown, *(both(name) for name in ("confidence", "log10_stiffness", "poisson_ratio", "weight")))
+    report_steps: int = 200
+    """Between two scores, which are also the states that a run can go on from."""
 
 
 @torch.no_grad()
@@ -142,113 +92,183 @@ def pretrain(
     real: RealClips | None = None,
     validation: RealClips | None = None,
     camera: CameraConfig | None = None,
-    log: Callable[[str], None] = print,
+    fingerprint: str = "",
+    resume: bool = True,
+    report: Report | None = None,
 ) -> PhysicsNetwork:
-    """Train for so many minutes; the averaged network, whose weights are written to `out` now and then.
+    """Train; the averaged network that scored best on the validation clips (without any, on the held-out falls).
 
     Args:
         network: on the device of the falls.
         falls: to train on.
         held_out: to look at.
-        config: network, losses, augmentation.
-        plan: how.
-        out: folder of `log.jsonl` and `average.safetensors`.
+        config: network, losses, augmentation, optimiser.
+        plan: how long, and on how many.
+        out: folder of `log.jsonl`, `tensorboard/`, `state.safetensors` and `pretrained.safetensors` (the best so far).
         real: clips of data sets to train on.
-        validation: clips of data sets to look at.
+        validation: clips of data sets to choose by.
         camera: how views are drawn.
-        log: told each line of the log.
+        fingerprint: of what decides the numbers; a state with another one is refused.
+        resume: go on from `state.safetensors` where there is one.
+        report: called with a name of the work, the number done and the total.
+
+    Raises:
+        InputError: `out` holds a run with another fingerprint.
     """
-    device, camera = falls.positions.device, camera or CameraConfig()
-    generator = torch.Generator(device).manual_seed(plan.seed)
-    processor = torch.Generator().manual_seed(plan.seed)
-    confidence = torch.ones(1, device=device) if real is None else real.confidence
-    average = ModelEmaV3(network, decay=plan.ema_decay, use_warmup=True)
-    optimizer = torch.optim.AdamW(
-        network.parameters(), lr=plan.learning_rate, weight_decay=plan.weight_decay, fused=device.type == "cuda"
+    return _Run(network, falls, held_out, config, plan, out, real, validation, camera, report).train(
+        fingerprint, resume
     )
-    looked_at = _looked_at(held_out, validation, confidence, config, camera, generator)
-    started = reported = time.monotonic()
-    sums: dict[str, Tensor] = {}
-    step = since = 0
-    with (out / "log.jsonl").open("a", encoding="utf-8") as file:
-        while (spent := (time.monotonic() - started) / (60 * plan.minutes)) < 1:
-            for group in optimizer.param_groups:
-                group["lr"] = plan.learning_rate * _rate(spent)
-            chosen = torch.randint(len(falls), (plan.drawn,), generator=generator, device=device)
-            drawn = confidence[torch.randint(len(confidence), (plan.drawn,), generator=generator, device=device)]
-            batch = draw_batch(falls, chosen, drawn, config, camera, generator)
-            if real is not None:
-                some = torch.randint(len(real), (plan.real,), generator=generator, device=device)
-                batch = _joined(batch, _real_batch(real, some, config, plan.real_weight, generator))
-            batch = replace(batch, shown=augment_at_once(batch.shown, config.augment, generator))
-            losses = _update(network, optimizer, batch, config, generator, processor)
-            average.update(network, step=step)
-            sums = {name: sums.get(name, 0) + value for name, value in losses.items()}
-            step, since = step + 1, since + 1
-            if time.monotonic() - reported > plan.report_seconds:
-                line = {name: round(float(value) / since, 4) for name, value in sums.items()}
-                found = {name: scores(average.module, batches) for name, batches in looked_at.items()}
-                entry = {"step": step, "seconds": round(time.monotonic() - started, 1), **line, **found}
-                file.write(json.dumps(entry) + "\n")
-                file.flush()
-                log(json.dumps(entry))
-                _write(average.module, out / "average.safetensors")
-                sums, since, reported = {}, 0, time.monotonic()
-    _write(average.module, out / "average.safetensors")
-    return average.module
 
 
-def _rate(spent: float) -> float:
-    """Of the learning rate: up, and down along a cosine."""
-    if spent < _WARMUP:
-        return spent / _WARMUP + 0.01
-    return 0.005 + 0.995 * 0.5 * (1 + float(torch.tensor(torch.pi * (spent - _WARMUP) / (1 - _WARMUP)).cos()))
+def refuse_other_run(out: Path, fingerprint: str) -> None:
+    """Say so where `out` holds a run of something else.
+
+    Raises:
+        InputError: it does.
+    """
+    path = out / _STATE
+    if path.is_file() and read_progress(path).fingerprint != fingerprint:
+        raise InputError(
+            f"out: {out} holds a run with another configuration, other falls or other data; give another folder, or "
+            "--no-resume to start anew there"
+        )
 
 
-def _looked_at(
-    held_out: Falls,
-    validation: RealClips | None,
-    confidence: Tensor,
-    config: TrainConfig,
-    camera: CameraConfig,
-    generator: torch.Generator,
-) -> dict[str, list[FallBatch]]:
-    device = confidence.device
-    parts = torch.arange(len(held_out), device=device).split(80)
-    named = {
-        "falls": [draw_batch(held_out, p, confidence.mean().expand(len(p)), config, camera, generator) for p in parts]
-    }
-    if validation is not None:
-        chosen = torch.arange(len(validation), device=device).split(80)
-        plain = config.model_copy(update={"augment": config.augment.model_copy(update={"true_moments_share": 0.0})})
-        named["real"] = [_real_batch(validation, part, plain, 1.0, generator) for part in chosen]
-    return named
+class _Run:
+    def __init__(
+        self,
+        network: PhysicsNetwork,
+        falls: Falls,
+        held_out: Falls,
+        config: TrainConfig,
+        plan: Pretraining,
+        out: Path,
+        real: RealClips | None,
+        validation: RealClips | None,
+        camera: CameraConfig | None,
+        report: Report | None,
+    ) -> None:
+        self.network, self.falls, self.real, self.config, self.plan, self.out = network, falls, real, config, plan, out
+        self.report: Report = report or (lambda name, done, total: None)
+        self.device, self.camera = falls.positions.device, camera or CameraConfig()
+        self.confidence = torch.ones(1, device=self.device) if real is None else real.confidence
+        self.average = ModelEmaV3(network, decay=config.ema_decay, use_warmup=True)
+        self.optimizer = create_optimizer_v2(
+            network, opt=config.optimizer, lr=config.learning_rate, weight_decay=config.weight_decay
+        )
+        self.schedule = cosine_schedule(self.optimizer, config, plan.steps)
+        self.looked_at = self._looked_at(held_out, validation)
+
+    def train(self, fingerprint: str, resume: bool) -> PhysicsNetwork:
+        """Run the plan to its end or the budget's."""
+        progress = self._start(fingerprint, resume)
+        log = RunLog(self.out, first_step=progress.step)
+        try:
+            self._steps(progress, log)
+        finally:
+            log.close()
+        best: PhysicsNetwork = self.average.module
+        best.load_state_dict(load_file(self._best))
+        return best
+
+    @property
+    def _best(self) -> Path:
+        return self.out / "pretrained.safetensors"
+
+    @property
+    def _state(self) -> Path:
+        return self.out / _STATE
+
+    def _start(self, fingerprint: str, resume: bool) -> Progress:
+        if not (resume and self._state.is_file()):
+            return Progress(fingerprint=fingerprint)
+        refuse_other_run(self.out, fingerprint)
+        return load_state(self._state, network=self.network, average=self.average.module, optimizer=self.optimizer)
+
+    def _steps(self, progress: Progress, log: RunLog) -> None:
+        plan, started = self.plan, time.monotonic() - progress.seconds
+        sums: dict[str, Tensor] = {}
+        since = 0
+        while progress.step < plan.steps:
+            seconds = time.monotonic() - started
+            spent = 0.0 if plan.minutes is None else seconds / (60 * plan.minutes)
+            if spent >= 1:
+                break
+            for name, value in self._update(progress.step, spent).items():
+                sums[name] = sums.get(name, 0) + value
+            progress, since = replace(progress, step=progress.step + 1, seconds=seconds), since + 1
+            self.report("training", progress.step, plan.steps)
+            if progress.step % plan.report_steps == 0 or progress.step == plan.steps:
+                progress = self._look(progress, log, {name: float(value) / since for name, value in sums.items()})
+                sums, since = {}, 0
+        if since:  # the budget is spent
+            self._look(progress, log, {name: float(value) / since for name, value in sums.items()})
+
+    def _update(self, step: int, spent: float) -> dict[str, Tensor]:
+        """One step of the optimiser; the terms of the loss."""
+        config, plan, device = self.config, self.plan, self.device
+        number = config.seed * _STEP_SCALE + step
+        torch.manual_seed(number)  # dropout
+        generator = torch.Generator(device).manual_seed(number)
+        processor = torch.Generator().manual_seed(number)
+        self.schedule.step_update(max(step, int(spent * plan.steps)))
+        chosen = torch.randint(len(self.falls), (plan.drawn,), generator=generator, device=device)
+        drawn = torch.randint(len(self.confidence), (plan.drawn,), generator=generator, device=device)
+        batch = draw_batch(self.falls, chosen, self.confidence[drawn], config, self.camera, generator)
+        if self.real is not None:
+            some = torch.randint(len(self.real), (plan.real,), generator=generator, device=device)
+            batch = joined_batches(batch, real_batch(self.real, some, config, plan.real_weight, generator))
+        shown = augment_at_once(batch.shown, config.augment, generator)
+        clips = replace(batch, shown=shown).clips()
+        self.network.train()
+        given = noisy_states(shown.states, generator)
+        with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
+            output: NetworkOutput = self.network(clips, states=given, generator=processor)
+        material = density_losses(
+            output, batch.log10_stiffness, batch.poisson_ratio, config.loss, self.network.config, weight=batch.weight
+        )
+        states = state_loss(output.states.float(), shown.states, shown.interval, shown.valid)
+        self.optimizer.zero_grad(set_to_none=True)
+        (material + config.loss.states * states).backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), config.gradient_clip)
+        self.optimizer.step()
+        self.average.update(self.network, step=step)
+        return {"material": material.detach(), "states": states.detach()}
+
+    def _look(self, progress: Progress, log: RunLog, losses: Mapping[str, float]) -> Progress:
+        """Score the averaged network, keep it if it is the best yet, write the state."""
+        network: PhysicsNetwork = self.average.module
+        found = {name: scores(network, batches) for name, batches in self.looked_at.items()}
+        chosen_by = "real" if "real" in found else "falls"
+        score = _score(found[chosen_by], self.looked_at[chosen_by])
+        rate = self.optimizer.param_groups[0]["lr"]
+        log.write("train", progress.step, learning_rate=rate, seconds=round(progress.seconds, 1), **losses)
+        log.write("validation", progress.step, score=score, **found)
+        if progress.best_score is None or score < progress.best_score:
+            progress = replace(progress, best_score=score)
+            part = self._best.with_suffix(".part")
+            save_file({name: value.cpu().contiguous() for name, value in network.state_dict().items()}, part)
+            os.replace(part, self._best)
+        save_state(self._state, network=self.network, average=network, optimizer=self.optimizer, progress=progress)
+        return progress
+
+    def _looked_at(self, held_out: Falls, validation: RealClips | None) -> dict[str, list[FallBatch]]:
+        """Clips that are scored, always the same."""
+        config, device = self.config, self.device
+        generator = torch.Generator(device).manual_seed(config.seed)
+        sure = self.confidence.mean()
+        parts = torch.arange(len(held_out), device=device).split(80)
+        named = {"falls": [draw_batch(held_out, p, sure.expand(len(p)), config, self.camera, generator) for p in parts]}
+        if validation is not None:
+            chosen = torch.arange(len(validation), device=device).split(80)
+            plain = config.model_copy(update={"augment": config.augment.model_copy(update={"true_moments_share": 0.0})})
+            named["real"] = [real_batch(validation, part, plain, 1.0, generator) for part in chosen]
+        return named
 
 
-def _update(
-    network: PhysicsNetwork,
-    optimizer: torch.optim.Optimizer,
-    batch: FallBatch,
-    config: TrainConfig,
-    generator: torch.Generator,
-    processor: torch.Generator,
-) -> dict[str, Tensor]:
-    """One step of the optimiser; the terms of the loss."""
-    network.train()
-    shown, clips = batch.shown, batch.clips()
-    given = noisy_states(shown.states, generator)
-    with torch.autocast(clips.moments.device.type, torch.bfloat16, enabled=clips.moments.is_cuda):
-        output: NetworkOutput = network(clips, states=given, generator=processor)
-    material = density_losses(
-        output, batch.log10_stiffness, batch.poisson_ratio, config.loss, network.config, weight=batch.weight
-    )
-    states = state_loss(output.states.float(), shown.states, shown.interval, shown.valid)
-    optimizer.zero_grad(set_to_none=True)
-    (material + config.loss.states * states).backward()
-    torch.nn.utils.clip_grad_norm_(network.parameters(), config.gradient_clip)
-    optimizer.step()
-    return {"material": material.detach(), "states": states.detach()}
-
-
-def _write(network: torch.nn.Module, path: Path) -> None:
-    save_file({name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}, path)
+def _score(found: Mapping[str, float], batches: list[FallBatch]) -> float:
+    """CRPS of both in units of not knowing, as `train.validation.Validation.score` has it without the skinning."""
+    stiffness = torch.cat([batch.log10_stiffness for batch in batches])
+    poisson = torch.cat([batch.poisson_ratio for batch in batches])
+    parts = ((found["log10_stiffness_crps"], stiffness), (found["poisson_crps"], poisson))
+    return sum(crps / (float(values.std(correction=0)) + 1e-6) for crps, values in parts)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import torch
@@ -15,11 +17,11 @@ from physconvex.devices import device_named
 from physconvex.errors import InputError
 from train.config import TrainConfig
 from train.export import export_best
-from train.falls.pretrain import Pretraining, pretrain
+from train.falls.pretrain import Pretraining, pretrain, refuse_other_run
 from train.falls.real import RealClips
 from train.falls.skinning import HeadTraining, fit_skinning_head
 from train.falls.world import simulate_falls
-from train.run_log import write_config
+from train.run_log import fingerprint, write_config
 from train.split_clips import split_clips
 from train.validation import validate
 
@@ -40,8 +42,8 @@ def train_on_falls(
     head: HeadTraining | None = None,
     cache: Path | str | None = None,
     workers: int = 2,
+    resume: bool = True,
     report: Report | None = None,
-    log: Callable[[str], None] = lambda line: None,
 ) -> Path:
     """Simulate the falls, train on them and on the data sets' clips, then the skinning head; calibrate; export.
 
@@ -50,25 +52,28 @@ def train_on_falls(
         plan: of the training on falls.
         falls: folder of `physconvex generate falls`.
         data: data sets, for their clips and their skinning modes; their `validation` objects calibrate.
-        out: run folder: `config.json`, `log.jsonl`, `average.safetensors`, `best/`.
+        out: run folder: `config.json`, `log.jsonl`, `tensorboard/`, `state.safetensors`, `best/`.
         device: a CUDA device; the processor works too, some hundred times slower.
         head: of the training of the skinning head.
         cache: where prepared clips live; `out/cache` unless given.
         workers: processes that prepare clips and bodies.
+        resume: go on from `state.safetensors` where there is one; the falls are simulated again.
         report: called with a name of the work, the number done and the total.
-        log: told a line of the log now and then.
 
     Returns:
         The checkpoint, `out/best`.
 
     Raises:
-        InputError: bad data, or too few falls.
+        InputError: bad data, too few falls, or `out` holds a run of something else.
     """
     place, out, report = device_named(device), Path(out), report or (lambda name, done, total: None)
     bodies = read_falls(falls)
     if len(bodies) <= _HELD_OUT:
         raise InputError(f"falls: {falls} holds {len(bodies)}; expected more than the {_HELD_OUT} that are held out")
     out.mkdir(parents=True, exist_ok=True)
+    mark = _fingerprint(config, plan, Path(falls), data)
+    if resume:
+        refuse_other_run(out, mark)
     write_config(out, config, data)
     cache = Path(cache) if cache else out / "cache"
     train, validation = (
@@ -91,7 +96,9 @@ def train_on_falls(
         out,
         real=RealClips.of(train, place),
         validation=RealClips.of(validation, place),
-        log=log,
+        fingerprint=mark,
+        resume=resume,
+        report=report,
     ).cpu()
     fit_skinning_head(network, train, config.loss, head, report=report)
     found = validate(network, validation)
@@ -106,6 +113,15 @@ def train_on_falls(
         beside=_described(bodies[_HELD_OUT:], len(world)),
     )
     return out / "best"
+
+
+def _fingerprint(config: TrainConfig, plan: Pretraining, falls: Path, data: Sequence[Path | str]) -> str:
+    """Hash of what decides the numbers of a run, but for the time that it may take."""
+    content = hashlib.sha256(fingerprint(config, data).encode())
+    content.update(json.dumps(asdict(replace(plan, minutes=None))).encode())
+    for path in sorted(falls.glob("falls-[0-9]*.npz")):
+        content.update(path.read_bytes())
+    return content.hexdigest()
 
 
 def _described(bodies: Sequence[FallingBody], kept: int) -> str:

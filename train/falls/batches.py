@@ -1,0 +1,81 @@
+"""Batches of clips on one device: views of falls that are drawn anew, and clips of data sets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from data_gen.config import CameraConfig
+from models.network import ClipBatch
+from train.config import TrainConfig
+from train.falls.augment import Shown
+from train.falls.prepare import prepare_clips_at_once
+from train.falls.real import RealClips
+from train.falls.views import draw_views
+from train.falls.world import Falls, turned
+
+__all__ = ["FallBatch", "draw_batch", "joined_batches", "real_batch"]
+
+
+@dataclass(frozen=True, eq=False)
+class FallBatch:
+    """Clips, labels, and how much each label counts."""
+
+    shown: Shown
+    confidence: Tensor
+    log10_stiffness: Tensor
+    poisson_ratio: Tensor
+    weight: Tensor
+
+    def clips(self) -> ClipBatch:
+        """As the network reads them."""
+        shown = self.shown
+        windows = shown.windows.round().clamp(0, 255).byte()
+        return ClipBatch(windows, shown.moments, shown.valid, shown.interval, self.confidence)
+
+
+def draw_batch(
+    falls: Falls,
+    chosen: Tensor,
+    confidence: Tensor,
+    config: TrainConfig,
+    camera: CameraConfig,
+    generator: torch.Generator,
+) -> FallBatch:
+    """Random views of some falls, prepared as at inference."""
+    views = draw_views(falls, chosen, camera, generator)
+    prepared = prepare_clips_at_once(views.images, views.masks, config.clip)
+    shown = Shown(
+        windows=prepared.windows,
+        moments=prepared.moments,
+        valid=torch.ones(prepared.moments.shape[:2], dtype=torch.bool, device=chosen.device),
+        interval=falls.interval[chosen],
+        states=turned(falls.states[chosen], views.turn),
+    )
+    return FallBatch(
+        shown, confidence, falls.log10_stiffness[chosen], falls.poisson_ratio[chosen], torch.ones_like(confidence)
+    )
+
+
+def real_batch(
+    real: RealClips, chosen: Tensor, config: TrainConfig, weight: float, generator: torch.Generator
+) -> FallBatch:
+    """Some clips of data sets as they are, now and then with the moments of the true masks."""
+    draw = torch.rand(len(chosen), generator=generator, device=chosen.device)
+    shown = real.shown(chosen, true_moments=draw < config.augment.true_moments_share)
+    weights = torch.full_like(draw, weight)
+    return FallBatch(shown, real.confidence[chosen], real.log10_stiffness[chosen], real.poisson_ratio[chosen], weights)
+
+
+def joined_batches(one: FallBatch, other: FallBatch) -> FallBatch:
+    """Both in one."""
+
+    def both(name: str) -> Tensor:
+        return torch.cat([getattr(one, name), getattr(other, name)])
+
+    shown = Shown(
+        **{name: torch.cat([getattr(one.shown, name), getattr(other.shown, name)]) for name in vars(one.shown)}
+    )
+    return FallBatch(shown, *(both(name) for name in ("confidence", "log10_stiffness", "poisson_ratio", "weight")))
