@@ -3,7 +3,7 @@ export PHYSCONVEX_VENV ?= $(CURDIR)/.venv
 BIN := $(PHYSCONVEX_VENV)/bin
 PACKAGES := physconvex models data_gen train inference
 
-.PHONY: check quick static format test typecheck lock bench bench-data bench-objects demo clean env
+.PHONY: check quick static format test typecheck lock bench bench-data bench-objects checkpoint demo clean env
 
 ## check: format, lint, import contract, types, then every test and doctest
 check: static
@@ -50,6 +50,12 @@ bench-data: env
 bench-objects: env
 	@for name in reconstruction gaussian_comparison moving_field; do \
 	    echo "== $$name"; $(BIN)/python benchmarks/$$name.py --objects $(OBJECTS) || exit 1; done
+
+## checkpoint: the recipe of the bundled checkpoint (docs/training.md); stop and start again as you like; needs a GPU
+checkpoint: env
+	$(BIN)/physconvex generate falls --out data/falls --shapes 1740 --seed 4101 --workers $$(nproc)
+	$(BIN)/physconvex generate dataset --out data/drops --count 600 --seed 2101 --workers $$(nproc) --set camera.views=5
+	$(BIN)/physconvex pretrain --falls data/falls --data data/drops --out runs/falls
 
 demo:
 	./run-demo

@@ -27,6 +27,7 @@ from train.data import TrainingBatch, batches
 from train.export import export_best
 from train.losses import compute_losses, noisy_states
 from train.plan import Plan, Step
+from train.precision import precision_for
 from train.run_log import RunLog, fingerprint, write_config
 from train.schedule import cosine_schedule
 from train.split_clips import split_clips
@@ -96,7 +97,8 @@ class _Run:
         self.report: Report = report or (lambda name, done, total: None)
         # hidden tokens or branches may leave parameters unused
         unused = DistributedDataParallelKwargs(find_unused_parameters=True)
-        self.accelerator = Accelerator(cpu=cpu, mixed_precision=config.mixed_precision, kwargs_handlers=[unused])
+        precision = precision_for(config.mixed_precision, cpu=cpu)
+        self.accelerator = Accelerator(cpu=cpu, mixed_precision=precision, kwargs_handlers=[unused])
         self.main = self.accelerator.is_main_process
         self._read_data(Path(cache) if cache else out / "cache")
         self._build()

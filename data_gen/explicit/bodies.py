@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
@@ -20,6 +19,7 @@ from physconvex.fem import ElasticBody, TetMesh
 from physconvex.fem.mesh import linear_part, to_quadratic
 from physconvex.fem.scene import contact_defaults
 from physconvex.materials import lame_parameters
+from physconvex.workers import Workers
 
 __all__ = ["FPS", "GRAVITY", "LARGEST", "FallingBody", "Layout", "falling_body", "lay_out"]
 
@@ -216,14 +216,11 @@ def lay_out(
         bodies: those that take longest should come first.
         frames, fps, gravity: as in `falling_body`.
         caution: steps are shorter by this factor than is usually enough.
-        workers: processes; 0 does all in this one.
+        workers: processes; up to 1 all is done in this one.
     """
     lay = partial(_laid, frames=frames, fps=fps, gravity=gravity, caution=caution)
-    if workers:
-        with ProcessPoolExecutor(workers) as pool:
-            laid = list(pool.map(lay, bodies, chunksize=16))
-    else:
-        laid = [lay(body) for body in bodies]
+    with Workers(max(workers, 1)) as pool:
+        laid = pool.map(lay, bodies)
     stages = sorted({one.stages for one in laid})
     offset = dict(zip(stages, np.cumsum([0] + [s + 1 for s in stages]), strict=False))
     table, incident, begin = [], [], []

@@ -91,3 +91,10 @@ def test_bodies_are_not_changed(bodies):
     assert all(dataclasses.is_dataclass(body) for body in bodies)
     with pytest.raises(dataclasses.FrozenInstanceError):
         bodies[0].size = 1.0
+
+
+@pytest.mark.slow
+def test_processes_lay_out_the_same(bodies):
+    alone, shared = (lay_out(bodies, frames=16, workers=workers) for workers in (0, 2))
+    for name in ("table", "materials", "geometry", "corners", "nodes", "start", "out"):
+        np.testing.assert_array_equal(getattr(shared, name), getattr(alone, name))
