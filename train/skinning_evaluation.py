@@ -100,6 +100,10 @@ def write_skinning_report(out: Path, result: SkinningEvaluation) -> None:
     """`skinning.json` (with the command) and `skinning.png`."""
     from matplotlib.figure import Figure
 
+
+    def by_basis(shares: np.ndarray) -> dict[str, float]:
+        return dict(zip(BASES, shares.tolist(), strict=True))
+
     out.mkdir(parents=True, exist_ok=True)
     tree = {
         "command": "physconvex " + " ".join(sys.argv[1:]),
@@ -109,8 +113,9 @@ def write_skinning_report(out: Path, result: SkinningEvaluation) -> None:
         "data": result.data,
         "clips": len(result.of_all),
         "handles": result.handles,
-        "captured_share_mean": dict(zip(BASES, result.of_all.mean(axis=0).tolist(), strict=True)),
-        "captured_share_beyond_affine_mean": dict(zip(BASES, result.beyond_affine.mean(axis=0).tolist(), strict=True)),
+        "captured_share_mean": by_basis(result.of_all.mean(axis=0)),
+        "captured_share_beyond_affine_mean": by_basis(result.beyond_affine.mean(axis=0)),
+        "captured_share_beyond_affine_median": by_basis(np.median(result.beyond_affine, axis=0)),
     }
     (out / "skinning.json").write_text(json.dumps(tree, indent=1) + "\n", encoding="utf-8")
     figure = Figure(figsize=(6, 4), layout="constrained")

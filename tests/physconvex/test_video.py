@@ -495,4 +495,4 @@ def test_numbered_images_come_in_the_order_of_their_numbers(tmp_path: Path) -> N
     assert read_image_sequence(tmp_path, fps=24.0).frames[:, 0, 0, 0].tolist() == [10, 20, 100]
     for path in tmp_path.glob("f_*.png"):
         path.rename(path.with_stem(path.stem + "_x"))
-    assert read_image_sequence(tmp_path, fps=24.0).frames[:, 0, 0, 0].tolist() == [200, 10, 100, 20]
+    assert read_image_sequence(tmp_path, fps=24.0).frames[:, 0, 0, 0].tolist() == [200, 100, 10, 20]
