@@ -15,9 +15,14 @@ Arrays = dict[str, np.ndarray]
 Scanned = tuple[tuple[Parameter, ...], ...]
 
 
-def arrays_of_scan(candidates: Sequence[Candidate], keep: int = 2) -> Arrays:
-    """Pairs tried with their misfits, and the starts of the best ones."""
-    best = candidates[:keep]
+def arrays_of_scan(
+    candidates: Sequence[Candidate], keep: int = 2, *, within: tuple[float, float] | None = None
+) -> Arrays:
+    """Pairs tried with their misfits, and the starts of the best ones, one with log10 E `within` bounds among them."""
+    best = list(candidates[:keep])
+    if within is not None:
+        inside = [c for c in candidates if within[0] <= c.log10_youngs_modulus <= within[1]]
+        best += [c for c in inside[:1] if c not in best]
     return {
         "pairs": np.array([[c.log10_youngs_modulus, c.poisson_ratio, c.misfit] for c in candidates]),
         "starts": np.array([[p.start for p in c.parameters] for c in best]),

@@ -27,8 +27,8 @@ class RefineOptions:
         fixed: parameters that stay, with their values; None: as the capture has it (E and ν need a value).
         priors: mean and standard deviation by parameter.
         initial: values to start at, by name, such as log10_youngs_modulus; with E among them nothing is scanned.
-        start: where the scan looks: "predict" around the network's prediction (videos), "scan" everywhere, "auto" the
-            first of the two that works.
+        start: where the scan looks: "predict" around the network's prediction (videos), "scan" everywhere, "auto"
+            closely around the prediction and coarsely everywhere else.
         correction: remove the reduced model's error with runs of the full one.
         full_runs: most states (with `jacobian` "reduced": most runs) of the full model that the correction tries.
         jacobian: of the correction: "full", the full model's own derivatives, or "reduced", the reduced model's.

@@ -94,18 +94,23 @@ class ReducedSearch:
 
     def _scan(self, problem: Problem) -> dict[str, np.ndarray]:
         self.workers.begin(_PAIRS)  # while the network looks where
-        moduli, ratios, note = scan_range(self.capture, problem.twin.mesh.size, self.options)
-        if note:
-            self.warnings.append(note)
+        where = scan_range(self.capture, problem.twin.mesh.size, self.options)
+        if where.note:
+            self.warnings.append(where.note)
         frames = problem.windows[0]
         cheap = replace(problem, twin=self._cheap(problem)).first(frames)
         found = scan(
-            cheap.reduced(), cheap.seen, problem.parameters, moduli=moduli, ratios=ratios, workers=self.workers
+            cheap.reduced(),
+            cheap.seen,
+            problem.parameters,
+            moduli=where.moduli,
+            ratios=where.ratios,
+            workers=self.workers,
         )
-        return arrays_of_scan(found)
+        return arrays_of_scan(found, within=where.predicted)
 
     def _best(self, problem: Problem, starts: tuple[tuple[Parameter, ...], ...]) -> dict[str, np.ndarray]:
-        """A few cheap iterations from the two best starts, then the model itself from the better one."""
+        """A few cheap iterations from the best starts, then the model itself from the best one."""
         cheap = replace(problem, twin=self._cheap(problem))
         grown = self.workers.map(partial(_grown, cheap, self._rough_options(held=cheap.twin.clamp is not None)), starts)
         trials = [trial for trial in grown if trial is not None]

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from inference.refining import RefineOptions
+from inference.refining.fits import arrays_of_scan
 from inference.refining.starting import scan_range
 from physconvex.camera import look_at
 from physconvex.capture import Capture
 from physconvex.errors import InputError
+from physconvex.identify import Candidate
 
 SIZE = 0.5  # m
 CAMERA = look_at((0, -1, 0), (0, 0, 0), width=32, height=32, vertical_field_of_view=0.5)
@@ -30,28 +32,44 @@ def predicts(monkeypatch, answer):
 
 def test_the_scan_covers_the_predicted_interval(monkeypatch, tmp_path):
     predicts(monkeypatch, SimpleNamespace(youngs_modulus_interval=(1e4, 1e6), poisson_ratio=0.4))
-    moduli, ratios, note = scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions())
-    np.testing.assert_allclose(moduli, [4, 4.5, 5, 5.5, 6])
-    assert ratios == (0.4, 0.3) and note == ""
+    where = scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions(start="predict"))
+    np.testing.assert_allclose(where.moduli, [4, 4.5, 5, 5.5, 6])
+    assert where.ratios == (0.4, 0.3) and where.predicted == (4.0, 6.0) and where.note == ""
+
+
+def test_what_the_prediction_leaves_out_is_scanned_coarsely(monkeypatch, tmp_path):
+    """A prediction that was a decade off led a hammer's fit to 1.7 decades from the truth."""
+    predicts(monkeypatch, SimpleNamespace(youngs_modulus_interval=(1e5, 1e6), poisson_ratio=0.4))
+    where = scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions())
+    everywhere = scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions(start="scan")).moduli
+    beyond = [value for value in everywhere if not 4.8 <= value <= 6.2]
+    assert len(beyond) >= 4 and set(beyond) < set(where.moduli)
+    assert sum(5 <= value <= 6 for value in where.moduli) == 5 and len(where.moduli) == 5 + len(beyond)
+
+
+def test_a_start_within_the_prediction_is_kept():
+    found = [Candidate(value, 0.3, misfit, ()) for misfit, value in enumerate((3.9, 6.6, 5.2, 5.0))]
+    kept = arrays_of_scan(found, within=(5.0, 6.0))["starts"], arrays_of_scan(found, within=(3.5, 4.5))["starts"]
+    assert [len(starts) for starts in kept] == [3, 2]
 
 
 def test_an_overconfident_interval_is_widened(monkeypatch, tmp_path):
     predicts(monkeypatch, SimpleNamespace(youngs_modulus_interval=(1e5, 1e5), poisson_ratio=0.3))
-    moduli, ratios, _ = scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions())
-    np.testing.assert_allclose((moduli[0], moduli[-1]), [4.6, 5.4])
-    assert ratios == (0.3, 0.45)
+    where = scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions(start="predict"))
+    np.testing.assert_allclose((where.moduli[0], where.moduli[-1]), [4.6, 5.4])
+    assert where.ratios == (0.3, 0.45)
 
 
 def test_without_a_prediction_the_whole_range_is_scanned_and_that_is_said(monkeypatch, tmp_path):
     predicts(monkeypatch, InputError("no video"))
     seen = capture(tmp_path, CAMERA)
-    moduli, _, note = scan_range(seen, SIZE, RefineOptions())
-    assert "no video" in note and moduli[-1] - moduli[0] > 3.5
+    where = scan_range(seen, SIZE, RefineOptions())
+    assert "no video" in where.note and where.moduli[-1] - where.moduli[0] > 3.5
     # E/(ρ g L) from about 0.5 on
-    assert moduli[0] == pytest.approx(np.log10(0.5 * 1000 * 9.81 * 0.5), abs=0.01)
+    assert where.moduli[0] == pytest.approx(np.log10(0.5 * 1000 * 9.81 * 0.5), abs=0.01)
     with pytest.raises(InputError, match="no video"):
         scan_range(seen, SIZE, RefineOptions(start="predict"))
-    assert scan_range(capture(tmp_path), SIZE, RefineOptions())[2] == ""
+    assert scan_range(capture(tmp_path), SIZE, RefineOptions()).note == ""
 
 
 def test_options_are_checked():
