@@ -100,7 +100,6 @@ def write_skinning_report(out: Path, result: SkinningEvaluation) -> None:
     """`skinning.json` (with the command) and `skinning.png`."""
     from matplotlib.figure import Figure
 
-
     def by_basis(shares: np.ndarray) -> dict[str, float]:
         return dict(zip(BASES, shares.tolist(), strict=True))
 
