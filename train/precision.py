@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from typing import Literal
+from collections.abc import Mapping
+from typing import Any, Literal
 
 import torch
 
@@ -28,5 +29,5 @@ def precision_for(wanted: Precision, *, cpu: bool) -> Precision:
 
 
 def _processor_knows_bf16() -> bool:
-    capabilities = getattr(torch.cpu, "get_capabilities", dict)()  # a torch without it: better slow than very slow
+    capabilities: Mapping[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()  # a torch without it: better slow than very slow
     return any(capabilities.get(name, False) for name in ("avx512_bf16", "amx_bf16", "bf16"))
