@@ -31,7 +31,7 @@ from train.precision import precision_for
 from train.run_log import RunLog, fingerprint, write_config
 from train.schedule import cosine_schedule
 from train.split_clips import split_clips
-from train.state import Progress, load_state, save_state
+from train.state import Progress, load_state, refuse_other_run, save_state
 from train.validation import Validation, validate
 
 __all__ = ["TrainingResult", "train_predictor"]
@@ -183,14 +183,10 @@ class _Run:
         path = self.out / "state.safetensors"
         progress = Progress(fingerprint=mark)
         if resume and path.is_file():
-            found = load_state(path, network=self.network, average=self.average.module, optimizer=self._plain_optimizer)
-            found_mark = found.fingerprint
-            if found_mark != mark:
-                raise InputError(
-                    f"out: {self.out} holds a run with another configuration or other data; give another folder, or "
-                    "--no-resume to start anew there"
-                )
-            progress = found
+            refuse_other_run(path, mark)
+            progress = load_state(
+                path, network=self.network, average=self.average.module, optimizer=self._plain_optimizer
+            )
         if self.main:
             write_config(self.out, self.config, self.data)
         self.accelerator.wait_for_everyone()

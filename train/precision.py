@@ -29,7 +29,6 @@ def precision_for(wanted: Precision, *, cpu: bool) -> Precision:
 
 
 def _processor_knows_bf16() -> bool:
-    capabilities: Mapping[str, Any] = getattr(
-        torch.cpu, "get_capabilities", dict
-    )()  # a torch without it: better slow than very slow
+    asked = getattr(torch.cpu, "get_capabilities", dict)  # a torch without it: better slow than very slow
+    capabilities: Mapping[str, Any] = asked()
     return any(capabilities.get(name, False) for name in ("avx512_bf16", "amx_bf16", "bf16"))

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from physconvex.errors import InputError
 
-__all__ = ["Progress", "load_state", "read_progress", "save_state"]
+__all__ = ["Progress", "load_state", "read_progress", "refuse_other_run", "save_state"]
 
 _FORMAT = "physconvex/training_state/1"
 
@@ -69,6 +69,19 @@ def read_progress(path: Path) -> Progress:
     if metadata.get("format") != _FORMAT:
         raise InputError(f"out: {path} has format {metadata.get('format')!r}; this version reads {_FORMAT!r}")
     return Progress(**json.loads(metadata["progress"]))
+
+
+def refuse_other_run(path: Path, fingerprint: str) -> None:
+    """Say so where this file, if it is there, was left by a run of something else.
+
+    Raises:
+        InputError: it was, or is no training state.
+    """
+    if path.is_file() and read_progress(path).fingerprint != fingerprint:
+        raise InputError(
+            f"out: {path.parent} holds a run with another configuration or other data; give another folder, or "
+            "--no-resume to start anew there"
+        )
 
 
 def load_state(path: Path, *, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer) -> Progress:

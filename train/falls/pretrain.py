@@ -23,7 +23,6 @@ from models.heads import BinnedDensity
 from models.mirror import answer_both_ways
 from models.motion import STATE_SCALE
 from models.network import NetworkOutput, PhysicsNetwork
-from physconvex.errors import InputError
 from train.config import TrainConfig
 from train.falls.augment import augment_at_once
 from train.falls.batches import FallBatch, draw_batch, joined_batches, real_batch
@@ -32,12 +31,12 @@ from train.falls.world import Falls
 from train.losses import density_losses, noisy_states, state_loss
 from train.run_log import RunLog
 from train.schedule import cosine_schedule
-from train.state import Progress, load_state, read_progress, save_state
+from train.state import Progress, load_state, refuse_other_run, save_state
 
-__all__ = ["Pretraining", "pretrain", "refuse_other_run", "scores"]
+__all__ = ["STATE", "Pretraining", "pretrain", "scores"]
 
 Report = Callable[[str, int, int], None]
-_STATE = "state.safetensors"
+STATE = "state.safetensors"
 _STEP_SCALE = 1_000_003  # between the seeds of two runs
 
 
@@ -120,20 +119,6 @@ def pretrain(
     )
 
 
-def refuse_other_run(out: Path, fingerprint: str) -> None:
-    """Say so where `out` holds a run of something else.
-
-    Raises:
-        InputError: it does.
-    """
-    path = out / _STATE
-    if path.is_file() and read_progress(path).fingerprint != fingerprint:
-        raise InputError(
-            f"out: {out} holds a run with another configuration, other falls or other data; give another folder, or "
-            "--no-resume to start anew there"
-        )
-
-
 class _Run:
     def __init__(
         self,
@@ -177,12 +162,12 @@ class _Run:
 
     @property
     def _state(self) -> Path:
-        return self.out / _STATE
+        return self.out / STATE
 
     def _start(self, fingerprint: str, resume: bool) -> Progress:
         if not (resume and self._state.is_file()):
             return Progress(fingerprint=fingerprint)
-        refuse_other_run(self.out, fingerprint)
+        refuse_other_run(self._state, fingerprint)
         return load_state(self._state, network=self.network, average=self.average.module, optimizer=self.optimizer)
 
     def _steps(self, progress: Progress, log: RunLog) -> None:

@@ -17,12 +17,13 @@ from physconvex.devices import device_named
 from physconvex.errors import InputError
 from train.config import TrainConfig
 from train.export import export_best
-from train.falls.pretrain import Pretraining, pretrain, refuse_other_run
+from train.falls.pretrain import STATE, Pretraining, pretrain
 from train.falls.real import RealClips
 from train.falls.skinning import HeadTraining, fit_skinning_head
 from train.falls.world import simulate_falls
 from train.run_log import fingerprint, write_config
 from train.split_clips import split_clips
+from train.state import refuse_other_run
 from train.validation import validate
 
 __all__ = ["train_on_falls"]
@@ -73,7 +74,7 @@ def train_on_falls(
     out.mkdir(parents=True, exist_ok=True)
     mark = _fingerprint(config, plan, Path(falls), data)
     if resume:
-        refuse_other_run(out, mark)
+        refuse_other_run(out / STATE, mark)
     write_config(out, config, data)
     cache = Path(cache) if cache else out / "cache"
     train, validation = (
