@@ -40,12 +40,14 @@ def coloured(
             images = capture.video(part.camera.name).frames[: len(part.pixels)]
             masks = capture.mask(part.camera.name)
             mask = None if masks is None else masks[0] > 0
-            points = colour_seeds(part.camera, images[0], vertices, triangles, mask=mask, margin=round(2 * blur))
+            margin = round(2 * blur)
+            seeds = colour_seeds(part.camera, images[0], vertices, triangles, mask=mask, margin=margin)
+            points = seeds.points
             if len(points):
                 everything = np.concatenate([vertices, points])
                 moved = replace(model, points=everything).positions(found.values)
                 surface, carried = moved[:, : len(vertices)], moved[:, len(vertices) :]
-                visible = seen_by(part.camera, surface, triangles, carried)
+                visible = seen_by(part.camera, surface, triangles, carried, seeds.faces, margin=margin)
                 added = _colours(part, points, blurred(images, blur), visible, options)
         parts.append(part if added is None else added)
         sources.append(

@@ -22,11 +22,23 @@ from physconvex.errors import InputError
 from physconvex.identify.observations import PointwiseObservations, camera_jacobian
 from physconvex.identify.raster import cast_camera_rays, cast_rays
 
-__all__ = ["ColourObservations", "colour_seeds", "seen_by"]
+__all__ = ["ColourObservations", "Seeds", "colour_seeds", "seen_by"]
 
 _GRAZING = 0.35  # least sine between surface and ray
 _BEHIND = 0.03  # of the body's size: how far behind what is drawn a point may lie and still be seen
-_MARGIN = 2.0  # pixels
+
+
+@dataclass(frozen=True, eq=False)
+class Seeds:
+    """Points on a surface.
+
+    Attributes:
+        points: rest positions [m], shape [P, 3].
+        faces: the triangle of each, shape [P].
+    """
+
+    points: Float[np.ndarray, "P 3"]
+    faces: Int[np.ndarray, " P"]
 
 
 def blurred(images: UInt8[np.ndarray, "T H W 3"], width: float) -> Float[np.ndarray, "T H W 3"]:
@@ -43,8 +55,8 @@ def colour_seeds(
     count: int = 400,
     mask: Bool[np.ndarray, "H W"] | None = None,
     margin: int = 3,
-) -> Float[np.ndarray, "P 3"]:
-    """Rest positions [m] of at most `count` surface points where the first image has contrast, evenly spread.
+) -> Seeds:
+    """At most `count` surface points where the first image has contrast, evenly spread.
 
     Args:
         camera, image: of the first image.
@@ -66,10 +78,11 @@ def colour_seeds(
     best = best[np.unique(np.linspace(0, max(len(best) - 1, 0), min(count, len(best))).astype(int))]
     pixels = np.stack([columns[best], rows[best]], axis=1) + 0.5
     if not len(pixels):
-        return np.zeros((0, 3))
+        return Seeds(np.zeros((0, 3)), np.zeros(0, dtype=np.int64))
     origin, directions = camera.rays(pixels)
     struck = cast_rays(origin, directions, vertices, triangles)
-    return struck.on(vertices, triangles)[struck.faces >= 0]
+    hit = struck.faces >= 0
+    return Seeds(struck.on(vertices, triangles)[hit], struck.faces[hit])
 
 
 def seen_by(
@@ -77,23 +90,45 @@ def seen_by(
     moved: Float[np.ndarray, "T V 3"],
     triangles: Int[np.ndarray, "F 3"],
     positions: Float[np.ndarray, "T P 3"],
+    faces: Int[np.ndarray, " P"],
+    *,
+    margin: float = 3.0,
 ) -> Bool[np.ndarray, "T P"]:
-    """Which points of a moving surface a camera sees: in the image, not hidden, not at a grazing angle."""
+    """Which points of a moving surface a camera sees: in the image, not hidden, away from every outline.
+
+    The triangle of a point shows the camera the side that it shows in the first frame, and not at a grazing angle: by
+    an edge what is seen in the place of a point that has turned away lies as near as the point itself. What is seen
+    `margin` pixels above, below, left and right lies near too, so that a blur of half of that mixes in nothing else.
+    A point that is not seen so in the first frame is never compared.
+
+    Args:
+        camera: of the images.
+        moved, triangles: the surface [m].
+        positions: of the points [m].
+        faces: the triangle that each point lies in.
+        margin: distance from outlines [pixels].
+    """
     out = np.zeros(positions.shape[:2], dtype=bool)
     reach = _BEHIND * float(np.ptp(moved[0], axis=0).max())
+    around = margin * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    side = np.zeros(positions.shape[1])
     for t, (surface, points) in enumerate(zip(moved, positions, strict=True)):
         pixels, depth = camera.project(points)
         known = np.isfinite(pixels).all(1) & (depth > 0)
-        known &= ((pixels > _MARGIN) & (pixels < np.array([camera.w, camera.h]) - _MARGIN)).all(1)
-        origin, directions = camera.rays(np.where(known[:, None], pixels, 0.0))
+        known &= ((pixels > margin) & (pixels < np.array([camera.w, camera.h]) - margin)).all(1)
+        origin, directions = camera.rays(np.where(known[:, None], pixels, 0.0) + around[:, None])
         struck = cast_rays(origin, directions, surface, triangles)
-        corner = surface[triangles[np.maximum(struck.faces, 0)]]
+        gap = np.linalg.norm(struck.on(surface, triangles) - points, axis=-1)
+        wide = reach + margin / _GRAZING * depth / min(camera.fl_x, camera.fl_y)  # the surface slants
+        known &= (np.nan_to_num(gap[0], nan=np.inf) < reach) & (np.nan_to_num(gap[1:], nan=np.inf) < wide).all(0)
+        corner = surface[triangles[faces]]
         normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-        gap = np.linalg.norm(struck.on(surface, triangles) - points, axis=1)
-        known &= (struck.faces >= 0) & (np.nan_to_num(gap, nan=np.inf) < reach)
-        out[t] = known & (np.abs((normals * directions).sum(-1)) > _GRAZING)
-    return out
+        facing = (normals * directions[0]).sum(-1)
+        if t == 0:
+            side = np.sign(facing)
+        out[t] = known & (side * facing > _GRAZING)
+    return out & out[0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
 
 from physconvex.camera import Camera, look_at
 from physconvex.errors import InputError
@@ -52,10 +54,10 @@ def scene():
 def observed(scene, images=None, **options):
     camera, vertices, triangles, own = scene
     images = own if images is None else images
-    points = colour_seeds(camera, images[0], vertices, triangles, count=150)
+    seeds = colour_seeds(camera, images[0], vertices, triangles, count=150)
     steps = np.arange(FRAMES)[:, None, None] * SHIFT
-    visible = seen_by(camera, vertices + steps, triangles, points + steps)
-    return ColourObservations(camera, points, blurred(images, 1.2), visible, **options)
+    visible = seen_by(camera, vertices + steps, triangles, seeds.points + steps, seeds.faces)
+    return ColourObservations(camera, seeds.points, blurred(images, 1.2), visible, **options)
 
 
 def unknowns(*values):
@@ -93,11 +95,42 @@ def test_another_exposure_does_no_harm_where_it_is_free(scene):
     assert left[0] < 0.3 * left[1]
 
 
-def test_hidden_points_are_left_out(scene):
+def seen_while_turning(scene, points, angles, **options):
+    """Which points on the box are seen after turns about the upright through its middle."""
     camera, vertices, triangles, _ = scene
+    middle = np.array([0.125, 0.1, 0.0])
+    turns = Rotation.from_rotvec(np.outer(angles, [0.0, 0.0, 1.0]))
+    moved = np.stack([turn.apply(vertices - middle) + middle for turn in turns])
+    carried = np.stack([turn.apply(points - middle) + middle for turn in turns])
+    surface = trimesh.Trimesh(vertices, triangles, process=False)
+    faces = trimesh.proximity.closest_point_naive(surface, points)[2]
+    return seen_by(camera, moved, triangles, carried, faces, **options)
+
+
+def test_hidden_points_are_left_out(scene):
     points = np.array([[0.12, 0.0, 0.1], [0.12, 0.2, 0.1]])  # on the front, on the back
-    still = np.broadcast_to(vertices, (1, *vertices.shape))
-    np.testing.assert_array_equal(seen_by(camera, still, triangles, points[None]), [[True, False]])
+    np.testing.assert_array_equal(seen_while_turning(scene, points, [0.0]), [[True, False]])
+
+
+@pytest.mark.parametrize("side", [0.004, 0.246])
+def test_a_point_beside_an_edge_is_left_out_once_its_side_turns_away(scene, side):
+    """The side beside it, which is seen then in its place, is as near as the point itself."""
+    points = np.array([[side, 0.0, 0.1], [0.125, 0.0, 0.1]])
+    turn = np.radians(100.0) * (1 if side < 0.1 else -1)
+    seen = seen_while_turning(scene, points, [0.0, 0.1 * turn, turn], margin=0.1)
+    np.testing.assert_array_equal(seen, [[True, True], [True, True], [False, False]])
+
+
+def test_a_point_whose_side_is_hardly_seen_at_first_is_never_compared(scene):
+    points = np.array([[0.0, 0.1, 0.1]])  # on the left side
+    assert seen_while_turning(scene, points, np.radians([20.0, 60.0]))[:, 0].tolist() == [False, False]
+    assert seen_while_turning(scene, points, np.radians([60.0, 20.0, 60.0]))[:, 0].tolist() == [True, False, True]
+
+
+def test_points_beside_the_outline_are_left_out_as_the_blur_mixes_the_background_in(scene):
+    points = np.array([[0.125, 0.0, 0.01], [0.125, 0.0, 0.1]])  # a pixel is 5 mm
+    assert seen_while_turning(scene, points, [0.0], margin=1.0).tolist() == [[True, True]]
+    assert seen_while_turning(scene, points, [0.0], margin=4.0).tolist() == [[False, True]]
 
 
 def pixels_seen_by(true_camera: Camera, camera: Camera, offset: float = 0.0):
