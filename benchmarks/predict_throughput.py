@@ -21,7 +21,8 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -30,6 +31,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does;
 import cv2
 import numpy as np
 import torch
+from torch.nn.modules.module import register_module_forward_hook, register_module_forward_pre_hook
 
 from inference import predict_batch
 from inference.loading import ClipSettings, load_clip
@@ -42,7 +44,9 @@ from models import PhysicsPredictor
 from models.config import EncoderConfig, NetworkConfig
 from models.estimator import collate_clips
 from models.mirror import answer_both_ways
+from models.outline import OutlineNetwork
 from models.scaling import dimensionless_interval
+from models.segmenter import SilhouetteSegmenter
 from physconvex.errors import InputError
 
 CLIPS = Path(__file__).parents[1] / "examples" / "clips"
@@ -76,6 +80,8 @@ class Throughput:
     """Reading the mp4."""
     find_and_crop_processor: float
     """Foreground, cropping, resampling, moments."""
+    finder_networks_processor: float
+    """Of that, the two networks that find the object."""
     picture_processor: float
     """Strip with outlines."""
     write_processor: float
@@ -93,6 +99,8 @@ class Throughput:
     share_of_bare_total: float
     share_of_bare_steady: float
     """Wall time of the bare network over that of the batch."""
+    networks_share_of_host: float
+    """Processor time of all three networks over that of the networks and all named steps."""
     share_of_bare_processor: float
     """The same in processor time: what a machine with these cores and nothing else to do can reach."""
 
@@ -154,6 +162,7 @@ def _measure(
     steps, write = _host_steps(predictor, sources, folder)
     bare, bare_processor, extra = _network_steps(predictor, sources, options)
     total, steady, processor = _batch(predictor, sources, folder, options)
+    named = sum(value for name, value in steps.items() if name != "finder_networks_processor")
     return Throughput(
         command=shlex.join(["python", *sys.argv]),
         machine=platform.processor() or platform.machine(),
@@ -176,6 +185,7 @@ def _measure(
         batch_processor=processor,
         share_of_bare_total=bare / total,
         share_of_bare_steady=bare / steady,
+        networks_share_of_host=(bare_processor + steps["finder_networks_processor"]) / (bare_processor + named),
         share_of_bare_processor=bare_processor / processor,
     )
 
@@ -206,6 +216,29 @@ def _processor_seconds(work: Callable[[], object]) -> float:
     return min(times)
 
 
+@contextmanager
+def _finder_networks() -> Iterator[list[float]]:
+    """Processor seconds of each forward pass of the finder's networks while this is open."""
+    found: list[float] = []
+    begun: list[float] = []
+    kinds = (SilhouetteSegmenter, OutlineNetwork)
+
+    def before(module: torch.nn.Module, _: object) -> None:
+        if isinstance(module, kinds):
+            begun.append(time.process_time())
+
+    def after(module: torch.nn.Module, _: object, __: object) -> None:
+        if isinstance(module, kinds):
+            found.append(time.process_time() - begun.pop())
+
+    handles = register_module_forward_pre_hook(before), register_module_forward_hook(after)
+    try:
+        yield found
+    finally:
+        for handle in handles:
+            handle.remove()
+
+
 def _host_steps(
     predictor: PhysicsPredictor, sources: Sequence[ClipSource], folder: Path
 ) -> tuple[dict[str, float], float]:
@@ -216,6 +249,9 @@ def _host_steps(
     decode = _processor_seconds(lambda: [load_clip(source) for source in sample])
     prepared = [predictor.prepare(clip.frames, fps=clip.fps or 24.0) for clip in loaded]
     find = _processor_seconds(lambda: [predictor.prepare(clip.frames, fps=clip.fps or 24.0) for clip in loaded])
+    with _finder_networks() as passes:
+        for clip in loaded:
+            predictor.prepare(clip.frames, fps=clip.fps or 24.0)
     pairs = list(zip(loaded, prepared, strict=True))
     picture = _processor_seconds(lambda: [frame_strip(*pair) for pair in pairs])
     ready = [ready_source(source, settings, predictor.prepare, picture=True) for source in sample]
@@ -231,7 +267,8 @@ def _host_steps(
                 pictures = ClipPictures(frames=clip.picture, weights=maps)
                 results.add_prediction(clip.source, clip.source.title, "", prediction, pictures)
 
-    seconds = {"decode": decode, "find_and_crop": find, "picture": picture, "write": _processor_seconds(write)}
+    seconds = {"decode": decode, "find_and_crop": find, "finder_networks": sum(passes), "picture": picture}
+    seconds["write"] = _processor_seconds(write)
     cv2.setNumThreads(-1)
     steps = {f"{name}_processor": value / len(sample) for name, value in seconds.items()}
     return steps, _seconds(write, 2) / len(sample)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from jaxtyping import Float
 
 from inference.refining.drifting import with_drift, with_drift_limit
 from inference.refining.estimates import finer_mesh
@@ -18,8 +19,9 @@ from physconvex.errors import ConvergenceError
 from physconvex.identify import Fit, FitOptions, FullModel, RollOuts, fit_full, roll_out_together
 from physconvex.identify.correction import misfit_of
 from physconvex.identify.twin import coarse_mesh
+from physconvex.workers import Workers
 
-__all__ = ["START_OPTIONS", "Beginning"]
+__all__ = ["START_OPTIONS", "Beginning", "misfits_of"]
 
 START_OPTIONS = FitOptions(relative_tolerance=1e-3, absolute_tolerance=0.1, max_step=1.5)
 _RUNS = 6
@@ -73,7 +75,9 @@ class Beginning:
         """The candidate that the full model likes best: a rebound, or locking, may have led the reduced one astray."""
         if len(candidates) < 2:
             return reduced
-        arrays = self.stages.run("start", lambda: {"misfits": self._misfits(problem, half, candidates)})
+        arrays = self.stages.run(
+            "start", lambda: {"misfits": misfits_of(problem, half, candidates, self.memory.workers)}
+        )
         values = candidates[int(np.argmin(arrays["misfits"]))]
         return reduced if values is candidates[0] else replace(reduced, values=values)
 
@@ -83,23 +87,26 @@ class Beginning:
         def compute() -> dict[str, np.ndarray]:
             found = fit_full(model, seen, start, max_runs=_RUNS, options=START_OPTIONS, look_around=around).fit
             if model is not half:
-                before, after = self._misfits(problem, half, (start.values, found.values))
+                before, after = misfits_of(problem, half, (start.values, found.values), self.memory.workers)
                 if before < after:  # few nodes have led astray
                     found = replace(found, values=start.values)
             return arrays_of_fit(found)
 
         return fit_of(self.stages.run("coarse", compute), problem.parameters)
 
-    def _misfits(self, problem: Problem, model: FullModel, candidates: Sequence[np.ndarray]) -> np.ndarray:
-        """Of each, infinite where nothing comes out; with drift, all there may be, minus its log-likelihood."""
-        roll_out_together((model, values) for values in candidates)
-        found: list[np.ndarray | None] = []
-        for values in candidates:
-            try:
-                found.append(model.positions(values))
-            except ConvergenceError:
-                found.append(None)
-        return np.array(self.memory.workers.map(partial(_misfit, problem), found))
+
+def misfits_of(
+    problem: Problem, model: FullModel, candidates: Sequence[np.ndarray], workers: Workers
+) -> Float[np.ndarray, " C"]:
+    """Of each candidate, infinite where nothing comes out; with drift, all there may be, minus its log-likelihood."""
+    roll_out_together((model, values) for values in candidates)
+    found: list[np.ndarray | None] = []
+    for values in candidates:
+        try:
+            found.append(model.positions(values))
+        except ConvergenceError:
+            found.append(None)
+    return np.array(workers.map(partial(_misfit, problem), found))
 
 
 def _misfit(problem: Problem, positions: np.ndarray | None) -> float:

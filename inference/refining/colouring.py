@@ -13,9 +13,10 @@ from physconvex.errors import InputError
 from physconvex.identify import Fit, FullModel, Observations, PixelObservations, ReducedModel, StackedObservations, Twin
 from physconvex.identify.colours import ColourObservations, blurred, colour_seeds, seen_by
 
-__all__ = ["BLURS", "coloured"]
+__all__ = ["BLURS", "WIDE", "coloured"]
 
 BLURS = (1.5,)  # pixels
+WIDE = 6.0  # pixels: tells from afar which rebound is the nearest
 
 
 def coloured(

@@ -44,6 +44,7 @@ def estimates_of(
     frames: Int[np.ndarray, " N"],
     sources: Sequence[slice],
     *,
+    stated: Sequence[bool],
     followed: bool = True,
 ) -> tuple[Estimate, ...]:
     """Each parameter with its deviations.
@@ -54,11 +55,10 @@ def estimates_of(
         told: which parameters are at a bound.
         frames: frame of each residual.
         sources: the residuals of each source: one that is not followed is not hidden by many of another.
+        stated: whether the recording states the noise of each source; that of images is what their residuals are.
         followed: whether the model follows the recording; if not, no interval around it says where the truth is.
     """
-    worst = max(float(np.mean(found.residuals[where] ** 2)) for where in sources)
-    inflation = max(found.reduced_chi_square, worst, 1.0)
-    sigmas = marginal_deviations(found) * np.sqrt(inflation)
+    sigmas = marginal_deviations(found, _variances(found, sources, stated))
     sigmas = np.maximum(sigmas, clustered_deviations(found, frames))
     out = []
     for i, parameter in enumerate(found.parameters):
@@ -76,6 +76,17 @@ def estimates_of(
             )
         )  # fmt: skip
     return tuple(out)
+
+
+def _variances(found: Fit, sources: Sequence[slice], stated: Sequence[bool]) -> Float[np.ndarray, " N"]:
+    """Of the residuals: each source's own, at least one where it is stated; the worst one for all if above one."""
+    squares = [float(np.mean(found.residuals[where] ** 2)) for where in sources]
+    worst = max(found.reduced_chi_square, *squares)
+    out = np.full(len(found.residuals), max(worst, 1.0))
+    if worst <= 1.0:
+        for where, square, known in zip(sources, squares, stated, strict=True):
+            out[where] = 1.0 if known else square
+    return out
 
 
 def finer_mesh(twin: Twin) -> TetMesh | None:

@@ -12,9 +12,10 @@ import numpy as np
 
 from inference.prediction import Prediction
 from inference.refining.appearance import appearance_of, begun_field
-from inference.refining.beginning import START_OPTIONS, Beginning
-from inference.refining.colouring import BLURS, coloured
+from inference.refining.beginning import START_OPTIONS, Beginning, misfits_of
+from inference.refining.colouring import BLURS, WIDE, coloured
 from inference.refining.drifting import drift_of, followed_motion, with_drift
+from inference.refining.elsewhere import colours_lost, drifted, materials_about
 from inference.refining.estimates import estimates_of, finer_mesh, judge
 from inference.refining.fits import arrays_of_correction, arrays_of_fit, fit_of, runs_of
 from inference.refining.motion import future_rms, motion_of
@@ -28,12 +29,10 @@ from physconvex.capture import Capture, load_capture
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import SurfacePoints
 from physconvex.identify import (
-    DriftingObservations,
     Fit,
     FullModel,
-    Model,
-    Observations,
     Parameter,
+    ReducedModel,
     RollOuts,
     Twin,
     TwinOptions,
@@ -57,6 +56,7 @@ __all__ = ["refine"]
 
 _STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses the body; least and most per second
 _NOT_FOLLOWED = 5.0  # standard deviations rms of one source, from which no interval says anything
+_LOST = 5.0  # times the colours' residuals in flight: after a contact they lie elsewhere
 _LEFT = 0.5  # of the difference between few and more nodes: what more nodes still err by
 Arrays = dict[str, np.ndarray]
 Start = tuple[Parameter, ...]
@@ -260,25 +260,51 @@ class _Run:
         return final, arrays, converged and final.converged
 
     def _coloured(self, problem: Problem, found: Fit) -> tuple[Problem, Fit]:
-        """Fit the colours, from a wide blur to a narrow one."""
+        """Fit the colours, from a wide blur to a narrow one; where they lose the body, from another material too."""
         kept = problem
-        for blur in BLURS:
-            model = problem.full(self.memory) if self.options.correction else problem.reduced()
-            observed = coloured(problem.observed, self.capture, problem.twin, model, found, self.options, blur)
-            trial = self._with_drift(replace(problem, observed=observed), found, f"drift_{blur:g}")
-            start = started_from(problem.parameters, found)
-            model = trial.full(self.memory) if self.options.own_derivatives else trial.reduced()
-
-            def compute(model: Model = model, seen: Observations = trial.weighted, start: Start = start) -> Arrays:
-                return arrays_of_fit(fit(model, seen, start, options=FULL_OPTIONS))
-
-            try:
-                found = fit_of(self.stages.run(f"colours_{blur:g}", compute), problem.parameters)
-            except ConvergenceError as error:
-                self.warnings.append(f"Colours were not compared: the model failed ({error}).")
-                return kept, found
-            kept = trial
+        try:
+            for blur in BLURS:
+                kept, found = self._fitted_to_colours(problem, found, blur)
+            if self.options.own_derivatives and colours_lost(kept, found) > _LOST:
+                kept, found = self._elsewhere(problem, kept, found)
+        except ConvergenceError as error:
+            self.warnings.append(f"Colours were not compared, or not again: the model failed ({error}).")
         return kept, found
+
+    def _fitted_to_colours(self, problem: Problem, found: Fit, blur: float, name: str = "") -> tuple[Problem, Fit]:
+        """The problem with colours of that blur, and its fit from another one."""
+        model = self._model(problem)
+        observed = coloured(problem.observed, self.capture, problem.twin, model, found, self.options, blur)
+        trial = self._with_drift(replace(problem, observed=observed), found, f"drift_{blur:g}{name}")
+        start = started_from(problem.parameters, found)
+        model = trial.full(self.memory) if self.options.own_derivatives else trial.reduced()
+
+        def compute() -> Arrays:
+            return arrays_of_fit(fit(model, trial.weighted, start, options=FULL_OPTIONS))
+
+        return trial, fit_of(self.stages.run(f"colours_{blur:g}{name}", compute), problem.parameters)
+
+    def _elsewhere(self, problem: Problem, kept: Problem, found: Fit) -> tuple[Problem, Fit]:
+        """The fit from the material about that widely blurred colours like best, if it follows the body better."""
+        values = materials_about(problem, found)
+
+        def compute() -> Arrays:
+            model = self._model(problem)
+            observed = coloured(problem.observed, self.capture, problem.twin, model, found, self.options, WIDE)
+            wide = replace(kept, observed=observed)
+            return {"misfits": misfits_of(wide, wide.full(self.memory), values, self.workers)}
+
+        best = int(np.argmin(self.stages.run("elsewhere", compute)["misfits"]))
+        if best == 0:
+            return kept, found
+        there, moved = kept, replace(found, values=values[best])
+        for blur in (WIDE, *BLURS):
+            there, moved = self._fitted_to_colours(problem, moved, blur, "_elsewhere")
+        better = colours_lost(there, moved) < colours_lost(kept, found)
+        return (there, moved) if better else (kept, found)
+
+    def _model(self, problem: Problem) -> FullModel | ReducedModel:
+        return problem.full(self.memory) if self.options.correction else problem.reduced()
 
     def _result(
         self, problem: Problem, start: Fit, final: Fit, arrays: dict[str, np.ndarray], converged: bool
@@ -291,7 +317,7 @@ class _Run:
         appearance = appearance_of(motion, self.options, self.stages, field, self.warnings.append)
         told = identifiability(final)
         seen, drift = problem.observed.observations, drift_of(problem, final)
-        rms = problem.observed.rms(seen.residuals(_drifted(problem, final)))
+        rms = problem.observed.rms(seen.residuals(drifted(problem, final)))
         astray = _not_followed(rms)
         self.warnings += [*astray, *(() if drift is None else drift.sentences())]
         held = [n for n in dict.fromkeys(["log10_youngs_modulus", "poisson_ratio", *self.options.fixed])]
@@ -300,7 +326,13 @@ class _Run:
         return Refinement(
             path=str(self.capture.folder),
             estimates=estimates_of(
-                final, judged.left, told, problem.seen.frames, seen.residual_slices, followed=not astray
+                final,
+                judged.left,
+                told,
+                problem.seen.frames,
+                seen.residual_slices,
+                stated=seen.stated,
+                followed=not astray,
             ),
             fixed=dict(zip(held, map(float, values), strict=True)),
             covariance=noise_covariance(final),
@@ -333,13 +365,6 @@ def _not_followed(rms: dict[str, float]) -> list[str]:
     ]
 
 
-def _drifted(problem: Problem, found: Fit) -> np.ndarray:
-    """Where the points were by the fit, the rigid drift with them [m]."""
-    seen = problem.seen
-    drift = seen.drift(found.positions) if isinstance(seen, DriftingObservations) else 0.0
-    return np.asarray(found.positions + drift)
-
-
 def _nuisances(problem: Problem, found: Fit) -> dict[str, float]:
     seen = problem.undrifted
-    return seen.estimates(_drifted(problem, found)) if isinstance(seen, MarginalObservations) else {}
+    return seen.estimates(drifted(problem, found)) if isinstance(seen, MarginalObservations) else {}

@@ -306,6 +306,11 @@ class StackedObservations:
         ends = np.cumsum([0, *(len(part.frames) for part in self.parts)])
         return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
 
+    @property
+    def stated(self) -> tuple[bool, ...]:
+        """Whether the recording states the noise of each part, as it does of markers."""
+        return tuple(isinstance(part, MarkerObservations) for part in self.parts)
+
     @cached_property
     def frames(self) -> Int[np.ndarray, " N"]:
         """Frame of each residual."""

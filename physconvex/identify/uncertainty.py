@@ -83,17 +83,25 @@ def noise_covariance(found: Fit) -> Float[np.ndarray, "K K"]:
     return out
 
 
-def marginal_deviations(found: Fit) -> Float[np.ndarray, " K"]:
+def marginal_deviations(found: Fit, variances: Float[np.ndarray, " N"] | float = 1.0) -> Float[np.ndarray, " K"]:
     """Standard deviation of each parameter from noise and priors, where none is held at its bound.
 
     Errors of the data or the model may have driven a parameter to its bound; the others are then off by what that one
     is. Its true value may lie anywhere in its range, whose half counts as the deviation of a prior.
+
+    Args:
+        found: the fit.
+        variances: of the residuals, where they are not as stated: the fit was weighted by what is stated, and is off
+            by A⁻¹ (Jᵀ W V W J + Σ₀⁻¹) A⁻¹ with A = Jᵀ W J + Σ₀⁻¹ (White 1980).
     """
     scales = np.array([p.step for p in found.parameters])
     half_ranges = np.array([(p.upper - p.lower) / (2 * p.step) for p in found.parameters])
-    information = _information(found) + np.diag(np.where(_at_bounds(found), half_ranges**-2.0, 0.0))
-    values, vectors = np.linalg.eigh(information)
-    return np.asarray(scales * np.sqrt((vectors**2 / np.maximum(values, 1e-12)).sum(axis=1)))
+    held = np.diag(np.where(_at_bounds(found), half_ranges**-2.0, 0.0))
+    priors = np.diag([(p.step / p.prior_sigma) ** 2 for p in found.parameters])
+    values, vectors = np.linalg.eigh(_information(found) + held)
+    inverse = (vectors / np.maximum(values, 1e-12)) @ vectors.T
+    rows = np.sqrt(found.weights * variances)[:, None] * found.jacobian * scales
+    return np.asarray(scales * np.sqrt(np.diag(inverse @ (rows.T @ rows + priors + held) @ inverse)))
 
 
 def clustered_deviations(found: Fit, frames: Int[np.ndarray, " N"]) -> Float[np.ndarray, " K"]:

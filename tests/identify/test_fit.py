@@ -148,6 +148,23 @@ def test_intervals_cover_the_truth_as_often_as_they_say():
     assert np.mean(inside) == pytest.approx(0.9, abs=0.045)
 
 
+def test_noise_that_is_not_as_stated_is_carried_through_the_weights_that_were_used():
+    """Half of the residuals are ten times as quiet as stated; the fit does not know."""
+    line, values = Line(), []
+    stated = line_markers(line, (5.0, 0.3), noise=0.0, sigma=0.1)
+    quiet = np.arange(len(stated.frames)) % 2 == 0
+    rng = np.random.default_rng(0)
+    for _ in range(400):
+        noise = rng.normal(size=len(quiet)) * np.where(quiet, 0.01, 0.1)
+        made = replace(stated, positions=stated.positions + noise.reshape(stated.positions.shape))
+        found = fit(line, made, UNKNOWN)
+        values.append(found.values)
+    told = marginal_deviations(found, np.where(quiet, 0.01, 1.0))
+    np.testing.assert_allclose(np.std(values, axis=0), told, rtol=0.12)  # three deviations of a standard deviation
+    np.testing.assert_allclose(marginal_deviations(found, 0.25), 0.5 * marginal_deviations(found), rtol=1e-9)
+    assert (told < 0.8 * marginal_deviations(found)).all()
+
+
 def test_a_parameter_at_its_bound_is_said_to_be_there():
     line = Line()
     found = fit(line, line_markers(line, (5.0, 0.7)), UNKNOWN)

@@ -30,3 +30,20 @@ def test_a_finer_model_that_runs_away_is_not_followed(away, strikes, monkeypatch
     assert len(warnings) == away
     wide = away or strikes
     assert judged.left == pytest.approx(np.hypot(arrays["left"], [0.04, 0.29]) if wide else arrays["left"])
+
+
+def test_the_noise_of_images_is_what_their_residuals_are_and_that_of_markers_at_least_as_stated():
+    rng = np.random.default_rng(0)
+    markers, colours = slice(0, 4000), slice(4000, 10_000)
+
+    def variances(of_markers, of_colours, stated=(True, False)):
+        residuals = rng.normal(size=10_000)
+        residuals[markers] *= of_markers
+        residuals[colours] *= of_colours
+        found = SimpleNamespace(residuals=residuals, reduced_chi_square=float(np.mean(residuals**2)))
+        return estimates._variances(found, (markers, colours), stated)
+
+    told = variances(0.5, 0.1)
+    assert told[markers] == pytest.approx(1.0) and told[colours] == pytest.approx(0.01, rel=0.1)
+    assert variances(0.5, 0.1, (False, False))[markers] == pytest.approx(0.25, rel=0.1)
+    assert variances(3.0, 0.1) == pytest.approx(9.0, rel=0.1)  # what is not followed is not hidden by the rest

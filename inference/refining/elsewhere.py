@@ -1,0 +1,70 @@
+"""Where a fit to colours loses the body after a contact, and where the search may begin again.
+
+How a stiff body rebounds hangs on E, ν and damping together, and the points that are followed first do not tell one
+rebound from another: what they are off by passes for rigid drift. The colours do, but from afar they lead nowhere.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+from jaxtyping import Float
+
+from inference.refining.problem import Problem
+from inference.refining.searching import started_from
+from physconvex.identify import DriftingObservations, Fit
+from physconvex.identify.colours import ColourObservations
+from physconvex.reduced import parameter_values
+
+__all__ = ["colours_lost", "drifted", "materials_about"]
+
+_MODULI = (0.0, -0.08, 0.08)  # decades
+_RATIOS = (0.25, 0.42)
+_LOSSES = (0.1, 0.3)  # of energy, by the slowest wave's angular frequency times β; beside the damping that was found
+
+
+def drifted(problem: Problem, found: Fit) -> Float[np.ndarray, "T P 3"]:
+    """Where the points were by the fit, the rigid drift with them [m]."""
+    seen = problem.seen
+    drift = seen.drift(found.positions) if isinstance(seen, DriftingObservations) else 0.0
+    return np.asarray(found.positions + drift)
+
+
+def colours_lost(problem: Problem, found: Fit) -> float:
+    """The colours' rms residual from the first contact on over that before it, where the model is all but exact.
+
+    One where nothing is struck, or no colour is compared on both sides.
+    """
+    if problem.drift_limit is None:
+        return 1.0
+    stack, positions, begin = problem.observed.observations, drifted(problem, found), problem.drift_limit[0]
+    before, after = [], []
+    for part, where in zip(stack.parts, stack.point_slices, strict=True):
+        if isinstance(part, ColourObservations):
+            squares = np.square(part.residuals(positions[:, where]))
+            before.append(squares[part.frames < begin])
+            after.append(squares[part.frames >= begin])
+    flight, rest = (np.concatenate(part) if part else np.zeros(0) for part in (before, after))
+    if not len(flight) or not len(rest):
+        return 1.0
+    return float(np.sqrt(rest.mean() / max(flight.mean(), 1e-12)))
+
+
+def materials_about(problem: Problem, found: Fit) -> list[Float[np.ndarray, " K"]]:
+    """Values at which to look for another rebound, those of the fit first."""
+    parameters = started_from(problem.parameters, found)
+    scene = problem.twin.with_values(found.names, found.values).scene
+    modulus, density = parameter_values(scene, ["log10_youngs_modulus", "density"])
+    slowest = np.pi * np.sqrt(10.0**modulus / density) / problem.twin.mesh.size  # half a wave along the body [rad/s]
+    choices = {
+        "log10_youngs_modulus": [modulus + change for change in _MODULI],
+        "poisson_ratio": list(_RATIOS),
+        "damping_time": [None, *(loss / slowest for loss in _LOSSES)],
+    }
+    free = [name for name in choices if name in found.names]
+    out = [found.values]
+    for chosen in product(*(choices[name] for name in free)):
+        by_name = {name: value for name, value in zip(free, chosen, strict=True) if value is not None}
+        out.append(np.array([p.at(by_name.get(p.name, p.start)).start for p in parameters]))
+    return out
