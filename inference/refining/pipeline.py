@@ -12,12 +12,12 @@ import numpy as np
 
 from inference.prediction import Prediction
 from inference.refining.appearance import appearance_of, begun_field
-from inference.refining.beginning import START_OPTIONS, Beginning, misfits_of
-from inference.refining.colouring import BLURS, WIDE, coloured
+from inference.refining.beginning import START_OPTIONS, Beginning
+from inference.refining.colour_search import ColourSearch
 from inference.refining.drifting import drift_of, followed_motion, with_drift
-from inference.refining.elsewhere import colours_lost, drifted, materials_about
+from inference.refining.elsewhere import drifted
 from inference.refining.estimates import estimates_of, finer_mesh, judge
-from inference.refining.fits import arrays_of_correction, arrays_of_fit, fit_of, runs_of
+from inference.refining.fits import arrays_of_correction, fit_of, runs_of
 from inference.refining.motion import future_rms, motion_of
 from inference.refining.observing import observe
 from inference.refining.options import RefineOptions
@@ -32,14 +32,12 @@ from physconvex.identify import (
     Fit,
     FullModel,
     Parameter,
-    ReducedModel,
     RollOuts,
     Twin,
     TwinOptions,
     base_twin,
     correct,
     default_parameters,
-    fit,
     fit_full,
     frame_errors,
     identifiability,
@@ -56,7 +54,6 @@ __all__ = ["refine"]
 
 _STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses the body; least and most per second
 _NOT_FOLLOWED = 5.0  # standard deviations rms of one source, from which no interval says anything
-_LOST = 5.0  # times the colours' residuals in flight: after a contact they lie elsewhere
 _LEFT = 0.5  # of the difference between few and more nodes: what more nodes still err by
 Arrays = dict[str, np.ndarray]
 Start = tuple[Parameter, ...]
@@ -126,7 +123,8 @@ class _Run:
         )
         final, runs, converged = self._corrected(problem, start, last=not coloured)
         if coloured:
-            problem, final = self._coloured(problem, final)
+            search = ColourSearch(self.capture, self.options, self.stages, self.memory, self.warnings, self._with_drift)
+            problem, final = search.run(problem, final)
         problem = self._with_drift(problem, final, "drift_last")
         return self._result(problem, reduced, final, runs, converged)
 
@@ -258,53 +256,6 @@ class _Run:
             count = len(arrays["runs"])
             self.warnings.append(f"The correction did not settle in {count} runs of the full model; allow more.")
         return final, arrays, converged and final.converged
-
-    def _coloured(self, problem: Problem, found: Fit) -> tuple[Problem, Fit]:
-        """Fit the colours, from a wide blur to a narrow one; where they lose the body, from another material too."""
-        kept = problem
-        try:
-            for blur in BLURS:
-                kept, found = self._fitted_to_colours(problem, found, blur)
-            if self.options.own_derivatives and colours_lost(kept, found) > _LOST:
-                kept, found = self._elsewhere(problem, kept, found)
-        except ConvergenceError as error:
-            self.warnings.append(f"Colours were not compared, or not again: the model failed ({error}).")
-        return kept, found
-
-    def _fitted_to_colours(self, problem: Problem, found: Fit, blur: float, name: str = "") -> tuple[Problem, Fit]:
-        """The problem with colours of that blur, and its fit from another one."""
-        model = self._model(problem)
-        observed = coloured(problem.observed, self.capture, problem.twin, model, found, self.options, blur)
-        trial = self._with_drift(replace(problem, observed=observed), found, f"drift_{blur:g}{name}")
-        start = started_from(problem.parameters, found)
-        model = trial.full(self.memory) if self.options.own_derivatives else trial.reduced()
-
-        def compute() -> Arrays:
-            return arrays_of_fit(fit(model, trial.weighted, start, options=FULL_OPTIONS))
-
-        return trial, fit_of(self.stages.run(f"colours_{blur:g}{name}", compute), problem.parameters)
-
-    def _elsewhere(self, problem: Problem, kept: Problem, found: Fit) -> tuple[Problem, Fit]:
-        """The fit from the material about that widely blurred colours like best, if it follows the body better."""
-        values = materials_about(problem, found)
-
-        def compute() -> Arrays:
-            model = self._model(problem)
-            observed = coloured(problem.observed, self.capture, problem.twin, model, found, self.options, WIDE)
-            wide = replace(kept, observed=observed)
-            return {"misfits": misfits_of(wide, wide.full(self.memory), values, self.workers)}
-
-        best = int(np.argmin(self.stages.run("elsewhere", compute)["misfits"]))
-        if best == 0:
-            return kept, found
-        there, moved = kept, replace(found, values=values[best])
-        for blur in (WIDE, *BLURS):
-            there, moved = self._fitted_to_colours(problem, moved, blur, "_elsewhere")
-        better = colours_lost(there, moved) < colours_lost(kept, found)
-        return (there, moved) if better else (kept, found)
-
-    def _model(self, problem: Problem) -> FullModel | ReducedModel:
-        return problem.full(self.memory) if self.options.correction else problem.reduced()
 
     def _result(
         self, problem: Problem, start: Fit, final: Fit, arrays: dict[str, np.ndarray], converged: bool

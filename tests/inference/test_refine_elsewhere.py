@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from inference.refining import pipeline
+from inference.refining import colour_search
+from inference.refining.colour_search import ColourSearch
 from inference.refining.elsewhere import colours_lost, materials_about
 from physconvex.camera import look_at
 from physconvex.identify import default_parameter
@@ -73,7 +74,7 @@ def test_colours_are_lost_where_they_lie_elsewhere_after_the_contact(moved):
         seen=stack, observed=SimpleNamespace(observations=stack), drift_limit=(2, 0.1), parameters=()
     )
     lost = colours_lost(problem, SimpleNamespace(positions=positions))
-    assert lost == pytest.approx(1.0, abs=0.2) if moved == 0 else lost > pipeline._LOST
+    assert lost == pytest.approx(1.0, abs=0.2) if moved == 0 else lost > colour_search._LOST
     problem.drift_limit = None
     assert colours_lost(problem, SimpleNamespace(positions=positions)) == 1.0
     problem.drift_limit = (1, 0.1)  # struck at once: nothing to compare with
@@ -82,20 +83,22 @@ def test_colours_are_lost_where_they_lie_elsewhere_after_the_contact(moved):
 
 @pytest.mark.parametrize(("best", "after"), [(0, None), (2, 1.5), (2, 40.0)])
 def test_the_material_that_wide_colours_like_best_is_kept_where_it_follows_the_body_better(best, after, monkeypatch):
-    monkeypatch.setattr(pipeline, "materials_about", lambda problem, found: ["here", "there", "best"])
-    monkeypatch.setattr(pipeline, "colours_lost", lambda problem, found: {"first": 20.0, "again": after}[found.name])
-    monkeypatch.setattr(pipeline, "replace", lambda fit, values: SimpleNamespace(name="moved", values=values))
-    run, fitted = object.__new__(pipeline._Run), []
+    monkeypatch.setattr(colour_search, "materials_about", lambda problem, found: ["here", "there", "best"])
+    monkeypatch.setattr(
+        colour_search, "colours_lost", lambda problem, found: {"first": 20.0, "again": after}[found.name]
+    )
+    monkeypatch.setattr(colour_search, "replace", lambda fit, values: SimpleNamespace(name="moved", values=values))
+    fitted = []
     misfits = np.where(np.arange(3) == best, 1.0, 5.0)
-    run.stages = SimpleNamespace(run=lambda name, compute: {"misfits": misfits})
+    stages = SimpleNamespace(run=lambda name, compute: {"misfits": misfits})
 
-    def fit_to(problem, found, blur, name):
+    def fit_to(self, problem, found, blur, name):
         fitted.append((found.values, blur, name))
         return "again", SimpleNamespace(name="again", values=f"fitted at {blur:g}")
 
-    run._fitted_to_colours = fit_to
-    first = SimpleNamespace(name="first")
-    kept, found = run._elsewhere("problem", "kept", first)
+    monkeypatch.setattr(ColourSearch, "_fitted", fit_to)
+    search, first = ColourSearch(None, None, stages, None, [], None), SimpleNamespace(name="first")
+    kept, found = search._elsewhere("problem", "kept", first)
     if best == 0:
         assert (kept, found) == ("kept", first) and not fitted
         return

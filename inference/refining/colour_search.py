@@ -1,0 +1,91 @@
+"""The fit to colours, from a wide blur to a narrow one; where these lose the body, from another material too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from inference.refining.beginning import misfits_of
+from inference.refining.colouring import BLURS, WIDE, coloured
+from inference.refining.elsewhere import colours_lost, materials_about
+from inference.refining.fits import arrays_of_fit, fit_of
+from inference.refining.options import RefineOptions
+from inference.refining.problem import Problem
+from inference.refining.searching import started_from
+from inference.refining.stages import Arrays, Stages
+from physconvex.capture import Capture
+from physconvex.errors import ConvergenceError
+from physconvex.identify import Fit, FullModel, ReducedModel, RollOuts, fit
+from physconvex.identify.full_fit import FULL_OPTIONS
+
+__all__ = ["ColourSearch"]
+
+_LOST = 5.0  # times the colours' residuals in flight: after a contact they lie elsewhere
+
+
+@dataclass(frozen=True, eq=False)
+class ColourSearch:
+    """The search of one refinement.
+
+    Attributes:
+        capture, options, stages: of the refinement.
+        memory: of roll-outs.
+        warnings: what the user should know is added here.
+        with_drift: the problem with the rigid drift that is likely at a fit; the name is of the stage.
+    """
+
+    capture: Capture
+    options: RefineOptions
+    stages: Stages
+    memory: RollOuts
+    warnings: list[str]
+    with_drift: Callable[[Problem, Fit, str], Problem]
+
+    def run(self, problem: Problem, found: Fit) -> tuple[Problem, Fit]:
+        """The problem with colours in the place of the points followed, and its fit from another one."""
+        kept = problem
+        try:
+            for blur in BLURS:
+                kept, found = self._fitted(problem, found, blur)
+            if self.options.own_derivatives and colours_lost(kept, found) > _LOST:
+                kept, found = self._elsewhere(problem, kept, found)
+        except ConvergenceError as error:
+            self.warnings.append(f"Colours were not compared, or not again: the model failed ({error}).")
+        return kept, found
+
+    def _fitted(self, problem: Problem, found: Fit, blur: float, name: str = "") -> tuple[Problem, Fit]:
+        trial = self.with_drift(self._coloured(problem, problem, found, blur), found, f"drift_{blur:g}{name}")
+        start = started_from(problem.parameters, found)
+        model = trial.full(self.memory) if self.options.own_derivatives else trial.reduced()
+
+        def compute() -> Arrays:
+            return arrays_of_fit(fit(model, trial.weighted, start, options=FULL_OPTIONS))
+
+        return trial, fit_of(self.stages.run(f"colours_{blur:g}{name}", compute), problem.parameters)
+
+    def _elsewhere(self, problem: Problem, kept: Problem, found: Fit) -> tuple[Problem, Fit]:
+        """The fit from the material about that widely blurred colours like best, if it follows the body better."""
+        values = materials_about(problem, found)
+
+        def compute() -> Arrays:
+            wide = self._coloured(problem, kept, found, WIDE)
+            return {"misfits": misfits_of(wide, wide.full(self.memory), values, self.memory.workers)}
+
+        best = int(np.argmin(self.stages.run("elsewhere", compute)["misfits"]))
+        if best == 0:
+            return kept, found
+        there, moved = kept, replace(found, values=values[best])
+        for blur in (WIDE, *BLURS):
+            there, moved = self._fitted(problem, moved, blur, "_elsewhere")
+        better = colours_lost(there, moved) < colours_lost(kept, found)
+        return (there, moved) if better else (kept, found)
+
+    def _coloured(self, problem: Problem, drifting: Problem, found: Fit, blur: float) -> Problem:
+        """`drifting` with the colours of surface points in the place of the points that `problem` has."""
+        model: FullModel | ReducedModel = problem.full(self.memory) if self.options.correction else problem.reduced()
+        return replace(
+            drifting,
+            observed=coloured(problem.observed, self.capture, problem.twin, model, found, self.options, blur),
+        )
