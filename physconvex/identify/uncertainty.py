@@ -99,9 +99,11 @@ def marginal_deviations(found: Fit, variances: Float[np.ndarray, " N"] | float =
     held = np.diag(np.where(_at_bounds(found), half_ranges**-2.0, 0.0))
     priors = np.diag([(p.step / p.prior_sigma) ** 2 for p in found.parameters])
     values, vectors = np.linalg.eigh(_information(found) + held)
-    inverse = (vectors / np.maximum(values, 1e-12)) @ vectors.T
+    known = np.maximum(values, 1e-12)  # what the data leave open has a deviation of 10⁶ typical steps, not of none
+    inverse = (vectors / known) @ vectors.T
     rows = np.sqrt(found.weights * variances)[:, None] * found.jacobian * scales
-    return np.asarray(scales * np.sqrt(np.diag(inverse @ (rows.T @ rows + priors + held) @ inverse)))
+    middle = rows.T @ rows + priors + held + (vectors * (known - values)) @ vectors.T
+    return np.asarray(scales * np.sqrt(np.diag(inverse @ middle @ inverse)))
 
 
 def clustered_deviations(found: Fit, frames: Int[np.ndarray, " N"]) -> Float[np.ndarray, " K"]:

@@ -192,6 +192,14 @@ def test_intervals_beside_a_parameter_at_its_bound_still_cover_the_truth():
     assert held < 0.6 and free > 0.9
 
 
+def test_what_the_data_leave_open_has_no_small_deviation():
+    line = Line(second=1e-9)
+    found = fit(line, line_markers(line, (5.0, 0.3)), UNKNOWN)
+    for variances in (1.0, 0.01):
+        modulus, ratio = marginal_deviations(found, variances)
+        assert ratio > 1e4 and modulus < 0.1
+
+
 def test_a_direction_without_effect_is_named():
     line = Line(second=1e-9)
     told = identifiability(fit(line, line_markers(line, (5.0, 0.3)), UNKNOWN))
