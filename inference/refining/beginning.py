@@ -19,7 +19,6 @@ from physconvex.errors import ConvergenceError
 from physconvex.identify import Fit, FitOptions, FullModel, RollOuts, fit_full, roll_out_together
 from physconvex.identify.correction import misfit_of
 from physconvex.identify.twin import coarse_mesh
-from physconvex.workers import Workers
 
 __all__ = ["START_OPTIONS", "Beginning", "misfits_of"]
 
@@ -75,9 +74,7 @@ class Beginning:
         """The candidate that the full model likes best: a rebound, or locking, may have led the reduced one astray."""
         if len(candidates) < 2:
             return reduced
-        arrays = self.stages.run(
-            "start", lambda: {"misfits": misfits_of(problem, half, candidates, self.memory.workers)}
-        )
+        arrays = self.stages.run("start", lambda: {"misfits": misfits_of(problem, half, candidates)})
         values = candidates[int(np.argmin(arrays["misfits"]))]
         return reduced if values is candidates[0] else replace(reduced, values=values)
 
@@ -87,7 +84,7 @@ class Beginning:
         def compute() -> dict[str, np.ndarray]:
             found = fit_full(model, seen, start, max_runs=_RUNS, options=START_OPTIONS, look_around=around).fit
             if model is not half:
-                before, after = misfits_of(problem, half, (start.values, found.values), self.memory.workers)
+                before, after = misfits_of(problem, half, (start.values, found.values))
                 if before < after:  # few nodes have led astray
                     found = replace(found, values=start.values)
             return arrays_of_fit(found)
@@ -95,9 +92,7 @@ class Beginning:
         return fit_of(self.stages.run("coarse", compute), problem.parameters)
 
 
-def misfits_of(
-    problem: Problem, model: FullModel, candidates: Sequence[np.ndarray], workers: Workers
-) -> Float[np.ndarray, " C"]:
+def misfits_of(problem: Problem, model: FullModel, candidates: Sequence[np.ndarray]) -> Float[np.ndarray, " C"]:
     """Of each candidate, infinite where nothing comes out; with drift, all there may be, minus its log-likelihood."""
     roll_out_together((model, values) for values in candidates)
     found: list[np.ndarray | None] = []
@@ -106,7 +101,7 @@ def misfits_of(
             found.append(model.positions(values))
         except ConvergenceError:
             found.append(None)
-    return np.array(workers.map(partial(_misfit, problem), found))
+    return np.array(model.memory.workers.map(partial(_misfit, problem), found))
 
 
 def _misfit(problem: Problem, positions: np.ndarray | None) -> float:

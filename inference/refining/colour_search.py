@@ -11,6 +11,7 @@ from inference.refining.beginning import misfits_of
 from inference.refining.colouring import BLURS, WIDE, coloured
 from inference.refining.elsewhere import colours_lost, materials_about
 from inference.refining.fits import arrays_of_fit, fit_of
+from inference.refining.observing import Observed
 from inference.refining.options import RefineOptions
 from inference.refining.problem import Problem
 from inference.refining.searching import started_from
@@ -56,7 +57,8 @@ class ColourSearch:
         return kept, found
 
     def _fitted(self, problem: Problem, found: Fit, blur: float, name: str = "") -> tuple[Problem, Fit]:
-        trial = self.with_drift(self._coloured(problem, problem, found, blur), found, f"drift_{blur:g}{name}")
+        trial = replace(problem, observed=self._coloured(problem, found, blur))
+        trial = self.with_drift(trial, found, f"drift_{blur:g}{name}")
         start = started_from(problem.parameters, found)
         model = trial.full(self.memory) if self.options.own_derivatives else trial.reduced()
 
@@ -70,8 +72,8 @@ class ColourSearch:
         values = materials_about(problem, found)
 
         def compute() -> Arrays:
-            wide = self._coloured(problem, kept, found, WIDE)
-            return {"misfits": misfits_of(wide, wide.full(self.memory), values, self.memory.workers)}
+            wide = replace(kept, observed=self._coloured(problem, found, WIDE))
+            return {"misfits": misfits_of(wide, wide.full(self.memory), values)}
 
         best = int(np.argmin(self.stages.run("elsewhere", compute)["misfits"]))
         if best == 0:
@@ -82,10 +84,6 @@ class ColourSearch:
         better = colours_lost(there, moved) < colours_lost(kept, found)
         return (there, moved) if better else (kept, found)
 
-    def _coloured(self, problem: Problem, drifting: Problem, found: Fit, blur: float) -> Problem:
-        """`drifting` with the colours of surface points in the place of the points that `problem` has."""
+    def _coloured(self, problem: Problem, found: Fit, blur: float) -> Observed:
         model: FullModel | ReducedModel = problem.full(self.memory) if self.options.correction else problem.reduced()
-        return replace(
-            drifting,
-            observed=coloured(problem.observed, self.capture, problem.twin, model, found, self.options, blur),
-        )
+        return coloured(problem.observed, self.capture, problem.twin, model, found, self.options, blur)

@@ -43,7 +43,7 @@ def coloured(
             mask = None if masks is None else masks[0] > 0
             margin = round(2 * blur)
             seeds = colour_seeds(part.camera, images[0], vertices, triangles, mask=mask, margin=margin)
-            points = seeds.points
+            points = seeds.on(vertices, triangles)
             if len(points):
                 everything = np.concatenate([vertices, points])
                 moved = replace(model, points=everything).positions(found.values)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from inference.refining.problem import Problem
 from inference.refining.result import RefinedMotion, RigidDrift
@@ -20,7 +21,7 @@ from physconvex.identify import (
     roll_out_together,
 )
 
-__all__ = ["drift_of", "followed_motion", "with_drift", "with_drift_limit"]
+__all__ = ["drift_of", "drifted", "followed_motion", "with_drift", "with_drift_limit"]
 
 _LIMIT = 2.0  # times what two meshes differ by
 
@@ -81,6 +82,13 @@ def drift_of(problem: Problem, found: Fit) -> RigidDrift | None:
         return None
     moved = np.linalg.norm(seen.drift(found.positions), axis=-1)
     return RigidDrift(seen.begin, seen.sigma, np.sqrt(np.square(moved).mean(axis=1)), problem.twin.mesh.size)
+
+
+def drifted(problem: Problem, found: Fit) -> Float[np.ndarray, "T P 3"]:
+    """Where the points were by the fit, the rigid drift with them [m]."""
+    seen = problem.seen
+    drift = seen.drift(found.positions) if isinstance(seen, DriftingObservations) else 0.0
+    return np.asarray(found.positions + drift)
 
 
 def followed_motion(problem: Problem, motion: RefinedMotion) -> RefinedMotion:

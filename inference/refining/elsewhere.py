@@ -11,24 +11,18 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float
 
+from inference.refining.drifting import drifted
 from inference.refining.problem import Problem
 from inference.refining.searching import started_from
-from physconvex.identify import DriftingObservations, Fit
+from physconvex.identify import Fit
 from physconvex.identify.colours import ColourObservations
 from physconvex.reduced import parameter_values
 
-__all__ = ["colours_lost", "drifted", "materials_about"]
+__all__ = ["colours_lost", "materials_about"]
 
 _MODULI = (0.0, -0.08, 0.08)  # decades
 _RATIOS = (0.25, 0.42)
 _LOSSES = (0.1, 0.3)  # of energy, by the slowest wave's angular frequency times β; beside the damping that was found
-
-
-def drifted(problem: Problem, found: Fit) -> Float[np.ndarray, "T P 3"]:
-    """Where the points were by the fit, the rigid drift with them [m]."""
-    seen = problem.seen
-    drift = seen.drift(found.positions) if isinstance(seen, DriftingObservations) else 0.0
-    return np.asarray(found.positions + drift)
 
 
 def colours_lost(problem: Problem, found: Fit) -> float:
@@ -57,14 +51,11 @@ def materials_about(problem: Problem, found: Fit) -> list[Float[np.ndarray, " K"
     scene = problem.twin.with_values(found.names, found.values).scene
     modulus, density = parameter_values(scene, ["log10_youngs_modulus", "density"])
     slowest = np.pi * np.sqrt(10.0**modulus / density) / problem.twin.mesh.size  # half a wave along the body [rad/s]
-    choices = {
+    kept = {p.name: p.start for p in parameters}
+    others = {
         "log10_youngs_modulus": [modulus + change for change in _MODULI],
-        "poisson_ratio": list(_RATIOS),
-        "damping_time": [None, *(loss / slowest for loss in _LOSSES)],
+        "poisson_ratio": _RATIOS,
+        "damping_time": [kept.get("damping_time", 0.0), *(loss / slowest for loss in _LOSSES)],
     }
-    free = [name for name in choices if name in found.names]
-    out = [found.values]
-    for chosen in product(*(choices[name] for name in free)):
-        by_name = {name: value for name, value in zip(free, chosen, strict=True) if value is not None}
-        out.append(np.array([p.at(by_name.get(p.name, p.start)).start for p in parameters]))
-    return out
+    choices = ([p.at(float(value)).start for value in others.get(p.name, [p.start])] for p in parameters)
+    return [found.values, *map(np.array, product(*choices))]

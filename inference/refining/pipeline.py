@@ -14,8 +14,7 @@ from inference.prediction import Prediction
 from inference.refining.appearance import appearance_of, begun_field
 from inference.refining.beginning import START_OPTIONS, Beginning
 from inference.refining.colour_search import ColourSearch
-from inference.refining.drifting import drift_of, followed_motion, with_drift
-from inference.refining.elsewhere import drifted
+from inference.refining.drifting import drift_of, drifted, followed_motion, with_drift
 from inference.refining.estimates import estimates_of, finer_mesh, judge
 from inference.refining.fits import arrays_of_correction, fit_of, runs_of
 from inference.refining.motion import future_rms, motion_of

@@ -20,25 +20,12 @@ from jaxtyping import Bool, Float, Int, UInt8
 from physconvex.camera import Camera
 from physconvex.errors import InputError
 from physconvex.identify.observations import PointwiseObservations, camera_jacobian
-from physconvex.identify.raster import cast_camera_rays, cast_rays
+from physconvex.identify.raster import Hits, cast_camera_rays, cast_rays, unit_normals
 
-__all__ = ["ColourObservations", "Seeds", "colour_seeds", "seen_by"]
+__all__ = ["ColourObservations", "colour_seeds", "seen_by"]
 
 _GRAZING = 0.35  # least sine between surface and ray
 _BEHIND = 0.03  # of the body's size: how far behind what is drawn a point may lie and still be seen
-
-
-@dataclass(frozen=True, eq=False)
-class Seeds:
-    """Points on a surface.
-
-    Attributes:
-        points: rest positions [m], shape [P, 3].
-        faces: the triangle of each, shape [P].
-    """
-
-    points: Float[np.ndarray, "P 3"]
-    faces: Int[np.ndarray, " P"]
 
 
 def blurred(images: UInt8[np.ndarray, "T H W 3"], width: float) -> Float[np.ndarray, "T H W 3"]:
@@ -55,7 +42,7 @@ def colour_seeds(
     count: int = 400,
     mask: Bool[np.ndarray, "H W"] | None = None,
     margin: int = 3,
-) -> Seeds:
+) -> Hits:
     """At most `count` surface points where the first image has contrast, evenly spread.
 
     Args:
@@ -78,11 +65,11 @@ def colour_seeds(
     best = best[np.unique(np.linspace(0, max(len(best) - 1, 0), min(count, len(best))).astype(int))]
     pixels = np.stack([columns[best], rows[best]], axis=1) + 0.5
     if not len(pixels):
-        return Seeds(np.zeros((0, 3)), np.zeros(0, dtype=np.int64))
+        return Hits(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
     origin, directions = camera.rays(pixels)
     struck = cast_rays(origin, directions, vertices, triangles)
     hit = struck.faces >= 0
-    return Seeds(struck.on(vertices, triangles)[hit], struck.faces[hit])
+    return Hits(struck.faces[hit], struck.barycentric[hit])
 
 
 def seen_by(
@@ -121,10 +108,7 @@ def seen_by(
         gap = np.linalg.norm(struck.on(surface, triangles) - points, axis=-1)
         wide = reach + margin / _GRAZING * depth / min(camera.fl_x, camera.fl_y)  # the surface slants
         known &= (np.nan_to_num(gap[0], nan=np.inf) < reach) & (np.nan_to_num(gap[1:], nan=np.inf) < wide).all(0)
-        corner = surface[triangles[faces]]
-        normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-        facing = (normals * directions[0]).sum(-1)
+        facing = (unit_normals(surface, triangles[faces]) * directions[0]).sum(-1)
         if t == 0:
             side = np.sign(facing)
         out[t] = known & (side * facing > _GRAZING)

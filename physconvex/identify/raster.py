@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from physconvex.camera import Camera
 
-__all__ = ["Hits", "cast_camera_rays", "cast_rays", "shaded"]
+__all__ = ["Hits", "cast_camera_rays", "cast_rays", "shaded", "unit_normals"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +68,16 @@ def _barycentric(
     return np.stack([1 - u - v, u, v], axis=-1)
 
 
+def unit_normals(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "F 3"]:
+    """Of triangles, by the order of their corners; zero where one has no area."""
+    corners = vertices[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
+
+
 def shaded(
     camera: Camera, vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"], hits: Hits
 ) -> Float[np.ndarray, "h w"]:
     """Grey values of a surface lit from the camera, 0 to 255."""
-    corners = vertices[triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    facing = np.abs(normals @ camera.rotation[:, 2])
+    facing = np.abs(unit_normals(vertices, triangles) @ camera.rotation[:, 2])
     return np.asarray(70.0 + 150.0 * facing[np.maximum(hits.faces, 0)])

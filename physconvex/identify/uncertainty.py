@@ -50,10 +50,10 @@ class Identifiability:
     sentences: tuple[str, ...]
 
 
-def _information(found: Fit, *, priors: bool = True) -> np.ndarray:
-    """Jᵀ W J in typical steps, with the priors."""
+def _information(found: Fit, variances: np.ndarray | float = 1.0, *, priors: bool = True) -> np.ndarray:
+    """Jᵀ W V J in typical steps, with the priors."""
     scales = np.array([p.step for p in found.parameters])
-    rows = np.sqrt(found.weights)[:, None] * found.jacobian * scales
+    rows = np.sqrt(found.weights * variances)[:, None] * found.jacobian * scales
     information = rows.T @ rows
     if priors:
         information += np.diag([(p.step / p.prior_sigma) ** 2 for p in found.parameters])
@@ -97,12 +97,10 @@ def marginal_deviations(found: Fit, variances: Float[np.ndarray, " N"] | float =
     scales = np.array([p.step for p in found.parameters])
     half_ranges = np.array([(p.upper - p.lower) / (2 * p.step) for p in found.parameters])
     held = np.diag(np.where(_at_bounds(found), half_ranges**-2.0, 0.0))
-    priors = np.diag([(p.step / p.prior_sigma) ** 2 for p in found.parameters])
     values, vectors = np.linalg.eigh(_information(found) + held)
     known = np.maximum(values, 1e-12)  # what the data leave open has a deviation of 10⁶ typical steps, not of none
     inverse = (vectors / known) @ vectors.T
-    rows = np.sqrt(found.weights * variances)[:, None] * found.jacobian * scales
-    middle = rows.T @ rows + priors + held + (vectors * (known - values)) @ vectors.T
+    middle = _information(found, variances) + held + (vectors * (known - values)) @ vectors.T
     return np.asarray(scales * np.sqrt(np.diag(inverse @ middle @ inverse)))
 
 

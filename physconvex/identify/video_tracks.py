@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from physconvex.camera import Camera
 from physconvex.errors import InputError
-from physconvex.identify.raster import Hits, cast_camera_rays, cast_rays
+from physconvex.identify.raster import Hits, cast_camera_rays, cast_rays, unit_normals
 
 __all__ = ["FollowOptions", "Seeds", "appearance_map", "follow", "follow_from_model", "seed_points"]
 
@@ -91,9 +91,7 @@ def seed_points(
     pixels = corners.reshape(-1, 2).astype(np.float64) + 0.5  # OpenCV counts pixel centres
     origin, directions = camera.rays(pixels)
     struck = cast_rays(origin, directions, vertices, triangles)
-    corner = vertices[triangles[np.maximum(struck.faces, 0)]]
-    normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    normals = unit_normals(vertices, triangles[np.maximum(struck.faces, 0)])
     kept = (struck.faces >= 0) & (np.abs((normals * directions).sum(-1)) > options.grazing)
     return Seeds(pixels[kept], struck.on(vertices, triangles)[kept])
 

@@ -55,9 +55,9 @@ def observed(scene, images=None, **options):
     camera, vertices, triangles, own = scene
     images = own if images is None else images
     seeds = colour_seeds(camera, images[0], vertices, triangles, count=150)
-    steps = np.arange(FRAMES)[:, None, None] * SHIFT
-    visible = seen_by(camera, vertices + steps, triangles, seeds.points + steps, seeds.faces)
-    return ColourObservations(camera, seeds.points, blurred(images, 1.2), visible, **options)
+    points, steps = seeds.on(vertices, triangles), np.arange(FRAMES)[:, None, None] * SHIFT
+    visible = seen_by(camera, vertices + steps, triangles, points + steps, seeds.faces)
+    return ColourObservations(camera, points, blurred(images, 1.2), visible, **options)
 
 
 def unknowns(*values):

@@ -16,6 +16,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from physconvex.gap.location.where import Where
 from physconvex.gap.page.findings import GapFindings
+from physconvex.identify.raster import unit_normals
 
 __all__ = [
     "body_map", "budget", "confusion", "forest", "image_series", "parameter_arrows", "png_of", "shrinkage_bars",
@@ -129,9 +130,7 @@ def body_map(where: Where) -> Figure:
         panels.append(axes)
         triangles = where.vertices[where.faces]
         face = colours[where.faces].mean(1)
-        normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-        light = 0.65 + 0.35 * np.abs(normals @ np.array([0.3, 0.5, 0.81]))
+        light = 0.65 + 0.35 * np.abs(unit_normals(where.vertices, where.faces) @ np.array([0.3, 0.5, 0.81]))
         face = np.concatenate([face[:, :3] * light[:, None], face[:, 3:]], axis=1)
         axes.add_collection3d(Poly3DCollection(triangles, facecolors=face, linewidths=0))
         axes.auto_scale_xyz(*np.stack([low, high], axis=1))
