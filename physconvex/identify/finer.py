@@ -5,13 +5,15 @@
 fitted from p₀ and again from where that ends, with the derivatives at p₀. The time step is extrapolated (BDF2 is of
 second order). The mesh is, by a = 0.42 or the order 1.75, where all edges are halved and nothing is struck: corners of
 a clamp make the order lower than the third of smooth displacements. What is left is taken as a third of the step's
-difference and half of the mesh's; where a is added, 0.3, since the difference does not shrink by one number everywhere.
+difference and half of the mesh's; where a is added, 0.3, since the difference does not shrink by one number everywhere,
+but 0.12 of what it does to the modulus: coarse elements are too stiff everywhere, which one number follows well.
 Its effect on a parameter is Σ_t g_t with g_t the first-order shift by frame t; as the error of one frame says little of
 the next one's after an impact, √Σ g_t² is taken where it is larger.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,14 +42,20 @@ _LINEAR_OPTIONS = replace(FULL_OPTIONS, max_iterations=30)  # a straight line co
 
 @dataclass(frozen=True)
 class _Share:
-    """Of the mesh's difference: what is added beyond the finer mesh, and what counts as left."""
+    """Of the mesh's difference: what is added beyond the finer mesh, what counts as left; the latter for log10 E."""
 
     added: float
     left: float
+    left_of_modulus: float
+
+    def left_of(self, parameters: Sequence[Parameter]) -> np.ndarray:
+        """What counts as left of the effect on each parameter, shape [K]."""
+        return np.array([self.left_of_modulus if p.name == "log10_youngs_modulus" else self.left for p in parameters])
 
 
-# bars of quadratic elements, halved twice, leave .37 to .54 of a halving's difference (benchmarks/mesh_order.py)
-_HALVED, _OTHERWISE = _Share(0.42, 0.3), _Share(0.0, 0.5)
+# bars of quadratic elements, halved twice, leave .37 to .54 of a halving's difference (benchmarks/mesh_order.py): of
+# the modulus at most .54 − .42 is left
+_HALVED, _OTHERWISE = _Share(0.42, 0.3, 0.12), _Share(0.0, 0.5, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +121,8 @@ def fit_finer(
             break
     assert there is not None
     left = np.hypot(
-        there.share.left * there.effect(last, there.by_mesh), _STEP_LEFT * there.effect(last, there.by_step)
+        there.share.left_of(last.parameters) * there.effect(last, there.by_mesh),
+        _STEP_LEFT * there.effect(last, there.by_step),
     )
     return FinerFit(last, left, there.errors, runs_away)
 

@@ -88,6 +88,9 @@ def test_what_a_finer_mesh_adds_removes_most_of_the_error_and_states_what_is_lef
     assert errors[0][0] > 0.03 and errors[1][0] < 0.1 * errors[0][0]
     noise = np.sqrt(np.diag(noise_covariance(after.fit)))
     assert (after.left > 0).all() and (errors[1] < 2.5 * np.hypot(noise, after.left)).all()
+    assert after.left[0] < 0.15 * abs(
+        after.fit.values[0] - before.values[0]
+    )  # one number tells what the modulus errs by
     assert after.frame_errors[0] < after.frame_errors[-1]
 
 
@@ -105,7 +108,7 @@ def test_differences_that_move_the_values_further_at_every_turn_are_told(bar, fi
         wanted = ahead if len(taken) <= runs else 0.0  # by this the finer model asks for more each time
         return SimpleNamespace(
             anchor=values, finest=seen.positions - np.tensordot(wanted * steps, tangents, ([0], [1])), beyond=0.0,
-            tangents=tangents, weighted=seen, errors=np.zeros(FRAMES), share=SimpleNamespace(left=0.5),
+            tangents=tangents, weighted=seen, errors=np.zeros(FRAMES), share=finer._OTHERWISE,
             by_mesh=None, by_step=None, effect=lambda last, difference: np.zeros(2),
         )  # fmt: skip
 
