@@ -50,8 +50,8 @@ class ColourSearch:
         try:
             for blur in BLURS:
                 kept, found = self._fitted(problem, found, blur)
-            if self.options.own_derivatives and colours_lost(kept, found) > _LOST:
-                kept, found = self._elsewhere(problem, kept, found)
+            if self.options.own_derivatives and (lost := colours_lost(kept, found)) > _LOST:
+                kept, found = self._elsewhere(problem, kept, found, lost)
         except ConvergenceError as error:
             self.warnings.append(f"Colours were not compared, or not again: the model failed ({error}).")
         return kept, found
@@ -67,7 +67,7 @@ class ColourSearch:
 
         return trial, fit_of(self.stages.run(f"colours_{blur:g}{name}", compute), problem.parameters)
 
-    def _elsewhere(self, problem: Problem, kept: Problem, found: Fit) -> tuple[Problem, Fit]:
+    def _elsewhere(self, problem: Problem, kept: Problem, found: Fit, lost: float) -> tuple[Problem, Fit]:
         """The fit from the material about that widely blurred colours like best, if it follows the body better."""
         values = materials_about(problem, found)
 
@@ -81,8 +81,7 @@ class ColourSearch:
         there, moved = kept, replace(found, values=values[best])
         for blur in (WIDE, *BLURS):
             there, moved = self._fitted(problem, moved, blur, "_elsewhere")
-        better = colours_lost(there, moved) < colours_lost(kept, found)
-        return (there, moved) if better else (kept, found)
+        return (there, moved) if colours_lost(there, moved) < lost else (kept, found)
 
     def _coloured(self, problem: Problem, found: Fit, blur: float) -> Observed:
         model: FullModel | ReducedModel = problem.full(self.memory) if self.options.correction else problem.reduced()

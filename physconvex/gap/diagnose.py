@@ -37,7 +37,8 @@ from physconvex.gap.page.findings import Provenance
 from physconvex.gap.page.report import GapReport
 from physconvex.gap.search.comparison import Hypothesis, base_hypothesis, fit_effects
 from physconvex.gap.search.mapping import as_reduced
-from physconvex.gap.search.selection import FAILURES, select_effects
+from physconvex.gap.search.selection import select_effects
+from physconvex.gap.search.state import FAILURES
 from physconvex.gap.shrinkage.held_out_views import held_out_views
 from physconvex.gap.shrinkage.how_far import HowFar, gap_squares, shrinkage_on
 from physconvex.gap.shrinkage.second_take import second_take_shrinkage

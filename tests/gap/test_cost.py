@@ -11,7 +11,8 @@ from physconvex.gap.base.cost import Cost, OutOfBudget, newton_step
 from physconvex.gap.base.model import SecantModel
 from physconvex.gap.effects.scenes import with_material
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.selection import Selection, _decided
+from physconvex.gap.search import decision
+from physconvex.gap.search.state import Selection
 from physconvex.inelastic import StandardLinearSolid
 
 
@@ -82,7 +83,6 @@ def test_the_clock_ends_what_the_count_does_not():
 def test_nothing_that_was_found_is_lost_when_time_is_up(monkeypatch, full_order, expected):
     """The first finalist is run by the full-order model all the same; where that fails, the fit counts as it is."""
     from physconvex.errors import ConvergenceError
-    from physconvex.gap.search import selection
 
     def hypothesis(label):
         return SimpleNamespace(label=label, effects=() if label == "base" else (1,), motion=object())
@@ -92,11 +92,11 @@ def test_nothing_that_was_found_is_lost_when_time_is_up(monkeypatch, full_order,
             raise ConvergenceError("no")
         return hypothesis(f"{found.label} by the full model")
 
-    monkeypatch.setattr(selection, "confirmed", confirmed)
-    monkeypatch.setattr(selection, "base_hypothesis", lambda *_: hypothesis("base"))
-    monkeypatch.setattr(selection, "judged", lambda base, errors, hypotheses: list(hypotheses))
-    monkeypatch.setattr(selection, "improved", lambda *_: None)
+    monkeypatch.setattr(decision, "confirmed", confirmed)
+    monkeypatch.setattr(decision, "base_hypothesis", lambda *_: hypothesis("base"))
+    monkeypatch.setattr(decision, "judged", lambda base, errors, hypotheses: list(hypotheses))
+    monkeypatch.setattr(decision, "improved", lambda *_: None)
     cost = Cost(deadline=10.0, begun=-1e9)
     base = SimpleNamespace(model=SimpleNamespace(cost=cost), situation=SimpleNamespace(clamped=False))
-    found = _decided(base, None, [hypothesis("a"), hypothesis("b")], GapOptions(), lambda _: None)
+    found = decision.decided(base, None, [hypothesis("a"), hypothesis("b")], GapOptions(), lambda _: None)
     assert [h.label for h in found] == expected

@@ -10,7 +10,7 @@ from physconvex.gap.base.independence import temperature
 from physconvex.gap.errors.numerics import detail_errors
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.search.comparison import Hypothesis
-from physconvex.gap.search.selection import evidence_of_anything
+from physconvex.gap.search.ranking import evidence_of_anything
 
 FRAMES, COLUMNS = 40, 9
 

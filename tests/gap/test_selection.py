@@ -11,8 +11,8 @@ from physconvex.gap.base.cost import Cost
 from physconvex.gap.errors.score import Score
 from physconvex.gap.errors.screening import Screened, Screening, best_pairs
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search import selection
-from physconvex.gap.search.selection import _finalists
+from physconvex.gap.search import decision, rounds, state
+from physconvex.gap.search.ranking import finalists
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 
@@ -64,14 +64,14 @@ def fitted(evidence, *labels):
 
 def test_the_best_single_effects_are_carried_over():
     found = [fitted(0), fitted(9, "a", "b"), fitted(8, "a", "c"), fitted(5, "a"), fitted(4, "a"), fitted(3, "c")]
-    chosen = _finalists(found, 2)
+    chosen = finalists(found, 2)
     assert [h.names for h in chosen] == [("a", "b"), ("a", "c"), ("a",), ("c",)] and chosen[2].evidence == 5
 
 
 def test_a_form_that_is_as_likely_is_carried_over():
     found = [fitted(9.0, "a (x)", "b"), fitted(8.7, "a (y)", "b"), fitted(8.6, "a (y)", "b"), fitted(6.0, "a (z)", "b")]
-    assert [h.evidence for h in _finalists(found, 4, tied=1.0)] == [9.0, 8.7]
-    assert [h.evidence for h in _finalists(found, 4)] == [9.0]
+    assert [h.evidence for h in finalists(found, 4, tied=1.0)] == [9.0, 8.7]
+    assert [h.evidence for h in finalists(found, 4)] == [9.0]
 
 
 def test_full_order_fits_go_on_as_long_as_they_help(monkeypatch):
@@ -81,13 +81,13 @@ def test_full_order_fits_go_on_as_long_as_they_help(monkeypatch):
     def fit(name):
         return SimpleNamespace(effects=(name,), motion=object(), fitted=left[name].pop(0), label=name)
 
-    monkeypatch.setattr(selection, "confirmed", lambda base, errors, found: found)
-    monkeypatch.setattr(selection, "improved", lambda base, errors, found, options: fit(found.label))
-    monkeypatch.setattr(selection, "judged", lambda base, errors, found: sorted(found, key=lambda h: h.fitted))
+    monkeypatch.setattr(decision, "confirmed", lambda base, errors, found: found)
+    monkeypatch.setattr(decision, "improved", lambda base, errors, found, options: fit(found.label))
+    monkeypatch.setattr(decision, "judged", lambda base, errors, found: sorted(found, key=lambda h: h.fitted))
     plain = SimpleNamespace(effects=(), motion=object(), fitted=9.0, label="base model")
-    monkeypatch.setattr(selection, "base_hypothesis", lambda base, errors: plain)
+    monkeypatch.setattr(decision, "base_hypothesis", lambda base, errors: plain)
     base = SimpleNamespace(model=SimpleNamespace(cost=Cost()), situation=SimpleNamespace(clamped=True))
-    found = selection._decided(base, None, [fit("load"), fit("clock")], GapOptions(), lambda text: None)
+    found = decision.decided(base, None, [fit("load"), fit("clock")], GapOptions(), lambda text: None)
     assert {h.label: h.fitted for h in found} == {"base model": 9.0, "load": 1.49, "clock": 2.99}
 
 
@@ -101,27 +101,27 @@ def test_what_is_left_of_a_fit_is_screened_with_the_reduced_model_made_anew_ther
         assert (model, values, motion) == (point.model, "values", point.motion)
         return SimpleNamespace(tempered=lambda divisor: SimpleNamespace(effects=("spin",), motion=motion, left=divisor))
 
-    monkeypatch.setattr(selection, "confirmed", lambda base, errors, found: full)
-    monkeypatch.setattr(selection, "improved", lambda base, errors, here, options: None)
-    monkeypatch.setattr(selection, "continued", lambda base, here: here)
-    monkeypatch.setattr(selection, "as_reduced", lambda base: point)
-    monkeypatch.setattr(selection, "hypothesis_at", at)
+    monkeypatch.setattr(rounds, "confirmed", lambda base, errors, found: full)
+    monkeypatch.setattr(rounds, "improved", lambda base, errors, here, options: None)
+    monkeypatch.setattr(rounds, "continued", lambda base, here: here)
+    monkeypatch.setattr(rounds, "as_reduced", lambda base: point)
+    monkeypatch.setattr(rounds, "hypothesis_at", at)
     free = SimpleNamespace(model=SimpleNamespace(cost=Cost()), situation=SimpleNamespace(clamped=False))
-    search = selection.Selection(free, free, None, GapOptions(), lambda text: None, found=[stem])
-    found = selection._in_full(search, stem)
+    search = state.Selection(free, free, None, GapOptions(), lambda text: None, found=[stem])
+    found = rounds._in_full(search, stem)
     assert found.motion == "of it" and found.left == 2.0 and search.found == [found]
 
     def fails(*arguments):
         raise ConvergenceError("at step 3")
 
-    monkeypatch.setattr(selection, "confirmed", fails)
-    assert selection._in_full(search, stem) is stem and search.found == [found]
+    monkeypatch.setattr(rounds, "confirmed", fails)
+    assert rounds._in_full(search, stem) is stem and search.found == [found]
 
 
 def test_a_further_effect_is_looked_for_where_something_is_left_and_there_is_room_and_time():
     cost = Cost()
     base = SimpleNamespace(model=SimpleNamespace(cost=cost), situation=SimpleNamespace(clamped=False))
-    search = selection.Selection(base, base, None, GapOptions(most_effects=2), lambda text: None)
+    search = state.Selection(base, base, None, GapOptions(most_effects=2), lambda text: None)
 
     def one(left, *effects, fitted=2.0, selecting=2.0):
         return SimpleNamespace(effects=effects, left_to_explain=left, fitted=fitted, selecting=selecting)
@@ -143,7 +143,7 @@ def test_a_search_that_the_clock_ends_says_whether_all_single_effects_were_tried
         fits = []
         cost = Cost(deadline=10.0)
         model = SimpleNamespace(cost=cost)
-        search = selection.Selection(None, SimpleNamespace(model=model), None, GapOptions(), lambda text: None)
+        search = state.Selection(None, SimpleNamespace(model=model), None, GapOptions(), lambda text: None)
 
         def fit(base, errors, chosen, options, *, starts):
             fits.append(chosen)
@@ -151,9 +151,9 @@ def test_a_search_that_the_clock_ends_says_whether_all_single_effects_were_tried
                 cost.begun = -1e9
             return SimpleNamespace(positions=np.zeros(1))
 
-        monkeypatch.setattr(selection, "fit_effects", fit)
+        monkeypatch.setattr(state, "fit_effects", fit)
         search.found.append(None)
-        selection._alone(search, screening.ranked)
+        rounds.alone(search, screening.ranked)
         assert len(fits) == min(clock, 3)
         return cost
 

@@ -13,7 +13,7 @@ from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.judgement.flight import gain_in_flight
 from physconvex.gap.search.comparison import Hypothesis, base_hypothesis
 from physconvex.gap.search.evidence import mean_square
-from physconvex.gap.search.selection import evidence_of_anything
+from physconvex.gap.search.ranking import evidence_of_anything
 from physconvex.gap.shrinkage.how_far import HowFar
 
 __all__ = ["Measured", "measure", "relative_gap"]

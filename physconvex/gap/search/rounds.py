@@ -1,0 +1,201 @@
+"""The rounds of a search: which effects are fitted next, from where."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from physconvex.gap.base.baseline import Baseline
+from physconvex.gap.base.model import EffectModel, reduced_like
+from physconvex.gap.effects import Effect, applicable
+from physconvex.gap.errors.numerics import Numerics
+from physconvex.gap.errors.screening import Pair, Screened, Screening, best_pairs, screen
+from physconvex.gap.search.anchoring import early_point
+from physconvex.gap.search.comparison import Hypothesis, continued, hypothesis_at, refit
+from physconvex.gap.search.loads import loaded_starts
+from physconvex.gap.search.mapping import as_reduced, confirmed, improved
+from physconvex.gap.search.ranking import finalists
+from physconvex.gap.search.state import FAILURES, Selection
+
+__all__ = [
+    "TIED",
+    "alone",
+    "beside_in_first_frames",
+    "from_first_frames",
+    "from_there",
+    "leave_out",
+    "load_beside",
+    "one_more",
+    "plausible_pairs",
+    "polish",
+    "together",
+]
+
+TIED = 1.0  # difference of evidence that hardly tells two forms of an effect apart
+_PAIRS, _ADDED, _EARLY = 4, 3, 4  # fits: two effects at once, in each further round, from the first frames
+_POLISHED = 3  # fits with derivatives taken anew
+_MANY = 40  # pairs that are ranked
+_WORTH = 4.0  # gain of evidence for which the search goes on
+
+
+def alone(search: Selection, screened: Iterable[Screened]) -> None:
+    """Each by itself; a search that the clock ends here has not seen what the recording asks for."""
+    cost = search.base.model.cost
+    for entry in screened:
+        cost.hurried |= cost.out_of_time
+        search.fit([entry])
+
+
+def from_there(search: Selection, full: Baseline, effects: tuple[Effect, ...], values: np.ndarray) -> None:
+    """Fit effects from values at which they were found together with E."""
+    count = int(search.base.split.fitted[-1]) + 1
+
+    def run() -> Hypothesis:
+        model = replace(full.model, effects=effects)
+        cheap, motion = reduced_like(model, model.motion(values), values)
+        tangents = replace(cheap, frames=count).tangents(values, motion.first(count))
+        return refit(search.base, search.errors, cheap, values, tangents, search.options)
+
+    search.attempt(" + ".join(effect.label for effect in effects) + ", from a scan", run)
+
+
+def load_beside(search: Selection, dictionary: tuple[Effect, ...]) -> None:
+    """A load at the end of a held body beside the best effects: E has to move with it, so that no dose alone helps."""
+    best = search.best
+    if not search.base.situation.clamped or not best.effects or "attached_mass" in best.names:
+        return
+    if search.wanting(best):
+        point = continued(search.base, best)
+        for effects, values in loaded_starts(point, search.errors, applicable(dictionary, point.situation)):
+            if len(effects) <= search.options.most_effects:
+                from_there(search, search.base, effects, values)
+
+
+def together(search: Selection, screening: Screening) -> None:
+    """Pairs that explain much more than the better of the two, where single effects leave something."""
+    if not search.open(search.best):
+        return
+    for pair in plausible_pairs(screening, search.independent, held=search.base.situation.clamped)[:_PAIRS]:
+        search.fit([pair.first, pair.second])
+
+
+def plausible_pairs(screening: Screening, independent: float, *, held: bool) -> list[Pair]:
+    """Pairs by what they explain of so many independent residuals, less what is implausible of their doses.
+
+    Of a held body, half of them have damping: nothing rings for ever, so that another effect adds to it in any
+    recording, and may not show before it is there.
+    """
+    pairs = best_pairs(screening, _MANY)
+
+    def worth(pair: Pair) -> float:
+        left = max(1.0 - pair.statistic / max(screening.lack_of_fit, 1e-300), 1e-3)
+        both = (pair.first, pair.second)
+        odd = sum(d.implausibility(v) for e in both for d, v in zip(e.effect.doses, e.doses, strict=True))
+        return -0.5 * independent * float(np.log(left)) - odd
+
+    if not held:
+        return pairs
+    ranked = sorted(pairs, key=lambda pair: -worth(pair))
+    damped = [p for p in ranked if "damping" in (p.first.effect.name, p.second.effect.name)][: _PAIRS // 2]
+    return [*damped, *(p for p in ranked if p not in damped)]
+
+
+def from_first_frames(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
+    """Screen and fit again from where the first frames alone put the base model, if that is elsewhere."""
+    if search.open(search.best) and not search.late:
+        _early(search, search.base, numerics, dictionary)
+
+
+def beside_in_first_frames(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
+    """The same beside the best effects, where these leave something or part from the recording after the fitted frames.
+
+    Over all fitted frames E absorbs a second effect as it does a first one; what that does comes out later.
+    """
+    best = search.best
+    if best.effects and search.wanting(best):
+        _early(search, continued(search.base, best), numerics, dictionary)
+        polish(search)
+
+
+def _early(search: Selection, base: Baseline, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
+    """Fits from the first frames of a baseline."""
+    point = early_point(base, search.errors, search.options, search.report)
+    if point is not None and not search.base.model.cost.over:
+        screening = screen(point, search.errors, numerics, dictionary, search.report)
+        for entry in screening.one_per_name[:_EARLY]:
+            search.fit([entry], starts=point)
+
+
+def one_more(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...], stems: int) -> bool:
+    """Screen at the best fits, add one effect to each; tells whether that was worth it."""
+    found = [_in_full(search, stem) for stem in finalists(search.ranked, stems)[:stems] if search.wanting(stem)]
+    before = search.best
+    for stem in filter(search.wanting, found):
+        point = continued(search.base, stem)
+        screening = screen(point, search.errors, numerics, dictionary, search.report)
+        for entry in screening.one_per_name[:_ADDED]:
+            search.fit([entry], starts=point)
+    polish(search)
+    ranked = search.ranked
+    again = [h.evidence for h in ranked if h.motion is before.motion]  # by what the best fit leaves now
+    return not again or ranked[0].evidence > again[0] + _WORTH
+
+
+def _in_full(search: Selection, stem: Hypothesis) -> Hypothesis:
+    """A fit in which the reduced model says what the full-order one does there, which is fitted a little further.
+
+    What the two differ by at the base fit is soon out of date where an effect is strong: of a body that is thrown with
+    another spin, the reduced model's own error hid all that a damping left.
+    """
+    if search.base.situation.clamped or not stem.effects:
+        return stem
+    search.report(f"full-order fit: {stem.label}")
+    try:
+        here = confirmed(search.full, search.errors, stem)
+        here = improved(search.full, search.errors, here, search.options) or here
+        point = as_reduced(continued(search.full, here))
+    except FAILURES as error:
+        search.report(f"full-order fit: {stem.label}: {error}")
+        return stem
+    found = hypothesis_at(
+        search.base, search.errors, point.model, here.values, here.errors, point.motion, here.tangents
+    ).tempered(stem.divisor)
+    search.found = [*(h for h in search.found if h.motion is not stem.motion), found]
+    return found
+
+
+def polish(search: Selection) -> None:
+    """Fit the best ones again, with derivatives taken where they are now."""
+    for hypothesis in finalists(search.ranked, _POLISHED, tied=TIED)[:_POLISHED]:
+        if id(hypothesis.motion) in search.polished or search.late:
+            continue
+        count = int(search.base.split.fitted[-1]) + 1
+        shorter = replace(hypothesis.model, frames=count)
+
+        def again(h: Hypothesis = hypothesis, model: EffectModel = shorter, count: int = count) -> Hypothesis:
+            tangents = model.tangents(h.values, h.motion.first(count))
+            return refit(search.base, search.errors, h.model, h.values, tangents, search.options)
+
+        found = search.attempt(f"{hypothesis.label}, again", again)
+        search.polished |= {id(hypothesis.motion)} | ({id(found.motion)} if found is not None else set())
+
+
+def leave_out(search: Selection) -> None:
+    """Fit the best combination without each of its effects, so that parsimony has a say."""
+    best = search.best
+    if len(best.effects) < 2:
+        return
+    for index, effect in enumerate(best.effects):
+        rest = tuple(e for e in best.effects if e is not effect)
+        if any(set(h.effects) == set(rest) for h in search.found):
+            continue
+        where = best.model.slices[index]
+        keep = np.r_[0 : where.start, where.stop : len(best.values)]
+        model = replace(best.model, effects=rest)
+        values, tangents = best.values[keep], best.tangents[:, keep]
+        search.attempt(
+            " + ".join(e.label for e in rest),
+            lambda m=model, v=values, t=tangents: refit(search.base, search.errors, m, v, t, search.options),  # type: ignore[misc]
+        )
