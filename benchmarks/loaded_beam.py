@@ -1,6 +1,6 @@
 """E and damping of the measured silicone beam from its motion with a known load hung on (Dubied et al. 2022).
 
-python benchmarks/loaded_beam.py
+PYTHONPATH=. python benchmarks/loaded_beam.py
 
 The recording of `silicone_beam.py`'s beam with 1.00062 N (102 g) on the top edge of its free end. The load is given
 here; how slack the string was that it hung by when the beam was let go is not known: for 60 ms the tip falls as that
@@ -171,7 +171,7 @@ def main() -> None:
         fits = {offset: fits_of(Path(folder) / f"beam_{offset:+g}", offset) for offset in OFFSETS_MS}
     best = min(OFFSETS_MS, key=lambda offset: fits[offset][-1].misfit)
     result = {
-        "command": "python benchmarks/loaded_beam.py",
+        "command": "PYTHONPATH=. python benchmarks/loaded_beam.py",
         "authors": AUTHORS,
         "poisson_ratio": RATIO,
         "load_kg": MASS,

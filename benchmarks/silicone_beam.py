@@ -1,6 +1,6 @@
 """E and damping of the measured silicone beam (Dubied et al. 2022), from its free oscillation and from its sag.
 
-python benchmarks/silicone_beam.py
+PYTHONPATH=. python benchmarks/silicone_beam.py
 
 Builds a capture folder from the recording under its own weight (six-marker motion capture, tests/data), refines it, and
 compares with the authors' constants, which were themselves fitted to recordings of this beam. What the recording does
@@ -125,7 +125,7 @@ def main() -> None:
         print(ratio, found.youngs_modulus, found.reduced_chi_square, flush=True)
     statics = [asdict(static_fit(name, load, 0.495)) for name, load in (("gravity", 0.0), ("load101", LOAD))]
     result = {
-        "command": shlex.join(["python", "benchmarks/silicone_beam.py", *arguments_of(arguments)]),
+        "command": "PYTHONPATH=. " + shlex.join(["python", "benchmarks/silicone_beam.py", *arguments_of(arguments)]),
         "authors": AUTHORS,
         "held_zero_scatter_mm": 1e3 * held_zero_scatter(),
         "release_offsets_ms": misfits,
