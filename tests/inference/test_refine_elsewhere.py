@@ -84,9 +84,7 @@ def test_colours_are_lost_where_they_lie_elsewhere_after_the_contact(moved):
 @pytest.mark.parametrize(("best", "after"), [(0, None), (2, 1.5), (2, 40.0)])
 def test_the_material_that_wide_colours_like_best_is_kept_where_it_follows_the_body_better(best, after, monkeypatch):
     monkeypatch.setattr(colour_search, "materials_about", lambda problem, found: ["here", "there", "best"])
-    monkeypatch.setattr(
-        colour_search, "colours_lost", lambda problem, found: {"first": 20.0, "again": after}[found.name]
-    )
+    monkeypatch.setattr(colour_search, "colours_lost", lambda problem, found: {"again": after}[found.name])
     monkeypatch.setattr(colour_search, "replace", lambda fit, values: SimpleNamespace(name="moved", values=values))
     fitted = []
     misfits = np.where(np.arange(3) == best, 1.0, 5.0)
@@ -98,7 +96,7 @@ def test_the_material_that_wide_colours_like_best_is_kept_where_it_follows_the_b
 
     monkeypatch.setattr(ColourSearch, "_fitted", fit_to)
     search, first = ColourSearch(None, None, stages, None, [], None), SimpleNamespace(name="first")
-    kept, found = search._elsewhere("problem", "kept", first)
+    kept, found = search._elsewhere("problem", "kept", first, lost=20.0)
     if best == 0:
         assert (kept, found) == ("kept", first) and not fitted
         return
