@@ -154,7 +154,7 @@ def _print(found: Any, out: Path) -> None:
     for column in ("parameter", "value", "90 % interval", "noise σ", "model error"):
         table.add_column(column, justify="left" if column == "parameter" else "right")
     for e in found.estimates:
-        interval = "at its bound" if e.interval is None else f"{e.interval[0]:.5g} … {e.interval[1]:.5g}"
+        interval = "none" if e.interval is None else f"{e.interval[0]:.5g} … {e.interval[1]:.5g}"
         unit = unit_of(e.name)
         name = e.name if unit == "1" else f"{e.name} \\[{unit}]"
         table.add_row(name, f"{e.value:.5g}", interval, f"{e.noise_sigma:.2g}", f"{e.model_error:.2g}")

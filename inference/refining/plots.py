@@ -73,7 +73,7 @@ def _draw_estimates(axis, found: Refinement) -> None:  # type: ignore[no-untyped
     axis.axis("off")
     lines = [f"E = {found.youngs_modulus:.4g} Pa", f"ν = {found.poisson_ratio:.4f}", ""]
     for e in found.estimates:
-        interval = "at its bound" if e.interval is None else f"[{e.interval[0]:.4g}, {e.interval[1]:.4g}]"
+        interval = "none" if e.interval is None else f"[{e.interval[0]:.4g}, {e.interval[1]:.4g}]"
         lines.append(f"{e.name} = {e.value:.5g}   90 %: {interval}")
     lines += ["", f"χ² per degree of freedom {found.reduced_chi_square:.3g}", *found.identifiability.sentences]
     axis.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=8, transform=axis.transAxes, wrap=True)

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,9 @@ from typer.testing import CliRunner
 
 import physconvex
 from inference.refining import RefineOptions, refine
+from inference.refining.command import _print
 from inference.refining.estimates import estimates_of
+from inference.refining.result import Estimate
 from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
 from physconvex.errors import InputError
 from physconvex.fem import TetMesh, box_mesh
@@ -96,6 +99,17 @@ def test_no_interval_where_the_model_does_not_follow(folder, tmp_path):
     told = json.loads(result.stdout)
     assert any("does not follow" in sentence and "No interval" in sentence for sentence in told["warnings"])
     assert all(parameter["interval_90"] is None for parameter in told["parameters"].values())
+
+
+def test_a_missing_interval_is_not_blamed_on_a_bound(tmp_path, capsys):
+    """The silicone beam, which is not followed to its stated noise, was said to have E at its bound."""
+    told = SimpleNamespace(sentences=["The model does not follow 3 markers."])
+    estimate = Estimate("log10_youngs_modulus", 5.47, 0.0035, 0.0025, None, 3.0, 8.0, None)
+    _print(SimpleNamespace(
+        estimates=[estimate], youngs_modulus=10**5.47, poisson_ratio=0.49, identifiability=told, warnings=[]
+    ), tmp_path)  # fmt: skip
+    shown = capsys.readouterr().out
+    assert "none" in shown and "bound" not in shown and told.sentences[0] in shown
 
 
 def test_the_files_hold_what_they_say(alone, folder):
