@@ -20,10 +20,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from silicone_beam import AUTHORS, CELLS, HELD, OFFSETS_MS
 
 from docs.figures.fem_cases.beam_capture import SIGMA, beam_capture
 from docs.figures.fem_cases.beams import edge_load
 from docs.figures.fem_cases.measured import GRAVITY, LOAD
+from inference.refining.result import interval_of
 from physconvex.fem import HangingLoad, Scene
 from physconvex.identify import (
     Fit,
@@ -40,16 +42,12 @@ from physconvex.identify import (
 )
 
 RESULT = Path(__file__).parent / "results" / "loaded_beam.json"
-AUTHORS = {"youngs_modulus": 263824.0, "poisson_ratio": 0.499}
-FRAMES, OBSERVED, CELLS = 60, 40, (8, 2, 2)
-OFFSETS_MS = (-5.0, -2.5, 0.0)  # instants of release, as in silicone_beam.py
+FRAMES, OBSERVED = 60, 40
 RATIO = 0.45
 MASS = float(LOAD / np.linalg.norm(GRAVITY))  # kg
 SLACKS_MM = (0.0, 4.0, 8.0, 12.0, 16.0, 20.0)
-PRIOR = {"initial_position_z": (0.015, 1.5e-3)}  # as in silicone_beam.py
 START = {"log10_youngs_modulus": 5.42, "damping_time": 5e-3}
 OPTIONS = FitOptions(max_iterations=10, max_step=1.5, absolute_tolerance=0.02)
-NORMAL_90 = 1.6449
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +80,7 @@ class LoadedFit:
         misfit: half the weighted squares.
         youngs_modulus, youngs_modulus_90: [Pa], and its 90 % interval for this slack.
         damping_time_ms, damping_time_90: and its 90 % interval.
-        height_mm: of the beam's bottom over the middle of the frame's origin, as it was held.
+        height_mm: of the middle of the beam, as it was held.
         rms_mm, future_rms_mm: of the markers in the fitted frames and in those that follow.
         converged: whether the search settled.
     """
@@ -102,7 +100,7 @@ class LoadedFit:
 def fitted(twin: Twin, seen: MarkerObservations, slack: float, start: dict[str, float]) -> Fit:
     """The fit for one slack [m]."""
     free = default_parameters(
-        twin, damping=True, free=("initial_position_z",), fixed=("poisson_ratio",), priors=PRIOR
+        twin, damping=True, free=tuple(HELD), fixed=("poisson_ratio",), priors=HELD
     )  # fmt: skip
     begun = [p.at(start.get(p.name, p.start)) for p in free]
     model = LoadedModel(twin, tuple(p.name for p in free), seen.points, OBSERVED, slack=slack)
@@ -111,21 +109,23 @@ def fitted(twin: Twin, seen: MarkerObservations, slack: float, start: dict[str, 
 
 def row_of(twin: Twin, found: Fit, slack: float, tracks: np.ndarray, seen: MarkerObservations) -> LoadedFit:
     """The fit as it is stored."""
-    names = [p.name for p in found.parameters]
-    by_name = dict(zip(names, found.values, strict=True))
-    spread = dict(zip(names, NORMAL_90 * clustered_deviations(found, np.asarray(seen.frames)), strict=True))
-    modulus, damping = (float(by_name[name]) for name in ("log10_youngs_modulus", "damping_time"))
-    model = LoadedModel(twin, tuple(names), seen.points, FRAMES, slack=slack)
+    names = tuple(p.name for p in found.parameters)
+    deviations = clustered_deviations(found, np.asarray(seen.frames))
+    pairs = {name: (float(v), float(s)) for name, v, s in zip(names, found.values, deviations, strict=True)}
+    (modulus, _), (damping, _) = pairs["log10_youngs_modulus"], pairs["damping_time"]
+    softest, stiffest = interval_of(*pairs["log10_youngs_modulus"], -np.inf, np.inf)
+    least, most = interval_of(*pairs["damping_time"], -np.inf, np.inf)
+    model = LoadedModel(twin, names, seen.points, FRAMES, slack=slack)
     distance = np.square(model.positions(found.values) - tracks).sum(-1)
     observed, future = (1e3 * float(np.sqrt(d.mean())) for d in (distance[:OBSERVED], distance[OBSERVED:]))
     return LoadedFit(
         slack_mm=1e3 * slack,
         misfit=found.misfit,
-        youngs_modulus=float(10**modulus),
-        youngs_modulus_90=tuple(float(10 ** (modulus + s * spread["log10_youngs_modulus"])) for s in (-1, 1)),  # type: ignore[arg-type]
+        youngs_modulus=10**modulus,
+        youngs_modulus_90=(10**softest, 10**stiffest),
         damping_time_ms=1e3 * damping,
-        damping_time_90=tuple(1e3 * (damping + s * float(spread["damping_time"])) for s in (-1, 1)),  # type: ignore[arg-type]
-        height_mm=1e3 * float(by_name["initial_position_z"]),
+        damping_time_90=(1e3 * least, 1e3 * most),
+        height_mm=1e3 * pairs["initial_position_z"][0],
         rms_mm=observed,
         future_rms_mm=future,
         converged=found.converged,

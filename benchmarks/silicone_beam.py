@@ -35,7 +35,9 @@ from physconvex.fem import ElasticBody
 
 RESULT = Path(__file__).parent / "results" / "silicone_beam.json"
 AUTHORS = {"youngs_modulus": 263824.0, "poisson_ratio": 0.499}
-FRAMES, OBSERVED = 40, 20
+FRAMES, OBSERVED, CELLS = 40, 20, (8, 2, 2)
+OFFSETS_MS = [-2.5, -5.0, 0.0]  # instants of release, after the first frame that moves
+HELD = {"initial_position_z": (0.015, 1.5e-3)}  # prior: how high the middle of the beam was held [m]
 START = {"log10_youngs_modulus": 5.35}
 
 
@@ -55,7 +57,7 @@ def static_fit(name: str, load: float, poisson_ratio: float) -> StaticFit:
     sag = float(recording(name).sag()[:, 2].mean())
     # log sag is nearly linear in log E: three states and a parabola through them
     logs, sags = np.array([5.25, 5.4, 5.55]), []
-    mesh = silicone_beam((8, 2, 2)).mesh
+    mesh = silicone_beam(CELLS).mesh
     for log in logs:
         body = ElasticBody(mesh, youngs_modulus=10**log, poisson_ratio=poisson_ratio, density=1070.0)
         sags.append(float(marker_displacement(body, static_state(body, load))[:, 2].mean()))
@@ -72,8 +74,8 @@ def options(ratio: float, **changes: object) -> RefineOptions:
     """Free: E, damping, and the height at which the beam was held."""
     settings = {
         "fixed": {"poisson_ratio": ratio},
-        "free": ("initial_position_z",),
-        "priors": {"initial_position_z": (0.015, 1.5e-3)},
+        "free": tuple(HELD),
+        "priors": HELD,
         "start": "scan",
         "weights": 6,
         "full_runs": 3,
@@ -89,7 +91,7 @@ def best_offset(root: Path, offsets: list[float], ratio: float) -> tuple[float, 
     for offset in offsets:
         folder = root / f"capture_{offset:+.1f}ms"
         if not folder.exists():
-            beam_capture(folder, "gravity", frames=FRAMES, observed=OBSERVED, offset_ms=offset, cells=(8, 2, 2))
+            beam_capture(folder, "gravity", frames=FRAMES, observed=OBSERVED, offset_ms=offset, cells=CELLS)
         chosen = options(ratio, correction=False, initial=first)
         found = refine(folder, out=root / f"reduced_{offset:+.1f}ms", options=chosen)
         first = {e.name: e.value for e in found.estimates}
@@ -107,7 +109,7 @@ def main() -> None:
     """Run and store."""
     torch.set_num_threads(1)
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--offsets", type=float, nargs="+", default=[-2.5, -5.0, 0.0], help="instants of release [ms]")
+    parser.add_argument("--offsets", type=float, nargs="+", default=OFFSETS_MS, help="instants of release [ms]")
     parser.add_argument("--ratios", type=float, nargs="+", default=[0.45, 0.49], help="ν of the fits")
     parser.add_argument("--work", type=Path, default=Path(tempfile.gettempdir()) / "silicone_beam")
     arguments = parser.parse_args()
