@@ -188,17 +188,20 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class _Laid:
-    """One body's part of a layout."""
+    """One body's part of a layout, as small as it is there: it comes from another process."""
 
-    mesh: TetMesh
-    material: Float64[np.ndarray, " 10"]
+    material: Float32[np.ndarray, " 10"]
     stages: int
     steps: int
-    geometry: Float64[np.ndarray, "E 10"]
-    nodes: Float64[np.ndarray, "V 2"]
-    start: Float64[np.ndarray, "V 6"]
+    geometry: Float32[np.ndarray, "E 10"]
+    corners: Int16[np.ndarray, "E 10"]
+    incident: Int32[np.ndarray, " S"]
+    begin: Int32[np.ndarray, " V1"]
+    nodes: Float32[np.ndarray, "V 2"]
+    start: Float32[np.ndarray, "V 6"]
     first_frame: int
-    flight: Float64[np.ndarray, "T V 3"]
+    flight: Float32[np.ndarray, "T V 3"]
+    boundary: Int32[np.ndarray, "F 3"]
 
 
 def lay_out(
@@ -208,7 +211,7 @@ def lay_out(
     fps: float = FPS,
     gravity: float = GRAVITY[2],
     caution: float = 1.0,
-    workers: int = 0,
+    pool: Workers | None = None,
 ) -> Layout:
     """For the kernel.
 
@@ -216,39 +219,39 @@ def lay_out(
         bodies: those that take longest should come first.
         frames, fps, gravity: as in `falling_body`.
         caution: steps are shorter by this factor than is usually enough.
-        workers: processes; up to 1 all is done in this one.
+        pool: processes that share the work; all is done in this one unless given.
     """
     lay = partial(_laid, frames=frames, fps=fps, gravity=gravity, caution=caution)
-    with Workers(max(workers, 1)) as pool:
-        laid = pool.map(lay, bodies)
+    laid = (pool or Workers()).map(lay, bodies)
     stages = sorted({one.stages for one in laid})
     offset = dict(zip(stages, np.cumsum([0] + [s + 1 for s in stages]), strict=False))
-    table, incident, begin = [], [], []
+    table = []
     node = element = slot = total = 0
     for one in laid:
-        count, elements = len(one.mesh.vertices), len(one.mesh.tets)
+        count, elements = len(one.nodes), len(one.corners)
         table.append((node, count, element, elements, one.first_frame, one.stages, offset[one.stages], slot, one.steps))
-        owner = one.mesh.tets.ravel()
-        incident.append(np.argsort(owner, kind="stable"))
-        begin.append(np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=count))]))
-        node, element, slot, total = node + count, element + elements, slot + len(owner), total + 3 * count * frames
-    out = np.zeros(total, np.float32)
+        node, element, total = node + count, element + elements, total + 3 * count * frames
+        slot += len(one.incident)
+
+    def joined(name: str) -> np.ndarray:
+        return np.concatenate([getattr(one, name) for one in laid])
+
     layout = Layout(
         table=np.array(table, np.int32),
-        materials=np.array([one.material for one in laid], np.float32),
+        materials=np.stack([one.material for one in laid]),
         coefficients=np.concatenate([step_coefficients(s) for s in stages]).astype(np.float32),
-        geometry=np.concatenate([one.geometry for one in laid]).astype(np.float32),
-        corners=np.concatenate([one.mesh.tets for one in laid]).astype(np.int16),
-        incident=np.concatenate(incident).astype(np.int32),
-        begin=np.concatenate(begin).astype(np.int32),
-        nodes=np.concatenate([one.nodes for one in laid]).astype(np.float32),
-        start=np.concatenate([one.start for one in laid]).astype(np.float32),
-        out=out,
+        geometry=joined("geometry"),
+        corners=joined("corners"),
+        incident=joined("incident"),
+        begin=joined("begin"),
+        nodes=joined("nodes"),
+        start=joined("start"),
+        out=np.zeros(total, np.float32),
         frames=frames,
-        boundary=tuple(_triangles(one.mesh) for one in laid),
+        boundary=tuple(one.boundary for one in laid),
     )
     for number, one in enumerate(laid):
-        layout.positions(out, number)[: len(one.flight)] = one.flight
+        layout.positions(layout.out, number)[: len(one.flight)] = one.flight
     return layout
 
 
@@ -273,16 +276,20 @@ def _laid(body: FallingBody, frames: int, fps: float, gravity: float, caution: f
     arms = mesh.vertices - mass_properties(mesh)[0]
     flight = np.stack([Rotation.from_quat(q).apply(arms) + c for q, c in zip(turns, centres, strict=True)])
     velocities = body.velocity + np.cross(body.spin, flight[-1] - centres[-1])
+    owner = mesh.tets.ravel()
     return _Laid(
-        mesh=mesh,
-        material=np.array(material),
+        material=np.array(material, np.float32),
         stages=stages,
         steps=steps,
-        geometry=np.column_stack([inner.reshape(len(x), 9), mesh.element_volumes]),
-        nodes=np.column_stack([masses, areas]),
-        start=np.hstack([flight[-1], velocities]),
+        geometry=np.column_stack([inner.reshape(len(x), 9), mesh.element_volumes]).astype(np.float32),
+        corners=mesh.tets.astype(np.int16),
+        incident=np.argsort(owner, kind="stable").astype(np.int32),
+        begin=np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=len(arms)))]).astype(np.int32),
+        nodes=np.column_stack([masses, areas]).astype(np.float32),
+        start=np.hstack([flight[-1], velocities]).astype(np.float32),
         first_frame=len(flight) - 1,
-        flight=flight,
+        flight=flight.astype(np.float32),
+        boundary=_triangles(mesh).astype(np.int32),
     )
 
 
