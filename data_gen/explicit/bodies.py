@@ -211,7 +211,7 @@ def lay_out(
     fps: float = FPS,
     gravity: float = GRAVITY[2],
     caution: float = 1.0,
-    pool: Workers | None = None,
+    workers: int = 0,
 ) -> Layout:
     """For the kernel.
 
@@ -219,10 +219,11 @@ def lay_out(
         bodies: those that take longest should come first.
         frames, fps, gravity: as in `falling_body`.
         caution: steps are shorter by this factor than is usually enough.
-        pool: processes that share the work; all is done in this one unless given.
+        workers: processes; up to 1 all is done in this one.
     """
     lay = partial(_laid, frames=frames, fps=fps, gravity=gravity, caution=caution)
-    laid = (pool or Workers()).map(lay, bodies)
+    with Workers(max(workers, 1)) as pool:
+        laid = pool.map(lay, bodies)
     stages = sorted({one.stages for one in laid})
     offset = dict(zip(stages, np.cumsum([0] + [s + 1 for s in stages]), strict=False))
     table = []

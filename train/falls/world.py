@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 import torch
@@ -17,7 +15,6 @@ from data_gen.explicit.kernels import roll_out
 from models.scaling import dimensionless_interval, log10_dimensionless_stiffness
 from physconvex.errors import ConvergenceError
 from physconvex.fem.elements import QUADRATURE, shape_values
-from physconvex.workers import Workers
 
 __all__ = ["Falls", "Index", "joined", "motion_states", "simulate_falls", "turned"]
 
@@ -27,7 +24,6 @@ Index = Int[Tensor, " B"]
 _OUTERMOST = 0.01  # as in train.states
 _FARTHEST = 20.0  # [m]
 _CAUTION = 3.0  # with those that became unstable
-_PART = 2500  # falls rolled out at once
 _SHAPES = torch.from_numpy(shape_values(QUADRATURE[2][0], 2)).float()  # at the points of an element
 
 
@@ -79,37 +75,34 @@ def simulate_falls(
     Raises:
         ConvergenceError: not one stayed stable.
     """
-    with Workers(max(workers, 1)) as pool:
-        parts, lost = _simulated(bodies, device, frames, pool, 1.0)
-        if lost:
-            parts += _simulated(lost, device, frames, pool, _CAUTION)[0]
-    if not parts:
+    parts = [_simulated(bodies, device, frames, workers, 1.0)]
+    lost = [body for body, ok in zip(parts[0].bodies, parts[0].sound, strict=True) if not ok]
+    if lost:
+        parts.append(_simulated(lost, device, frames, workers, _CAUTION))
+    sound = [part for part in parts if any(part.sound)]
+    if not sound:
         raise ConvergenceError(f"none of {len(bodies)} falls stayed stable")
-    return joined(parts)
+    return joined([_falls(part) for part in sound])
+
+
+@dataclass(frozen=True, eq=False)
+class _Simulated:
+    """Bodies in the order of their layout, where they went, and which of them stayed stable."""
+
+    bodies: list[FallingBody]
+    layout: Layout
+    positions: Tensor
+    sound: list[bool]
 
 
 def _simulated(
-    bodies: Sequence[FallingBody], device: torch.device | str, frames: int, pool: Workers, caution: float
-) -> tuple[list[Falls], list[FallingBody]]:
-    """Those that stay stable, in parts, each laid out while the one before it is rolled out; and the others."""
+    bodies: Sequence[FallingBody], device: torch.device | str, frames: int, workers: int, caution: float
+) -> _Simulated:
     longest_first = sorted(bodies, key=lambda body: -body.stiffest * body.damping_time)
-    count = -(-len(bodies) // _PART)
-    shares = [longest_first[k::count] for k in range(count)]
-    found: list[Falls] = []
-    lost: list[FallingBody] = []
-    with ThreadPoolExecutor(1) as ahead:
-        lay = partial(lay_out, frames=frames, caution=caution, pool=pool)
-        coming = ahead.submit(lay, shares[0])
-        for number, share in enumerate(shares):
-            layout = coming.result()
-            if number + 1 < count:
-                coming = ahead.submit(lay, shares[number + 1])
-            positions = roll_out(layout, device)
-            sound = [bool((layout.positions(positions, k).abs() < _FARTHEST).all()) for k in range(len(share))]
-            lost += [body for body, ok in zip(share, sound, strict=True) if not ok]
-            if any(sound):
-                found.append(_falls(share, layout, positions, sound))
-    return found, lost
+    layout = lay_out(longest_first, frames=frames, workers=workers, caution=caution)
+    positions = roll_out(layout, device)
+    within = [bool((layout.positions(positions, k).abs() < _FARTHEST).all()) for k in range(len(bodies))]
+    return _Simulated(longest_first, layout, positions, within)
 
 
 def joined(parts: Sequence[Falls]) -> Falls:
@@ -124,10 +117,10 @@ def joined(parts: Sequence[Falls]) -> Falls:
     return Falls(clips=torch.cat(rows), frames=parts[0].frames, **merged)
 
 
-def _falls(share: Sequence[FallingBody], layout: Layout, positions: Tensor, sound: Sequence[bool]) -> Falls:
-    """Of bodies in the order of their layout, those that stayed stable."""
-    kept = [k for k, ok in enumerate(sound) if ok]
-    bodies = [share[k] for k in kept]
+def _falls(part: _Simulated) -> Falls:
+    layout, positions = part.layout, part.positions
+    kept = [k for k, ok in enumerate(part.sound) if ok]
+    bodies = [part.bodies[k] for k in kept]
     counts = [len(triangles) for triangles in layout.boundary]
     first = np.cumsum([0, *counts])
     rows = [(*layout.table[k, :2], first[k], counts[k]) for k in kept]

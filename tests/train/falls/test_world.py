@@ -11,7 +11,6 @@ from models.motion import STATE_NAMES, STATE_SCALE
 from models.scaling import dimensionless_interval, log10_dimensionless_stiffness
 from physconvex.errors import ConvergenceError
 from physconvex.fem.embedding import Embedding, sample_interior
-from physconvex.workers import Workers
 from train.falls import simulate_falls
 from train.falls.world import joined, turned
 from train.states import states_of_motion
@@ -58,14 +57,6 @@ def test_two_worlds_in_one(bodies, falls):
         assert torch.equal(both.triangles[triangle : triangle + both.clips[k, 3]], part.triangles)
 
 
-def test_parts_are_the_same_falls(bodies, falls, monkeypatch):
-    """As many as there are bodies, each laid out while the one before is rolled out."""
-    monkeypatch.setattr("train.falls.world._PART", 1)
-    parts = simulate_falls(bodies, frames=falls.frames)
-    for name in ("clips", "positions", "rest", "triangles", "states", "size", "log10_stiffness", "poisson_ratio"):
-        assert torch.equal(getattr(parts, name), getattr(falls, name)), name
-
-
 def test_what_becomes_unstable_is_tried_with_shorter_steps(bodies, monkeypatch):
     """A body of which too few stages are made explodes; cautious steps are short enough for them."""
     asked: list[float] = []
@@ -104,7 +95,6 @@ def test_bodies_are_not_changed(bodies):
 
 @pytest.mark.slow
 def test_processes_lay_out_the_same(bodies):
-    with Workers(2) as pool:
-        alone, shared = lay_out(bodies, frames=16), lay_out(bodies, frames=16, pool=pool)
+    alone, shared = (lay_out(bodies, frames=16, workers=workers) for workers in (0, 2))
     for name in ("table", "materials", "geometry", "corners", "nodes", "start", "out"):
         np.testing.assert_array_equal(getattr(shared, name), getattr(alone, name))
