@@ -217,6 +217,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", type=int, nargs="+", default=None, help="indices of the cases to run, from 0")
     parser.add_argument("--falls", action="store_true", help="of the explicit roll-outs")
+    parser.add_argument("--nodes", type=int, default=None, help="most nodes of a clip's mesh; the generator's default")
     parser.add_argument("--out", type=Path, default=None)
     options = parser.parse_args()
     options.out = options.out or (RESULT.with_name("label_accuracy_falls.json") if options.falls else RESULT)
@@ -224,6 +225,8 @@ def main() -> None:
     solver = load_config("training").solver
     if options.falls:
         solver = solver.model_copy(update={"target_nodes": FALL_NODES, "landing_nodes": 0})
+    if options.nodes is not None:
+        solver = solver.model_copy(update={"target_nodes": options.nodes})
     settings = {"objects": options.objects, "seed": options.seed, "solver": solver.model_dump()}
     rows = known(options.out, settings)
     for index in reversed(range(options.objects)):  # the stiffest first
