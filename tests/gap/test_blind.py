@@ -162,6 +162,7 @@ def test_a_score_can_be_read(small):
     text = score_markdown(found)
     assert "| class ranked first | 1.00 [0.34, 1.00] of 2 | ≥ .85 |" in text
     assert all(row.capture.replace("capture_", "") in text for row in found.rows)
+    assert "nan" not in text  # no effect of which an oracle told
     draw_score(found, small / "score.png")
     assert (small / "score.png").stat().st_size > 10_000
 

@@ -58,25 +58,34 @@ def _figures(score: BankScore) -> list[tuple[object, ...]]:
         ("class ranked first", score.top_1_merged, "≥ .85"),
         ("class among the first two", score.top_2_merged, "≥ .95"),
         ("effect ranked first", score.top_1, ""),
-        ("class first, if labels were dealt at random", f"{score.shuffled:.2f}", "chance"),
+        ("class first, if labels were dealt at random", _told(score.shuffled), "chance"),
         ("called with the right class", score.called, ""),
         ("calls that are right, at all visibilities", score.calls_right, ""),
         ("false alarms on captures without effect", score.false_alarms, "≤ .05"),
         ("effect in no dictionary: not called", score.outside_not_called, ""),
         ("effect in no dictionary: `unknown`", score.outside_unknown, ""),
-        ("unknown, area under ROC", f"{score.unknown_auroc:.2f}", "≥ .92"),
-        (f"two effects ({score.two}): recall / precision", f"{score.recall:.2f} / {score.precision:.2f}", "≥ .85 / .9"),
-        ("median share of the held-out gap removed", f"{score.median_shrinkage:.2f}", ""),
-        (f"median of it over the oracle's ({score.oracles})", f"{score.share_of_oracle:.2f}", "≥ .9"),
-        ("median share that a placebo removes", f"{score.median_placebo:.2f}", "≤ .03"),
-        ("median error of doses", f"{score.median_dose_error:.2f}", "≤ .15"),
+        ("unknown, area under ROC", _told(score.unknown_auroc), "≥ .92"),
+        (
+            f"two effects ({score.two}): recall / precision",
+            f"{_told(score.recall)} / {_told(score.precision)}",
+            "≥ .85 / .9",
+        ),
+        ("median share of the held-out gap removed", _told(score.median_shrinkage), ""),
+        (f"median of it over the oracle's ({score.oracles})", _told(score.share_of_oracle), "≥ .9"),
+        ("median share that a placebo removes", _told(score.median_placebo), "≤ .03"),
+        ("median error of doses", _told(score.median_dose_error), "≤ .15"),
         ("doses in their 90 % intervals", score.doses_covered, ".85 to .95"),
-        ("calibration error", f"{score.calibration_error:.2f}", "≤ .05"),
+        ("calibration error", _told(score.calibration_error), "≤ .05"),
         *(
             (f"off by, {name}: median, 90th percentile", f"{median:.3f}, {most:.3f}", "")
             for name, (median, most) in score.bias.items()
         ),
     ]
+
+
+def _told(value: float) -> str:
+    """A dash where a bank cannot say, as `Proportion` has it."""
+    return "-" if np.isnan(value) else f"{value:.2f}"
 
 
 def _row(row: Row) -> tuple[object, ...]:
