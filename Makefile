@@ -43,7 +43,7 @@ bench: env
 
 ## bench-data: what needs a data set: make bench-data DATA=data/drops
 bench-data: env
-	@for name in foreground known_states training_epoch; do \
+	@for name in error_budget foreground known_states training_epoch; do \
 	    echo "== $$name"; $(BIN)/python benchmarks/$$name.py --data $(DATA) || exit 1; done
 
 ## bench-objects: what needs a folder of scanned objects: make bench-objects OBJECTS=data/gso
