@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -25,9 +24,11 @@ from jaxtyping import Float64
 from models.estimator import PhysicsPredictor
 from models.heads import BinnedDensity
 from models.motion import STATE_SCALE
-from models.network import ClipBatch, PhysicsNetwork
+from models.network import PhysicsNetwork
 from train.cache import prepare_clips
 from train.data import TrainingClips
+from train.falls.batches import FallBatch
+from train.falls.real import RealClips
 from train.metrics import constant_mae
 from train.records import read_clips
 
@@ -70,17 +71,17 @@ def main() -> None:
     predictor = PhysicsPredictor.from_pretrained(options.checkpoint)
     labelled = read_clips(options.data, "validation")
     prepared = prepare_clips(labelled, predictor.config.clip, options.cache)
-    clips = TrainingClips(labelled, prepared, augmentation=None, modes=1, seed=0)
+    clips = RealClips.of(TrainingClips(labelled, prepared, augmentation=None, modes=1, seed=0), "cpu")
     modulus = np.array([clip.youngs_modulus for clip in labelled])
     network = predictor.network.eval()
     readings = [
-        read(network, clips, modulus, "as found", silhouettes=0),
-        read(network, clips, modulus, "true silhouettes", silhouettes=1),
-        read(network, clips, modulus, "true states", silhouettes=0, told=True),
+        read(network, clips, modulus, "as found"),
+        read(network, clips, modulus, "true silhouettes", true_moments=True),
+        read(network, clips, modulus, "true states", told=True),
     ]
     constant = {
-        "log10_stiffness_mae": constant_mae(clips.log10_stiffness),
-        "poisson_mae": constant_mae(clips.poisson_ratio),
+        "log10_stiffness_mae": constant_mae(clips.log10_stiffness.numpy()),
+        "poisson_mae": constant_mae(clips.poisson_ratio.numpy()),
     }
     for reading in readings:
         print(f"{reading.name:18}{_row(reading.all)}   " + "  ".join(map(_row, reading.decades.values())))
@@ -98,36 +99,41 @@ def main() -> None:
     )
 
 
+@torch.no_grad()
 def read(
-    network: PhysicsNetwork, clips: TrainingClips, modulus: Values, name: str, *, silhouettes: int, told: bool = False
+    network: PhysicsNetwork,
+    clips: RealClips,
+    modulus: Values,
+    name: str,
+    *,
+    true_moments: bool = False,
+    told: bool = False,
 ) -> Reading:
     """What the network says of all clips.
 
     Args:
         network: in evaluation mode.
-        clips: unaugmented.
+        clips: as they are.
         modulus: of each [Pa].
         name: of this way of reading.
-        silhouettes: 0 measured in the masks found, 1 in the true ones.
+        true_moments: silhouettes measured in the true masks, not in those found.
         told: the true states stand in for those seen.
     """
-    states = torch.from_numpy(np.stack(clips.states))
     hook = network.motion.register_forward_pre_hook(_tell_all, with_kwargs=True) if told else None
-    stiffness, poisson, seen = [], [], []
-    with torch.no_grad():
-        for first in range(0, len(clips), BATCH):
-            some = slice(first, first + BATCH)
-            output = network(_batch(clips, some, silhouettes), states=states[some])
-            stiffness.append(BinnedDensity.from_logits(output.stiffness_logits, network.config.stiffness).quantile(0.5))
-            poisson.append(BinnedDensity.from_logits(output.poisson_logits, network.config.poisson).quantile(0.5))
-            seen.append(((output.states - states[some]) / STATE_SCALE).abs().mean(dim=(1, 2)))
+    parts: list[tuple[torch.Tensor, ...]] = []
+    for chosen in torch.arange(len(clips)).split(BATCH):
+        shown = clips.shown(chosen, true_moments=torch.full_like(chosen, true_moments, dtype=torch.bool))
+        truth = (clips.log10_stiffness[chosen], clips.poisson_ratio[chosen])
+        batch = FallBatch(shown, clips.confidence[chosen], *truth, torch.ones(len(chosen)))
+        output = network(batch.clips(), states=shown.states)
+        stiffness = BinnedDensity.from_logits(output.stiffness_logits, network.config.stiffness).quantile(0.5)
+        poisson = BinnedDensity.from_logits(output.poisson_logits, network.config.poisson).quantile(0.5)
+        seen = ((output.states - shown.states) / STATE_SCALE).abs().mean(dim=(1, 2))
+        parts.append((stiffness - truth[0], poisson - truth[1], seen))
     if hook is not None:
         hook.remove()
-    errors = (
-        torch.cat(stiffness).double().numpy() - clips.log10_stiffness,
-        torch.cat(poisson).double().numpy() - clips.poisson_ratio,
-        None if told else torch.cat(seen).double().numpy(),
-    )
+    columns = [torch.cat(column).double().numpy() for column in zip(*parts, strict=True)]
+    errors = (columns[0], columns[1], None if told else columns[2])
     decade = np.floor(np.log10(modulus)).astype(int)
     decades = {f"1e{k}": _told(errors, decade == k) for k in sorted(set(decade.tolist()))}
     return Reading(name, _told(errors, np.ones(len(clips), bool)), decades)
@@ -138,24 +144,8 @@ def _tell_all(module: Any, arguments: tuple[Any, ...], named: dict[str, Any]) ->
     return arguments, named | {"use_given": torch.ones(len(named["given"]), dtype=torch.bool)}
 
 
-def _batch(clips: TrainingClips, some: slice, silhouettes: int) -> ClipBatch:
-    prepared = clips.prepared
-
-    def send(values: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(np.array(values))
-
-    return ClipBatch(
-        windows=send(prepared.windows[some]),
-        moments=send(prepared.moments[some, silhouettes]),
-        valid=send(prepared.valid[some]),
-        interval=send(clips.interval[some]).float(),
-        confidence=send(prepared.confidence[some]),
-    )
-
-
-def _told(errors: Sequence[Values | None], chosen: np.ndarray) -> Told:
+def _told(errors: tuple[Values, Values, Values | None], chosen: np.ndarray) -> Told:
     stiffness, poisson, states = errors
-    assert stiffness is not None and poisson is not None
     return Told(
         clips=int(chosen.sum()),
         log10_stiffness_mae=float(np.abs(stiffness[chosen]).mean()),
