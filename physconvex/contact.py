@@ -108,8 +108,12 @@ class Sphere:
             raise InputError(f"radius: got {self.radius}; expected a length > 0 in metres")
         _check_friction(self.friction)
 
+    def center_at(self, time: float) -> Float[np.ndarray, " 3"]:
+        """Where the centre is at a time [m]."""
+        return np.asarray(self.center) + self._travel.displacement(time)
+
     def _offset(self, x: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
-        offset = x - (np.asarray(self.center) + self._travel.displacement(time))
+        offset = x - self.center_at(time)
         return offset, np.maximum(np.linalg.norm(offset, axis=1), 1e-12)
 
     def gap(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, " V"]:

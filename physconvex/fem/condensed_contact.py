@@ -19,6 +19,7 @@ from scipy.sparse import csr_matrix
 
 from physconvex.errors import ConvergenceError
 from physconvex.fem.carried_contact import CarriedContact
+from physconvex.fem.contact_kernel import carry
 from physconvex.fem.dense_contact import DenseContact
 from physconvex.fem.kept_factor import KeptFactor
 from physconvex.fem.step_equations import StepEquations
@@ -50,6 +51,7 @@ class CondensedContact:
         self.factor = KeptFactor(equations)
         self.dense = DenseContact(contact.law if isinstance(contact, CarriedContact) else contact)
         self._free = equations.assembler.free
+        self._known, self._carried = np.zeros(0, dtype=np.int64), self._carriers(np.zeros(0, dtype=np.int64))
         self._last = 0  # Newton steps of the last time step
         self._error = 0.0  # of the last dense equation [m]
 
@@ -97,7 +99,7 @@ class CondensedContact:
         """d = u − H Bᵀ λ, after a step of the size `last` [m]."""
         free = self.factor.apply(x, gradient)
         time = self.equations.time
-        before, after = (at if self.matrix is None else self.matrix @ at for at in (x, x + free))
+        before, after = (at if self.matrix is None else carry(self.matrix, at) for at in (x, x + free))
         self.dense.find(before, after, time)
         points = self.dense.points
         self._error = 0.0
@@ -106,14 +108,14 @@ class CondensedContact:
         error = _SHARE * last if np.isfinite(last) else _FIRST * float(np.abs(free).max())
         c = self.equations.coefficients
         assert c is not None
-        base = (c.base if self.matrix is None else self.matrix @ c.base)[points]
-        nodes, carried = self._carriers(points)
+        if not np.array_equal(points, self._known):
+            self._known, self._carried = points, self._carriers(points)
+        nodes, carried = self._carried
+        base = (c.base if self.matrix is None else carry(self.matrix, c.base))[points]
         compliance = self.factor.compliance(nodes)
         goal = max(error, _EXACT * self.tolerance)
         self._error = self.dense.solve(after[points], carried, compliance, base, c.step, time, goal=goal)
-        forces = np.zeros_like(x)
-        forces[nodes] = carried.T @ self.dense.total()
-        return free - self.factor.pushed(forces)
+        return free - self.factor.pushed(nodes, carried.T @ self.dense.total())
 
     def _carriers(self, points: np.ndarray) -> tuple[np.ndarray, csr_matrix]:
         """The free nodes that carry some points, and the matrix that takes them to the points."""

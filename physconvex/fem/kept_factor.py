@@ -7,11 +7,10 @@ met since then tell of the stiffness is laid over it (L-BFGS in compact form: By
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 from jaxtyping import Float, Int
 
+from physconvex.fem.contact_kernel import turned_blocks
 from physconvex.fem.step_equations import StepEquations
 from physconvex.kabsch import best_rotation
 from physconvex.linear_solvers import NotPositiveDefiniteError
@@ -20,6 +19,7 @@ __all__ = ["KeptFactor"]
 
 _SECANTS = 16  # pairs of changes kept
 _CURVED = 1e-8  # cosine between change of place and of gradient below which a pair tells nothing
+_MOST_ROWS = 3e6  # numbers: more take longer to go through than a solve
 _ROUNDED = 1e-9  # share of the body's size below which a change of place is left out of them
 
 
@@ -47,6 +47,7 @@ class KeptFactor:
         self._columns = np.full(len(self._masses), -1)  # of each node, if it has any
         self._nodes = np.zeros(0, dtype=np.int64)
         self._compliance = np.zeros((0, 0))
+        self._rows: np.ndarray | None = np.zeros((0, self.equations.assembler.size))  # K⁻¹ of their degrees of freedom
 
     def prepare(self, x: Float[np.ndarray, "V 3"], *, renew: bool) -> bool:
         """Make ready for a time step, or for the rest of one with a new factor; whether there is a new one."""
@@ -77,19 +78,19 @@ class KeptFactor:
     def compliance(self, nodes: Int[np.ndarray, " M"]) -> Float[np.ndarray, "N N"]:
         """H [m/N] of some free nodes, N = 3 M."""
         self._extend(nodes)
-        size = 3 * len(nodes)
-        dofs = (3 * self._columns[nodes][:, None] + np.arange(3)).ravel()
-        out = self._compliance[np.ix_(dofs, dofs)]
-        out += self._secants.correction_at(nodes)
-        for _ in range(2):  # R H Rᵀ, block by block
-            out = (self.turn @ out.reshape(len(nodes), 3, size)).reshape(size, size).T
-        return np.ascontiguousarray(out)
+        return turned_blocks(self._compliance, self._columns[nodes], self.turn, self._secants.correction_at(nodes))
 
-    def pushed(self, forces: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
-        """H f [m] of forces [N] on the nodes."""
-        turned = forces @ self.turn
-        turned[self.equations.fixed] = 0.0
-        return (self.equations.solve(turned) + self._secants.correction(turned)) @ self.turn.T
+    def pushed(self, nodes: Int[np.ndarray, " M"], forces: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, "V 3"]:
+        """H f [m] of forces [N] on some free nodes."""
+        self._extend(nodes)
+        turned = np.zeros(self._place.shape)
+        turned[nodes] = forces @ self.turn
+        if self._rows is None:
+            out = self.equations.solve(turned)
+        else:
+            out = np.zeros_like(turned)
+            out[self.equations.assembler.free] = (turned[self._nodes].ravel() @ self._rows).reshape(-1, 3)
+        return (out + self._secants.correction(turned)) @ self.turn.T
 
     def _extend(self, nodes: np.ndarray) -> None:
         """Solve for the columns of nodes that have none yet."""
@@ -100,7 +101,11 @@ class KeptFactor:
         columns = np.zeros((free, 3, count, 3))
         for axis in range(3):
             columns[self._place_of[new], axis, np.arange(count), axis] = 1.0
-        solved = self.equations.solver.solve(columns.reshape(3 * free, 3 * count)).reshape(free, -1)
+        solved = self.equations.solver.solve(columns.reshape(3 * free, 3 * count))
+        if self._rows is not None:
+            few = len(self._rows) + 3 * count <= _MOST_ROWS / solved.shape[0]
+            self._rows = np.concatenate([self._rows, solved.T]) if few else None
+        solved = solved.reshape(free, -1)
         self._nodes = np.concatenate([self._nodes, new])
         self._columns[new] = known + np.arange(count)
         at = solved[self._place_of[self._nodes]].reshape(-1, 3 * count)
@@ -109,17 +114,18 @@ class KeptFactor:
 
 
 class _Secants:
-    """H − K⁻¹ in compact form, Wᵀ M W, from pairs of changes s of place, y of gradient and K⁻¹ y.
+    """H − K⁻¹ in compact form, Wᵀ M W, from pairs of changes s of place, y of gradient and z = K⁻¹ y.
 
     Args:
         smallest: component of a change of place below which its change of gradient is taken for rounding [m].
     """
 
     def __init__(self, smallest: float) -> None:
-        self._smallest = smallest
-        self._pairs: deque[tuple[np.ndarray, np.ndarray, np.ndarray]] = deque(maxlen=_SECANTS)
+        self._smallest, self.count = smallest, 0
         self._last: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
-        self._w, self._m = np.zeros((0, 0)), np.zeros((0, 0))
+        self._w = self._y = np.zeros((0, 0))  # s and z of the pairs [2 K, V·3], oldest first, and y [K, V·3]
+        self._products, self._curvature = np.zeros((2, _SECANTS, _SECANTS))  # s yᵀ, of its upper triangle, and y zᵀ
+        self._m = np.zeros((0, 0))
 
     def interrupt(self) -> None:
         """The function changes: the next gradient has nothing to do with the last one."""
@@ -129,30 +135,42 @@ class _Secants:
         """Learn from a gradient and K⁻¹ times it."""
         now = x, gradient, solved
         if self._last is not None:
-            s, y, z = (new - old for new, old in zip(now, self._last, strict=True))
-            curved = float((s * y).sum()) > _CURVED * float(np.linalg.norm(s) * np.linalg.norm(y))
+            s, y, z = ((new - old).ravel() for new, old in zip(now, self._last, strict=True))
+            curved = float(s @ y) > _CURVED * float(np.linalg.norm(s) * np.linalg.norm(y))
             if curved and np.abs(s).max() > self._smallest:
-                self._pairs.append((s, y, z))
-                self._compact()
+                self._add(s, y, z)
         self._last = now
 
-    def _compact(self) -> None:
-        s, y, z = (np.stack([pair[k].ravel() for pair in self._pairs]) for k in range(3))
-        products, curvature = s @ y.T, y @ z.T
-        inverse = np.linalg.inv(np.triu(products))
-        middle = np.diag(products.diagonal()) + 0.5 * (curvature + curvature.T)
-        self._m = np.block([[inverse.T @ middle @ inverse, -inverse.T], [-inverse, np.zeros_like(inverse)]])
-        self._w = np.concatenate([s, z])
+    def _add(self, s: np.ndarray, y: np.ndarray, z: np.ndarray) -> None:
+        if not self.count:
+            self._w, self._y = np.zeros((2 * _SECANTS, len(s))), np.zeros((_SECANTS, len(s)))
+        if self.count == _SECANTS:
+            for rows in (self._w[:_SECANTS], self._w[_SECANTS:], self._y):
+                rows[:-1] = rows[1:]
+            for square in (self._products, self._curvature):
+                square[:-1, :-1] = square[1:, 1:]
+        else:
+            self.count += 1
+        last, count = self.count - 1, self.count
+        self._w[last], self._w[_SECANTS + last], self._y[last] = s, z, y
+        self._products[:count, last] = self._w[:count] @ y
+        self._curvature[:count, last] = self._curvature[last, :count] = self._y[:count] @ z
+        inverse = np.linalg.inv(np.triu(self._products[:count, :count]))
+        middle = np.diag(self._products.diagonal()[:count]) + self._curvature[:count, :count]
+        self._m = np.zeros((2 * _SECANTS, 2 * _SECANTS))
+        self._m[:count, :count] = inverse.T @ middle @ inverse
+        self._m[:count, _SECANTS : _SECANTS + count] = -inverse.T
+        self._m[_SECANTS : _SECANTS + count, :count] = -inverse
 
     def correction(self, vector: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
         """(H − K⁻¹) times a vector."""
-        if not self._pairs:
+        if not self.count:
             return np.zeros_like(vector)
         return ((self._m @ (self._w @ vector.ravel())) @ self._w).reshape(vector.shape)
 
-    def correction_at(self, nodes: np.ndarray) -> Float[np.ndarray, "N N"] | float:
-        """H − K⁻¹ of some nodes."""
-        if not self._pairs:
-            return 0.0
+    def correction_at(self, nodes: np.ndarray) -> Float[np.ndarray, "N N"] | None:
+        """H − K⁻¹ of some nodes; None where nothing has been learnt."""
+        if not self.count:
+            return None
         at = self._w.reshape(len(self._w), -1, 3)[:, nodes].reshape(len(self._w), -1)
         return at.T @ (self._m @ at)

@@ -139,5 +139,13 @@ def load_library() -> ctypes.CDLL:
         ("pc_energy_and_forces", number, [elements, *[POINTER] * 3, number, number, POINTER]),
         ("pc_stiffness", ctypes.c_int32, [elements, POINTER, POINTER, number, POINTER]),
         ("pc_assemble", None, [ctypes.c_int64, *[POINTER] * 4]),
+        ("pc_carry", None, [ctypes.c_int32, *[POINTER] * 5]),
+        ("pc_contact_own_compliance", None, [POINTER] * 2),
+        ("pc_contact_residual", None, [POINTER] * 4),
+        ("pc_contact_alone", None, [POINTER] * 8),
+        ("pc_contact_on_points", None, [POINTER, ctypes.c_int32, *[POINTER] * 5]),
+        ("pc_contact_on_nodes", None, [POINTER, *(ctypes.c_int32, POINTER) * 2, *[POINTER] * 4]),
+        ("pc_contact_expand", None, [POINTER, ctypes.c_int32, *[POINTER] * 4]),
+        ("pc_turned_blocks", None, [*(ctypes.c_int32, POINTER) * 2, *[POINTER] * 3]),
     )
     return loaded(_SOURCES, functions, include=[HEADERS])

@@ -7,11 +7,24 @@ from scipy.sparse import csr_matrix
 
 from physconvex.contact import Contact
 from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, Pins, Plane, Scene, Sphere, SurfacePoints, box_mesh, simulate
-from physconvex.fem.dense_contact import _Problem
+from physconvex.fem import (
+    ElasticBody,
+    Pins,
+    Plane,
+    Scene,
+    Sphere,
+    SurfacePoints,
+    box_mesh,
+    contact_kernel,
+    kept_factor,
+    simulate,
+)
+from physconvex.fem.contact_kernel import CompiledContact, carry, contact_problem, turned_blocks
+from physconvex.fem.contact_problem import ContactProblem
 from physconvex.fem.kept_factor import KeptFactor
 from physconvex.fem.step_equations import StepEquations
 from physconvex.integrators import State, bdf2
+from physconvex.native import KernelUnavailable
 from physconvex.wind import Wind
 
 BOX = (0.2, 0.2, 0.1)
@@ -126,7 +139,7 @@ def test_the_factor_turns_with_the_body(turned):
     np.testing.assert_allclose(-factor.apply(there, change), way, atol=1e-5)
 
 
-def test_compliance_is_what_forces_on_points_do(turned):
+def test_compliance_is_what_forces_on_points_do(turned, monkeypatch):
     equations, x, there = turned
     factor, rng = KeptFactor(equations), np.random.default_rng(1)
     factor.prepare(x, renew=True)
@@ -135,12 +148,11 @@ def test_compliance_is_what_forces_on_points_do(turned):
     for _ in range(4):  # what is learnt from gradients enters both
         place = place + 0.3 * factor.apply(place, equations.smooth_gradient(place))
     for points in (np.array([3, 8]), np.array([1, 8, 20])):  # columns are added
-        forces = np.zeros_like(x)
-        forces[points] = rng.normal(size=(len(points), 3))
-        moved = factor.pushed(forces)[points]
-        np.testing.assert_allclose(
-            (factor.compliance(points) @ forces[points].ravel()).reshape(-1, 3), moved, rtol=1e-9
-        )
+        forces = rng.normal(size=(len(points), 3))
+        moved = (factor.compliance(points) @ forces.ravel()).reshape(-1, 3)
+        np.testing.assert_allclose(factor.pushed(points, forces)[points], moved, rtol=1e-9)
+        monkeypatch.setattr(kept_factor, "_MOST_ROWS", 0)  # those of many nodes are solved for anew
+        factor.pushed(np.arange(len(x)), np.zeros_like(x))
 
 
 def test_what_is_learnt_obeys_the_secant_equation(turned):
@@ -153,27 +165,90 @@ def test_what_is_learnt_obeys_the_secant_equation(turned):
     gradients = [equations.smooth_gradient(place) for place in places]
     for place, gradient in zip(places, gradients, strict=True):
         factor.apply(place, gradient)
-    moved = factor.pushed(gradients[-1] - gradients[-2])
+    moved = factor.pushed(np.arange(len(there)), gradients[-1] - gradients[-2])
     np.testing.assert_allclose(moved, places[-1] - places[-2], atol=1e-12)
     assert equations.factorisations == 1
 
 
-def test_forces_on_many_points_are_found_through_the_few_nodes_that_carry_them():
-    """Newton's step of the forces is that of the dense equation, whatever touches, sticks or slips."""
+# --- the equation of the forces
+
+
+@pytest.fixture(params=["compiled", "numpy"])
+def kind(request, monkeypatch):
+    """Both arithmetics; without a compiler numpy's is taken."""
+    if request.param == "numpy":
+        monkeypatch.setattr(contact_kernel, "load_library", _refuse)
+    return CompiledContact if request.param == "compiled" else ContactProblem
+
+
+def _refuse():
+    raise KernelUnavailable("no C++ compiler found")
+
+
+def problem_of(points: int, nodes: int, obstacles=(FLOOR,)) -> tuple[ContactProblem, np.ndarray]:
+    """Points on some nodes, about half of them in the floor, and forces, each point before each obstacle."""
     rng = np.random.default_rng(3)
-    carried = csr_matrix(np.where(rng.random((40, 5)) < 0.5, rng.random((40, 5)), 0.0))
-    root = rng.normal(size=(15, 15))
-    compliance = 1e-5 * (root @ root.T + np.eye(15))
-    law = Contact((FLOOR,), np.full(40, 1e-3), stiffness=1e6, smoothing=1e-4, slip_velocity=1e-3)
-    free = np.array([0, 0, -0.022]) + rng.normal(scale=0.01, size=(40, 3))
-    everything = np.arange(40), np.zeros(40, dtype=np.int64)
-    motion = {"base": free - rng.normal(scale=1e-3, size=free.shape), "step": 1e-3, "time": 0.0}
-    problem = _Problem(law, *everything, free, carried, compliance, **motion)
-    forces = rng.normal(scale=0.1, size=(40, 3))
-    left, slope = problem.evaluate(forces)
-    assert 5 < slope.any(axis=(1, 2)).sum() < 35
-    matrix = np.kron(carried.toarray(), np.eye(3))
-    diagonal = block_diag(*slope)
-    dense = np.eye(120) - diagonal @ (np.diag(np.repeat(1 / problem.stiffness, 3)) - matrix @ compliance @ matrix.T)
+    carried = csr_matrix(np.where(rng.random((points, nodes)) < 0.5, rng.random((points, nodes)), 0.0))
+    root = rng.normal(size=(3 * nodes, 3 * nodes))
+    compliance = 1e-5 * (root @ root.T + np.eye(3 * nodes))
+    law = Contact(obstacles, np.full(points, 1e-3), stiffness=1e6, smoothing=1e-4, slip_velocity=1e-3)
+    of_pair, obstacle = np.tile(np.arange(points), len(obstacles)), np.repeat(np.arange(len(obstacles)), points)
+    free = (np.array([0, 0, -0.022]) + rng.normal(scale=0.01, size=(points, 3)))[of_pair]
+    motion = {"base": free - rng.normal(scale=1e-3, size=free.shape), "step": 1e-3, "time": 0.01}
+    problem = contact_problem(law, of_pair, obstacle, free, carried[of_pair], compliance, **motion)
+    return problem, rng.normal(scale=0.1, size=free.shape)
+
+
+@pytest.mark.parametrize(("points", "nodes"), [(40, 5), (12, 30)])  # more points than nodes, and fewer
+def test_the_step_of_the_forces_is_that_of_the_dense_equation(points, nodes, kind):
+    """Whatever touches, sticks or slips."""
+    problem, forces = problem_of(points, nodes)
+    assert type(problem) is kind
+    left, slope = problem.residual(forces)
+    assert points / 8 < slope.any(axis=(1, 2)).sum() < 7 * points / 8
+    matrix = np.kron(problem.carried.toarray(), np.eye(3))
+    give = np.diag(np.repeat(1 / problem.stiffness, 3))
+    dense = np.eye(3 * points) - block_diag(*slope) @ (give - matrix @ problem.compliance @ matrix.T)
     expected = np.linalg.solve(dense, -left.ravel()).reshape(-1, 3)
     np.testing.assert_allclose(problem.newton_step(left, slope), expected, rtol=1e-7, atol=1e-9)
+
+
+def test_compiled_numbers_are_those_of_numpy():
+    """Of planes and spheres that move, in the same equation."""
+    belt = Plane(normal=(-1.0, 0, 0.2), friction=0.7, velocity=(0, 0.5, 0))
+    ball = Sphere(center=(0, 0.01, -0.33), radius=0.308, friction=0.5, velocity=(0.2, 0, 0))
+    compiled, forces = problem_of(40, 8, obstacles=(FLOOR, belt, ball))
+    given = (compiled.free, compiled.carried, compiled.compliance)
+    motion = {"base": compiled.base, "step": compiled.step, "time": compiled.time}
+    plain = ContactProblem(compiled.law, np.tile(np.arange(40), 3), compiled.obstacles, *given, **motion)
+    assert type(compiled) is CompiledContact
+    np.testing.assert_allclose(compiled.stiffness, plain.stiffness, rtol=1e-12)
+    (left, slope), (expected, expected_slope) = (problem.residual(forces) for problem in (compiled, plain))
+    for number in range(3):
+        assert expected_slope[compiled.obstacles == number].any()
+    np.testing.assert_allclose(left, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    np.testing.assert_allclose(slope, expected_slope, rtol=0, atol=1e-12 * np.abs(expected_slope).max())
+    expected = plain.newton_step(left, slope)
+    np.testing.assert_allclose(compiled.newton_step(left, slope), expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+
+
+def test_blocks_turn_with_the_body_and_points_are_carried(kind):
+    rng = np.random.default_rng(5)
+    matrix, more = (root + root.T for root in (rng.normal(size=(30, 30)), rng.normal(size=(12, 12))))
+    places, turn = np.array([7, 0, 3, 9]), np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    dofs = (3 * places[:, None] + np.arange(3)).ravel()
+    whole = np.kron(np.eye(4), turn)
+    part = matrix[np.ix_(dofs, dofs)]
+    np.testing.assert_allclose(turned_blocks(matrix, places, turn), whole @ part @ whole.T, atol=1e-12)
+    np.testing.assert_allclose(turned_blocks(matrix, places, turn, more), whole @ (part + more) @ whole.T, atol=1e-12)
+    carried, x = csr_matrix(rng.random((9, 5))), rng.normal(size=(5, 3))
+    np.testing.assert_allclose(carry(carried, x), carried @ x, rtol=1e-12)
+
+
+def test_bodies_move_alike_without_a_compiler(monkeypatch):
+    options = {"frames": 3, "fps": 24, "steps_per_frame": 12, "contact_solver": "condensed"}
+    compiled = simulate(SCENES["points"], **options)
+    monkeypatch.setattr(contact_kernel, "load_library", _refuse)
+    plain = simulate(SCENES["points"], **options)
+    assert np.abs(plain.positions[-1] - plain.positions[0]).max() > 0.05
+    np.testing.assert_allclose(compiled.positions, plain.positions, atol=1e-7)

@@ -3,6 +3,7 @@
 // The arithmetic is that of volumetric.py in float64. LANES elements go at once, one in each lane; what belongs to an
 // element stays in the first cache. In the last block lanes that are left over repeat the last element and count nothing.
 
+#include "contact.h"
 #include "volumetric.h"
 
 namespace {
