@@ -80,8 +80,8 @@ def known(path: Path, frames: int) -> list[Row]:
     return [Row(**row) for row in tree.get("rows", [])] if tree.get("frames") == frames else []
 
 
-def compared(number: int, modulus: float, frames: int) -> list[Row]:
-    """The three runs of one drop."""
+def scene_of(number: int, modulus: float) -> tuple[str, Scene, SolverConfig]:
+    """One drop of the generator: its body's name, the scene, and today's settings."""
     config = load_config("training", overrides=[f"material.youngs_modulus={modulus}"])
     drop = draw_drop(config, SEED, number, 0)
     mesh = make_mesh(drop, config.solver, config.motion.gravity)
@@ -93,8 +93,14 @@ def compared(number: int, modulus: float, frames: int) -> list[Row]:
         initial_velocity=drop.initial_velocity,
         initial_angular_velocity=drop.initial_angular_velocity,
     )
-    solvers = {name: config.solver.model_copy(update=u) for name, u in (("half the step", FINER), ("today", {}))}
-    solvers["before"] = config.solver.model_copy(update=BEFORE)
+    return drop.body.name, scene, config.solver
+
+
+def compared(number: int, modulus: float, frames: int) -> list[Row]:
+    """The three runs of one drop."""
+    name_of_body, scene, today = scene_of(number, modulus)
+    changes = {"half the step": FINER, "today": {}, "before": BEFORE}
+    solvers = {name: today.model_copy(update=change) for name, change in changes.items()}
     rows: list[Row] = []
     best: np.ndarray | None = None
     for name, solver in solvers.items():
@@ -104,7 +110,7 @@ def compared(number: int, modulus: float, frames: int) -> list[Row]:
         distance = {str(k): round(float(1e3 * away[k]), 3) for k in range(1, frames, 2)}
         s = run.statistics
         spent = (s.steps, s.newton_iterations, s.factorisations, s.halved_steps)
-        rows.append(Row(drop.body.name, len(mesh.vertices), modulus, name, *cost, *spent, distance))
+        rows.append(Row(name_of_body, len(scene.start), modulus, name, *cost, *spent, distance))
         print(rows[-1], flush=True)
     return rows
 

@@ -238,11 +238,12 @@ class Stepper(Generic[Equations]):
         return passes
 
     def _solved_at_once(self, solve: Callable[[np.ndarray], Minimum], guess: np.ndarray) -> list[SolvedPass]:
-        """The solution, with the friction that belongs to it."""
+        """The solution; for an observer with the friction that belongs to it."""
         found = solve(guess)
         self.iterations += found.iterations
         self.projections += found.projections
-        self.equations.freeze_friction(found.x)
+        if self.observer is not None:
+            self.equations.freeze_friction(found.x)
         return [SolvedPass(found.x, self.equations.friction)]
 
     def _check_energy(self, energy: Callable[[State], float], record: StepRecord) -> None:

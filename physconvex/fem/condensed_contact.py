@@ -46,6 +46,7 @@ class CondensedContact:
 
     def __init__(self, equations: StepEquations, tolerance: float) -> None:
         self.equations, self.tolerance = equations, tolerance
+        equations.freezes_friction = False
         contact = equations.contact
         self.matrix = contact.carried.matrix if isinstance(contact, CarriedContact) else None
         self.factor = KeptFactor(equations)

@@ -40,6 +40,7 @@ class StepEquations:
         self.time = 0.0
         self.viscous: Tensor | None = None
         self.friction: tuple[Friction, ...] = ()
+        self.freezes_friction = True  # as a step begins
         self.undo = None if self.body.flow is None else self.body.unflowed()  # F_f⁻¹, stored from step to step
         self.response: FlowStep | None = None
         self._duration = 0.0
@@ -82,12 +83,15 @@ class StepEquations:
             self.forces = self.forces + self.hanging.force()
             self.factorised = self.factorised and self.hanging.share == before
         self.viscous = self.body.viscous_state(guess) if self.scene.damping_time > 0 else None
-        self._freeze(last.positions, coefficients.velocity(guess), last.time)
+        if self.freezes_friction:
+            self.friction = self.contact.freeze_friction(last.positions, coefficients.velocity(guess), last.time)
+        self._freeze_flow(last.positions)
 
     def freeze_friction(self, x: np.ndarray) -> bool:
         """Take anew at positions x what a solve holds fixed, friction and sand's pressure; tells if there is any."""
         assert self.coefficients is not None
-        self._freeze(x, self.coefficients.velocity(x), self.time)
+        self.friction = self.contact.freeze_friction(x, self.coefficients.velocity(x), self.time)
+        self._freeze_flow(x)
         return bool(self.friction) or (self.body.flow is not None and self.body.flow.lagged)
 
     def settled(self, change: np.ndarray, step: float) -> bool:
@@ -101,8 +105,7 @@ class StepEquations:
         if self.response is not None:
             self.undo = self.response.flowed(self.body.deformation_gradient(x))
 
-    def _freeze(self, x: np.ndarray, velocity: np.ndarray, time: float) -> None:
-        self.friction = self.contact.freeze_friction(x, velocity, time)
+    def _freeze_flow(self, x: np.ndarray) -> None:
         if self.undo is not None:
             self.response = self.body.flow_step(self.undo, x, self._duration)
 
