@@ -68,13 +68,21 @@ def measured(number: int, modulus: float, frames: int, repeats: int) -> Row:
     runs = {}
     for _ in range(repeats):
         for name, load in (("numpy", _refuse), ("compiled", load_library)):
-            contact_kernel.load_library = load
+            setattr(contact_kernel, "load_library", load)  # noqa: B010 - a module's name, which types do not allow
             runs[name], (spent, _) = timed(scene, solver, frames)
             seconds[name] = min(spent, seconds.get(name, spent))
     apart = np.sqrt(np.square(runs["numpy"].positions[-1] - runs["compiled"].positions[-1]).sum(-1).mean())
-    newton = (runs[name].statistics.newton_iterations for name in ("numpy", "compiled"))
-    times = (seconds["numpy"], seconds["compiled"])
-    return Row(body, len(scene.start), modulus, *times, *newton, round(1e3 * float(apart), 4))
+    newton = {name: run.statistics.newton_iterations for name, run in runs.items()}
+    return Row(
+        body,
+        len(scene.start),
+        modulus,
+        numpy_seconds=seconds["numpy"],
+        compiled_seconds=seconds["compiled"],
+        numpy_newton_iterations=newton["numpy"],
+        compiled_newton_iterations=newton["compiled"],
+        apart_mm=round(1e3 * float(apart), 4),
+    )
 
 
 def _refuse() -> None:

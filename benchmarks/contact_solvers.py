@@ -99,7 +99,7 @@ def scene_of(number: int, modulus: float) -> tuple[str, Scene, SolverConfig]:
 def compared(number: int, modulus: float, frames: int) -> list[Row]:
     """The three runs of one drop."""
     name_of_body, scene, today = scene_of(number, modulus)
-    changes = {"half the step": FINER, "today": {}, "before": BEFORE}
+    changes: dict[str, dict[str, Any]] = {"half the step": FINER, "today": {}, "before": BEFORE}
     solvers = {name: today.model_copy(update=change) for name, change in changes.items()}
     rows: list[Row] = []
     best: np.ndarray | None = None

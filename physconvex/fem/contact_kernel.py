@@ -7,16 +7,16 @@ from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.linalg.lapack import dgesv
 from scipy.sparse import csr_matrix
 
-from physconvex.contact import Contact, Plane
+from physconvex.contact import Contact, Obstacle, Plane, Sphere
 from physconvex.fem.contact_problem import ContactProblem
 from physconvex.fem.kernel import load_library
 from physconvex.native import POINTER, address, available, doubles
 
-__all__ = ["CompiledContact", "carry", "contact_problem", "turned_blocks"]
+__all__ = ["CompiledContact", "add_near", "carry", "contact_problem", "turned_blocks"]
 
 Array = np.ndarray
 
@@ -46,6 +46,35 @@ def carry(matrix: csr_matrix, x: Float[Array, "V 3"]) -> Float[Array, "S 3"]:
     given = (matrix.indptr, matrix.indices, matrix.data, doubles(x), out)
     load_library().pc_carry(matrix.shape[0], *map(address, given))
     return out
+
+
+def add_near(
+    law: Contact, x: Float[Array, "S 3"], moved: Float[Array, "S 3"], time: float, near: Bool[Array, "O S"]
+) -> None:
+    """Set `near` for the points of a law that are in an obstacle at x or at `moved` [m]."""
+    if available(load_library):
+        rows, points = _rows(law, time), np.ascontiguousarray(law.nodes, dtype=np.int32)
+        given = map(address, (doubles(x), doubles(moved)))
+        load_library().pc_contact_near(
+            len(points), address(points), len(x), *given, len(rows), address(rows), address(near)
+        )
+        return
+    x, moved = x[law.nodes], moved[law.nodes]
+    for number, obstacle in enumerate(law.obstacles):
+        near[number, law.nodes] |= (obstacle.gap(x, time) < 0) | (obstacle.gap(moved, time) < 0)
+
+
+def _rows(law: Contact, time: float) -> Float[Array, "O 9"]:
+    """`struct Obstacle` of contact.h of each obstacle."""
+    return np.array([_row(obstacle, time) for obstacle in law.obstacles]).reshape(-1, 9)
+
+
+def _row(obstacle: Obstacle, time: float) -> list[float]:
+    if isinstance(obstacle, Plane):
+        where, size = obstacle.normal, -float(obstacle.gap(np.zeros((1, 3)), time)[0])
+    else:
+        where, size = obstacle.center_at(time), obstacle.radius
+    return [float(isinstance(obstacle, Sphere)), *where, size, *obstacle.velocity_at(time), obstacle.friction]
 
 
 def turned_blocks(
@@ -93,18 +122,8 @@ class CompiledContact(ContactProblem):
             "compliance": self.compliance,
         }
         integers = {name: np.ascontiguousarray(array, dtype=np.int32) for name, array in whole.items()}
-        obstacles = np.array([self._row(number) for number in range(len(self.law.obstacles))])
+        obstacles = _rows(self.law, self.time)
         return integers | {name: doubles(array) for name, array in real.items()} | {"obstacles": obstacles}
-
-    def _row(self, number: int) -> list[float]:
-        """`struct Obstacle` of contact.h."""
-        obstacle = self.law.obstacles[number]
-        plane = isinstance(obstacle, Plane)
-        if isinstance(obstacle, Plane):
-            where, size = obstacle.normal, -float(obstacle.gap(np.zeros((1, 3)), self.time)[0])
-        else:
-            where, size = obstacle.center_at(self.time), obstacle.radius
-        return [float(not plane), *where, size, *obstacle.velocity_at(self.time), obstacle.friction]
 
     @cached_property
     def _pairs(self) -> _Pairs:

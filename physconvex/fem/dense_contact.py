@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 
 from physconvex.contact import Contact
 from physconvex.errors import ConvergenceError
-from physconvex.fem.contact_kernel import contact_problem
+from physconvex.fem.contact_kernel import add_near, contact_problem
 from physconvex.fem.contact_problem import ContactProblem
 
 __all__ = ["DenseContact"]
@@ -37,10 +37,8 @@ class DenseContact:
 
     def find(self, x: Float[np.ndarray, "S 3"], moved: Float[np.ndarray, "S 3"], time: float) -> None:
         """Look which points touch at x, at `moved` [m], or did when last solved for."""
-        nodes, touching = self.law.nodes, self._pressed.copy()
-        x, moved = x[nodes], moved[nodes]
-        for number, obstacle in enumerate(self.law.obstacles):
-            touching[number, nodes] |= (obstacle.gap(x, time) < 0) | (obstacle.gap(moved, time) < 0)
+        touching = self._pressed.copy()
+        add_near(self.law, x, moved, time, touching)
         self._obstacle, pairs = np.nonzero(touching)
         self.points = np.flatnonzero(touching.any(axis=0))
         self._of_pair = np.searchsorted(self.points, pairs)

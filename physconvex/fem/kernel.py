@@ -140,6 +140,7 @@ def load_library() -> ctypes.CDLL:
         ("pc_stiffness", ctypes.c_int32, [elements, POINTER, POINTER, number, POINTER]),
         ("pc_assemble", None, [ctypes.c_int64, *[POINTER] * 4]),
         ("pc_carry", None, [ctypes.c_int32, *[POINTER] * 5]),
+        ("pc_contact_near", None, [*(ctypes.c_int32, POINTER) * 2, POINTER, ctypes.c_int32, *[POINTER] * 2]),
         ("pc_contact_own_compliance", None, [POINTER] * 2),
         ("pc_contact_residual", None, [POINTER] * 4),
         ("pc_contact_alone", None, [POINTER] * 8),

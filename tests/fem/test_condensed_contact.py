@@ -19,7 +19,7 @@ from physconvex.fem import (
     kept_factor,
     simulate,
 )
-from physconvex.fem.contact_kernel import CompiledContact, carry, contact_problem, turned_blocks
+from physconvex.fem.contact_kernel import CompiledContact, add_near, carry, contact_problem, turned_blocks
 from physconvex.fem.contact_problem import ContactProblem
 from physconvex.fem.kept_factor import KeptFactor
 from physconvex.fem.step_equations import StepEquations
@@ -230,6 +230,19 @@ def test_compiled_numbers_are_those_of_numpy():
     np.testing.assert_allclose(slope, expected_slope, rtol=0, atol=1e-12 * np.abs(expected_slope).max())
     expected = plain.newton_step(left, slope)
     np.testing.assert_allclose(compiled.newton_step(left, slope), expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+
+
+def test_points_that_touch_before_or_after_are_near(kind):
+    rng = np.random.default_rng(6)
+    law = Contact((FLOOR, BALL), np.where(rng.random(60) < 0.7, 1e-3, 0.0), 1e6, smoothing=1e-4, slip_velocity=1e-3)
+    x, moved = (0.03 * rng.normal(size=(60, 3)) + (0.05, 0.1, -0.02) for _ in range(2))
+    near = np.zeros((2, 60), dtype=bool)
+    near[0, 7] = True  # kept
+    add_near(law, x, moved, 0.1, near)
+    for obstacle, found in zip((FLOOR, BALL), near, strict=True):
+        inside = [(obstacle.gap(at, 0.1) < 0) & (law.areas > 0) for at in (x, moved)]
+        assert all(5 < part.sum() < 55 for part in inside)
+        assert (found == inside[0] | inside[1] | ((np.arange(60) == 7) & (obstacle is FLOOR))).all()
 
 
 def test_blocks_turn_with_the_body_and_points_are_carried(kind):

@@ -53,6 +53,18 @@ struct Pairs {
     }
 };
 
+double gap_of(const Obstacle& o, const double* place, double (&normal)[3]) {
+    if (o.sphere == 0) {
+        for (int i = 0; i < 3; ++i) normal[i] = o.vector[i];
+        return place[0] * normal[0] + place[1] * normal[1] + place[2] * normal[2] - o.size;
+    }
+    double off[3], distance = 0;
+    for (int i = 0; i < 3; ++i) off[i] = place[i] - o.vector[i], distance += off[i] * off[i];
+    distance = std::max(std::sqrt(distance), 1e-12);
+    for (int i = 0; i < 3; ++i) normal[i] = off[i] / distance;
+    return distance - o.size;
+}
+
 // Normal force and its derivative by the depth at which the point would lie without it
 void normal_force(const Pairs& p, int c, double depth, double& push, double& rise) {
     const double e = p.smoothing, full = p.stiffness * p.areas[c], ratio = full / p.holds[c];
@@ -81,17 +93,7 @@ void tangential_force(const Pairs& p, double friction, double push, double speed
 // R and its derivative for one pair at a place
 void resolve(const Pairs& p, int c, const double (&place)[3], const double* force, double* left, double* slope) {
     const Obstacle& o = p.obstacles[p.obstacle[c]];
-    double normal[3], gap, off[3] = {}, depth, speed = 0, along[3];
-    if (o.sphere != 0) {
-        for (int i = 0; i < 3; ++i) off[i] = place[i] - o.vector[i];
-        const double distance = std::max(std::sqrt(off[0] * off[0] + off[1] * off[1] + off[2] * off[2]), 1e-12);
-        for (int i = 0; i < 3; ++i) normal[i] = off[i] / distance;
-        gap = distance - o.size;
-    } else {
-        for (int i = 0; i < 3; ++i) normal[i] = o.vector[i];
-        gap = place[0] * normal[0] + place[1] * normal[1] + place[2] * normal[2] - o.size;
-    }
-    depth = -gap;
+    double normal[3], speed = 0, along[3], depth = -gap_of(o, place, normal);
     double slip[3], straight = 0;
     for (int i = 0; i < 3; ++i) {
         const double given = force[i] / p.holds[c];
@@ -139,6 +141,18 @@ void pc_carry(int32_t count, const int32_t* starts, const int32_t* carriers, con
             for (int i = 0; i < 3; ++i) sum[i] += weights[k] * x[3 * size_t(carriers[k]) + i];
         for (int i = 0; i < 3; ++i) out[i] = sum[i];
     }
+}
+
+// Sets near [obstacles][size] for those of some points that are in an obstacle at x or at `moved` [size][3].
+void pc_contact_near(int32_t count, const int32_t* points, int32_t size, const double* x, const double* moved,
+                     int32_t obstacles, const Obstacle* given, uint8_t* near) {
+    double normal[3];
+    for (int o = 0; o < obstacles; ++o)
+        for (int n = 0; n < count; ++n) {
+            const size_t at = 3 * size_t(points[n]);
+            if (gap_of(given[o], x + at, normal) < 0 || gap_of(given[o], moved + at, normal) < 0)
+                near[size_t(o) * size + points[n]] = 1;
+        }
 }
 
 // Trace of each point's own block of S [count].
