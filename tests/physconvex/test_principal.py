@@ -3,15 +3,31 @@
 import pytest
 import torch
 
+from physconvex import principal_kernel
 from physconvex.inelastic import StandardLinearSolid
+from physconvex.native import KernelUnavailable
 from physconvex.principal import PrincipalFrame
 
 
-@pytest.mark.parametrize("thin", [1.0, 1e-1, 1e-3, 1e-9])
-def test_frame_gives_back_the_gradient_however_flat_it_is(thin):
+@pytest.fixture(params=["compiled", "torch"])
+def kind(request, monkeypatch):
+    """Both arithmetics; without a compiler torch's is taken."""
+
+    def refuse():
+        raise KernelUnavailable("no C++ compiler found")
+
+    if request.param == "torch":
+        monkeypatch.setattr(principal_kernel, "load_library", refuse)
+    return request.param
+
+
+@pytest.mark.parametrize("thin", [1.0, 1e-1, 1e-3, 1e-9, 1e-14])
+def test_frame_gives_back_the_gradient_however_flat_it_is(thin, kind):
     generator = torch.Generator().manual_seed(3)
     f = torch.eye(3, dtype=torch.float64) + 0.2 * torch.randn(50, 3, 3, dtype=torch.float64, generator=generator)
     f[:, 2] *= thin
+    found = principal_kernel.singular_values(f, 1e-12)
+    assert (found is not None) == (kind == "compiled" and thin > 1e-12)
     frame = PrincipalFrame.of(f)
     again = (frame.u * frame.stretches.unsqueeze(-2)) @ frame.vt
     torch.testing.assert_close(again, f, rtol=0, atol=1e-13)
@@ -20,6 +36,15 @@ def test_frame_gives_back_the_gradient_however_flat_it_is(thin):
         torch.testing.assert_close(axes @ axes.mT, eye, rtol=0, atol=1e-10)
     torch.testing.assert_close(frame.stretches, torch.linalg.svdvals(f), rtol=1e-10, atol=1e-14)
     assert (frame.proper == (torch.linalg.det(f) > 0)).all() and frame.proper.any()
+
+
+def test_equal_stretches_and_what_is_not_finite():
+    turn = torch.linalg.qr(torch.randn(3, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1)))[0]
+    frame = PrincipalFrame.of(torch.stack([torch.eye(3, dtype=torch.float64), 2 * turn]))
+    torch.testing.assert_close(frame.stretches, torch.tensor([[1.0] * 3, [2.0] * 3], dtype=torch.float64))
+    torch.testing.assert_close(frame.u[1] @ frame.vt[1], turn)
+    assert principal_kernel.singular_values(torch.full((1, 3, 3), torch.nan, dtype=torch.float64), 1e-12) is None
+    assert principal_kernel.singular_values(torch.eye(3).expand(2, 3, 3), 1e-12) is None  # single precision
 
 
 def test_a_body_turned_inside_out_is_not_proper():
