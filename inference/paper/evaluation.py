@@ -228,6 +228,7 @@ class _Object:
         wanted = [self._true(name) for name in NAMES]
         intervals = [e.interval for e in estimates]
         out = self._errors(np.array([e.value for e in estimates]))
+        out["intervals_90"] = [None if i is None else list(i) for i in intervals]
         out["covered"] = [
             None if i is None else bool(i[0] <= w <= i[1]) for i, w in zip(intervals, wanted, strict=True)
         ]
