@@ -54,10 +54,9 @@ def add_near(
     """Set `near` for the points of a law that are in an obstacle at x or at `moved` [m]."""
     if available(load_library):
         rows, points = _rows(law, time), np.ascontiguousarray(law.nodes, dtype=np.int32)
-        given = map(address, (doubles(x), doubles(moved)))
-        load_library().pc_contact_near(
-            len(points), address(points), len(x), *given, len(rows), address(rows), address(near)
-        )
+        given = (doubles(x), doubles(moved))  # named, since a copy must outlive its address
+        places = (len(points), address(points), len(x), *map(address, given))
+        load_library().pc_contact_near(*places, len(rows), address(rows), address(near))
         return
     x, moved = x[law.nodes], moved[law.nodes]
     for number, obstacle in enumerate(law.obstacles):
@@ -86,11 +85,10 @@ def turned_blocks(
     """R (M + more) Rᵀ, block by block of 3 × 3, M those blocks of a symmetric matrix that belong to some places."""
     count = len(places)
     if available(load_library):
-        out, given = np.empty((3 * count, 3 * count)), (np.ascontiguousarray(places, dtype=np.int32), more)
+        given = (np.ascontiguousarray(places, dtype=np.int32), more, doubles(turn), np.empty((3 * count, 3 * count)))
         pointers = [None if array is None else address(array) for array in given]
-        made = (*pointers, address(doubles(turn)), address(out))
-        load_library().pc_turned_blocks(len(matrix), address(matrix), count, *made)
-        return out
+        load_library().pc_turned_blocks(len(matrix), address(matrix), count, *pointers)
+        return given[-1]
     dofs = (3 * places[:, None] + np.arange(3)).ravel()
     out = matrix[np.ix_(dofs, dofs)] + (0.0 if more is None else more)
     for _ in range(2):

@@ -248,7 +248,7 @@ def test_points_that_touch_before_or_after_are_near(kind):
 def test_blocks_turn_with_the_body_and_points_are_carried(kind):
     rng = np.random.default_rng(5)
     matrix, more = (root + root.T for root in (rng.normal(size=(30, 30)), rng.normal(size=(12, 12))))
-    places, turn = np.array([7, 0, 3, 9]), np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    places, turn = np.array([7, 0, 3, 9]), np.asfortranarray(np.linalg.qr(rng.normal(size=(3, 3)))[0])
     dofs = (3 * places[:, None] + np.arange(3)).ravel()
     whole = np.kron(np.eye(4), turn)
     part = matrix[np.ix_(dofs, dofs)]
