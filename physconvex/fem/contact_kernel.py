@@ -16,26 +16,14 @@ from physconvex.fem.contact_problem import ContactProblem
 from physconvex.fem.kernel import load_library
 from physconvex.native import POINTER, address, available, doubles
 
-__all__ = ["CompiledContact", "add_near", "carry", "contact_problem", "turned_blocks"]
+__all__ = ["CompiledContact", "add_near", "carry", "contact_kind", "turned_blocks"]
 
 Array = np.ndarray
 
 
-def contact_problem(
-    law: Contact,
-    points: Int[Array, " C"],
-    obstacles: Int[Array, " C"],
-    free: Float[Array, "C 3"],
-    carried: csr_matrix,
-    compliance: Float[Array, "N N"],
-    *,
-    base: Float[Array, "C 3"],
-    step: float,
-    time: float,
-) -> ContactProblem:
-    """The equation of the forces, see `ContactProblem`; that of plain numpy where nothing can be compiled."""
-    kind = CompiledContact if available(load_library) else ContactProblem
-    return kind(law, points, obstacles, free, carried, compliance, base=base, step=step, time=time)
+def contact_kind() -> type[ContactProblem]:
+    """Which arithmetic the equation of the forces is solved by: plain numpy's where nothing can be compiled."""
+    return CompiledContact if available(load_library) else ContactProblem
 
 
 def carry(matrix: csr_matrix, x: Float[Array, "V 3"]) -> Float[Array, "S 3"]:

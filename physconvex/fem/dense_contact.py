@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 
 from physconvex.contact import Contact
 from physconvex.errors import ConvergenceError
-from physconvex.fem.contact_kernel import add_near, contact_problem
+from physconvex.fem.contact_kernel import add_near, contact_kind
 from physconvex.fem.contact_problem import ContactProblem
 
 __all__ = ["DenseContact"]
@@ -74,7 +74,7 @@ class DenseContact:
         """
         of_pair = self._of_pair
         points = self.points[of_pair]
-        problem = contact_problem(
+        problem = contact_kind()(
             self.law, points, self._obstacle, free[of_pair], carried[of_pair], compliance,
             base=base[of_pair], step=step, time=time,
         )  # fmt: skip

@@ -19,7 +19,7 @@ from physconvex.fem import (
     kept_factor,
     simulate,
 )
-from physconvex.fem.contact_kernel import CompiledContact, add_near, carry, contact_problem, turned_blocks
+from physconvex.fem.contact_kernel import CompiledContact, add_near, carry, contact_kind, turned_blocks
 from physconvex.fem.contact_problem import ContactProblem
 from physconvex.fem.kept_factor import KeptFactor
 from physconvex.fem.step_equations import StepEquations
@@ -195,7 +195,7 @@ def problem_of(points: int, nodes: int, obstacles=(FLOOR,)) -> tuple[ContactProb
     of_pair, obstacle = np.tile(np.arange(points), len(obstacles)), np.repeat(np.arange(len(obstacles)), points)
     free = (np.array([0, 0, -0.022]) + rng.normal(scale=0.01, size=(points, 3)))[of_pair]
     motion = {"base": free - rng.normal(scale=1e-3, size=free.shape), "step": 1e-3, "time": 0.01}
-    problem = contact_problem(law, of_pair, obstacle, free, carried[of_pair], compliance, **motion)
+    problem = contact_kind()(law, of_pair, obstacle, free, carried[of_pair], compliance, **motion)
     return problem, rng.normal(scale=0.1, size=free.shape)
 
 

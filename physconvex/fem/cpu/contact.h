@@ -19,6 +19,14 @@ struct Obstacle {
     double friction;
 };
 
+// Row c of B times v
+inline void carried(const int32_t* starts, const int32_t* carriers, const double* weights, int c, const double* v,
+                    double* out) {
+    out[0] = out[1] = out[2] = 0;
+    for (int k = starts[c]; k < starts[c + 1]; ++k)
+        for (int i = 0; i < 3; ++i) out[i] += weights[k] * v[3 * size_t(carriers[k]) + i];
+}
+
 struct Pairs {
     int32_t count, nodes;
     const int32_t *starts, *carriers, *obstacle;  // [count + 1], [starts[count]], [count]
@@ -37,9 +45,7 @@ struct Pairs {
     }
     // (B v) of a pair
     void spread(int c, const double* values, double (&out)[3]) const {
-        out[0] = out[1] = out[2] = 0;
-        for (int k = starts[c]; k < starts[c + 1]; ++k)
-            for (int i = 0; i < 3; ++i) out[i] += weights[k] * values[3 * size_t(carriers[k]) + i];
+        carried(starts, carriers, weights, c, values, out);
     }
     // H v, by rows that count, H being symmetric
     void give(const double* values, double* out) const {
@@ -135,12 +141,7 @@ extern "C" {
 // B x [count][3].
 void pc_carry(int32_t count, const int32_t* starts, const int32_t* carriers, const double* weights, const double* x,
               double* out) {
-    for (int c = 0; c < count; ++c, out += 3) {
-        double sum[3] = {};
-        for (int k = starts[c]; k < starts[c + 1]; ++k)
-            for (int i = 0; i < 3; ++i) sum[i] += weights[k] * x[3 * size_t(carriers[k]) + i];
-        for (int i = 0; i < 3; ++i) out[i] = sum[i];
-    }
+    for (int c = 0; c < count; ++c) carried(starts, carriers, weights, c, x, out + 3 * size_t(c));
 }
 
 // Sets near [obstacles][size] for those of some points that are in an obstacle at x or at `moved` [size][3].
