@@ -11,10 +11,11 @@ from jaxtyping import Bool, Float, Int
 from scipy.linalg.lapack import dgesv
 from scipy.sparse import csr_matrix
 
-from physconvex.contact import Contact, Obstacle, Plane, Sphere
+from physconvex.contact import Contact
 from physconvex.fem.contact_problem import ContactProblem
 from physconvex.fem.kernel import load_library
 from physconvex.native import POINTER, address, available, doubles
+from physconvex.obstacle_rows import obstacle_rows
 
 __all__ = ["CompiledContact", "add_near", "carry", "contact_kind", "turned_blocks"]
 
@@ -41,7 +42,7 @@ def add_near(
 ) -> None:
     """Set `near` for the points of a law that are in an obstacle at x or at `moved` [m]."""
     if available(load_library):
-        rows, points = _rows(law, time), np.ascontiguousarray(law.nodes, dtype=np.int32)
+        rows, points = obstacle_rows(law.obstacles, time), np.ascontiguousarray(law.nodes, dtype=np.int32)
         given = (doubles(x), doubles(moved))  # named, since a copy must outlive its address
         places = (len(points), address(points), len(x), *map(address, given))
         load_library().pc_contact_near(*places, len(rows), address(rows), address(near))
@@ -49,19 +50,6 @@ def add_near(
     x, moved = x[law.nodes], moved[law.nodes]
     for number, obstacle in enumerate(law.obstacles):
         near[number, law.nodes] |= (obstacle.gap(x, time) < 0) | (obstacle.gap(moved, time) < 0)
-
-
-def _rows(law: Contact, time: float) -> Float[Array, "O 9"]:
-    """`struct Obstacle` of contact.h of each obstacle."""
-    return np.array([_row(obstacle, time) for obstacle in law.obstacles]).reshape(-1, 9)
-
-
-def _row(obstacle: Obstacle, time: float) -> list[float]:
-    if isinstance(obstacle, Plane):
-        where, size = obstacle.normal, -float(obstacle.gap(np.zeros((1, 3)), time)[0])
-    else:
-        where, size = obstacle.center_at(time), obstacle.radius
-    return [float(isinstance(obstacle, Sphere)), *where, size, *obstacle.velocity_at(time), obstacle.friction]
 
 
 def turned_blocks(
@@ -108,7 +96,7 @@ class CompiledContact(ContactProblem):
             "compliance": self.compliance,
         }
         integers = {name: np.ascontiguousarray(array, dtype=np.int32) for name, array in whole.items()}
-        obstacles = _rows(self.law, self.time)
+        obstacles = obstacle_rows(self.law.obstacles, self.time)
         return integers | {name: doubles(array) for name, array in real.items()} | {"obstacles": obstacles}
 
     @cached_property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +13,7 @@ from torch import Tensor
 from physconvex.errors import InputError
 from physconvex.inelastic import FlowRule, FlowStep
 from physconvex.materials import Law, get_law, lame_parameters, project_to_positive, strain_stiffness
-from physconvex.reduced.kernel import volumetric_samples
+from physconvex.reduced.kernel import CompiledViscosity, compiled_viscosity, volumetric_samples
 from physconvex.reduced.space import ReducedSpace
 from physconvex.reduced.volumetric import VolumetricSamples
 from physconvex.volumetric_laws import is_volumetric
@@ -92,10 +93,10 @@ class ReducedBody:
         self._weights = self._tensor(interior.weights)
         flat = space.interior_gradients.transpose(0, 2, 1).reshape(-1, space.dimension)
         self._gradients = self._tensor(np.ascontiguousarray(flat))  # [(Q, j), R]
-        self._quick: VolumetricSamples | None = None
-        if flow is None and self.device.type == "cpu" and is_volumetric(self.law):
-            constants = (t.numpy() for t in (self._weights, self.mu, self.lam))
-            self._quick = volumetric_samples(self.law, flat.reshape(-1, 3, space.dimension), *constants)
+        self._quick: VolumetricSamples | None = None  # of the law alone, also where something flows beside it
+        beside = flow is None or flow.beside_law
+        if beside and self.device.type == "cpu" and is_volumetric(self.law):
+            self._quick = volumetric_samples(self.law, *self._samples)
         self.mass, self.first_moments = space.mass_matrix(self.density)
         self._virgin = None if flow is None else self.flow_step(self.unflowed(), self.space.rest, 0.0)
 
@@ -149,6 +150,16 @@ class ReducedBody:
         return array
 
     @property
+    def _samples(self) -> tuple[np.ndarray, ...]:
+        """Gradients [Q, 3, R], weights, μ and λ [Q] as arrays."""
+        flat, *constants = (t.cpu().numpy() for t in (self._gradients, self._weights, self.mu, self.lam))
+        return flat.reshape(-1, 3, self.space.dimension), *constants
+
+    @cached_property
+    def _viscosity(self) -> CompiledViscosity | None:
+        return compiled_viscosity(*self._samples) if self.device.type == "cpu" else None
+
+    @property
     def rest(self) -> Float[np.ndarray, "R 3"]:
         """Coordinates of the rest state [m]."""
         return self.space.rest
@@ -192,19 +203,22 @@ class ReducedBody:
 
     def gradient(self, y: Float[np.ndarray, "R 3"], *, response: FlowStep | None = None) -> Float[np.ndarray, "R 3"]:
         """Derivative of the energy with respect to the coordinates [N]."""
-        if self._quick is not None:
-            return self._quick.energy_and_gradient(y)[1]
-        return self.forces_of(self._material("stress", self.deformation_gradient(y), response))
+        return self.energy_and_gradient(y, response=response)[1]
 
     def energy_and_gradient(
         self, y: Float[np.ndarray, "R 3"], *, response: FlowStep | None = None
     ) -> tuple[float, Float[np.ndarray, "R 3"]]:
         """Both of the above with one evaluation of F."""
-        if self._quick is not None:
-            return self._quick.energy_and_gradient(y)
-        f = self.deformation_gradient(y)
-        energy = float((self._weights * self._material("energy", f, response)).sum())
-        return energy, self.forces_of(self._material("stress", f, response))
+        if self._quick is None:
+            f = self.deformation_gradient(y)
+            energy = float((self._weights * self._material("energy", f, response)).sum())
+            return energy, self.forces_of(self._material("stress", f, response))
+        energy, forces = self._quick.energy_and_gradient(y)
+        if (flowing := self._flowing(response)) is not None:
+            f = self.deformation_gradient(y)
+            energy += float((self._weights * flowing.energy(f)).sum())
+            forces = forces + self.forces_of(flowing.stress(f))
+        return energy, forces
 
     def gradient_with(self, y: Float[np.ndarray, "R 3"], mu: Tensor, lam: Tensor) -> Float[np.ndarray, "R 3"]:
         """The derivative [N] with other constants μ and λ of the elastic law [Pa], shape [Q]."""
@@ -217,10 +231,13 @@ class ReducedBody:
         parts: list[Tensor] = []
         if self.flow is None or self.flow.beside_law:
             parts.append(getattr(self.law, of)(f, self.mu, self.lam))
-        flowing = self._virgin if response is None else response
-        if flowing is not None:
+        if (flowing := self._flowing(response)) is not None:
             parts.append(getattr(flowing, of)(f))
         return sum(parts[1:], parts[0])
+
+    def _flowing(self, response: FlowStep | None) -> FlowStep | None:
+        """What flows, unless given that of a body that has not flowed, at once; None in an elastic body."""
+        return self._virgin if response is None else response
 
     # -- flow
 
@@ -263,12 +280,19 @@ class ReducedBody:
         if self._quick is not None and not project:
             blocks = self._quick.hessian_blocks(y)
             if blocks is not None:
-                return blocks
+                flowing = self._flowing(response)
+                return (
+                    blocks
+                    if flowing is None
+                    else blocks + self._integrate(flowing.hessian(self.deformation_gradient(y)))
+                )
         tensor = self._material("hessian", self.deformation_gradient(y), response)
         return self._integrate(project_to_positive(tensor) if project else tensor)
 
     def viscous_blocks(self, viscous_state: Tensor, damping_ratio: float) -> Float[np.ndarray, "3 R 3 R"]:
         """Stiffness of the viscosity of a time step [N/m], components first; it does not depend on the coordinates."""
+        if self._viscosity is not None:
+            return self._viscosity.blocks(viscous_state.numpy(), damping_ratio)
         return self._integrate(strain_stiffness(viscous_state, damping_ratio * self.mu, damping_ratio * self.lam))
 
     def _integrate(self, tensor: Tensor) -> np.ndarray:
@@ -289,9 +313,35 @@ class ReducedBody:
         self, state: Tensor, velocity: Float[np.ndarray, "R 3"], damping_time: float
     ) -> tuple[float, Float[np.ndarray, "R 3"]]:
         """Rate potential [W] and its derivative with respect to velocity [N] for viscosity damping_time × (μ, λ)."""
+        if self._viscosity is not None:
+            return self._viscosity.energy_and_gradient(state.numpy(), velocity, damping_time)
         rate = self.deformation_gradient(velocity)
         stress = viscous_stress(state, rate, damping_time * self.mu, damping_time * self.lam)
         return float(0.5 * (self._weights * (stress * rate).sum((-1, -2))).sum()), self.forces_of(stress)
+
+    def viscous_gradient_with(
+        self, state: Tensor, velocity: Float[np.ndarray, "R 3"], mu: Tensor, lam: Tensor
+    ) -> Float[np.ndarray, "R 3"]:
+        """The derivative [N] for other viscosities μ_v and λ_v [Pa·s], shape [Q]."""
+        if self._viscosity is not None:
+            return self._viscosity.gradient_with(state.numpy(), velocity, mu.numpy(), lam.numpy())
+        return self.forces_of(viscous_stress(state, self.deformation_gradient(velocity), mu, lam))
+
+    def viscous_tangent(
+        self,
+        state: Tensor,
+        velocity: Float[np.ndarray, "R 3"],
+        step: Float[np.ndarray, "R 3"],
+        speed_up: Float[np.ndarray, "R 3"],
+        damping_time: float,
+    ) -> Float[np.ndarray, "R 3"]:
+        """Derivative of the viscous forces where F* moves as the coordinates do by `step`, velocity by `speed_up`."""
+        if self._viscosity is not None:
+            return self._viscosity.tangent(state.numpy(), velocity, step, speed_up, damping_time)
+        mu, lam = damping_time * self.mu, damping_time * self.lam
+        rate, moved, faster = (self.deformation_gradient(y) for y in (velocity, step, speed_up))
+        change = inner_viscous_stress(moved, rate, mu, lam) + inner_viscous_stress(state, faster, mu, lam)
+        return self.forces_of(moved @ inner_viscous_stress(state, rate, mu, lam) + state @ change)
 
 
 def _from_pairs(parts: Tensor) -> Tensor:

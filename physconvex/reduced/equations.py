@@ -50,7 +50,7 @@ class StepEquations(DenseNewton):
         self.forces = self.scene.external_forces(time)
         if self.factorised and not math.isclose(coefficients.step, self._factorised_step, rel_tol=1e-9):
             self.factorised = False
-        self.viscous = self.body.deformation_gradient(guess) if self.scene.damping_time > 0 else None
+        self.viscous = self.body.deformation_gradient(guess).contiguous() if self.scene.damping_time > 0 else None
         self._freeze(last.positions, coefficients.velocity(guess), last.time)
 
     def freeze_friction(self, y: Float[np.ndarray, "R 3"]) -> bool:

@@ -2,15 +2,17 @@
 
 A factor is kept over many time steps. What the gradients met since then tell of the Hessian is laid over it by the
 two-loop recursion (Nocedal & Wright 2006, algorithm 7.4, with the factor as the initial inverse): steps then shrink
-faster than linearly, so that the factor lasts longer.
+faster than linearly, so that the factor lasts longer. Each loop is a triangular system here, of the products of the
+changes of place S with those of gradient Y: with R the upper triangle of S Yᵀ and D its diagonal, R a = S r,
+q = r − Yᵀ a, Rᵀ b = D a − Y K⁻¹ q, and K⁻¹ q + Sᵀ b is the result.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 
 import numpy as np
+from scipy.linalg.blas import dtrsv
 
 __all__ = ["Secants"]
 
@@ -26,13 +28,14 @@ class Secants:
     """
 
     def __init__(self, memory: int, *, smallest: float) -> None:
-        self._smallest = smallest
-        self._pairs: deque[tuple[np.ndarray, np.ndarray, float]] = deque(maxlen=memory)
+        self._memory, self._smallest = memory, smallest
         self._last: tuple[np.ndarray, np.ndarray] | None = None
+        self.forget()
 
     def forget(self) -> None:
         """Drop all pairs: there is a new factor."""
-        self._pairs.clear()
+        self._places, self._gradients = np.zeros((0, 0)), np.zeros((0, 0))  # S and Y, the oldest first
+        self._products = np.zeros((0, 0), order="F")  # S Yᵀ, its upper triangle
 
     def interrupt(self) -> None:
         """The function changes: the next gradient has nothing to do with the last one."""
@@ -44,18 +47,25 @@ class Secants:
             s, y = (x - self._last[0]).ravel(), (gradient - self._last[1]).ravel()
             product = float(s @ y)
             if np.abs(s).max() > self._smallest and product > _CURVED * np.sqrt(float(s @ s) * float(y @ y)):
-                self._pairs.append((s, y, product))
+                self._keep(s, y, product)
         self._last = (x, gradient)
+
+    def _keep(self, s: np.ndarray, y: np.ndarray, product: float) -> None:
+        first = max(len(self._places) + 1 - self._memory, 0)
+        kept = self._places[first:].reshape(-1, len(s))
+        count = len(kept)
+        products = np.zeros((count + 1, count + 1), order="F")
+        products[:count, :count] = self._products[first:, first:]
+        products[:count, count], products[count, count] = kept @ y, product
+        self._products = products
+        self._places = np.concatenate([kept, s[None]])
+        self._gradients = np.concatenate([self._gradients[first:].reshape(-1, len(s)), y[None]])
 
     def solve(self, inverse: Callable[[np.ndarray], np.ndarray], rhs: np.ndarray) -> np.ndarray:
         """Apply the corrected inverse to a vector."""
-        if not self._pairs:
+        if not len(self._places):
             return inverse(rhs)
-        q, shares = rhs.copy(), []
-        for s, y, product in reversed(self._pairs):
-            shares.append(float(s @ q) / product)
-            q -= shares[-1] * y
-        out = inverse(q)
-        for (s, y, product), share in zip(self._pairs, reversed(shares), strict=True):
-            out += (share - float(y @ out) / product) * s
-        return out
+        shares = dtrsv(self._products, self._places @ rhs)
+        out = inverse(rhs - shares @ self._gradients)
+        back = dtrsv(self._products, self._products.diagonal() * shares - self._gradients @ out, trans=1)
+        return out + back @ self._places

@@ -19,7 +19,6 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.integrators import State, StepCoefficients, bdf2, extrapolate, implicit_euler
-from physconvex.reduced.body import inner_viscous_stress
 from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.flow_tangents import FlowTangents
 from physconvex.reduced.friction_tangents import friction_tangent
@@ -117,18 +116,16 @@ class _Tangents:
         """Derivative of the gradient at fixed x (friction apart), [P, R, 3]."""
         body, scene = self.body, self.scene
         dv = -change.base / c.step  # of the velocity at fixed x
-        state = body.deformation_gradient(guess) if self.derivatives.viscous else None
+        state = body.deformation_gradient(guess).contiguous() if self.derivatives.viscous else None
         out = self.derivatives.explicit(equations, c, x, state)
         out += body.mass @ (-change.target / c.step**2 + scene.air_drag * dv)
         if scene.wind is not None:
             blocks = equations.wind_blocks(c.velocity(x))
             out += equations.surface.T @ np.einsum("sij,psj->psi", blocks, equations.surface @ dv)
         if scene.damping_time > 0 and state is not None:
-            mu, lam = scene.damping_time * body.mu, scene.damping_time * body.lam
-            rate = body.deformation_gradient(c.velocity(x))
-            dstate, drate = body.deformation_gradient(dguess), body.deformation_gradient(dv)
-            inner = inner_viscous_stress(dstate, rate, mu, lam) + inner_viscous_stress(state, drate, mu, lam)
-            out += body.forces_of(dstate @ inner_viscous_stress(state, rate, mu, lam) + state @ inner)
+            velocity = c.velocity(x)
+            for row, step, speed_up in zip(out, dguess, dv, strict=True):
+                row += body.viscous_tangent(state, velocity, step, speed_up, scene.damping_time)
         return out
 
 

@@ -10,7 +10,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from physconvex.integrators import State, StepCoefficients
-from physconvex.reduced.body import viscous_stress
 from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.friction_tangents import FreezeTangent
 from physconvex.reduced.parameters import axis_of, cells_of, check_parameters, mean_density, region_of
@@ -50,7 +49,6 @@ class StepDerivatives:
             check_parameters(scene, names)
         self.scene, self.body, self.names = scene, scene.body, tuple(names)
         self.surface = scene.body.space.surface_values
-        self.contact = scene.contact()
         follows = scene.contact_stiffness is None and "log10_contact_stiffness" not in names
         self.dlog_stiffness = np.array(
             [_LN10 * (name == "log10_contact_stiffness" or (follows and self._stiffest(name))) for name in names]
@@ -144,17 +142,16 @@ class StepDerivatives:
             x: coordinates at which the gradient is taken [m].
             state: F* of the viscosity; not needed without any (`viscous`).
         """
-        rate = self.body.deformation_gradient(c.velocity(x)) if self.viscous else None
-        parts = [self._explicit(equations, name, c, x, state, rate) for name in self.names]
+        parts = [self._explicit(equations, name, c, x, state) for name in self.names]
         return np.array(parts).reshape(-1, *x.shape)
 
     def _viscous_forces(
-        self, state: Tensor | None, rate: Tensor | None, mu: Tensor, lam: Tensor, time: float
+        self, state: Tensor | None, velocity: np.ndarray, mu: Tensor, lam: Tensor, time: float
     ) -> Float[np.ndarray, "R 3"]:
-        """Forces of the viscosities time × (μ, λ) [N]; none without a state and a rate."""
-        if state is None or rate is None or time == 0:
+        """Forces of the viscosities time × (μ, λ) [N]; none without a state."""
+        if state is None or not self.viscous or time == 0:
             return np.zeros_like(self.scene.start)
-        return self.body.forces_of(viscous_stress(state, rate, time * mu, time * lam))
+        return self.body.viscous_gradient_with(state, velocity, time * mu, time * lam)
 
     def _explicit(
         self,
@@ -163,16 +160,16 @@ class StepDerivatives:
         c: StepCoefficients,
         x: np.ndarray,
         state: Tensor | None,
-        rate: Tensor | None,
     ) -> np.ndarray:
         body, scene, beta = self.body, self.scene, self.scene.damping_time
+        velocity = c.velocity(x)
         stem, region = region_of(name)
         match stem:
             case "log10_youngs_modulus":
                 mu, lam = self._within(region, body.mu, body.lam)
                 plain = region is None and body.flow is None
                 force = body.gradient(x) if plain else self._elastic_forces(x, mu, lam)
-                force = force + self._viscous_forces(state, rate, mu, lam, beta)
+                force = force + self._viscous_forces(state, velocity, mu, lam, beta)
                 if self._stiffest(name):
                     force += self._hold(equations, x)
                 return _LN10 * force + self._stiffening(equations, name, x)
@@ -180,19 +177,19 @@ class StepDerivatives:
                 return self._stiffening(equations, name, x)
             case "poisson_ratio":
                 mu, lam = self._within(region, self._dmu, self._dlam)
-                return self._elastic_forces(x, mu, lam) + self._viscous_forces(state, rate, mu, lam, beta)
+                return self._elastic_forces(x, mu, lam) + self._viscous_forces(state, velocity, mu, lam, beta)
             case "density":
                 mass, moments = self._heavier[name]
-                pull = (x - c.target) / c.step**2 + scene.air_drag * c.velocity(x)
+                pull = (x - c.target) / c.step**2 + scene.air_drag * velocity
                 return mass @ pull - moments[:, None] * scene.uniform_acceleration(equations.time)
             case "damping_time":
-                return self._viscous_forces(state, rate, body.mu, body.lam, 1.0)
+                return self._viscous_forces(state, velocity, body.mu, body.lam, 1.0)
             case "air_drag":
-                return body.mass @ c.velocity(x)
+                return body.mass @ velocity
             case "gravity_x" | "gravity_y" | "gravity_z":
                 return -body.first_moments[:, None] * np.eye(3)[axis_of(name)[1]]
             case "wind_x" | "wind_y" | "wind_z":
-                pushed = equations.wind_blocks(c.velocity(x)) @ np.eye(3)[axis_of(name)[1]]
+                pushed = equations.wind_blocks(velocity) @ np.eye(3)[axis_of(name)[1]]
                 return -(self.surface.T @ pushed)
         if name.startswith(("initial_position", "initial_orientation")):
             return self._led(equations, name, x)
@@ -238,5 +235,5 @@ class StepDerivatives:
         return -equations.pins.matrix @ self._moved[self.names.index(name)]
 
     def _stiffening(self, equations: StepEquations, name: str, x: np.ndarray) -> np.ndarray:
-        _, push = self.contact.energy_and_gradient(self.surface @ x, equations.time)
-        return self.dlog_stiffness[self.names.index(name)] * (self.surface.T @ push)
+        rise = self.dlog_stiffness[self.names.index(name)]
+        return rise * equations.touch.energy_and_gradient(x, equations.time)[1] if rise else np.zeros_like(x)

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.contact import Contact, Friction
+from physconvex.reduced.kernel import compiled_surface
 
 __all__ = ["SurfaceContact", "add_surface_blocks", "contact_blocks"]
 
@@ -51,6 +52,7 @@ class SurfaceContact:
 
     def __init__(self, contact: Contact, values: Float[np.ndarray, "S R"]) -> None:
         self.contact, self.values = contact, values
+        self._compiled = compiled_surface(contact, values)
         self._frozen: tuple[Friction, ...] = ()
         self._rows: tuple[np.ndarray, ...] = ()
 
@@ -58,6 +60,8 @@ class SurfaceContact:
         """Contact energy [J] and its derivative [N]."""
         if not self.contact.obstacles:
             return 0.0, np.zeros_like(y)
+        if self._compiled is not None:
+            return self._compiled.energy_and_gradient(y, time)
         energy, push = self.contact.energy_and_gradient(self.values @ y, time)
         return energy, self._gathered(push)
 

@@ -9,15 +9,9 @@
 #include <cstring>
 #include <vector>
 
-namespace {
+#include "obstacle.h"
 
-struct Obstacle {
-    double sphere;      // 0: a plane
-    double vector[3];   // normal, or centre
-    double size;        // distance of the plane from the origin, or radius
-    double velocity[3];
-    double friction;
-};
+namespace {
 
 // Row c of B times v
 inline void carried(const int32_t* starts, const int32_t* carriers, const double* weights, int c, const double* v,
@@ -58,18 +52,6 @@ struct Pairs {
         }
     }
 };
-
-double gap_of(const Obstacle& o, const double* place, double (&normal)[3]) {
-    if (o.sphere == 0) {
-        for (int i = 0; i < 3; ++i) normal[i] = o.vector[i];
-        return place[0] * normal[0] + place[1] * normal[1] + place[2] * normal[2] - o.size;
-    }
-    double off[3], distance = 0;
-    for (int i = 0; i < 3; ++i) off[i] = place[i] - o.vector[i], distance += off[i] * off[i];
-    distance = std::max(std::sqrt(distance), 1e-12);
-    for (int i = 0; i < 3; ++i) normal[i] = off[i] / distance;
-    return distance - o.size;
-}
 
 // Normal force and its derivative by the depth at which the point would lie without it
 void normal_force(const Pairs& p, int c, double depth, double& push, double& rise) {
