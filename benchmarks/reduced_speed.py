@@ -61,6 +61,7 @@ class Row:
         frames_24: 24 frames of a drop on a smooth floor, 16 steps each [s]; median of three.
         newton_iterations, factorisations: of these.
         frames_24_rough: the same on a tilted floor of friction 0.3 [s].
+        frames_24_damped: that with a damping time of 2 ms [s].
         sensitivities: rough floor with the derivatives by E, ν, friction [s].
     """
 
@@ -79,6 +80,7 @@ class Row:
     newton_iterations: int
     factorisations: int
     frames_24_rough: float
+    frames_24_damped: float
     sensitivities: float
 
 
@@ -147,6 +149,7 @@ def measure(full: ElasticBody, count: int, points: int | None, arithmetic: str) 
         cost.newton_iterations,
         cost.factorisations,
         seconds(lambda: simulate(rough)),
+        seconds(lambda: simulate(replace(rough, damping_time=2e-3))),
         seconds(lambda: simulate_with_sensitivities(rough, names)),
     )
 
