@@ -24,11 +24,13 @@ import torch
 from torch import Tensor
 
 from physconvex.errors import InputError
-from physconvex.principal import PrincipalFrame, principal_hessian, principal_stress
+from physconvex.principal import ALL_BUT_FLAT, PrincipalFrame, principal_hessian, principal_stress
+from physconvex.principal_kernel import flow_response
 
 __all__ = ["FlowRule", "FlowStep", "Plasticine", "Sand", "StandardLinearSolid"]
 
 Strains = tuple[PrincipalFrame, Tensor, Tensor, Tensor]  # frame of F_e; t, d and r
+Response = tuple[Tensor, Tensor] | None  # energy and stress
 _TINY = 1e-100  # its square is a number still
 
 
@@ -52,6 +54,14 @@ class FlowStep:
     left: float
     tension: bool
     _last: list[tuple[Tensor, Strains]] = field(default_factory=list, init=False, repr=False, compare=False)
+    _compiled: list[tuple[Tensor, Response]] = field(default_factory=list, init=False, repr=False, compare=False)
+
+    def _response(self, f: Tensor) -> Response:
+        """Energy and stress by compiled arithmetic, if they can be had so; kept, since both are asked for."""
+        if not self._compiled or self._compiled[0][0] is not f:
+            constants = (self.mu, self.bulk, self.limit, self.left, self.tension)
+            self._compiled[:] = [(f, flow_response(f, self.undo, *constants, ALL_BUT_FLAT))]
+        return self._compiled[0][1]
 
     def _frame(self, f: Tensor) -> Strains:
         """Of the trial F_e; kept, since energy and stress are asked for at the same F."""
@@ -77,6 +87,8 @@ class FlowStep:
 
     def energy(self, f: Tensor) -> Tensor:
         """W [J/m³], shape [Q]; infinite where det F ≤ 0."""
+        if (quick := self._response(f)) is not None:
+            return quick[0]
         frame, trace, _, radius = self._frame(f)
         m, limit = self.left * self.mu, self._limit(trace)
         flowing = limit * radius - limit**2 / (4 * m)
@@ -92,6 +104,8 @@ class FlowStep:
 
     def stress(self, f: Tensor) -> Tensor:
         """First Piola–Kirchhoff stress ∂W/∂F [Pa], shape [Q, 3, 3]."""
+        if (quick := self._response(f)) is not None:
+            return quick[1]
         frame, trace, deviator, radius = self._frame(f)
         return principal_stress(frame, self._slopes(trace, deviator, radius)[0]) @ self.undo.mT
 

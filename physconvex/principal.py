@@ -15,11 +15,11 @@ from torch import Tensor
 
 from physconvex.principal_kernel import singular_values
 
-__all__ = ["PrincipalFrame", "principal_hessian", "principal_stress"]
+__all__ = ["ALL_BUT_FLAT", "PrincipalFrame", "principal_hessian", "principal_stress"]
 
 _SMALLEST = 1e-30
 _FLAT = 1e-2  # smallest stretch over the largest one
-_ALL_BUT_FLAT = 1e-12  # the same below which there is no third axis
+ALL_BUT_FLAT = 1e-12  # the same below which there is no third axis, of compiled arithmetic
 _CLOSE = 1e-6  # relative distance of two stretches below which their difference quotient is a derivative
 
 
@@ -57,7 +57,7 @@ def _singular_values(f: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
     What the eigenvectors lose is the square of the ratio of two stretches, in units of rounding.
     """
-    if (quick := singular_values(f, _ALL_BUT_FLAT)) is not None:
+    if (quick := singular_values(f, ALL_BUT_FLAT)) is not None:
         return quick
     square = f.mT @ f
     if bool(torch.isfinite(square).all()):

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from physconvex import principal_kernel
+from physconvex import inelastic, principal_kernel
 from physconvex.inelastic import StandardLinearSolid
 from physconvex.native import KernelUnavailable
 from physconvex.principal import PrincipalFrame
@@ -52,10 +52,16 @@ def test_a_body_turned_inside_out_is_not_proper():
     assert not bool(PrincipalFrame.of(f).proper)
 
 
-def test_energy_and_stress_at_one_gradient_take_the_stretches_once(monkeypatch):
+def _told(taken, found):
+    taken.append("compiled")
+    return found
+
+
+def test_energy_and_stress_at_one_gradient_take_the_stretches_once(kind, monkeypatch):
     taken = []
-    of = PrincipalFrame.of
-    monkeypatch.setattr(PrincipalFrame, "of", classmethod(lambda cls, f: taken.append(1) or of(f)))
+    of, respond = PrincipalFrame.of, inelastic.flow_response
+    monkeypatch.setattr(PrincipalFrame, "of", classmethod(lambda cls, f: taken.append("torch") or of(f)))
+    monkeypatch.setattr(inelastic, "flow_response", lambda *given: (found := respond(*given)) and _told(taken, found))
     eye = torch.eye(3, dtype=torch.float64).expand(4, 3, 3)
     mu = torch.full((4,), 1e3, dtype=torch.float64)
     step = StandardLinearSolid(0.3, 0.1).during(eye, eye, mu, mu, 1e-3)
@@ -63,6 +69,6 @@ def test_energy_and_stress_at_one_gradient_take_the_stretches_once(monkeypatch):
         f = scale * eye
         step.energy(f)
         step.stress(f)
-    assert len(taken) == 2
+    assert taken == [kind] * 2
     fresh = StandardLinearSolid(0.3, 0.1).during(eye, eye, mu, mu, 1e-3)
     torch.testing.assert_close(step.stress(1.1 * eye), fresh.stress(1.1 * eye))
