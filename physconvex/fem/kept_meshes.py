@@ -18,7 +18,7 @@ from physconvex.native import cache_folder
 
 __all__ = ["kept", "known"]
 
-_GENERATION = 3  # of the meshers: one more whenever they, or the choice between them, change
+_GENERATION = 4  # of the meshers: one more whenever they, or the choice between them, change
 Surface = tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]
 
 

@@ -165,20 +165,25 @@ def _simplified_mesh(vertices: np.ndarray, faces: np.ndarray, max_nodes: int, or
     volume = enclosed_volume(vertices, faces)
     if volume is None:
         raise InputError('surface: open or inside out; close it and orient it outwards, or use method="ftetwild"')
-    triangles, epsilon, nodes = max_nodes / NODES_PER_TRIANGLE[order], SIMPLIFIED_EPSILON, 0
+    settings, nodes = [(max_nodes / NODES_PER_TRIANGLE[order], SIMPLIFIED_EPSILON)], 0
     found: list[tuple[float, TetMesh]] = []
-    for _ in range(SIMPLIFICATIONS):
+    for _ in range(SIMPLIFICATIONS + DRAWS):
+        triangles, epsilon = settings[-1]
         coarse = simplified(vertices, faces, max(int(triangles), 20))
         mesh = fill(*coarse, 0.5 * diagonal_of(vertices), epsilon, 20, 1)
         mesh = to_quadratic(mesh) if order == 2 else mesh
         nodes = len(mesh.vertices)
         if nodes > max_nodes:
-            triangles, epsilon = triangles * min(0.8, max_nodes / nodes), 1.5 * epsilon
+            if len(settings) == SIMPLIFICATIONS:
+                break
+            settings.append((triangles * min(0.8, max_nodes / nodes), 1.5 * epsilon))
             continue
         mesh = with_volume(mesh, volume)
         found.append((overlap(mesh, vertices, faces), mesh))
         if found[-1][0] >= ENOUGH or len(found) == DRAWS:
             break
+        if len(settings) > 1:  # that the finer one had too many nodes may have been chance
+            settings.pop()
     if found:
         return max(found, key=lambda one: one[0])[1]
     raise ConvergenceError(

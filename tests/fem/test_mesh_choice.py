@@ -85,6 +85,18 @@ def test_a_simplified_surface_that_is_filled_badly_is_filled_again(box, monkeypa
     assert len(made) - len(todo) == runs
 
 
+def test_a_mesh_that_had_too_many_nodes_by_chance_is_tried_again(box, monkeypatch):
+    """Coarser ones stay worse, however often they are made."""
+    asked, fine = [], box_mesh(SIZE, (4, 4, 4), order=1)
+    todo = [fine, stretched(x=0.8), fine, stretched(x=0.85), stretched(x=0.95)]
+    monkeypatch.setattr(meshing, "simplified", lambda vertices, faces, count: asked.append(count) or (vertices, faces))
+    monkeypatch.setattr(meshing, "fill", lambda *arguments: todo.pop(0))
+    mesh = tetrahedralize(box, method="simplified", max_nodes=100, order=1)
+    np.testing.assert_array_equal(mesh.vertices, with_volume(stretched(x=0.95), enclosed_volume(*box)).vertices)
+    finest, coarser = asked[:2]
+    assert coarser < finest and asked == [finest, coarser, finest, coarser, finest]
+
+
 def test_ways_are_tried_until_one_is_good_enough(box, monkeypatch):
     made = {"lattice": stretched(x=0.95), "ftetwild": stretched(x=0.85), "simplified": stretched(x=0.97)}
     tried = []
