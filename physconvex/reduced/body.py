@@ -279,13 +279,10 @@ class ReducedBody:
         """The stiffness matrix without viscosity [N/m], components first."""
         if self._quick is not None and not project:
             blocks = self._quick.hessian_blocks(y)
+            if blocks is not None and (flowing := self._flowing(response)) is not None:
+                blocks += self._integrate(flowing.hessian(self.deformation_gradient(y)))
             if blocks is not None:
-                flowing = self._flowing(response)
-                return (
-                    blocks
-                    if flowing is None
-                    else blocks + self._integrate(flowing.hessian(self.deformation_gradient(y)))
-                )
+                return blocks
         tensor = self._material("hessian", self.deformation_gradient(y), response)
         return self._integrate(project_to_positive(tensor) if project else tensor)
 
