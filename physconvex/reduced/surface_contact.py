@@ -52,7 +52,7 @@ class SurfaceContact:
 
     def __init__(self, contact: Contact, values: Float[np.ndarray, "S R"]) -> None:
         self.contact, self.values = contact, values
-        self._compiled = compiled_surface(contact, values)
+        self._compiled = compiled_surface(contact, values) if contact.obstacles else None
         self._frozen: tuple[Friction, ...] = ()
         self._rows: tuple[np.ndarray, ...] = ()
 

@@ -191,7 +191,7 @@ void pc_viscous_rows(const Body* given, int32_t first, int32_t count, const doub
     for (int q = first; q < first + count; ++q) {
         const double *g = body.gradients + 3 * size * q, *at = state + 9 * size_t(q);
         const double mu = ratio * body.weights[q] * body.mu[q], lam = ratio * body.weights[q] * body.lam[q];
-        const double root = std::sqrt(2 * mu), mean = (std::sqrt(2 * mu + 3 * lam) - root) / 3, half = std::sqrt(mu);
+        const double root = std::sqrt(2 * mu), mean = (std::sqrt(2 * mu + 3 * lam) - root) / 3, shear = std::sqrt(mu);
         for (int i = 0; i < 3; ++i, rows += size) {
             const double *f = at + 3 * i, *g0 = g, *g1 = g + size, *g2 = g + 2 * size;
             for (size_t a = 0; a < size; ++a) {
@@ -199,9 +199,9 @@ void pc_viscous_rows(const Body* given, int32_t first, int32_t count, const doub
                 rows[a] = root * e0 + trace;
                 rows[3 * size + a] = root * e1 + trace;
                 rows[6 * size + a] = root * e2 + trace;
-                rows[9 * size + a] = half * (f[0] * g1[a] + f[1] * g0[a]);
-                rows[12 * size + a] = half * (f[0] * g2[a] + f[2] * g0[a]);
-                rows[15 * size + a] = half * (f[1] * g2[a] + f[2] * g1[a]);
+                rows[9 * size + a] = shear * (f[0] * g1[a] + f[1] * g0[a]);
+                rows[12 * size + a] = shear * (f[0] * g2[a] + f[2] * g0[a]);
+                rows[15 * size + a] = shear * (f[1] * g2[a] + f[2] * g1[a]);
             }
         }
         rows += 15 * size;
