@@ -13,7 +13,7 @@ from inference.refining.options import RefineOptions
 from inference.refining.result import Estimate, interval_of
 from inference.refining.stages import Stages
 from physconvex.errors import ConvergenceError
-from physconvex.fem import TetMesh
+from physconvex.fem import TetMesh, filled
 from physconvex.fem.mesh import refine as subdivided
 from physconvex.identify import (
     FinerFit,
@@ -93,7 +93,7 @@ def finer_mesh(twin: Twin) -> TetMesh | None:
     """A finer quadratic mesh of the same body, or None where none is found that is small enough.
 
     Tetrahedra of the capture are cut in eight each, which keeps the geometry; a mesh that was made from the capture's
-    surface is made again with 1.8 times the nodes.
+    surface is made again with 1.8 times the nodes, and filled if the twin's is.
     """
     capture, mesh = twin.capture, twin.mesh
     surface = capture.mesh()
@@ -108,7 +108,9 @@ def finer_mesh(twin: Twin) -> TetMesh | None:
         fine = faithful_mesh(*pair, max_nodes=int(_FINER * len(mesh.vertices)))
     except ConvergenceError:
         return None
-    return fine if len(fine.vertices) > 1.2 * len(mesh.vertices) else None
+    if len(fine.vertices) <= 1.2 * len(mesh.vertices):
+        return None
+    return fine if mesh.filling is None else filled(fine, *pair)
 
 
 @dataclass(frozen=True, eq=False)

@@ -131,7 +131,8 @@ class _Run:
 
     def _problem(self) -> Problem:
         options = self.options
-        twin = base_twin(self.capture, TwinOptions(options.weights, options.max_nodes, options.steps_per_frame))
+        sizes = TwinOptions(options.weights, options.max_nodes, options.steps_per_frame, fill=True)
+        twin = base_twin(self.capture, sizes)
         if "friction" in options.free:
             twin = with_free_friction(twin)
         held = {name: value for name, value in options.fixed.items() if value is not None}

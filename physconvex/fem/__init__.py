@@ -4,6 +4,7 @@ from physconvex.contact import Plane, Sphere
 from physconvex.fem.body import ElasticBody
 from physconvex.fem.carried_contact import CarriedContact, SurfacePoints
 from physconvex.fem.embedding import Embedding, sample_interior
+from physconvex.fem.filling import filled
 from physconvex.fem.hanging import HangingLoad
 from physconvex.fem.implicit_meshing import tetrahedralize_implicit
 from physconvex.fem.loads import surface_load
@@ -39,6 +40,7 @@ __all__ = [
     "Trajectory",
     "box_mesh",
     "elastic_responses",
+    "filled",
     "mesh_quality",
     "refine",
     "sample_interior",

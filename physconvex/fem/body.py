@@ -57,12 +57,12 @@ class ElasticBody:
         self.law = get_law(law) if isinstance(law, str) else law
         self.flow = flow
         self.device = torch.device(device)
-        self._barycentric, weights = QUADRATURE[1 if mesh.order == 1 else 2]
-        shape = (len(mesh.tets), len(weights)) if np.ndim(youngs_modulus) == 2 else None
+        self._barycentric, volumes = _rule(mesh)
+        shape = volumes.shape if np.ndim(youngs_modulus) == 2 else None
         self.youngs_modulus = self._checked("youngs_modulus", youngs_modulus, 0.0, np.inf, shape=shape)
         self.poisson_ratio = self._checked("poisson_ratio", poisson_ratio, -1.0, 0.5)
         self.density = self._checked("density", density, 0.0, np.inf)
-        self._weights = self._tensor(mesh.element_volumes[:, None] * weights)  # [E, Q]
+        self._weights = self._tensor(volumes)  # [E, Q]
         ratio = self._tensor(self.poisson_ratio)[:, None]
         self._mu, self._lam = lame_parameters(self._tensor(self.modulus_at_points), ratio)  # [E, Q]
         self._gradients = self._tensor(self._rest_gradients())  # [E, Q, n, 3]
@@ -95,12 +95,13 @@ class ElasticBody:
         x = self.mesh.vertices[self.mesh.corner_tets]
         inner = np.linalg.inv(x[:, 1:] - x[:, :1]).transpose(0, 2, 1)  # rows: ∂b_1..3/∂X
         barycentric_gradients = np.concatenate([-inner.sum(1, keepdims=True), inner], axis=1)  # [E, 4, 3]
-        return np.einsum("qnb,ebi->eqni", shape_gradients(self._barycentric, self.mesh.order), barycentric_gradients)
+        shapes = shape_gradients(self._barycentric.reshape(-1, 4), self.mesh.order)
+        return np.einsum("eqnb,ebi->eqni", shapes.reshape(*self._barycentric.shape[:2], -1, 4), barycentric_gradients)
 
     @property
     def quadrature_points(self) -> Float[np.ndarray, "E Q 3"]:
         """Where the material is asked [m], at rest."""
-        return np.asarray(self._barycentric @ self.mesh.vertices[self.mesh.corner_tets])
+        return np.asarray(self._barycentric @ self.mesh.vertices[self.mesh.corner_tets])  # [E, Q, 4] @ [E, 4, 3]
 
     @property
     def modulus_at_points(self) -> Float[np.ndarray, "E Q"]:
@@ -113,19 +114,25 @@ class ElasticBody:
         """Mass matrix of one coordinate [kg], shape [V, V]: consistent, or of the mesh's particles."""
         if self.mesh.mass_shares is not None:
             return sp.diags(self.total_mass * self.mesh.mass_shares).tocsr()
-        barycentric, weights = QUADRATURE[2 if self.mesh.order == 1 else 4]
-        values = shape_values(barycentric, self.mesh.order)
-        local = np.einsum("q,qa,qb->ab", weights, values, values)
-        blocks = (self.density * self.mesh.element_volumes)[:, None, None] * local
+        blocks = self.density[:, None, None] * self._unit_masses
         n = self.mesh.tets.shape[1]
         rows, columns = np.repeat(self.mesh.tets, n, axis=1).ravel(), np.tile(self.mesh.tets, n).ravel()
         size = len(self.mesh.vertices)
         return sp.coo_matrix((blocks.ravel(), (rows, columns)), shape=(size, size)).tocsr()
 
     @property
+    def _unit_masses(self) -> Float[np.ndarray, "E n n"]:
+        """∫ N_a N_b dV of each element [m³]."""
+        if self.mesh.filling is not None:
+            return self.mesh.filling.mass
+        barycentric, weights = QUADRATURE[2 if self.mesh.order == 1 else 4]
+        values = shape_values(barycentric, self.mesh.order)
+        return self.mesh.element_volumes[:, None, None] * np.einsum("q,qa,qb->ab", weights, values, values)
+
+    @property
     def total_mass(self) -> float:
         """Mass of the body [kg]."""
-        return float((self.density * self.mesh.element_volumes).sum())
+        return float(self.density @ self._unit_masses.sum(axis=(1, 2)))
 
     @cached_property
     def node_masses(self) -> Float[np.ndarray, " V"]:
@@ -300,3 +307,11 @@ class ElasticBody:
 
     def _rate_potential(self, strain: Tensor, inner: Tensor) -> float:
         return 0.5 * float((self._weights * (inner * strain).sum((-1, -2))).sum())
+
+
+def _rule(mesh: TetMesh) -> tuple[Float[np.ndarray, "E Q 4"], Float[np.ndarray, "E Q"]]:
+    """Where the material of each element is asked, in its barycentric coordinates, and for how much of it [m³]."""
+    if mesh.filling is not None:
+        return mesh.filling.barycentric, mesh.filling.weights
+    barycentric, weights = QUADRATURE[1 if mesh.order == 1 else 2]
+    return np.broadcast_to(barycentric, (len(mesh.tets), *barycentric.shape)), mesh.element_volumes[:, None] * weights

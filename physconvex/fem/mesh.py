@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from physconvex.errors import InputError
 
-__all__ = ["EDGE_CORNERS", "TetMesh", "box_mesh", "refine", "to_quadratic"]
+__all__ = ["EDGE_CORNERS", "Filling", "TetMesh", "box_mesh", "refine", "to_quadratic"]
 
 # Corners joined by mid-edge nodes 4..9 of a quadratic tetrahedron.
 EDGE_CORNERS = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
@@ -32,6 +32,27 @@ CHILDREN = np.array(
 )
 
 
+@dataclass(frozen=True, eq=False)
+class Filling:
+    """Which part of its elements a body is, see `physconvex.fem.filled`.
+
+    Attributes:
+        barycentric: where in each element the material is asked, shape [E, 4, 4].
+        weights: volume that each of these points stands for [m³], shape [E, 4].
+        mass: ∫ N_a N_b dV over each element's part of the body [m³], shape [E, n, n].
+        points: evenly spread over the body [m], shape [S, 3].
+        cells: the element that carries each, shape [S].
+        share: volume that each of them stands for [m³].
+    """
+
+    barycentric: Float[np.ndarray, "E 4 4"]
+    weights: Float[np.ndarray, "E 4"]
+    mass: Float[np.ndarray, "E n n"]
+    points: Float[np.ndarray, "S 3"]
+    cells: Int[np.ndarray, " S"]
+    share: float
+
+
 @dataclass(frozen=True)
 class TetMesh:
     """A tetrahedral mesh.
@@ -42,15 +63,17 @@ class TetMesh:
             edges 01, 12, 02, 03, 13, 23). Orientation positive: det[x1-x0, x2-x0, x3-x0] > 0.
         mass_shares: of the body's mass that each node carries as a particle, shape [V]; None: the mass lies where the
             elements do (consistent mass matrix).
+        filling: what of the elements is the body; None: all.
 
     Raises:
-        InputError: wrong shapes, indices out of range, unused vertices, an element without positive volume, or shares
-            that are not positive or do not add up to one.
+        InputError: wrong shapes, indices out of range, unused vertices, an element without positive volume, shares
+            that are not positive or do not add up to one, or a filling of another mesh.
     """
 
     vertices: Float[np.ndarray, "V 3"]
     tets: Int[np.ndarray, "E n"]
     mass_shares: Float[np.ndarray, " V"] | None = None
+    filling: Filling | None = None
 
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices, dtype=np.float64)
@@ -78,6 +101,11 @@ class TetMesh:
             raise InputError(
                 f"mass_shares: got shape {shares.shape} with the sum {shares.sum():.6g}; expected [{len(vertices)}] "
                 "positive numbers that add up to 1"
+            )
+        if self.filling is not None and self.filling.mass.shape != (len(tets), tets.shape[1], tets.shape[1]):
+            raise InputError(
+                f"filling: got one of {len(self.filling.mass)} elements of {self.filling.mass.shape[-1]} nodes; "
+                f"expected {len(tets)} of {tets.shape[1]}: fill the mesh that it is of (`filled`)"
             )
 
     def with_equal_masses(self) -> TetMesh:

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from physconvex.capture import Capture
 from physconvex.contact import Plane
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import ElasticBody, Scene, TetMesh, to_quadratic
+from physconvex.fem import ElasticBody, Scene, TetMesh, filled, to_quadratic
 from physconvex.fem.mesh_volume import enclosed_volume
 from physconvex.identify.clamping import Clamp, clamp_of
 from physconvex.identify.faithful import faithful_mesh, unfaithfulness
@@ -44,6 +44,8 @@ class TwinOptions:
         steps_per_frame: time steps per frame; None: at least 384 per second, at least 4 per frame.
         law: elastic law, see `physconvex.materials`.
         youngs_modulus, poisson_ratio: of the twin before anything is fitted.
+        fill: whether mass and energy of a mesh that was made of a surface are those of the surface's inside
+            (`physconvex.fem.filled`).
     """
 
     weights: int = 20
@@ -52,6 +54,7 @@ class TwinOptions:
     law: str = "neo_hookean"
     youngs_modulus: float = 1e5
     poisson_ratio: float = 0.35
+    fill: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,10 +165,11 @@ def _uniform(name: str, value: np.ndarray) -> float:
     return float(value[0])
 
 
-def mesh_of_capture(capture: Capture, *, max_nodes: int = 700) -> TetMesh:
+def mesh_of_capture(capture: Capture, *, max_nodes: int = 700, fill: bool = False) -> TetMesh:
     """Quadratic tetrahedra of a capture's rest geometry, of about `max_nodes` nodes at most.
 
-    Those of `tets.npz` are taken if they are few enough, else its boundary (or `mesh.*`) is meshed (`faithful_mesh`).
+    Those of `tets.npz` are taken if they are few enough, else its boundary (or `mesh.*`) is meshed (`faithful_mesh`),
+    and filled as far as that goes if asked for.
 
     Raises:
         InputError: the capture has no rest geometry, or none that encloses a volume.
@@ -175,14 +179,17 @@ def mesh_of_capture(capture: Capture, *, max_nodes: int = 700) -> TetMesh:
         quadratic = to_quadratic(tets)
         if len(quadratic.vertices) <= max_nodes:
             return quadratic
-        return faithful_mesh(*tets.surface, max_nodes=max_nodes)
+        mesh = faithful_mesh(*tets.surface, max_nodes=max_nodes)
+        return filled(mesh, *tets.surface) if fill else mesh
     surface = capture.mesh()
     if surface is None:
         raise InputError(
             f"{capture.folder}: no rest geometry; expected tets.npz (vertices, tets) or mesh.obj, .ply or .glb of the "
             "closed surface where it is at t = 0. Points alone do not tell what body carries them"
         )
-    return faithful_mesh(np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces), max_nodes=max_nodes)
+    pair = np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces)
+    mesh = faithful_mesh(*pair, max_nodes=max_nodes)
+    return filled(mesh, *pair) if fill else mesh
 
 
 def _follows(mesh: TetMesh, capture: Capture) -> bool:
@@ -202,7 +209,7 @@ def coarse_mesh(capture: Capture, mesh: TetMesh, *, max_nodes: int = 200) -> Tet
     if len(mesh.vertices) <= 1.5 * max_nodes or not _follows(mesh, capture):
         return mesh
     try:
-        coarse = mesh_of_capture(capture, max_nodes=max_nodes)
+        coarse = mesh_of_capture(capture, max_nodes=max_nodes, fill=mesh.filling is not None)
     except ConvergenceError:  # the shape asks for more nodes
         return mesh
     return coarse if len(coarse.vertices) < len(mesh.vertices) else mesh
@@ -231,7 +238,9 @@ def base_twin(capture: Capture, options: TwinOptions | None = None, *, mesh: Tet
         InputError: no rest geometry, or a boundary that does not fit it.
     """
     options = options or TwinOptions()
-    mesh = mesh_of_capture(capture, max_nodes=options.max_nodes) if mesh is None else to_quadratic(mesh)
+    if mesh is None:
+        mesh = mesh_of_capture(capture, max_nodes=options.max_nodes, fill=options.fill)
+    mesh = to_quadratic(mesh)
     boundary = capture.boundary()
     clamp = None
     if boundary is not None:

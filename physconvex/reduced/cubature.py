@@ -70,13 +70,21 @@ def _conical_rule(degree: int) -> tuple[Float[np.ndarray, "Q 4"], Float[np.ndarr
 def tet_cubature(mesh: TetMesh, *, degree: int = 2) -> Cubature:
     """Quadrature points of all tetrahedra, exact for polynomials of that degree within each; volume exact.
 
-    Degree 1 takes one point per tetrahedron, 2 takes 4, 4 takes 27, 6 takes 64.
+    Degree 1 takes one point per tetrahedron, 2 takes 4, 4 takes 27, 6 takes 64. Of a mesh that is filled in part
+    (`physconvex.fem.filled`) degrees up to 2 take its 4 points, higher ones all that are spread over the body.
 
     Raises:
         InputError: `degree` is not in 1..12.
     """
     if not 1 <= degree <= 12:
         raise InputError(f"degree: got {degree}; expected 1 to 12")
+    part = mesh.filling
+    if part is not None and degree > 2:
+        return Cubature(part.points, np.full(len(part.points), part.share), part.cells, len(mesh.tets))
+    if part is not None:
+        points = part.barycentric @ mesh.vertices[mesh.corner_tets]
+        cells = np.repeat(np.arange(len(mesh.tets)), points.shape[1])
+        return Cubature(points.reshape(-1, 3), part.weights.ravel(), cells, len(mesh.tets))
     barycentric, weights = QUADRATURE[degree] if degree <= 2 else _conical_rule(degree)
     points = np.einsum("qb,ebi->eqi", barycentric, mesh.vertices[mesh.corner_tets])
     volumes = mesh.element_volumes[:, None] * weights

@@ -43,7 +43,7 @@ def test_a_mesh_that_is_hardly_the_body_has_no_coarser_one(tmp_path, monkeypatch
     save_capture(capture, mesh=trimesh.Trimesh(*shown.surface, process=False), tracks=tracks)
     capture = load_capture(tmp_path / "c")
     few = box_mesh(SIZE, (4, 1, 1))
-    monkeypatch.setattr(twin, "mesh_of_capture", lambda capture, *, max_nodes: few)
+    monkeypatch.setattr(twin, "mesh_of_capture", lambda capture, **_: few)
     fine = box_mesh(SIZE, (8, 2, 2))
     assert coarse_mesh(capture, fine, max_nodes=50) is few
     thick = TetMesh(fine.vertices * np.array([1.0, 1.0, 1.5]), fine.tets)  # a third of it is not the body
@@ -156,3 +156,21 @@ def test_frames_that_the_model_does_not_know_count_less():
     residuals, jacobian = weighted.linearise(coarse, np.ones((3, 1, 2, 3)))
     np.testing.assert_allclose(jacobian[:, 0], residuals)  # both are ten times the factor
     assert weighted.in_frames(2).residuals(coarse).shape == (12,)
+
+
+def test_meshes_of_a_surface_are_filled_on_request(tmp_path):
+    """And so are those with fewer nodes beside them; tetrahedra that a capture has are the body as they are."""
+    capture = Capture(tmp_path / "c", 50.0, 4, 3)
+    tracks = Tracks(np.zeros((1, 3)), np.zeros((4, 1, 3)), np.full((4, 1), 1e-3))
+    ball = trimesh.creation.icosphere(3, 0.1)
+    save_capture(capture, mesh=ball, tracks=tracks)
+    capture = load_capture(tmp_path / "c")
+    plain, filled = (base_twin(capture, TwinOptions(weights=2, max_nodes=400, fill=fill)) for fill in (False, True))
+    assert plain.mesh.filling is None
+    assert filled.mesh.filling is not None
+    coarse = coarse_mesh(capture, filled.mesh, max_nodes=100)
+    assert len(coarse.vertices) < len(filled.mesh.vertices)
+    assert coarse.filling is not None
+    assert filled.full_scene(coarse).body.total_mass == pytest.approx(1000 * ball.volume, rel=1e-2)
+    whole = saved(tmp_path / "tets")
+    assert base_twin(whole, TwinOptions(weights=2, fill=True)).mesh.filling is None

@@ -23,6 +23,7 @@ __all__ = [
     "TIED",
     "alone",
     "beside_in_first_frames",
+    "fitted_there",
     "from_first_frames",
     "from_there",
     "leave_out",
@@ -50,15 +51,17 @@ def alone(search: Selection, screened: Iterable[Screened]) -> None:
 
 def from_there(search: Selection, full: Baseline, effects: tuple[Effect, ...], values: np.ndarray) -> None:
     """Fit effects from values at which they were found together with E."""
+    label = " + ".join(effect.label for effect in effects)
+    model = replace(full.model, effects=effects)
+    search.attempt(f"{label}, from a scan", lambda: fitted_there(search, model, values))
+
+
+def fitted_there(search: Selection, full: EffectModel, values: np.ndarray) -> Hypothesis:
+    """A fit from values far from the base fit, by a reduced model that says what the full-order one does there."""
     count = int(search.base.split.fitted[-1]) + 1
-
-    def run() -> Hypothesis:
-        model = replace(full.model, effects=effects)
-        cheap, motion = reduced_like(model, model.motion(values), values)
-        tangents = replace(cheap, frames=count).tangents(values, motion.first(count))
-        return refit(search.base, search.errors, cheap, values, tangents, search.options)
-
-    search.attempt(" + ".join(effect.label for effect in effects) + ", from a scan", run)
+    cheap, motion = reduced_like(full, full.motion(values), values)
+    tangents = replace(cheap, frames=count).tangents(values, motion.first(count))
+    return refit(search.base, search.errors, cheap, values, tangents, search.options)
 
 
 def load_beside(search: Selection, dictionary: tuple[Effect, ...]) -> None:

@@ -22,6 +22,7 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.search.comparison import Hypothesis, base_hypothesis
 from physconvex.gap.search.decision import decided
 from physconvex.gap.search.evidence import residuals_per_one
+from physconvex.gap.search.flight import from_flight
 from physconvex.gap.search.loads import loaded_starts
 from physconvex.gap.search.mapping import as_reduced
 from physconvex.gap.search.ranking import finalists, judged
@@ -78,6 +79,7 @@ def select_effects(
             from_there(search, base, effects, values)
     alone(search, screening.one_per_name[: _SINGLES if open_gap else 2])
     if open_gap:
+        from_flight(search, numerics, dictionary)
         together(search, screening)
         from_first_frames(search, numerics, dictionary)
         polish(search)

@@ -1,0 +1,103 @@
+"""Where in its elements a body is: coarse ones cut its corners and fill its hollows, what is integrated need not.
+
+Mass and energy are integrals over the inside of a surface, whatever tetrahedra carry the motion: the finite cell
+method (Parvizian, Düster & Rank 2007), for meshes that follow the surface nearly. Points spread over the inside are
+given to the elements that hold them, those outside the mesh to the nearest; of each element four points of equal weight
+have the volume, the centre and the second moments of its part (Gauss' rule of degree 2 where it is full), and the mass
+is summed over all points. An element counts as filled by a twentieth at least, so that none goes soft.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.stats import qmc
+
+from physconvex.fem.elements import QUADRATURE, shape_values
+from physconvex.fem.embedding import Embedding, locate
+from physconvex.fem.mesh import Filling, TetMesh
+from physconvex.fem.mesh_volume import enclosed_volume
+from physconvex.fem.surface_distance import surface_distance
+
+__all__ = ["filled"]
+
+_POINTS, _PER_ELEMENT, _BLOCK = 20_000, 60, 10_000  # inside the surface, at least; drawn at once
+_LEAST = 0.05  # of an element that counts as filled
+# corners of a regular tetrahedron: in its coordinates Gauss' rule of degree 2 spreads alike in all directions
+_REGULAR = np.array(
+    [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, np.sqrt(3) / 2, 0.0], [0.5, np.sqrt(3) / 6, np.sqrt(2 / 3)]]
+)
+_TO_BARYCENTRIC = np.linalg.inv(np.vstack([_REGULAR.T, np.ones(4)]))
+_RULE = QUADRATURE[2][0] @ _REGULAR
+_CENTRE = _RULE.mean(axis=0)
+_SPREAD = float(np.square(_RULE - _CENTRE).sum() / 12)  # variance of one coordinate, of rule and tetrahedron alike
+
+
+def filled(mesh: TetMesh, vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> TetMesh:
+    """The same mesh, its elements filled as far as a closed surface does; as it is where the surface is open.
+
+    Args:
+        mesh: that follows the surface nearly, linear or quadratic.
+        vertices: of the surface [m].
+        triangles: outward oriented.
+    """
+    vertices, triangles = np.ascontiguousarray(vertices, dtype=np.float64), np.ascontiguousarray(triangles)
+    volume = enclosed_volume(vertices, triangles)
+    if volume is None:
+        return mesh
+    count = max(_POINTS, _PER_ELEMENT * len(mesh.tets))
+    points = _inside(vertices.tobytes(), triangles.astype(np.int64).tobytes(), count)
+    return replace(mesh, filling=_filling(mesh, points, volume / len(points)))
+
+
+@lru_cache(maxsize=2)
+def _inside(vertices: bytes, triangles: bytes, count: int) -> Float[np.ndarray, "S 3"]:
+    """At least `count` points spread evenly over the inside of a closed surface, always the same ones (Halton's)."""
+    corners, faces = np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(triangles, dtype=np.int64).reshape(-1, 3)
+    low, high = corners[np.unique(faces)].min(axis=0), corners[np.unique(faces)].max(axis=0)
+    distance, sequence = surface_distance(corners, faces), qmc.Halton(3, scramble=False)
+    found: list[np.ndarray] = []
+    while sum(map(len, found)) < count:
+        points = low + (high - low) * sequence.random(_BLOCK)
+        found.append(points[distance(points) < 0])
+    return np.concatenate(found)
+
+
+def _filling(mesh: TetMesh, points: Float[np.ndarray, "S 3"], share: float) -> Filling:
+    """What of each element such points fill, of which each stands for a share of the volume [m³]."""
+    cells, _, anchors, _ = locate(mesh, points)
+    count, full = len(mesh.tets), mesh.element_volumes
+    places = anchors @ _REGULAR
+    volume = share * np.bincount(cells, minlength=count)
+    first = share * np.stack([np.bincount(cells, places[:, i], count) for i in range(3)], axis=1)
+    second = share * np.stack(
+        [[np.bincount(cells, places[:, i] * places[:, j], count) for j in range(3)] for i in range(3)], axis=0
+    ).transpose(2, 0, 1)
+    lacking = np.maximum(_LEAST * full - volume, 0.0)
+    weight = volume + lacking
+    mean = (first + lacking[:, None] * _CENTRE) / weight[:, None]
+    uniform = _SPREAD * np.eye(3) + np.outer(_CENTRE, _CENTRE)
+    spread = (second + lacking[:, None, None] * uniform) / weight[:, None, None] - mean[:, :, None] * mean[:, None, :]
+    values, axes = np.linalg.eigh(spread)
+    root = np.einsum("eij,ej,ekj->eik", axes, np.sqrt(np.maximum(values, 0.0) / _SPREAD), axes)
+    placed = mean[:, None] + np.einsum("eij,qj->eqi", root, _RULE - _CENTRE)
+    rule = np.concatenate([placed, np.ones((*placed.shape[:2], 1))], axis=-1) @ _TO_BARYCENTRIC.T
+    mass = _mass_blocks(Embedding.of_points(mesh, points), share, count)
+    barycentric, weights = QUADRATURE[2 if mesh.order == 1 else 4]
+    shapes = shape_values(barycentric, mesh.order)
+    mass += lacking[:, None, None] * np.einsum("q,qa,qb->ab", weights, shapes, shapes)
+    return Filling(rule, weight[:, None] * QUADRATURE[2][1], mass, points, cells, share)
+
+
+def _mass_blocks(carried: Embedding, share: float, count: int) -> Float[np.ndarray, "E n n"]:
+    """∫ N_a N_b dV of each element [m³]: the sum over its points."""
+    blocks = np.zeros((count, carried.weights.shape[1], carried.weights.shape[1]))
+    order = np.argsort(carried.elements, kind="stable")
+    ends = np.searchsorted(carried.elements[order], np.arange(count + 1))
+    for element in range(count):
+        inner = carried.weights[order[ends[element] : ends[element + 1]]]
+        blocks[element] = share * inner.T @ inner
+    return blocks

@@ -1,0 +1,108 @@
+"""Effects that show before anything is touched: told by the flight alone, then E is looked for again beside them.
+
+In flight a body hardly deforms, so that neither E nor ν can absorb what wind, a clock or a throw do there, and a fit
+has one minimum; after an impact E has many, and at the base fit it may be decades from the one that suits the effect.
+So E is looked for by the first contact alone, and the reduced model is corrected anew where that puts it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from physconvex.errors import ConvergenceError
+from physconvex.gap.base.baseline import Baseline
+from physconvex.gap.base.model import MODULUS, EffectModel
+from physconvex.gap.effects import Effect
+from physconvex.gap.errors.numerics import Numerics
+from physconvex.gap.errors.screening import Screened, best_pairs, screen
+from physconvex.gap.search.comparison import Hypothesis, fit_effects
+from physconvex.gap.search.evidence import mean_square
+from physconvex.gap.search.rounds import fitted_there
+from physconvex.gap.search.state import FAILURES, Selection
+
+__all__ = ["from_flight"]
+
+_SHORTEST = 5  # frames of flight
+_OPEN = 2.0  # mean square over the expected one in flight, from which on the flight says something
+_SHOWING = ("external", "initial state", "observation")  # sources of what shows on a body that keeps its shape
+_SCREENED, _FITTED = (3, 6), (1, 2)  # single effects and pairs: fitted to the flight, and of these on from there
+_TOUCHING = 4  # frames of the contact that tell about where E is
+# decades of E: about the base fit's by the reduced model, then by the full one, which is less stiff, above the best
+_CHANGES, _ABOVE = np.arange(-1.8, 1.9, 0.3), np.array([0.0, 0.1, 0.2, 0.3])
+_RATIO = 0.35  # ν beside them
+
+
+def from_flight(search: Selection, numerics: Numerics, dictionary: Sequence[Effect]) -> None:
+    """Fit what the flight before the first contact tells, and from there the rest."""
+    flight = _flight(search.base)
+    if flight is None or search.late or MODULUS not in search.base.model.base:
+        return
+    if mean_square(flight, search.errors, flight.positions, flight.split.fitted) < _OPEN:
+        return
+    shown = [effect for effect in dictionary if effect.source in _SHOWING]
+    screening = screen(flight, search.errors, numerics, shown, search.report)
+    singles: list[tuple[Screened, ...]] = [(entry,) for entry in screening.one_per_name[: _SCREENED[0]]]
+    pairs: list[tuple[Screened, ...]] = [(pair.first, pair.second) for pair in best_pairs(screening, _SCREENED[1])]
+    for told in (*_told(search, flight, singles)[: _FITTED[0]], *_told(search, flight, pairs)[: _FITTED[1]]):
+        search.attempt(f"{told.label}, from the flight", lambda h=told: _fitted(search, h))  # type: ignore[misc]
+
+
+def _told(search: Selection, flight: Baseline, choices: Sequence[Sequence[Screened]]) -> list[Hypothesis]:
+    """Choices of effects fitted to the flight, the best first."""
+    found = []
+    for chosen in choices:
+        search.report(f"flight: {' + '.join(entry.effect.label for entry in chosen)}")
+        with suppress(*FAILURES):
+            found.append(fit_effects(flight, search.errors, chosen, search.options))
+    return sorted(found, key=lambda h: h.fitted)
+
+
+def _flight(base: Baseline) -> Baseline | None:
+    """The baseline of the frames before the one ahead of the first contact; None where these are few."""
+    touching = np.flatnonzero(base.contact_force > 0)
+    if base.situation.clamped or not len(touching):
+        return None
+    fitted = base.split.fitted[base.split.fitted < int(touching[0]) - 1]
+    return None if len(fitted) < _SHORTEST else replace(base, split=replace(base.split, fitted=fitted))
+
+
+def _fitted(search: Selection, told: Hypothesis) -> Hypothesis:
+    """Initial motion and doses as the flight has them, E by the first contact, then all together."""
+    base, values = search.base, told.values.copy()
+    for place, name in enumerate(base.model.base):
+        if not name.startswith("initial"):  # of which the flight says nothing
+            values[place] = base.fit.values[place]
+    place = base.model.base.index(MODULUS)
+    bare = replace(base.model, effects=told.effects, correction=None)
+    full = replace(search.full.model, effects=told.effects)
+    last = int(base.split.fitted[-1]) + 1
+    first = min(int(np.flatnonzero(base.contact_force > 0)[0]) + _TOUCHING, last)
+    values = _best_material(search, replace(bare, frames=first), values, values[place] + _CHANGES)
+    values = _best_material(search, replace(full, frames=last), values, values[place] + _ABOVE)
+    return fitted_there(search, full, values)
+
+
+def _best_material(search: Selection, model: EffectModel, values: np.ndarray, moduli: np.ndarray) -> np.ndarray:
+    """The values with that of some moduli, and an ordinary ν, at which they fit the frames of a model best."""
+    base, names = search.base, search.base.model.base
+    place, count = names.index(MODULUS), model.frames
+    bounds = model.parameters(values)[place]
+    best, least = values, float("inf")
+    for modulus in np.unique(np.clip(moduli, bounds.lower, bounds.upper)):
+        moved = values.copy()
+        moved[place] = modulus
+        if "poisson_ratio" in names:
+            moved[names.index("poisson_ratio")] = _RATIO
+        try:
+            here = model.positions(moved)
+        except ConvergenceError:
+            continue
+        seen = np.concatenate([here, base.positions[count:]])
+        misfit = mean_square(base, search.errors, seen, base.split.fitted[base.split.fitted < count])
+        if misfit < least:
+            best, least = moved, misfit
+    return best

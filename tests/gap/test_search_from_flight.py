@@ -1,0 +1,87 @@
+"""Effects told by the flight, and E found beside them where the base fit has another one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from physconvex.capture import Capture, Floor, Tracks, save_capture
+from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, box_mesh, simulate
+from physconvex.gap import GapOptions
+from physconvex.gap.base.base_fit import rough_baseline
+from physconvex.gap.base.model import MODULUS
+from physconvex.gap.effects import DEFAULT_EFFECTS
+from physconvex.gap.errors.numerics import Numerics
+from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.search import flight
+from physconvex.gap.search.comparison import base_hypothesis
+from physconvex.gap.search.flight import from_flight
+from physconvex.gap.search.mapping import as_reduced
+from physconvex.gap.search.state import Selection
+
+OPTIONS = GapOptions(max_nodes=60, weights=4, iterations=6)
+TRUE, FRAMES, FPS, TILT = 5e4, 24, 60.0, np.radians(4.0)
+EFFECTS = tuple(e for e in DEFAULT_EFFECTS if e.name in ("gravity_tilt", "air_drag"))
+
+
+def dropped(folder, tilt, height):
+    """A box falls by `height` [m] along a tilted gravity, its markers followed; the capture says that it is upright."""
+    mesh = box_mesh((0.1, 0.1, 0.14), (1, 1, 1), order=2)
+    corners = box_mesh((0.1, 0.1, 0.14), (1, 1, 1), order=1)
+    up = np.array([0.0, 0.0, height])
+    mesh, corners = (TetMesh(m.vertices + up, m.tets) for m in (mesh, corners))
+    gravity = 9.81 * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
+    body = ElasticBody(mesh, youngs_modulus=TRUE, poisson_ratio=0.35, density=1000.0)
+    scene = Scene(body, obstacles=(Plane(friction=0.3),), gravity=tuple(gravity))
+    run = simulate(scene, frames=FRAMES, fps=FPS, steps_per_frame=8)
+    noise = 1e-4 * np.random.default_rng(0).normal(size=run.positions.shape)
+    capture = Capture(
+        folder, FPS, FRAMES, 16, density=1000.0,
+        floor=Floor(np.zeros(3), np.array([0.0, 0.0, 1.0]), friction=0.3),
+        initial_velocity=np.zeros(3), initial_angular_velocity=np.zeros(3),
+    )  # fmt: skip
+    tracks = Tracks(mesh.vertices, run.positions + noise, np.full(run.positions.shape[:2], 1e-4))
+    save_capture(capture, tets=corners, tracks=tracks)
+    return capture
+
+
+def searched(capture, change):
+    """The search after the flight was looked at, from a base model whose E is so many decades off."""
+    base = rough_baseline(capture, OPTIONS, lambda text: None)
+    values = base.fit.values.copy()
+    values[base.model.base.index(MODULUS)] = np.log10(TRUE) + change
+    motion = base.model.motion(values)
+    count = int(base.split.fitted[-1]) + 1
+    tangents = replace(base.model, frames=count).tangents(values, motion.first(count))
+    fit = replace(base.fit, parameters=base.model.parameters(values), values=values)
+    base = replace(base, fit=fit, motion=motion, tangents=tangents)
+    rows = len(base.residual(base.positions))
+    search = Selection(base, as_reduced(base), ErrorModel(np.ones(rows), np.zeros((0, rows))), OPTIONS, lambda _: None)
+    search.found.append(base_hypothesis(search.base, search.errors))
+    from_flight(search, Numerics(*[np.zeros_like(motion.positions)] * 5), EFFECTS)
+    return search
+
+
+@pytest.fixture(scope="module")
+def tilted(tmp_path_factory):
+    return dropped(tmp_path_factory.mktemp("tilted") / "capture", TILT, 0.12)
+
+
+@pytest.mark.slow
+def test_the_flight_tells_the_tilt_and_the_contact_the_modulus(tilted):
+    search = searched(tilted, 1.2)
+    best = min(search.found, key=lambda h: h.fitted)
+    assert best.fitted < 0.05 * search.found[0].fitted
+    assert "gravity_tilt" in best.names
+    assert best.values[0] == pytest.approx(np.log10(TRUE), abs=0.1)  # 1.2 decades off before
+    effect = best.effects[best.names.index("gravity_tilt")]
+    assert np.linalg.norm(best.doses(effect)[0]) == pytest.approx(np.degrees(TILT), abs=0.3)
+
+
+@pytest.mark.slow
+def test_no_modulus_is_looked_for_where_nothing_shows_in_flight(tmp_path, tilted, monkeypatch):
+    """A body that falls as the model says, or that strikes the floor at once."""
+    assert len(searched(dropped(tmp_path / "upright", 0.0, 0.12), 0.6).found) == 1
+    assert len(searched(dropped(tmp_path / "low", TILT, 0.01), 0.6).found) == 1
+    monkeypatch.setattr(flight, "_OPEN", np.inf)
+    assert len(searched(tilted, 0.6).found) == 1
