@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from inference.refining import RefineOptions, estimates
+from physconvex.fem import box_mesh, filled
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 
@@ -30,6 +31,18 @@ def test_a_finer_model_that_runs_away_is_not_followed(away, strikes, monkeypatch
     assert len(warnings) == away
     wide = away or strikes
     assert judged.left == pytest.approx(np.hypot(arrays["left"], [0.04, 0.29]) if wide else arrays["left"])
+
+
+@pytest.mark.parametrize("fill", [True, False])
+def test_a_finer_mesh_is_filled_where_the_coarse_one_is(fill, monkeypatch):
+    surface = box_mesh((0.3, 0.2, 0.2), (2, 1, 1), order=1).surface
+    coarse, fine = box_mesh((0.3, 0.2, 0.2), (2, 1, 1)), box_mesh((0.3, 0.2, 0.2), (4, 2, 2))
+    shown = SimpleNamespace(vertices=surface[0], faces=surface[1])
+    capture = SimpleNamespace(mesh=lambda: shown, tets=lambda: None)
+    monkeypatch.setattr(estimates, "faithful_mesh", lambda *surface, max_nodes: fine)
+    found = estimates.finer_mesh(SimpleNamespace(capture=capture, mesh=filled(coarse, *surface) if fill else coarse))
+    assert np.array_equal(found.vertices, fine.vertices)
+    assert (found.filling is not None) == fill
 
 
 def test_the_noise_of_images_is_what_their_residuals_are_and_that_of_markers_at_least_as_stated():
