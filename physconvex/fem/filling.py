@@ -24,7 +24,8 @@ from physconvex.fem.surface_distance import surface_distance
 
 __all__ = ["filled"]
 
-_POINTS, _PER_ELEMENT, _BLOCK = 20_000, 60, 10_000  # inside the surface, at least; drawn at once
+_POINTS, _PER_ELEMENT = 20_000, 60  # inside the surface, at least
+_BLOCK, _BLOCKS = 10_000, 60  # drawn at once in the surface's box, and how often at most: of thin sheets few are inside
 _LEAST = 0.05  # of an element that counts as filled
 # corners of a regular tetrahedron: in its coordinates Gauss' rule of degree 2 spreads alike in all directions
 _REGULAR = np.array(
@@ -37,7 +38,7 @@ _SPREAD = float(np.square(_RULE - _CENTRE).sum() / 12)  # variance of one coordi
 
 
 def filled(mesh: TetMesh, vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> TetMesh:
-    """The same mesh, its elements filled as far as a closed surface does; as it is where the surface is open.
+    """The same mesh, its elements filled as far as a closed surface does; as it is where the surface is open or flat.
 
     Args:
         mesh: that follows the surface nearly, linear or quadratic.
@@ -50,46 +51,60 @@ def filled(mesh: TetMesh, vertices: Float[np.ndarray, "V 3"], triangles: Int[np.
         return mesh
     count = max(_POINTS, _PER_ELEMENT * len(mesh.tets))
     points = _inside(vertices.tobytes(), triangles.astype(np.int64).tobytes(), count)
-    return replace(mesh, filling=_filling(mesh, points, volume / len(points)))
+    return replace(mesh, filling=_filling(mesh, points, volume / len(points))) if len(points) else mesh
 
 
 @lru_cache(maxsize=2)
 def _inside(vertices: bytes, triangles: bytes, count: int) -> Float[np.ndarray, "S 3"]:
-    """At least `count` points spread evenly over the inside of a closed surface, always the same ones (Halton's)."""
+    """About `count` points spread evenly over the inside of a closed surface, always the same ones (Halton's)."""
     corners, faces = np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(triangles, dtype=np.int64).reshape(-1, 3)
     low, high = corners[np.unique(faces)].min(axis=0), corners[np.unique(faces)].max(axis=0)
     distance, sequence = surface_distance(corners, faces), qmc.Halton(3, scramble=False)
-    found: list[np.ndarray] = []
-    while sum(map(len, found)) < count:
+    found = np.zeros((0, 3))
+    for _ in range(_BLOCKS):
         points = low + (high - low) * sequence.random(_BLOCK)
-        found.append(points[distance(points) < 0])
-    return np.concatenate(found)
+        found = np.concatenate([found, points[distance(points) < 0]])
+        if len(found) >= count:
+            break
+    return found
 
 
 def _filling(mesh: TetMesh, points: Float[np.ndarray, "S 3"], share: float) -> Filling:
     """What of each element such points fill, of which each stands for a share of the volume [m³]."""
     cells, _, anchors, _ = locate(mesh, points)
-    count, full = len(mesh.tets), mesh.element_volumes
-    places = anchors @ _REGULAR
-    volume = share * np.bincount(cells, minlength=count)
-    first = share * np.stack([np.bincount(cells, places[:, i], count) for i in range(3)], axis=1)
-    second = share * np.stack(
-        [[np.bincount(cells, places[:, i] * places[:, j], count) for j in range(3)] for i in range(3)], axis=0
-    ).transpose(2, 0, 1)
-    lacking = np.maximum(_LEAST * full - volume, 0.0)
-    weight = volume + lacking
-    mean = (first + lacking[:, None] * _CENTRE) / weight[:, None]
-    uniform = _SPREAD * np.eye(3) + np.outer(_CENTRE, _CENTRE)
-    spread = (second + lacking[:, None, None] * uniform) / weight[:, None, None] - mean[:, :, None] * mean[:, None, :]
-    values, axes = np.linalg.eigh(spread)
-    root = np.einsum("eij,ej,ekj->eik", axes, np.sqrt(np.maximum(values, 0.0) / _SPREAD), axes)
-    placed = mean[:, None] + np.einsum("eij,qj->eqi", root, _RULE - _CENTRE)
-    rule = np.concatenate([placed, np.ones((*placed.shape[:2], 1))], axis=-1) @ _TO_BARYCENTRIC.T
-    mass = _mass_blocks(Embedding.of_points(mesh, points), share, count)
+    volumes = share * np.bincount(cells, minlength=len(mesh.tets))
+    lacking = np.maximum(_LEAST * mesh.element_volumes - volumes, 0.0)
+    rule = _rules(cells, anchors @ _REGULAR, share, lacking)
     barycentric, weights = QUADRATURE[2 if mesh.order == 1 else 4]
     shapes = shape_values(barycentric, mesh.order)
+    mass = _mass_blocks(Embedding.of_points(mesh, points), share, len(mesh.tets))
     mass += lacking[:, None, None] * np.einsum("q,qa,qb->ab", weights, shapes, shapes)
-    return Filling(rule, weight[:, None] * QUADRATURE[2][1], mass, points, cells, share)
+    return Filling(rule, (volumes + lacking)[:, None] * QUADRATURE[2][1], mass, points, cells, share)
+
+
+def _rules(
+    cells: Int[np.ndarray, " S"], places: Float[np.ndarray, "S 3"], share: float, lacking: Float[np.ndarray, " E"]
+) -> Float[np.ndarray, "E 4 4"]:
+    """Four points of each element, barycentric, with the centre and the second moments of what fills it.
+
+    Args:
+        cells: of the points that fill them.
+        places: of these points in the regular tetrahedron.
+        share: volume of each [m³].
+        lacking: volume that fills each element evenly beside them [m³].
+    """
+    count = len(lacking)
+    centred = places - _CENTRE
+    products = (centred[:, :, None] * centred[:, None, :]).reshape(-1, 9).T
+    weight = share * np.bincount(cells, minlength=count) + lacking
+    mean = share * np.stack([np.bincount(cells, c, count) for c in centred.T], axis=1) / weight[:, None]
+    second = share * np.stack([np.bincount(cells, p, count) for p in products], axis=1).reshape(-1, 3, 3)
+    second += lacking[:, None, None] * _SPREAD * np.eye(3)
+    spread = second / weight[:, None, None] - mean[:, :, None] * mean[:, None, :]
+    values, axes = np.linalg.eigh(spread)
+    root = np.einsum("eij,ej,ekj->eik", axes, np.sqrt(np.maximum(values, 0.0) / _SPREAD), axes)
+    placed = _CENTRE + mean[:, None] + np.einsum("eij,qj->eqi", root, _RULE - _CENTRE)
+    return np.concatenate([placed, np.ones((count, 4, 1))], axis=-1) @ _TO_BARYCENTRIC.T
 
 
 def _mass_blocks(carried: Embedding, share: float, count: int) -> Float[np.ndarray, "E n n"]:

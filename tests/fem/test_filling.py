@@ -45,7 +45,7 @@ def test_elements_that_are_full_are_as_they_were(box, rng):
     part = filled(box, *box.surface)
     plain, same = ElasticBody(box), ElasticBody(part)
     np.testing.assert_allclose(part.filling.weights, plain._weights.numpy(), rtol=0.05)
-    np.testing.assert_allclose(part.filling.barycentric, plain._barycentric, atol=0.03)
+    np.testing.assert_allclose(part.filling.barycentric, plain._barycentric, atol=0.05)  # 270 points in each
     assert same.total_mass == pytest.approx(plain.total_mass, rel=1e-12)
     x = box.vertices + 0.01 * rng.normal(size=box.vertices.shape)
     assert same.energy(x) == pytest.approx(plain.energy(x), rel=0.01)
