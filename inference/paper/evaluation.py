@@ -207,7 +207,7 @@ class _Object:
         return self.refinements[name]
 
     def _twin_options(self) -> TwinOptions:
-        return TwinOptions(max_nodes=self.options.max_nodes, steps_per_frame=self.options.steps_per_frame, fill=True)
+        return TwinOptions(max_nodes=self.options.max_nodes, steps_per_frame=self.options.steps_per_frame)
 
     def _settings(self) -> RefineOptions:
         options = self.options

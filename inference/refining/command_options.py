@@ -20,6 +20,7 @@ __all__ = [
     "Field",
     "FieldFile",
     "FieldSteps",
+    "Fill",
     "Fix",
     "Free",
     "FullRuns",
@@ -106,6 +107,13 @@ TimeOffset = Annotated[
 
 Weights = Annotated[int, typer.Option(help="Number of skinning weights of the result.", rich_help_panel=_MODEL)]
 MaxNodes = Annotated[int, typer.Option(help="Most nodes of the quadratic mesh.", rich_help_panel=_MODEL)]
+Fill = Annotated[
+    bool,
+    typer.Option(
+        help="Let mass and energy of a mesh made of the surface be those of the surface's inside.",
+        rich_help_panel=_MODEL,
+    ),
+]
 StepsPerFrame = Annotated[
     int | None,
     typer.Option(

@@ -23,6 +23,8 @@ class RefineOptions:
         weights: number of skinning weights M of the reduced model.
         max_nodes: most nodes of the quadratic mesh of both models.
         steps_per_frame: time steps per frame; None: at least 384 per second.
+        fill: whether mass and energy of a mesh that is made of the surface are those of the surface's inside, see
+            `physconvex.fem.filled`.
         free: parameters beyond E, ν, the damping time and what the capture does not state of the initial motion.
         fixed: parameters that stay, with their values; None: as the capture has it (E and ν need a value).
         priors: mean and standard deviation by parameter.
@@ -52,6 +54,7 @@ class RefineOptions:
     weights: int = 20
     max_nodes: int = 500
     steps_per_frame: int | None = None
+    fill: bool = False
     free: tuple[str, ...] = ()
     fixed: Mapping[str, float | None] = dataclasses.field(default_factory=dict)
     priors: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)

@@ -131,7 +131,7 @@ class _Run:
 
     def _problem(self) -> Problem:
         options = self.options
-        sizes = TwinOptions(options.weights, options.max_nodes, options.steps_per_frame, fill=True)
+        sizes = TwinOptions(options.weights, options.max_nodes, options.steps_per_frame, fill=options.fill)
         twin = base_twin(self.capture, sizes)
         if "friction" in options.free:
             twin = with_free_friction(twin)
