@@ -45,8 +45,11 @@ def dropped(folder, tilt, height):
     return capture
 
 
-def searched(capture, change):
-    """The search after the flight was looked at, from a base model whose E is so many decades off."""
+def searched(capture, change, *, told=False):
+    """The search after the flight was looked at, from a base model whose E is so many decades off.
+
+    With `told`, a fit is there already that says what was seen.
+    """
     base = rough_baseline(capture, OPTIONS, lambda text: None)
     values = base.fit.values.copy()
     values[base.model.base.index(MODULUS)] = np.log10(TRUE) + change
@@ -58,6 +61,9 @@ def searched(capture, change):
     rows = len(base.residual(base.positions))
     search = Selection(base, as_reduced(base), ErrorModel(np.ones(rows), np.zeros((0, rows))), OPTIONS, lambda _: None)
     search.found.append(base_hypothesis(search.base, search.errors))
+    if told:
+        seen = capture.tracks().positions
+        search.found.append(replace(search.found[0], positions=seen, likelihood=search.found[0].attainable))
     from_flight(search, Numerics(*[np.zeros_like(motion.positions)] * 5), EFFECTS)
     return search
 
@@ -85,3 +91,10 @@ def test_no_modulus_is_looked_for_where_nothing_shows_in_flight(tmp_path, tilted
     assert len(searched(dropped(tmp_path / "low", TILT, 0.01), 0.6).found) == 1
     monkeypatch.setattr(flight, "_OPEN", np.inf)
     assert len(searched(tilted, 0.6).found) == 1
+
+
+@pytest.mark.slow
+def test_nothing_is_looked_for_where_a_fit_says_what_the_flight_shows(tilted):
+    """Else it takes from the search what a further effect needs that shows later."""
+    assert len(searched(tilted, 0.6, told=True).found) == 2
+    assert len(searched(tilted, 0.6).found) > 1

@@ -37,11 +37,11 @@ _RATIO = 0.35  # ν beside them
 
 
 def from_flight(search: Selection, numerics: Numerics, dictionary: Sequence[Effect]) -> None:
-    """Fit what the flight before the first contact tells, and from there the rest."""
+    """Fit what the flight before the first contact tells, and from there the rest, if the best fit leaves it open."""
     flight = _flight(search.base)
     if flight is None or search.late or MODULUS not in search.base.model.base:
         return
-    if mean_square(flight, search.errors, flight.positions, flight.split.fitted) < _OPEN:
+    if mean_square(flight, search.errors, search.best.positions, flight.split.fitted) < _OPEN:
         return
     shown = [effect for effect in dictionary if effect.source in _SHOWING]
     screening = screen(flight, search.errors, numerics, shown, search.report)
