@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from physconvex.errors import InputError
-from physconvex.fem.elements import QUADRATURE, shape_gradients, shape_values
+from physconvex.fem.elements import QUADRATURE, shape_gradients, unit_mass
 from physconvex.fem.kernel import volumetric_elements
 from physconvex.fem.mesh import TetMesh
 from physconvex.fem.volumetric import VolumetricElements
@@ -101,7 +101,7 @@ class ElasticBody:
     @property
     def quadrature_points(self) -> Float[np.ndarray, "E Q 3"]:
         """Where the material is asked [m], at rest."""
-        return np.asarray(self._barycentric @ self.mesh.vertices[self.mesh.corner_tets])  # [E, Q, 4] @ [E, 4, 3]
+        return np.asarray(self._barycentric @ self.mesh.vertices[self.mesh.corner_tets])
 
     @property
     def modulus_at_points(self) -> Float[np.ndarray, "E Q"]:
@@ -114,25 +114,22 @@ class ElasticBody:
         """Mass matrix of one coordinate [kg], shape [V, V]: consistent, or of the mesh's particles."""
         if self.mesh.mass_shares is not None:
             return sp.diags(self.total_mass * self.mesh.mass_shares).tocsr()
-        blocks = self.density[:, None, None] * self._unit_masses
+        mesh = self.mesh
+        if mesh.filling is None:
+            blocks = (self.density * mesh.element_volumes)[:, None, None] * unit_mass(mesh.order)
+        else:
+            blocks = self.density[:, None, None] * mesh.filling.mass
         n = self.mesh.tets.shape[1]
         rows, columns = np.repeat(self.mesh.tets, n, axis=1).ravel(), np.tile(self.mesh.tets, n).ravel()
         size = len(self.mesh.vertices)
         return sp.coo_matrix((blocks.ravel(), (rows, columns)), shape=(size, size)).tocsr()
 
     @property
-    def _unit_masses(self) -> Float[np.ndarray, "E n n"]:
-        """∫ N_a N_b dV of each element [m³]."""
-        if self.mesh.filling is not None:
-            return self.mesh.filling.mass
-        barycentric, weights = QUADRATURE[2 if self.mesh.order == 1 else 4]
-        values = shape_values(barycentric, self.mesh.order)
-        return self.mesh.element_volumes[:, None, None] * np.einsum("q,qa,qb->ab", weights, values, values)
-
-    @property
     def total_mass(self) -> float:
         """Mass of the body [kg]."""
-        return float(self.density @ self._unit_masses.sum(axis=(1, 2)))
+        part = self.mesh.filling
+        volumes = self.mesh.element_volumes if part is None else part.weights.sum(axis=1)
+        return float((self.density * volumes).sum())
 
     @cached_property
     def node_masses(self) -> Float[np.ndarray, " V"]:

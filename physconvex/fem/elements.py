@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from physconvex.fem.mesh import EDGE_CORNERS
 
-__all__ = ["QUADRATURE", "shape_gradients", "shape_values"]
+__all__ = ["QUADRATURE", "shape_gradients", "shape_values", "unit_mass"]
 
 _A, _B = (5 + 3 * np.sqrt(5)) / 20, (5 - np.sqrt(5)) / 20
 
@@ -57,3 +57,10 @@ def shape_gradients(barycentric: Float[np.ndarray, "Q 4"], order: int) -> Float[
         gradients[:, n, i] = 4 * b[:, j]
         gradients[:, n, j] = 4 * b[:, i]
     return gradients
+
+
+def unit_mass(order: int) -> Float[np.ndarray, "n n"]:
+    """∫ N_a N_b dV over an element of volume one."""
+    barycentric, weights = QUADRATURE[2 if order == 1 else 4]
+    values = shape_values(barycentric, order)
+    return np.asarray(np.einsum("q,qa,qb->ab", weights, values, values))

@@ -14,7 +14,7 @@ from physconvex.errors import InputError
 from physconvex.fem.elements import shape_gradients, shape_values
 from physconvex.fem.mesh import FACE_CORNERS, TetMesh
 
-__all__ = ["Embedding", "locate", "nearest_on_triangles", "sample_interior"]
+__all__ = ["Embedding", "continued_shape_values", "locate", "nearest_on_triangles", "sample_interior"]
 
 # Elements tried per point (nearest centres first), most point-element pairs handled at once, and how far outside
 # (in barycentric coordinates) still counts as inside.
@@ -57,7 +57,7 @@ class Embedding:
         elements, barycentric, anchors, distance = locate(mesh, points)
         return cls(
             elements=elements,
-            weights=_continued_shape_values(barycentric, anchors, distance > 0, mesh.order),
+            weights=continued_shape_values(barycentric, anchors, distance > 0, mesh.order),
             nodes=mesh.tets[elements],
             node_count=len(mesh.vertices),
             max_distance=float(distance.max(initial=0.0)),
@@ -117,9 +117,7 @@ def sample_interior(
     return points, np.full(count, mesh.volume / count)
 
 
-def _continued_shape_values(
-    barycentric: np.ndarray, anchors: np.ndarray, outside: np.ndarray, order: int
-) -> np.ndarray:
+def continued_shape_values(barycentric: np.ndarray, anchors: np.ndarray, outside: np.ndarray, order: int) -> np.ndarray:
     """Shape functions [P, n] at points inside; outside continued about the anchors by the element's mean gradient.
 
     A quadratic element continued as it is would throw far points away: its shape functions grow with the square

@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import qmc
 
-from physconvex.fem.elements import QUADRATURE, shape_values
-from physconvex.fem.embedding import Embedding, locate
+from physconvex.fem.elements import QUADRATURE, unit_mass
+from physconvex.fem.embedding import continued_shape_values, locate
 from physconvex.fem.mesh import Filling, TetMesh
 from physconvex.fem.mesh_volume import enclosed_volume
 from physconvex.fem.surface_distance import surface_distance
@@ -71,48 +71,51 @@ def _inside(vertices: bytes, triangles: bytes, count: int) -> Float[np.ndarray, 
 
 def _filling(mesh: TetMesh, points: Float[np.ndarray, "S 3"], share: float) -> Filling:
     """What of each element such points fill, of which each stands for a share of the volume [m³]."""
-    cells, _, anchors, _ = locate(mesh, points)
+    cells, barycentric, anchors, distance = locate(mesh, points)
     volumes = share * np.bincount(cells, minlength=len(mesh.tets))
     lacking = np.maximum(_LEAST * mesh.element_volumes - volumes, 0.0)
-    rule = _rules(cells, anchors @ _REGULAR, share, lacking)
-    barycentric, weights = QUADRATURE[2 if mesh.order == 1 else 4]
-    shapes = shape_values(barycentric, mesh.order)
-    mass = _mass_blocks(Embedding.of_points(mesh, points), share, len(mesh.tets))
-    mass += lacking[:, None, None] * np.einsum("q,qa,qb->ab", weights, shapes, shapes)
-    return Filling(rule, (volumes + lacking)[:, None] * QUADRATURE[2][1], mass, points, cells, share)
+    weight = volumes + lacking
+    rule = _rules(cells, anchors @ _REGULAR, share / weight, lacking / weight)
+    shapes = continued_shape_values(barycentric, anchors, distance > 0, mesh.order)
+    mass = _mass_blocks(cells, shapes, share, len(mesh.tets)) + lacking[:, None, None] * unit_mass(mesh.order)
+    return Filling(rule, weight[:, None] * QUADRATURE[2][1], mass, points, cells, share)
 
 
 def _rules(
-    cells: Int[np.ndarray, " S"], places: Float[np.ndarray, "S 3"], share: float, lacking: Float[np.ndarray, " E"]
+    cells: Int[np.ndarray, " S"],
+    places: Float[np.ndarray, "S 3"],
+    share: Float[np.ndarray, " E"],
+    lacking: Float[np.ndarray, " E"],
 ) -> Float[np.ndarray, "E 4 4"]:
     """Four points of each element, barycentric, with the centre and the second moments of what fills it.
 
     Args:
         cells: of the points that fill them.
         places: of these points in the regular tetrahedron.
-        share: volume of each [m³].
-        lacking: volume that fills each element evenly beside them [m³].
+        share: of what fills each element, that one of them stands for.
+        lacking: of what fills each element, that is spread evenly beside them.
     """
     count = len(lacking)
     centred = places - _CENTRE
     products = (centred[:, :, None] * centred[:, None, :]).reshape(-1, 9).T
-    weight = share * np.bincount(cells, minlength=count) + lacking
-    mean = share * np.stack([np.bincount(cells, c, count) for c in centred.T], axis=1) / weight[:, None]
-    second = share * np.stack([np.bincount(cells, p, count) for p in products], axis=1).reshape(-1, 3, 3)
-    second += lacking[:, None, None] * _SPREAD * np.eye(3)
-    spread = second / weight[:, None, None] - mean[:, :, None] * mean[:, None, :]
+    mean = share[:, None] * np.stack([np.bincount(cells, c, count) for c in centred.T], axis=1)
+    second = share[:, None] * np.stack([np.bincount(cells, p, count) for p in products], axis=1)
+    second = second.reshape(-1, 3, 3) + lacking[:, None, None] * _SPREAD * np.eye(3)
+    spread = second - mean[:, :, None] * mean[:, None, :]
     values, axes = np.linalg.eigh(spread)
     root = np.einsum("eij,ej,ekj->eik", axes, np.sqrt(np.maximum(values, 0.0) / _SPREAD), axes)
     placed = _CENTRE + mean[:, None] + np.einsum("eij,qj->eqi", root, _RULE - _CENTRE)
     return np.concatenate([placed, np.ones((count, 4, 1))], axis=-1) @ _TO_BARYCENTRIC.T
 
 
-def _mass_blocks(carried: Embedding, share: float, count: int) -> Float[np.ndarray, "E n n"]:
+def _mass_blocks(
+    cells: Int[np.ndarray, " S"], shapes: Float[np.ndarray, "S n"], share: float, count: int
+) -> Float[np.ndarray, "E n n"]:
     """∫ N_a N_b dV of each element [m³]: the sum over its points."""
-    blocks = np.zeros((count, carried.weights.shape[1], carried.weights.shape[1]))
-    order = np.argsort(carried.elements, kind="stable")
-    ends = np.searchsorted(carried.elements[order], np.arange(count + 1))
+    blocks = np.zeros((count, shapes.shape[1], shapes.shape[1]))
+    order = np.argsort(cells, kind="stable")
+    ends = np.searchsorted(cells[order], np.arange(count + 1))
     for element in range(count):
-        inner = carried.weights[order[ends[element] : ends[element + 1]]]
+        inner = shapes[order[ends[element] : ends[element + 1]]]
         blocks[element] = share * inner.T @ inner
     return blocks

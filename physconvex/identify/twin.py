@@ -179,15 +179,15 @@ def mesh_of_capture(capture: Capture, *, max_nodes: int = 700, fill: bool = Fals
         quadratic = to_quadratic(tets)
         if len(quadratic.vertices) <= max_nodes:
             return quadratic
-        mesh = faithful_mesh(*tets.surface, max_nodes=max_nodes)
-        return filled(mesh, *tets.surface) if fill else mesh
-    surface = capture.mesh()
-    if surface is None:
-        raise InputError(
-            f"{capture.folder}: no rest geometry; expected tets.npz (vertices, tets) or mesh.obj, .ply or .glb of the "
-            "closed surface where it is at t = 0. Points alone do not tell what body carries them"
-        )
-    pair = np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces)
+        pair = tets.surface
+    else:
+        surface = capture.mesh()
+        if surface is None:
+            raise InputError(
+                f"{capture.folder}: no rest geometry; expected tets.npz (vertices, tets) or mesh.obj, .ply or .glb of "
+                "the closed surface where it is at t = 0. Points alone do not tell what body carries them"
+            )
+        pair = np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces)
     mesh = faithful_mesh(*pair, max_nodes=max_nodes)
     return filled(mesh, *pair) if fill else mesh
 

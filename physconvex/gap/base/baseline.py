@@ -80,6 +80,12 @@ class Baseline:
         return self.model.observed(self.motion, self.fit.values)
 
     @property
+    def first_contact(self) -> int | None:
+        """The first frame in which something is touched; None where nothing is."""
+        touching = np.flatnonzero(self.contact_force > 0)
+        return int(touching[0]) if len(touching) else None
+
+    @property
     def twin(self) -> Twin:
         """The twin with the fitted values."""
         return self.model.twin.with_values(self.model.base, self.fit.values[: len(self.model.base)])

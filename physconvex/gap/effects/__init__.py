@@ -1,11 +1,12 @@
 """Named effects that a base model may lack, each with its doses and its place in the simulators."""
 
 from physconvex.gap.effects.catalogue import DEFAULT_EFFECTS, EFFECT_NAMES, applicable, choose
-from physconvex.gap.effects.effect import Dose, Effect, Motion, Patches, Situation, Source
+from physconvex.gap.effects.effect import IN_FLIGHT, Dose, Effect, Motion, Patches, Situation, Source
 
 __all__ = [
     "DEFAULT_EFFECTS",
     "EFFECT_NAMES",
+    "IN_FLIGHT",
     "Dose",
     "Effect",
     "Motion",

@@ -14,13 +14,14 @@ from physconvex.errors import InputError
 from physconvex.fem import Scene
 from physconvex.reduced import ReducedScene
 
-__all__ = ["SOURCES", "AnyScene", "Dose", "Effect", "Motion", "Patches", "Situation", "Source"]
+__all__ = ["IN_FLIGHT", "SOURCES", "AnyScene", "Dose", "Effect", "Motion", "Patches", "Situation", "Source"]
 
 AnyScene = ReducedScene | Scene
 Source = Literal["material", "contact", "external", "initial state", "observation", "numerical", "gauge"]
 SOURCES: tuple[Source, ...] = (
     "material", "contact", "external", "initial state", "observation", "numerical", "gauge",
 )  # fmt: skip
+IN_FLIGHT: tuple[Source, ...] = ("external", "initial state", "observation")  # need no contact to be seen
 _DEEP = 0.02  # share of the size of a body
 
 

@@ -10,10 +10,9 @@ from typing import Literal
 
 import numpy as np
 
-from physconvex.gap.effects import Effect
+from physconvex.gap.effects import IN_FLIGHT, Effect
 from physconvex.gap.errors.screening import Screening
 from physconvex.gap.judgement.caveats import caveats_of, doses_in_sight
-from physconvex.gap.judgement.flight import IN_FLIGHT
 from physconvex.gap.judgement.measured import Measured
 from physconvex.gap.judgement.naming import WEAK, NamedEffect, by_weight, named_effects
 from physconvex.gap.options import GapOptions

@@ -14,9 +14,8 @@ from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.search.comparison import Hypothesis
 from physconvex.gap.search.evidence import information_by_kind, squares_by_kind
 
-__all__ = ["IN_FLIGHT", "gain_in_flight"]
+__all__ = ["gain_in_flight"]
 
-IN_FLIGHT = ("external", "initial state", "observation")  # sources of effects that need no contact to be seen
 _CLOSED = 2.0  # mean square over the expected one up to which a flight is followed
 
 

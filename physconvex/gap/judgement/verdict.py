@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from physconvex.gap.effects import IN_FLIGHT
 from physconvex.gap.errors.screening import Screening
 from physconvex.gap.judgement.case import (
     FORETOLD,
@@ -17,7 +18,6 @@ from physconvex.gap.judgement.case import (
     VerdictName,
     is_slight,
 )
-from physconvex.gap.judgement.flight import IN_FLIGHT
 from physconvex.gap.judgement.measured import Measured
 from physconvex.gap.judgement.naming import SOMETHING_ELSE, WEAK, beside_something_else, favoured, probabilities
 from physconvex.gap.options import GapOptions

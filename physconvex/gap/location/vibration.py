@@ -46,8 +46,7 @@ def vibrations(base: Baseline, best: Hypothesis) -> tuple[Mode, ...]:
         return ()
     points = np.flatnonzero(np.isfinite(seen.positions).all((0, 2)))
     held = base.situation.clamped
-    touching = np.flatnonzero(base.contact_force > 0)
-    start = 0 if held or not len(touching) else int(touching[0])
+    start = 0 if held else base.first_contact or 0
     if len(points) < (1 if held else 4) or base.model.frames - start < _FEWEST:
         return ()
     rest = base.motion.rest[points]

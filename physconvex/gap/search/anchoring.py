@@ -31,8 +31,7 @@ def early_window(base: Baseline, errors: ErrorModel) -> int | None:
     if MODULUS not in names:
         return None
     count = int(base.split.fitted[-1]) + 1
-    touching = np.flatnonzero(base.contact_force > 0)
-    lowest = int(touching[0]) + 2 if len(touching) else max(6, count // 3)
+    lowest = max(6, count // 3) if base.first_contact is None else base.first_contact + 2
     here = base.positions[: len(base.tangents)]
     columns = derivatives_of_residuals(base, here, base.tangents)
     scales = np.array([p.step for p in base.model.parameters(base.fit.values)])[: len(columns)]

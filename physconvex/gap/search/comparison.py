@@ -20,6 +20,7 @@ from physconvex.gap.search.evidence import (
     information_by_kind,
     likelihood_by_kind,
     mean_square,
+    misfit_at,
     moved_kinds,
     residuals_per_one,
     squares_by_kind,
@@ -238,10 +239,9 @@ def _best_start(base: Baseline, errors: ErrorModel, model: EffectModel, starts: 
 
     def misfit(values: np.ndarray) -> float:
         try:
-            here = shorter.positions(values)
+            return misfit_at(base, errors, shorter, values)
         except ConvergenceError:
             return float("inf")
-        return mean_square(base, errors, np.concatenate([here, base.positions[count:]]), base.split.fitted)
 
     return min(apart, key=misfit)
 

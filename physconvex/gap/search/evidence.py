@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.independence import temperature
+from physconvex.gap.base.model import EffectModel
 from physconvex.gap.effects import Effect
 from physconvex.gap.errors.score import ErrorModel
 
@@ -19,6 +20,7 @@ __all__ = [
     "information_per_one",
     "likelihood_by_kind",
     "mean_square",
+    "misfit_at",
     "moved_kinds",
     "residuals_per_one",
     "squares_by_kind",
@@ -41,6 +43,19 @@ def mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frame
         if (own := (information > 0) & (base.modes.struck == struck)).any()
     ]
     return max(found, default=float("nan"))
+
+
+def misfit_at(base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray) -> float:
+    """The mean square of a model at some values, in those of the fitted frames that it has.
+
+    Raises:
+        ConvergenceError: the body cannot be simulated there.
+        InputError: no body can have such doses.
+    """
+    here = model.positions(values)
+    fitted = base.split.fitted
+    whole = np.concatenate([here, base.positions[len(here) :]])
+    return mean_square(base, errors, whole, fitted[fitted < len(here)])
 
 
 def squares_by_kind(

@@ -16,11 +16,11 @@ import numpy as np
 from physconvex.errors import ConvergenceError
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.model import MODULUS, EffectModel
-from physconvex.gap.effects import Effect
+from physconvex.gap.effects import IN_FLIGHT, Effect
 from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.errors.screening import Screened, best_pairs, screen
 from physconvex.gap.search.comparison import Hypothesis, fit_effects
-from physconvex.gap.search.evidence import mean_square
+from physconvex.gap.search.evidence import mean_square, misfit_at
 from physconvex.gap.search.rounds import fitted_there
 from physconvex.gap.search.state import FAILURES, Selection
 
@@ -28,7 +28,6 @@ __all__ = ["from_flight"]
 
 _SHORTEST = 5  # frames of flight
 _OPEN = 2.0  # mean square over the expected one in flight, from which on the flight says something
-_SHOWING = ("external", "initial state", "observation")  # sources of what shows on a body that keeps its shape
 _SCREENED, _FITTED = (3, 6), (1, 2)  # single effects and pairs: fitted to the flight, and of these on from there
 _TOUCHING = 4  # frames of the contact that tell about where E is
 # decades of E: about the base fit's by the reduced model, then by the full one, which is less stiff, above the best
@@ -43,7 +42,7 @@ def from_flight(search: Selection, numerics: Numerics, dictionary: Sequence[Effe
         return
     if mean_square(flight, search.errors, search.best.positions, flight.split.fitted) < _OPEN:
         return
-    shown = [effect for effect in dictionary if effect.source in _SHOWING]
+    shown = [effect for effect in dictionary if effect.source in IN_FLIGHT]
     screening = screen(flight, search.errors, numerics, shown, search.report)
     singles: list[tuple[Screened, ...]] = [(entry,) for entry in screening.one_per_name[: _SCREENED[0]]]
     pairs: list[tuple[Screened, ...]] = [(pair.first, pair.second) for pair in best_pairs(screening, _SCREENED[1])]
@@ -63,10 +62,9 @@ def _told(search: Selection, flight: Baseline, choices: Sequence[Sequence[Screen
 
 def _flight(base: Baseline) -> Baseline | None:
     """The baseline of the frames before the one ahead of the first contact; None where these are few."""
-    touching = np.flatnonzero(base.contact_force > 0)
-    if base.situation.clamped or not len(touching):
+    if base.situation.clamped or base.first_contact is None:
         return None
-    fitted = base.split.fitted[base.split.fitted < int(touching[0]) - 1]
+    fitted = base.split.fitted[base.split.fitted < base.first_contact - 1]
     return None if len(fitted) < _SHORTEST else replace(base, split=replace(base.split, fitted=fitted))
 
 
@@ -80,7 +78,8 @@ def _fitted(search: Selection, told: Hypothesis) -> Hypothesis:
     bare = replace(base.model, effects=told.effects, correction=None)
     full = replace(search.full.model, effects=told.effects)
     last = int(base.split.fitted[-1]) + 1
-    first = min(int(np.flatnonzero(base.contact_force > 0)[0]) + _TOUCHING, last)
+    assert base.first_contact is not None
+    first = min(base.first_contact + _TOUCHING, last)
     values = _best_material(search, replace(bare, frames=first), values, values[place] + _CHANGES)
     values = _best_material(search, replace(full, frames=last), values, values[place] + _ABOVE)
     return fitted_there(search, full, values)
@@ -89,7 +88,7 @@ def _fitted(search: Selection, told: Hypothesis) -> Hypothesis:
 def _best_material(search: Selection, model: EffectModel, values: np.ndarray, moduli: np.ndarray) -> np.ndarray:
     """The values with that of some moduli, and an ordinary ν, at which they fit the frames of a model best."""
     base, names = search.base, search.base.model.base
-    place, count = names.index(MODULUS), model.frames
+    place = names.index(MODULUS)
     bounds = model.parameters(values)[place]
     best, least = values, float("inf")
     for modulus in np.unique(np.clip(moduli, bounds.lower, bounds.upper)):
@@ -98,11 +97,9 @@ def _best_material(search: Selection, model: EffectModel, values: np.ndarray, mo
         if "poisson_ratio" in names:
             moved[names.index("poisson_ratio")] = _RATIO
         try:
-            here = model.positions(moved)
+            misfit = misfit_at(base, search.errors, model, moved)
         except ConvergenceError:
             continue
-        seen = np.concatenate([here, base.positions[count:]])
-        misfit = mean_square(base, search.errors, seen, base.split.fitted[base.split.fitted < count])
         if misfit < least:
             best, least = moved, misfit
     return best

@@ -18,7 +18,7 @@ from physconvex.gap.base.lowest_mode import lowest_frequency
 from physconvex.gap.base.model import MODULUS, EffectModel
 from physconvex.gap.effects import Effect
 from physconvex.gap.errors.score import ErrorModel
-from physconvex.gap.search.evidence import mean_square
+from physconvex.gap.search.evidence import misfit_at
 from physconvex.gap.search.ringing import recorded_ringing
 
 __all__ = ["loaded_starts"]
@@ -110,8 +110,6 @@ def _best_modulus(
 def _misfit(base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray) -> float:
     """Mean square of the fitted frames' residuals over the expected one; infinite where nothing comes out."""
     try:
-        positions = model.positions(values)
+        return misfit_at(base, errors, model, values)
     except (ConvergenceError, InputError):
         return np.inf
-    whole = np.concatenate([positions, base.positions[len(positions) :]])
-    return mean_square(base, errors, whole, base.split.fitted)
