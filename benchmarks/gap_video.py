@@ -75,7 +75,8 @@ def filmed(folder: Path, objects: Path, film: Film) -> Path:
     """The capture."""
     if folder.exists():
         return folder
-    mesh, options = objects / TOY / "model.obj", BenchmarkOptions(size=224, views=2, nodes=600, steps_per_frame=24)
+    mesh = objects / TOY / "model.obj"
+    options = BenchmarkOptions(size=224, views=2, nodes=600, fill=False, steps_per_frame=24)
     truth = {"youngs_modulus": 1e5, "poisson_ratio": 0.4, "damping_time": film.damping_time}
     sharp = folder.parent.parent / f"sharp_{1e3 * film.damping_time:g}ms"
     sharp, moved = drop_object(sharp, mesh, truth, options, np.random.default_rng(2))

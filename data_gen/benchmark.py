@@ -42,7 +42,7 @@ from physconvex import __version__
 from physconvex.camera import Camera
 from physconvex.capture import Capture, Floor, save_capture
 from physconvex.errors import InputError
-from physconvex.fem import Embedding, Scene, TetMesh
+from physconvex.fem import Embedding, Scene, TetMesh, filled
 from physconvex.fem.mesh_volume import enclosed_volume
 from physconvex.fem.meshing import tetrahedralize
 from physconvex.fem.surface_distance import overlap
@@ -67,6 +67,7 @@ class BenchmarkOptions:
         views: cameras around.
         frames, observed_frames, fps: of the motion.
         nodes: most nodes of the truth's quadratic mesh.
+        fill: whether its elements count as far as the body fills them, see `physconvex.fem.filled`.
         steps_per_frame: of the truth.
         checked: state what half the nodes and half the steps change.
         seed: of everything random.
@@ -82,7 +83,8 @@ class BenchmarkOptions:
     frames: int = 24
     observed_frames: int = 16
     fps: float = 24.0
-    nodes: int = 1500
+    nodes: int = 2500
+    fill: bool = True
     steps_per_frame: int = 32
     checked: bool = True
     seed: int = 0
@@ -233,10 +235,9 @@ class _Take:
 
     def mesh(self, share: float = 1.0) -> TetMesh:
         """Quadratic tetrahedra that are the body that is shown, as well as (a share of) that many nodes can be."""
-        nodes = int(share * self.options.nodes)
-        return tetrahedralize(
-            (self.body.vertices, self.body.faces), max_nodes=nodes, order=2, method="auto", thorough=True
-        )
+        surface, nodes = (self.body.vertices, self.body.faces), int(share * self.options.nodes)
+        mesh = tetrahedralize(surface, max_nodes=nodes, order=2, method="auto", thorough=True)
+        return filled(mesh, *surface) if self.options.fill else mesh
 
     def scene(self, mesh: TetMesh) -> Scene:
         """On a mesh."""

@@ -137,7 +137,8 @@ def benchmark(
     frames: Annotated[int, typer.Option(min=2, help="Frames.")] = 24,
     observed_frames: Annotated[int, typer.Option(min=2, help="Frames that may be fitted.")] = 16,
     fps: Annotated[float, typer.Option(min=1.0, help="Frames per second.")] = 24.0,
-    nodes: Annotated[int, typer.Option(min=50, help="Most nodes of the truth's mesh.")] = 1500,
+    nodes: Annotated[int, typer.Option(min=50, help="Most nodes of the truth's mesh.")] = 2500,
+    fill: Annotated[bool, typer.Option(help="Let its elements count as far as the body fills them.")] = True,
     steps_per_frame: Annotated[int, typer.Option(min=1, help="Time steps of the truth per frame.")] = 32,
     check: Annotated[bool, typer.Option(help="State what half the nodes and half the steps change.")] = True,
     modulus: Annotated[tuple[float, float], typer.Option(help="Range of log10 E [log10 Pa].")] = (4.0, 7.0),
@@ -148,7 +149,7 @@ def benchmark(
     from data_gen.benchmark import BenchmarkOptions, generate_benchmark
 
     options = BenchmarkOptions(
-        count, tuple(name) if name else None, size, views, frames, observed_frames, fps, nodes=nodes,
+        count, tuple(name) if name else None, size, views, frames, observed_frames, fps, nodes=nodes, fill=fill,
         steps_per_frame=steps_per_frame, checked=check, seed=seed, log10_modulus=modulus, motion=motion,  # type: ignore[arg-type]
     )  # fmt: skip
     with tqdm(total=len(only or name or ()) or count, unit="object", disable=not progress) as bar:

@@ -32,7 +32,7 @@ def main() -> None:
         beam_capture(folder, name, frames=45, observed=30, offset_ms=-2.5, cells=(8, 2, 2))
         print(folder)
     if given.objects is not None:
-        options = BenchmarkOptions(size=224, views=2, nodes=1000, steps_per_frame=24)
+        options = BenchmarkOptions(size=224, views=2, nodes=1000, fill=False, steps_per_frame=24)
         model = given.objects / TOY / "model.obj"
         folder, _ = drop_object(given.out / TOY.lower(), model, TRUTH, options, np.random.default_rng(2))
         (given.out / f"{TOY.lower()}_motion.npz").unlink()  # the answer

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from inference.refining.drifting import with_drift, with_drift_limit
-from inference.refining.estimates import finer_mesh
 from inference.refining.fits import arrays_of_fit, fit_of
+from inference.refining.meshes import finer_mesh
 from inference.refining.problem import Problem
 from inference.refining.stages import Stages
 from physconvex.capture import Capture

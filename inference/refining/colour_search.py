@@ -1,4 +1,4 @@
-"""The fit to colours, from a wide blur to a narrow one; where these lose the body, from another material too."""
+"""The fit to colours; where these lose the body, from another material too."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from inference.refining.beginning import misfits_of
-from inference.refining.colouring import BLURS, WIDE, coloured
+from inference.refining.colouring import WIDE, blur_for, coloured
 from inference.refining.elsewhere import colours_lost, materials_about
 from inference.refining.fits import arrays_of_fit, fit_of
 from inference.refining.observing import Observed
@@ -48,8 +48,7 @@ class ColourSearch:
         """The problem with colours in the place of the points followed, and its fit from another one."""
         kept = problem
         try:
-            for blur in BLURS:
-                kept, found = self._fitted(problem, found, blur)
+            kept, found = self._fitted(problem, found, blur_for(problem))
             if self.options.own_derivatives and (lost := colours_lost(kept, found)) > _LOST:
                 kept, found = self._elsewhere(problem, kept, found, lost)
         except ConvergenceError as error:
@@ -79,7 +78,7 @@ class ColourSearch:
         if best == 0:
             return kept, found
         there, moved = kept, replace(found, values=values[best])
-        for blur in (WIDE, *BLURS):
+        for blur in dict.fromkeys((WIDE, blur_for(problem))):
             there, moved = self._fitted(problem, moved, blur, "_elsewhere")
         return (there, moved) if colours_lost(there, moved) < lost else (kept, found)
 

@@ -8,15 +8,26 @@ import numpy as np
 
 from inference.refining.observing import Observed
 from inference.refining.options import RefineOptions
+from inference.refining.problem import Problem
 from physconvex.capture import Capture
 from physconvex.errors import InputError
 from physconvex.identify import Fit, FullModel, Observations, PixelObservations, ReducedModel, StackedObservations, Twin
 from physconvex.identify.colours import ColourObservations, blurred, colour_seeds, seen_by
 
-__all__ = ["BLURS", "WIDE", "coloured"]
+__all__ = ["WIDE", "blur_for", "coloured"]
 
-BLURS = (1.5,)  # pixels
+_NARROW = 1.5  # pixels
 WIDE = 6.0  # pixels: tells from afar which rebound is the nearest
+
+
+def blur_for(problem: Problem) -> float:
+    """The blur [pixels], to the half, over which colours tell the body from where its model is known to put it.
+
+    As wide as the model is astray in the images of the nearest camera: what a narrower one compares lies elsewhere.
+    """
+    centre = problem.twin.mesh.vertices.mean(axis=0)
+    scale = max(camera.fl_x / camera.project(centre)[1] for camera in problem.observed.cameras)
+    return float(np.clip(round(2 * float(scale) * problem.astray) / 2, _NARROW, WIDE))
 
 
 def coloured(

@@ -21,6 +21,7 @@ __all__ = [
     "FieldFile",
     "FieldSteps",
     "Fill",
+    "FineNodes",
     "Fix",
     "Free",
     "FullRuns",
@@ -107,6 +108,13 @@ TimeOffset = Annotated[
 
 Weights = Annotated[int, typer.Option(help="Number of skinning weights of the result.", rich_help_panel=_MODEL)]
 MaxNodes = Annotated[int, typer.Option(help="Most nodes of the quadratic mesh.", rich_help_panel=_MODEL)]
+FineNodes = Annotated[
+    int,
+    typer.Option(
+        help="Most nodes of the mesh of the last searches, of a body that strikes something; 0: the same as before.",
+        rich_help_panel=_MODEL,
+    ),
+]
 Fill = Annotated[
     bool,
     typer.Option(

@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from inference.refining.fits import arrays_of_fit, fit_of
+from inference.refining.meshes import finer_mesh
 from inference.refining.options import RefineOptions
 from inference.refining.result import Estimate, interval_of
 from inference.refining.stages import Stages
 from physconvex.errors import ConvergenceError
-from physconvex.fem import TetMesh, filled
-from physconvex.fem.mesh import refine as subdivided
+from physconvex.fem import TetMesh
 from physconvex.identify import (
     FinerFit,
     Fit,
@@ -22,19 +22,16 @@ from physconvex.identify import (
     Identifiability,
     Observations,
     ReducedModel,
-    Twin,
     clustered_deviations,
     fit_finer,
     frame_errors,
     marginal_deviations,
     parameter_shift,
 )
-from physconvex.identify.faithful import faithful_mesh
 
-__all__ = ["Judged", "estimates_of", "finer_mesh", "judge"]
+__all__ = ["Judged", "estimates_of", "judge"]
 
-_FINER = 1.8  # nodes of a mesh made anew over those of the twin
-_MOST_NODES = 4000  # of tetrahedra cut in eight
+_LEFT_OF_MOVED = 0.25  # of what the mesh of the last searches changes, that is left
 
 
 def estimates_of(
@@ -89,30 +86,6 @@ def _variances(found: Fit, sources: Sequence[slice], stated: Sequence[bool]) -> 
     return out
 
 
-def finer_mesh(twin: Twin) -> TetMesh | None:
-    """A finer quadratic mesh of the same body, or None where none is found that is small enough.
-
-    Tetrahedra of the capture are cut in eight each, which keeps the geometry; a mesh that was made from the capture's
-    surface is made again with 1.8 times the nodes, and filled if the twin's is.
-    """
-    capture, mesh = twin.capture, twin.mesh
-    surface = capture.mesh()
-    tets = capture.tets()
-    if tets is not None and np.array_equal(mesh.vertices[: len(tets.vertices)], tets.vertices):
-        fine = subdivided(mesh)
-        return fine if len(fine.vertices) <= _MOST_NODES else None
-    if surface is None:
-        return None
-    pair = (np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces))
-    try:
-        fine = faithful_mesh(*pair, max_nodes=int(_FINER * len(mesh.vertices)))
-    except ConvergenceError:
-        return None
-    if len(fine.vertices) <= 1.2 * len(mesh.vertices):
-        return None
-    return fine if mesh.filling is None else filled(fine, *pair)
-
-
 @dataclass(frozen=True, eq=False)
 class Judged:
     """A fit judged by a finer model.
@@ -131,28 +104,45 @@ class Judged:
 
 
 def judge(
-    full: FullModel, found: Fit, seen: Observations, options: RefineOptions, stages: Stages, warnings: list[str]
+    full: FullModel,
+    found: Fit,
+    seen: Observations,
+    options: RefineOptions,
+    stages: Stages,
+    warnings: list[str],
+    *,
+    before: Fit | None = None,
 ) -> Judged:
     """Compare with a finer model, let frames count by what that changes, and fit once more.
 
-    With the correction the full model is compared with one of a finer mesh and with one of half the time step, and the
-    last fit takes its residuals from what both say together; without it, the reduced model with the full one, and
-    nothing is fitted again.
+    With the correction the full model is compared with one of a finer mesh (the other way round, where it is that of
+    the finer mesh itself) and with one of half the time step, and the last fit takes its residuals from what both say
+    together; without it, the reduced model with the full one, and nothing is fitted again.
+
+    Args:
+        full: that was fitted.
+        found: the fit.
+        seen: what was seen.
+        options, stages, warnings: of the refinement.
+        before: the fit on the twin's mesh, where `full` is on a finer one.
     """
     twin, frames = full.twin, full.frames
-    unknown = Judged(found, np.full(len(found.values), np.nan), np.zeros(frames))
+    unknown = Judged(found, np.full(len(found.values), np.nan), np.zeros(frames), full.mesh)
     if not options.model_error:
         return unknown
-    mesh = finer_mesh(twin) if options.correction else None
+    mesh = full.mesh
+    if mesh is None and options.correction:
+        mesh = finer_mesh(twin)
 
     def compute() -> dict[str, np.ndarray]:
-        coarse = replace(full, points=seen.points)
+        own = replace(full, points=seen.points)
+        coarse = replace(own, mesh=None)
         if not options.correction:
             exact = coarse.positions(found.values)
             change = seen.residuals(exact) - found.residuals
             errors = frame_errors(seen, exact, found.positions)
             return {"left": np.abs(parameter_shift(found, change)), "errors": errors}
-        cheap = coarse if options.jacobian == "full" else ReducedModel(twin, found.names, seen.points, frames)
+        cheap = own if options.jacobian == "full" else ReducedModel(twin, found.names, seen.points, frames)
         return arrays_of_finer(fit_finer(cheap, coarse, mesh, seen, found))
 
     try:
@@ -167,6 +157,8 @@ def judge(
     last = fit_of(arrays, found.parameters) if "values" in arrays else found
     left = arrays["left"]
     runs_away = bool(arrays.get("runs_away", False))
+    if before is not None:
+        left = np.hypot(left, _LEFT_OF_MOVED * np.abs(found.values - before.values))
     if twin.may_strike or runs_away:  # after an impact meshes do not converge: all that a finer one moved
         left = np.hypot(left, np.abs(last.values - found.values))
     if runs_away:

@@ -22,6 +22,8 @@ class RefineOptions:
         cameras: names of the cameras that are used; None: all.
         weights: number of skinning weights M of the reduced model.
         max_nodes: most nodes of the quadratic mesh of both models.
+        fine_nodes: most nodes of that of the last searches, where the body strikes something and its mesh is made of
+            the surface; none is made with `max_nodes` or fewer.
         steps_per_frame: time steps per frame; None: at least 384 per second.
         fill: whether mass and energy of a mesh that is made of the surface are those of the surface's inside, see
             `physconvex.fem.filled`.
@@ -53,6 +55,7 @@ class RefineOptions:
     cameras: tuple[str, ...] | None = None
     weights: int = 20
     max_nodes: int = 500
+    fine_nodes: int = 1400
     steps_per_frame: int | None = None
     fill: bool = False
     free: tuple[str, ...] = ()
@@ -88,6 +91,7 @@ class RefineOptions:
         for name, least in {
             "weights": 1,
             "max_nodes": 30,
+            "fine_nodes": 0,
             "full_runs": 1,
             "field_budget": 50,
             "field_steps": 1,

@@ -15,12 +15,14 @@ from inference.refining.appearance import appearance_of, begun_field
 from inference.refining.beginning import START_OPTIONS, Beginning
 from inference.refining.colour_search import ColourSearch
 from inference.refining.drifting import drift_of, drifted, followed_motion, with_drift
-from inference.refining.estimates import estimates_of, finer_mesh, judge
+from inference.refining.estimates import estimates_of, judge
 from inference.refining.fits import arrays_of_correction, fit_of, runs_of
+from inference.refining.meshes import finer_mesh
 from inference.refining.motion import future_rms, motion_of
 from inference.refining.observing import observe
 from inference.refining.options import RefineOptions
 from inference.refining.problem import Problem
+from inference.refining.refitting import Refitting
 from inference.refining.result import Refinement
 from inference.refining.searching import ReducedSearch, started_from
 from inference.refining.stages import Stages, key_of
@@ -121,11 +123,16 @@ class _Run:
             and problem.observed.cameras
         )
         final, runs, converged = self._corrected(problem, start, last=not coloured)
+        before = final
+        problem, final, converged = self._refitted(problem, final, converged)
+        if self.options.correction and not converged:
+            count = len(runs["runs"] if problem.mesh is None else final.history)
+            self.warnings.append(f"The correction did not settle in {count} runs of the full model; allow more.")
         if coloured:
             search = ColourSearch(self.capture, self.options, self.stages, self.memory, self.warnings, self._with_drift)
             problem, final = search.run(problem, final)
         problem = self._with_drift(problem, final, "drift_last")
-        return self._result(problem, reduced, final, runs, converged)
+        return self._result(problem, reduced, final, runs, converged, before=None if problem.mesh is None else before)
 
     # -- set-up
 
@@ -251,17 +258,30 @@ class _Run:
             )
             return start, {}, start.converged
         final = fit_of(arrays, problem.parameters)
-        converged = bool(arrays["correction_converged"])
-        if not converged:
-            count = len(arrays["runs"])
-            self.warnings.append(f"The correction did not settle in {count} runs of the full model; allow more.")
-        return final, arrays, converged and final.converged
+        return final, arrays, bool(arrays["correction_converged"]) and final.converged
+
+    def _refitted(self, problem: Problem, found: Fit, converged: bool) -> tuple[Problem, Fit, bool]:
+        """The problem on a mesh of more nodes, if there is one, its fit, and whether that has settled."""
+        refitting = Refitting(self.options, self.stages, self.memory, self._with_drift)
+        try:
+            fine, again = refitting.run(problem, found)
+        except ConvergenceError as error:
+            self.warnings.append(f"A mesh of more nodes could not be fitted ({error}): the result is of the twin's.")
+            return problem, found, converged
+        return fine, again, converged if fine is problem else again.converged
 
     def _result(
-        self, problem: Problem, start: Fit, final: Fit, arrays: dict[str, np.ndarray], converged: bool
+        self,
+        problem: Problem,
+        start: Fit,
+        final: Fit,
+        arrays: dict[str, np.ndarray],
+        converged: bool,
+        *,
+        before: Fit | None = None,
     ) -> Refinement:
         full = problem.full(self.memory)
-        judged = judge(full, final, problem.seen, self.options, self.stages, self.warnings)
+        judged = judge(full, final, problem.seen, self.options, self.stages, self.warnings, before=before)
         final = judged.fit
         field = begun_field(self.capture, self.options, self.stages, self.workers)
         motion = motion_of(self.capture, full, final, self.options, self.stages, mesh=judged.mesh)

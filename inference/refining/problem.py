@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from inference.refining.observing import Observed
-from physconvex.fem import SurfacePoints
+from physconvex.fem import SurfacePoints, TetMesh
 from physconvex.identify import (
     DriftingObservations,
     FullModel,
@@ -33,6 +33,8 @@ class Problem:
         observed: what was seen.
         nuisance: priors of camera and clock.
         surface: points at which obstacles act, in the place of the mesh's nodes.
+        mesh: that the full model is rolled out on; None: the twin's.
+        astray: rms distance at which the body may be from where that puts it [m].
         errors: of the model by frame, in standard deviations of the noise, shape [T].
         drift: standard deviation of the rigid drift after a contact [m/s].
         drift_limit: the frame from which there is drift, and the greatest deviation that may be thought of [m/s]; None
@@ -44,6 +46,8 @@ class Problem:
     observed: Observed
     nuisance: Nuisance = field(default_factory=Nuisance)
     surface: SurfacePoints | None = None
+    mesh: TetMesh | None = None
+    astray: float = 0.0
     errors: np.ndarray | None = None
     drift: float = 0.0
     drift_limit: tuple[int, float] | None = None
@@ -85,6 +89,7 @@ class Problem:
             self.names,
             self.seen.points,
             self.frames,
+            mesh=self.mesh,
             surface=self.surface,
             memory=memory,
         )

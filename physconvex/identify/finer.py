@@ -7,6 +7,7 @@ second order). The mesh is, by a = 0.42 or the order 1.75, where all edges are h
 a clamp make the order lower than the third of smooth displacements. What is left is taken as a third of the step's
 difference and half of the mesh's; where a is added, 0.3, since the difference does not shrink by one number everywhere,
 but 0.12 of what it does to the modulus: coarse elements are too stiff everywhere, which one number follows well.
+A fit that was made on the finer mesh already is told by the same differences, of which a quarter counts as left.
 Its effect on a parameter is Σ_t g_t with g_t the first-order shift by frame t; as the error of one frame says little of
 the next one's after an impact, √Σ g_t² is taken where it is larger.
 """
@@ -56,6 +57,8 @@ class _Share:
 # bars of quadratic elements, halved twice, leave .37 to .54 of a halving's difference (benchmarks/mesh_order.py): of
 # the modulus at most .54 − .42 is left
 _HALVED, _OTHERWISE = _Share(0.42, 0.3, 0.12), _Share(0.0, 0.5, 0.5)
+# of meshes with two to three times the nodes, and the best of several meshers
+_FITTED = _Share(0.0, 0.25, 0.25)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +94,11 @@ def fit_finer(
     are kept until the values have moved far from where they were taken.
 
     Args:
-        cheap: gives the derivatives: the full model itself, or the reduced one.
+        cheap: gives the derivatives: the full model itself, or the reduced one; on the finer mesh, if `found` is.
         coarse: the full model.
         mesh: the finer mesh; None: the time step alone.
         observations: what was seen.
-        found: the fit of the full model.
+        found: the fit of the full model, on either mesh.
         turns: how many at most.
 
     Raises:
@@ -167,12 +170,14 @@ def _differences(
 ) -> _Differences:
     half = replace(coarse, refinement=2 * coarse.refinement)
     roll_out_together(
-        [(finest, values), (half, values), (coarse, values)], beside=[(coarse, values)] if cheap is coarse else []
+        [(finest, values), (half, values), (coarse, values)],
+        beside=[(cheap, values)] if isinstance(cheap, FullModel) else [],
     )
     tangents = cheap.linearise(values)[1]
     x = coarse.positions(values)
     by_mesh, by_step = finest.positions(values) - x, half.positions(values) - x
-    share = _share(coarse, finest)
+    fitted = isinstance(cheap, FullModel) and cheap.rolled_mesh is not coarse.rolled_mesh
+    share = _FITTED if fitted else _share(coarse, finest)
     errors = np.hypot(
         share.left * frame_errors(observations, x + by_mesh, x),
         _STEP_LEFT * frame_errors(observations, x + by_step, x),

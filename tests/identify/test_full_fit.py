@@ -94,6 +94,18 @@ def test_what_a_finer_mesh_adds_removes_most_of_the_error_and_states_what_is_lef
     assert after.frame_errors[0] < after.frame_errors[-1]
 
 
+def test_a_fit_on_the_finer_mesh_stays_there_and_a_quarter_of_what_that_changed_counts_as_left(bar, fitted):
+    twin, seen = bar
+    coarse, before = FullModel(twin, NAMES, seen.points, FRAMES), fitted[1].fit
+    fine = replace(coarse, mesh=refine(twin.mesh))
+    found = fit(fine, seen, [p.at(v) for p, v in zip(before.parameters, before.values, strict=True)])
+    changed = np.abs(found.values - before.values)
+    after = fit_finer(fine, coarse, fine.mesh, seen, found)
+    assert changed[0] > 0.03 and np.abs(after.fit.values - found.values)[0] < 0.1 * changed[0]
+    assert after.left[0] == pytest.approx(0.25 * changed[0], rel=0.5)
+    assert not after.runs_away
+
+
 @pytest.mark.wrong_types  # stand-ins for differences of models
 def test_differences_that_move_the_values_further_at_every_turn_are_told(bar, fitted, monkeypatch):
     """A lion on its legs: ν from .29 to .19, .09 and its bound."""

@@ -5,8 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from inference.refining import RefineOptions, estimates
-from physconvex.fem import box_mesh, filled
+from inference.refining import RefineOptions, estimates, meshes
+from inference.refining.stages import Stages
+from physconvex.errors import ConvergenceError
+from physconvex.fem import box_mesh, filled, to_quadratic
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 
@@ -24,7 +26,7 @@ def test_a_finer_model_that_runs_away_is_not_followed(away, strikes, monkeypatch
     }
     monkeypatch.setattr(estimates, "finer_mesh", lambda twin: "mesh")
     monkeypatch.setattr(estimates, "fit_of", lambda arrays, parameters: last)
-    full, warnings = SimpleNamespace(twin=SimpleNamespace(may_strike=strikes), frames=3), []
+    full, warnings = SimpleNamespace(twin=SimpleNamespace(may_strike=strikes), mesh=None, frames=3), []
     stages = SimpleNamespace(run=lambda name, compute: arrays)
     judged = estimates.judge(full, found, None, RefineOptions(), stages, warnings)
     assert judged.fit is (found if away else last) and judged.mesh == "mesh"
@@ -34,15 +36,63 @@ def test_a_finer_model_that_runs_away_is_not_followed(away, strikes, monkeypatch
 
 
 @pytest.mark.parametrize("fill", [True, False])
-def test_a_finer_mesh_is_filled_where_the_coarse_one_is(fill, monkeypatch):
+def test_finer_meshes_are_filled_where_the_twin_s_is(fill, monkeypatch):
     surface = box_mesh((0.3, 0.2, 0.2), (2, 1, 1), order=1).surface
     coarse, fine = box_mesh((0.3, 0.2, 0.2), (2, 1, 1)), box_mesh((0.3, 0.2, 0.2), (4, 2, 2))
     shown = SimpleNamespace(vertices=surface[0], faces=surface[1])
     capture = SimpleNamespace(mesh=lambda: shown, tets=lambda: None)
-    monkeypatch.setattr(estimates, "faithful_mesh", lambda *surface, max_nodes: fine)
-    found = estimates.finer_mesh(SimpleNamespace(capture=capture, mesh=filled(coarse, *surface) if fill else coarse))
-    assert np.array_equal(found.vertices, fine.vertices)
-    assert (found.filling is not None) == fill
+    monkeypatch.setattr(meshes, "faithful_mesh", lambda *surface, max_nodes: fine)
+    monkeypatch.setattr(meshes, "tetrahedralize", lambda *surface, **how: fine)
+    twin = SimpleNamespace(capture=capture, mesh=filled(coarse, *surface) if fill else coarse, may_strike=True)
+    for found in (meshes.finer_mesh(twin), meshes.fine_mesh(twin, RefineOptions(), Stages(None, ""))):
+        assert np.array_equal(found.vertices, fine.vertices)
+        assert (found.filling is not None) == fill
+
+
+def test_the_mesh_of_the_last_searches_is_kept_with_the_stages(tmp_path, monkeypatch):
+    """FTetWild never makes the same one twice, and later stages are of its nodes."""
+    surface = box_mesh((0.3, 0.2, 0.2), (2, 1, 1), order=1).surface
+    shown = SimpleNamespace(vertices=surface[0], faces=surface[1])
+    capture = SimpleNamespace(mesh=lambda: shown, tets=lambda: None)
+    twin = SimpleNamespace(capture=capture, mesh=box_mesh((0.3, 0.2, 0.2), (2, 1, 1)), may_strike=True)
+    made = []
+
+    def tetrahedralize(surface, *, max_nodes, order, method, thorough):
+        made.append((max_nodes, order, method, thorough))
+        return box_mesh((0.3, 0.2, 0.2), (4, 2, 1 + len(made)))
+
+    monkeypatch.setattr(meshes, "tetrahedralize", tetrahedralize)
+    first, again = (meshes.fine_mesh(twin, RefineOptions(), Stages(tmp_path, "key")) for _ in range(2))
+    assert made == [(1400, 2, "auto", True)] and np.array_equal(first.tets, again.tets)
+
+
+@pytest.mark.parametrize("why", ["nothing is struck", "few wanted", "tets", "no surface", "hardly more", "none found"])
+def test_where_there_is_no_mesh_for_the_last_searches(why, monkeypatch):
+    box = box_mesh((0.3, 0.2, 0.2), (2, 1, 1), order=1)
+    shown = SimpleNamespace(vertices=box.surface[0], faces=box.surface[1])
+    capture = SimpleNamespace(
+        mesh=lambda: None if why == "no surface" else shown, tets=lambda: box if why == "tets" else None
+    )
+    twin = SimpleNamespace(capture=capture, mesh=to_quadratic(box), may_strike=why != "nothing is struck")
+    options = RefineOptions(max_nodes=200, fine_nodes=200 if why == "few wanted" else 300)
+
+    def tetrahedralize(surface, **how):
+        if why == "none found":
+            raise ConvergenceError("too few nodes")
+        return box_mesh((0.3, 0.2, 0.2), (2, 1, 1) if why == "hardly more" else (4, 2, 2))
+
+    monkeypatch.setattr(meshes, "tetrahedralize", tetrahedralize)
+    assert meshes.fine_mesh(twin, options, Stages(None, "")) is None
+
+
+def test_what_the_mesh_of_the_last_searches_changed_counts_in_part_as_left(monkeypatch):
+    found, before = (SimpleNamespace(values=np.array(v), parameters=()) for v in ([6.5, 0.40], [6.3, 0.44]))
+    arrays = {"values": found.values, "left": np.zeros(2), "errors": np.zeros(3)}
+    monkeypatch.setattr(estimates, "fit_of", lambda arrays, parameters: found)
+    full = SimpleNamespace(twin=SimpleNamespace(may_strike=True), mesh="fine", frames=3)
+    stages = SimpleNamespace(run=lambda name, compute: arrays)
+    judged = estimates.judge(full, found, None, RefineOptions(), stages, [], before=before)
+    assert judged.mesh == "fine" and judged.left == pytest.approx([0.05, 0.01])
 
 
 def test_the_noise_of_images_is_what_their_residuals_are_and_that_of_markers_at_least_as_stated():

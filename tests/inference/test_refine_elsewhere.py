@@ -7,6 +7,7 @@ import pytest
 
 from inference.refining import colour_search
 from inference.refining.colour_search import ColourSearch
+from inference.refining.colouring import blur_for
 from inference.refining.elsewhere import colours_lost, materials_about
 from physconvex.camera import look_at
 from physconvex.identify import default_parameter
@@ -81,8 +82,21 @@ def test_colours_are_lost_where_they_lie_elsewhere_after_the_contact(moved):
     assert colours_lost(problem, SimpleNamespace(positions=positions)) == 1.0
 
 
+@pytest.mark.parametrize(("astray", "blur"), [(0.0, 1.5), (0.008, 2.0), (0.012, 3.0), (0.5, 6.0)])
+def test_colours_are_blurred_as_wide_as_the_model_is_astray_in_the_nearest_camera(astray, blur):
+    near, far = (
+        look_at([0.0, -y, 0.0], [0.0, 0.0, 0.0], width=256, height=256, vertical_field_of_view=0.5, name="a")
+        for y in (2.0, 9.0)
+    )
+    assert near.fl_x / 2.0 == pytest.approx(250, rel=0.01)  # pixels per metre
+    body = SimpleNamespace(mesh=SimpleNamespace(vertices=np.zeros((3, 3))))
+    problem = SimpleNamespace(twin=body, observed=SimpleNamespace(cameras=(far, near)), astray=astray)
+    assert blur_for(problem) == blur
+
+
 @pytest.mark.parametrize(("best", "after"), [(0, None), (2, 1.5), (2, 40.0)])
 def test_the_material_that_wide_colours_like_best_is_kept_where_it_follows_the_body_better(best, after, monkeypatch):
+    monkeypatch.setattr(colour_search, "blur_for", lambda problem: 1.5)
     monkeypatch.setattr(colour_search, "materials_about", lambda problem, found: ["here", "there", "best"])
     monkeypatch.setattr(colour_search, "colours_lost", lambda problem, found: {"again": after}[found.name])
     monkeypatch.setattr(colour_search, "replace", lambda fit, values: SimpleNamespace(name="moved", values=values))

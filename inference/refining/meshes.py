@@ -1,0 +1,80 @@
+"""Meshes of more nodes: of the last searches, and to compare with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from inference.refining.options import RefineOptions
+from inference.refining.stages import Arrays, Stages
+from physconvex.errors import ConvergenceError
+from physconvex.fem import TetMesh, filled, tetrahedralize
+from physconvex.fem.mesh import refine as subdivided
+from physconvex.identify import Twin
+from physconvex.identify.faithful import faithful_mesh
+
+__all__ = ["fine_mesh", "finer_mesh"]
+
+_FINER = 1.8  # nodes of a mesh made anew over those of the twin
+_HARDLY = 1.2  # times the nodes: no more is gained
+_MOST_NODES = 4000  # of tetrahedra cut in eight
+
+
+def finer_mesh(twin: Twin) -> TetMesh | None:
+    """A finer quadratic mesh of the same body, or None where none is found that is small enough.
+
+    Tetrahedra of the capture are cut in eight each, which keeps the geometry; a mesh that was made from the capture's
+    surface is made again with 1.8 times the nodes, and filled if the twin's is.
+    """
+    if _is_of_capture(twin):
+        fine = subdivided(twin.mesh)
+        return fine if len(fine.vertices) <= _MOST_NODES else None
+    surface = _surface(twin)
+    if surface is None:
+        return None
+    try:
+        fine = faithful_mesh(*surface, max_nodes=int(_FINER * len(twin.mesh.vertices)))
+    except ConvergenceError:
+        return None
+    return _filled_alike(fine, twin, surface)
+
+
+def fine_mesh(twin: Twin, options: RefineOptions, stages: Stages) -> TetMesh | None:
+    """That of the last searches of a body that strikes something, which of few nodes rebounds otherwise.
+
+    The best that is found, of several meshers, with at most `options.fine_nodes` nodes; it is made anew from the
+    surface of the capture. None where nothing is struck, or no mesh with more nodes than the twin's is found.
+    """
+    surface = None if _is_of_capture(twin) else _surface(twin)
+    if not twin.may_strike or surface is None or options.fine_nodes <= options.max_nodes:
+        return None
+
+    def compute() -> Arrays:
+        try:
+            mesh = tetrahedralize(surface, max_nodes=options.fine_nodes, order=2, method="auto", thorough=True)
+        except ConvergenceError:
+            return {"vertices": np.zeros((0, 3)), "tets": np.zeros((0, 10), dtype=np.int64)}
+        return {"vertices": mesh.vertices, "tets": mesh.tets}
+
+    arrays = stages.run("fine_mesh", compute)
+    return _filled_alike(TetMesh(arrays["vertices"], arrays["tets"]), twin, surface) if len(arrays["tets"]) else None
+
+
+def _is_of_capture(twin: Twin) -> bool:
+    """Whether the twin's tetrahedra are those of the capture."""
+    tets = twin.capture.tets()
+    return tets is not None and np.array_equal(twin.mesh.vertices[: len(tets.vertices)], tets.vertices)
+
+
+def _surface(twin: Twin) -> tuple[np.ndarray, np.ndarray] | None:
+    """Of the capture, of which the twin's mesh was made."""
+    tets, shown = twin.capture.tets(), twin.capture.mesh()
+    if tets is not None:
+        return tets.surface
+    return None if shown is None else (np.asarray(shown.vertices, dtype=np.float64), np.asarray(shown.faces))
+
+
+def _filled_alike(fine: TetMesh, twin: Twin, surface: tuple[np.ndarray, np.ndarray]) -> TetMesh | None:
+    """Filled if the twin's mesh is; None where it has hardly more nodes."""
+    if len(fine.vertices) <= _HARDLY * len(twin.mesh.vertices):
+        return None
+    return fine if twin.mesh.filling is None else filled(fine, *surface)

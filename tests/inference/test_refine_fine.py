@@ -1,0 +1,51 @@
+"""A ball of few nodes lands otherwise than one of many: what the mesh of the last searches is worth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from inference.refining import RefineOptions, refine
+from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
+from physconvex.fem import SurfacePoints, tetrahedralize
+from physconvex.identify import FullModel, TwinOptions, base_twin
+
+FRAMES, NOISE, FPS, FEW, MORE = 6, 2e-4, 48.0, 60, 250
+NAMES, TRUTH = ("log10_youngs_modulus", "poisson_ratio"), np.array([4.3, 0.35])
+OPTIONS = RefineOptions(
+    weights=3, steps_per_frame=4, max_nodes=FEW, fine_nodes=MORE, model_error=False, drift=False, field=False,
+    initial={"log10_youngs_modulus": 4.2, "poisson_ratio": 0.3}, fixed={"damping_time": 0.0},
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory):
+    """Tracks of a ball's surface, thrown onto a tilted floor, by a model of 600 nodes."""
+    root = tmp_path_factory.mktemp("ball")
+    shown = trimesh.creation.icosphere(subdivisions=3, radius=0.1)
+    shown.apply_scale([1.3, 1.0, 0.8])
+    shown.apply_translation([0, 0, 0.1])
+    points = np.asarray(shown.vertices)[:: len(shown.vertices) // 20]
+    floor = Floor(np.zeros(3), np.array([0.1, 0.05, 1.0]), friction=0.4)
+
+    def save(name, positions):
+        still = {"initial_velocity": np.array([0.0, 0.0, -1.5]), "initial_angular_velocity": np.zeros(3)}
+        tracks = Tracks(points, positions, np.full(positions.shape[:2], NOISE))
+        save_capture(Capture(root / name, FPS, FRAMES, FRAMES, floor=floor, **still), mesh=shown, tracks=tracks)
+        return load_capture(root / name)
+
+    twin = base_twin(save("plain", np.zeros((FRAMES, len(points), 3))), TwinOptions(weights=3, steps_per_frame=4))
+    surface = (np.asarray(shown.vertices), np.asarray(shown.faces))
+    mesh = tetrahedralize(surface, max_nodes=600, order=2, method="auto")
+    model = FullModel(twin, NAMES, points, FRAMES, mesh=mesh, surface=SurfacePoints.of_triangles(*surface))
+    moved = model.positions(TRUTH)
+    return save("seen", moved + np.random.default_rng(0).normal(scale=NOISE, size=moved.shape))
+
+
+@pytest.mark.slow
+def test_more_nodes_come_nearer_to_the_material(ball, tmp_path):
+    few, more = (refine(ball.folder, options=replace(OPTIONS, fine_nodes=n)) for n in (0, MORE))
+    errors = np.array([[found[name].value for name in NAMES] for found in (few, more)]) - TRUTH
+    assert len(few.motion.mesh.vertices) <= FEW < 2 * FEW < len(more.motion.mesh.vertices) <= MORE
+    assert abs(errors[1, 0]) < 0.3 * abs(errors[0, 0]) and abs(errors[1, 1]) < abs(errors[0, 1])
