@@ -20,6 +20,7 @@ def paper(
         bool, typer.Option(help="Also the published way and the parts over M and K, which come last.")
     ] = True,
     max_nodes: Annotated[int, typer.Option(help="Most nodes of the models' meshes.")] = 500,
+    fine_nodes: Annotated[int, typer.Option(help="Most nodes of the mesh of refine's last searches.")] = 1400,
     steps_per_frame: Annotated[int | None, typer.Option(help="Of the models. Default: 384 per second.")] = None,
     weights: Annotated[int, typer.Option(help="Skinning weights of `refine`.")] = 20,
     full_runs: Annotated[int, typer.Option(help="Most linearisations of the full model.")] = 8,
@@ -45,6 +46,7 @@ def paper(
 
     options = PaperOptions(
         max_nodes=max_nodes,
+        fine_nodes=fine_nodes,
         steps_per_frame=steps_per_frame,
         weights=weights,
         full_runs=full_runs,

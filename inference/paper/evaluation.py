@@ -24,8 +24,8 @@ from physconvex.camera import Camera
 from physconvex.capture import Capture, load_capture
 from physconvex.convex import read_ply
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import Embedding, simulate
-from physconvex.identify import Twin, TwinOptions, base_twin
+from physconvex.fem import Embedding, SurfacePoints, simulate
+from physconvex.identify import FullModel, TwinOptions, base_twin
 from physconvex.identify.changes import changed, changes_of
 from physconvex.reconstruction import ReconstructionConfig
 
@@ -40,6 +40,7 @@ class PaperOptions:
 
     Attributes:
         max_nodes: of the models' quadratic meshes.
+        fine_nodes: of that of the last searches of `refine`.
         steps_per_frame: of the models; None: at least 384 per second.
         weights: M of the reduced model of `refine`.
         full_runs: most linearisations of the full model.
@@ -53,6 +54,7 @@ class PaperOptions:
     """
 
     max_nodes: int = 500
+    fine_nodes: int = 1400
     steps_per_frame: int | None = None
     weights: int = 20
     full_runs: int = 8
@@ -206,15 +208,13 @@ class _Object:
             self.refinements[name] = refine(self.capture.folder, out=self.work / name, options=options)
         return self.refinements[name]
 
-    def _twin_options(self) -> TwinOptions:
-        return TwinOptions(max_nodes=self.options.max_nodes, steps_per_frame=self.options.steps_per_frame)
-
     def _settings(self) -> RefineOptions:
         options = self.options
         return RefineOptions(
             observations="video",
             weights=options.weights,
             max_nodes=options.max_nodes,
+            fine_nodes=options.fine_nodes,
             steps_per_frame=options.steps_per_frame,
             full_runs=options.full_runs,
             model_error=options.model_error,
@@ -235,8 +235,7 @@ class _Object:
         out["in_words"] = [*found.identifiability.sentences, *found.warnings]
         out["reduced_model_rms_m"] = list(found.motion.reduced_gap)
         out |= self._motion(found.motion.mesh, found.motion.nodes)
-        twin = base_twin(self.capture, self._twin_options())
-        return out | {"changes": self._changes(twin, found)}
+        return out | {"changes": self._changes(found)}
 
     def _followed(self) -> dict[str, Any]:
         """The same with the rigid drift after the contact."""
@@ -261,15 +260,20 @@ class _Object:
                 out["pictures"][label] = {view: asdict(score) for view, score in scores.items()}
         return out
 
-    def _changes(self, twin: Twin, found: Refinement) -> dict[str, Any]:
+    def _changes(self, found: Refinement) -> dict[str, Any]:
         """Rms distance [m] from the truth under the same change, beside how far the change moved the truth."""
-        names = [e.name for e in found.estimates]
-        fitted = twin.with_values(names, np.array([e.value for e in found.estimates]))
+        options, names = self.options, tuple(e.name for e in found.estimates)
+        twin = base_twin(
+            self.capture, TwinOptions(max_nodes=options.max_nodes, steps_per_frame=options.steps_per_frame)
+        )
+        surface = SurfacePoints.of_triangles(*twin.surface) if twin.scene.obstacles else None
         out = {}
         with np.load(self.truth / "points.npz") as arrays:
-            points = Embedding.of_points(twin.mesh, arrays["rest"])
-            for change in changes_of(fitted.full_scene()):
-                run = simulate(changed(fitted.full_scene(), change), **fitted.timing())
+            model = FullModel(twin, names, arrays["rest"], self.capture.frames, found.motion.mesh, surface=surface)
+            usual = model.roll_out(np.array([e.value for e in found.estimates]))
+            points = Embedding.of_points(found.motion.mesh, arrays["rest"])
+            for change in changes_of(usual.scene):
+                run = simulate(changed(usual.scene, change), **usual.timing, contact_solver=usual.solver)
                 gap = points.apply(run.positions) - arrays[f"positions_{change}"]
                 moved = arrays[f"positions_{change}"] - arrays["positions"]
                 out[change] = {

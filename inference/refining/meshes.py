@@ -10,12 +10,13 @@ from physconvex.errors import ConvergenceError
 from physconvex.fem import TetMesh, filled, tetrahedralize
 from physconvex.fem.mesh import refine as subdivided
 from physconvex.identify import Twin
-from physconvex.identify.faithful import faithful_mesh
+from physconvex.identify.faithful import faithful_mesh, unfaithfulness
 
 __all__ = ["fine_mesh", "finer_mesh"]
 
 _FINER = 1.8  # nodes of a mesh made anew over those of the twin
 _HARDLY = 1.2  # times the nodes: no more is gained
+_ALIKE = 0.05  # of the volume of body and mesh together, that only one of them has
 _MOST_NODES = 4000  # of tetrahedra cut in eight
 
 
@@ -42,10 +43,13 @@ def fine_mesh(twin: Twin, options: RefineOptions, stages: Stages) -> TetMesh | N
     """That of the last searches of a body that strikes something, which of few nodes rebounds otherwise.
 
     The best that is found, of several meshers, with at most `options.fine_nodes` nodes; it is made anew from the
-    surface of the capture. None where nothing is struck, or no mesh with more nodes than the twin's is found.
+    surface of the capture. None where nothing is struck, the twin's mesh is all but the body (a twentieth of their
+    volume apart), or no mesh with more nodes is found.
     """
     surface = None if _is_of_capture(twin) else _surface(twin)
     if not twin.may_strike or surface is None or options.fine_nodes <= options.max_nodes:
+        return None
+    if unfaithfulness(twin.mesh, *surface) < _ALIKE:
         return None
 
     def compute() -> Arrays:

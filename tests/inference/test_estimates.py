@@ -37,7 +37,7 @@ def test_a_finer_model_that_runs_away_is_not_followed(away, strikes, monkeypatch
 
 @pytest.mark.parametrize("fill", [True, False])
 def test_finer_meshes_are_filled_where_the_twin_s_is(fill, monkeypatch):
-    surface = box_mesh((0.3, 0.2, 0.2), (2, 1, 1), order=1).surface
+    surface = box_mesh((0.3, 0.22, 0.2), (2, 1, 1), order=1).surface
     coarse, fine = box_mesh((0.3, 0.2, 0.2), (2, 1, 1)), box_mesh((0.3, 0.2, 0.2), (4, 2, 2))
     shown = SimpleNamespace(vertices=surface[0], faces=surface[1])
     capture = SimpleNamespace(mesh=lambda: shown, tets=lambda: None)
@@ -54,7 +54,7 @@ def test_the_mesh_of_the_last_searches_is_kept_with_the_stages(tmp_path, monkeyp
     surface = box_mesh((0.3, 0.2, 0.2), (2, 1, 1), order=1).surface
     shown = SimpleNamespace(vertices=surface[0], faces=surface[1])
     capture = SimpleNamespace(mesh=lambda: shown, tets=lambda: None)
-    twin = SimpleNamespace(capture=capture, mesh=box_mesh((0.3, 0.2, 0.2), (2, 1, 1)), may_strike=True)
+    twin = SimpleNamespace(capture=capture, mesh=box_mesh((0.28, 0.2, 0.2), (2, 1, 1)), may_strike=True)
     made = []
 
     def tetrahedralize(surface, *, max_nodes, order, method, thorough):
@@ -66,14 +66,17 @@ def test_the_mesh_of_the_last_searches_is_kept_with_the_stages(tmp_path, monkeyp
     assert made == [(1400, 2, "auto", True)] and np.array_equal(first.tets, again.tets)
 
 
-@pytest.mark.parametrize("why", ["nothing is struck", "few wanted", "tets", "no surface", "hardly more", "none found"])
+@pytest.mark.parametrize(
+    "why", ["nothing is struck", "few wanted", "tets", "no surface", "the body", "hardly more", "none found"]
+)
 def test_where_there_is_no_mesh_for_the_last_searches(why, monkeypatch):
     box = box_mesh((0.3, 0.2, 0.2), (2, 1, 1), order=1)
     shown = SimpleNamespace(vertices=box.surface[0], faces=box.surface[1])
     capture = SimpleNamespace(
         mesh=lambda: None if why == "no surface" else shown, tets=lambda: box if why == "tets" else None
     )
-    twin = SimpleNamespace(capture=capture, mesh=to_quadratic(box), may_strike=why != "nothing is struck")
+    own = box if why in ("tets", "the body") else box_mesh((0.28, 0.2, 0.2), (2, 1, 1), order=1)
+    twin = SimpleNamespace(capture=capture, mesh=to_quadratic(own), may_strike=why != "nothing is struck")
     options = RefineOptions(max_nodes=200, fine_nodes=200 if why == "few wanted" else 300)
 
     def tetrahedralize(surface, **how):

@@ -13,8 +13,8 @@ from inference.paper.tables import markdown, summary
 from physconvex.errors import InputError
 
 SMALL = PaperOptions(
-    max_nodes=120, weights=3, full_runs=2, model_error=False, adam_steps=3, ablation=(), field_budget=200,
-    field_steps=4, steps_per_frame=4, ablation_points=(4,),
+    max_nodes=120, fine_nodes=160, weights=3, full_runs=2, model_error=False, adam_steps=3, ablation=(),
+    field_budget=200, field_steps=4, steps_per_frame=4, ablation_points=(4,),
 )  # fmt: skip
 
 
