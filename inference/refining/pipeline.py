@@ -124,7 +124,7 @@ class _Run:
         )
         final, runs, converged = self._corrected(problem, start, last=not coloured)
         before = final
-        problem, final, converged = self._refitted(problem, final, converged)
+        problem, final, converged = self._refitted(problem, final, converged, last=not coloured)
         if self.options.correction and not converged:
             count = len(runs["runs"] if problem.mesh is None else final.history)
             self.warnings.append(f"The correction did not settle in {count} runs of the full model; allow more.")
@@ -260,11 +260,11 @@ class _Run:
         final = fit_of(arrays, problem.parameters)
         return final, arrays, bool(arrays["correction_converged"]) and final.converged
 
-    def _refitted(self, problem: Problem, found: Fit, converged: bool) -> tuple[Problem, Fit, bool]:
+    def _refitted(self, problem: Problem, found: Fit, converged: bool, *, last: bool) -> tuple[Problem, Fit, bool]:
         """The problem on a mesh of more nodes, if there is one, its fit, and whether that has settled."""
         refitting = Refitting(self.options, self.stages, self.memory, self._with_drift)
         try:
-            fine, again = refitting.run(problem, found)
+            fine, again = refitting.run(problem, found, last=last)
         except ConvergenceError as error:
             self.warnings.append(f"A mesh of more nodes could not be fitted ({error}): the result is of the twin's.")
             return problem, found, converged

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from inference.refining.beginning import START_OPTIONS
 from inference.refining.fits import arrays_of_fit, fit_of
 from inference.refining.meshes import fine_mesh
 from inference.refining.options import RefineOptions
@@ -41,8 +42,12 @@ class Refitting:
     memory: RollOuts
     with_drift: Callable[[Problem, Fit, str], Problem]
 
-    def run(self, problem: Problem, found: Fit) -> tuple[Problem, Fit]:
+    def run(self, problem: Problem, found: Fit, *, last: bool) -> tuple[Problem, Fit]:
         """The problem on a mesh of more nodes, and its fit, begun at `found`; both as they are if there is no mesh.
+
+        Args:
+            problem, found: on the twin's mesh.
+            last: no search follows, to which this one may leave the last digits.
 
         Raises:
             ConvergenceError: the body cannot be simulated on it.
@@ -60,7 +65,7 @@ class Refitting:
             return {"errors": _LEFT * frame_errors(problem.seen, there, here), "astray": _LEFT * astray}
 
         def compute() -> Arrays:
-            settings = replace(FULL_OPTIONS, max_iterations=self.options.full_runs)
+            settings = replace(FULL_OPTIONS if last else START_OPTIONS, max_iterations=self.options.full_runs)
             return arrays_of_fit(fit(more, fine.weighted, started_from(problem.parameters, found), options=settings))
 
         compared = self.stages.run("fine_errors", compare)
