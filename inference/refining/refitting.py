@@ -2,28 +2,32 @@
 
 Of few nodes, thin legs are too thick or missing, and the twin's motion parts from the body's by a centimetre per frame
 from the landing on, which E and ν then make up for. Meshes of two to three times the nodes, the best of several
-meshers, come five times as near.
+meshers, come five times as near. What led the twin astray may have left it at another rebound, so that materials about
+are tried first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
-from inference.refining.beginning import START_OPTIONS
+from inference.refining.beginning import START_OPTIONS, misfits_of
 from inference.refining.fits import arrays_of_fit, fit_of
 from inference.refining.meshes import fine_mesh
 from inference.refining.options import RefineOptions
 from inference.refining.problem import Problem
 from inference.refining.searching import started_from
 from inference.refining.stages import Arrays, Stages
-from physconvex.identify import Fit, RollOuts, fit, frame_errors, roll_out_together
+from physconvex.identify import Fit, FullModel, RollOuts, fit, frame_errors, roll_out_together
 from physconvex.identify.full_fit import FULL_OPTIONS
 
 __all__ = ["Refitting"]
 
+_MODULI, _RATIO = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3), 0.35  # decades of E about the start, and ν beside them
+_RATIOS = (0.25, 0.45)  # beside the best of these
 _LEFT = 0.25  # of the difference between few and more nodes: what more nodes still err by
 
 
@@ -57,18 +61,37 @@ class Refitting:
             return problem, found
         few, fine = problem.full(self.memory), replace(problem, mesh=mesh)
         more = fine.full(self.memory)
+        values = self.stages.run("fine_start", lambda: {"values": _material(problem, more, found.values)})["values"]
+        start = replace(found, values=values)
 
         def compare() -> Arrays:
-            roll_out_together((model, found.values) for model in (few, more))
-            here, there = (model.positions(found.values) for model in (few, more))
+            roll_out_together((model, start.values) for model in (few, more))
+            here, there = (model.positions(start.values) for model in (few, more))
             astray = np.sqrt(np.square(there - here).sum(-1).mean())
             return {"errors": _LEFT * frame_errors(problem.seen, there, here), "astray": _LEFT * astray}
 
         def compute() -> Arrays:
             settings = replace(FULL_OPTIONS if last else START_OPTIONS, max_iterations=self.options.full_runs)
-            return arrays_of_fit(fit(more, fine.weighted, started_from(problem.parameters, found), options=settings))
+            return arrays_of_fit(fit(more, fine.weighted, started_from(problem.parameters, start), options=settings))
 
         compared = self.stages.run("fine_errors", compare)
         fine = replace(fine, errors=compared["errors"], astray=float(compared["astray"]))
-        fine = self.with_drift(fine, found, "drift_fine")
+        fine = self.with_drift(fine, start, "drift_fine")
         return fine, fit_of(self.stages.run("fine", compute), problem.parameters)
+
+
+def _material(problem: Problem, model: FullModel, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
+    """Of a fit's values and those of materials about, what the recording likes best."""
+    best = _best(problem, model, [values, *(_moved(problem, values, change, _RATIO) for change in _MODULI)])
+    return _best(problem, model, [best, *(_moved(problem, best, 0.0, ratio) for ratio in _RATIOS)])
+
+
+def _moved(problem: Problem, values: np.ndarray, change: float, ratio: float) -> Float[np.ndarray, " K"]:
+    """Values with E changed by so many decades and that ν, as far as these are free and within their bounds."""
+    wanted = {"log10_youngs_modulus": lambda value: value + change, "poisson_ratio": lambda value: ratio}
+    pairs = zip(problem.parameters, map(float, values), strict=True)
+    return np.array([p.at(wanted[p.name](value)).start if p.name in wanted else value for p, value in pairs])
+
+
+def _best(problem: Problem, model: FullModel, candidates: Sequence[np.ndarray]) -> np.ndarray:
+    return candidates[int(np.argmin(misfits_of(problem, model, candidates)))]
