@@ -2,8 +2,8 @@
 
 Of few nodes, thin legs are too thick or missing, and the twin's motion parts from the body's by a centimetre per frame
 from the landing on, which E and ν then make up for. Meshes of two to three times the nodes, the best of several
-meshers, come five times as near. What led the twin astray may have left it at another rebound, so that materials about
-are tried first.
+meshers, come three to five times as near. The few nodes may have led to another rebound, so that materials about are
+tried first.
 """
 
 from __future__ import annotations

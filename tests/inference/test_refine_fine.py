@@ -1,15 +1,16 @@
 """A ball of few nodes lands otherwise than one of many: what the mesh of the last searches is worth."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import trimesh
 
-from inference.refining import RefineOptions, refine
+from inference.refining import RefineOptions, refine, refitting
 from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
 from physconvex.fem import SurfacePoints, tetrahedralize
-from physconvex.identify import FullModel, TwinOptions, base_twin
+from physconvex.identify import FullModel, TwinOptions, base_twin, default_parameter
 
 FRAMES, NOISE, FPS, FEW, MORE = 6, 2e-4, 48.0, 60, 250
 NAMES, TRUTH = ("log10_youngs_modulus", "poisson_ratio"), np.array([4.3, 0.35])
@@ -49,3 +50,28 @@ def test_more_nodes_come_nearer_to_the_material(ball, tmp_path):
     errors = np.array([[found[name].value for name in NAMES] for found in (few, more)]) - TRUTH
     assert len(few.motion.mesh.vertices) <= FEW < 2 * FEW < len(more.motion.mesh.vertices) <= MORE
     assert abs(errors[1, 0]) < 0.3 * abs(errors[0, 0]) and abs(errors[1, 1]) < abs(errors[0, 1])
+
+
+@pytest.mark.wrong_types  # a stand-in for a problem
+@pytest.mark.parametrize(
+    ("free", "begun", "best"),
+    [
+        ((*NAMES, "damping_time"), [6.7, 0.3, 1e-3], [6.4, 0.45, 1e-3]),
+        ((*NAMES, "damping_time"), [6.36, 0.43, 1e-3], [6.36, 0.43, 1e-3]),  # nowhere is better
+        (("damping_time",), [1e-3], [1e-3]),
+        (NAMES, [3.1, 0.3], [3.4, 0.45]),  # as near as it may be
+    ],
+)
+def test_the_search_on_more_nodes_begins_at_the_best_of_the_materials_about(free, begun, best, monkeypatch):
+    """A lion that few nodes had left .29 decades off, at another rebound: the fit on more nodes stayed there."""
+    wanted, tried = {"log10_youngs_modulus": 6.35, "poisson_ratio": 0.44}, []
+
+    def misfits_of(problem, model, candidates):
+        tried.extend(candidates)
+        return [sum(abs(v - wanted.get(n, v)) for n, v in zip(free, c, strict=True)) for c in candidates]
+
+    monkeypatch.setattr(refitting, "misfits_of", misfits_of)
+    problem = SimpleNamespace(parameters=tuple(default_parameter(name) for name in free))
+    assert refitting._material(problem, None, np.array(begun)) == pytest.approx(best)
+    bounds = [(p.lower, p.upper) for p in problem.parameters]
+    assert all(low <= v <= high for c in tried for v, (low, high) in zip(c, bounds, strict=True))
