@@ -14,9 +14,9 @@ from physconvex.errors import InputError
 from physconvex.identify import Fit, FullModel, Observations, PixelObservations, ReducedModel, StackedObservations, Twin
 from physconvex.identify.colours import ColourObservations, blurred, colour_seeds, seen_by
 
-__all__ = ["WIDE", "blur_for", "coloured"]
+__all__ = ["NARROW", "WIDE", "blur_for", "coloured", "in_pixels"]
 
-_NARROW = 1.5  # pixels
+NARROW = 1.5  # pixels
 WIDE = 6.0  # pixels: tells from afar which rebound is the nearest
 
 
@@ -25,9 +25,13 @@ def blur_for(problem: Problem) -> float:
 
     As wide as the model is astray in the images of the nearest camera: what a narrower one compares lies elsewhere.
     """
+    return float(np.clip(round(2 * in_pixels(problem, problem.astray)) / 2, NARROW, WIDE))
+
+
+def in_pixels(problem: Problem, length: float) -> float:
+    """A length [m] where the body begins, in the images of the nearest camera."""
     centre = problem.twin.mesh.vertices.mean(axis=0)
-    scale = max(camera.fl_x / camera.project(centre)[1] for camera in problem.observed.cameras)
-    return float(np.clip(round(2 * float(scale) * problem.astray) / 2, _NARROW, WIDE))
+    return length * float(max(camera.fl_x / camera.project(centre)[1] for camera in problem.observed.cameras))
 
 
 def coloured(

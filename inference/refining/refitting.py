@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inference.refining.beginning import START_OPTIONS, misfits_of
+from inference.refining.colouring import NARROW, in_pixels
 from inference.refining.fits import arrays_of_fit, fit_of
 from inference.refining.meshes import fine_mesh
 from inference.refining.options import RefineOptions
@@ -26,7 +27,8 @@ from physconvex.identify.full_fit import FULL_OPTIONS
 
 __all__ = ["Refitting"]
 
-_MODULI, _RATIO = (-0.45, -0.3, -0.15, 0.0, 0.15, 0.3), 0.35  # decades of E about the start, and ν beside them
+# decades of E beside the start, then further on the side that is better, and ν with them
+_BESIDE, _FURTHER, _RATIO = 0.15, (0.3, 0.45), 0.35
 _RATIOS = (0.25, 0.45)  # beside the best of these
 _LEFT = 0.25  # of the difference between few and more nodes: what more nodes still err by
 
@@ -49,6 +51,9 @@ class Refitting:
     def run(self, problem: Problem, found: Fit, *, last: bool) -> tuple[Problem, Fit]:
         """The problem on a mesh of more nodes, and its fit, begun at `found`; both as they are if there is no mesh.
 
+        Or if videos hardly tell it from the twin's: both put the body within twice what colours are blurred by.
+        Where the recording likes no modulus beside `found` better, the fit is left to the search that follows.
+
         Args:
             problem, found: on the twin's mesh.
             last: no search follows, to which this one may leave the last digits.
@@ -61,14 +66,22 @@ class Refitting:
             return problem, found
         few, fine = problem.full(self.memory), replace(problem, mesh=mesh)
         more = fine.full(self.memory)
+
+        def part() -> Arrays:
+            roll_out_together((model, found.values) for model in (few, more))
+            return {"apart": np.array(_apart(*(model.positions(found.values) for model in (few, more))))}
+
+        apart = float(self.stages.run("fine_apart", part)["apart"])
+        if problem.observed.cameras and in_pixels(problem, apart) < 2 * NARROW:
+            return problem, found
         values = self.stages.run("fine_start", lambda: {"values": _material(problem, more, found.values)})["values"]
         start = replace(found, values=values)
 
         def compare() -> Arrays:
             roll_out_together((model, start.values) for model in (few, more))
             here, there = (model.positions(start.values) for model in (few, more))
-            astray = np.sqrt(np.square(there - here).sum(-1).mean())
-            return {"errors": _LEFT * frame_errors(problem.seen, there, here), "astray": _LEFT * astray}
+            errors = _LEFT * frame_errors(problem.seen, there, here)
+            return {"errors": errors, "astray": np.array(_LEFT * _apart(here, there))}
 
         def compute() -> Arrays:
             settings = replace(FULL_OPTIONS if last else START_OPTIONS, max_iterations=self.options.full_runs)
@@ -76,13 +89,24 @@ class Refitting:
 
         compared = self.stages.run("fine_errors", compare)
         fine = replace(fine, errors=compared["errors"], astray=float(compared["astray"]))
+        if not last and np.array_equal(values, found.values):
+            return fine, found
         fine = self.with_drift(fine, start, "drift_fine")
         return fine, fit_of(self.stages.run("fine", compute), problem.parameters)
 
 
+def _apart(here: Float[np.ndarray, "T P 3"], there: Float[np.ndarray, "T P 3"]) -> float:
+    return float(np.sqrt(np.square(there - here).sum(-1).mean()))
+
+
 def _material(problem: Problem, model: FullModel, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
     """Of a fit's values and those of materials about, what the recording likes best."""
-    best = _best(problem, model, [values, *(_moved(problem, values, change, _RATIO) for change in _MODULI)])
+    beside = [_moved(problem, values, change, _RATIO) for change in (-_BESIDE, _BESIDE)]
+    best = _best(problem, model, [values, *beside])
+    if best is values:
+        return values
+    side = -1.0 if best is beside[0] else 1.0
+    best = _best(problem, model, [best, *(_moved(problem, values, side * change, _RATIO) for change in _FURTHER)])
     return _best(problem, model, [best, *(_moved(problem, best, 0.0, ratio) for ratio in _RATIOS)])
 
 
