@@ -28,10 +28,9 @@ from physconvex.identify import (
     marginal_deviations,
     parameter_shift,
 )
+from physconvex.identify.finer import LEFT_BY_FITTED
 
 __all__ = ["Judged", "estimates_of", "judge"]
-
-_LEFT_OF_MOVED = 0.25  # of what the mesh of the last searches changes, that is left
 
 
 def estimates_of(
@@ -158,7 +157,7 @@ def judge(
     left = arrays["left"]
     runs_away = bool(arrays.get("runs_away", False))
     if before is not None:
-        left = np.hypot(left, _LEFT_OF_MOVED * np.abs(found.values - before.values))
+        left = np.hypot(left, LEFT_BY_FITTED * np.abs(found.values - before.values))
     if twin.may_strike or runs_away:  # after an impact meshes do not converge: all that a finer one moved
         left = np.hypot(left, np.abs(last.values - found.values))
     if runs_away:

@@ -11,6 +11,7 @@ from physconvex.fem import TetMesh, filled, tetrahedralize
 from physconvex.fem.mesh import refine as subdivided
 from physconvex.identify import Twin
 from physconvex.identify.faithful import faithful_mesh, unfaithfulness
+from physconvex.identify.twin import surface_of_capture
 
 __all__ = ["fine_mesh", "finer_mesh"]
 
@@ -29,7 +30,7 @@ def finer_mesh(twin: Twin) -> TetMesh | None:
     if _is_of_capture(twin):
         fine = subdivided(twin.mesh)
         return fine if len(fine.vertices) <= _MOST_NODES else None
-    surface = _surface(twin)
+    surface = surface_of_capture(twin.capture)
     if surface is None:
         return None
     try:
@@ -46,7 +47,7 @@ def fine_mesh(twin: Twin, options: RefineOptions, stages: Stages) -> TetMesh | N
     surface of the capture. None where nothing is struck, the twin's mesh is all but the body (a twentieth of their
     volume apart), or no mesh with more nodes is found.
     """
-    surface = None if _is_of_capture(twin) else _surface(twin)
+    surface = None if _is_of_capture(twin) else surface_of_capture(twin.capture)
     if not twin.may_strike or surface is None or options.fine_nodes <= options.max_nodes:
         return None
     if unfaithfulness(twin.mesh, *surface) < _ALIKE:
@@ -67,14 +68,6 @@ def _is_of_capture(twin: Twin) -> bool:
     """Whether the twin's tetrahedra are those of the capture."""
     tets = twin.capture.tets()
     return tets is not None and np.array_equal(twin.mesh.vertices[: len(tets.vertices)], tets.vertices)
-
-
-def _surface(twin: Twin) -> tuple[np.ndarray, np.ndarray] | None:
-    """Of the capture, of which the twin's mesh was made."""
-    tets, shown = twin.capture.tets(), twin.capture.mesh()
-    if tets is not None:
-        return tets.surface
-    return None if shown is None else (np.asarray(shown.vertices, dtype=np.float64), np.asarray(shown.faces))
 
 
 def _filled_alike(fine: TetMesh, twin: Twin, surface: tuple[np.ndarray, np.ndarray]) -> TetMesh | None:

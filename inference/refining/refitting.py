@@ -23,6 +23,7 @@ from inference.refining.problem import Problem
 from inference.refining.searching import started_from
 from inference.refining.stages import Arrays, Stages
 from physconvex.identify import Fit, FullModel, RollOuts, fit, frame_errors, roll_out_together
+from physconvex.identify.finer import LEFT_BY_FITTED
 from physconvex.identify.full_fit import FULL_OPTIONS
 
 __all__ = ["Refitting"]
@@ -30,7 +31,6 @@ __all__ = ["Refitting"]
 # decades of E beside the start, then further on the side that is better, and ν with them
 _BESIDE, _FURTHER, _RATIO = 0.15, (0.3, 0.45), 0.35
 _RATIOS = (0.25, 0.45)  # beside the best of these
-_LEFT = 0.25  # of the difference between few and more nodes: what more nodes still err by
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +80,8 @@ class Refitting:
         def compare() -> Arrays:
             roll_out_together((model, start.values) for model in (few, more))
             here, there = (model.positions(start.values) for model in (few, more))
-            errors = _LEFT * frame_errors(problem.seen, there, here)
-            return {"errors": errors, "astray": np.array(_LEFT * _apart(here, there))}
+            errors = LEFT_BY_FITTED * frame_errors(problem.seen, there, here)
+            return {"errors": errors, "astray": np.array(LEFT_BY_FITTED * _apart(here, there))}
 
         def compute() -> Arrays:
             settings = replace(FULL_OPTIONS if last else START_OPTIONS, max_iterations=self.options.full_runs)

@@ -30,7 +30,7 @@ from physconvex.identify.parameters import Parameter
 from physconvex.identify.uncertainty import noise_covariance
 from physconvex.identify.weighting import WeightedObservations, frame_errors
 
-__all__ = ["FinerFit", "extrapolated_nodes", "fit_finer"]
+__all__ = ["LEFT_BY_FITTED", "FinerFit", "extrapolated_nodes", "fit_finer"]
 
 _EXTRAPOLATED = 4.0 / 3.0
 _STEP_LEFT = 1.0 / 3.0
@@ -58,7 +58,8 @@ class _Share:
 # the modulus at most .54 − .42 is left
 _HALVED, _OTHERWISE = _Share(0.42, 0.3, 0.12), _Share(0.0, 0.5, 0.5)
 # of meshes with two to three times the nodes, and the best of several meshers
-_FITTED = _Share(0.0, 0.25, 0.25)
+LEFT_BY_FITTED = 0.25
+_FITTED = _Share(0.0, LEFT_BY_FITTED, LEFT_BY_FITTED)
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ from physconvex.reduced import (
     with_parameters,
 )
 
-__all__ = ["Twin", "TwinOptions", "base_twin", "coarse_mesh", "mesh_of_capture", "smooth_weights"]
+__all__ = ["Twin", "TwinOptions", "base_twin", "coarse_mesh", "mesh_of_capture", "smooth_weights", "surface_of_capture"]
 
 RATE = 384.0  # time steps per second at least: below 0.02 decades of E by the time step, see design notes
 _NODES_PER_WEIGHT = 5  # each weight brings four functions
@@ -165,6 +165,18 @@ def _uniform(name: str, value: np.ndarray) -> float:
     return float(value[0])
 
 
+def surface_of_capture(capture: Capture) -> tuple[np.ndarray, np.ndarray] | None:
+    """Vertices [V, 3] m and triangles [F, 3] of a capture's rest geometry: the boundary of its tetrahedra, or `mesh.*`.
+
+    None where it has neither.
+    """
+    tets = capture.tets()
+    if tets is not None:
+        return tets.surface
+    shown = capture.mesh()
+    return None if shown is None else (np.asarray(shown.vertices, dtype=np.float64), np.asarray(shown.faces))
+
+
 def mesh_of_capture(capture: Capture, *, max_nodes: int = 700, fill: bool = False) -> TetMesh:
     """Quadratic tetrahedra of a capture's rest geometry, of about `max_nodes` nodes at most.
 
@@ -179,15 +191,12 @@ def mesh_of_capture(capture: Capture, *, max_nodes: int = 700, fill: bool = Fals
         quadratic = to_quadratic(tets)
         if len(quadratic.vertices) <= max_nodes:
             return quadratic
-        pair = tets.surface
-    else:
-        surface = capture.mesh()
-        if surface is None:
-            raise InputError(
-                f"{capture.folder}: no rest geometry; expected tets.npz (vertices, tets) or mesh.obj, .ply or .glb of "
-                "the closed surface where it is at t = 0. Points alone do not tell what body carries them"
-            )
-        pair = np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces)
+    pair = surface_of_capture(capture)
+    if pair is None:
+        raise InputError(
+            f"{capture.folder}: no rest geometry; expected tets.npz (vertices, tets) or mesh.obj, .ply or .glb of the "
+            "closed surface where it is at t = 0. Points alone do not tell what body carries them"
+        )
     mesh = faithful_mesh(*pair, max_nodes=max_nodes)
     return filled(mesh, *pair) if fill else mesh
 
