@@ -58,7 +58,7 @@ def refine(
     max_nodes: has.MaxNodes = 500,
     fine_nodes: has.FineNodes = 1400,
     steps_per_frame: has.StepsPerFrame = None,
-    fill: has.Fill = False,
+    fill: has.Fill = True,
     correction: has.Correction = True,
     full_runs: has.FullRuns = 8,
     jacobian: has.Jacobian = "full",

@@ -13,7 +13,7 @@ from physconvex.identify import Twin
 from physconvex.identify.faithful import faithful_mesh, unfaithfulness
 from physconvex.identify.twin import surface_of_capture
 
-__all__ = ["fine_mesh", "finer_mesh"]
+__all__ = ["fine_mesh", "finer_mesh", "is_of_capture"]
 
 _FINER = 1.8  # nodes of a mesh made anew over those of the twin
 _HARDLY = 1.2  # times the nodes: no more is gained
@@ -27,7 +27,7 @@ def finer_mesh(twin: Twin) -> TetMesh | None:
     Tetrahedra of the capture are cut in eight each, which keeps the geometry; a mesh that was made from the capture's
     surface is made again with 1.8 times the nodes, and filled if the twin's is.
     """
-    if _is_of_capture(twin):
+    if is_of_capture(twin):
         fine = subdivided(twin.mesh)
         return fine if len(fine.vertices) <= _MOST_NODES else None
     surface = surface_of_capture(twin.capture)
@@ -47,7 +47,7 @@ def fine_mesh(twin: Twin, options: RefineOptions, stages: Stages) -> TetMesh | N
     surface of the capture. None where nothing is struck, the twin's mesh is all but the body (a twentieth of their
     volume apart), or no mesh with more nodes is found.
     """
-    surface = None if _is_of_capture(twin) else surface_of_capture(twin.capture)
+    surface = None if is_of_capture(twin) else surface_of_capture(twin.capture)
     if not twin.may_strike or surface is None or options.fine_nodes <= options.max_nodes:
         return None
     if unfaithfulness(twin.mesh, *surface) < _ALIKE:
@@ -64,7 +64,7 @@ def fine_mesh(twin: Twin, options: RefineOptions, stages: Stages) -> TetMesh | N
     return _filled_alike(TetMesh(arrays["vertices"], arrays["tets"]), twin, surface) if len(arrays["tets"]) else None
 
 
-def _is_of_capture(twin: Twin) -> bool:
+def is_of_capture(twin: Twin) -> bool:
     """Whether the twin's tetrahedra are those of the capture."""
     tets = twin.capture.tets()
     return tets is not None and np.array_equal(twin.mesh.vertices[: len(tets.vertices)], tets.vertices)

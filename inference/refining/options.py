@@ -57,7 +57,7 @@ class RefineOptions:
     max_nodes: int = 500
     fine_nodes: int = 1400
     steps_per_frame: int | None = None
-    fill: bool = False
+    fill: bool = True
     free: tuple[str, ...] = ()
     fixed: Mapping[str, float | None] = dataclasses.field(default_factory=dict)
     priors: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)

@@ -101,9 +101,12 @@ def diagnose(
     numerics = with_absorbed_mesh(base, numerics, options)
     base, errors, screening = _trusted(base, numerics, dictionary, options, report)
     weights = detail_errors(base, errors, options.detail)
-    hypotheses, screening = select_effects(
+    found = select_effects(
         base, weights, numerics, dictionary, options, report, screening=screening, near=setting.damped
     )
+    hypotheses, screening, numerics = found.hypotheses, found.screening, found.numerics
+    if found.errors is not weights:  # anew, far from the base fit
+        errors = weights = found.errors
     best = favoured(hypotheses) or hypotheses[0]
     cost.allow(_PLACEBO_COST, _LAST)
     report("placebo")

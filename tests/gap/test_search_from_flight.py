@@ -1,4 +1,4 @@
-"""Effects told by the flight, and E found beside them where the base fit has another one."""
+"""Effects told by the flight, E found beside them where the base fit has another one, and what is expected there."""
 
 from dataclasses import replace
 
@@ -15,6 +15,7 @@ from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.search import flight
 from physconvex.gap.search.comparison import base_hypothesis
+from physconvex.gap.search.expecting import expect_anew
 from physconvex.gap.search.flight import from_flight
 from physconvex.gap.search.mapping import as_reduced
 from physconvex.gap.search.state import Selection
@@ -98,3 +99,25 @@ def test_nothing_is_looked_for_where_a_fit_says_what_the_flight_shows(tilted):
     """Else it takes from the search what a further effect needs that shows later."""
     assert len(searched(tilted, 0.6, told=True).found) == 2
     assert len(searched(tilted, 0.6).found) > 1
+
+
+@pytest.mark.slow
+def test_numerical_error_is_told_anew_where_a_fit_led_far_from_the_base_fit(tilted):
+    """With the wrong E the finer mesh parts from the base model by something else than with the one that is found."""
+    search = searched(tilted, 1.2)
+    given, before, far = Numerics(*[np.zeros_like(search.best.positions)] * 5), search.ranked, search.full
+    best = search.best
+    assert best.effects and abs(best.values[0] - far.fit.values[0]) > 0.5
+    search.full = replace(far, fit=replace(far.fit, values=best.values[: len(far.fit.values)]))
+    assert expect_anew(search, given) is given  # the base fit is there
+    search.full, search.found = far, [h for h in before if not h.effects]
+    assert expect_anew(search, given) is given  # no effect led anywhere
+    search.found = before
+    numerics = expect_anew(search, given)
+    assert numerics is not given
+    there = replace(far.model, effects=best.effects)
+    halved = replace(there, refinement=2).motion(best.values).positions
+    np.testing.assert_allclose(numerics.steps, halved - there.motion(best.values).positions, atol=1e-9)
+    assert (search.errors.expected > 1).any()  # nothing but noise was expected before
+    assert {id(h.motion) for h in search.found} == {id(h.motion) for h in before}
+    assert all(h.fitted < b.fitted for h in search.found for b in before if h.motion is b.motion)

@@ -3,7 +3,8 @@
 1. Fit the effects that screening ranks first, each alone, and the pairs whose signatures explain most together; do
    so again from where the first frames alone put the base model (`physconvex.gap.search.anchoring`). Begin with
    damping where E was found together with it, and with a load at the end of a held body
-   (`physconvex.gap.search.loads`).
+   (`physconvex.gap.search.loads`). Where that led far from the base fit, numerical errors are told anew
+   (`physconvex.gap.search.expecting`).
 2. While something is left of the best fit, screen all other effects at that fit and add those that rank first.
 3. Fit the best combination without each of its effects.
 4. Carry the best few over to the full-order model (`physconvex.gap.search.mapping`), which decides.
@@ -12,6 +13,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 from physconvex.gap.base.baseline import Baseline, Report
 from physconvex.gap.effects import Effect, applicable
@@ -22,6 +24,7 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.search.comparison import Hypothesis, base_hypothesis
 from physconvex.gap.search.decision import decided
 from physconvex.gap.search.evidence import residuals_per_one
+from physconvex.gap.search.expecting import expect_anew
 from physconvex.gap.search.flight import from_flight
 from physconvex.gap.search.loads import loaded_starts
 from physconvex.gap.search.mapping import as_reduced
@@ -40,18 +43,35 @@ from physconvex.gap.search.rounds import (
 )
 from physconvex.gap.search.state import HELD, LATE_GAP, Selection
 
-__all__ = ["select_effects"]
+__all__ = ["Selected", "select_effects"]
 
 _SEARCHED = 0.6  # of the deadline: then the search ends
 _CLOSED = 1.5  # mean square over the expected one below which there is no gap to explain
 _SINGLES, _STEMS = 7, 2  # effects that are fitted alone; fits that the first further round goes on from
 
 
+@dataclass(frozen=True, eq=False)
+class Selected:
+    """What a search came to.
+
+    Attributes:
+        hypotheses: the base model and the fits of effects, best evidence first.
+        screening: at the base fit.
+        errors: weights of the residuals: those given, or where a fit led far from the base fit those there.
+        numerics: the differences that these are of.
+    """
+
+    hypotheses: list[Hypothesis]
+    screening: Screening
+    errors: ErrorModel
+    numerics: Numerics
+
+
 def select_effects(
     base: Baseline, errors: ErrorModel, numerics: Numerics, dictionary: Iterable[Effect], options: GapOptions,
     report: Report, *, screening: Screening | None = None, near: Baseline | None = None,
-) -> tuple[list[Hypothesis], Screening]:  # fmt: skip
-    """The base model and the fits of effects, best evidence first, and the screening at the base fit.
+) -> Selected:  # fmt: skip
+    """Search for the effects that explain a capture.
 
     Args:
         base: the full-order base fit.
@@ -80,14 +100,18 @@ def select_effects(
     alone(search, screening.one_per_name[: _SINGLES if open_gap else 2])
     if open_gap:
         from_flight(search, numerics, dictionary)
-        together(search, screening)
-        from_first_frames(search, numerics, dictionary)
+        given, numerics = numerics, expect_anew(search, numerics)
+        near_base = numerics is given  # else what the base fit leaves tells of another body
+        if near_base:
+            together(search, screening)
+            from_first_frames(search, numerics, dictionary)
         polish(search)
         load_beside(search, dictionary)
         for number in range(options.most_effects - 1):
-            if not one_more(search, numerics, dictionary, 1 if number else _STEMS):
+            if not one_more(search, numerics, dictionary, _STEMS if near_base and not number else 1):
                 break
         beside_in_first_frames(search, numerics, dictionary)
         leave_out(search)
     best = finalists(search.ranked, options.candidates if open_gap else 1, tied=TIED)
-    return judged(base, errors, decided(base, errors, best, options, report)), screening
+    chosen = judged(base, search.errors, decided(base, search.errors, best, options, report))
+    return Selected(chosen, screening, search.errors, numerics)
