@@ -14,9 +14,9 @@ from physconvex.errors import InputError
 from physconvex.identify import Fit, FullModel, Observations, PixelObservations, ReducedModel, StackedObservations, Twin
 from physconvex.identify.colours import ColourObservations, blurred, colour_seeds, seen_by
 
-__all__ = ["NARROW", "WIDE", "blur_for", "coloured", "in_pixels"]
+__all__ = ["WIDE", "blur_for", "coloured", "in_pixels"]
 
-NARROW = 1.5  # pixels
+_NARROW = 1.5  # pixels
 WIDE = 6.0  # pixels: tells from afar which rebound is the nearest
 
 
@@ -25,7 +25,7 @@ def blur_for(problem: Problem) -> float:
 
     As wide as the model is astray in the images of the nearest camera: what a narrower one compares lies elsewhere.
     """
-    return float(np.clip(round(2 * in_pixels(problem, problem.astray)) / 2, NARROW, WIDE))
+    return float(np.clip(round(2 * in_pixels(problem, problem.astray)) / 2, _NARROW, WIDE))
 
 
 def in_pixels(problem: Problem, length: float) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from inference.refining.beginning import START_OPTIONS, misfits_of
-from inference.refining.colouring import NARROW, in_pixels
+from inference.refining.colouring import in_pixels
 from inference.refining.fits import arrays_of_fit, fit_of
 from inference.refining.meshes import fine_mesh
 from inference.refining.options import RefineOptions
@@ -31,6 +31,7 @@ __all__ = ["Refitting"]
 # decades of E beside the start, then further on the side that is better, and ν with them
 _BESIDE, _FURTHER, _RATIO = 0.15, (0.3, 0.45), 0.35
 _RATIOS = (0.25, 0.45)  # beside the best of these
+_ALIKE = 2.0  # pixels between the motions of both meshes, below which videos hardly tell them apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,7 @@ class Refitting:
     def run(self, problem: Problem, found: Fit, *, last: bool) -> tuple[Problem, Fit]:
         """The problem on a mesh of more nodes, and its fit, begun at `found`; both as they are if there is no mesh.
 
-        Or if videos hardly tell it from the twin's: both put the body within twice what colours are blurred by.
+        Or if videos hardly tell it from the twin's.
         Where the recording likes no modulus beside `found` better, the fit is left to the search that follows.
 
         Args:
@@ -72,7 +73,7 @@ class Refitting:
             return {"apart": np.array(_apart(*(model.positions(found.values) for model in (few, more))))}
 
         apart = float(self.stages.run("fine_apart", part)["apart"])
-        if problem.observed.cameras and in_pixels(problem, apart) < 2 * NARROW:
+        if problem.observed.cameras and in_pixels(problem, apart) < _ALIKE:
             return problem, found
         values = self.stages.run("fine_start", lambda: {"values": _material(problem, more, found.values)})["values"]
         start = replace(found, values=values)

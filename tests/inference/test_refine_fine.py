@@ -83,10 +83,10 @@ def test_the_search_on_more_nodes_begins_at_the_best_of_the_materials_about(free
 @pytest.mark.wrong_types  # stand-ins for a problem and its models
 @pytest.mark.parametrize(
     ("last", "better", "apart"),
-    [(False, False, 0.013), (False, True, 0.013), (True, False, 0.013), (False, True, 0.011)],
+    [(False, False, 0.009), (False, True, 0.009), (True, False, 0.009), (False, True, 0.007)],
 )
 def test_the_fit_on_more_nodes_is_left_out_or_to_the_colours_where_that_will_do(last, better, apart, monkeypatch):
-    """Meshes of a bus were two pixels apart; its search on more nodes took longer than all before."""
+    """Meshes of a bus were hardly two pixels apart; its search on more nodes took longer than all before."""
     camera = look_at([0.0, -2.0, 0.0], [0.0, 0.0, 0.0], width=256, height=256, vertical_field_of_view=0.5, name="a")
     twin = SimpleNamespace(mesh=SimpleNamespace(vertices=np.zeros((3, 3))))  # 250 pixels per metre
     observed = SimpleNamespace(cameras=(camera,))
@@ -105,7 +105,7 @@ def test_the_fit_on_more_nodes_is_left_out_or_to_the_colours_where_that_will_do(
     stages = SimpleNamespace(run=lambda name, compute: kept[name])
     search = Refitting(RefineOptions(), stages, None, lambda problem, found, name: problem)
     fine, found = search.run(problem, begun, last=last)
-    if apart < 0.012:
+    if apart < 0.008:
         assert fine is problem and found is begun
         return
     assert (fine.mesh, fine.astray) == ("more nodes", 0.02) and fine.errors.tolist() == [1, 1, 1]
