@@ -2,7 +2,7 @@
 
 Of few nodes, thin legs are too thick or missing, and the twin's motion parts from the body's by a centimetre per frame
 from the landing on, which E and ν then make up for. Meshes of two to three times the nodes, the best of several
-meshers, come three to five times as near. The few nodes may have led to another rebound, so that materials about are
+meshers, come two to three times as near. The few nodes may have led to another rebound, so that materials about are
 tried first.
 """
 
