@@ -102,7 +102,7 @@ def test_what_the_mesh_of_the_last_searches_changed_counts_in_part_as_left(monke
 
 @pytest.mark.parametrize(("strikes", "of_capture"), [(True, False), (True, True), (False, False)])
 def test_one_mesh_made_of_a_surface_tells_a_rebound_no_better_than_such_meshes_do(strikes, of_capture, monkeypatch):
-    """Four objects came out .015 to .019 decades too soft, each just outside of an interval of ±.015 to ±.018."""
+    """Three objects came out .015 to .019 decades too soft, each just outside of an interval of ±.015 to ±.018."""
     names = ("log10_youngs_modulus", "poisson_ratio", "damping_time")
     found = SimpleNamespace(values=np.zeros(3), parameters=[SimpleNamespace(name=name) for name in names])
     arrays = {"values": found.values, "left": np.array([0.005, 0.04, 1e-4]), "errors": np.zeros(3)}

@@ -100,15 +100,16 @@ def select_effects(
     alone(search, screening.one_per_name[: _SINGLES if open_gap else 2])
     if open_gap:
         from_flight(search, numerics, dictionary)
-        given, numerics = numerics, expect_anew(search, numerics)
-        near_base = numerics is given  # else what the base fit leaves tells of another body
-        if near_base:
+        anew = expect_anew(search)
+        if anew is not None:  # what the base fit leaves tells of another body
+            numerics = anew
+        else:
             together(search, screening)
             from_first_frames(search, numerics, dictionary)
         polish(search)
         load_beside(search, dictionary)
         for number in range(options.most_effects - 1):
-            if not one_more(search, numerics, dictionary, _STEMS if near_base and not number else 1):
+            if not one_more(search, numerics, dictionary, _STEMS if anew is None and not number else 1):
                 break
         beside_in_first_frames(search, numerics, dictionary)
         leave_out(search)
