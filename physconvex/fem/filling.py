@@ -4,7 +4,9 @@ Mass and energy are integrals over the inside of a surface, whatever tetrahedra 
 method (Parvizian, Düster & Rank 2007), for meshes that follow the surface nearly. Points spread over the inside are
 given to the elements that hold them, those outside the mesh to the nearest; of each element four points of equal weight
 have the volume, the centre and the second moments of its part (Gauss' rule of degree 2 where it is full), and the mass
-is summed over all points. An element counts as filled by a twentieth at least, so that none goes soft.
+is summed over all points. An element counts as filled by a twentieth at least, so that none goes soft. One with fewer
+points than nodes has as much as one more point stands for spread evenly over it: else nothing resists some of its
+motions.
 """
 
 from __future__ import annotations
@@ -72,12 +74,14 @@ def _inside(vertices: bytes, triangles: bytes, count: int) -> Float[np.ndarray, 
 def _filling(mesh: TetMesh, points: Float[np.ndarray, "S 3"], share: float) -> Filling:
     """What of each element such points fill, of which each stands for a share of the volume [m³]."""
     cells, barycentric, anchors, distance = locate(mesh, points)
-    volumes = share * np.bincount(cells, minlength=len(mesh.tets))
-    lacking = np.maximum(_LEAST * mesh.element_volumes - volumes, 0.0)
-    weight = volumes + lacking
-    rule = _rules(cells, anchors @ _REGULAR, share / weight, lacking / weight)
+    counts = np.bincount(cells, minlength=len(mesh.tets))
+    volumes = share * counts
+    weight = np.maximum(volumes, _LEAST * mesh.element_volumes)
+    each = share * np.where(counts < mesh.tets.shape[1], counts / (counts + 1), 1.0)
+    even = weight - each * counts
+    rule = _rules(cells, anchors @ _REGULAR, each / weight, even / weight)
     shapes = continued_shape_values(barycentric, anchors, distance > 0, mesh.order)
-    mass = _mass_blocks(cells, shapes, share, len(mesh.tets)) + lacking[:, None, None] * unit_mass(mesh.order)
+    mass = _mass_blocks(cells, shapes, each) + even[:, None, None] * unit_mass(mesh.order)
     return Filling(rule, weight[:, None] * QUADRATURE[2][1], mass, points, cells, share)
 
 
@@ -85,7 +89,7 @@ def _rules(
     cells: Int[np.ndarray, " S"],
     places: Float[np.ndarray, "S 3"],
     share: Float[np.ndarray, " E"],
-    lacking: Float[np.ndarray, " E"],
+    even: Float[np.ndarray, " E"],
 ) -> Float[np.ndarray, "E 4 4"]:
     """Four points of each element, barycentric, with the centre and the second moments of what fills it.
 
@@ -93,14 +97,14 @@ def _rules(
         cells: of the points that fill them.
         places: of these points in the regular tetrahedron.
         share: of what fills each element, that one of them stands for.
-        lacking: of what fills each element, that is spread evenly beside them.
+        even: of what fills each element, that is spread evenly beside them.
     """
-    count = len(lacking)
+    count = len(even)
     centred = places - _CENTRE
     products = (centred[:, :, None] * centred[:, None, :]).reshape(-1, 9).T
     mean = share[:, None] * np.stack([np.bincount(cells, c, count) for c in centred.T], axis=1)
     second = share[:, None] * np.stack([np.bincount(cells, p, count) for p in products], axis=1)
-    second = second.reshape(-1, 3, 3) + lacking[:, None, None] * _SPREAD * np.eye(3)
+    second = second.reshape(-1, 3, 3) + even[:, None, None] * _SPREAD * np.eye(3)
     spread = second - mean[:, :, None] * mean[:, None, :]
     values, axes = np.linalg.eigh(spread)
     root = np.einsum("eij,ej,ekj->eik", axes, np.sqrt(np.maximum(values, 0.0) / _SPREAD), axes)
@@ -109,13 +113,14 @@ def _rules(
 
 
 def _mass_blocks(
-    cells: Int[np.ndarray, " S"], shapes: Float[np.ndarray, "S n"], share: float, count: int
+    cells: Int[np.ndarray, " S"], shapes: Float[np.ndarray, "S n"], each: Float[np.ndarray, " E"]
 ) -> Float[np.ndarray, "E n n"]:
     """∫ N_a N_b dV of each element [m³]: the sum over its points."""
+    count = len(each)
     blocks = np.zeros((count, shapes.shape[1], shapes.shape[1]))
     order = np.argsort(cells, kind="stable")
     ends = np.searchsorted(cells[order], np.arange(count + 1))
     for element in range(count):
         inner = shapes[order[ends[element] : ends[element + 1]]]
-        blocks[element] = share * inner.T @ inner
+        blocks[element] = each[element] * inner.T @ inner
     return blocks

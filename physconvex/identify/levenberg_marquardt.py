@@ -27,6 +27,8 @@ __all__ = ["Fit", "FitOptions", "Iteration", "fit"]
 
 _ALONG = 0.7  # cosine from which on a step lies along the last one, or turns back on it
 _MOST_CURVATURE = 4.0  # times that of the linearisation
+_LEAST = 1e-3  # of what a step promises: what it must bring to be taken
+_ALONE = 0.5  # of a linearisation: what one without derivatives counts
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,8 @@ class FitOptions:
     """When to stop.
 
     Attributes:
-        max_iterations: most linearisations.
+        max_iterations: most linearisations. A trial of a model whose derivatives cost runs of their own
+            (`FullModel.differenced`) has none unless it is taken, and counts half.
         relative_tolerance: stop when a step promises to lower the misfit by less than this share of it …
         absolute_tolerance: … or by less than this much (half a squared standard deviation is 0.5); of noise as large as
             the residuals are where they exceed what is stated.
@@ -71,7 +74,7 @@ class Fit:
         weights: of Huber's loss, shape [N].
         history: accepted states, the start first.
         converged: whether a tolerance was met.
-        evaluations: simulations made.
+        evaluations: states tried.
     """
 
     parameters: tuple[Parameter, ...]
@@ -138,7 +141,7 @@ def fit(
     point = search.linearise(starts(parameters))
     damping, growth, longest, converged = options.start_damping, 2.0, options.max_step, False
     history, last = [Iteration(point.values, point.misfit, damping)], None
-    while search.evaluations < options.max_iterations and not converged:
+    while search.spent < options.max_iterations and not converged:
         wanted, promised = search.step(point, damping, options.max_step)
         curvature = _curvature(wanted, last)
         step = wanted / curvature
@@ -152,9 +155,9 @@ def fit(
             converged = True
             break
         promised, last = promised / curvature, (wanted, step)
-        trial = search.try_linearise(search.moved(point, step))
-        gain = -1.0 if trial is None else (point.misfit - trial.misfit) / promised
-        if trial is not None and gain > 1e-3:
+        trial = search.tried(search.moved(point, step), point.misfit - _LEAST * promised)
+        if trial is not None:
+            gain = (point.misfit - trial.misfit) / promised
             converged = point.misfit - trial.misfit < threshold and promised < 10 * threshold
             point, growth = trial, 2.0
             if not 0.25 < gain < 0.75:
@@ -206,25 +209,46 @@ class _Search:
         self.coordinates = SearchCoordinates([p.name for p in parameters])
         self.mean = np.array([p.prior_mean for p in parameters])
         self.precision = np.array([1 / p.prior_sigma for p in parameters])  # zero where there is no prior
-        self.evaluations = 0
+        self.differenced = getattr(model, "differenced", False)
+        self.evaluations, self.spent = 0, 0.0
 
     def linearise(self, values: np.ndarray) -> _Point:
-        self.evaluations += 1
+        self._count(1.0)
         positions, tangents = self.model.linearise(values)
         residuals, jacobian = self.observations.linearise(positions, tangents)
         if len(residuals) == 0:
             raise InputError("observations: nothing was seen; expected at least one residual")
-        limits = self.observations.robust_scales
-        loss, weights = huber_loss(residuals, limits), huber_weights(residuals, limits)
-        prior = (values - self.mean) * self.precision
-        return _Point(values, positions, residuals, jacobian, weights, loss + 0.5 * float(prior @ prior))
+        weights = huber_weights(residuals, self.observations.robust_scales)
+        return _Point(values, positions, residuals, jacobian, weights, self._misfit(values, residuals))
 
-    def try_linearise(self, values: np.ndarray) -> _Point | None:
+    def tried(self, values: np.ndarray, most: float) -> _Point | None:
+        """The linearisation there; None where the misfit is not below `most`, or the model fails.
+
+        The step is shortened then, which needs no derivatives where these cost runs of their own.
+        """
+        if self.differenced and not self._alone(values) < most:
+            self._count(_ALONE)
+            return None
         try:
             point = self.linearise(values)
-        except ConvergenceError:  # too far: the step is shortened
+        except ConvergenceError:
             return None
-        return point if np.isfinite(point.misfit) else None
+        return point if point.misfit < most else None
+
+    def _alone(self, values: np.ndarray) -> float:
+        """The misfit without derivatives; infinite where the model fails."""
+        try:
+            positions = self.model.positions(values)
+        except ConvergenceError:
+            return np.inf
+        return self._misfit(values, self.observations.residuals(positions))
+
+    def _misfit(self, values: np.ndarray, residuals: np.ndarray) -> float:
+        prior = (values - self.mean) * self.precision
+        return huber_loss(residuals, self.observations.robust_scales) + 0.5 * float(prior @ prior)
+
+    def _count(self, share: float) -> None:
+        self.evaluations, self.spent = self.evaluations + 1, self.spent + share
 
     def step(self, point: _Point, damping: float, longest: float) -> tuple[np.ndarray, float]:
         """Damped step within the bounds and no longer than that, in typical steps, and the fall of the misfit that the

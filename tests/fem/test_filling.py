@@ -7,7 +7,18 @@ import pytest
 import trimesh
 
 from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, Scene, TetMesh, box_mesh, filled, simulate, tetrahedralize, vibration_modes
+from physconvex.fem import (
+    ElasticBody,
+    Scene,
+    TetMesh,
+    box_mesh,
+    filled,
+    filling,
+    simulate,
+    tetrahedralize,
+    vibration_modes,
+)
+from physconvex.fem.elements import unit_mass
 from physconvex.fem.mesh import to_quadratic
 from physconvex.reduced import BodySamples, ReducedBody, ReducedSpace, eigenmode_weights
 
@@ -87,6 +98,27 @@ def test_second_moments_of_what_fills_an_element_are_kept(box, smaller):
         rule = filling.barycentric[element] @ box.vertices[box.corner_tets[element]]
         np.testing.assert_allclose(rule.mean(axis=0), inner.mean(axis=0), atol=1e-12)
         np.testing.assert_allclose(np.cov(rule.T, bias=True), np.cov(inner.T, bias=True), atol=1e-12)
+
+
+def test_elements_with_few_points_resist_all_that_deforms_them(monkeypatch):
+    """Small ones among large ones hold a point or two, whose rule alone leaves motions without energy or mass."""
+    box = box_mesh(SIZE, (8, 2, 2), order=1)
+    place = box.vertices * np.array([1 / SIZE[0], 1.0, 1.0])
+    place[:, 0] = SIZE[0] * np.square(place[:, 0])  # cells that grow from a 64th of the length to a quarter
+    mesh = to_quadratic(replace(box, vertices=place))
+    for name, value in {"_POINTS": 500, "_PER_ELEMENT": 1, "_BLOCK": 500}.items():
+        monkeypatch.setattr(filling, name, value)
+    filling._inside.cache_clear()
+    part = filled(mesh, *mesh.surface)
+    counts = np.bincount(part.filling.cells, minlength=len(mesh.tets))
+    assert {1, 2, 3} <= set(counts)
+    least, usual = (
+        np.linalg.eigvalsh(ElasticBody(grid).element_hessians(mesh.vertices))[:, 6] for grid in (part, mesh)
+    )  # beside the six motions of a rigid body
+    assert (least > 0.049 * usual).all()  # an empty one has a twentieth
+    weight, least = part.filling.weights.sum(axis=1), np.linalg.eigvalsh(unit_mass(2))[0]
+    assert (np.linalg.eigvalsh(part.filling.mass)[counts < 10, 0] > 0.1 * least * weight[counts < 10]).all()
+    np.testing.assert_allclose(part.filling.mass.sum(axis=(1, 2)), weight, rtol=1e-9)
 
 
 def test_empty_elements_count_as_a_twentieth(box):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.errors import InputError
+from physconvex.errors import ConvergenceError, InputError
 from physconvex.identify import (
     FitOptions,
     FullModel,
@@ -130,6 +130,44 @@ def test_steps_that_turn_back_and_forth_are_shortened(curvature):
     found = fit(valley, seen, start, options=options)
     assert found.converged and found.evaluations <= 7
     assert found.values[0] == pytest.approx(4.5, abs=1e-5)
+
+
+class Counted(Valley):
+    """Counts what is asked of it, and fails below a modulus."""
+
+    def __init__(self, bend: float, differenced: bool, least: float = -np.inf) -> None:
+        super().__init__(bend)
+        self.differenced, self.least, self.asked = differenced, least, []
+
+    def positions(self, values):
+        if values[0] < self.least:
+            raise ConvergenceError("too soft")
+        self.asked.append("positions")
+        return super().linearise(values)[0]
+
+    def linearise(self, values):
+        if values[0] < self.least:
+            raise ConvergenceError("too soft")
+        self.asked.append("linearise")
+        return super().linearise(values)
+
+
+@pytest.mark.parametrize("least", [-np.inf, 4.35])  # a step too long makes the misfit grow, or the model fail
+def test_steps_turned_down_take_no_derivatives_that_cost_runs_of_their_own(least):
+    """The search goes the same way, and further, since what it did not take counts half."""
+    found, models = [], [Counted(6.0, differenced, least) for differenced in (False, True)]
+    for model in models:
+        seen = MarkerObservations(np.zeros((6, 3)), -model.away, np.full((4, 6), 1e-3))
+        start = [default_parameter("log10_youngs_modulus", start=5.2)]
+        found.append(fit(model, seen, start, options=FitOptions(max_iterations=6, relative_tolerance=1e-12)))
+    plain, apart = found
+    assert plain.evaluations == 6 and plain.evaluations - len(plain.history) >= 2
+    assert models[0].asked.count("positions") == 0
+    assert models[1].asked.count("linearise") == len(apart.history)
+    assert len(apart.history) + 0.5 * (apart.evaluations - len(apart.history)) == 6
+    assert len(apart.history) > len(plain.history)
+    for mine, other in zip(plain.history, apart.history, strict=False):
+        assert mine.misfit == other.misfit
 
 
 UNKNOWN = (
