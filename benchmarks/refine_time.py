@@ -26,6 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does, befor
 import torch
 
 from inference.refining import Refinement, RefineOptions, refine
+from physconvex.devices import device_named
 from physconvex.identify.roll_outs import RollOut, RollOuts
 
 RESULT = Path(__file__).parent / "results" / "refine_time.json"
@@ -87,6 +88,11 @@ def _processor() -> float:
     return times.user + times.system + times.children_user + times.children_system
 
 
+def _card(device: str) -> str:
+    place = device_named(device)
+    return f", {torch.cuda.get_device_name(place)}" if place.type == "cuda" else ""
+
+
 def row_of(found: Refinement, truth: dict[str, float], watch: Watch) -> dict[str, Any]:
     """What is stored."""
     rolled: Counter[str] = sum((Counter(stage.roll_outs) for stage in watch.stages), Counter())
@@ -109,6 +115,7 @@ def main() -> None:
     parser.add_argument("--capture", type=Path, default=Path("examples/captures/school_bus"))
     parser.add_argument("--processes", type=int, default=1, help="roll-outs made at once")
     parser.add_argument("--threads", type=int, default=1, help="of torch")
+    parser.add_argument("--device", default="cpu", help="of the network and the field's fit")
     parser.add_argument("--note", default="", help="what else the machine did")
     parser.add_argument("--result", type=Path, default=RESULT)
     given = parser.parse_args()
@@ -116,13 +123,14 @@ def main() -> None:
     watch = Watch()
     RollOuts._made = watch.counted(RollOuts._made)  # type: ignore[method-assign]
     with tempfile.TemporaryDirectory() as out:
-        options = RefineOptions(processes=given.processes)
+        options = RefineOptions(processes=given.processes, device=given.device)
         found = refine(given.capture, out=out, options=options, on_stage=watch)
     watch.close()
     content = {
         "command": f"python benchmarks/refine_time.py --capture {given.capture} --processes {given.processes} "
-        f"--threads {given.threads}",
-        "machine": f"{os.cpu_count()} cores, {platform.machine()}; {given.note or 'nothing else ran'}",
+        f"--threads {given.threads} --device {given.device}",
+        "machine": f"{os.cpu_count()} cores, {platform.machine()}{_card(given.device)}; "
+        f"{given.note or 'nothing else ran'}",
     }
     content |= row_of(found, TRUTHS.get(given.capture.name, {}), watch)
     given.result.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

@@ -21,13 +21,14 @@ from inference.refining.stages import Arrays, Stages
 from physconvex.camera import Camera
 from physconvex.capture import Capture
 from physconvex.convex import BoundField, ConvexField, bind_to_tets, read_ply
+from physconvex.devices import device_named
 from physconvex.errors import InputError
 from physconvex.identify.raster import cast_camera_rays
 from physconvex.reconstruction import Observation, ReconstructionConfig, begin, fit, observe, score, start_field
 from physconvex.render import render
 from physconvex.workers import Workers
 
-__all__ = ["Appearance", "appearance_of", "begun_field"]
+__all__ = ["Appearance", "appearance_of", "begun_field", "fitted_field"]
 
 _PARTS = ("points", "smoothness", "sharpness", "opacity", "harmonics")
 
@@ -79,8 +80,28 @@ def begun_field(
     """
     if options.field_file is not None or not options.field or not capture.cameras:
         return None
-    call = partial(_fitted, capture, options)
+    call = partial(fitted_field, capture, options)
     return call if stages.known("field") else workers.start(call)
+
+
+def fitted_field(capture: Capture, options: RefineOptions) -> Arrays:
+    """Parts of a field fitted to the first images on `options.device`, and how well each camera's is drawn [dB]."""
+    mesh = capture.mesh()
+    views = capture_views(capture, least=2 if mesh is None else 1).training
+    config = ReconstructionConfig(budget=options.field_budget, steps=options.field_steps)
+    around = [*views]
+    if mesh is not None and len(views) == 1:  # the other sides are given the mean colour, and then not fitted
+        around += [_unseen(views[0], mesh, degrees) for degrees in (100.0, 180.0, 260.0)]
+    start = start_field(around, config, mesh=mesh)
+    state = fit(begin(start).to(device_named(options.device)), views, config)
+    field = state.field()
+    scores = [one for one, _ in score(field, views)]
+    arrays = {name: getattr(field, name).detach().cpu().numpy() for name in _PARTS}
+    return arrays | {
+        "cameras": np.array([one.camera for one in scores]),
+        "psnr": np.array([one.psnr_object for one in scores]),
+        "kind": np.array(start.kind),
+    }
 
 
 def appearance_of(
@@ -109,25 +130,6 @@ def appearance_of(
     field = ConvexField(*(torch.as_tensor(arrays[name]) for name in _PARTS))
     scores = dict(zip(map(str, arrays["cameras"]), map(float, arrays["psnr"]), strict=True))
     return Appearance(field, motion, f"first images of {len(scores)} cameras, from {arrays['kind']}", scores)
-
-
-def _fitted(capture: Capture, options: RefineOptions) -> Arrays:
-    mesh = capture.mesh()
-    views = capture_views(capture, least=2 if mesh is None else 1).training
-    config = ReconstructionConfig(budget=options.field_budget, steps=options.field_steps)
-    around = [*views]
-    if mesh is not None and len(views) == 1:  # the other sides are given the mean colour, and then not fitted
-        around += [_unseen(views[0], mesh, degrees) for degrees in (100.0, 180.0, 260.0)]
-    start = start_field(around, config, mesh=mesh)
-    state = fit(begin(start), views, config)
-    field = state.field()
-    scores = [one for one, _ in score(field, views)]
-    arrays = {name: getattr(field, name).detach().numpy() for name in _PARTS}
-    return arrays | {
-        "cameras": np.array([one.camera for one in scores]),
-        "psnr": np.array([one.psnr_object for one in scores]),
-        "kind": np.array(start.kind),
-    }
 
 
 def _unseen(seen: Observation, mesh: trimesh.Trimesh, degrees: float) -> Observation:

@@ -68,6 +68,7 @@ def refine(
     field_file: has.FieldFile = None,
     field_steps: has.FieldSteps = 150,
     processes: has.Processes = None,
+    device: has.Device = "cpu",
     pictures: has.Pictures = True,
     as_json: has.Json = False,
     no_progress: has.NoProgress = False,
@@ -109,6 +110,7 @@ def refine(
         nuisance=Nuisance(camera_rotation, camera_position, time_offset),
         checkpoint=checkpoint,
         processes=processes or os.cpu_count() or 1,
+        device=device,
     )
 
     def say(stage: str, stored: bool) -> None:

@@ -15,6 +15,7 @@ __all__ = [
     "Checkpoint",
     "Colours",
     "Correction",
+    "Device",
     "Drift",
     "Exposure",
     "Field",
@@ -162,6 +163,10 @@ FieldSteps = Annotated[int, typer.Option(help="Steps of the field's fit.", rich_
 Processes = Annotated[
     int | None,
     typer.Option(help="Roll-outs made at once; as many as there are cores unless given.", rich_help_panel=_RESULT),
+]
+Device = Annotated[
+    str,
+    typer.Option(help="Torch device of the network and the field's fit, such as cpu or cuda.", rich_help_panel=_RESULT),
 ]
 Pictures = Annotated[bool, typer.Option(help="Write fit.png and side_by_side.mp4.", rich_help_panel=_RESULT)]
 Json = Annotated[

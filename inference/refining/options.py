@@ -47,6 +47,8 @@ class RefineOptions:
         field_file: a field (PLY) of the body at rest, in the place of that.
         field_budget, field_steps: most convexes, and steps of their fit.
         checkpoint: of the network.
+        device: torch device of the network and of the field's fit, such as "cpu" or "cuda". Everything else is the
+            processor's.
         processes: in which what is wanted together is made. Results depend on it by rounding alone. With more than one,
             a script that calls `refine` needs `if __name__ == "__main__"`, as for all of Python's worker processes.
     """
@@ -77,6 +79,7 @@ class RefineOptions:
     field_budget: int = 6000
     field_steps: int = 150
     checkpoint: str = "default"
+    device: str = "cpu"
     processes: int = 1
 
     def __post_init__(self) -> None:

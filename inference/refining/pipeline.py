@@ -27,6 +27,7 @@ from inference.refining.result import Refinement
 from inference.refining.searching import ReducedSearch, started_from
 from inference.refining.stages import Stages, key_of
 from physconvex.capture import Capture, load_capture
+from physconvex.devices import device_named
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import SurfacePoints
 from physconvex.identify import (
@@ -55,6 +56,7 @@ __all__ = ["refine"]
 
 _STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses the body; least and most per second
 _NOT_FOLLOWED = 5.0  # standard deviations rms of one source, from which no interval says anything
+_WHERE = ("processes", "device")  # settings that say where it is computed, not what
 _LEFT = 0.5  # of the difference between few and more nodes: what more nodes still err by
 Arrays = dict[str, np.ndarray]
 Start = tuple[Parameter, ...]
@@ -79,10 +81,12 @@ def refine(
         on_stage: told the name of each stage when it begins, and whether it was read again.
 
     Raises:
-        InputError: something that is needed is missing or wrong; the message names it and the remedy.
+        InputError: something that is needed is missing or wrong, or the device cannot be used; the message names it
+            and the remedy.
         ConvergenceError: no start was found at which the body can be simulated.
     """
     options = options or RefineOptions()
+    device_named(options.device)
     if initial is not None:
         start = {"log10_youngs_modulus": math.log10(initial.youngs_modulus), "poisson_ratio": initial.poisson_ratio}
         options = replace(options, initial={**start, **options.initial})
@@ -93,7 +97,7 @@ def refine(
 
 
 def _key(capture: Capture, options: RefineOptions) -> str:
-    settings = {name: value for name, value in options.as_json().items() if name != "processes"}
+    settings = {name: value for name, value in options.as_json().items() if name not in _WHERE}
     return key_of(capture.folder, settings)
 
 

@@ -61,7 +61,7 @@ def _predicted(capture: Capture, options: RefineOptions) -> tuple[tuple[float, .
     """Five moduli over the 90 % interval, enlarged to 0.8 decades at least, and two ratios."""
     from inference.predictor import predict
 
-    found = predict(capture.folder, checkpoint=options.checkpoint)
+    found = predict(capture.folder, checkpoint=options.checkpoint, device=options.device)
     low, high = (float(np.log10(v)) for v in found.youngs_modulus_interval)
     middle = 0.5 * (low + high)
     half = max(0.5 * (high - low), _LEAST)

@@ -170,6 +170,7 @@ def test_a_wrong_option_is_named(folder, tmp_path):
         (["--fix", "poisson_ratio"], "needs a value"),
         (["--initial", "air_drag=0.1"], "are not free"),
         (["--observations", "video"], "no cameras"),
+        (["--device", "abacus"], "device: 'abacus' cannot be used"),
     ):
         result = run(folder, "--out", tmp_path / "x", *arguments, *SMALL)
         assert isinstance(result.exception, InputError)

@@ -21,8 +21,9 @@ def capture(tmp_path, *cameras):
     return Capture(tmp_path, 24.0, 4, 3, cameras)
 
 
-def predicts(monkeypatch, answer):
-    def predict(path, checkpoint):
+def predicts(monkeypatch, answer, place="cpu"):
+    def predict(path, checkpoint, device):
+        assert device == place
         if isinstance(answer, Exception):
             raise answer
         return answer
@@ -35,6 +36,11 @@ def test_the_scan_covers_the_predicted_interval(monkeypatch, tmp_path):
     where = scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions(start="predict"))
     np.testing.assert_allclose(where.moduli, [4, 4.5, 5, 5.5, 6])
     assert where.ratios == (0.4, 0.3) and where.predicted == (4.0, 6.0) and where.note == ""
+
+
+def test_the_network_predicts_on_the_device_that_is_asked_for(monkeypatch, tmp_path):
+    predicts(monkeypatch, InputError("was asked"), place="meta")
+    assert "was asked" in scan_range(capture(tmp_path, CAMERA), SIZE, RefineOptions(device="meta")).note
 
 
 def test_what_the_prediction_leaves_out_is_scanned_coarsely(monkeypatch, tmp_path):

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 from inference.refining import RefineOptions, refine, write_refinement
+from inference.refining.appearance import fitted_field
 from physconvex.camera import look_at
 from physconvex.capture import Capture, Floor, load_capture, save_capture
 from physconvex.convex import read_ply
@@ -93,6 +94,15 @@ def test_one_camera_is_enough(folder, tmp_path):
     np.testing.assert_allclose(moved.numpy(), body, atol=0.01)
     picture, alpha = found.appearance.image(2, load_capture(folder).cameras[0])
     assert picture.shape == (128, 192, 3) and 0.02 < alpha.mean() < 0.6
+
+
+@pytest.mark.gpu
+def test_the_field_is_fitted_on_a_gpu_as_on_the_processor(folder):
+    found = [fitted_field(load_capture(folder), RefineOptions(device=name, **FEW)) for name in ("cpu", "cuda")]
+    here, there = found
+    assert here["points"].shape == there["points"].shape
+    np.testing.assert_allclose(there["psnr"], here["psnr"], atol=0.1)
+    assert here["psnr"].min() > 15
 
 
 def test_a_camera_that_is_not_there_is_named(folder):
