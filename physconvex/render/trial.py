@@ -29,7 +29,8 @@ _IMAGE, _GRADIENT = 1e-3, 1e-2  # largest differences beside the largest value
 def draws_rightly(device: torch.device) -> bool:
     """Whether the kernel gives image and gradients of the reference on a device; warns once where it does not."""
     try:
-        wrong = _differences(device)
+        with torch.inference_mode(False), torch.enable_grad():  # whatever whoever draws first has switched off
+            wrong = _differences(device)
     except (KernelUnavailable, RuntimeError) as error:
         wrong = str(error) or type(error).__name__
     if wrong:

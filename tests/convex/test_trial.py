@@ -32,6 +32,14 @@ def test_the_right_picture_is_accepted_without_a_word(asked):
         assert asked(composite_reference)
 
 
+@pytest.mark.parametrize("without", [torch.no_grad, torch.inference_mode])
+def test_derivatives_are_compared_even_where_the_first_to_draw_wants_none(asked, without):
+    """The fit of a field draws first without gradients: on a GPU it was then done in plain torch to its end."""
+    with warnings.catch_warnings(), without():
+        warnings.simplefilter("error")
+        assert asked(composite_reference)
+
+
 def test_another_picture_is_refused_and_that_is_said(asked):
     def brighter(splats, coordinates):
         layers = composite_reference(splats, coordinates)
