@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
@@ -14,11 +14,11 @@ from physconvex.errors import InputError
 from physconvex.fem.elements import shape_gradients, shape_values
 from physconvex.fem.mesh import FACE_CORNERS, TetMesh
 
-__all__ = ["Embedding", "continued_shape_values", "locate", "nearest_on_triangles", "sample_interior"]
+__all__ = ["Embedding", "contains", "continued_shape_values", "locate", "nearest_on_triangles", "sample_interior"]
 
-# Elements tried per point (nearest centres first), most point-element pairs handled at once, and how far outside
-# (in barycentric coordinates) still counts as inside.
-CANDIDATES, BLOCK, TOLERANCE = 16, 2_000_000, -1e-9
+# Faces tried per point (nearest centres first), pairs of both handled at once, and how far outside (in barycentric
+# coordinates) still counts as inside.
+CANDIDATES, BLOCK, TOLERANCE = 32, 2_000_000, -1e-9
 
 
 @dataclass(frozen=True)
@@ -139,18 +139,11 @@ def locate(mesh: TetMesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
         the distance between the two [m], shape [P].
     """
     corners = mesh.vertices[mesh.corner_tets]
-    inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
-    elements = np.zeros(len(points), dtype=np.int64)
-    depth = np.full(len(points), -np.inf)
-    near = cKDTree(corners.mean(axis=1)).query(points, k=[*range(1, min(CANDIDATES, len(corners)) + 1)])[1]
-    _improve(elements, depth, np.arange(len(points)), near, corners, inverse, points)
-    every = np.arange(len(corners))
-    missed = np.flatnonzero(depth < TOLERANCE)
-    for block in np.array_split(missed, 1 + len(missed) * len(corners) // BLOCK):
-        _improve(elements, depth, block, np.broadcast_to(every, (len(block), len(every))), corners, inverse, points)
+    inverse = _inverse_edges(corners)
+    elements, depth = _deepest(corners, inverse, points)
     outside = np.flatnonzero(depth < TOLERANCE)
     nearest, distance = points.copy(), np.zeros(len(points))
-    for block in np.array_split(outside, 1 + len(outside) * 3 * CANDIDATES // BLOCK):
+    for block in np.array_split(outside, 1 + len(outside) * 2 * CANDIDATES // BLOCK):
         if len(block):
             found = _nearest_element(mesh, corners, inverse, points[block])
             elements[block], nearest[block], distance[block] = found
@@ -160,20 +153,32 @@ def locate(mesh: TetMesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     return elements, barycentric, anchors, distance
 
 
-def _improve(
-    elements: np.ndarray,
-    depth: np.ndarray,
-    rows: np.ndarray,
-    candidates: np.ndarray,
-    corners: np.ndarray,
-    inverse: np.ndarray,
-    points: np.ndarray,
-) -> None:
-    """Write into `elements` and `depth` at `rows` the candidate in which the point lies deepest."""
-    smallest = _barycentric(corners, inverse, candidates, points[rows, None]).min(axis=2)
-    best = smallest.argmax(axis=1)
-    pick = np.arange(len(rows))
-    elements[rows], depth[rows] = candidates[pick, best], smallest[pick, best]
+def contains(mesh: TetMesh, points: Float[np.ndarray, "P 3"]) -> Bool[np.ndarray, " P"]:
+    """Which points [m] lie in the mesh."""
+    corners = mesh.vertices[mesh.corner_tets]
+    return _deepest(corners, _inverse_edges(corners), points)[1] >= TOLERANCE
+
+
+def _inverse_edges(corners: np.ndarray) -> np.ndarray:
+    return np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
+
+
+def _deepest(corners: np.ndarray, inverse: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of the elements in whose sphere a point lies, that in which it lies deepest [P], and how deep [P], else -inf."""
+    centres, every = corners.mean(axis=1), np.arange(len(corners))
+    reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1) * (1 + 1e-9)
+    elements, depth = np.zeros(len(points), dtype=np.int64), np.full(len(points), -np.inf)
+    for block in np.array_split(np.arange(len(points)), 1 + len(points) * CANDIDATES // BLOCK):
+        near = cKDTree(points[block]).query_ball_point(centres, reach) if len(block) else []
+        if not any(near):
+            continue
+        cells = np.repeat(every, [len(rows) for rows in near])
+        rows = block[np.concatenate([rows for rows in near if rows])]
+        smallest = _barycentric(corners, inverse, cells, points[rows]).min(axis=1)
+        order = np.lexsort((smallest, rows))
+        last = order[np.flatnonzero(np.diff(rows[order], append=-1))]
+        elements[rows[last]], depth[rows[last]] = cells[last], smallest[last]
+    return elements, depth
 
 
 def _barycentric(corners: np.ndarray, inverse: np.ndarray, elements: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -192,7 +197,7 @@ def _nearest_element(
     """
     owner, faces = _boundary_faces_with_owner(mesh)
     triangles = mesh.vertices[faces]
-    count = min(2 * CANDIDATES, len(faces))
+    count = min(CANDIDATES, len(faces))
     near = cKDTree(triangles.mean(axis=1)).query(points, k=[*range(1, count + 1)])[1]
     feet = nearest_on_triangles(triangles[near], points[:, None])
     gaps = np.linalg.norm(points[:, None] - feet, axis=-1)

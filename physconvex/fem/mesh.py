@@ -53,7 +53,7 @@ class Filling:
     share: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TetMesh:
     """A tetrahedral mesh.
 

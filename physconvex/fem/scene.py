@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,6 +15,7 @@ from physconvex.fem.body import ElasticBody
 from physconvex.fem.carried_contact import CarriedContact, SurfacePoints
 from physconvex.fem.embedding import Embedding
 from physconvex.fem.hanging import HangingLoad
+from physconvex.fem.mesh import TetMesh
 from physconvex.wind import Wind
 
 __all__ = ["Loads", "Pins", "Scene", "contact_defaults"]
@@ -168,7 +170,7 @@ class Scene:
         mesh, points = self.body.mesh, self.contact_points
         if points is None:
             return self._contact(mesh.node_areas)
-        return CarriedContact(self._contact(points.areas), Embedding.of_points(mesh, points.points))
+        return CarriedContact(self._contact(points.areas), _carried(mesh, points))
 
     def _contact(self, areas: Float[np.ndarray, " S"]) -> Contact:
         stiffness, smoothing, slip = contact_defaults(float(self.body.youngs_modulus.max()), self.body.mesh.size)
@@ -194,3 +196,9 @@ class Scene:
         if self.pins is not None:
             free[self.pins.nodes] = False
         return free
+
+
+@lru_cache(maxsize=4)
+def _carried(mesh: TetMesh, points: SurfacePoints) -> Embedding:
+    """Where the mesh carries the points: one roll-out asks twice, and one with other parameters again."""
+    return Embedding.of_points(mesh, points.points)

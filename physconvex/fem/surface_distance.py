@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-from physconvex.fem.embedding import locate
+from physconvex.fem.embedding import contains
 from physconvex.fem.mesh import TetMesh
 from physconvex.fem.stuffing import SignedDistance
 
@@ -55,6 +55,6 @@ def overlap(mesh: TetMesh, vertices: Float[np.ndarray, "V 3"], faces: Int[np.nda
     high = np.maximum(vertices[np.unique(faces)].max(axis=0), mesh.vertices.max(axis=0))
     points = np.random.default_rng(0).uniform(low, high, (_SAMPLES, 3))
     wanted = surface_distance(vertices, faces)(points) < 0
-    meshed = locate(mesh, points)[3] <= 1e-9 * mesh.size
+    meshed = contains(mesh, points)
     both = float((wanted | meshed).sum())
     return float((wanted & meshed).sum()) / both if both else 0.0

@@ -86,19 +86,6 @@ class ReducedModel:
         return self._shapes @ run.trajectory.coordinates, self._shapes @ run.coordinate_tangents
 
 
-class _Same:
-    """An object as a key: equal to itself alone, and kept, so that no other one can take its place in memory."""
-
-    def __init__(self, of: object) -> None:
-        self.of = of
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and self.of is other.of
-
-    def __hash__(self) -> int:
-        return id(self.of)
-
-
 @dataclass(frozen=True, eq=False)
 class FullModel:
     """The full-order finite elements as a model.
@@ -164,9 +151,8 @@ class FullModel:
 
     def key(self, values: Float[np.ndarray, " K"]) -> Hashable:
         """By which the memory knows a roll-out."""
-        grid = _Same(self.rolled_mesh)
-        how = (self.refinement, self.frames, _Same(self.surface))
-        return (self.twin, grid, self.names, *how, np.asarray(values, dtype=np.float64).tobytes())
+        how = (self.rolled_mesh, self.refinement, self.frames, self.surface)
+        return (self.twin, self.names, *how, np.asarray(values, dtype=np.float64).tobytes())
 
     def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
         """Positions of the points at the frames [m]."""

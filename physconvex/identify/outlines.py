@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from physconvex.camera import Camera
 from physconvex.errors import InputError
 from physconvex.identify.observations import Observations, StackedObservations, WrappedObservations, camera_jacobian
+from physconvex.identify.silhouette import Borders, filled_border
 
 __all__ = ["OutlineObservations", "outline_of_mask", "with_drawn_outlines"]
 
@@ -122,6 +123,10 @@ class OutlineObservations:
         same = np.flatnonzero((edges[1:] == edges[:-1]).all(1))
         return edges[same], np.stack([owner[same], owner[same + 1]], axis=1)
 
+    @cached_property
+    def _borders(self) -> Borders:
+        return Borders(self.triangles)
+
     def _matches(self, frame: int, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """For the outline points of a frame: the edges [n, 2] and shares [n] of the model's nearest outline points."""
         samples, vertices, shares = self._model_outline(frame, x)
@@ -150,17 +155,14 @@ class OutlineObservations:
         edges = edges[facing[owners[:, 0]] != facing[owners[:, 1]]]
         vertices, shares = np.repeat(edges, len(_SHARES), axis=0), np.tile(_SHARES, len(edges))
         pixels, _ = self.camera.project(_between(x, vertices, shares))
-        rim = self._on_rim(x[self.triangles[facing]], pixels)
+        rim = self._on_rim(x, facing, pixels)
         return pixels[rim], vertices[rim], shares[rim]
 
-    def _on_rim(self, corners: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-        """Which pixels lie on the border of the drawn triangles."""
-        drawn, _ = self.camera.project(corners)
-        drawn = drawn[np.isfinite(drawn).all((1, 2))]
-        canvas = np.zeros((self.camera.h, self.camera.w), np.uint8)
-        fixed = np.round((drawn - 0.5) * 16).astype(np.int32)
-        for triangle in fixed:
-            cv2.fillConvexPoly(canvas, triangle, 1, shift=4)
+    def _on_rim(self, x: np.ndarray, facing: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+        """Which pixels lie on the border of the silhouette."""
+        drawn, _ = self.camera.project(x)
+        border = self._borders.of(facing & np.isfinite(drawn).all(1)[self.triangles].all(1))
+        canvas = filled_border(drawn[border[:, 0]], drawn[border[:, 1]], self.camera.h, self.camera.w)
         depth = cv2.distanceTransform(cv2.copyMakeBorder(canvas, 1, 1, 1, 1, cv2.BORDER_CONSTANT), cv2.DIST_L2, 3)
         columns = np.clip(np.nan_to_num(pixels[:, 0], nan=-9), -1, self.camera.w).astype(int) + 1
         rows = np.clip(np.nan_to_num(pixels[:, 1], nan=-9), -1, self.camera.h).astype(int) + 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -210,6 +211,7 @@ def _follows(mesh: TetMesh, capture: Capture) -> bool:
     return enclosed_volume(*pair) is None or unfaithfulness(mesh, *pair) < _LOST
 
 
+@lru_cache(maxsize=2)  # one refinement asks three times
 def coarse_mesh(capture: Capture, mesh: TetMesh, *, max_nodes: int = 200) -> TetMesh:
     """A quadratic mesh of a capture with fewer nodes than the given one.
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from physconvex.errors import InputError
-from physconvex.fem.embedding import Embedding, sample_interior
+from physconvex.fem.embedding import Embedding, contains, locate, sample_interior
 from physconvex.fem.mesh import TetMesh, box_mesh
 
 
@@ -87,6 +87,18 @@ def test_graded_mesh_where_the_nearest_centres_are_not_the_containing_element():
     embedding = Embedding.of_points(mesh, np.array([[0.0301, 0.001, 0.001]]))
     assert embedding.elements[0] == len(tiny.tets)
     assert embedding.max_distance == 0.0
+
+
+def test_what_lies_inside_is_told_as_by_the_place_of_every_point():
+    rng = np.random.default_rng(3)
+    mesh = box_mesh((1.0, 0.7, 0.4), (4, 2, 2))
+    graded = TetMesh(mesh.vertices**3, mesh.tets)
+    points = rng.uniform(-0.1, 1.1, (3000, 3)) * [1.0, 0.7**3, 0.4**3]
+    box = ((points >= 0) & (points <= [1.0, 0.7**3, 0.4**3])).all(1)
+    assert 500 < box.sum() < 2500
+    np.testing.assert_array_equal(contains(graded, points), box)
+    np.testing.assert_array_equal(locate(graded, points)[3] == 0, box)
+    assert len(contains(graded, points[:0])) == 0 and not contains(graded, points[:5] + 9).any()
 
 
 def test_the_distance_of_outside_points_is_reported():
