@@ -22,11 +22,10 @@ from jaxtyping import Float, Int
 from physconvex.errors import ConvergenceError
 from physconvex.identify.levenberg_marquardt import Fit, FitOptions, fit
 from physconvex.identify.model import Model
-from physconvex.identify.observations import MarkerObservations, Observations
+from physconvex.identify.observations import MarkerObservations, Observations, misfit_of
 from physconvex.identify.parameters import Parameter, lower_bounds, step_scales, upper_bounds
 from physconvex.identify.secants import broyden_update
 from physconvex.identify.uncertainty import noise_covariance
-from physconvex.robust import huber_loss
 
 __all__ = [
     "FAR",
@@ -34,7 +33,6 @@ __all__ = [
     "Correction",
     "FullRun",
     "correct",
-    "misfit_of",
     "parameter_shift",
     "parameter_shifts",
 ]
@@ -219,11 +217,6 @@ def _refit(
 def _no_slope(start: Fit) -> np.ndarray:
     frames, points, _ = start.positions.shape
     return np.zeros((frames, len(start.values), points, 3))
-
-
-def misfit_of(observations: Observations, positions: Float[np.ndarray, "T P 3"]) -> float:
-    """Half the squares of the residuals, Huber's loss where they are large; without priors."""
-    return huber_loss(observations.residuals(positions), observations.robust_scales)
 
 
 def _prior(start: Fit) -> Callable[[np.ndarray], float]:

@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from physconvex.errors import ConvergenceError
-from physconvex.identify.correction import FAR, Correction, FullRun, misfit_of
+from physconvex.identify.correction import FAR, Correction, FullRun
 from physconvex.identify.levenberg_marquardt import Fit, FitOptions, Iteration, fit
 from physconvex.identify.model import FullModel, Model
-from physconvex.identify.observations import Observations
+from physconvex.identify.observations import Observations, misfit_of
 from physconvex.identify.parameters import Parameter
 
 __all__ = ["FULL_OPTIONS", "fit_full"]

@@ -19,7 +19,7 @@ from scipy.optimize import lsq_linear
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.identify.coordinates import SearchCoordinates
 from physconvex.identify.model import Model, check_names
-from physconvex.identify.observations import Observations
+from physconvex.identify.observations import Observations, misfit_of
 from physconvex.identify.parameters import Parameter, lower_bounds, starts, step_scales, upper_bounds
 from physconvex.robust import huber_loss, huber_weights
 
@@ -218,8 +218,9 @@ class _Search:
         residuals, jacobian = self.observations.linearise(positions, tangents)
         if len(residuals) == 0:
             raise InputError("observations: nothing was seen; expected at least one residual")
-        weights = huber_weights(residuals, self.observations.robust_scales)
-        return _Point(values, positions, residuals, jacobian, weights, self._misfit(values, residuals))
+        limits = self.observations.robust_scales
+        misfit = huber_loss(residuals, limits) + self._prior(values)
+        return _Point(values, positions, residuals, jacobian, huber_weights(residuals, limits), misfit)
 
     def tried(self, values: np.ndarray, most: float) -> _Point | None:
         """The linearisation there; None where the misfit is not below `most`, or the model fails.
@@ -238,14 +239,12 @@ class _Search:
     def _alone(self, values: np.ndarray) -> float:
         """The misfit without derivatives; infinite where the model fails."""
         try:
-            positions = self.model.positions(values)
+            return misfit_of(self.observations, self.model.positions(values)) + self._prior(values)
         except ConvergenceError:
             return np.inf
-        return self._misfit(values, self.observations.residuals(positions))
 
-    def _misfit(self, values: np.ndarray, residuals: np.ndarray) -> float:
-        prior = (values - self.mean) * self.precision
-        return huber_loss(residuals, self.observations.robust_scales) + 0.5 * float(prior @ prior)
+    def _prior(self, values: np.ndarray) -> float:
+        return 0.5 * float(np.square((values - self.mean) * self.precision).sum())
 
     def _count(self, share: float) -> None:
         self.evaluations, self.spent = self.evaluations + 1, self.spent + share

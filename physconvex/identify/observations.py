@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Int
 
 from physconvex.camera import Camera
 from physconvex.errors import InputError
+from physconvex.robust import huber_loss
 
 __all__ = [
     "MarkerObservations",
@@ -26,6 +27,7 @@ __all__ = [
     "StackedObservations",
     "WrappedObservations",
     "camera_jacobian",
+    "misfit_of",
 ]
 
 Positions = Float[np.ndarray, "T P 3"]
@@ -343,3 +345,8 @@ class StackedObservations:
         pairs = zip(self.parts, self.point_slices, strict=True)
         found = [part.linearise(positions[:, where], tangents[:, :, where]) for part, where in pairs]
         return np.concatenate([r for r, _ in found]), np.concatenate([j for _, j in found])
+
+
+def misfit_of(observations: Observations, positions: Float[np.ndarray, "T P 3"]) -> float:
+    """Half the squares of the residuals, Huber's loss where they are large; without priors."""
+    return huber_loss(observations.residuals(positions), observations.robust_scales)

@@ -9,10 +9,9 @@ from functools import partial
 import numpy as np
 
 from physconvex.errors import ConvergenceError
-from physconvex.identify.correction import misfit_of
 from physconvex.identify.levenberg_marquardt import FitOptions, fit
 from physconvex.identify.model import Model
-from physconvex.identify.observations import Observations
+from physconvex.identify.observations import Observations, misfit_of
 from physconvex.identify.parameters import Parameter
 from physconvex.workers import Workers
 

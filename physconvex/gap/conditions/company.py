@@ -23,7 +23,7 @@ from physconvex.gap.base.rough_errors import with_rough_errors
 from physconvex.gap.effects import DEFAULT_EFFECTS, Effect, applicable
 from physconvex.gap.options import GapOptions
 from physconvex.identify import Fit, FitOptions, fit
-from physconvex.identify.correction import misfit_of
+from physconvex.identify.observations import misfit_of
 
 __all__ = ["RIGID", "Company"]
 
