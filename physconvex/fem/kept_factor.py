@@ -97,20 +97,22 @@ class KeptFactor:
         new = nodes[self._columns[nodes] < 0]
         if not len(new):
             return
-        free, count, known = int((self._place_of >= 0).sum()), len(new), len(self._nodes)
-        columns = np.zeros((free, 3, count, 3))
-        for axis in range(3):
-            columns[self._place_of[new], axis, np.arange(count), axis] = 1.0
-        solved = self.equations.solver.solve(columns.reshape(3 * free, 3 * count))
+        count, known = len(new), len(self._nodes)
+        solved = self.equations.solver.inverse_rows(self._unknowns(new))
         if self._rows is not None:
-            few = len(self._rows) + 3 * count <= _MOST_ROWS / solved.shape[0]
-            self._rows = np.concatenate([self._rows, solved.T]) if few else None
-        solved = solved.reshape(free, -1)
+            few = len(self._rows) + 3 * count <= _MOST_ROWS / solved.shape[1]
+            self._rows = np.concatenate([self._rows, solved]) if few else None
         self._nodes = np.concatenate([self._nodes, new])
         self._columns[new] = known + np.arange(count)
-        at = solved[self._place_of[self._nodes]].reshape(-1, 3 * count)
-        cross, own = at[: 3 * known], at[3 * known :]
-        self._compliance = np.block([[self._compliance, cross], [cross.T, 0.5 * (own + own.T)]])
+        cross, own = np.split(np.take(solved, self._unknowns(self._nodes), axis=1), [3 * known], axis=1)
+        grown = np.empty((3 * len(self._nodes), 3 * len(self._nodes)))
+        grown[: 3 * known, : 3 * known], grown[: 3 * known, 3 * known :] = self._compliance, cross.T
+        grown[3 * known :, : 3 * known], grown[3 * known :, 3 * known :] = cross, 0.5 * (own + own.T)
+        self._compliance = grown
+
+    def _unknowns(self, nodes: np.ndarray) -> Int[np.ndarray, " N"]:
+        """Of the solver: three of each free node."""
+        return (3 * self._place_of[nodes][:, None] + np.arange(3)).ravel()
 
 
 class _Secants:

@@ -51,6 +51,17 @@ def test_several_right_hand_sides_at_once(backend):
     solver.close()
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("count", [0, 3, 150])
+def test_rows_of_the_inverse(backend, count):
+    upper = random_matrix(200, seed=5)
+    solver = SymmetricSolver(upper, backend=backend)
+    solver.factorise(upper.data)
+    numbers = np.random.default_rng(6).permutation(200)[:count]
+    np.testing.assert_allclose(solver.inverse_rows(numbers), np.linalg.inv(full(upper))[numbers], atol=1e-12)
+    solver.close()
+
+
 def test_backends_agree():
     pytest.importorskip("pypardiso")
     upper = random_matrix(200, seed=3)
