@@ -169,7 +169,7 @@ def _deepest(corners: np.ndarray, inverse: np.ndarray, points: np.ndarray) -> tu
     reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1) * (1 + 1e-9)
     elements, depth = np.zeros(len(points), dtype=np.int64), np.full(len(points), -np.inf)
     for block in np.array_split(np.arange(len(points)), 1 + len(points) * CANDIDATES // BLOCK):
-        near = cKDTree(points[block]).query_ball_point(centres, reach) if len(block) else []
+        near = cKDTree(points[block]).query_ball_point(centres, reach)
         if not any(near):
             continue
         cells = np.repeat(every, [len(rows) for rows in near])
