@@ -19,7 +19,7 @@ __all__ = ["KeptFactor"]
 
 _SECANTS = 16  # pairs of changes kept
 _CURVED = 1e-8  # cosine between change of place and of gradient below which a pair tells nothing
-_MOST_ROWS = 3e6  # numbers: more take longer to go through than a solve
+_MOST_ROWS = 3e5  # numbers: more take longer to go through than a solve
 _ROUNDED = 1e-9  # share of the body's size below which a change of place is left out of them
 
 

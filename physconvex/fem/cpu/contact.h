@@ -228,13 +228,14 @@ void pc_contact_on_points(const Pairs* given, int32_t count, const int32_t* touc
             right[3 * n + i] = alone[3 * touching[n] + i];
             for (int k = 0; k < 3; ++k) right[3 * n + i] -= own[3 * i + k] * place[k];
         }
-        for (size_t j = 0; j < size; ++j) {  // S is symmetric: its rows by the half of the other
-            double at[3];
+    }
+    for (size_t j = 0; j < size; ++j)  // S is symmetric: its rows by the half of the other, one after the other
+        for (int n = 0; n < count; ++n) {
+            const double* own = stiff + 9 * size_t(touching[n]);
+            double at[3], *to = matrix + j * size + 3 * n;
             p.spread(touching[n], half.data() + j * all, at);
-            double* to = matrix + j * size + 3 * n;
             for (int i = 0; i < 3; ++i) to[i] = own[3 * i] * at[0] + own[3 * i + 1] * at[1] + own[3 * i + 2] * at[2];
         }
-    }
     for (size_t j = 0; j < size; ++j) matrix[j * size + j] += 1.0;
 }
 
