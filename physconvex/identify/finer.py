@@ -7,7 +7,8 @@ second order). The mesh is, by a = 0.42 or the order 1.75, where all edges are h
 a clamp make the order lower than the third of smooth displacements. What is left is taken as a third of the step's
 difference and half of the mesh's; where a is added, 0.3, since the difference does not shrink by one number everywhere,
 but 0.12 of what it does to the modulus: coarse elements are too stiff everywhere, which one number follows well.
-A fit that was made on the finer mesh already is told by the same differences, of which a quarter counts as left.
+A fit that was made on the finer mesh already is told by the same differences, of which a quarter counts as left, and
+the step's is that of its own mesh: after an impact what half the step changes on one mesh says little of another.
 Its effect on a parameter is Σ_t g_t with g_t the first-order shift by frame t; as the error of one frame says little of
 the next one's after an impact, √Σ g_t² is taken where it is larger.
 """
@@ -169,19 +170,20 @@ def _near(parameter: Parameter) -> Parameter:
 def _differences(
     cheap: Model, coarse: FullModel, finest: FullModel, observations: Observations, values: np.ndarray
 ) -> _Differences:
-    half = replace(coarse, refinement=2 * coarse.refinement)
+    fitted = isinstance(cheap, FullModel) and cheap.rolled_mesh is not coarse.rolled_mesh
+    stepped = finest if fitted else coarse  # after an impact another mesh's difference is another one
+    half = replace(stepped, refinement=2 * stepped.refinement)
     roll_out_together(
-        [(finest, values), (half, values), (coarse, values)],
+        [(half, values), (finest, values), (coarse, values)],
         beside=[(cheap, values)] if isinstance(cheap, FullModel) else [],
     )
     tangents = cheap.linearise(values)[1]
-    x = coarse.positions(values)
-    by_mesh, by_step = finest.positions(values) - x, half.positions(values) - x
-    fitted = isinstance(cheap, FullModel) and cheap.rolled_mesh is not coarse.rolled_mesh
+    x, with_steps = coarse.positions(values), stepped.positions(values)
+    by_mesh, by_step = finest.positions(values) - x, half.positions(values) - with_steps
     share = _FITTED if fitted else _share(coarse, finest)
     errors = np.hypot(
         share.left * frame_errors(observations, x + by_mesh, x),
-        _STEP_LEFT * frame_errors(observations, x + by_step, x),
+        _STEP_LEFT * frame_errors(observations, with_steps + by_step, with_steps),
     )
     return _Differences(
         values, x, by_mesh, by_step, share, tangents, errors, WeightedObservations.by_errors(observations, errors)
