@@ -7,8 +7,6 @@ meshes of few and more nodes (*best*: of several meshers, as those of `refine`'s
 (`physconvex.fem.filled`). *Distance*: rms from the truth's points by
 frame [mm]. *Shift*: where E [decades] and ν would go if fitted to those points, to first order, frames counting by that
 distance, with a prior of 0.33 decades of E and 0.17 of ν.
-
-With `--best 1400 2400` only meshes of the best of several meshers with so many nodes are taken, and filled.
 """
 
 from __future__ import annotations
@@ -16,7 +14,6 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +28,6 @@ from physconvex.reduced import parameter_values
 
 RESULT = Path(__file__).parent / "results" / "twin_meshes.json"
 MESHES = ((500, "auto"), (900, "auto"), (900, "simplified"), (1400, "best"))
-Meshes = Sequence[tuple[int, str]]
 NAMES = ("log10_youngs_modulus", "poisson_ratio", "damping_time")
 FRAMES, STEPS, NOISE = 11, 16, 3e-3  # m
 USUAL, PRIOR = np.array([0.1, 0.05, 1e-3]), 0.3  # changes, and one over the prior's width in them
@@ -61,8 +57,8 @@ def judged(twin: Twin, mesh: TetMesh, surface: SurfacePoints, rest: np.ndarray, 
     }
 
 
-def rows_of(folder: Path, name: str, meshes: Meshes, labels: Sequence[str]) -> list[dict[str, Any]]:
-    """All meshes of one object, as they are ("full") or filled."""
+def rows_of(folder: Path, name: str) -> list[dict[str, Any]]:
+    """All meshes of one object."""
     stated = json.loads((folder / "truth" / name / "truth.json").read_text(encoding="utf-8"))
     with np.load(folder / "truth" / name / "points.npz", allow_pickle=False) as archive:
         rest, truth = archive["rest"], archive["positions"][:FRAMES]
@@ -71,13 +67,12 @@ def rows_of(folder: Path, name: str, meshes: Meshes, labels: Sequence[str]) -> l
     twin = twin.with_values(NAMES, np.array(true))
     surface, points = twin.surface, SurfacePoints.of_triangles(*twin.surface)
     rows = []
-    for nodes, way in meshes:
+    for nodes, way in MESHES:
         how: dict[str, Any] = {"method": "auto", "thorough": True} if way == "best" else {"method": way}
         mesh = tetrahedralize(surface, max_nodes=nodes, order=2, **how)
         row: dict[str, Any] = {"asked_for": nodes, "way": way, "nodes": len(mesh.vertices)}
         row["overlap"] = round(overlap(mesh, *surface), 3)
-        for label in labels:
-            grid = filled(mesh, *surface) if label == "filled" else replace(mesh, filling=None)
+        for label, grid in (("full", replace(mesh, filling=None)), ("filled", filled(mesh, *surface))):
             row[label] = judged(twin, grid, points, rest, truth)
         print(name, row, flush=True)
         rows.append(row)
@@ -91,12 +86,12 @@ def mean(rows: list[dict[str, Any]], label: str) -> dict[str, float]:
     return out | {"distance_mm": round(float(np.exp(np.log(late).mean())), 1)}
 
 
-def means(objects: dict[str, list[dict[str, Any]]], meshes: Meshes, labels: Sequence[str]) -> dict[str, Any]:
+def means(objects: dict[str, list[dict[str, Any]]]) -> dict[str, Any]:
     """By mesh, over the objects."""
     out: dict[str, Any] = {}
-    for place, (nodes, way) in enumerate(meshes):
+    for place, (nodes, way) in enumerate(MESHES):
         rows = [every[place] for every in objects.values()]
-        out[f"{nodes} {way}"] = {label: mean(rows, label) for label in labels}
+        out[f"{nodes} {way}"] = {label: mean(rows, label) for label in ("full", "filled")}
     return out
 
 
@@ -105,18 +100,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("benchmark", type=Path)
     parser.add_argument("--names", nargs="+", required=True)
-    parser.add_argument("--best", nargs="+", type=int)
     parser.add_argument("--out", type=Path, default=RESULT)
     given = parser.parse_args()
-    meshes: Meshes = [(nodes, "best") for nodes in given.best] if given.best else MESHES
-    labels = ("filled",) if given.best else ("full", "filled")
     known = json.loads(given.out.read_text(encoding="utf-8")) if given.out.exists() else {"objects": {}}
     for name in given.names:
         if name not in known["objects"]:
-            known["objects"][name] = rows_of(given.benchmark, name, meshes, labels)
+            known["objects"][name] = rows_of(given.benchmark, name)
             told = "python benchmarks/twin_meshes.py BENCHMARK --names " + " ".join(known["objects"])
-            told += f" --best {' '.join(map(str, given.best))} --out {given.out.name}" if given.best else ""
-            known |= {"command": told, "means": means(known["objects"], meshes, labels)}
+            known |= {"command": told, "means": means(known["objects"])}
             given.out.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
 
 
