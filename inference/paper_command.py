@@ -20,7 +20,9 @@ def paper(
         bool, typer.Option(help="Also the published way and the parts over M and K, which come last.")
     ] = True,
     max_nodes: Annotated[int, typer.Option(help="Most nodes of the models' meshes.")] = 500,
-    fine_nodes: Annotated[int, typer.Option(help="Most nodes of the mesh of refine's last searches.")] = 1400,
+    fine_nodes: Annotated[
+        int | None, typer.Option(help="Most nodes of the mesh of refine's last searches; default: as it has them.")
+    ] = None,
     steps_per_frame: Annotated[int | None, typer.Option(help="Of the models. Default: 384 per second.")] = None,
     weights: Annotated[int, typer.Option(help="Skinning weights of `refine`.")] = 20,
     full_runs: Annotated[int, typer.Option(help="Most linearisations of the full model.")] = 8,

@@ -40,7 +40,7 @@ class PaperOptions:
 
     Attributes:
         max_nodes: of the models' quadratic meshes.
-        fine_nodes: of that of the last searches of `refine`.
+        fine_nodes: of that of the last searches of `refine`; None: as that has it.
         steps_per_frame: of the models; None: at least 384 per second.
         weights: M of the reduced model of `refine`.
         full_runs: most linearisations of the full model.
@@ -54,7 +54,7 @@ class PaperOptions:
     """
 
     max_nodes: int = 500
-    fine_nodes: int = 1400
+    fine_nodes: int | None = None
     steps_per_frame: int | None = None
     weights: int = 20
     full_runs: int = 8

@@ -56,7 +56,7 @@ def refine(
     checkpoint: has.Checkpoint = "default",
     weights: has.Weights = 20,
     max_nodes: has.MaxNodes = 500,
-    fine_nodes: has.FineNodes = 1400,
+    fine_nodes: has.FineNodes = None,
     steps_per_frame: has.StepsPerFrame = None,
     fill: has.Fill = True,
     correction: has.Correction = True,

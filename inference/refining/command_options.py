@@ -110,9 +110,10 @@ TimeOffset = Annotated[
 Weights = Annotated[int, typer.Option(help="Number of skinning weights of the result.", rich_help_panel=_MODEL)]
 MaxNodes = Annotated[int, typer.Option(help="Most nodes of the quadratic mesh.", rich_help_panel=_MODEL)]
 FineNodes = Annotated[
-    int,
+    int | None,
     typer.Option(
-        help="Most nodes of the mesh of the last searches, of a body that strikes something; 0: the same as before.",
+        help="Most nodes of the mesh of the last searches, of a body that strikes something; 0: the same as before; "
+        "default: 2400, of a soft body 1400.",
         rich_help_panel=_MODEL,
     ),
 ]

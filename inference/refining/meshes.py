@@ -9,9 +9,10 @@ from inference.refining.stages import Arrays, Stages
 from physconvex.errors import ConvergenceError
 from physconvex.fem import TetMesh, filled, tetrahedralize
 from physconvex.fem.mesh import refine as subdivided
-from physconvex.identify import Twin
+from physconvex.identify import Fit, Twin
 from physconvex.identify.faithful import faithful_mesh, unfaithfulness
 from physconvex.identify.twin import surface_of_capture
+from physconvex.reduced import parameter_values
 
 __all__ = ["fine_mesh", "finer_mesh", "is_of_capture"]
 
@@ -19,6 +20,9 @@ _FINER = 1.8  # nodes of a mesh made anew over those of the twin
 _HARDLY = 1.2  # times the nodes: no more is gained
 _ALIKE = 0.05  # of the volume of body and mesh together, that only one of them has
 _MOST_NODES = 4000  # of tetrahedra cut in eight
+# most nodes of the last searches, of bodies of so many times their own weight's pressure and of softer ones: these lie
+# on the floor with hundreds of points, and a roll-out takes minutes
+_STIFF, _OF_STIFF, _OF_SOFT = 100.0, 2400, 1400
 
 
 def finer_mesh(twin: Twin) -> TetMesh | None:
@@ -40,28 +44,39 @@ def finer_mesh(twin: Twin) -> TetMesh | None:
     return _filled_alike(fine, twin, surface)
 
 
-def fine_mesh(twin: Twin, options: RefineOptions, stages: Stages) -> TetMesh | None:
+def fine_mesh(twin: Twin, found: Fit, options: RefineOptions, stages: Stages) -> TetMesh | None:
     """That of the last searches of a body that strikes something, which of few nodes rebounds otherwise.
 
-    The best that is found, of several meshers, with at most `options.fine_nodes` nodes; it is made anew from the
-    surface of the capture. None where nothing is struck, the twin's mesh is all but the body (a twentieth of their
-    volume apart), or no mesh with more nodes is found.
+    The best that is found, of several meshers, with at most `options.fine_nodes` nodes, or else 2,400, or 1,400 where E
+    is less than 100 ρ g L at the fit that was found; it is made anew from the surface of the capture. None where
+    nothing is struck, the twin's mesh is all but the body (a twentieth of their volume apart), or no mesh with more
+    nodes is found.
     """
     surface = None if is_of_capture(twin) else surface_of_capture(twin.capture)
-    if not twin.may_strike or surface is None or options.fine_nodes <= options.max_nodes:
+    if not twin.may_strike or surface is None:
+        return None
+    nodes = _affordable(twin, found) if options.fine_nodes is None else options.fine_nodes
+    if nodes <= options.max_nodes:
         return None
     if unfaithfulness(twin.mesh, *surface) < _ALIKE:
         return None
 
     def compute() -> Arrays:
         try:
-            mesh = tetrahedralize(surface, max_nodes=options.fine_nodes, order=2, method="auto", thorough=True)
+            mesh = tetrahedralize(surface, max_nodes=nodes, order=2, method="auto", thorough=True)
         except ConvergenceError:
             return {"vertices": np.zeros((0, 3)), "tets": np.zeros((0, 10), dtype=np.int64)}
         return {"vertices": mesh.vertices, "tets": mesh.tets}
 
     arrays = stages.run("fine_mesh", compute)
     return _filled_alike(TetMesh(arrays["vertices"], arrays["tets"]), twin, surface) if len(arrays["tets"]) else None
+
+
+def _affordable(twin: Twin, found: Fit) -> int:
+    scene = twin.with_values(found.names, found.values).scene
+    modulus, density = parameter_values(scene, ["log10_youngs_modulus", "density"])
+    weight = density * float(np.linalg.norm(scene.gravity)) * twin.mesh.size
+    return _OF_STIFF if 10.0**modulus >= _STIFF * weight else _OF_SOFT
 
 
 def is_of_capture(twin: Twin) -> bool:

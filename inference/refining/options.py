@@ -23,7 +23,8 @@ class RefineOptions:
         weights: number of skinning weights M of the reduced model.
         max_nodes: most nodes of the quadratic mesh of both models.
         fine_nodes: most nodes of that of the last searches, where the body strikes something and its mesh is made of
-            the surface; none is made with `max_nodes` or fewer.
+            the surface; none is made with `max_nodes` or fewer. None: as many as its stiffness allows, see
+            `inference.refining.meshes.fine_mesh`.
         steps_per_frame: time steps per frame; None: at least 384 per second.
         fill: whether mass and energy of a mesh that is made of the surface are those of the surface's inside, see
             `physconvex.fem.filled`.
@@ -57,7 +58,7 @@ class RefineOptions:
     cameras: tuple[str, ...] | None = None
     weights: int = 20
     max_nodes: int = 500
-    fine_nodes: int = 1400
+    fine_nodes: int | None = None
     steps_per_frame: int | None = None
     fill: bool = True
     free: tuple[str, ...] = ()
@@ -99,7 +100,7 @@ class RefineOptions:
             "field_budget": 50,
             "field_steps": 1,
         }.items():
-            if getattr(self, name) < least:
+            if getattr(self, name) is not None and getattr(self, name) < least:
                 raise InputError(f"{name}: got {getattr(self, name)}; expected at least {least}")
         for name in ("log10_youngs_modulus", "poisson_ratio"):
             if name in self.fixed and self.fixed[name] is None:

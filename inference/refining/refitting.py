@@ -1,8 +1,8 @@
 """The search goes on on a mesh of more nodes: how a body rebounds hangs on its shape where it lands.
 
 Of few nodes, thin legs are too thick or missing, and the twin's motion parts from the body's by a centimetre per frame
-from the landing on, which E and ν then make up for. Meshes of two to three times the nodes, the best of several
-meshers, come two to three times as near. The few nodes may have led to another rebound, so that materials about are
+from the landing on, which E and ν then make up for. Meshes of two to five times the nodes, the best of several
+meshers, come two to five times as near. The few nodes may have led to another rebound, so that materials about are
 tried first.
 """
 
@@ -62,7 +62,7 @@ class Refitting:
         Raises:
             ConvergenceError: the body cannot be simulated on it.
         """
-        mesh = fine_mesh(problem.twin, self.options, self.stages) if self.options.own_derivatives else None
+        mesh = fine_mesh(problem.twin, found, self.options, self.stages) if self.options.own_derivatives else None
         if mesh is None:
             return problem, found
         few, fine = problem.full(self.memory), replace(problem, mesh=mesh)

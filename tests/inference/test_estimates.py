@@ -45,7 +45,8 @@ def test_finer_meshes_are_filled_where_the_twin_s_is(fill, monkeypatch):
     monkeypatch.setattr(meshes, "faithful_mesh", lambda *surface, max_nodes: fine)
     monkeypatch.setattr(meshes, "tetrahedralize", lambda *surface, **how: fine)
     twin = SimpleNamespace(capture=capture, mesh=filled(coarse, *surface) if fill else coarse, may_strike=True)
-    for found in (meshes.finer_mesh(twin), meshes.fine_mesh(twin, RefineOptions(), Stages(None, ""))):
+    options = RefineOptions(fine_nodes=900)
+    for found in (meshes.finer_mesh(twin), meshes.fine_mesh(twin, None, options, Stages(None, ""))):
         assert np.array_equal(found.vertices, fine.vertices)
         assert (found.filling is not None) == fill
 
@@ -63,8 +64,9 @@ def test_the_mesh_of_the_last_searches_is_kept_with_the_stages(tmp_path, monkeyp
         return box_mesh((0.3, 0.2, 0.2), (4, 2, 1 + len(made)))
 
     monkeypatch.setattr(meshes, "tetrahedralize", tetrahedralize)
-    first, again = (meshes.fine_mesh(twin, RefineOptions(), Stages(tmp_path, "key")) for _ in range(2))
-    assert made == [(1400, 2, "auto", True)] and np.array_equal(first.tets, again.tets)
+    options = RefineOptions(fine_nodes=900)
+    first, again = (meshes.fine_mesh(twin, None, options, Stages(tmp_path, "key")) for _ in range(2))
+    assert made == [(900, 2, "auto", True)] and np.array_equal(first.tets, again.tets)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +88,7 @@ def test_where_there_is_no_mesh_for_the_last_searches(why, monkeypatch):
         return box_mesh((0.3, 0.2, 0.2), (2, 1, 1) if why == "hardly more" else (4, 2, 2))
 
     monkeypatch.setattr(meshes, "tetrahedralize", tetrahedralize)
-    assert meshes.fine_mesh(twin, options, Stages(None, "")) is None
+    assert meshes.fine_mesh(twin, None, options, Stages(None, "")) is None
 
 
 def test_what_the_mesh_of_the_last_searches_changed_counts_in_part_as_left(monkeypatch):

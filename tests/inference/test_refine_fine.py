@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from inference.refining import RefineOptions, refine, refitting
+from inference.refining import RefineOptions, meshes, refine, refitting
 from inference.refining.problem import Problem
 from inference.refining.refitting import Refitting
+from inference.refining.stages import Stages
 from physconvex.camera import look_at
 from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
+from physconvex.errors import ConvergenceError
 from physconvex.fem import SurfacePoints, tetrahedralize
 from physconvex.identify import FullModel, TwinOptions, base_twin, default_parameter
 
@@ -92,7 +94,7 @@ def test_the_fit_on_more_nodes_is_left_out_or_to_the_colours_where_that_will_do(
     observed = SimpleNamespace(cameras=(camera,))
     problem = Problem(twin, tuple(default_parameter(name) for name in NAMES), observed)
     begun = SimpleNamespace(values=np.array([6.3, 0.3]), parameters=problem.parameters)
-    monkeypatch.setattr(refitting, "fine_mesh", lambda twin, options, stages: "more nodes")
+    monkeypatch.setattr(refitting, "fine_mesh", lambda twin, found, options, stages: "more nodes")
     monkeypatch.setattr(Problem, "full", lambda self, memory: None)
     monkeypatch.setattr(refitting, "fit_of", lambda arrays, parameters: "fitted")
     monkeypatch.setattr(refitting, "replace", lambda of, **changes: replace(of, **changes) if of is not begun else of)
@@ -110,3 +112,20 @@ def test_the_fit_on_more_nodes_is_left_out_or_to_the_colours_where_that_will_do(
         return
     assert (fine.mesh, fine.astray) == ("more nodes", 0.02) and fine.errors.tolist() == [1, 1, 1]
     assert found == ("fitted" if last or better else begun)
+
+
+@pytest.mark.wrong_types  # a stand-in for a fit
+@pytest.mark.parametrize(("modulus", "nodes"), [(5.5, 2400), (5.3, 1400)])
+def test_a_soft_body_has_fewer_nodes_in_the_last_searches(ball, modulus, nodes, monkeypatch):
+    """A hundred times the pressure of its weight is 2.5e5 Pa."""
+    asked = []
+
+    def tetrahedralize(surface, *, max_nodes, **how):
+        asked.append(max_nodes)
+        raise ConvergenceError("none")
+
+    monkeypatch.setattr(meshes, "tetrahedralize", tetrahedralize)
+    twin = base_twin(ball, TwinOptions(weights=3, max_nodes=FEW, steps_per_frame=4))
+    found = SimpleNamespace(names=NAMES, values=np.array([modulus, 0.35]))
+    assert meshes.fine_mesh(twin, found, RefineOptions(max_nodes=FEW), Stages(None, "")) is None
+    assert asked == [nodes]
