@@ -9,8 +9,8 @@ frame [mm]. *Shift*: where E [decades] and ν would go if fitted to those points
 distance, with a prior of 0.33 decades of E and 0.17 of ν.
 
 With `--best 1400 2400` only meshes of the best of several meshers with so many nodes are taken, and filled. With
-`--reference 7000` all is told once more by another motion than the truth's: of the best filled mesh
-with at most so many nodes, and half the time step; and where the values would go from the truth's own points.
+`--reference 7000` all is told once more by another motion than the truth's: of the best filled mesh with at most so
+many nodes, and half the time step; and where the values would go from the truth's own points.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from physconvex.fem.surface_distance import overlap
 from physconvex.identify import FullModel, Twin, TwinOptions, base_twin
 from physconvex.reduced import parameter_values
 
-RESULT = Path(__file__).parent / "results" / "twin_meshes.json"
+RESULTS = Path(__file__).parent / "results"
 MESHES = ((500, "auto"), (900, "auto"), (900, "simplified"), (1400, "best"))
 Meshes = Sequence[tuple[int, str]]
 NAMES = ("log10_youngs_modulus", "poisson_ratio", "damping_time")
@@ -111,13 +111,13 @@ def rows_of(folder: Path, name: str, meshes: Meshes, labels: Sequence[str], node
     return rows
 
 
-def mean(told: list[dict[str, Any]]) -> dict[str, Any]:
+def mean(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Of the absolute shifts, and (geometric) of the distances after the landing."""
-    out: dict[str, Any] = {name: round(float(np.mean([abs(r["shift"][name]) for r in told])), 4) for name in NAMES[:2]}
-    late = np.array([r["distance_mm"][-4:] for r in told])
+    out: dict[str, Any] = {name: round(float(np.mean([abs(r["shift"][name]) for r in rows])), 4) for name in NAMES[:2]}
+    late = np.array([r["distance_mm"][-4:] for r in rows])
     out["distance_mm"] = round(float(np.exp(np.log(late).mean())), 1)
     further = ("to_reference", "truth_to_reference")
-    return out | {name: mean([r[name] for r in told]) for name in further if name in told[0]}
+    return out | {name: mean([r[name] for r in rows]) for name in further if name in rows[0]}
 
 
 def means(objects: dict[str, list[dict[str, Any]]], meshes: Meshes, labels: Sequence[str]) -> dict[str, Any]:
@@ -136,19 +136,20 @@ def main() -> None:
     parser.add_argument("--names", nargs="+", required=True)
     parser.add_argument("--best", nargs="+", type=int)
     parser.add_argument("--reference", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=RESULT)
+    parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     meshes: Meshes = [(nodes, "best") for nodes in given.best] if given.best else MESHES
     labels = ("filled",) if given.best else ("full", "filled")
-    known = json.loads(given.out.read_text(encoding="utf-8")) if given.out.exists() else {"objects": {}}
+    out = given.out or RESULTS / ("twin_meshes_reference.json" if given.best else "twin_meshes.json")
+    known = json.loads(out.read_text(encoding="utf-8")) if out.exists() else {"objects": {}}
     for name in given.names:
         if name not in known["objects"]:
             known["objects"][name] = rows_of(given.benchmark, name, meshes, labels, given.reference)
-            told_by = "python benchmarks/twin_meshes.py BENCHMARK --names " + " ".join(known["objects"])
-            told_by += f" --best {' '.join(map(str, given.best))}" if given.best else ""
-            told_by += f" --reference {given.reference} --out {given.out.name}" if given.reference else ""
-            known |= {"command": told_by, "means": means(known["objects"], meshes, labels)}
-            given.out.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
+            command = "python benchmarks/twin_meshes.py BENCHMARK --names " + " ".join(known["objects"])
+            command += f" --best {' '.join(map(str, given.best))}" if given.best else ""
+            command += f" --reference {given.reference}" if given.reference else ""
+            known |= {"command": command, "means": means(known["objects"], meshes, labels)}
+            out.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
