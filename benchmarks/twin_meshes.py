@@ -34,6 +34,7 @@ from physconvex.reduced import parameter_values
 RESULTS = Path(__file__).parent / "results"
 MESHES = ((500, "auto"), (900, "auto"), (900, "simplified"), (1400, "best"))
 Meshes = Sequence[tuple[int, str]]
+Surface = tuple[np.ndarray, np.ndarray]  # vertices and triangles
 NAMES = ("log10_youngs_modulus", "poisson_ratio", "damping_time")
 FRAMES, STEPS, NOISE = 11, 16, 3e-3  # m
 USUAL, PRIOR = np.array([0.1, 0.05, 1e-3]), 0.3  # changes, and one over the prior's width in them
@@ -80,6 +81,12 @@ def judged(twin: Twin, mesh: TetMesh, surface: SurfacePoints, target: Target) ->
     return out | {"process_seconds": round(time.process_time() - clock, 1)}
 
 
+def mesh_of(surface: Surface, nodes: int, way: str) -> TetMesh:
+    """With at most so many nodes."""
+    how: dict[str, Any] = {"method": "auto", "thorough": True} if way == "best" else {"method": way}
+    return tetrahedralize(surface, max_nodes=nodes, order=2, **how)
+
+
 def rows_of(folder: Path, name: str, meshes: Meshes, labels: Sequence[str], nodes_there: int) -> list[dict[str, Any]]:
     """All meshes of one object, as they are ("full") or filled, beside a reference of so many nodes if any."""
     stated = json.loads((folder / "truth" / name / "truth.json").read_text(encoding="utf-8"))
@@ -91,18 +98,14 @@ def rows_of(folder: Path, name: str, meshes: Meshes, labels: Sequence[str], node
     surface, points = twin.surface, SurfacePoints.of_triangles(*twin.surface)
     target, rows = Target(rest, {"truth": truth}), []
     if nodes_there:
-        finest = tetrahedralize(surface, max_nodes=nodes_there, order=2, method="auto", thorough=True)
-        finest = filled(finest, *surface)
+        finest = filled(mesh_of(surface, nodes_there, "best"), *surface)
         model = FullModel(twin, NAMES, rest, FRAMES, refinement=2, surface=points, mesh=finest)
         target.motions["reference"] = model.positions(parameter_values(twin.scene, NAMES))
-        print(
-            name, "reference", len(finest.vertices), "nodes, overlap", round(overlap(finest, *surface), 3), flush=True
-        )
     for nodes, way in meshes:
-        how: dict[str, Any] = {"method": "auto", "thorough": True} if way == "best" else {"method": way}
-        mesh = tetrahedralize(surface, max_nodes=nodes, order=2, **how)
+        mesh = mesh_of(surface, nodes, way)
         row: dict[str, Any] = {"asked_for": nodes, "way": way, "nodes": len(mesh.vertices)}
         row["overlap"] = round(overlap(mesh, *surface), 3)
+        row |= {"reference_nodes": len(finest.vertices)} if nodes_there else {}
         for label in labels:
             grid = filled(mesh, *surface) if label == "filled" else replace(mesh, filling=None)
             row[label] = judged(twin, grid, points, target)

@@ -13,10 +13,9 @@ from jaxtyping import Float
 
 from inference.refining.drifting import drifted
 from inference.refining.problem import Problem
-from inference.refining.searching import started_from
+from inference.refining.searching import material_of, started_from
 from physconvex.identify import Fit
 from physconvex.identify.colours import ColourObservations
-from physconvex.reduced import parameter_values
 
 __all__ = ["colours_lost", "materials_about"]
 
@@ -48,8 +47,7 @@ def colours_lost(problem: Problem, found: Fit) -> float:
 def materials_about(problem: Problem, found: Fit) -> list[Float[np.ndarray, " K"]]:
     """Values at which to look for another rebound, those of the fit first."""
     parameters = started_from(problem.parameters, found)
-    scene = problem.twin.with_values(found.names, found.values).scene
-    modulus, density = parameter_values(scene, ["log10_youngs_modulus", "density"])
+    modulus, density = material_of(problem.twin, found)
     slowest = np.pi * np.sqrt(10.0**modulus / density) / problem.twin.mesh.size  # half a wave along the body [rad/s]
     kept = {p.name: p.start for p in parameters}
     others = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from inference.refining.options import RefineOptions
+from inference.refining.searching import material_of
 from inference.refining.stages import Arrays, Stages
 from physconvex.errors import ConvergenceError
 from physconvex.fem import TetMesh, filled, tetrahedralize
@@ -12,7 +13,6 @@ from physconvex.fem.mesh import refine as subdivided
 from physconvex.identify import Fit, Twin
 from physconvex.identify.faithful import faithful_mesh, unfaithfulness
 from physconvex.identify.twin import surface_of_capture
-from physconvex.reduced import parameter_values
 
 __all__ = ["fine_mesh", "finer_mesh", "is_of_capture"]
 
@@ -73,9 +73,8 @@ def fine_mesh(twin: Twin, found: Fit, options: RefineOptions, stages: Stages) ->
 
 
 def _affordable(twin: Twin, found: Fit) -> int:
-    scene = twin.with_values(found.names, found.values).scene
-    modulus, density = parameter_values(scene, ["log10_youngs_modulus", "density"])
-    weight = density * float(np.linalg.norm(scene.gravity)) * twin.mesh.size
+    modulus, density = material_of(twin, found)
+    weight = density * float(np.linalg.norm(twin.scene.gravity)) * twin.mesh.size
     return _OF_STIFF if 10.0**modulus >= _STIFF * weight else _OF_SOFT
 
 

@@ -24,7 +24,7 @@ from inference.refining.options import RefineOptions
 from inference.refining.problem import Problem
 from inference.refining.refitting import Refitting
 from inference.refining.result import Refinement
-from inference.refining.searching import ReducedSearch, started_from
+from inference.refining.searching import ReducedSearch, material_of, started_from
 from inference.refining.stages import Stages, key_of
 from physconvex.capture import Capture, load_capture
 from physconvex.devices import device_named
@@ -207,10 +207,8 @@ class _Run:
         twin = problem.twin
         if self.options.steps_per_frame is not None or not twin.may_strike:
             return problem
-        values = parameter_values(
-            twin.with_values(start.names, start.values).scene, ["log10_youngs_modulus", "density"]
-        )
-        speed = float(np.sqrt(10.0 ** values[0] / values[1]))
+        modulus, density = material_of(twin, start)
+        speed = float(np.sqrt(10.0**modulus / density))
         rate = float(np.clip(_STEPS_PER_CROSSING * speed / twin.mesh.size, *_RATES))
         return replace(problem, twin=replace(twin, steps_per_frame=max(4, math.ceil(rate / twin.fps))))
 

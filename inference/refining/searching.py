@@ -16,9 +16,10 @@ from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError
 from physconvex.identify import Fit, FitOptions, Parameter, Twin, TwinOptions, base_twin, fit, scan
 from physconvex.identify.twin import coarse_mesh
+from physconvex.reduced import parameter_values
 from physconvex.workers import Workers
 
-__all__ = ["ReducedSearch", "started_from"]
+__all__ = ["ReducedSearch", "material_of", "started_from"]
 
 _MODULUS, _RATIO = "log10_youngs_modulus", "poisson_ratio"
 _CHEAP_WEIGHTS = 6
@@ -30,6 +31,13 @@ _PAIRS = 10  # of E and ν that are scanned at least
 def started_from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Parameter, ...]:
     """The parameters, starting where a fit has ended."""
     return tuple(p.at(float(v)) for p, v in zip(parameters, found.values, strict=True))
+
+
+def material_of(twin: Twin, found: Fit) -> tuple[float, float]:
+    """Log10 of E [Pa] and the density [kg/m³] at a fit, whether they were free or not."""
+    scene = twin.with_values(found.names, found.values).scene
+    modulus, density = parameter_values(scene, [_MODULUS, "density"])
+    return float(modulus), float(density)
 
 
 @dataclass(frozen=True, eq=False)

@@ -178,16 +178,13 @@ def _differences(
         beside=[(cheap, values)] if isinstance(cheap, FullModel) else [],
     )
     tangents = cheap.linearise(values)[1]
-    x, with_steps = coarse.positions(values), stepped.positions(values)
-    by_mesh, by_step = finest.positions(values) - x, half.positions(values) - with_steps
+    x, fine, long, short = (model.positions(values) for model in (coarse, finest, stepped, half))
     share = _FITTED if fitted else _share(coarse, finest)
     errors = np.hypot(
-        share.left * frame_errors(observations, x + by_mesh, x),
-        _STEP_LEFT * frame_errors(observations, with_steps + by_step, with_steps),
+        share.left * frame_errors(observations, fine, x), _STEP_LEFT * frame_errors(observations, short, long)
     )
-    return _Differences(
-        values, x, by_mesh, by_step, share, tangents, errors, WeightedObservations.by_errors(observations, errors)
-    )
+    weighted = WeightedObservations.by_errors(observations, errors)
+    return _Differences(values, x, fine - x, short - long, share, tangents, errors, weighted)
 
 
 def _share(coarse: FullModel, finest: FullModel) -> _Share:

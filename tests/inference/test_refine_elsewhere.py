@@ -30,7 +30,7 @@ class Twin:
 @pytest.fixture
 def problem(monkeypatch):
     monkeypatch.setattr(
-        "inference.refining.elsewhere.parameter_values", lambda scene, names: [np.log10(scene[0]), scene[1]]
+        "inference.refining.searching.parameter_values", lambda scene, names: [np.log10(scene[0]), scene[1]]
     )
     unknown = tuple(default_parameter(name) for name in NAMES)
     return SimpleNamespace(parameters=unknown, twin=Twin())
