@@ -15,6 +15,7 @@ from physconvex.gap.blind import (
     Shares,
     bank,
     diagnose_bank,
+    explicit_cases,
     generate_bank,
     oracle,
     run_oracle,
@@ -415,16 +416,58 @@ def test_two_effects_are_counted_by_class():
     assert share_of([], ["friction"]) == 0.0
 
 
+class _Shown:
+    """Runs of a made-up body: three points whose positions are these in ten frames."""
+
+    def __init__(self, shift, nodes=1):
+        self.shift, self.mesh = shift, SimpleNamespace(vertices=np.zeros((nodes, 3)))
+
+    def __call__(self, *effects, **changes):
+        return None, np.zeros((10, 3, 3)) + self.shift(effects, changes)
+
+
+def test_what_is_fitted_anyway_does_not_make_an_effect_visible():
+    falling, along = np.linspace(0, 1, 10)[:, None, None] ** 2, np.array([0.0, 0.0, 1.0])
+    case = SimpleNamespace(
+        youngs_modulus=1e5, poisson_ratio=0.3, size=1.0, velocity=(0, 0, 0), spin=(0, 0, 0), states_motion=True,
+        height=0.1, noise=1e-3,
+    )  # fmt: skip
+
+    def shift(effects, changes):
+        stiffer = changes.get("youngs_modulus", 1e5) / 1e5 - 1
+        other = changes.get("poisson_ratio", 0.3) - 0.3
+        softer = "contact_modulus" in changes
+        return falling * along * stiffer + falling * np.eye(3)[0] * other + 2e-3 * softer
+
+    coarse, fine = _Shown(shift), _Shown(lambda e, c: shift(e, c) + 3e-3 * np.eye(3)[1], 64)
+    yardstick = explicit_cases._Yardstick.of(case, coarse, fine)
+    assert yardstick.visibility(falling * (along - np.eye(3)[0]) + np.zeros((10, 3, 3))) == pytest.approx(0, abs=1e-12)
+    # noise, a mesh whose error is 1/(64^½ − 1) of the difference, and what the floor gives, all but what is absorbed
+    left = 1 - float(falling.sum()) ** 2 / float((falling**2).sum()) / 10
+    floor = 3e-6 + (3e-3 / 7) ** 2 + 4e-6 * (1 + 2 * left)
+    assert yardstick.floor == pytest.approx(floor)
+    assert yardstick.visibility(np.zeros((10, 3, 3)) + 0.01 * np.eye(3)[1]) == pytest.approx(1e-4 / floor)
+
+
+def test_a_dose_is_found_beyond_a_threshold(monkeypatch):
+    monkeypatch.setattr(explicit_cases, "_dosed", lambda name, strength, case, seed: strength)
+    runner = _Shown(lambda effects, _: max(effects[0] - 0.15, 0) * 100)  # nothing at a fifth of a moderate dose
+    yardstick = explicit_cases._Yardstick(np.zeros((10, 3, 3)), np.zeros((90, 1)), 1.0)
+    seen, dose = explicit_cases._scaled("plasticity", None, runner, yardstick, 30.0, 0)
+    assert 15 < seen < 60 and 0.15 < dose < 0.3
+    nothing = _Shown(lambda effects, _: 0.0)
+    with pytest.raises(ConvergenceError, match="30 wanted"):
+        explicit_cases._scaled("plasticity", None, nothing, yardstick, 30.0, 0)
+
+
 @pytest.mark.slow
 def test_doses_follow_visibility(monkeypatch):
-    from physconvex.gap.blind import explicit_cases
-
     monkeypatch.setattr(explicit_cases, "_NODES", (40, 60))
     simulate_explicit = explicit_cases.simulate_explicit
     case = draw_case(3, ("time_offset",), dosed=False)
     _, seen, hidden, visibility = simulate_explicit(case, ("time_offset",), 6.0)
     assert 4 < visibility < 9 and hidden.hidden[0].name == "time_offset" and np.isfinite(seen).all()
-    stronger = simulate_explicit(case, ("time_offset",), 12.0)[2]
+    stronger = simulate_explicit(case, ("time_offset",), 24.0)[2]
     assert abs(stronger.hidden[0].doses[0]) > 1.5 * abs(hidden.hidden[0].doses[0])
 
 

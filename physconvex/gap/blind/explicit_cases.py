@@ -23,9 +23,12 @@ __all__ = ["EXPLICIT_EFFECTS", "HELD_EFFECTS", "OUTSIDE", "simulate_explicit"]
 
 Positions = Float[np.ndarray, "T P 3"]
 Observe = Callable[[Motion], Positions]
-_MARKERS, _ROUNDS, _NEAR = 40, 3, 0.3
-_NUMERICAL = 0.005  # numerical error that visibility counts with, over the distance travelled
-_STRONGEST = 8.0  # multiple of a moderate dose
+_MARKERS, _ROUNDS, _NEAR = 40, 5, 0.4
+_LEAST, _MOST = 0.5, 3.0  # of the visibility asked for
+_STIFFER, _WIDER, _FASTER = 1.05, 0.02, 0.02  # E times, ν more, velocity over that of a fall through the size more
+_HARDER = 2.0  # times the contact's stiffness: what is left of the floor's give is as much as that changes
+_ORDER = 1.5  # of convergence by edge length: linear elements, smoothed, and contact
+_WEAKEST, _STRONGEST = 0.02, 8.0  # multiples of a moderate dose
 _SOFT_CONTACT = 12.0  # over E/size, of runs that are to have a numerical error
 _NODES = (250, 2000)  # of the meshes for the search of the dose, and of the capture
 OUTSIDE = ("tether",)  # in no dictionary
@@ -215,8 +218,7 @@ def simulate_explicit(
     Args:
         case: without effects.
         names: of the effects.
-        visibility: rms of what the effect changes, E projected out, over noise and numerical error (0.5 % of the
-            distance travelled).
+        visibility: mean square of what each effect changes over that of noise and numerical error, see `_Yardstick`.
         rough: on the coarse mesh, with a contact five times as soft: numerical error for an effect.
 
     Returns:
@@ -234,18 +236,10 @@ def simulate_explicit(
         return *coarse(contact_modulus=_SOFT_CONTACT), case, 0.0
     if not names:
         return *fine(), case, 0.0
-    motion, start = coarse()
-    stiffer = (coarse(youngs_modulus=1.05 * case.youngs_modulus)[1] - start).ravel()
-
-    def left(change: Positions) -> Positions:
-        flat = change.ravel()
-        return np.asarray(flat - stiffer * (stiffer @ flat) / (stiffer @ stiffer)).reshape(change.shape)
-
-    travelled = np.sqrt(((motion.positions - motion.rest) ** 2).sum(-1).mean())
-    floor = float(np.hypot(np.sqrt(3) * case.noise, _NUMERICAL * travelled))
+    yardstick = _Yardstick.of(case, coarse, fine)
     chosen, reached = [], []
     for number, name in enumerate(names):
-        found, dose = _scaled(name, case, coarse, lambda p: left(p - start), floor, visibility, number)
+        found, dose = _scaled(name, case, coarse, yardstick, visibility, number)
         chosen.append((name, dose))
         reached.append(found)
     motion, positions = fine(*(dose for _, dose in chosen))
@@ -253,21 +247,82 @@ def simulate_explicit(
     return motion, positions, replace(case, hidden=hidden), float(min(reached))
 
 
+@dataclass(frozen=True, eq=False)
+class _Yardstick:
+    """How visible a change of the observed positions is.
+
+    What E, ν and the initial motion (where the capture does not state it) can absorb of it does not count, since they
+    are fitted. The rest is compared, in mean square, with noise and with what such runs err by themselves, likewise
+    after these have absorbed what they can: a finer mesh, extrapolated, and a contact twice as stiff.
+
+    Attributes:
+        start: observed positions without effects [m], shape [T, P, 3].
+        absorbing: orthonormal changes by what is fitted, shape [T P 3, K].
+        floor: mean square of noise and numerical error [m²].
+    """
+
+    start: Positions
+    absorbing: Float[np.ndarray, "N K"]
+    floor: float
+
+    @classmethod
+    def of(cls, case: Case, coarse: _Runner, fine: _Runner) -> _Yardstick:
+        """From runs without effects.
+
+        Raises:
+            ConvergenceError: one of them blew up.
+        """
+        start = coarse()[1]
+        free: list[dict[str, Any]] = [
+            {"youngs_modulus": _STIFFER * case.youngs_modulus}, {"poisson_ratio": case.poisson_ratio + _WIDER}
+        ]  # fmt: skip
+        if not case.states_motion:
+            speed = _FASTER * float(np.sqrt(9.81 * case.size))
+            free += [{"velocity": tuple(np.array(case.velocity) + speed * axis)} for axis in np.eye(3)]
+            free += [{"spin": tuple(np.array(case.spin) + speed / case.size * axis)} for axis in np.eye(3)]
+        changes = np.stack([(coarse(**fields)[1] - start).ravel() for fields in free], axis=1)
+        still = cls(start, np.linalg.qr(changes / np.linalg.norm(changes, axis=0))[0], 0.0)
+        ratio = (len(fine.mesh.vertices) / len(coarse.mesh.vertices)) ** (_ORDER / 3)
+        errors = [(fine()[1] - start) / (ratio - 1)]
+        if case.height is not None:
+            errors.append(coarse(contact_modulus=_HARDER * World.contact_modulus)[1] - start)
+        return replace(still, floor=3 * case.noise**2 + sum(still.left(error) for error in errors))
+
+    def left(self, change: Positions) -> float:
+        """Mean square of what is not absorbed [m²]."""
+        flat = change.ravel()
+        flat = flat - self.absorbing @ (self.absorbing.T @ flat)
+        return float((flat**2).sum()) / (flat.size / 3)
+
+    def visibility(self, positions: Positions) -> float:
+        """Of what moves the observed positions there."""
+        return self.left(positions - self.start) / self.floor
+
+
 def _scaled(
-    name: str, case: Case, runner: _Runner, left: Callable[[Positions], Positions], floor: float, visibility: float,
-    number: int,
-) -> tuple[float, Dosed]:  # fmt: skip
-    """The dose at which an effect is as visible as asked for, and how visible it then is."""
-    strength, best = 1.0, None
+    name: str, case: Case, runner: _Runner, yardstick: _Yardstick, visibility: float, number: int
+) -> tuple[float, Dosed]:
+    """The dose at which an effect is as visible as asked for, and how visible it then is.
+
+    The strength follows the square root of what is missing, or goes to the middle of a weaker and a stronger one that
+    were tried: below its threshold a yield stress changes nothing.
+    """
+    strength, weaker, stronger = 1.0, 0.5 * _WEAKEST, 2 * _STRONGEST
+    tried: list[tuple[float, Dosed]] = []
     for _ in range(_ROUNDS):
         dose = _dosed(name, strength, case, number + 7)
-        seen = float(np.sqrt((left(runner(dose)[1]) ** 2).sum(-1).mean()) / floor)
-        if best is None or abs(np.log(max(seen, 1e-9) / visibility)) < abs(np.log(max(best[0], 1e-9) / visibility)):
-            best = (seen, dose)
-        if abs(np.log(max(seen, 1e-9) / visibility)) < _NEAR:
+        seen = max(yardstick.visibility(runner(dose)[1]), 1e-9)
+        tried.append((seen, dose))
+        if abs(np.log(seen / visibility)) < _NEAR:
             break
-        strength = float(np.clip(strength * np.clip(visibility / max(seen, 1e-9), 0.2, 5.0), 0.02, _STRONGEST))
-    assert best is not None
-    if best[0] < 0.5 * visibility:
-        raise ConvergenceError(f"{name}: at most {best[0]:.1f} times as large as noise and numerical error")
+        weaker, stronger = (strength, stronger) if seen < visibility else (weaker, strength)
+        strength *= float(np.clip(np.sqrt(visibility / seen), 0.2, 5.0))
+        if not weaker < strength < stronger:
+            strength = float(np.sqrt(weaker * stronger))
+        strength = float(np.clip(strength, _WEAKEST, _STRONGEST))
+    best = min(tried, key=lambda t: abs(np.log(t[0] / visibility)))
+    if not _LEAST <= best[0] / visibility <= _MOST:
+        raise ConvergenceError(
+            f"{name}: {best[0]:.1f} times as large as noise and numerical error, in mean square; {visibility:g} wanted"
+        )
     return best
