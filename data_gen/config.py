@@ -126,13 +126,15 @@ class MaterialConfig(Frozen):
 
 class SolverConfig(Frozen):
     """Discretisation: most nodes of the quadratic mesh, most nodes added where the body lands, time steps per video
-    frame, the same at most while it flies before it lands, how contact is solved for (`physconvex.fem.simulate`), most
-    friction passes per step if by passes, Newton's last step relative to the body's size, tries before giving up."""
+    frame, the same at most while it flies before it lands, what touches the floor (the mesh's nodes, or points all over
+    the shown surface that the mesh carries), how contact is solved for (`physconvex.fem.simulate`), most friction
+    passes per step if by passes, Newton's last step relative to the body's size, tries before giving up."""
 
     target_nodes: int = Field(default=1000, ge=20)
     landing_nodes: int = Field(default=400, ge=0)
     steps_per_frame: int = Field(default=24, ge=1)
     flight_steps_per_frame: int = Field(default=8, ge=1)
+    touching: Literal["nodes", "surface"] = "nodes"
     contact_solver: ContactSolver = "condensed"
     friction_passes: int = Field(default=12, ge=1)
     tolerance: float = Field(default=1e-5, gt=0)

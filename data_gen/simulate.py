@@ -17,6 +17,7 @@ from physconvex.fem import (
     Plane,
     Scene,
     SolveStatistics,
+    SurfacePoints,
     TetMesh,
     Trajectory,
     simulate,
@@ -108,9 +109,11 @@ def simulate_drop(
         poisson_ratio=drop.poisson_ratio,
         density=drop.density,
     )
+    shown = drop.placed(drop.body.vertices)
     scene = Scene(
         body=body,
         obstacles=(Plane(friction=drop.friction),),
+        contact_points=SurfacePoints.of_triangles(shown, drop.body.faces) if solver.touching == "surface" else None,
         gravity=config.motion.gravity,
         damping_time=drop.damping_time,
         initial_velocity=drop.initial_velocity,
@@ -126,7 +129,7 @@ def simulate_drop(
         friction_passes=solver.friction_passes,
         tolerance=solver.tolerance,
     )
-    surface = Embedding.of_points(mesh, drop.placed(drop.body.vertices)).apply(trajectory.positions)
+    surface = Embedding.of_points(mesh, shown).apply(trajectory.positions)
     return SimulatedDrop(mesh, trajectory, surface, _samples(body, trajectory, config, rng))
 
 
