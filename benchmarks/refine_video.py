@@ -45,7 +45,7 @@ NAMES = ("log10_youngs_modulus", "poisson_ratio")
 def options(cameras: int) -> RefineOptions:
     """Of the refinement."""
     names = tuple(f"camera{k}" for k in range(cameras))
-    return RefineOptions(observations="video", cameras=names, weights=6, max_nodes=300, start="scan", model_error=False)
+    return RefineOptions(observations="video", cameras=names, weights=6, max_nodes=300, start="scan")
 
 
 def row_of(case: int, truth: dict[str, Any], found: Refinement, seconds: float) -> dict[str, Any]:

@@ -29,7 +29,7 @@ def generate(
         str | None, typer.Option(help="Controls, one more capture each: density, numerics, camera, noise.")
     ] = None,
     visibilities: Annotated[
-        str, typer.Option(help="Gap over noise and numerical error that doses are scaled to, taken in turn.")
+        str, typer.Option(help="Gap over noise and numerical error, in mean squares; taken in turn.")
     ] = "10",
     engine: Annotated[
         str, typer.Option(help="explicit (an engine of its own) or fem (the full-order model).")

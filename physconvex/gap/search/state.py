@@ -75,11 +75,9 @@ class Selection:
         """Whether a fit leaves something to explain.
 
         What is left of a wide gap is smooth, and counts as few independent residuals: it is open all the same. So is
-        one that opens in the frames that choose. Not of held bodies: what holds a real one, and how it is let go, leave
-        a wide gap always.
+        one that opens in the frames that choose.
         """
-        wide = fit.fitted > _WIDE or fit.selecting > LATE_GAP
-        return fit.left_to_explain >= _LEFT or (wide and not self.base.situation.clamped)
+        return fit.left_to_explain >= _LEFT or fit.fitted > _WIDE or fit.selecting > LATE_GAP
 
     def attempt(self, text: str, run: Callable[[], Hypothesis]) -> Hypothesis | None:
         """Fit and keep, unless it fails or the runs have cost too much; the first one is begun all the same."""
