@@ -45,7 +45,7 @@ NAMES = ("log10_youngs_modulus", "poisson_ratio")
 def options(cameras: int) -> RefineOptions:
     """Of the refinement."""
     names = tuple(f"camera{k}" for k in range(cameras))
-    return RefineOptions(observations="video", cameras=names, weights=6, max_nodes=300, start="scan")
+    return RefineOptions(observations="video", cameras=names, weights=6, max_nodes=300, start="scan", model_error=False)
 
 
 def row_of(case: int, truth: dict[str, Any], found: Refinement, seconds: float) -> dict[str, Any]:
@@ -120,7 +120,7 @@ def main() -> None:
             kept.write_text(json.dumps(measure(given.work, case, given.cameras)))
         rows.append(json.loads(kept.read_text()))
         print(json.dumps(rows[-1]), flush=True)
-        command = f"python benchmarks/refine_video.py --cameras {given.cameras}"
+        command = f"python benchmarks/refine_video.py --cases {given.cases} --cameras {given.cameras}"
         stored = json.loads(RESULT.read_text()) if RESULT.exists() else {}
         stored = {key: value for key, value in stored.items() if key.startswith("cameras_")}
         stored[f"cameras_{given.cameras}"] = {"command": command, "summary": summary(rows), "rows": rows}
