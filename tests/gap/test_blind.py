@@ -455,9 +455,11 @@ def test_a_dose_is_found_beyond_a_threshold(monkeypatch):
     yardstick = explicit_cases._Yardstick(np.zeros((10, 3, 3)), np.zeros((90, 1)), 1.0)
     seen, dose = explicit_cases._scaled("plasticity", None, runner, yardstick, 30.0, 0)
     assert 15 < seen < 60 and 0.15 < dose < 0.3
-    nothing = _Shown(lambda effects, _: 0.0)
+    tried = []
+    nothing = _Shown(lambda effects, _: tried.append(effects[0]) or 0.0)
     with pytest.raises(ConvergenceError, match="30 wanted"):
         explicit_cases._scaled("plasticity", None, nothing, yardstick, 30.0, 0)
+    assert tried == [1.0, 5.0, explicit_cases._STRONGEST]  # which is not run again
 
 
 @pytest.mark.slow

@@ -316,10 +316,13 @@ def _scaled(
         if abs(np.log(seen / visibility)) < _NEAR:
             break
         weaker, stronger = (strength, stronger) if seen < visibility else (weaker, strength)
-        strength *= float(np.clip(np.sqrt(visibility / seen), 0.2, 5.0))
-        if not weaker < strength < stronger:
-            strength = float(np.sqrt(weaker * stronger))
-        strength = float(np.clip(strength, _WEAKEST, _STRONGEST))
+        following = strength * float(np.clip(np.sqrt(visibility / seen), 0.2, 5.0))
+        if not weaker < following < stronger:
+            following = float(np.sqrt(weaker * stronger))
+        following = float(np.clip(following, _WEAKEST, _STRONGEST))
+        if following == strength:  # as weak or as strong as may be
+            break
+        strength = following
     best = min(tried, key=lambda t: abs(np.log(t[0] / visibility)))
     if not _LEAST <= best[0] / visibility <= _MOST:
         raise ConvergenceError(
