@@ -26,6 +26,7 @@ from physconvex.gap.blind.cases import draw_case
 from physconvex.gap.blind.classes import class_of, same_class
 from physconvex.gap.blind.command import app
 from physconvex.gap.blind.doses import score_doses
+from physconvex.gap.blind.engine import run_explicit
 from physconvex.gap.blind.explicit_cases import _seen_effect
 from physconvex.gap.blind.metrics import area_under_roc, calibration_error, proportion, reliability
 from physconvex.gap.blind.plan import plan_bank
@@ -476,15 +477,12 @@ def test_doses_follow_visibility(monkeypatch):
 @pytest.mark.parametrize("name", ["camera_pose", "time_offset", "time_scale"])
 def test_doses_of_what_is_seen_mean_what_they_mean_in_the_dictionary(name, rng):
     case = draw_case(3, (name,), dosed=False)
-    rest = rng.normal(size=(12, 3))
-    times = np.arange(case.frames) / case.fps
-    fall = np.array([0.0, 0.0, -9.81])
-    motion = Motion(
-        rest,
-        times,
-        rest + 0.5 * fall * times[:, None, None] ** 2,
-        np.broadcast_to(fall * times[:, None, None], (len(times), 12, 3)),
-    )
-    dosed = _seen_effect(name, 0.5, case, rng)
+    runner = explicit_cases._Runner(case, explicit_cases._mesh(case, 40), case.surface.vertices[:12])
+    dosed = _seen_effect(name, 1.0, case, rng)
+    world = explicit_cases._world(case, runner.mesh)
+    steps = run_explicit(world, runner.points, frames=24 * case.frames, fps=24 * case.fps)  # some frames further
+    motion = Motion.of_steps(steps, case.frames, 24)
     effect = next(e for e in DEFAULT_EFFECTS if e.name == name)
-    np.testing.assert_allclose(dosed.observe(motion), effect.observe(motion, np.array(dosed.doses)), atol=1e-3)
+    expected = effect.observe(motion, np.array(dosed.doses))
+    np.testing.assert_allclose(runner(dosed)[1], expected, atol=1e-4 * case.size)
+    assert np.abs(expected - motion.positions).max() > 1e-3 * case.size

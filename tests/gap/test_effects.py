@@ -8,8 +8,7 @@ import pytest
 from physconvex.errors import InputError
 from physconvex.fem import SurfacePoints
 from physconvex.fem import simulate as simulate_full
-from physconvex.gap.effects import DEFAULT_EFFECTS, EFFECT_NAMES, Dose, Effect, Motion, applicable, choose
-from physconvex.gap.effects.observation import at_times
+from physconvex.gap.effects import DEFAULT_EFFECTS, EFFECT_NAMES, Dose, Effect, Motion, applicable, by_steps, choose
 from physconvex.reduced import simulate as simulate_reduced
 
 NAMES = (
@@ -204,8 +203,59 @@ def test_clocks():
 def test_times_of_single_points():
     motion = motion_of()
     times = motion.times[:, None] + np.linspace(0, 0.002, 5)
-    moved = at_times(motion, times)
+    moved = motion.at(times)
     np.testing.assert_allclose(moved[3, :, 0] - motion.rest[:, 0], times[3], atol=1e-12)
+
+
+def bouncing(times):
+    """A point that falls, is thrown back at t = .101 s within a thousandth of a second, and its velocity."""
+    hit = np.clip(times - 0.101, 0.0, None)
+    turn = np.clip(hit / 1e-3, 0.0, 1.0)
+    height = 1.0 - times + np.where(hit < 1e-3, 1e3 * hit**2, 2 * hit - 1e-3)
+    along = np.array([0.0, 0.0, 1.0])
+    return height[:, None, None] * along, (2 * turn - 1)[:, None, None] * along
+
+
+def test_between_frames_and_beyond_them_steps_tell_where_points_are():
+    times, fine = np.arange(13) / 50.0, np.arange(13 * 40) / 2000.0
+    steps = Motion(np.zeros((1, 3)), fine, *bouncing(fine))
+    motion = Motion.of_steps(steps, len(times), 40)
+    np.testing.assert_array_equal(motion.positions, bouncing(times)[0])
+    for other in (times + 0.007, times * 1.05):
+        np.testing.assert_allclose(motion.at(other), bouncing(other)[0], atol=1e-4)
+        np.testing.assert_allclose(motion.at(other[:, None])[:, 0], bouncing(other)[0][:, 0], atol=1e-4)
+    blind = Motion(motion.rest, motion.times, motion.positions, motion.velocities)
+    assert np.abs(blind.at(times + 0.007) - bouncing(times + 0.007)[0]).max() > 1e-3
+    assert motion.first(4).end == motion.end > 0.25 and blind.end == times[-1]
+
+
+def test_what_corrects_a_motion_goes_with_its_time():
+    times, fine = np.arange(13) / 50.0, np.arange(13 * 40) / 2000.0
+    motion = Motion.of_steps(Motion(np.zeros((1, 3)), fine, *bouncing(fine)), len(times), 40)
+    moved = replace(motion, positions=motion.positions + 0.1 * times[:, None, None])
+    late = np.clip(times + 0.007, 0.0, times[-1])  # and is held beyond the last frame
+    np.testing.assert_allclose(
+        moved.at(times + 0.007) - motion.at(times + 0.007), 0.1 * late[:, None, None] + 0 * moved.positions, atol=1e-9
+    )
+
+
+def test_steps_of_a_roll_out():
+    timing = {"frames": 5, "fps": 20.0, "steps_per_frame": 6}
+    assert by_steps(timing, 0.0) == {"frames": 25, "fps": 120.0, "steps_per_frame": 1}
+    assert by_steps(timing, 0.06)["frames"] == 37 and by_steps(timing, -1.0)["frames"] == 25
+
+
+@pytest.mark.parametrize(
+    ("name", "dose", "ahead"),
+    [
+        ("time_offset", 0.01, 0.01),
+        ("time_scale", 0.1, 0.05),
+        ("time_scale", -0.1, 0.0),
+        ("rolling_shutter", -0.02, 0.01),
+    ],
+)
+def test_how_far_clocks_look_beyond_the_last_frame(name, dose, ahead):
+    assert max(effect(name).ahead(0.5, np.array([dose])), 0.0) == pytest.approx(ahead)
 
 
 def test_pose_is_rigid():

@@ -36,8 +36,7 @@ class FakeModel:
         positions = motion.positions if self.correction is None else motion.positions + self.correction
         for effect, where in zip(self.effects, self.slices, strict=True):
             if effect.observe is not None:
-                moved = Motion(motion.rest, motion.times, positions, motion.velocities)
-                positions = effect.observe(moved, values[where])
+                positions = effect.observe(replace(motion, positions=positions), values[where])
             if effect.name in dict(self.directions):
                 positions = positions + values[where][0] * dict(self.directions)[effect.name]
         return positions

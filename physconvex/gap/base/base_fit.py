@@ -9,14 +9,14 @@ from jaxtyping import Float
 
 from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import TetMesh, simulate
+from physconvex.fem import TetMesh
 from physconvex.gap.base.baseline import FLOOR_LAW, Baseline, Report, Split, split_frames
 from physconvex.gap.base.body_modes import body_modes
 from physconvex.gap.base.boxes import box_of_body
 from physconvex.gap.base.cost import Cost
 from physconvex.gap.base.depth import depth_seen
 from physconvex.gap.base.independence import temperature
-from physconvex.gap.base.model import ACCURACY, EffectModel, SecantModel, reduced_like
+from physconvex.gap.base.model import EffectModel, SecantModel, reduced_like
 from physconvex.gap.base.observing import Seen, observe, starts_elsewhere, with_honest_noise
 from physconvex.gap.base.rough_errors import with_rough_errors
 from physconvex.gap.effects import Motion, Situation
@@ -146,19 +146,15 @@ def _situation(
 
 def _stress_and_contact(model: EffectModel, values: np.ndarray) -> tuple[float, np.ndarray, Motion]:
     """Peak von Mises stress [Pa] (99th percentile), normal force per frame [N], and the motion of the points."""
-    scene = model.full_scene(values)
-    run = simulate(scene, **model.twin.timing(model.frames), **ACCURACY)
-    model.cost.add(scene, len(scene.body.mesh.vertices), run.statistics)
-    contact, peak, force = scene.contact(), 0.0, np.zeros(len(run.times))
-    for frame, x in enumerate(run.positions):
+    motion, scene, run = model.full_motion(values)
+    contact, peak, force = scene.contact(), 0.0, np.zeros(len(motion.times))
+    for frame, x in enumerate(run.positions[:: model.twin.steps_per_frame]):
         stress = scene.body.stress(x).cpu().numpy()
         deviator = stress - np.trace(stress, axis1=-2, axis2=-1)[..., None, None] / 3 * np.eye(3)
         mises = np.sqrt(1.5 * (deviator**2).sum((-1, -2)))
         peak = max(peak, float(np.quantile(mises, 0.99)))
-        force[frame] = np.linalg.norm(contact.energy_and_gradient(x, run.times[frame])[1], axis=1).sum()
-    embedding = model.embedding
-    positions, velocities = embedding.apply(run.positions), embedding.apply(run.velocities)
-    return peak, force, Motion(model.points, run.times, positions, velocities, model.camera)
+        force[frame] = np.linalg.norm(contact.energy_and_gradient(x, motion.times[frame])[1], axis=1).sum()
+    return peak, force, motion
 
 
 def rough_baseline(

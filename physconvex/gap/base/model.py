@@ -13,11 +13,11 @@ from jaxtyping import Float
 
 from physconvex.camera import Camera
 from physconvex.errors import ConvergenceError
-from physconvex.fem import Embedding, TetMesh
+from physconvex.fem import Embedding, TetMesh, Trajectory
 from physconvex.fem import Scene as FullScene
 from physconvex.fem import simulate as simulate_full
 from physconvex.gap.base.cost import Cost
-from physconvex.gap.effects import Effect, Motion, Situation
+from physconvex.gap.effects import Effect, Motion, Situation, by_steps
 from physconvex.identify import Parameter, Twin, default_parameter
 from physconvex.integrators import IntegratorName
 from physconvex.reduced import ReducedScene, parameter_values, simulate
@@ -142,36 +142,57 @@ class EffectModel:
         """The points in the full-order mesh."""
         return Embedding.of_points(self.twin.mesh if self.mesh is None else self.mesh, self.points)
 
-    def _motion(self, times: np.ndarray, positions: np.ndarray, velocities: np.ndarray) -> Motion:
-        return Motion(self.points, times, positions, velocities, self.camera)
+    @property
+    def _steps(self) -> int:
+        """Time steps per frame of the full-order model."""
+        return self.twin.steps_per_frame * self.refinement
+
+    def _until(self, values: Vector) -> float:
+        """Time at which the effects look last [s]: a wrong clock looks beyond the last frame."""
+        end = (self.frames - 1) / self.twin.fps
+        looking = zip(self.effects, self.slices, strict=True)
+        return end + max((e.ahead(end, values[where]) for e, where in looking if e.ahead is not None), default=0.0)
+
+    def _timing(self, steps_per_frame: int, values: Vector) -> dict[str, Any]:
+        timing = self.twin.timing(self.frames) | {"steps_per_frame": steps_per_frame}
+        return by_steps(timing, self._until(values) - (self.frames - 1) / self.twin.fps)
+
+    def _motion(self, times: np.ndarray, positions: np.ndarray, velocities: np.ndarray, every: int) -> Motion:
+        return Motion.of_steps(Motion(self.points, times, positions, velocities, self.camera), self.frames, every)
 
     def motion(self, values: Vector) -> Motion:
         """Motion of the points, before correction and observation."""
-        if self.reduced:
-            return self.reduced_motion(values)
-        timing = self.twin.timing(self.frames)
-        timing["steps_per_frame"] *= self.refinement
-        scene = self.full_scene(values)
+        return self.reduced_motion(values) if self.reduced else self.full_motion(values)[0]
+
+    def full_motion(self, values: Vector) -> tuple[Motion, FullScene, Trajectory]:
+        """The same by the full-order model, the scene, and its states at all time steps.
+
+        Raises:
+            ConvergenceError: the body cannot be simulated there.
+        """
+        timing, scene = self._timing(self._steps, values), self.full_scene(values)
         nodes = len(scene.body.mesh.vertices)
         try:
             run = simulate_full(scene, integrator=self.integrator, **timing, **ACCURACY)
         except ConvergenceError:
-            self.cost.add_failed(scene, nodes, self.frames * timing["steps_per_frame"])
+            self.cost.add_failed(scene, nodes, timing["frames"])
             raise
         self.cost.add(scene, nodes, run.statistics)
-        return self._motion(run.times, self.embedding.apply(run.positions), self.embedding.apply(run.velocities))
+        positions, velocities = self.embedding.apply(run.positions), self.embedding.apply(run.velocities)
+        return self._motion(run.times, positions, velocities, self._steps), scene, run
 
     def reduced_motion(self, values: Vector) -> Motion:
         """The same by the reduced model."""
-        timing, scene = self.twin.timing(self.frames), self.reduced_scene(values)
+        timing, scene = self._timing(self.twin.steps_per_frame, values), self.reduced_scene(values)
         try:
             run = simulate(scene, **timing, **ACCURACY)
         except ConvergenceError:
-            self.cost.add_failed(scene, None, self.frames * timing["steps_per_frame"])
+            self.cost.add_failed(scene, None, timing["frames"])
             raise
         self.cost.add(scene, None, run.statistics)
         shapes = self.twin.scene.body.space.shape_values(self.points)
-        return self._motion(run.times, shapes @ run.coordinates, shapes @ run.velocities)
+        positions, velocities = shapes @ run.coordinates, shapes @ run.velocities
+        return self._motion(run.times, positions, velocities, self.twin.steps_per_frame)
 
     def observed(self, motion: Motion, values: Vector) -> Positions:
         """What is observed of a motion: corrected, observation effects applied, numerical directions added.
@@ -185,7 +206,7 @@ class EffectModel:
         first = positions[0]
         for effect, where in zip(self.effects, self.slices, strict=True):
             if effect.observe is not None:
-                moved = Motion(motion.rest, motion.times, positions, motion.velocities, self.camera)
+                moved = replace(motion, positions=positions, camera=self.camera)
                 positions = effect.observe(moved, values[where])
                 if self.camera is not None:
                     positions = _from_first_image(self.camera, positions, first)
@@ -213,7 +234,8 @@ class EffectModel:
                 step = -step
             changed = values.copy()
             changed[index] += step
-            columns.append((self.positions(changed) - here) / step)
+            moved = self._motion_at(changed, values, motion)
+            columns.append((self.observed(moved, changed) - here) / step)
         shape = (len(here), 0, *here.shape[1:])
         return np.stack(columns, axis=1) if columns else np.zeros(shape)
 
@@ -228,12 +250,15 @@ class EffectModel:
         Raises:
             ConvergenceError: the body with that dose cannot be simulated.
         """
-        moves = any(
-            effect.scene is not None and not np.array_equal(changed[where], values[where])
-            for effect, where in zip(self.effects, self.slices, strict=True)
-        )
-        moved = self.motion(changed) if moves else motion
+        moved = self._motion_at(changed, values, motion)
         return self.observed(moved, changed) - self.observed(motion, values)
+
+    def _motion_at(self, changed: Vector, values: Vector, motion: Motion) -> Motion:
+        """The motion at changed values: the given one where these change but what is observed of it."""
+        own = len(self.base)
+        moving = [slice(own), *(w for e, w in zip(self.effects, self.slices, strict=True) if e.scene is not None)]
+        same = all(np.array_equal(changed[where], values[where]) for where in moving)
+        return motion if same and self._until(changed) <= motion.end + 1e-9 else self.motion(changed)
 
 
 def _from_first_image(camera: Camera, positions: Positions, first: Float[np.ndarray, "P 3"]) -> Positions:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from physconvex.capture import Boundary, Capture, Floor, Tracks
 from physconvex.errors import ConvergenceError
 from physconvex.fem import ElasticBody, Embedding, Pins, Plane, Scene, TetMesh, simulate, tetrahedralize
-from physconvex.gap.effects import DEFAULT_EFFECTS, Effect, Motion, Situation
+from physconvex.gap.effects import DEFAULT_EFFECTS, Effect, Motion, Situation, by_steps
 
 __all__ = [
     "BLIND_EFFECTS",
@@ -213,23 +213,27 @@ def simulate_case(case: Case, *, nodes: int = 450, rate: float = 500.0) -> tuple
     """
     mesh = _mesh(case, nodes)
     scene: Any = _scene(case, mesh)
+    end, ahead, every = (case.frames - 1) / case.fps, 0.0, max(8, int(np.ceil(rate / case.fps)))
     for hidden in case.hidden:
         effect = _effect(hidden)
         if effect.scene is not None:
             scene = effect.scene(scene, np.array(hidden.doses))
-    run = simulate(scene, frames=case.frames, fps=case.fps, steps_per_frame=max(8, int(np.ceil(rate / case.fps))))
+        if effect.ahead is not None:
+            ahead = max(ahead, effect.ahead(end, np.array(hidden.doses)))
+    timing = {"frames": case.frames, "fps": case.fps, "steps_per_frame": every}
+    run = simulate(scene, **by_steps(timing, ahead))
     rng = np.random.default_rng([case.seed, 1])
     points, _ = trimesh.sample.sample_surface_even(case.surface, 40, seed=int(rng.integers(2**31)))
     if len(points) < 10:
         raise ConvergenceError("markers: too few points on the surface")
     embedding = Embedding.of_points(mesh, np.asarray(points))
-    motion = Motion(points, run.times, embedding.apply(run.positions), embedding.apply(run.velocities))
+    steps = Motion(points, run.times, embedding.apply(run.positions), embedding.apply(run.velocities))
+    motion = Motion.of_steps(steps, case.frames, every)
     positions = motion.positions
     for hidden in case.hidden:
         effect = _effect(hidden)
         if effect.observe is not None:
-            moved = Motion(points, run.times, positions, motion.velocities)
-            positions = effect.observe(moved, np.array(hidden.doses))
+            positions = effect.observe(replace(motion, positions=positions), np.array(hidden.doses))
     return motion, positions
 
 

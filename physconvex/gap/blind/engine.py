@@ -26,6 +26,7 @@ _COURANT = 0.7
 _MOST_STEPS = 1000  # per frame
 _POWER_STEPS = 60
 _BEYOND_POWER = 1.1  # of the square, for what the iteration has not reached
+_NOW = 1e-6  # steps within which a frame is taken at a step
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,8 +293,18 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.stack([x, y, a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]], axis=1)
 
 
-def run_explicit(world: World, points: Float[np.ndarray, "P 3"], *, frames: int, fps: float) -> Motion:
-    """Leapfrog; the motion of material points, given at t = 0.
+def run_explicit(
+    world: World, points: Float[np.ndarray, "P 3"], *, frames: int, fps: float, late: float = 0.0, fast: float = 0.0
+) -> Motion:
+    """Leapfrog; the motion of material points, given at t = 0. Velocities are those of half a step before.
+
+    Args:
+        world: what moves.
+        points: in it [m].
+        frames: number of frames.
+        fps: of the clock that stamps them [1/s].
+        late: how long after t = 0 the first one is taken [s], not negative.
+        fast: share by which more time passes between two than the clock says.
 
     Raises:
         ConvergenceError: the run blew up.
@@ -310,18 +321,18 @@ def run_explicit(world: World, points: Float[np.ndarray, "P 3"], *, frames: int,
     if count > _MOST_STEPS:
         raise ConvergenceError(f"explicit engine: {count} steps per frame; expected at most {_MOST_STEPS}")
     dt = 1 / fps / count
-    positions, velocities = [x.copy()], [v.copy()]
     v = v - 0.5 * dt * body.accelerations(x, v, 0.0)  # leapfrog: velocities half a step behind
     v[held] = 0.0
-    for _ in range(1, frames):
-        for _ in range(count):
+    times = np.arange(frames) / fps
+    positions, velocities, step = [], [], 0
+    for taken in late + (1 + fast) * times:
+        while taken > (step + _NOW) * dt:
             v = v + dt * body.accelerations(x, v, dt)
             v[held] = 0.0
-            x = x + dt * v
+            x, step = x + dt * v, step + 1
         if not np.isfinite(x).all():
             raise ConvergenceError("explicit engine: the motion is not finite")
-        positions.append(x.copy())
+        positions.append(x - (step * dt - taken) * v)
         velocities.append(v.copy())
     embedding = Embedding.of_points(world.mesh, points)
-    times = np.arange(frames) / fps
     return Motion(points, times, embedding.apply(np.stack(positions)), embedding.apply(np.stack(velocities)))

@@ -16,7 +16,6 @@ from physconvex.gap.base.boxes import with_plane
 from physconvex.gap.blind.cases import Case, HiddenEffect, floor_height
 from physconvex.gap.blind.engine import World, run_explicit
 from physconvex.gap.effects import Motion
-from physconvex.gap.effects.observation import at_times
 from physconvex.gap.effects.world import rotation_vector_matrix
 
 __all__ = ["EXPLICIT_EFFECTS", "HELD_EFFECTS", "OUTSIDE", "simulate_explicit"]
@@ -42,12 +41,17 @@ EXPLICIT_EFFECTS: tuple[str, ...] = (
 
 @dataclass(frozen=True)
 class Dosed:
-    """An effect at one strength: what changes in the world, how it is seen, and what to call it."""
+    """An effect at one strength: what changes in the world, how it is seen, what to call it, and what the clock does.
+
+    The clock's arguments are those of `run_explicit`.
+    """
 
     world: Callable[[World], World] | None
     observe: Observe | None
     doses: tuple[float, ...]
     units: tuple[str, ...]
+    late: float = 0.0
+    fast: float = 0.0
 
 
 def _direction(rng: np.random.Generator, size: int = 3) -> np.ndarray:
@@ -149,10 +153,10 @@ def _seen_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> D
     """Effects of the observation of markers."""
     if name == "time_offset":
         late = 0.25 * s / case.fps
-        return Dosed(None, lambda m: at_times(m, m.times + late), (late,), ("s",))
+        return Dosed(None, None, (late,), ("s",), late=late)
     if name == "time_scale":
         change = 0.03 * s * float(rng.choice([-1.0, 1.0]))
-        return Dosed(None, lambda m: at_times(m, m.times * (1 + change)), (change,), ("",))
+        return Dosed(None, None, (change,), ("",), fast=change)
     turn, shift = np.radians(1.0 * s) * _direction(rng), 0.01 * s * case.size * _direction(rng)
     matrix = rotation_vector_matrix(turn)
 
@@ -202,7 +206,10 @@ class _Runner:
         world = replace(_world(self.case, self.mesh), **changes)
         for effect in effects:
             world = world if effect.world is None else effect.world(world)
-        motion = run_explicit(world, self.points, frames=self.case.frames, fps=self.case.fps)
+        motion = run_explicit(
+            world, self.points, frames=self.case.frames, fps=self.case.fps,
+            late=sum(effect.late for effect in effects), fast=sum(effect.fast for effect in effects),
+        )  # fmt: skip
         positions = motion.positions
         for effect in effects:
             if effect.observe is not None:

@@ -12,9 +12,10 @@ from jaxtyping import Float
 from physconvex.camera import Camera
 from physconvex.errors import InputError
 from physconvex.fem import Scene
+from physconvex.gap.effects.motion import Motion
 from physconvex.reduced import ReducedScene
 
-__all__ = ["IN_FLIGHT", "SOURCES", "AnyScene", "Dose", "Effect", "Motion", "Patches", "Situation", "Source"]
+__all__ = ["IN_FLIGHT", "SOURCES", "AnyScene", "Dose", "Effect", "Patches", "Situation", "Source"]
 
 AnyScene = ReducedScene | Scene
 Source = Literal["material", "contact", "external", "initial state", "observation", "numerical", "gauge"]
@@ -141,21 +142,6 @@ class Dose:
         return int(self.lower >= self.null) - int(self.upper <= self.null)
 
 
-@dataclass(frozen=True)
-class Motion:
-    """Simulated points on their way to the observation: rest [P, 3], times [T], positions and velocities [T, P, 3]."""
-
-    rest: Float[np.ndarray, "P 3"]
-    times: Float[np.ndarray, " T"]
-    positions: Float[np.ndarray, "T P 3"]
-    velocities: Float[np.ndarray, "T P 3"]
-    camera: Camera | None = None
-
-    def first(self, count: int) -> Motion:
-        """Its first frames."""
-        return Motion(self.rest, self.times[:count], self.positions[:count], self.velocities[:count], self.camera)
-
-
 @dataclass(frozen=True, eq=False)
 class Patches:
     """Square pieces of pictures.
@@ -187,6 +173,8 @@ class Effect:
         observe: puts doses into what is observed: from a `Motion` to positions [T, P, 3]; None where it does not.
         photograph: puts doses into pictures: from sharp, evenly exposed `Patches` to their light [N, h, w]; None where
             it does not. Such an effect moves no point, and is looked for by `physconvex.gap.light.image_formation`.
+        ahead: how long beyond the last frame [s] `observe` looks, from the time of that frame and the doses; None where
+            it does not.
         applies: whether the effect makes sense in a situation.
         variant: distinguishes forms of one effect.
         description: one line for people.
@@ -202,6 +190,7 @@ class Effect:
     scene: Callable[[AnyScene, Float[np.ndarray, " D"]], AnyScene] | None = None
     observe: Callable[[Motion, Float[np.ndarray, " D"]], Float[np.ndarray, "T P 3"]] | None = None
     photograph: Callable[[Patches, Float[np.ndarray, " D"]], Float[np.ndarray, "N h w"]] | None = None
+    ahead: Callable[[float, Float[np.ndarray, " D"]], float] | None = None
     applies: Callable[[Situation], bool] = _always
     variant: str = ""
     description: str = ""

@@ -8,33 +8,19 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import CubicHermiteSpline
 
-from physconvex.gap.effects.effect import Dose, Effect, Motion, Situation
+from physconvex.gap.effects.effect import Dose, Effect, Situation
+from physconvex.gap.effects.motion import Motion
 from physconvex.gap.effects.world import rotation_vector_matrix
 
-__all__ = ["OBSERVATION_EFFECTS", "at_times"]
+__all__ = ["OBSERVATION_EFFECTS"]
 
 Doses = Float[np.ndarray, " D"]
 Positions = Float[np.ndarray, "T P 3"]
 
 
-def at_times(motion: Motion, times: np.ndarray) -> Positions:
-    """Positions at other times [s], one per frame [T] or per frame and point [T, P]; straight on beyond the ends."""
-    inside = np.clip(times, motion.times[0], motion.times[-1])
-    if inside.ndim == 1:
-        spline = CubicHermiteSpline(motion.times, motion.positions, motion.velocities, axis=0)
-        beyond = (times - inside)[:, None, None]
-        return np.asarray(spline(inside) + beyond * spline(inside, 1))
-    out = np.empty_like(motion.positions)
-    for p in range(out.shape[1]):
-        spline = CubicHermiteSpline(motion.times, motion.positions[:, p], motion.velocities[:, p], axis=0)
-        out[:, p] = spline(inside[:, p]) + (times[:, p] - inside[:, p])[:, None] * spline(inside[:, p], 1)
-    return out
-
-
 def _late(motion: Motion, doses: Doses) -> Positions:
-    return at_times(motion, motion.times + doses[0])
+    return motion.at(motion.times + doses[0])
 
 
 TIME_OFFSET = Effect(
@@ -42,13 +28,14 @@ TIME_OFFSET = Effect(
     "observation",
     (Dose("offset", "s", -0.2, 0.2, 5e-4, lambda s: 0.1 / s.fps, plausible=0.05),),
     observe=_late,
+    ahead=lambda end, doses: float(doses[0]),
     description="the recording starts later (or earlier) than the motion",
     confusable=("initial_velocity",),
 )
 
 
 def _fast(motion: Motion, doses: Doses) -> Positions:
-    return at_times(motion, motion.times * (1 + doses[0]))
+    return motion.at(motion.times * (1 + doses[0]))
 
 
 TIME_SCALE = Effect(
@@ -56,6 +43,7 @@ TIME_SCALE = Effect(
     "observation",
     (Dose("relative_error", "", -0.5, 0.5, 2e-3, lambda s: 0.01, plausible=0.05),),
     observe=_fast,
+    ahead=lambda end, doses: end * float(doses[0]),
     description="the stated frame rate is wrong; within one flight the same as another gravity or size",
     confusable=("air_drag", "focal_length"),
 )
@@ -125,7 +113,7 @@ def _rolled(motion: Motion, doses: Doses) -> Positions:
     assert camera is not None
     pixels, _ = camera.project(motion.positions.reshape(-1, 3))
     rows = np.nan_to_num(pixels[:, 1], nan=0.5 * camera.h).reshape(motion.positions.shape[:2]) / camera.h
-    return at_times(motion, motion.times[:, None] + doses[0] * (rows - 0.5))
+    return motion.at(motion.times[:, None] + doses[0] * (rows - 0.5))
 
 
 ROLLING_SHUTTER = Effect(
@@ -133,6 +121,7 @@ ROLLING_SHUTTER = Effect(
     "observation",
     (Dose("read_out_time", "s", -0.1, 0.1, 1e-3, lambda s: 0.2 / s.fps),),
     observe=_rolled,
+    ahead=lambda end, doses: 0.5 * abs(float(doses[0])),
     applies=_seen_by_camera,
     description="rows of the image are exposed one after the other",
     confusable=("initial_spin", "time_offset"),

@@ -1,0 +1,90 @@
+"""Simulated points on their way to the observation, at the frames and between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+
+from physconvex.camera import Camera
+
+__all__ = ["Motion", "by_steps"]
+
+Positions = Float[np.ndarray, "T P 3"]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Positions of points at the frames.
+
+    Attributes:
+        rest: of the points [m], shape [P, 3].
+        times: of the frames [s], shape [T].
+        positions: [m], shape [T, P, 3].
+        velocities: [m/s], shape [T, P, 3].
+        camera: that looks.
+        steps: the same, uncorrected, in time steps and as far beyond the last frame as a clock needs; None: the frames
+            are all that is known. A body that strikes a floor turns around within a fraction of a frame.
+    """
+
+    rest: Float[np.ndarray, "P 3"]
+    times: Float[np.ndarray, " T"]
+    positions: Positions
+    velocities: Positions
+    camera: Camera | None = None
+    steps: Motion | None = None
+
+    @classmethod
+    def of_steps(cls, steps: Motion, frames: int, every: int) -> Motion:
+        """From a motion in time steps, of which one in `every` is a frame."""
+        times, positions, velocities = (
+            part[::every][:frames] for part in (steps.times, steps.positions, steps.velocities)
+        )
+        return cls(steps.rest, times, positions, velocities, steps.camera, steps)
+
+    def first(self, count: int) -> Motion:
+        """Its first frames; the steps between and beyond them stay."""
+        return replace(
+            self, times=self.times[:count], positions=self.positions[:count], velocities=self.velocities[:count]
+        )
+
+    @property
+    def end(self) -> float:
+        """Time up to which it is known [s]."""
+        return float((self if self.steps is None else self.steps).times[-1])
+
+    def at(self, times: np.ndarray) -> Positions:
+        """Positions at other times [s], one per frame [T] or per frame and point [T, P]; straight on beyond the ends.
+
+        What positions at the frames differ from the steps by (a correction, another effect) goes with the time.
+        """
+        if times.ndim == 1:
+            return self._at(times, self.positions, slice(None))
+        columns = [self._at(times[:, p], self.positions[:, p], p) for p in range(times.shape[1])]
+        return np.stack(columns, axis=1)
+
+    def _at(self, times: np.ndarray, positions: np.ndarray, points: slice | int) -> np.ndarray:
+        known = self if self.steps is None else self.steps
+        spline = CubicHermiteSpline(known.times, known.positions[:, points], known.velocities[:, points], axis=0)
+        inside = np.clip(times, known.times[0], known.times[-1])
+        beyond = (times - inside).reshape(-1, *np.ones(positions.ndim - 1, dtype=int))
+        out = spline(inside) + beyond * spline(inside, 1)
+        apart = positions - spline(self.times)
+        if len(self.times) > 1 and apart.any():
+            out = out + PchipInterpolator(self.times, apart)(np.clip(times, self.times[0], self.times[-1]))
+        return np.asarray(out)
+
+
+def by_steps(timing: dict[str, Any], ahead: float) -> dict[str, Any]:
+    """Arguments of a roll-out that gives every time step, and goes on beyond the last frame.
+
+    Args:
+        timing: of one that gives the frames: `frames`, `fps`, `steps_per_frame`.
+        ahead: by so much at least [s].
+    """
+    every, beyond = timing["steps_per_frame"], int(np.ceil(ahead * timing["fps"] - 1e-9))
+    frames = (timing["frames"] - 1 + max(beyond, 0)) * every + 1
+    return {"frames": frames, "fps": timing["fps"] * every, "steps_per_frame": 1}

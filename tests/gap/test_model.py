@@ -1,0 +1,75 @@
+"""The twin with effects of the clock: what is seen between the frames and beyond the last one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from physconvex.capture import Capture, Floor, Tracks, save_capture
+from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, box_mesh, simulate
+from physconvex.gap import GapOptions
+from physconvex.gap.base.base_fit import rough_baseline
+from physconvex.gap.effects import DEFAULT_EFFECTS
+
+FRAMES, FPS, SIZE = 14, 40.0, 0.14
+
+
+def effects(*names):
+    return tuple(next(e for e in DEFAULT_EFFECTS if e.name == name) for name in names)
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory):
+    """Of a box that strikes the floor in the middle of a frame."""
+    mesh, corners = (box_mesh((0.1, 0.1, SIZE), (1, 1, 1), order=order) for order in (2, 1))
+    up = np.array([0.0, 0.0, 0.5 * SIZE + 0.05])
+    mesh, corners = (TetMesh(m.vertices + up, m.tets) for m in (mesh, corners))
+    body = ElasticBody(mesh, youngs_modulus=2e5, poisson_ratio=0.35, density=1000.0)
+    run = simulate(Scene(body, obstacles=(Plane(),)), frames=FRAMES, fps=FPS, steps_per_frame=10)
+    capture = Capture(
+        tmp_path_factory.mktemp("box") / "dropped", FPS, FRAMES, 10, density=1000.0,
+        floor=Floor(np.zeros(3), np.array([0.0, 0.0, 1.0])),
+        initial_velocity=np.zeros(3), initial_angular_velocity=np.zeros(3),
+    )  # fmt: skip
+    save_capture(capture, tets=corners, tracks=Tracks(mesh.vertices, run.positions, np.full((FRAMES, 27), 1e-4)))
+    return rough_baseline(capture, GapOptions(max_nodes=60, weights=4, iterations=2), lambda text: None)
+
+
+@pytest.mark.parametrize("name", ["time_scale", "time_offset"])
+@pytest.mark.parametrize("reduced", [False, True], ids=["full", "reduced"])
+def test_a_wrong_clock_sees_what_a_run_by_that_clock_shows(base, name, reduced):
+    model = replace(base.model, effects=effects(name), reduced=reduced)
+    steps = model.twin.steps_per_frame
+    first, every, dose = (0, steps + 1, 1 / steps) if name == "time_scale" else (4, steps, 4 / steps / FPS)
+    values = np.append(base.fit.values, dose)
+    by_step = replace(model.twin, capture=replace(model.twin.capture, fps=steps * FPS), steps_per_frame=1)
+    whole = replace(model, twin=by_step, effects=(), frames=steps * (FRAMES + 2)).motion(base.fit.values)
+    exact = whole.positions[first::every][:FRAMES]
+    np.testing.assert_allclose(model.positions(values), exact, atol=1e-6 * SIZE)
+    by_frames = model.observed(replace(model.motion(values), steps=None), values)
+    assert np.abs(by_frames - exact).max() > 0.005 * SIZE
+
+
+def test_what_only_the_clock_changes_needs_a_run_only_where_it_looks_further(base):
+    model = replace(base.model, effects=effects("camera_pose", "time_offset"))
+    values = model.null_values()
+    values[: len(base.fit.values)] = base.fit.values
+    motion, spent = model.motion(values), model.cost.spent
+    other = values.copy()
+    other[-1] = -0.01
+    assert np.abs(model.signature(other, values, motion)).max() > 0 and model.cost.spent == spent
+    other[-1] = 0.01
+    further = model.signature(other, values, motion)
+    assert model.cost.spent > spent
+    np.testing.assert_allclose(further, model.positions(other) - model.positions(values), atol=1e-12)
+
+
+def test_derivatives_by_the_clock_are_the_velocities(base):
+    model = replace(base.model, effects=effects("time_offset"))
+    values = np.append(base.fit.values, 0.0)
+    motion = model.motion(values)
+    tangents = model.tangents(values, motion)[:, -1]
+    step = 1e-6
+    exact = (motion.at(motion.times + step) - motion.at(motion.times - step)) / (2 * step)
+    flying = slice(1, 4)
+    np.testing.assert_allclose(tangents[flying], exact[flying], atol=0.02 * np.abs(exact).max())
