@@ -11,7 +11,8 @@ deviatoric Kirchhoff stress |dev τ|, s is what relaxation leaves. The second de
 tangent); where it is indefinite, Newton's method falls back to its positive part. After the step the deviator left in
 F_e is min(s, k/(2 μ r)) d, the rest goes into F_f.
 
-As r → 0 all of them are Hencky's law, linear elasticity with E and ν at F = I.
+As r → 0 all of them are Hencky's law, linear elasticity with E and ν at F = I. Plasticine may have a neo-Hookean law in
+its place, see `physconvex.yielding`: a body that does not reach its yield stress is then what it was without.
 """
 
 from __future__ import annotations
@@ -24,19 +25,42 @@ import torch
 from torch import Tensor
 
 from physconvex.errors import InputError
+from physconvex.materials import get_law
 from physconvex.principal import ALL_BUT_FLAT, PrincipalFrame, principal_hessian, principal_stress
 from physconvex.principal_kernel import flow_response
+from physconvex.volumetric_laws import KERNEL_LAWS
+from physconvex.yielding import YieldStep
 
-__all__ = ["FlowRule", "FlowStep", "Plasticine", "Sand", "StandardLinearSolid"]
+__all__ = ["FlowRule", "FlowStep", "LogarithmicStep", "Plasticine", "Sand", "StandardLinearSolid"]
 
 Strains = tuple[PrincipalFrame, Tensor, Tensor, Tensor]  # frame of F_e; t, d and r
 Response = tuple[Tensor, Tensor] | None  # energy and stress
 _TINY = 1e-100  # its square is a number still
 
 
+class FlowStep(Protocol):
+    """Response of a material during one time step, from the flow at its start."""
+
+    @property
+    def undo(self) -> Tensor:
+        """F_f⁻¹ at the start of the step, shape [Q, 3, 3]."""
+
+    def energy(self, f: Tensor) -> Tensor:
+        """W [J/m³], shape [Q]; infinite where det F ≤ 0."""
+
+    def stress(self, f: Tensor) -> Tensor:
+        """First Piola–Kirchhoff stress ∂W/∂F [Pa], shape [Q, 3, 3]."""
+
+    def hessian(self, f: Tensor) -> Tensor:
+        """∂P/∂F [Pa], shape [Q, 9, 9], F flattened row by row."""
+
+    def flowed(self, f: Tensor) -> Tensor:
+        """F_f⁻¹ at the end of the step, shape [Q, 3, 3]."""
+
+
 @dataclass(frozen=True)
-class FlowStep:
-    """Response of the material during one time step: energy, stress and Hessian of F, and the flow at its end.
+class LogarithmicStep:
+    """Response in logarithmic strains during one time step, see `FlowStep`.
 
     Attributes:
         undo: F_f⁻¹ at the start of the step, shape [Q, 3, 3].
@@ -166,23 +190,29 @@ class Plasticine:
     Attributes:
         yield_stress: τ_Y [Pa], the stress at which a pulled bar yields (|dev τ| ≤ √(2/3) τ_Y, Kirchhoff stress);
             in shear it is τ_Y/√3.
+        elastic: what it is below: "hencky", or a neo-Hookean law by its name, see `physconvex.materials`.
 
     Raises:
-        InputError: not a number > 0.
+        InputError: not a number > 0, or another law.
     """
 
     yield_stress: float
+    elastic: str = "hencky"
     beside_law: bool = False
     lagged: bool = False
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.yield_stress) and self.yield_stress > 0):
             raise InputError(f"yield_stress: got {self.yield_stress}; expected a finite number > 0 in Pa")
+        if self.elastic not in ("hencky", *KERNEL_LAWS):
+            raise InputError(f"elastic: got {self.elastic!r}; expected hencky or one of {', '.join(KERNEL_LAWS)}")
 
     def during(self, undo: Tensor, state: Tensor, mu: Tensor, lam: Tensor, step: float) -> FlowStep:
         """The response during one step, see `FlowRule`."""
         limit = torch.full_like(mu, float(np.sqrt(2 / 3)) * self.yield_stress)
-        return FlowStep(undo, mu, _bulk(mu, lam), limit, 1.0, tension=True)
+        if self.elastic != "hencky":
+            return YieldStep(undo, mu, lam, limit, get_law(self.elastic))
+        return LogarithmicStep(undo, mu, _bulk(mu, lam), limit, 1.0, tension=True)
 
 
 @dataclass(frozen=True)
@@ -214,7 +244,7 @@ class Sand:
         sine, bulk = float(np.sin(self.friction_angle)), _bulk(mu, lam)
         slope = float(np.sqrt(2 / 3)) * 6 * sine / (3 - sine)
         pressure = (-bulk * torch.linalg.det(state @ undo).clamp_min(_TINY).log()).clamp_min(0.0)
-        return FlowStep(undo, mu, bulk, slope * pressure, 1.0, tension=False)
+        return LogarithmicStep(undo, mu, bulk, slope * pressure, 1.0, tension=False)
 
 
 @dataclass(frozen=True)
@@ -246,4 +276,4 @@ class StandardLinearSolid:
         """The response during one step, see `FlowRule`."""
         left = float(np.exp(-step / self.relaxation_time))
         unlimited = torch.full_like(mu, torch.inf)
-        return FlowStep(undo, self.modulus_ratio * mu, torch.zeros_like(mu), unlimited, left, tension=True)
+        return LogarithmicStep(undo, self.modulus_ratio * mu, torch.zeros_like(mu), unlimited, left, tension=True)

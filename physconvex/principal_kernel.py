@@ -34,7 +34,7 @@ def singular_values(f: Tensor, flat: float) -> tuple[Tensor, Tensor, Tensor] | N
 def flow_response(
     f: Tensor, undo: Tensor, mu: Tensor, bulk: Tensor, limit: Tensor, left: float, tension: bool, flat: float
 ) -> tuple[Tensor, Tensor] | None:
-    """Energy density [...] and first Piola–Kirchhoff stress [..., 3, 3] of a `physconvex.inelastic.FlowStep` at F.
+    """Energy density [...], first Piola–Kirchhoff stress [..., 3, 3] at F of a `physconvex.inelastic.LogarithmicStep`.
 
     None as for `singular_values`, of F F_f⁻¹, or where the shapes differ.
     """

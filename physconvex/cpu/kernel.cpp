@@ -77,7 +77,7 @@ int32_t pc_singular_values(int64_t count, const double* f, double flat, double* 
     return 1;
 }
 
-// Energy density [count] and first Piola-Kirchhoff stress [count][3][3] of what flows, as FlowStep of inelastic.py: f and
+// Energy density [count] and first Piola-Kirchhoff stress [count][3][3] of what flows, as LogarithmicStep of inelastic.py: f and
 // undo [count][3][3]; mu, bulk and limit [count]. 0 where F F_f⁻¹ has no principal frame, see `decompose`.
 int32_t pc_flow_response(int64_t count, const double* f, const double* undo, const double* mu, const double* bulk,
                          const double* limit, double left, int32_t tension, double flat, double* energy,

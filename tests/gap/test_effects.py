@@ -8,7 +8,17 @@ import pytest
 from physconvex.errors import InputError
 from physconvex.fem import SurfacePoints
 from physconvex.fem import simulate as simulate_full
-from physconvex.gap.effects import DEFAULT_EFFECTS, EFFECT_NAMES, Dose, Effect, Motion, applicable, by_steps, choose
+from physconvex.gap.effects import (
+    DEFAULT_EFFECTS,
+    EFFECT_NAMES,
+    Correction,
+    Dose,
+    Effect,
+    Motion,
+    applicable,
+    by_steps,
+    choose,
+)
 from physconvex.reduced import simulate as simulate_reduced
 
 NAMES = (
@@ -237,6 +247,30 @@ def test_what_corrects_a_motion_goes_with_its_time():
     np.testing.assert_allclose(
         moved.at(times + 0.007) - motion.at(times + 0.007), 0.1 * late[:, None, None] + 0 * moved.positions, atol=1e-9
     )
+
+
+def test_what_a_cheaper_model_lacks_is_known_between_frames_too():
+    """A body that the finer model throws back with half the speed: before it strikes, nothing is lacking."""
+    times, fine = np.arange(13) / 50.0, np.arange(13 * 40) / 2000.0
+
+    def rolled(share):
+        height, speed = bouncing(fine)
+        hit = fine > 0.1015
+        low = height[hit][0] if share < 1 else 0.0
+        height = np.where(hit[:, None, None], low + share * (height - low), height)
+        speed = np.where(hit[:, None, None], share * speed, speed)
+        return Motion.of_steps(Motion(np.zeros((1, 3)), fine, height, speed), len(times), 40)
+
+    own, exact = rolled(1.0), rolled(0.5)
+    corrected = Correction.between(exact, own).plus(None).of(own)
+    np.testing.assert_allclose(corrected.positions, exact.positions, atol=1e-12)
+    np.testing.assert_allclose(corrected.at(times * 1.05), exact.at(times * 1.05), atol=1e-12)
+    by_frames = Correction(exact.positions - own.positions).of(own)
+    assert np.abs(by_frames.at(times - 0.01) - exact.at(times - 0.01)).max() > 5e-4
+    further = Motion(own.rest, fine, own.steps.positions, own.steps.velocities)
+    shorter = replace(exact, steps=exact.steps.first(481))  # which ends with the last frame
+    late = Correction.between(shorter, own).of(Motion.of_steps(further, len(times), 40))
+    np.testing.assert_allclose(late.at(times + 0.015), exact.at(times + 0.015), atol=1e-12)  # straight on
 
 
 def test_steps_of_a_roll_out():

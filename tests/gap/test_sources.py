@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.gap.effects import DEFAULT_EFFECTS, Motion
+from physconvex.gap.effects import DEFAULT_EFFECTS, Correction, Motion
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.location.sources import budget_of, reduction_by_frame
 from physconvex.identify import MarkerObservations
@@ -24,7 +24,7 @@ class FakeModel:
     """Observation as in `EffectModel`, and no simulator."""
 
     effects: tuple = ()
-    correction: np.ndarray | None = None
+    correction: Correction | None = None
     frames: int = FRAMES
     directions: tuple = ()
 
@@ -33,7 +33,7 @@ class FakeModel:
         return tuple(slice(i, i + 1) for i in range(len(self.effects)))
 
     def observed(self, motion, values):
-        positions = motion.positions if self.correction is None else motion.positions + self.correction
+        positions = (motion if self.correction is None else self.correction.of(motion)).positions
         for effect, where in zip(self.effects, self.slices, strict=True):
             if effect.observe is not None:
                 positions = effect.observe(replace(motion, positions=positions), values[where])

@@ -38,7 +38,8 @@ def identity(count: int = 1) -> torch.Tensor:
     return torch.eye(3, dtype=torch.float64).expand(count, 3, 3)
 
 
-RULES = [Plasticine(2000.0), Plasticine(1e9), Sand(0.6), StandardLinearSolid(2.0, 0.03)]
+NEO_HOOKEAN = [Plasticine(2000.0, "neo_hookean"), Plasticine(2000.0, "neo_hookean_log")]
+RULES = [Plasticine(2000.0), Plasticine(1e9), Sand(0.6), StandardLinearSolid(2.0, 0.03), *NEO_HOOKEAN]
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -69,7 +70,7 @@ def test_hessian_where_stretches_coincide(rule):
     np.testing.assert_allclose(hessian[..., 0, 1], change, atol=1e-5 * MU)
 
 
-@pytest.mark.parametrize("rule", [Plasticine(500.0), StandardLinearSolid(1.0, 0.1)])
+@pytest.mark.parametrize("rule", [Plasticine(500.0), StandardLinearSolid(1.0, 0.1), *NEO_HOOKEAN])
 def test_small_strains_are_linear_elasticity(rule):
     law, f = response(rule, identity(), step=0.0), identity()
     assert float(law.energy(f)) == 0.0 and float(law.stress(f).abs().max()) < 1e-12
@@ -79,9 +80,40 @@ def test_small_strains_are_linear_elasticity(rule):
     np.testing.assert_allclose(law.hessian(f), expected, atol=1e-9 * MU)
 
 
-def test_turned_inside_out_is_infinite():
+@pytest.mark.parametrize("rule", [Plasticine(500.0), *NEO_HOOKEAN])
+def test_turned_inside_out_is_infinite(rule):
     f = tensor(np.diag([-1.0, 1.0, 1.0]))[None]
-    assert torch.isinf(response(Plasticine(500.0), identity()).energy(f)).all()
+    assert torch.isinf(response(rule, identity()).energy(f)).all()
+
+
+@pytest.mark.parametrize("law", ["neo_hookean", "neo_hookean_log"])
+def test_what_does_not_yield_has_the_law_of_the_body(law):
+    f, undo, _ = random_states()
+    step, elastic = response(Plasticine(1e9, law), undo), f @ undo
+    one = torch.ones(len(f), dtype=torch.float64)
+    np.testing.assert_array_equal(step.energy(f), get_law(law).energy(elastic, MU * one, LAM * one))
+    np.testing.assert_allclose(step.stress(f), get_law(law).stress(elastic, MU * one, LAM * one) @ undo.mT, atol=1e-9)
+    np.testing.assert_array_equal(step.flowed(f), undo)
+
+
+@pytest.mark.parametrize("rule", [Plasticine(500.0), *NEO_HOOKEAN])
+@pytest.mark.parametrize("amplitude", [0.06, 0.3, 1.0])
+def test_what_has_yielded_lies_on_the_yield_surface_and_yields_no_further(rule, amplitude):
+    rng = np.random.default_rng(3)
+    f = tensor(np.eye(3) + amplitude * rng.normal(size=(40, 3, 3)))
+    f = f[torch.linalg.det(f) > 0.05]
+    law = response(rule, identity(len(f)))
+    kirchhoff = law.stress(f) @ f.mT
+    mean = kirchhoff.diagonal(dim1=-2, dim2=-1).mean(-1)
+    size = torch.linalg.matrix_norm(kirchhoff - mean[:, None, None] * torch.eye(3)) * np.sqrt(1.5)
+    assert float(size.max()) <= rule.yield_stress * (1 + 1e-9) and (size > 0.999 * rule.yield_stress).any()
+    undo = law.flowed(f)
+    np.testing.assert_allclose(torch.linalg.det(undo), 1.0, atol=1e-9)
+    again = response(rule, undo)
+    np.testing.assert_allclose(again.stress(f), law.stress(f), atol=1e-6 * rule.yield_stress)
+    np.testing.assert_allclose(again.flowed(f), undo, rtol=1e-8, atol=1e-9)
+    lost = law.energy(f) - again.energy(f)  # to the flow, which is none backwards
+    assert float(lost.min()) > -1e-9 * MU
 
 
 def test_a_pulled_bar_yields_at_the_yield_stress():
@@ -160,6 +192,7 @@ def test_held_maxwell_element_relaxes_exponentially_whatever_the_steps():
 def test_bad_constants_are_named():
     for name, make in {
         "yield_stress": lambda: Plasticine(0.0),
+        "elastic": lambda: Plasticine(1.0, "stvk"),
         "friction_angle": lambda: Sand(30.0),
         "relaxation_time": lambda: StandardLinearSolid(1.0, -1.0),
         "modulus_ratio": lambda: StandardLinearSolid(np.nan, 1.0),

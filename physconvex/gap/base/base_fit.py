@@ -19,7 +19,7 @@ from physconvex.gap.base.independence import temperature
 from physconvex.gap.base.model import EffectModel, SecantModel, reduced_like
 from physconvex.gap.base.observing import Seen, observe, starts_elsewhere, with_honest_noise
 from physconvex.gap.base.rough_errors import with_rough_errors
-from physconvex.gap.effects import Motion, Situation
+from physconvex.gap.effects import Correction, Motion, Situation
 from physconvex.gap.options import GapOptions
 from physconvex.identify import (
     Fit,
@@ -213,7 +213,7 @@ def run_base(
 
 def fit_baseline(
     rough: Baseline,
-    correction: Float[np.ndarray, "T P 3"],
+    correction: Correction,
     fine: tuple[TetMesh, Motion] | None,
     variance: Float[np.ndarray, " N"],
     options: GapOptions,
@@ -260,7 +260,7 @@ def fit_baseline(
 
 def _fit_from(
     rough: Baseline,
-    correction: Float[np.ndarray, "T P 3"],
+    correction: Correction,
     fine: tuple[TetMesh, Motion] | None,
     variance: Float[np.ndarray, " N"],
     options: GapOptions,

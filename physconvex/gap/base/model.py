@@ -17,7 +17,7 @@ from physconvex.fem import Embedding, TetMesh, Trajectory
 from physconvex.fem import Scene as FullScene
 from physconvex.fem import simulate as simulate_full
 from physconvex.gap.base.cost import Cost
-from physconvex.gap.effects import Effect, Motion, Situation, by_steps
+from physconvex.gap.effects import Correction, Effect, Motion, Situation, by_steps
 from physconvex.identify import Parameter, Twin, default_parameter
 from physconvex.integrators import IntegratorName
 from physconvex.reduced import ReducedScene, parameter_values, simulate
@@ -47,7 +47,7 @@ class EffectModel:
         effects: what is added.
         camera: the camera that looks, for effects of the observation.
         directions: of effects that are differences of runs (numerical ones), by name, shape [T, P, 3].
-        correction: added to every motion, shape [T, P, 3]: what a finer model would change.
+        correction: added to every motion: what a finer model would change.
         mesh: another mesh for the full-order model.
         refinement: factor on its time steps.
         integrator: of the full-order model.
@@ -67,7 +67,7 @@ class EffectModel:
     effects: tuple[Effect, ...] = ()
     camera: Camera | None = None
     directions: Mapping[str, Positions] = field(default_factory=dict)
-    correction: Positions | None = None
+    correction: Correction | None = None
     mesh: TetMesh | None = None
     refinement: int = 1
     integrator: IntegratorName = "bdf2"
@@ -200,9 +200,9 @@ class EffectModel:
         Points that a camera follows are put on the surface by its own first image, so that an error of the camera or
         the clock moves them only from that image on.
         """
-        positions = motion.positions
         if self.correction is not None:
-            positions = positions + self.correction[: self.frames]
+            motion = self.correction.of(motion)
+        positions = motion.positions
         first = positions[0]
         for effect, where in zip(self.effects, self.slices, strict=True):
             if effect.observe is not None:
@@ -297,8 +297,7 @@ def reduced_like(full: EffectModel, motion: Motion, values: np.ndarray) -> tuple
             full, reduced=not full.situation.clamped, mesh=None, correction=None, stiffer=full.surrogate_stiffer
         )
     own = reduced.motion(values)
-    exact = motion.positions if full.correction is None else motion.positions + full.correction[: full.frames]
-    return replace(reduced, correction=exact - own.positions), own
+    return replace(reduced, correction=Correction.between(motion, own).plus(full.correction)), own
 
 
 def searches_itself(full: EffectModel) -> bool:

@@ -12,6 +12,7 @@ from physconvex.gap.effects.effect import AnyScene, Dose, Effect, Situation
 from physconvex.gap.effects.scenes import with_fields, with_material
 from physconvex.inelastic import Plasticine, StandardLinearSolid
 from physconvex.materials import Law, get_law
+from physconvex.volumetric_laws import is_volumetric
 
 __all__ = ["MATERIAL_EFFECTS"]
 
@@ -60,7 +61,8 @@ def _viscoelasticity(variant: str, periods: float) -> Effect:
 def _yielding(scene: AnyScene, doses: Doses) -> AnyScene:
     if doses[0] >= _UNYIELDING - 0.5:
         return scene
-    return with_material(scene, flow=Plasticine(float(10 ** doses[0])))
+    law = scene.body.law
+    return with_material(scene, flow=Plasticine(float(10 ** doses[0]), law.name if is_volumetric(law) else "hencky"))
 
 
 def _yield_trial(situation: Situation, share: float = 0.4) -> float:

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from physconvex.camera import Camera
 
-__all__ = ["Motion", "by_steps"]
+__all__ = ["Correction", "Motion", "by_steps"]
 
 Positions = Float[np.ndarray, "T P 3"]
 
@@ -26,7 +26,7 @@ class Motion:
         positions: [m], shape [T, P, 3].
         velocities: [m/s], shape [T, P, 3].
         camera: that looks.
-        steps: the same, uncorrected, in time steps and as far beyond the last frame as a clock needs; None: the frames
+        steps: the same in time steps and as far beyond the last frame as a clock needs; None: the frames
             are all that is known. A body that strikes a floor turns around within a fraction of a frame.
     """
 
@@ -59,7 +59,7 @@ class Motion:
     def at(self, times: np.ndarray) -> Positions:
         """Positions at other times [s], one per frame [T] or per frame and point [T, P]; straight on beyond the ends.
 
-        What positions at the frames differ from the steps by (a correction, another effect) goes with the time.
+        What positions at the frames differ from the steps by (another effect, say) goes with the time.
         """
         if times.ndim == 1:
             return self._at(times, self.positions, slice(None))
@@ -88,3 +88,47 @@ def by_steps(timing: dict[str, Any], ahead: float) -> dict[str, Any]:
     every, beyond = timing["steps_per_frame"], int(np.ceil(ahead * timing["fps"] - 1e-9))
     frames = (timing["frames"] - 1 + max(beyond, 0)) * every + 1
     return {"frames": frames, "fps": timing["fps"] * every, "steps_per_frame": 1}
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What is added to every motion of a model: what a finer model would change.
+
+    Attributes:
+        positions: at the frames [m], shape [T, P, 3].
+        steps: the part of it that is known in time steps; what a striking body does differently sets in between frames.
+    """
+
+    positions: Positions
+    steps: Motion | None = None
+
+    @classmethod
+    def between(cls, exact: Motion, own: Motion) -> Correction:
+        """What a motion lacks to another one of the same frames."""
+        steps = None
+        if exact.steps is not None and own.steps is not None:
+            count = min(len(exact.steps.times), len(own.steps.times))
+            a, b = exact.steps.first(count), own.steps.first(count)
+            if np.allclose(a.times, b.times):
+                steps = replace(a, positions=a.positions - b.positions, velocities=a.velocities - b.velocities)
+        return cls(exact.positions - own.positions, steps)
+
+    def of(self, motion: Motion) -> Motion:
+        """A motion with it, which goes straight on where its steps end before those of the motion."""
+        positions = motion.positions + self.positions[: len(motion.times)]
+        if self.steps is None or motion.steps is None:
+            return replace(motion, positions=positions)
+        whole, known = motion.steps, self.steps
+        more = (whole.times[len(known.times) :] - known.times[-1])[:, None, None]
+        late = np.broadcast_to(known.velocities[-1], (len(more), *known.velocities.shape[1:]))
+        added = np.concatenate([known.positions, known.positions[-1] + more * known.velocities[-1]])
+        faster = np.concatenate([known.velocities, late])
+        count = len(whole.times)
+        steps = replace(whole, positions=whole.positions + added[:count], velocities=whole.velocities + faster[:count])
+        return replace(motion, positions=positions, steps=steps)
+
+    def plus(self, other: Correction | None) -> Correction:
+        """Both, the other one at the frames alone."""
+        return (
+            self if other is None else replace(self, positions=self.positions + other.positions[: len(self.positions)])
+        )

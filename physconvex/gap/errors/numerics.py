@@ -17,7 +17,7 @@ from physconvex.fem import TetMesh, refine, simulate, tetrahedralize
 from physconvex.gap.base.baseline import Baseline, Report, derivatives_of_residuals
 from physconvex.gap.base.boxes import box_of_body
 from physconvex.gap.base.model import ACCURACY
-from physconvex.gap.effects import Motion
+from physconvex.gap.effects import Correction, Motion
 from physconvex.gap.errors.rebound import path_since_contact
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.options import GapOptions
@@ -165,9 +165,9 @@ def _mesh_of(base: Baseline, nodes: int) -> TetMesh:
     return mesh_of_capture(base.capture, max_nodes=nodes) if box is None else box
 
 
-def correction_of(numerics: Numerics) -> Positions:
+def correction_of(numerics: Numerics) -> Correction:
     """What finer steps change, and a finer mesh if that cannot be afforded: added to every run of the model."""
-    return numerics.steps if numerics.fine is not None else numerics.steps + numerics.mesh
+    return Correction(numerics.steps if numerics.fine is not None else numerics.steps + numerics.mesh)
 
 
 def error_model(
