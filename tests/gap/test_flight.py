@@ -8,7 +8,7 @@ import pytest
 from physconvex.gap import DEFAULT_EFFECTS
 from physconvex.gap.base.body_modes import BodyModes
 from physconvex.gap.errors.score import ErrorModel
-from physconvex.gap.judgement.flight import gain_in_flight
+from physconvex.gap.judgement.flight import gain_in_flight, left_in_flight
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 
@@ -50,3 +50,21 @@ def test_a_gain_in_flight_counts_whatever_follows_the_impact():
 def test_none_where_the_flight_is_not_followed_or_nothing_follows_it(before, touched):
     base, errors = case(touched)
     assert gain_in_flight(base, errors, *fits(base, before, 1.0, 80.0)) == -np.inf
+
+
+def test_what_each_fit_leaves_of_the_flight():
+    base, errors = case()
+    base.situation = SimpleNamespace(clamped=False)
+    frames = base.observations.frames
+
+    def fit(flight, last, after):
+        left = np.where(frames < TOUCHED - 1, flight, np.where(frames < TOUCHED, last, after))
+        return SimpleNamespace(positions=left)
+
+    fits = [fit(5.0, 0.0, 1.0), fit(3.0, 50.0, 90.0)]  # the frame before the contact does not count, nor what follows
+    assert left_in_flight(base, errors, fits) == pytest.approx(9.0)
+    base.situation.clamped = True
+    assert left_in_flight(base, errors, fits) == 0.0
+    struck, _ = case(0)
+    struck.situation = SimpleNamespace(clamped=False)
+    assert left_in_flight(struck, errors, fits) == 0.0

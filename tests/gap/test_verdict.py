@@ -105,6 +105,22 @@ def test_nothing_is_called_where_the_clock_left_no_time_for_what_the_recording_a
     assert [e.name for e in verdict.effects] == ["damping"]
 
 
+def test_a_flight_that_no_effect_closes_is_unknown_whatever_the_impact_hides():
+    slight = hypothesis(1.0, "wind", slight=("wind",))
+    fits = [slight, hypothesis(0.0)]
+    hidden = {"floor": 0.3, "struck": True}
+    assert decide(fits, screening(), 30.0, 30.0, 1.0, OPTIONS, **hidden).name == "inconclusive"
+    verdict = decide(fits, screening(), 30.0, 30.0, 1.0, OPTIONS, flight_left=9.0, **hidden)
+    assert verdict.name == "unknown" and "at least 9 times" in verdict.sentence
+    assert decide(fits, screening(), 1.0, 1.0, 1.0, OPTIONS, flight_left=9.0).name == "unknown"  # no gap elsewhere
+    hurried = decide(fits, screening(), 30.0, 30.0, 1.0, OPTIONS, flight_left=9.0, hurried=True, **hidden)
+    assert hurried.name == "inconclusive"  # not all were tried
+    called = decide(
+        [hypothesis(20.0, "damping"), hypothesis(0.0)], screening(), 30.0, 1.0, 0.05, OPTIONS, flight_left=9.0
+    )
+    assert called.name == "effect"
+
+
 def test_other_fits_that_have_the_effect_widen_its_interval():
     def width(*others):
         found = decide([hypothesis(20.0, "damping"), *others, hypothesis(0.0)], screening(), 30.0, 1.0, 0.05, OPTIONS)

@@ -134,6 +134,11 @@ class Case:
         return m.seen >= _WIDE and m.share < self.options.explained and bool(np.isfinite(m.seen))
 
     @property
+    def flight_is_open(self) -> bool:
+        """Whether each effect that is known was tried, and leaves a gap before the first contact."""
+        return self.measured.flight_left >= OPEN and not self.measured.hurried
+
+    @property
     def none(self) -> float:
         """Probability of the base model."""
         return self.probability.get("base model", 0.0)

@@ -1,4 +1,4 @@
-"""What effects gain before a body first touches anything.
+"""What effects gain, and what they leave, before a body first touches anything.
 
 A flight is simple: two programs that share neither mesh nor contact agree on it to within noise. What they part by
 after an impact may then be many times what a load on the flight does, and hide on held-out frames what the flight shows
@@ -7,6 +7,8 @@ beyond doubt.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from physconvex.gap.base.baseline import Baseline
@@ -14,7 +16,7 @@ from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.search.comparison import Hypothesis
 from physconvex.gap.search.evidence import information_by_kind, squares_by_kind
 
-__all__ = ["gain_in_flight"]
+__all__ = ["gain_in_flight", "left_in_flight"]
 
 _CLOSED = 2.0  # mean square over the expected one up to which a flight is followed
 
@@ -41,3 +43,23 @@ def gain_in_flight(base: Baseline, errors: ErrorModel, best: Hypothesis, plain: 
     independent = (information / best.divisor)[flight].sum()
     doses = sum(len(effect.doses) for effect in best.effects)
     return float(gain - 0.5 * doses * np.log(max(float(independent), 2.0)))
+
+
+def left_in_flight(base: Baseline, errors: ErrorModel, hypotheses: Sequence[Hypothesis]) -> float:
+    """Least mean square, over the expected one, that any fit leaves before the first contact; 0 where none flies.
+
+    Not in the last frame before it: with another clock, or a floor that is a little higher, it may be struck.
+
+    Args:
+        base: the base fit.
+        errors: of the residuals.
+        hypotheses: all fits.
+    """
+    frames = base.observations.frames
+    flying = ~base.modes.struck[base.modes.kinds]
+    if base.situation.clamped or not flying.any():
+        return 0.0
+    rows = np.flatnonzero(flying & (frames < frames[flying].max()))
+    if not len(rows):
+        return 0.0
+    return float(min((base.residual(h.positions)[rows] ** 2 / errors.expected[rows]).mean() for h in hypotheses))

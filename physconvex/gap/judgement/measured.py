@@ -10,7 +10,7 @@ import numpy as np
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.errors.rebound import forgiving
 from physconvex.gap.errors.score import ErrorModel
-from physconvex.gap.judgement.flight import gain_in_flight
+from physconvex.gap.judgement.flight import gain_in_flight, left_in_flight
 from physconvex.gap.search.comparison import Hypothesis, base_hypothesis
 from physconvex.gap.search.evidence import mean_square
 from physconvex.gap.search.ranking import evidence_of_anything
@@ -37,6 +37,8 @@ class Measured:
         struck: whether a free body strikes something, after which models part for little.
         seen: gap of the base model on held-out frames over what noise and numerical error lead one to expect, rms.
         flight: what the best effects gain before the first contact, see `physconvex.gap.judgement.flight`.
+        flight_left: what the fit that leaves least of the flight leaves of it, mean square over the expected one, see
+            `physconvex.gap.judgement.flight.left_in_flight`.
         forgiven: `after`, if a rebound as a whole may be off by three times as much, see
             `physconvex.gap.errors.rebound.forgiving`.
         reported: the share that the best effects remove in those held-out frames that did not choose them.
@@ -54,6 +56,7 @@ class Measured:
     struck: bool = False
     seen: float = np.inf
     flight: float = -np.inf
+    flight_left: float = 0.0
     forgiven: float = np.inf
     reported: float = np.inf
     hurried: bool = False
@@ -91,6 +94,7 @@ def measure(
         struck=base.situation.touches and not base.situation.clamped,
         seen=held_out.gap_before / max(held_out.noise_floor, 1e-300),
         flight=gain_in_flight(base, weights, best, plain),
+        flight_left=left_in_flight(base, errors, hypotheses),
         forgiven=relative_gap(base, forgiving(errors, base.modes), best),
         reported=shrinkage[0].shrinkage,
         hurried=base.model.cost.hurried,

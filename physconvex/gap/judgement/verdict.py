@@ -58,11 +58,8 @@ def decide(
         _wide_open, _nothing, _slight, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo,
         _hurried,
     )  # fmt: skip
-    for rule in rules:
-        verdict = rule(case)
-        if verdict is not None:
-            return verdict
-    return _called(case)
+    verdict = next((found for rule in rules if (found := rule(case)) is not None), None) or _called(case)
+    return _open_flight(case) if verdict.name in ("none", "inconclusive") and case.flight_is_open else verdict
 
 
 def _wide_open(e: Case) -> Verdict | None:
@@ -185,6 +182,16 @@ def _unknown(e: Case) -> Verdict:
         "There is a gap that none of the known effects explains: on frames that were not fitted it is "
         f"{e.measured.seen:.1f} times what noise and numerical error lead one to expect, and the best of them, "
         f"{e.best.label}, removes {max(e.measured.share, 0):.0%} of it."
+    )
+    return e.verdict("unknown", sentence, e.possible)
+
+
+def _open_flight(e: Case) -> Verdict:
+    """Whatever an impact may hide, in flight the model errs by next to nothing."""
+    sentence = (
+        "There is a gap that none of the known effects explains: before the first contact, where this model errs by "
+        f"next to nothing, each of them leaves at least {e.measured.flight_left:.0f} times the square that noise leads "
+        "one to expect."
     )
     return e.verdict("unknown", sentence, e.possible)
 
