@@ -15,7 +15,7 @@ from torch import Tensor
 from physconvex.errors import InputError
 from physconvex.materials import Law, get_law
 
-__all__ = ["with_fibres", "with_strain_stiffening"]
+__all__ = ["less_ground", "with_fibres", "with_strain_stiffening"]
 
 
 def _added(law: Law, name: str, addition: Law) -> Law:
@@ -25,6 +25,17 @@ def _added(law: Law, name: str, addition: Law) -> Law:
         lambda f, mu, lam: law.energy(f, mu, lam) + addition.energy(f, mu, lam),
         lambda f, mu, lam: law.stress(f, mu, lam) + addition.stress(f, mu, lam),
         lambda f, mu, lam: law.hessian(f, mu, lam) + addition.hessian(f, mu, lam),
+        law.ground or law,
+    )
+
+
+def less_ground(law: Law, ground: Law) -> Law:
+    """What was added to a law: the difference of the two."""
+    return Law(
+        f"{law.name}-{ground.name}",
+        lambda f, mu, lam: law.energy(f, mu, lam) - ground.energy(f, mu, lam),
+        lambda f, mu, lam: law.stress(f, mu, lam) - ground.stress(f, mu, lam),
+        lambda f, mu, lam: law.hessian(f, mu, lam) - ground.hessian(f, mu, lam),
     )
 
 

@@ -29,12 +29,16 @@ Triple = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True)
 class Law:
-    """An elastic law: three functions of (F, mu, lam); see the module's docstring for shapes and units."""
+    """An elastic law: three functions of (F, mu, lam); see the module's docstring for shapes and units.
+
+    `ground` is the law that it was made of, where something was added to one.
+    """
 
     name: str
     energy: Triple
     stress: Triple
     hessian: Triple
+    ground: Law | None = None
 
 
 def lame_parameters(youngs_modulus: Tensor, poisson_ratio: Tensor) -> tuple[Tensor, Tensor]:

@@ -16,6 +16,7 @@ from physconvex.fem.elements import QUADRATURE, shape_gradients, unit_mass
 from physconvex.fem.kernel import volumetric_elements
 from physconvex.fem.mesh import TetMesh
 from physconvex.fem.volumetric import VolumetricElements
+from physconvex.flows import stored_flows
 from physconvex.inelastic import FlowRule, FlowStep
 from physconvex.materials import Law, get_law, lame_parameters, project_to_positive, strain_stiffness
 from physconvex.volumetric_laws import is_volumetric
@@ -186,8 +187,9 @@ class ElasticBody:
     # -- flow
 
     def unflowed(self) -> Tensor:
-        """F_f⁻¹ of a body that has not flowed, shape [E, Q, 3, 3]."""
-        return torch.eye(3, dtype=torch.float64, device=self.device).expand(*self._weights.shape, 3, 3)
+        """F_f⁻¹ of a body that has not flowed, shape [E, Q, 3, 3], of `Flows` [E, Q, 2, 3, 3]."""
+        shape = (*self._weights.shape, *stored_flows(self.flow), 3, 3)
+        return torch.eye(3, dtype=torch.float64, device=self.device).expand(shape)
 
     def flow_step(self, undo: Tensor, x: Float[np.ndarray, "V 3"], step: float) -> FlowStep:
         """Response of the flowing part during a step [s], from F_f⁻¹ at its start; what is lagged is taken at x [m]."""

@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from physconvex.errors import InputError
+from physconvex.flows import stored_flows
 from physconvex.inelastic import FlowRule, FlowStep
 from physconvex.materials import Law, get_law, lame_parameters, project_to_positive, strain_stiffness
 from physconvex.reduced.kernel import CompiledViscosity, compiled_viscosity, volumetric_samples
@@ -242,8 +243,9 @@ class ReducedBody:
     # -- flow
 
     def unflowed(self) -> Tensor:
-        """F_f⁻¹ of a body that has not flowed, shape [Q, 3, 3]."""
-        return torch.eye(3, dtype=torch.float64, device=self.device).expand(len(self.mu), 3, 3)
+        """F_f⁻¹ of a body that has not flowed, shape [Q, 3, 3], of `Flows` [Q, 2, 3, 3]."""
+        shape = (len(self.mu), *stored_flows(self.flow), 3, 3)
+        return torch.eye(3, dtype=torch.float64, device=self.device).expand(shape)
 
     def flow_step(self, undo: Tensor, y: Float[np.ndarray, "R 3"], step: float) -> FlowStep:
         """Response of the flowing part during a step [s], from F_f⁻¹ at its start; what is lagged is taken at y [m]."""

@@ -17,6 +17,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from physconvex.errors import InputError
+from physconvex.flows import stored_flows
 from physconvex.inelastic import FlowRule, FlowStep
 from physconvex.reduced.body import ReducedBody
 
@@ -43,10 +45,15 @@ class FlowTangents:
         body: a body that flows.
         dmu, dlam: derivatives of the Lamé constants at the samples [Pa], shape [P, Q].
         names: of the parameters; those of the flow rule (`yield_stress`, …) act on it.
+
+    Raises:
+        InputError: the body flows in two ways at once.
     """
 
     def __init__(self, body: ReducedBody, dmu: Tensor, dlam: Tensor, names: Sequence[str]) -> None:
         assert body.flow is not None
+        if stored_flows(body.flow):
+            raise InputError(f"flow: got {body.flow}; derivatives of a roll-out exist for one way of flowing")
         self.body, self.rule, self.dmu, self.dlam = body, body.flow, dmu, dlam
         self.names = [name if hasattr(body.flow, name) else "" for name in names]
         self.dundo = torch.zeros(len(names), len(body.mu), 3, 3, dtype=torch.float64, device=body.device)

@@ -122,6 +122,40 @@ def test_dissipation_lowers_the_rebound(scene, plain):
         assert changed(scene, label, *doses)[1][:, 2].max() < rebound - 0.02, label
 
 
+def test_a_yield_stress_that_nothing_reaches_changes_nothing(scene, plain):
+    for found, expected in zip(changed(scene, "plasticity", 8.0), plain, strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("label", "doses"),
+    [
+        ("viscoelasticity (fast)", (1.0, -2.2)),
+        ("anisotropy (z)", (3.0, 0.0, 0.0)),
+        ("nonlinear_elasticity (stiffening)", (5.0,)),
+    ],
+)
+def test_plastic_bodies_relax_stiffen_and_have_fibres(scene, label, doses):
+    """Whichever effect is put in first; what was added to the law of a plastic body had vanished without a word."""
+    plastic, other = effect("plasticity"), effect(label)
+    yields, doses = np.array([2.8]), np.array(doses)
+    one = run(other.scene(plastic.scene(scene, yields), doses))
+    another = run(plastic.scene(other.scene(scene, doses), yields))
+    for a, b in zip(one, another, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)
+    alone = run(plastic.scene(scene, yields)), run(other.scene(scene, doses))
+    assert all(np.abs(one[2] - without[2]).max() > 3e-4 for without in alone)
+
+
+def test_plastic_bodies_have_no_share_of_another_law(scene):
+    plastic, other = effect("plasticity"), effect("nonlinear_elasticity (softening)")
+    yields, share = np.array([2.8]), np.array([0.5])
+    with pytest.raises(InputError, match="of a plastic body"):
+        other.scene(plastic.scene(scene, yields), share)
+    with pytest.raises(InputError, match="of a plastic body"):
+        plastic.scene(other.scene(scene, share), yields)
+
+
 def test_stiffening_shortens_the_squeeze(scene, plain):
     squeezed = plain[2][:, 2].min()
     for label, doses in (("nonlinear_elasticity (stiffening)", (5.0,)), ("anisotropy (z)", (3.0, 0.0, 0.0))):

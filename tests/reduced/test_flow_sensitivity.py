@@ -24,6 +24,7 @@ STEPS = {"yield_stress": 1e-3, "relaxation_time": 1e-7}
 TIMING = {"frames": 4, "fps": 60, "steps_per_frame": 4, "tolerance": 1e-11}
 CASES = [
     (Plasticine(400.0), ("yield_stress", "friction")),
+    (Plasticine(400.0, "neo_hookean"), ("yield_stress",)),
     (Sand(0.5), ("friction_angle",)),
     (StandardLinearSolid(1.5, 0.02), ("modulus_ratio", "relaxation_time", "damping_time")),
 ]

@@ -61,8 +61,9 @@ def _viscoelasticity(variant: str, periods: float) -> Effect:
 def _yielding(scene: AnyScene, doses: Doses) -> AnyScene:
     if doses[0] >= _UNYIELDING - 0.5:
         return scene
-    law = scene.body.law
-    return with_material(scene, flow=Plasticine(float(10 ** doses[0]), law.name if is_volumetric(law) else "hencky"))
+    ground = scene.body.law.ground or scene.body.law
+    elastic = ground.name if is_volumetric(ground) else "hencky"
+    return with_material(scene, flow=Plasticine(float(10 ** doses[0]), elastic))
 
 
 def _yield_trial(situation: Situation, share: float = 0.4) -> float:

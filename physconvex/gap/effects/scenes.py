@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from physconvex.elastic_terms import less_ground
 from physconvex.errors import InputError
 from physconvex.fem import ElasticBody
+from physconvex.flows import Flows
 from physconvex.gap.effects.effect import AnyScene
-from physconvex.inelastic import FlowRule
-from physconvex.materials import Law
+from physconvex.inelastic import FlowRule, Plasticine
+from physconvex.materials import LAWS, Law
 from physconvex.reduced import Cubature, ReducedBody, ReducedScene
 
 __all__ = ["cell_masses", "scaled_coordinates", "with_fields", "with_material"]
@@ -71,6 +73,39 @@ def cell_masses(scene: AnyScene) -> Float[np.ndarray, " C"]:
     return np.asarray(scene.body.mesh.element_volumes * scene.body.density)
 
 
+def _together(present: FlowRule | None, added: FlowRule | None) -> FlowRule | None:
+    """Both ways of flowing.
+
+    Raises:
+        InputError: the body flows so already.
+    """
+    if present is None or added is None:
+        return present or added
+    if isinstance(present, Flows) or type(present) is type(added):
+        raise InputError(f"flow: the body flows already ({present}); expected another way of flowing, and two at most")
+    return Flows(present, added)
+
+
+def _apart(law: Law, flow: FlowRule | None) -> tuple[Law, FlowRule | None]:
+    """What was added to a law that a plastic body has in its place stands beside that, and does not flow.
+
+    Raises:
+        InputError: the law is another one than that, with nothing added.
+    """
+    if isinstance(flow, Flows):
+        law, first = _apart(law, flow.first)
+        law, second = _apart(law, flow.second)
+        assert first is not None and second is not None
+        return law, Flows(first, second)
+    if not isinstance(flow, Plasticine) or flow.beside_law or flow.elastic == law.name:
+        return law, flow
+    if flow.elastic == "hencky" and law.name in LAWS:
+        return law, flow
+    if law.ground is None or law.ground.name != flow.elastic:
+        raise InputError(f"law: got {law.name} of a plastic body; expected {flow.elastic}, or something added to it")
+    return less_ground(law, law.ground), replace(flow, beside_law=True)
+
+
 def with_material(
     scene: AnyScene,
     *,
@@ -89,15 +124,14 @@ def with_material(
         density: factor on the density from the cells' scaled coordinates and masses [kg].
     """
     body, stiffness = scene.body, scene.contact().stiffness
-    if flow is not None and body.flow is not None:
-        raise InputError(f"flow: the body flows already ({body.flow}); one way of flowing at a time")
+    new_law, new_flow = _apart(body.law if law is None else law(body.law), _together(body.flow, flow))
     heavier = 1.0 if density is None else density(_cell_coordinates(scene), cell_masses(scene))
     constants: dict[str, Any] = {
-        "law": body.law if law is None else law(body.law),
+        "law": new_law,
         "youngs_modulus": body.youngs_modulus if modulus is None else _modulus_times(scene, modulus),
         "poisson_ratio": body.poisson_ratio,
         "density": body.density * heavier,
-        "flow": body.flow if flow is None else flow,
+        "flow": new_flow,
     }
     if isinstance(scene, ReducedScene):
         assert isinstance(body, ReducedBody)
