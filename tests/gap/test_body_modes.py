@@ -96,3 +96,22 @@ def test_the_rigid_motion_after_an_impact_counts_by_the_frames_of_contact(seen):
     assert list(numbers) == [1.5, 1.5, 3.0, 1.5 * 2 / 4, 1.5, 3.0]  # of four frames, one of contact and one beside it
     still = body_modes(seen, free=True, force=np.zeros(FRAMES))
     assert list(still.independent[:3]) == [1.5, 1.5, 3.0] and not (still.kinds >= 3).any()  # nothing was struck
+
+
+def test_a_struck_body_flies_on_across_the_normal_as_a_kind_of_its_own(seen):
+    normal = np.array([0.6, 0.0, 0.8])
+    force = np.array([0.0, 2.0, 0.0, 0.0, 0.0])
+    modes = body_modes(seen, free=True, force=force, normal=normal)
+    plain = body_modes(seen, free=True, force=force)
+    assert modes.count == 7 and list(modes.across) == [False] * 6 + [True] and modes.parts[6] == 0 and modes.struck[6]
+    divided = np.isin(seen.frames, [1, 2])
+    assert ((modes.kinds == 6) & divided).sum() == 4 and ((modes.kinds == 3) & divided).sum() == 8
+    assert (modes.kinds[seen.frames == 0] == plain.kinds[seen.frames == 0]).all()  # not in flight
+    assert sum(modes.freedom) == sum(plain.freedom) and modes.independent[6] == pytest.approx(0.5 * 2 / 4)
+    where = np.nan_to_num(seen.positions)
+    for along, kind in ((normal, 3), (np.array([0.0, 1.0, 0.0]), 6), (np.array([0.8, 0.0, -0.6]), 6)):
+        rows = seen.residuals(where + 1e-3 * along) - seen.residuals(where)
+        squares = modes.turn(rows) ** 2 * divided
+        assert squares[modes.kinds == kind].sum() == pytest.approx(squares.sum())
+    turning = seen.residuals(where + 1e-3 * np.cross([1.0, 2.0, 3.0], where)) - seen.residuals(where)
+    np.testing.assert_allclose(np.linalg.norm(modes.turn(turning)), np.linalg.norm(turning))

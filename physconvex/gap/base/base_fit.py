@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import TetMesh
+from physconvex.fem import Plane, TetMesh
 from physconvex.gap.base.baseline import FLOOR_LAW, Baseline, Report, Split, split_frames
 from physconvex.gap.base.body_modes import body_modes
 from physconvex.gap.base.boxes import box_of_body
@@ -204,7 +204,9 @@ def run_base(
     peak, force, motion = _stress_and_contact(model, found.values)
     situation = _situation(twin, observations, peak, bool((force > 0).any()), giving, depth)
     nothing = np.zeros((capture.frames, len(found.names), *motion.positions.shape[1:]))
-    modes = body_modes(observations, free=situation.floor and not situation.clamped, force=force)
+    floors = twin.scene.obstacles
+    normal = np.asarray(floors[0].normal) if len(floors) == 1 and isinstance(floors[0], Plane) else None
+    modes = body_modes(observations, free=situation.floor and not situation.clamped, force=force, normal=normal)
     return Baseline(
         capture, observations, split, replace(model, situation=situation), found, motion, nothing, situation, force,
         modes,

@@ -11,7 +11,9 @@ how well the model follows an impact, and a mean over both would count as if it 
 
 How a body flies on from an impact is one change of velocity and of spin, however many frames show it: its error as a
 whole grows from frame to frame, and nothing new is learned of it until the body touches something again. So from the
-first contact on these residuals count as if they were new in the frames of contact alone, spread over all.
+first contact on these residuals count as if they were new in the frames of contact alone, spread over all. A floor
+pushes along its normal, and sideways by its friction alone: how a body flies on across the normal is a kind of its own,
+since models err less by it, and friction, a side wind or a tilt would hide in what they err by along it.
 
 Q is the product of the Householder reflections of those twelve columns, kept as I − V T Vᵀ (Golub & Van Loan, Matrix
 Computations, §5.1.7).
@@ -24,6 +26,7 @@ from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.linalg import null_space
 
 from physconvex.identify import MarkerObservations, PixelObservations
 from physconvex.identify.observations import Observations, WrappedObservations
@@ -32,6 +35,7 @@ __all__ = ["BodyModes", "TurnedObservations", "body_modes", "undivided"]
 
 _RIGID, _STRAIN, _REST, _PARTS = 0, 1, 2, 3
 _FREEDOM = (6.0, 6.0, 12.0) * 2  # numbers that a smooth error has in a frame: rigid, even strain, finer
+_ALONG, _ACROSS = 4.0, 2.0  # of those of a struck body as a whole: along the normal and turning, and across it
 _SMOOTH = (12.0,)  # the same where residuals are not divided: as good as affine in space
 _FEWEST = 18  # residuals of a frame that are worth dividing
 _DEPENDENT = 1e-3  # of its length: what is left of a motion that the ones before it make up
@@ -43,8 +47,8 @@ class BodyModes:
 
     Attributes:
         frames: of each residual, shape [N].
-        kinds: of each turned residual: 0 as a whole, 1 even strain, 2 the rest, and 3 more from the first contact on;
-            all 0 where they are not divided.
+        kinds: of each turned residual: 0 as a whole, 1 even strain, 2 the rest, and 3 more from the first contact on,
+            where 6 is as a whole across the normal of what is struck, if it is known; all 0 where they are not divided.
         freedom: numbers that a smooth error has in one frame, by kind.
         reflections: rows of a frame, V [n, 12] and T [12, 12], where it is turned.
         touching: share of the frames from the first contact on in which, or next to which, the body touches something.
@@ -70,6 +74,11 @@ class BodyModes:
     def struck(self) -> Bool[np.ndarray, " D"]:
         """Of each kind, whether it is of frames from the first contact on."""
         return np.arange(self.count) >= _PARTS
+
+    @property
+    def across(self) -> Bool[np.ndarray, " D"]:
+        """Of each kind, whether it is of a struck body as a whole, across the normal of what it struck."""
+        return np.arange(self.count) == 2 * _PARTS
 
     @property
     def independent(self) -> Float[np.ndarray, " D"]:
@@ -98,7 +107,11 @@ def undivided(frames: Int[np.ndarray, " N"]) -> BodyModes:
 
 
 def body_modes(
-    seen: MarkerObservations | PixelObservations, *, free: bool, force: Float[np.ndarray, " T"] | None = None
+    seen: MarkerObservations | PixelObservations,
+    *,
+    free: bool,
+    force: Float[np.ndarray, " T"] | None = None,
+    normal: Float[np.ndarray, " 3"] | None = None,
 ) -> BodyModes:
     """Rigid motions and even strains of markers, where they were seen; `undivided` else.
 
@@ -108,7 +121,9 @@ def body_modes(
         seen: the observations, frames in order.
         free: whether the body flies and strikes something. Of a held one both meshes move alike.
         force: of contact in each frame [N]; none unless given.
+        normal: of the one floor that there is; its sides are not told apart unless given.
     """
+    sides = np.eye(3) if normal is None else np.vstack([null_space(np.asarray(normal)[None]).T, normal])
     frames = np.asarray(seen.frames)
     if not free or not isinstance(seen, MarkerObservations):
         return undivided(frames)
@@ -119,7 +134,7 @@ def body_modes(
             continue
         points = seen.point_indices[start:stop:3]
         where = seen.positions[frames[start], points]
-        motions = _affine_motions(where) / np.repeat(seen.sigma[frames[start], points], 3)[:, None]
+        motions = _affine_motions(where, sides) / np.repeat(seen.sigma[frames[start], points], 3)[:, None]
         motions /= np.linalg.norm(motions, axis=0)
         packed, tau = np.linalg.qr(motions, mode="raw")
         v = np.tril(packed.T, -1)
@@ -130,8 +145,14 @@ def body_modes(
         kinds[start : start + 12] = np.where(np.abs(np.diag(packed.T[:12])) > _DEPENDENT, found, _REST)
     if force is None or not reflections:
         return BodyModes(frames, kinds, _FREEDOM, tuple(reflections))
-    struck = np.cumsum(force > 0) > 0
-    return BodyModes(frames, kinds + _PARTS * struck[frames], _FREEDOM, tuple(reflections), _touching(force))
+    struck = (np.cumsum(force > 0) > 0)[frames]
+    kinds += _PARTS * struck
+    if normal is None:
+        return BodyModes(frames, kinds, _FREEDOM, tuple(reflections), _touching(force))
+    across = np.concatenate([[where.start, where.start + 1] for where, *_ in reflections])
+    kinds[across[struck[across]]] = 2 * _PARTS
+    freedom = (*_FREEDOM[:_PARTS], _ALONG, *_FREEDOM[_PARTS + 1 :], _ACROSS)
+    return BodyModes(frames, kinds, freedom, tuple(reflections), _touching(force))
 
 
 def _touching(force: Float[np.ndarray, " T"]) -> float:
@@ -141,10 +162,10 @@ def _touching(force: Float[np.ndarray, " T"]) -> float:
     return float(touched[after].mean()) if after.any() else 1.0
 
 
-def _affine_motions(x: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "n 12"]:
-    """Translations, rotations and even strains of points about their centre, as columns."""
+def _affine_motions(x: Float[np.ndarray, "P 3"], unit: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "n 12"]:
+    """Translations along three unit vectors, rotations and even strains of points about their centre, as columns."""
     size = max(float(np.sqrt(((x - x.mean(0)) ** 2).sum(-1).mean())), 1e-300)
-    arm, unit = (x - x.mean(0)) / size, np.eye(3)
+    arm = (x - x.mean(0)) / size
     columns = [np.broadcast_to(e, x.shape) for e in unit]
     columns += [np.cross(e, arm) for e in unit]
     for i in range(3):

@@ -46,9 +46,10 @@ def gain_in_flight(base: Baseline, errors: ErrorModel, best: Hypothesis, plain: 
 
 
 def left_in_flight(base: Baseline, errors: ErrorModel, hypotheses: Sequence[Hypothesis]) -> float:
-    """Least mean square, over the expected one, that any fit leaves before the first contact; 0 where none flies.
+    """Least mean square, over the expected one, that any fit leaves before the first contact.
 
-    Not in the last frame before it: with another clock, or a floor that is a little higher, it may be struck.
+    Not in the last frame before it: with another clock, or a floor that is a little higher, it may be struck. 0 where
+    residuals are not divided by contact (of held bodies, and of points that a video may lose).
 
     Args:
         base: the base fit.
@@ -57,7 +58,7 @@ def left_in_flight(base: Baseline, errors: ErrorModel, hypotheses: Sequence[Hypo
     """
     frames = base.observations.frames
     flying = ~base.modes.struck[base.modes.kinds]
-    if base.situation.clamped or not flying.any():
+    if not base.modes.reflections or not flying.any():
         return 0.0
     rows = np.flatnonzero(flying & (frames < frames[flying].max()))
     if not len(rows):
