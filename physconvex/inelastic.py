@@ -38,6 +38,7 @@ Response = tuple[Tensor, Tensor] | None  # energy and stress
 _TINY = 1e-100  # its square is a number still
 
 
+@runtime_checkable
 class FlowStep(Protocol):
     """Response of a material during one time step, from the flow at its start."""
 

@@ -68,7 +68,7 @@ class StepEquations(DenseNewton):
         """Whether the surface's velocities have changed by no more than the slip velocity with this change [m]."""
         return bool(np.abs(self.surface @ change).max(initial=0.0) <= step * self.contact.slip_velocity)
 
-    def flowed(self) -> Float[np.ndarray, "Q 3 3"] | None:
+    def flowed(self) -> Float[np.ndarray, "Q *K 3 3"] | None:
         """F_f at the interior samples; None for an elastic body."""
         return None if self.undo is None else np.linalg.inv(self.undo.cpu().numpy())
 

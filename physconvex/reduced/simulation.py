@@ -30,7 +30,8 @@ class ReducedTrajectory:
         coordinates: y [m], shape [T, R, 3].
         velocities: ẏ [m/s], shape [T, R, 3].
         statistics: what the roll-out cost.
-        flowed: F_f at the interior samples, shape [T, Q, 3, 3]; None for an elastic body.
+        flowed: F_f at the interior samples, shape [T, Q, 3, 3], of `physconvex.flows.Flows` [T, Q, 2, 3, 3]; None for an
+            elastic body.
     """
 
     space: ReducedSpace
@@ -38,7 +39,7 @@ class ReducedTrajectory:
     coordinates: Float[np.ndarray, "T R 3"]
     velocities: Float[np.ndarray, "T R 3"]
     statistics: SolveStatistics
-    flowed: Float[np.ndarray, "T Q 3 3"] | None = None
+    flowed: Float[np.ndarray, "T Q *K 3 3"] | None = None
 
     def positions(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "T P 3"]:
         """Where material points, given by their rest positions [m], are at the frames [m]."""

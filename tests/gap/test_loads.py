@@ -11,7 +11,7 @@ import pytest
 from physconvex.capture import Capture, save_capture
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions
 from physconvex.gap.base.base_fit import fit_baseline, rough_baseline
-from physconvex.gap.effects import applicable
+from physconvex.gap.effects import Correction, applicable
 from physconvex.gap.errors.numerics import Numerics, error_model
 from physconvex.gap.search.loads import _clock, loaded_starts
 from physconvex.gap.search.mapping import as_reduced
@@ -28,7 +28,7 @@ def starts(
     rough = rough_baseline(capture, OPTIONS, lambda text: None)
     still = np.zeros_like(rough.motion.positions)
     variance = np.ones(len(rough.residual(rough.positions)))
-    base = as_reduced(fit_baseline(rough, still, None, variance, OPTIONS, lambda text: None))
+    base = as_reduced(fit_baseline(rough, Correction(still), None, variance, OPTIONS, lambda text: None))
     errors = error_model(base, Numerics(still, still, still, still, still), OPTIONS)
     alone = base.fit.values
     known = {effect.label: effect for effect in DEFAULT_EFFECTS}

@@ -12,6 +12,7 @@ from physconvex.gap.base.base_fit import fit_baseline, rough_baseline
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.model import reduced_like
 from physconvex.gap.conditions.own_elements import own_elements, with_own_elements
+from physconvex.gap.effects import Correction
 from physconvex.gap.errors.numerics import Numerics, error_model
 from physconvex.gap.judgement.caveats import _elements
 from physconvex.gap.search.comparison import base_hypothesis
@@ -50,7 +51,7 @@ def fitted(capture: Capture) -> tuple[Baseline, Baseline, Numerics, np.ndarray]:
     still = np.zeros_like(rough.motion.positions)
     numerics = Numerics(still, still, still, still, still)
     variance = np.ones(len(rough.residual(rough.positions)))
-    base = fit_baseline(rough, still, None, variance, OPTIONS, lambda text: None)
+    base = fit_baseline(rough, Correction(still), None, variance, OPTIONS, lambda text: None)
     return rough, base, numerics, variance
 
 
