@@ -30,8 +30,8 @@ class ReducedTrajectory:
         coordinates: y [m], shape [T, R, 3].
         velocities: ẏ [m/s], shape [T, R, 3].
         statistics: what the roll-out cost.
-        flowed: F_f at the interior samples, shape [T, Q, 3, 3], of `physconvex.flows.Flows` [T, Q, 2, 3, 3]; None for an
-            elastic body.
+        flowed: F_f at the interior samples, shape [T, Q, 3, 3], of `physconvex.flows.Flows` [T, Q, 2, 3, 3]; None for
+            an elastic body.
     """
 
     space: ReducedSpace

@@ -427,6 +427,7 @@ class _Shown:
         return None, np.zeros((10, 3, 3)) + self.shift(effects, changes)
 
 
+@pytest.mark.wrong_types  # a stand-in for a runner
 def test_what_is_fitted_anyway_does_not_make_an_effect_visible():
     falling, along = np.linspace(0, 1, 10)[:, None, None] ** 2, np.array([0.0, 0.0, 1.0])
     case = SimpleNamespace(
@@ -450,6 +451,7 @@ def test_what_is_fitted_anyway_does_not_make_an_effect_visible():
     assert yardstick.visibility(np.zeros((10, 3, 3)) + 0.01 * np.eye(3)[1]) == pytest.approx(1e-4 / floor)
 
 
+@pytest.mark.wrong_types  # a stand-in for a runner
 def test_a_dose_is_found_beyond_a_threshold(monkeypatch):
     monkeypatch.setattr(explicit_cases, "_dosed", lambda name, strength, case, seed: strength)
     runner = _Shown(lambda effects, _: max(effects[0] - 0.15, 0) * 100)  # nothing at a fifth of a moderate dose

@@ -57,7 +57,7 @@ class BodyModes:
     frames: Int[np.ndarray, " N"]
     kinds: Int[np.ndarray, " N"]
     freedom: tuple[float, ...] = _SMOOTH
-    reflections: tuple[tuple[slice, Float[np.ndarray, "n k"], Float[np.ndarray, "k k"]], ...] = ()
+    reflections: tuple[tuple[slice, Float[np.ndarray, "_ k"], Float[np.ndarray, "k k"]], ...] = ()
     touching: float = 1.0
 
     @property

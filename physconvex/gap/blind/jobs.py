@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from functools import partial
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 from physconvex.workers import Workers
 
 __all__ = ["run_jobs"]
 
 
+@runtime_checkable
 class _Named(Protocol):
     @property
     def name(self) -> str: ...
