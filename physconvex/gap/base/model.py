@@ -147,15 +147,19 @@ class EffectModel:
         """Time steps per frame of the full-order model."""
         return self.twin.steps_per_frame * self.refinement
 
-    def _until(self, values: Vector) -> float:
-        """Time at which the effects look last [s]: a wrong clock looks beyond the last frame."""
-        end = (self.frames - 1) / self.twin.fps
+    @property
+    def _end(self) -> float:
+        """Time of the last frame [s]."""
+        return (self.frames - 1) / self.twin.fps
+
+    def _ahead(self, values: Vector) -> float:
+        """How long beyond the last frame the effects look [s]."""
         looking = zip(self.effects, self.slices, strict=True)
-        return end + max((e.ahead(end, values[where]) for e, where in looking if e.ahead is not None), default=0.0)
+        return max((e.ahead(self._end, values[where]) for e, where in looking if e.ahead is not None), default=0.0)
 
     def _timing(self, steps_per_frame: int, values: Vector) -> dict[str, Any]:
         timing = self.twin.timing(self.frames) | {"steps_per_frame": steps_per_frame}
-        return by_steps(timing, self._until(values) - (self.frames - 1) / self.twin.fps)
+        return by_steps(timing, self._ahead(values))
 
     def _motion(self, times: np.ndarray, positions: np.ndarray, velocities: np.ndarray, every: int) -> Motion:
         return Motion.of_steps(Motion(self.points, times, positions, velocities, self.camera), self.frames, every)
@@ -258,7 +262,8 @@ class EffectModel:
         own = len(self.base)
         moving = [slice(own), *(w for e, w in zip(self.effects, self.slices, strict=True) if e.scene is not None)]
         same = all(np.array_equal(changed[where], values[where]) for where in moving)
-        return motion if same and self._until(changed) <= motion.end + 1e-9 else self.motion(changed)
+        known = self._end + self._ahead(changed) <= motion.end + 1e-9
+        return motion if same and known else self.motion(changed)
 
 
 def _from_first_image(camera: Camera, positions: Positions, first: Float[np.ndarray, "P 3"]) -> Positions:
