@@ -15,28 +15,29 @@ from torch import Tensor
 from physconvex.errors import InputError
 from physconvex.materials import Law, get_law
 
-__all__ = ["less_ground", "with_fibres", "with_strain_stiffening"]
+__all__ = ["combined", "less_ground", "with_fibres", "with_strain_stiffening"]
 
 
-def _added(law: Law, name: str, addition: Law) -> Law:
-    """The sum of two laws."""
+def combined(name: str, first: tuple[float, Law], second: tuple[float, Law], ground: Law | None = None) -> Law:
+    """So much of one law and so much of another."""
+    (a, one), (b, other) = first, second
     return Law(
-        f"{law.name}+{name}",
-        lambda f, mu, lam: law.energy(f, mu, lam) + addition.energy(f, mu, lam),
-        lambda f, mu, lam: law.stress(f, mu, lam) + addition.stress(f, mu, lam),
-        lambda f, mu, lam: law.hessian(f, mu, lam) + addition.hessian(f, mu, lam),
-        law.ground or law,
+        name,
+        lambda f, mu, lam: a * one.energy(f, mu, lam) + b * other.energy(f, mu, lam),
+        lambda f, mu, lam: a * one.stress(f, mu, lam) + b * other.stress(f, mu, lam),
+        lambda f, mu, lam: a * one.hessian(f, mu, lam) + b * other.hessian(f, mu, lam),
+        ground,
     )
+
+
+def _added(law: Law, addition: Law) -> Law:
+    """The sum of two laws."""
+    return combined(f"{law.name}+{addition.name}", (1.0, law), (1.0, addition), law.ground or law)
 
 
 def less_ground(law: Law, ground: Law) -> Law:
     """What was added to a law: the difference of the two."""
-    return Law(
-        f"{law.name}-{ground.name}",
-        lambda f, mu, lam: law.energy(f, mu, lam) - ground.energy(f, mu, lam),
-        lambda f, mu, lam: law.stress(f, mu, lam) - ground.stress(f, mu, lam),
-        lambda f, mu, lam: law.hessian(f, mu, lam) - ground.hessian(f, mu, lam),
-    )
+    return combined(f"{law.name}-{ground.name}", (1.0, law), (-1.0, ground))
 
 
 def with_fibres(law: str | Law, direction: Sequence[float] | Float[np.ndarray, "*Q 3"], modulus_ratio: float) -> Law:
@@ -84,7 +85,7 @@ def with_fibres(law: str | Law, direction: Sequence[float] | Float[np.ndarray, "
         material = flat.unsqueeze(-1) * flat.unsqueeze(-2)
         return (modulus_ratio * mu)[..., None, None] * (material + 0.5 * excess[..., None, None] * geometric)
 
-    return _added(ground, "fibres", Law("fibres", energy, stress, hessian))
+    return _added(ground, Law("fibres", energy, stress, hessian))
 
 
 def with_strain_stiffening(law: str | Law, rate: float) -> Law:
@@ -135,4 +136,4 @@ def with_strain_stiffening(law: str | Law, rate: float) -> Law:
         outer = flat_first.unsqueeze(-1) * flat_first.unsqueeze(-2)
         return (rate * mu)[..., None, None] * (outer + excess[..., None, None] * second)
 
-    return _added(ground, "stiffening", Law("stiffening", energy, stress, hessian))
+    return _added(ground, Law("stiffening", energy, stress, hessian))

@@ -26,7 +26,7 @@ from torch import Tensor
 
 from physconvex.errors import InputError
 from physconvex.materials import get_law
-from physconvex.principal import ALL_BUT_FLAT, PrincipalFrame, principal_hessian, principal_stress
+from physconvex.principal import ALL_BUT_FLAT, PrincipalFrame, principal_hessian, principal_stress, pulled_back
 from physconvex.principal_kernel import flow_response
 from physconvex.volumetric_laws import KERNEL_LAWS
 from physconvex.yielding import YieldStep
@@ -144,9 +144,7 @@ class LogarithmicStep:
         stiff = self.bulk if self.tension else torch.where(trace < 0, self.bulk, 0.0)
         curvature = secant[..., None, None] * (eye - 1 / 3) + stiff[..., None, None]
         curvature = curvature - radial[..., None, None] * deviator.unsqueeze(-1) * deviator.unsqueeze(-2)
-        tensor = principal_hessian(frame, slopes, curvature).unflatten(-1, (3, 3)).unflatten(-3, (3, 3))
-        mapped = torch.einsum("...ja,...iakb,...lb->...ijkl", self.undo, tensor, self.undo)
-        return mapped.flatten(-2).flatten(-3, -2)
+        return pulled_back(principal_hessian(frame, slopes, curvature), self.undo)
 
     def flowed(self, f: Tensor) -> Tensor:
         """F_f⁻¹ at the end of the step, shape [Q, 3, 3]."""

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from physconvex.principal_kernel import singular_values
 
-__all__ = ["ALL_BUT_FLAT", "PrincipalFrame", "principal_hessian", "principal_stress"]
+__all__ = ["ALL_BUT_FLAT", "PrincipalFrame", "principal_hessian", "principal_stress", "pulled_back"]
 
 _SMALLEST = 1e-30
 _FLAT = 1e-2  # smallest stretch over the largest one
@@ -92,6 +92,12 @@ def principal_hessian(frame: PrincipalFrame, slopes: Tensor, curvature: Tensor) 
         turning = (p[..., i] + p[..., j]) / (s[..., i] + s[..., j])
         hessian = hessian + 0.5 * _weighted_outer(turning, turn) + 0.5 * _weighted_outer(shearing, shear)
     return hessian
+
+
+def pulled_back(hessian: Tensor, undo: Tensor) -> Tensor:
+    """∂P/∂F by F of a function of F F_f⁻¹, shape [..., 9, 9], from that by F F_f⁻¹ and from F_f⁻¹ [..., 3, 3]."""
+    tensor = hessian.unflatten(-1, (3, 3)).unflatten(-3, (3, 3))
+    return torch.einsum("...ja,...iakb,...lb->...ijkl", undo, tensor, undo).flatten(-2).flatten(-3, -2)
 
 
 def _mode(frame: PrincipalFrame, rows: tuple[int, ...], columns: tuple[int, ...]) -> Tensor:

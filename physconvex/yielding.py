@@ -18,7 +18,7 @@ from torch import Tensor
 
 from physconvex.errors import ConvergenceError
 from physconvex.materials import Law
-from physconvex.principal import PrincipalFrame, principal_hessian, principal_stress
+from physconvex.principal import PrincipalFrame, principal_hessian, principal_stress, pulled_back
 
 __all__ = ["YieldStep"]
 
@@ -90,13 +90,10 @@ class YieldStep:
         found = self._yielding(f)
         hessian = self.law.hessian(f @ self.undo, self.mu, self.lam)
         mu = found.mu.unsqueeze(-1)
-        elastic = torch.diag_embed(2 * mu * (2 * found.strains).exp())
-        curvature = _stiffness_and_stress(found)[0] @ _moved(found) - elastic
+        curvature = _stiffness(mu, found.kept) @ _moved(found) - _stiffness(mu, found.strains)
         slopes = mu * _difference_of_squares(found)
         hessian[found.where] += principal_hessian(found.frame, slopes, curvature)
-        tensor = hessian.unflatten(-1, (3, 3)).unflatten(-3, (3, 3))
-        mapped = torch.einsum("...ja,...iakb,...lb->...ijkl", self.undo, tensor, self.undo)
-        return mapped.flatten(-2).flatten(-3, -2)
+        return pulled_back(hessian, self.undo)
 
     def flowed(self, f: Tensor) -> Tensor:
         """F_f⁻¹ at the end of the step."""
@@ -131,10 +128,9 @@ def _deviator(values: Tensor) -> Tensor:
     return values - values.mean(-1, keepdim=True)
 
 
-def _stiffness_and_stress(found: _Yielding) -> tuple[Tensor, Tensor]:
-    """Derivatives of μ exp(2 x) by x, shape [N, 3, 3], and its deviator over k, shape [N, 3]."""
-    stress = found.mu.unsqueeze(-1) * (2 * found.kept).exp()
-    return torch.diag_embed(2 * stress), _deviator(stress) / found.limit.unsqueeze(-1)
+def _stiffness(mu: Tensor, strains: Tensor) -> Tensor:
+    """Derivatives of μ exp(2 x) by x, shape [N, 3, 3]."""
+    return torch.diag_embed(2 * mu * (2 * strains).exp())
 
 
 def _system(kept: Tensor, amount: Tensor, ratio: Tensor) -> tuple[Tensor, Tensor]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.elastic_terms import with_fibres, with_strain_stiffening
+from physconvex.elastic_terms import combined, with_fibres, with_strain_stiffening
 from physconvex.gap.effects.effect import AnyScene, Dose, Effect, Situation
 from physconvex.gap.effects.scenes import with_fields, with_material
 from physconvex.inelastic import Plasticine, StandardLinearSolid
@@ -180,12 +180,7 @@ def _stiffening(scene: AnyScene, doses: Doses) -> AnyScene:
 
 def mixed_law(law: Law, other: Law, share: float) -> Law:
     """(1 − share) of one law and a share of another."""
-    return Law(
-        f"{law.name}~{other.name}",
-        lambda f, mu, lam: (1 - share) * law.energy(f, mu, lam) + share * other.energy(f, mu, lam),
-        lambda f, mu, lam: (1 - share) * law.stress(f, mu, lam) + share * other.stress(f, mu, lam),
-        lambda f, mu, lam: (1 - share) * law.hessian(f, mu, lam) + share * other.hessian(f, mu, lam),
-    )
+    return combined(f"{law.name}~{other.name}", (1 - share, law), (share, other))
 
 
 def _towards(name: str) -> Callable[[AnyScene, Doses], AnyScene]:
