@@ -104,7 +104,7 @@ def diagnose(
     found = select_effects(
         base, weights, numerics, dictionary, options, report, screening=screening, near=setting.damped
     )
-    hypotheses, screening, numerics = found.hypotheses, found.screening, found.numerics
+    base, hypotheses, screening, numerics = found.base, found.hypotheses, found.screening, found.numerics
     if found.errors is not weights:  # anew, far from the base fit
         errors = weights = found.errors
     best = favoured(hypotheses) or hypotheses[0]

@@ -259,6 +259,20 @@ def test_numerical_error_is_a_right_answer_where_nothing_is_hidden(small, source
     assert found.false_alarms.value == (verdict == "effect")
 
 
+@pytest.mark.parametrize(("others", "told"), [({"wind": 0.3}, 0.9), ({"wind": 0.4}, 0.94), ({"damping": 0.3}, 0.6)])
+def test_a_class_is_told_with_the_probability_of_all_its_effects(small, others, told):
+    """Either of two that look alike is a right answer, so that what they share counts for both."""
+    path = answers_of(small, lambda label: "gravity_tilt" if label["effects"] else None)
+    answers = json.loads(path.read_text())["answers"]
+    for answer in answers:
+        for effect in answer["effects"][:]:
+            effect["probability"] = 0.6
+            answer["effects"] += [effect | {"name": name, "probability": p} for name, p in others.items()]
+    path.write_text(json.dumps({"sha256": bank.digest(json.dumps(answers, indent=1), ""), "answers": answers}))
+    found = [row.probability for row in scored(small).rows if row.truth]
+    assert found and found == pytest.approx([told] * len(found))
+
+
 @pytest.mark.parametrize(("believed_in", "area"), [("what is known", 1.0), ("what is not", 0.0), ("none", 0.5)])
 def test_an_unknown_effect_is_told_by_how_little_is_believed(small, believed_in, area):
     visible(small)

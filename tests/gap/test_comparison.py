@@ -179,6 +179,21 @@ def test_a_dose_is_priced_by_the_residuals_that_tell_it():
     assert few - many == pytest.approx(0.5 * np.log(981 / 21))
 
 
+@pytest.mark.wrong_types
+def test_what_acts_on_impact_is_not_priced_by_the_residuals_of_the_flight():
+    dose = SimpleNamespace(implausibility=lambda value: 0.0)
+    spin, friction = (SimpleNamespace(doses=(dose,) * n, source=s) for n, s in ((3, "initial state"), (1, "contact")))
+    information, struck = np.array([500.0, 20.0]), np.array([False, True])
+
+    def evidence(*effects):
+        values = np.ones(sum(len(e.doses) for e in effects))
+        return evidence_of(np.zeros(2), information, effects, values, struck=struck)
+
+    assert evidence(friction) == pytest.approx(-0.5 * np.log(20))
+    assert evidence(spin) == pytest.approx(-1.5 * np.log(520))
+    assert evidence(spin, friction) == evidence(friction, spin) == pytest.approx(-1.5 * np.log(520) - np.log(20))
+
+
 def left(squares, information, **changed):
     """What kinds of residuals that are so large leave to explain."""
     seen, later = (-0.5 * information * np.log(np.array(part) + 1.0) for part in (squares, (9.0, 9.0)))

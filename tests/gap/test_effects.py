@@ -296,7 +296,7 @@ def test_what_a_cheaper_model_lacks_is_known_between_frames_too():
         return Motion.of_steps(Motion(np.zeros((1, 3)), fine, height, speed), len(times), 40)
 
     own, exact = rolled(1.0), rolled(0.5)
-    corrected = Correction.between(exact, own).plus(None).of(own)
+    corrected = Correction.between(exact, own).of(own)
     np.testing.assert_allclose(corrected.positions, exact.positions, atol=1e-12)
     np.testing.assert_allclose(corrected.at(times * 1.05), exact.at(times * 1.05), atol=1e-12)
     by_frames = Correction(exact.positions - own.positions).of(own)

@@ -9,9 +9,14 @@ from physconvex.capture import Capture, Floor, Tracks, save_capture
 from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, box_mesh, simulate
 from physconvex.gap import GapOptions
 from physconvex.gap.base.base_fit import rough_baseline
+from physconvex.gap.base.model import reduced_like
 from physconvex.gap.effects import DEFAULT_EFFECTS
+from physconvex.gap.errors.numerics import Numerics, error_model, exact_model
+from physconvex.gap.search.comparison import base_hypothesis
+from physconvex.gap.search.exactness import with_own_correction
 
 FRAMES, FPS, SIZE = 14, 40.0, 0.14
+UP = np.array([0.0, 0.0, 0.5 * SIZE + 0.05])
 
 
 def effects(*names):
@@ -22,8 +27,7 @@ def effects(*names):
 def base(tmp_path_factory):
     """Of a box that strikes the floor in the middle of a frame."""
     mesh, corners = (box_mesh((0.1, 0.1, SIZE), (1, 1, 1), order=order) for order in (2, 1))
-    up = np.array([0.0, 0.0, 0.5 * SIZE + 0.05])
-    mesh, corners = (TetMesh(m.vertices + up, m.tets) for m in (mesh, corners))
+    mesh, corners = (TetMesh(m.vertices + UP, m.tets) for m in (mesh, corners))
     body = ElasticBody(mesh, youngs_modulus=2e5, poisson_ratio=0.35, density=1000.0)
     run = simulate(Scene(body, obstacles=(Plane(),)), frames=FRAMES, fps=FPS, steps_per_frame=10)
     capture = Capture(
@@ -73,3 +77,24 @@ def test_derivatives_by_the_clock_are_the_velocities(base):
     exact = (motion.at(motion.times + step) - motion.at(motion.times - step)) / (2 * step)
     flying = slice(1, 4)
     np.testing.assert_allclose(tangents[flying], exact[flying], atol=0.02 * np.abs(exact).max())
+
+
+def test_a_fit_with_its_own_correction_moves_as_the_most_exact_run_does(base):
+    """At the frames and between them, by the full-order model and by the reduced one that is searched."""
+    box = box_mesh((0.1, 0.1, SIZE), (2, 2, 3), order=2)
+    mesh, still = TetMesh(box.vertices + UP, box.tets), np.zeros_like(base.motion.positions)
+    numerics = Numerics(*[still] * 5, exact=still, exact_mesh=mesh)
+    errors = error_model(base, numerics, GapOptions())
+    found = base_hypothesis(base, errors)
+    own = with_own_correction(base, errors, numerics, found)
+    exact = exact_model(base.model, mesh).motion(base.fit.values)
+    assert np.abs(own.positions - found.positions).max() > 0.005 * SIZE
+    np.testing.assert_allclose(own.positions, exact.positions, atol=1e-12)
+    cheap, motion = reduced_like(own.model, own.motion, own.values)
+    between = (motion.times[:-1] + 0.4 / FPS).astype(float)
+    for model, moved in ((own.model, own.motion), (cheap, motion)):
+        corrected = model.correction.of(moved)
+        np.testing.assert_allclose(corrected.positions, exact.positions, atol=1e-12)
+        seen = corrected.at(np.append(between, corrected.times[-1]))[:-1]
+        np.testing.assert_allclose(seen, exact.at(np.append(between, exact.times[-1]))[:-1], atol=1e-3 * SIZE)
+    assert with_own_correction(base, errors, replace(numerics, exact_mesh=None), found) is found

@@ -7,7 +7,7 @@ import pytest
 
 from physconvex.gap import GapOptions, Motion
 from physconvex.gap.base.body_modes import body_modes
-from physconvex.gap.errors.numerics import Numerics, error_model
+from physconvex.gap.errors.numerics import Numerics, correction_of, error_model
 from physconvex.gap.errors.rebound import path_since_contact
 from physconvex.identify import MarkerObservations
 
@@ -33,6 +33,19 @@ def test_richardson_with_either_mesh():
 def test_the_lesser_estimate_is_believed():
     assert mesh_error(10.0, 0.1) == pytest.approx(STILL + 0.1 * BY_FINER)  # the coarse mesh flew on otherwise
     assert mesh_error(0.1, 10.0) == pytest.approx(STILL + 0.1 * BY_COARSER)  # the finest did
+
+
+@pytest.mark.wrong_types
+def test_what_the_most_exact_run_changes_is_added_and_only_what_it_errs_by_is_left():
+    errors, by_steps = {n: n ** (-1.75 / 3) for n in (250, 1000, 2500)}, 0.3
+    finest = STILL + errors[1000] - errors[2500]
+    numerics = Numerics(
+        STILL, STILL + errors[250] - errors[1000], STILL, STILL, STILL, nodes=NODES, finest=finest,
+        exact=finest + by_steps, fine=(None, None),
+    )  # fmt: skip
+    assert correction_of(numerics).positions == pytest.approx(finest + by_steps)
+    assert numerics.null[0] == pytest.approx(STILL + 0.2 * by_steps)
+    assert numerics.null[1] == pytest.approx(STILL + errors[2500])
 
 
 @pytest.mark.wrong_types

@@ -87,8 +87,42 @@ def test_full_order_fits_go_on_as_long_as_they_help(monkeypatch):
     plain = SimpleNamespace(effects=(), motion=object(), fitted=9.0, label="base model")
     monkeypatch.setattr(decision, "base_hypothesis", lambda base, errors: plain)
     base = SimpleNamespace(model=SimpleNamespace(cost=Cost()), situation=SimpleNamespace(clamped=True))
-    found = decision.decided(base, None, [fit("load"), fit("clock")], GapOptions(), lambda text: None)
+    inexact = SimpleNamespace(exact_mesh=None)
+    found = decision.decided(base, None, inexact, [fit("load"), fit("clock")], GapOptions(), lambda text: None)
     assert {h.label: h.fitted for h in found} == {"base model": 9.0, "load": 1.49, "clock": 2.99}
+
+
+@pytest.mark.wrong_types
+def test_fits_are_corrected_at_their_own_values_and_fitted_on_the_base_model_too(monkeypatch):
+    """But for those that are far behind: the base model alone is corrected in any case."""
+
+    def fit(label, evidence, fitted=9.0, motion=None):
+        effects = () if label.endswith("base") else (label,)
+        moved = motion or object()
+        return SimpleNamespace(label=label, effects=effects, motion=moved, fitted=fitted, evidence=evidence)
+
+    exact, improved = [], []
+
+    def corrected(base, errors, numerics, found):
+        exact.append(found.label)
+        return fit(f"exact {found.label}", found.evidence, found.fitted, found.motion)
+
+    def better(base, errors, found, options):
+        improved.append(found.label)
+        return fit(f"better {found.label}", found.evidence, 0.9) if found.fitted > 1 else None
+
+    monkeypatch.setattr(decision, "confirmed", lambda base, errors, found: found)
+    monkeypatch.setattr(decision, "with_own_correction", corrected)
+    monkeypatch.setattr(decision, "improved", better)
+    monkeypatch.setattr(decision, "judged", lambda base, errors, found: sorted(found, key=lambda h: -h.evidence))
+    monkeypatch.setattr(decision, "base_hypothesis", lambda base, errors: fit("base", -40.0))
+    base = SimpleNamespace(model=SimpleNamespace(cost=Cost()), situation=SimpleNamespace(clamped=False))
+    fits = [fit("a spin", 0.0), fit("a tilt", -30.0), fit("a drag", -20.0)]
+    numerics = SimpleNamespace(exact_mesh="fine")
+    found = decision.decided(base, None, numerics, fits, GapOptions(), lambda text: None)
+    assert exact[:3] == ["base", "a spin", "a drag"] and "exact base" in improved
+    assert {h.label for h in found if h.evidence == -30.0} == {"a tilt"} and "a tilt" not in improved
+    assert {h.label for h in found if h.evidence == 0.0} == {"exact better exact a spin"}
 
 
 def test_what_is_left_of_a_fit_is_screened_with_the_reduced_model_made_anew_there(monkeypatch):

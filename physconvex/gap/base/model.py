@@ -302,7 +302,8 @@ def reduced_like(full: EffectModel, motion: Motion, values: np.ndarray) -> tuple
             full, reduced=not full.situation.clamped, mesh=None, correction=None, stiffer=full.surrogate_stiffer
         )
     own = reduced.motion(values)
-    return replace(reduced, correction=Correction.between(motion, own).plus(full.correction)), own
+    exact = motion if full.correction is None else full.correction.of(motion)
+    return replace(reduced, correction=Correction.between(exact, own)), own
 
 
 def searches_itself(full: EffectModel) -> bool:

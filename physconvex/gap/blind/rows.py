@@ -11,6 +11,7 @@ import numpy as np
 from physconvex.gap.blind.classes import same_class
 from physconvex.gap.blind.doses import DoseScore, score_doses
 from physconvex.gap.blind.explicit_cases import OUTSIDE
+from physconvex.gap.judgement.case import TRUSTED
 
 __all__ = ["Row", "scored_row", "share_of"]
 
@@ -26,7 +27,7 @@ class Row:
     verdict: of the answer; "error" where there is none.
     first: effects that lead the best fits, without repetition.
     fit: effects of the best fit.
-    probability: told of the first effect that is named or remains possible; NaN where none does.
+    probability: told of the class of the first effect that is named or remains possible; NaN where none does.
     named: that effect.
     numerical: whether it is a numerical one.
     known: probability of the likeliest effect by the fits alone, whatever was called.
@@ -161,7 +162,7 @@ def scored_row(
         name, label["kind"], truth, doses, wanted, gone, answer["verdict"],
         first=tuple(dict.fromkeys(names[0] for names in ranking)),
         fit=tuple(ranking[0]) if ranking else (),
-        probability=float("nan") if named is None else named["probability"],
+        probability=_told(answer["effects"]),
         named="" if named is None else named["name"],
         numerical=named is not None and named["source"] == "numerical",
         known=answer["known"],
@@ -174,6 +175,15 @@ def scored_row(
         bias_poisson_ratio=_bias(answer["poisson_ratio"], label["poisson_ratio"]),
         seconds=answer["seconds"],
     )  # fmt: skip
+
+
+def _told(effects: Sequence[dict[str, Any]]) -> float:
+    """Probability told of the first effect's class: that of each of its effects, no more than any call is told with.
+
+    An answer of the class is right, so what a tilt and a wind that look alike share counts for both.
+    """
+    alike = [e["probability"] for e in effects if same_class(e["name"], effects[0]["name"])]
+    return min(sum(alike), max(TRUSTED, alike[0])) if alike else float("nan")
 
 
 def _bias(values: Sequence[float], true: float) -> tuple[float, float]:

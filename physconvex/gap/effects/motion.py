@@ -126,9 +126,3 @@ class Correction:
         count = len(whole.times)
         steps = replace(whole, positions=whole.positions + added[:count], velocities=whole.velocities + faster[:count])
         return replace(motion, positions=positions, steps=steps)
-
-    def plus(self, other: Correction | None) -> Correction:
-        """Both, the other one at the frames alone."""
-        return (
-            self if other is None else replace(self, positions=self.positions + other.positions[: len(self.positions)])
-        )

@@ -16,7 +16,7 @@ from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import TetMesh, refine, simulate, tetrahedralize
 from physconvex.gap.base.baseline import Baseline, Report, derivatives_of_residuals
 from physconvex.gap.base.boxes import box_of_body
-from physconvex.gap.base.model import ACCURACY
+from physconvex.gap.base.model import ACCURACY, EffectModel
 from physconvex.gap.effects import Correction, Motion
 from physconvex.gap.errors.rebound import path_since_contact
 from physconvex.gap.errors.score import ErrorModel
@@ -24,7 +24,15 @@ from physconvex.gap.options import GapOptions
 from physconvex.identify import mesh_of_capture
 from physconvex.kabsch import beyond_rigid
 
-__all__ = ["Numerics", "correction_of", "detail_errors", "error_model", "numerical_differences", "other_mesh"]
+__all__ = [
+    "Numerics",
+    "correction_of",
+    "detail_errors",
+    "error_model",
+    "exact_model",
+    "numerical_differences",
+    "other_mesh",
+]
 
 Positions = Float[np.ndarray, "T P 3"]
 _WORK = 600_000  # nodes times steps of a full-order run that is made some twenty times
@@ -35,6 +43,7 @@ _OUT_OF_STEP = (0.01, 0.1, 0.5)
 # of that as a whole, across the normal of a smooth floor, besides its friction: nine bodies without effect parted from
 # that engine by .2 to 4 % of their way along the normal, and by .01 to .3 % across it
 _SIDEWAYS = 0.2
+_EXACT, _EXACT_LEFT = 4, 0.2  # steps of the most exact run for one of the others; its error over their difference
 _STEPS_LEFT = 0.5  # error of half the time step over the difference to the whole one
 _LASTING = 2.0  # frames for which a numerical error stays much the same
 
@@ -54,6 +63,8 @@ class Numerics:
         failed: names of runs that did not converge (their differences are zero).
         absorbed_mesh: `mesh` after E and ν were fitted (`physconvex.gap.errors.absorbing`); None where they were not.
         finest: of a free body, with a mesh finer still, to the run on the finer one; None where it was not run.
+        exact: the same with a quarter of the time step as well.
+        exact_mesh: that it was run on.
     """
 
     steps: Positions
@@ -66,11 +77,16 @@ class Numerics:
     failed: tuple[str, ...] = ()
     absorbed_mesh: Positions | None = None
     finest: Positions | None = None
+    exact: Positions | None = None
+    exact_mesh: TetMesh | None = None
 
     @property
     def null(self) -> tuple[Positions, ...]:
         """Differences that effect-free captures may show."""
-        return (_STEPS_LEFT * self.steps, self._mesh_left, self.contact)
+        if self.exact is None or self.finest is None:
+            return (_STEPS_LEFT * self.steps, self._mesh_left, self.contact)
+        finer = _FINEST ** (_ORDER / 3)
+        return (_EXACT_LEFT * (self.exact - self.finest), self._mesh_left / finer, self.contact)
 
     @property
     def _mesh_left(self) -> Positions:
@@ -116,12 +132,19 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
         fine.append((mesh, replace(model, mesh=mesh).motion(values)))
         return np.asarray(fine[0][1].positions)
 
+    finest_mesh: list[TetMesh] = []
+
     def finest() -> Positions:
         nodes = _FINEST * len(fine[0][0].vertices)
         if nodes * steps > 2 * _FINEST * _WORK:
             raise InputError(f"mesh: {nodes:.0f} nodes are too many for {steps} steps")
-        mesh = _mesh_of(base, int(nodes))
-        return np.asarray(replace(model, mesh=mesh).motion(values).positions - fine[0][1].positions + here)
+        finest_mesh.append(_mesh_of(base, int(nodes)))
+        there = replace(model, mesh=finest_mesh[0]).motion(values)
+        return np.asarray(there.positions - fine[0][1].positions + here)
+
+    def most_exact() -> Positions:
+        there = exact_model(model, finest_mesh[0]).motion(values)
+        return np.asarray(there.positions - fine[0][1].positions + here)
 
     zero = np.zeros_like(here)
     # where the floor gives way its stiffness is fitted: a property of the recording's floor, and no error of the model
@@ -129,6 +152,7 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
     mesh = difference("a finer mesh", finer)
     compared = base.situation.touches and not base.situation.clamped and bool(fine)
     last = difference("a mesh finer still", finest) if compared else zero
+    exact = difference("a mesh finer still, a quarter of the time step", most_exact) if last.any() else zero
     return Numerics(
         steps=difference("half the time step", lambda: replace(model, refinement=2).motion(values).positions),
         mesh=mesh,
@@ -141,7 +165,14 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
         reduction=difference("the reduced model", lambda: model.reduced_motion(values).positions),
         failed=tuple(failed),
         finest=last if last.any() else None,
+        exact=exact if exact.any() else None,
+        exact_mesh=finest_mesh[0] if exact.any() else None,
     )
+
+
+def exact_model(model: EffectModel, mesh: TetMesh) -> EffectModel:
+    """The model on a mesh finer still and with a quarter of its time step."""
+    return replace(model, mesh=mesh, refinement=_EXACT, correction=None)
 
 
 def other_mesh(base: Baseline, options: GapOptions, steps: int) -> TetMesh:
@@ -170,6 +201,8 @@ def _mesh_of(base: Baseline, nodes: int) -> TetMesh:
 
 def correction_of(numerics: Numerics) -> Correction:
     """What finer steps change, and a finer mesh if that cannot be afforded: added to every run of the model."""
+    if numerics.exact is not None:
+        return Correction(numerics.exact if numerics.fine is not None else numerics.exact + numerics.mesh)
     return Correction(numerics.steps if numerics.fine is not None else numerics.steps + numerics.mesh)
 
 

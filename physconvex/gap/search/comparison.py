@@ -64,6 +64,7 @@ class Hypothesis:
         divisor: residuals per independent one that the evidence is tempered with, by kind.
         ringing: log-likelihood of how the recording rings, part of the evidence that is not tempered.
         later: the part of the likelihood that the frames make which choose, and which no fit saw.
+        struck: kinds that are of frames from the first contact on; None where they are not divided.
     """
 
     effects: tuple[Effect, ...]
@@ -83,6 +84,7 @@ class Hypothesis:
     divisor: Float[np.ndarray, " D"] = field(default_factory=lambda: np.ones(1))
     ringing: float = 0.0
     later: Float[np.ndarray, " D"] = field(default_factory=lambda: np.zeros(1))
+    struck: Bool[np.ndarray, " D"] | None = None
 
     @property
     def label(self) -> str:
@@ -122,7 +124,8 @@ class Hypothesis:
 
     def tempered(self, divisor: Float[np.ndarray, " D"]) -> Hypothesis:
         """With the evidence that it has if only one in `divisor` residuals of each kind is independent."""
-        evidence = evidence_of(self.likelihood, self.information * self.moved, self.effects, self.values, divisor)
+        told = self.information * self.moved
+        evidence = evidence_of(self.likelihood, told, self.effects, self.values, divisor, struck=self.struck)
         return replace(self, evidence=evidence + self.ringing, divisor=divisor)
 
 
@@ -140,10 +143,11 @@ def hypothesis_at(
     information = information_by_kind(base, errors, base.split.fitted)
     moved = moved_kinds(base, errors, positions)
     ringing = ringing_likelihood(base, positions)
-    evidence = evidence_of(likelihood, information * moved, model.effects, values) + ringing
+    struck = base.modes.struck
+    evidence = evidence_of(likelihood, information * moved, model.effects, values, struck=struck) + ringing
     return Hypothesis(
         model.effects, model, values, deviations, positions, motion, tangents, fitted, selecting, evidence, likelihood,
-        np.asarray(attainable), information, moved, ringing=ringing, later=later,
+        np.asarray(attainable), information, moved, ringing=ringing, later=later, struck=struck,
     )  # fmt: skip
 
 

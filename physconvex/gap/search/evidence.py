@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.independence import temperature
 from physconvex.gap.base.model import EffectModel
-from physconvex.gap.effects import Effect
+from physconvex.gap.effects import IN_FLIGHT, Effect
 from physconvex.gap.errors.score import ErrorModel
 
 __all__ = [
@@ -134,18 +134,34 @@ def likelihood_by_kind(
 
 def evidence_of(
     likelihood: np.ndarray, information: np.ndarray, effects: tuple[Effect, ...], values: np.ndarray,
-    divisor: np.ndarray | float = 1.0,
+    divisor: np.ndarray | float = 1.0, *, struck: np.ndarray | None = None,
 ) -> float:  # fmt: skip
     """Likelihood less ½ k ln n for k doses, as much again for every further effect, and less what is implausible.
 
-    `information` is of the residuals that tell the doses; n is their number.
+    n is the number of independent residuals that tell a dose. Those of a flight tell nothing of what acts through how a
+    body deforms or touches, nor of an error that a rebound makes.
+
+    Args:
+        likelihood: by kind.
+        information: number of independent fitted residuals by kind, of those that the effects change.
+        effects: of the fit.
+        values: base parameters, then doses.
+        divisor: residuals of a kind per independent one.
+        struck: kinds that are of frames from the first contact on; None where there are no others.
     """
-    price = sum(len(e.doses) for e in effects) + max(len(effects) - 1, 0)
-    price += sum(e.source == "numerical" for e in effects)  # a physical cause goes before one of the same looks
+    independent = information / divisor
+    whole = float(independent.sum())
+    late = whole if struck is None or not independent[struck].any() else float(independent[struck].sum())
+    prices = []  # of one dose of each effect
+    price = 0.0
+    for effect in effects:
+        prices.append(0.5 * float(np.log(max(whole if effect.source in IN_FLIGHT else late, 2.0))))
+        # a physical cause goes before a numerical one of the same looks
+        price += prices[-1] * (len(effect.doses) + (effect.source == "numerical"))
+    price += sum(sorted(prices)[:-1])
     doses = [dose for effect in effects for dose in effect.doses]
     odd = sum(dose.implausibility(value) for dose, value in zip(doses, values[len(values) - len(doses) :], strict=True))
-    independent = float((information / divisor).sum())
-    return float((likelihood / divisor).sum() - 0.5 * price * np.log(max(independent, 2.0)) - odd)
+    return float((likelihood / divisor).sum() - price - odd)
 
 
 def moved_kinds(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> Bool[np.ndarray, " D"]:

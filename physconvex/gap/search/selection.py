@@ -21,7 +21,7 @@ from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.errors.screening import Screening, screen
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.comparison import Hypothesis, base_hypothesis
+from physconvex.gap.search.comparison import Hypothesis, base_hypothesis, continued
 from physconvex.gap.search.decision import decided
 from physconvex.gap.search.evidence import residuals_per_one
 from physconvex.gap.search.expecting import expect_anew
@@ -55,12 +55,14 @@ class Selected:
     """What a search came to.
 
     Attributes:
+        base: the base fit, as it was fitted on for the decision.
         hypotheses: the base model and the fits of effects, best evidence first.
         screening: at the base fit.
         errors: weights of the residuals: those given, or where a fit led far from the base fit those there.
         numerics: the differences that these are of.
     """
 
+    base: Baseline
     hypotheses: list[Hypothesis]
     screening: Screening
     errors: ErrorModel
@@ -114,5 +116,6 @@ def select_effects(
         beside_in_first_frames(search, numerics, dictionary)
         leave_out(search)
     best = finalists(search.ranked, options.candidates if open_gap else 1, tied=TIED)
-    chosen = judged(base, search.errors, decided(base, search.errors, best, options, report))
-    return Selected(chosen, screening, search.errors, numerics)
+    chosen = judged(base, search.errors, decided(base, search.errors, numerics, best, options, report))
+    plain = next(h for h in chosen if not h.effects)
+    return Selected(continued(base, plain), chosen, screening, search.errors, numerics)
