@@ -415,6 +415,15 @@ def test_so_is_one_that_takes_nearly_all_although_another_might_too(remaining, n
     assert verdict.name == name and 0.66 < verdict.effects[0].probability < 0.7
 
 
+@pytest.mark.parametrize(("remaining", "placebo", "name"), [(0.12, 0.15, "effect"), (0.12, 0.6, "none")])
+def test_so_is_one_within_the_error_that_leaves_a_quarter_of_what_a_placebo_does(remaining, placebo, name):
+    """A stiffening drop: 16 of evidence and seven eighths of the gap, of which a wrong effect took a seventh."""
+    quiet = hypothesis(0.0)
+    quiet.fitted = 1.1
+    fits = [hypothesis(16.0, "damping"), quiet]
+    assert decide(fits, screening(), 2.0, 0.5, remaining, OPTIONS, placebo=placebo, struck=True).name == name
+
+
 def test_numerical_error_that_leaves_the_gap_is_no_answer():
     numerical = [hypothesis(20.0, "time_step"), hypothesis(0.0)]
     assert decide(numerical, screening(), 30.0, 1.0, 0.05, OPTIONS).name == "none"

@@ -119,8 +119,8 @@ class Case:
     @property
     def _beyond_placebo(self) -> bool:
         """Whether a placebo does next to nothing, or much evidence is for an effect that leaves a quarter of it."""
-        m, sure = self.measured, self.gain >= TELLING and self.measured.share >= FORETOLD
-        return m.placebo < 1.0 - FORETOLD or (sure and 1.0 - m.share <= LESS * (1.0 - m.placebo))
+        m = self.measured
+        return m.placebo < 1.0 - FORETOLD or (self.gain >= TELLING and 1.0 - m.share <= LESS * (1.0 - m.placebo))
 
     @property
     def open(self) -> bool:
