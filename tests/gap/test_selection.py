@@ -1,5 +1,6 @@
 """Pairs of effects that explain a residual only together."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -194,3 +195,54 @@ def test_a_search_that_the_clock_ends_says_whether_all_single_effects_were_tried
     assert searched(1).hurried and searched(2).hurried
     assert not searched(3).hurried  # the search goes no further, but has seen what the recording asks for
     assert not searched(4).hurried
+
+
+@pytest.mark.wrong_types
+@pytest.mark.parametrize(
+    ("alone", "ahead", "spent", "fitted"),
+    [
+        (3.1, -9.0, 5.0, ["attached_mass", "time_scale"]),  # the load alone had stopped on its way
+        (1.1, -9.0, 5.0, ["time_scale"]),  # it leaves hardly more than both
+        (
+            3.1,
+            -9.0,
+            1e4,
+            ["attached_mass", "time_scale"],
+        ),  # the search has cost what it may: for this there is something left
+        (3.1, 3.0, 5.0, ["attached_mass", "time_scale"]),  # nothing is far ahead of both
+        (3.1, 9.0, 5.0, []),  # the clock alone is
+    ],
+)
+def test_the_best_combination_is_fitted_without_each_of_its_effects(monkeypatch, alone, ahead, spent, fitted):
+    clock, load = effect("time_scale"), effect("attached_mass")
+
+    def fit(evidence, left, *effects):
+        return SimpleNamespace(
+            effects=effects, evidence=evidence, fitted=left, values=np.arange(4.0), positions=np.zeros(1),
+            tangents=np.zeros((1, 4, 1, 3)), model=Fitted(effects, slices=(slice(1, 2), slice(2, 4))),
+        )  # fmt: skip
+
+    tried = []
+
+    def refit(base, errors, model, values, tangents, options):
+        tried.append(model.effects[0].name)
+        assert list(values) == ([0.0, 2.0, 3.0] if model.effects[0] is load else [0.0, 1.0])
+        assert tangents.shape[1] == len(values)
+        return fit(-50.0, 1.0, *model.effects)
+
+    monkeypatch.setattr(rounds, "refit", refit)
+    monkeypatch.setattr(state, "judged", lambda base, errors, found: sorted(found, key=lambda h: -h.evidence))
+    cost = Cost(spent=spent, limit=100.0)
+    base = SimpleNamespace(model=SimpleNamespace(cost=cost))
+    search = state.Selection(base, base, None, GapOptions(), lambda text: None)
+    search.found += [fit(0.0, 1.0, clock, load), fit(ahead, 1.55, clock), fit(-80.0, alone, load)]
+    rounds.leave_out(search)
+    assert tried == fitted
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """As much of a model as leaving out needs."""
+
+    effects: tuple[SimpleNamespace, ...]
+    slices: tuple[slice, ...]

@@ -36,9 +36,7 @@ __all__ = [
 
 Positions = Float[np.ndarray, "T P 3"]
 _WORK = 600_000  # nodes times steps of a full-order run that is made some twenty times
-_EXACT_WORK = (
-    1_000_000  # the same of the finest mesh, of runs with a quarter of these steps that are made some ten times
-)
+_EXACT_WORK = 1_000_000  # the same of the finest mesh: runs with a quarter of these steps are made some ten times
 _ORDER = 1.75  # of convergence by edge length
 _FINEST = 2.5  # times the nodes of the finer mesh: of the one that it is compared with
 # as a whole, even strain and the rest, measured between this model and `physconvex.gap.blind.engine`, and MuJoCo's

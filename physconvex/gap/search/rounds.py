@@ -38,6 +38,8 @@ TIED = 1.0  # difference of evidence that hardly tells two forms of an effect ap
 _PAIRS, _ADDED, _EARLY = 4, 3, 4  # fits: two effects at once, in each further round, from the first frames
 _POLISHED = 3  # fits with derivatives taken anew
 _MANY = 40  # pairs that are ranked
+_AS_GOOD = 1.2  # times what a combination leaves: so much an earlier fit without one of its effects may leave
+_SPARED = 0.2  # of the cost of a search, for fits of the best combination without one of its effects
 _WORTH = 4.0  # gain of evidence for which the search goes on
 
 
@@ -186,13 +188,21 @@ def polish(search: Selection) -> None:
 
 
 def leave_out(search: Selection) -> None:
-    """Fit the best combination without each of its effects, so that parsimony has a say."""
-    best = search.best
-    if len(best.effects) < 2:
+    """Fit the best combination, if nothing is far ahead of it, without each of its effects: parsimony has a say.
+
+    Also where that was tried before and left clearly more: a load alone, found from the base fit, stopped on its way at
+    three times the squares, and a wrong frame rate led that had led to the load. For this there is always something
+    left to spend.
+    """
+    ranked = search.ranked
+    best = next((h for h in ranked if len(h.effects) > 1 and h.evidence > ranked[0].evidence - _WORTH), None)
+    if best is None:
         return
+    cost = search.base.model.cost
+    cost.limit = max(cost.limit, cost.spent + _SPARED * search.options.search_cost)
     for index, effect in enumerate(best.effects):
         rest = tuple(e for e in best.effects if e is not effect)
-        if any(set(h.effects) == set(rest) for h in search.found):
+        if any(set(h.effects) == set(rest) and h.fitted <= _AS_GOOD * best.fitted for h in search.found):
             continue
         where = best.model.slices[index]
         keep = np.r_[0 : where.start, where.stop : len(best.values)]
