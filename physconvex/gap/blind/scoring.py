@@ -97,7 +97,7 @@ class BankScore:
         oracles: number of these captures.
         median_dose_error: of named effects that are the hidden ones, |told - hidden| over |hidden|.
         doses_covered: share of their doses whose 90 % interval holds the hidden one.
-        calibration_error: of the probability told of the first effect that is named or remains possible; a numerical
+        calibration_error: of that told of the class of the first effect that is named or remains possible; a numerical
             one is right where nothing is hidden and nothing is called.
         reliability: bins of it.
         bias: |log10 E| and |ν| off after the diagnosis, medians and 90th percentiles, of single effects and of captures
