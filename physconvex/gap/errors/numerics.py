@@ -39,6 +39,7 @@ _WORK = 600_000  # nodes times steps of a full-order run that is made some twent
 _EXACT_WORK = 1_000_000  # the same of the finest mesh: runs with a quarter of these steps are made some ten times
 _ORDER = 1.75  # of convergence by edge length
 _FINEST = 2.5  # times the nodes of the finer mesh: of the one that it is compared with
+_LESS = _FINEST ** (_ORDER / 3)  # error of the finer mesh over that of this one
 # as a whole, even strain and the rest, measured between this model and `physconvex.gap.blind.engine`, and MuJoCo's
 _OUT_OF_STEP = (0.01, 0.1, 0.5)
 # of that as a whole, across the normal of a smooth floor, besides its friction: nine bodies without effect parted from
@@ -86,8 +87,7 @@ class Numerics:
         """Differences that effect-free captures may show."""
         if self.exact is None or self.finest is None:
             return (_STEPS_LEFT * self.steps, self._mesh_left, self.contact)
-        finer = _FINEST ** (_ORDER / 3)
-        return (_EXACT_LEFT * (self.exact - self.finest), self._mesh_left / finer, self.contact)
+        return (_EXACT_LEFT * (self.exact - self.finest), self._mesh_left / _LESS, self.contact)
 
     @property
     def _mesh_left(self) -> Positions:
@@ -101,8 +101,7 @@ class Numerics:
         by_coarser = np.asarray(left * (self.mesh if self.absorbed_mesh is None else self.absorbed_mesh))
         if self.finest is None:
             return by_coarser
-        ratio = _FINEST ** (_ORDER / 3)
-        by_finer = np.asarray(ratio / (ratio - 1) * self.finest)
+        by_finer = np.asarray(_LESS / (_LESS - 1) * self.finest)
         return min(by_coarser, by_finer, key=lambda d: float(np.linalg.norm(d)))
 
 
@@ -140,12 +139,10 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
         if nodes * steps > 2 * _FINEST * _WORK:
             raise InputError(f"mesh: {nodes:.0f} nodes are too many for {steps} steps")
         finest_mesh.append(_mesh_of(base, int(nodes)))
-        there = replace(model, mesh=finest_mesh[0]).motion(values)
-        return np.asarray(there.positions - fine[0][1].positions + here)
+        return beyond_fine(replace(model, mesh=finest_mesh[0]))
 
-    def most_exact() -> Positions:
-        there = exact_model(model, finest_mesh[0]).motion(values)
-        return np.asarray(there.positions - fine[0][1].positions + here)
+    def beyond_fine(better: EffectModel) -> Positions:
+        return np.asarray(better.motion(values).positions - fine[0][1].positions + here)
 
     zero = np.zeros_like(here)
     # where the floor gives way its stiffness is fitted: a property of the recording's floor, and no error of the model
@@ -157,7 +154,9 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
     linear = model.mesh is not None and model.mesh.order == 1  # the recording's own elements, whose errors it shares
     exact = zero
     if quick and not linear:
-        exact = difference("a mesh finer still, a quarter of the time step", most_exact)
+        exact = difference(
+            "a mesh finer still, a quarter of the time step", lambda: beyond_fine(exact_model(model, finest_mesh[0]))
+        )
     return Numerics(
         steps=difference("half the time step", lambda: replace(model, refinement=2).motion(values).positions),
         mesh=mesh,

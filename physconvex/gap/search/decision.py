@@ -76,7 +76,6 @@ def _corrected(
 ) -> Hypothesis:  # fmt: skip
     """A fit with its own correction, or as it is where that run fails, or has no time left."""
     try:
-        base.model.cost.check()
         return with_own_correction(base, errors, numerics, found)
     except FAILURES as error:
         report(f"most exact run: {found.label}: {error}")

@@ -29,10 +29,11 @@ def with_own_correction(base: Baseline, errors: ErrorModel, numerics: Numerics, 
         found: the fit, by the full-order model.
 
     Raises:
-        ConvergenceError: the body cannot be simulated so.
+        ConvergenceError: the body cannot be simulated so, or the runs have cost what they may.
     """
     if numerics.exact_mesh is None:
         return found
+    base.model.cost.check()
     exact = exact_model(found.model, numerics.exact_mesh)
     run = exact.motion(found.values)
     if run.steps is not None and found.motion.steps is not None:
