@@ -121,7 +121,7 @@ def _inclusion(corner: tuple[int, int, int]) -> Effect:
         "heterogeneity",
         "material",
         (
-            Dose("log10_modulus", "decades", -1.5, 1.5, 0.05, lambda s: -0.2, plausible=0.5),
+            Dose("log10_modulus", "decades", -3.0, 3.0, 0.05, lambda s: -0.2, plausible=0.5),
             *(
                 Dose(f"centre_{axis}", "", -1.0, 1.0, 0.1, _halfway(side), shape=True)
                 for axis, side in zip("xyz", corner, strict=True)

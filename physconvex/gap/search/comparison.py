@@ -39,6 +39,8 @@ __all__ = [
 ]
 
 _FOLLOWED = 1.5  # mean square over the expected one up to which nothing is left of a kind of residuals
+_ROUNDS = 6  # of a held body's fit
+_STILL, _SETTLED = 0.98, 0.7  # shares of misfit and doubt above which another one is not worth it
 _FAR, _MOVED = 5.0, 0.3  # typical steps: most that other values are moved by, and from which on it is tried
 
 
@@ -260,6 +262,10 @@ def refit(
 ) -> Hypothesis:
     """Fit a model with effects from given values and derivatives.
 
+    Priors weigh the more the worse the fit (`EffectModel.doubt`), which may begin a hundred times as bad as it ends. A
+    held body, the only one that has priors, is fitted anew by what is left, with derivatives taken where it is, until
+    both stay.
+
     Raises:
         ConvergenceError: the body cannot be simulated at the start.
     """
@@ -271,15 +277,24 @@ def refit(
     except ConvergenceError:
         values = np.concatenate([values[:own], 0.5 * (values + model.null_values())[own:]])
         here = shorter.positions(values)
-    shorter = replace(shorter, doubt=_doubt(base, errors, np.concatenate([here, base.positions[count:]])))
     tangents = tangents[:count].copy()
     _add_shapes(shorter, values, here, tangents)
-    secant = SecantModel(shorter, values, here, tangents)
     stop = FitOptions(max_iterations=options.iterations + 1, relative_tolerance=2e-3, absolute_tolerance=0.1)
-    found = fit(secant, weighted, shorter.parameters(values), options=stop)
+    doubt, left = _doubt(base, errors, here), np.inf
+    for number in range(_ROUNDS if base.situation.clamped else 1):
+        shorter = replace(shorter, doubt=doubt)
+        if number:
+            tangents = shorter.tangents(values, shorter.motion(values))
+        secant = SecantModel(shorter, values, here, tangents)
+        found = fit(secant, weighted, shorter.parameters(values), options=stop)
+        values, here, tangents = found.values, found.positions, secant.tangents
+        before, doubt = doubt, _doubt(base, errors, here)
+        settled, left = found.reduced_chi_square > _STILL * left, found.reduced_chi_square
+        if (settled and doubt > _SETTLED * before) or base.model.cost.over:
+            break
     motion = model.motion(found.values)
     deviations = _deviations(base, errors, found, model.observed(motion, found.values))
-    return hypothesis_at(base, errors, model, found.values, deviations, motion, secant.tangents)
+    return hypothesis_at(base, errors, model, found.values, deviations, motion, tangents)
 
 
 def _deviations(base: Baseline, errors: ErrorModel, found: Fit, positions: np.ndarray) -> np.ndarray:
@@ -289,10 +304,9 @@ def _deviations(base: Baseline, errors: ErrorModel, found: Fit, positions: np.nd
 
 
 def _doubt(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> float:
-    """Square of what is left over what is expected, times the residuals that count for one, in the fitted frames."""
-    return max(mean_square(base, errors, positions, base.split.fitted), 1.0) * residuals_per_one(
-        base, errors, positions, base.split.fitted
-    )
+    """Square of what the fitted frames leave over what is expected, times the residuals that count for one."""
+    whole, fitted = np.concatenate([positions, base.positions[len(positions) :]]), base.split.fitted
+    return max(mean_square(base, errors, whole, fitted), 1.0) * residuals_per_one(base, errors, whole, fitted)
 
 
 def _start(entry: Screened) -> np.ndarray:

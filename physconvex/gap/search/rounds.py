@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +24,7 @@ __all__ = [
     "alone",
     "beside_in_first_frames",
     "fitted_there",
+    "from_elsewhere",
     "from_first_frames",
     "from_there",
     "leave_out",
@@ -36,6 +37,7 @@ __all__ = [
 
 TIED = 1.0  # difference of evidence that hardly tells two forms of an effect apart
 _PAIRS, _ADDED, _EARLY = 4, 3, 4  # fits: two effects at once, in each further round, from the first frames
+_ELSEWHERE = 4  # other starts of an effect that is somewhere in the body
 _POLISHED = 3  # fits with derivatives taken anew
 _MANY = 40  # pairs that are ranked
 _AS_GOOD = 1.2  # times what a combination leaves: so much an earlier fit without one of its effects may leave
@@ -49,6 +51,19 @@ def alone(search: Selection, screened: Iterable[Screened]) -> None:
     for entry in screened:
         cost.hurried |= cost.out_of_time
         search.fit([entry])
+
+
+def from_elsewhere(search: Selection, screening: Screening, tried: Sequence[Screened]) -> None:
+    """What was tried and is somewhere in the body, or lies along something, from other places and directions as well.
+
+    Of a struck body screening hardly tells these: E has taken up what a stiff core does, and a soft end looks alike.
+    """
+    if search.base.situation.clamped:
+        return
+    for name in [entry.effect.name for entry in tried]:
+        placed = [e for e in screening.ranked if e.effect.name == name and any(d.shape for d in e.effect.doses)]
+        for entry in [e for e in placed if e not in tried][:_ELSEWHERE]:
+            search.fit([entry])
 
 
 def from_there(search: Selection, full: Baseline, effects: tuple[Effect, ...], values: np.ndarray) -> None:

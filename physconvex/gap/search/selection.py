@@ -33,6 +33,7 @@ from physconvex.gap.search.rounds import (
     TIED,
     alone,
     beside_in_first_frames,
+    from_elsewhere,
     from_first_frames,
     from_there,
     leave_out,
@@ -99,8 +100,10 @@ def select_effects(
     if open_gap and base.situation.clamped:
         for effects, values in loaded_starts(cheap, errors, applicable(dictionary, base.situation)):
             from_there(search, base, effects, values)
-    alone(search, screening.one_per_name[: _SINGLES if open_gap else 2])
+    singles = screening.one_per_name[: _SINGLES if open_gap else 2]
+    alone(search, singles)
     if open_gap:
+        from_elsewhere(search, screening, singles)
         from_flight(search, numerics, dictionary)
         anew = expect_anew(search)
         if anew is not None:  # what the base fit leaves tells of another body
