@@ -287,6 +287,14 @@ def test_rivals_and_look_alikes_are_told():
     assert set(alike.effects[0].confused_with) == {"wind", "friction", "time_step"}
 
 
+def test_what_is_declared_to_look_alike_is_told_where_it_nearly_does():
+    """Of five held bars with a small load, called a wrong frame rate, the report named none that looks alike."""
+    fits, seen = [hypothesis(20.0, "time_scale"), hypothesis(0.0)], ("time_scale", "attached_mass", "wind")
+    for similarity, told in ((0.9, ("attached_mass",)), (0.8, ())):
+        verdict = decide(fits, screening_with(*seen, alike=similarity), 30.0, 1.0, 0.1, OPTIONS)
+        assert verdict.effects[0].confused_with == told
+
+
 def test_absorbed_modulus_is_a_caveat():
     moved = decide(
         [hypothesis(20.0, "damping", log10_modulus=5.2), hypothesis(0.0)], screening(), 30.0, 1.0, 0.1, OPTIONS

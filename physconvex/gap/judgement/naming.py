@@ -27,7 +27,10 @@ __all__ = [
 SOMETHING_ELSE = "something else"
 WEAK = 1.5  # gain of log-evidence by an effect that leaves open whether it is there
 _BESIDE_A_SOFT_FLOOR = 10.0  # gain below which a further effect may be following what a law of such a contact is
-_ALIKE = 0.95  # cosine of signatures
+_ALIKE, _ALIKE_AS_DECLARED = (
+    0.95,
+    0.85,
+)  # cosine of signatures: of any two effects, and of two that are known to look alike
 # of a dose: what two programs that mean the same effect differ by, as a standard error; the second of effects that act
 # through how the body deforms or touches, and of bodies that are held, which do nothing but deform
 _FORM, _FORM_DEFORMING = 0.02, 0.05
@@ -121,6 +124,10 @@ def _names(label: str) -> list[str]:
     return [part.split(" (")[0] for part in label.split(" + ")]
 
 
+def _declared(one: Effect, other: Effect) -> bool:
+    return other.name in one.confusable or one.name in other.confusable
+
+
 def by_weight(found: list[NamedEffect], hypotheses: Sequence[Hypothesis]) -> list[NamedEffect]:
     """Effects of one fit, the one first that explains most by itself."""
     alone = {h.names[0]: h.evidence for h in reversed(hypotheses) if len(h.effects) == 1}
@@ -190,7 +197,8 @@ def named_effects(
         alike = [
             e.effect.name
             for e in screening.one_per_name
-            if e.effect.name != effect.name and screening.similarity(own, e) > _ALIKE
+            if e.effect.name != effect.name
+            and screening.similarity(own, e) > (_ALIKE_AS_DECLARED if _declared(effect, e.effect) else _ALIKE)
         ]
         rivals = [
             label.split(" (")[0]
