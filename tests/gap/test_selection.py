@@ -58,6 +58,23 @@ def test_pairs_are_named_once(screening):
     assert len(names) == len(set(names)) <= 3
 
 
+def test_what_is_somewhere_in_a_struck_body_is_fitted_from_several_places():
+    """From the one place that screened best, a stiff core (2301/034) stopped behind an air drag that does nothing."""
+    labels = [e.label for e in DEFAULT_EFFECTS if e.name in ("heterogeneity", "friction")]
+    ranked = tuple(SimpleNamespace(effect=e) for e in DEFAULT_EFFECTS if e.label in labels)
+    screening, tried = SimpleNamespace(ranked=ranked), [ranked[0], ranked[-1]]
+    fits = []
+    search = SimpleNamespace(
+        base=SimpleNamespace(situation=SimpleNamespace(clamped=False)), fit=lambda chosen: fits.append(chosen[0])
+    )
+    rounds.from_elsewhere(search, screening, tried)
+    assert len(fits) == 4 and not any(entry in tried for entry in fits)
+    assert all(entry.effect.variant.startswith("inclusion") for entry in fits)
+    search.base.situation.clamped = True  # what bends as a whole tells the place
+    rounds.from_elsewhere(search, screening, tried)
+    assert len(fits) == 4
+
+
 def fitted(evidence, *labels):
     names = tuple(label.split(" (")[0] for label in labels)
     return SimpleNamespace(effects=tuple(SimpleNamespace(label=one) for one in labels), names=names, evidence=evidence)

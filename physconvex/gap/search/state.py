@@ -19,7 +19,7 @@ __all__ = ["FAILURES", "HELD", "LATE_GAP", "Selection"]
 
 # of a run with doses that no body can bear: such a fit is left out, and the report says so
 FAILURES = (ConvergenceError, InputError, np.linalg.LinAlgError)
-HELD = 1.5  # of the cost of a search, for a held body, whose runs are about a third as costly as they are counted
+HELD = 1.5  # of the costs allowed, for a held body, whose runs cost about a third of what they are counted as
 # mean square over the expected one of the frames that choose: an impact near the end of the fitted ones shows there
 LATE_GAP = 5.0
 _WIDE = 3.0  # the same of the fitted ones, from which on a further effect is looked for in any case
