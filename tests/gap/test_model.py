@@ -83,7 +83,7 @@ def test_a_fit_with_its_own_correction_moves_as_the_most_exact_run_does(base):
     """At the frames and between them, by the full-order model and by the reduced one that is searched."""
     box = box_mesh((0.1, 0.1, SIZE), (2, 2, 3), order=2)
     mesh, still = TetMesh(box.vertices + UP, box.tets), np.zeros_like(base.motion.positions)
-    numerics = Numerics(*[still] * 5, exact=still, exact_mesh=mesh)
+    numerics = Numerics(*[still] * 5, exact=(mesh, still))
     errors = error_model(base, numerics, GapOptions())
     found = base_hypothesis(base, errors)
     own = with_own_correction(base, errors, numerics, found)
@@ -97,4 +97,4 @@ def test_a_fit_with_its_own_correction_moves_as_the_most_exact_run_does(base):
         np.testing.assert_allclose(corrected.positions, exact.positions, atol=1e-12)
         seen = corrected.at(np.append(between, corrected.times[-1]))[:-1]
         np.testing.assert_allclose(seen, exact.at(np.append(between, exact.times[-1]))[:-1], atol=1e-3 * SIZE)
-    assert with_own_correction(base, errors, replace(numerics, exact_mesh=None), found) is found
+    assert with_own_correction(base, errors, replace(numerics, exact=None), found) is found

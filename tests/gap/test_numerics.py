@@ -41,7 +41,7 @@ def test_what_the_most_exact_run_changes_is_added_and_only_what_it_errs_by_is_le
     finest = STILL + errors[1000] - errors[2500]
     numerics = Numerics(
         STILL, STILL + errors[250] - errors[1000], STILL, STILL, STILL, nodes=NODES, finest=finest,
-        exact=finest + by_steps, fine=(None, None),
+        exact=(None, finest + by_steps), fine=(None, None),
     )  # fmt: skip
     assert correction_of(numerics).positions == pytest.approx(finest + by_steps)
     assert numerics.null[0] == pytest.approx(STILL + 0.2 * by_steps)

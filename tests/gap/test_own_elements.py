@@ -59,10 +59,10 @@ def fitted(capture: Capture) -> tuple[Baseline, Baseline, Numerics, np.ndarray]:
 @pytest.mark.slow
 def test_elements_that_lock_become_the_model(tmp_path: Path) -> None:
     rough, base, numerics, variance = fitted(released(tmp_path, 1))
-    numerics = replace(numerics, exact=numerics.mesh, exact_mesh=base.model.twin.mesh)
+    numerics = replace(numerics, exact=(base.model.twin.mesh, numerics.mesh))
     own, left_over = with_own_elements(base, rough, numerics, variance, OPTIONS, lambda text: None)
     assert own.model.mesh is not None and own.model.mesh.order == 1 and own.model.mesh.mass_shares is None
-    assert left_over.exact is None and left_over.exact_mesh is None  # which would undo what the elements do
+    assert left_over.exact is None  # which would undo what the elements do
     assert own.fit.value("log10_youngs_modulus") == pytest.approx(np.log10(MODULUS), abs=0.01)
     # E of other elements had to stand in for the locking
     assert abs(base.fit.value("log10_youngs_modulus") - np.log10(MODULUS)) > 0.1

@@ -105,7 +105,7 @@ def test_full_order_fits_go_on_as_long_as_they_help(monkeypatch):
     plain = SimpleNamespace(effects=(), motion=object(), fitted=9.0, label="base model")
     monkeypatch.setattr(decision, "base_hypothesis", lambda base, errors: plain)
     base = SimpleNamespace(model=SimpleNamespace(cost=Cost()), situation=SimpleNamespace(clamped=True))
-    inexact = SimpleNamespace(exact_mesh=None)
+    inexact = SimpleNamespace(exact=None)
     found = decision.decided(base, None, inexact, [fit("load"), fit("clock")], GapOptions(), lambda text: None)
     assert {h.label: h.fitted for h in found} == {"base model": 9.0, "load": 1.49, "clock": 2.99}
 
@@ -136,7 +136,7 @@ def test_fits_are_corrected_at_their_own_values_and_fitted_on_the_base_model_too
     monkeypatch.setattr(decision, "base_hypothesis", lambda base, errors: fit("base", -40.0))
     base = SimpleNamespace(model=SimpleNamespace(cost=Cost()), situation=SimpleNamespace(clamped=False))
     fits = [fit("a spin", 0.0), fit("a tilt", -30.0), fit("a drag", -20.0)]
-    numerics = SimpleNamespace(exact_mesh="fine")
+    numerics = SimpleNamespace(exact="fine")
     found = decision.decided(base, None, numerics, fits, GapOptions(), lambda text: None)
     assert exact[:3] == ["base", "a spin", "a drag"] and "exact base" in improved
     assert {h.label for h in found if h.evidence == -30.0} == {"a tilt"} and "a tilt" not in improved

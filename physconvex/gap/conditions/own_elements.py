@@ -92,7 +92,7 @@ def with_own_elements(
         own = particles
     if not known and misfit_of_base(own, variance) > _BETTER * before:
         return base, numerics
-    numerics = replace(numerics, exact=None, exact_mesh=None)  # which is of other elements
+    numerics = replace(numerics, exact=None)  # which is of other elements
     still = np.zeros_like(numerics.mesh)
     return own, replace(numerics, mesh=still) if base.situation.clamped else numerics
 

@@ -65,8 +65,7 @@ class Numerics:
         failed: names of runs that did not converge (their differences are zero).
         absorbed_mesh: `mesh` after E and ν were fitted (`physconvex.gap.errors.absorbing`); None where they were not.
         finest: of a free body, with a mesh finer still, to the run on the finer one; None where it was not run.
-        exact: the same with a quarter of the time step as well.
-        exact_mesh: that it was run on.
+        exact: that mesh, and the same with a quarter of the time step as well.
     """
 
     steps: Positions
@@ -79,15 +78,14 @@ class Numerics:
     failed: tuple[str, ...] = ()
     absorbed_mesh: Positions | None = None
     finest: Positions | None = None
-    exact: Positions | None = None
-    exact_mesh: TetMesh | None = None
+    exact: tuple[TetMesh, Positions] | None = None
 
     @property
     def null(self) -> tuple[Positions, ...]:
         """Differences that effect-free captures may show."""
         if self.exact is None or self.finest is None:
             return (_STEPS_LEFT * self.steps, self._mesh_left, self.contact)
-        return (_EXACT_LEFT * (self.exact - self.finest), self._mesh_left / _LESS, self.contact)
+        return (_EXACT_LEFT * (self.exact[1] - self.finest), self._mesh_left / _LESS, self.contact)
 
     @property
     def _mesh_left(self) -> Positions:
@@ -169,8 +167,7 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
         reduction=difference("the reduced model", lambda: model.reduced_motion(values).positions),
         failed=tuple(failed),
         finest=last if last.any() else None,
-        exact=exact if exact.any() else None,
-        exact_mesh=finest_mesh[0] if exact.any() else None,
+        exact=(finest_mesh[0], exact) if exact.any() else None,
     )
 
 
@@ -205,9 +202,8 @@ def _mesh_of(base: Baseline, nodes: int) -> TetMesh:
 
 def correction_of(numerics: Numerics) -> Correction:
     """What finer steps change, and a finer mesh if that cannot be afforded: added to every run of the model."""
-    if numerics.exact is not None:
-        return Correction(numerics.exact if numerics.fine is not None else numerics.exact + numerics.mesh)
-    return Correction(numerics.steps if numerics.fine is not None else numerics.steps + numerics.mesh)
+    best = numerics.steps if numerics.exact is None else numerics.exact[1]
+    return Correction(best if numerics.fine is not None else best + numerics.mesh)
 
 
 def error_model(

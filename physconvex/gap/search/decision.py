@@ -41,7 +41,7 @@ def decided(
             out.append(confirmed(base, errors, hypothesis))
         except FAILURES as error:
             report(f"full-order run: {hypothesis.label}: {error}")
-    if numerics.exact_mesh is not None:
+    if numerics.exact is not None:
         near = {id(h.motion) for h in _near_the_best(base, errors, out)} | {id(plain.motion)}
         out = [_corrected(base, errors, numerics, h, report) if id(h.motion) in near else h for h in out]
         settled = {id(h.motion) for h in out} - near  # ids of motions

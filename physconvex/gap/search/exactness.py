@@ -31,10 +31,10 @@ def with_own_correction(base: Baseline, errors: ErrorModel, numerics: Numerics, 
     Raises:
         ConvergenceError: the body cannot be simulated so, or the runs have cost what they may.
     """
-    if numerics.exact_mesh is None:
+    if numerics.exact is None:
         return found
     base.model.cost.check()
-    exact = exact_model(found.model, numerics.exact_mesh)
+    exact = exact_model(found.model, numerics.exact[0])
     run = exact.motion(found.values)
     if run.steps is not None and found.motion.steps is not None:
         steps = Motion.of_steps(run.steps, len(found.motion.steps.times), exact.refinement // found.model.refinement)
