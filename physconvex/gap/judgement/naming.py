@@ -27,10 +27,8 @@ __all__ = [
 SOMETHING_ELSE = "something else"
 WEAK = 1.5  # gain of log-evidence by an effect that leaves open whether it is there
 _BESIDE_A_SOFT_FLOOR = 10.0  # gain below which a further effect may be following what a law of such a contact is
-_ALIKE, _ALIKE_AS_DECLARED = (
-    0.95,
-    0.85,
-)  # cosine of signatures: of any two effects, and of two that are known to look alike
+# cosine of signatures: of any two effects, and of two that are known to look alike
+_ALIKE, _ALIKE_AS_DECLARED = 0.95, 0.85
 # of a dose: what two programs that mean the same effect differ by, as a standard error; the second of effects that act
 # through how the body deforms or touches, and of bodies that are held, which do nothing but deform
 _FORM, _FORM_DEFORMING = 0.02, 0.05
