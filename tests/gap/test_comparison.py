@@ -216,5 +216,12 @@ def test_where_an_inclusion_lies_is_no_dose_that_a_body_could_not_bear():
     effect = next(e for e in DEFAULT_EFFECTS if e.label == "heterogeneity (inclusion, +x+y+z)")
     fit = SimpleNamespace(effects=(effect,), doses=lambda _: (np.array([0.5, 1.0, 0.2, 0.2]), None))
     assert doses_at_bounds(fit) == []
-    fit.doses = lambda _: (np.array([1.5, 0.5, 0.2, 0.2]), None)
+    fit.doses = lambda _: (np.array([3.0, 0.5, 0.2, 0.2]), None)
     assert len(doses_at_bounds(fit)) == 1
+
+
+def test_a_part_may_be_a_hundred_times_as_stiff_as_the_rest():
+    """Of a bar with such a part (2301/029) the right fit lay at a bound of 30 times, and counted for nothing."""
+    inclusions = [e for e in DEFAULT_EFFECTS if e.variant.startswith("inclusion")]
+    fits = [SimpleNamespace(effects=(e,), doses=lambda _: (np.array([2.0, 0.5, 0.2, 0.2]), None)) for e in inclusions]
+    assert fits and not any(doses_at_bounds(fit) for fit in fits)
