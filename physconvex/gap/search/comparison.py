@@ -280,18 +280,18 @@ def refit(
     tangents = tangents[:count].copy()
     _add_shapes(shorter, values, here, tangents)
     stop = FitOptions(max_iterations=options.iterations + 1, relative_tolerance=2e-3, absolute_tolerance=0.1)
-    doubt, left = _doubt(base, errors, here), np.inf
+    doubt, left, settled = np.inf, np.inf, False
     for number in range(_ROUNDS if base.situation.clamped else 1):
+        before, doubt = doubt, _doubt(base, errors, here)
+        if number and ((settled and doubt > _SETTLED * before) or base.model.cost.over):
+            break
         shorter = replace(shorter, doubt=doubt)
         if number:
             tangents = shorter.tangents(values, shorter.motion(values))
         secant = SecantModel(shorter, values, here, tangents)
         found = fit(secant, weighted, shorter.parameters(values), options=stop)
         values, here, tangents = found.values, found.positions, secant.tangents
-        before, doubt = doubt, _doubt(base, errors, here)
         settled, left = found.reduced_chi_square > _STILL * left, found.reduced_chi_square
-        if (settled and doubt > _SETTLED * before) or base.model.cost.over:
-            break
     motion = model.motion(found.values)
     deviations = _deviations(base, errors, found, model.observed(motion, found.values))
     return hypothesis_at(base, errors, model, found.values, deviations, motion, tangents)
