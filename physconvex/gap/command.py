@@ -25,7 +25,7 @@ def diagnose(
     ] = None,
     without: Annotated[str | None, typer.Option(help="Names of effects to leave out.")] = None,
     max_nodes: Annotated[int, typer.Option(help="Most nodes of the model's quadratic mesh.")] = 250,
-    candidates: Annotated[int, typer.Option(help="Effects that are fitted after screening.")] = 4,
+    candidates: Annotated[int, typer.Option(help="Fits that the full-order model decides between.")] = 8,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print report.json to standard output, nothing else.")
     ] = False,

@@ -17,7 +17,8 @@ class GapOptions:
         max_nodes: most nodes of the model's quadratic mesh.
         fine_nodes: nodes of the mesh whose difference to the model's is added to every run.
         weights: skinning weights of the reduced model of the rough fit.
-        candidates: effects that are fitted after screening.
+        candidates: fits that the full-order model decides between, one of each set of effects; half as many of a held
+            body, whose runs cost more, and whose cheaper model is a full-order one too.
         starts: shares of the screened doses that a fit may begin at; the one that fits best is taken.
         iterations: linearisations of each fit.
         most_effects: that are looked for together.
@@ -40,7 +41,7 @@ class GapOptions:
     max_nodes: int = 250
     fine_nodes: int = 1000
     weights: int = 8
-    candidates: int = 4
+    candidates: int = 8
     starts: tuple[float, ...] = (1.0, 0.5, 0.25)
     iterations: int = 9
     most_effects: int = 3

@@ -340,6 +340,14 @@ def test_signs():
     assert effect("gravity_tilt").doses[0].sign == 0
 
 
+def test_a_typical_step_to_a_threshold_is_no_longer_than_the_effect_s_reach(situation):
+    """It was as long as from where nothing yields, 4 decades: derivatives over .4, and a fit of a yield stress lost."""
+    doses = {dose.name: dose for effect in reversed(DEFAULT_EFFECTS) for dose in effect.doses}
+    assert doses["log10_yield_stress"].step(situation) == 0.1
+    assert doses["damping_time"].step(situation) == pytest.approx(0.05 * situation.wave_time)
+    assert doses["log10_relaxation_time"].step(situation) == pytest.approx(0.2)
+
+
 def test_dose_estimates():
     linear, threshold = effect("damping").doses[0], effect("plasticity").doses[0]
     assert linear.estimate(2.0, 0.5, 1e-3) == (2e-3, 5e-4)

@@ -94,40 +94,40 @@ def test_a_form_that_is_as_likely_is_carried_over():
 
 def test_full_order_fits_go_on_as_long_as_they_help(monkeypatch):
     """Two rounds of a load's fit leave it behind a slip of the clock, which is quickly fitted."""
-    left = {"load": [8.0, 4.0, 2.0, 1.5, 1.49, 0.1], "clock": [3.0, 2.99, 0.1]}
+    seen = {"load": [-40.0, -20.0, -8.0, -5.0, -4.5, 0.0], "clock": [-9.0, -8.9, 0.0]}
 
     def fit(name):
-        return SimpleNamespace(effects=(name,), motion=object(), fitted=left[name].pop(0), label=name)
+        return SimpleNamespace(effects=(name,), motion=object(), seen=seen[name].pop(0), label=name)
 
     monkeypatch.setattr(decision, "confirmed", lambda base, errors, found: found)
     monkeypatch.setattr(decision, "improved", lambda base, errors, found, options: fit(found.label))
-    monkeypatch.setattr(decision, "judged", lambda base, errors, found: sorted(found, key=lambda h: h.fitted))
-    plain = SimpleNamespace(effects=(), motion=object(), fitted=9.0, label="base model")
+    monkeypatch.setattr(decision, "judged", lambda base, errors, found: sorted(found, key=lambda h: -h.seen))
+    plain = SimpleNamespace(effects=(), motion=object(), seen=-99.0, label="base model")
     monkeypatch.setattr(decision, "base_hypothesis", lambda base, errors: plain)
     base = SimpleNamespace(model=SimpleNamespace(cost=Cost()), situation=SimpleNamespace(clamped=True))
     inexact = SimpleNamespace(exact=None)
     found = decision.decided(base, None, inexact, [fit("load"), fit("clock")], GapOptions(), lambda text: None)
-    assert {h.label: h.fitted for h in found} == {"base model": 9.0, "load": 1.49, "clock": 2.99}
+    assert {h.label: h.seen for h in found} == {"base model": -99.0, "load": -4.5, "clock": -8.9}
 
 
 @pytest.mark.wrong_types
 def test_fits_are_corrected_at_their_own_values_and_fitted_on_the_base_model_too(monkeypatch):
     """But for those that are far behind: the base model alone is corrected in any case."""
 
-    def fit(label, evidence, fitted=9.0, motion=None):
+    def fit(label, evidence, seen=-9.0, motion=None):
         effects = () if label.endswith("base") else (label,)
         moved = motion or object()
-        return SimpleNamespace(label=label, effects=effects, motion=moved, fitted=fitted, evidence=evidence)
+        return SimpleNamespace(label=label, effects=effects, motion=moved, seen=seen, evidence=evidence)
 
     exact, improved = [], []
 
     def corrected(base, errors, numerics, found):
         exact.append(found.label)
-        return fit(f"exact {found.label}", found.evidence, found.fitted, found.motion)
+        return fit(f"exact {found.label}", found.evidence, found.seen, found.motion)
 
     def better(base, errors, found, options):
         improved.append(found.label)
-        return fit(f"better {found.label}", found.evidence, 0.9) if found.fitted > 1 else None
+        return fit(f"better {found.label}", found.evidence, -1.0) if found.seen < -1 else None
 
     monkeypatch.setattr(decision, "confirmed", lambda base, errors, found: found)
     monkeypatch.setattr(decision, "with_own_correction", corrected)
@@ -218,24 +218,20 @@ def test_a_search_that_the_clock_ends_says_whether_all_single_effects_were_tried
 @pytest.mark.parametrize(
     ("alone", "ahead", "spent", "fitted"),
     [
-        (3.1, -9.0, 5.0, ["attached_mass", "time_scale"]),  # the load alone had stopped on its way
-        (1.1, -9.0, 5.0, ["time_scale"]),  # it leaves hardly more than both
-        (
-            3.1,
-            -9.0,
-            1e4,
-            ["attached_mass", "time_scale"],
-        ),  # the search has cost what it may: for this there is something left
-        (3.1, 3.0, 5.0, ["attached_mass", "time_scale"]),  # nothing is far ahead of both
-        (3.1, 9.0, 5.0, []),  # the clock alone is
+        (-41.0, -9.0, 5.0, ["attached_mass", "time_scale"]),  # the load alone had stopped on its way
+        (-23.0, -9.0, 5.0, ["time_scale"]),  # it leaves hardly more than both
+        # the search has cost what it may: for this there is something left
+        (-41.0, -9.0, 1e4, ["attached_mass", "time_scale"]),
+        (-41.0, 3.0, 5.0, ["attached_mass", "time_scale"]),  # nothing is far ahead of both
+        (-41.0, 9.0, 5.0, []),  # the clock alone is
     ],
 )
 def test_the_best_combination_is_fitted_without_each_of_its_effects(monkeypatch, alone, ahead, spent, fitted):
     clock, load = effect("time_scale"), effect("attached_mass")
 
-    def fit(evidence, left, *effects):
+    def fit(evidence, seen, *effects):
         return SimpleNamespace(
-            effects=effects, evidence=evidence, fitted=left, values=np.arange(4.0), positions=np.zeros(1),
+            effects=effects, evidence=evidence, seen=seen, values=np.arange(4.0), positions=np.zeros(1),
             tangents=np.zeros((1, 4, 1, 3)), model=Fitted(effects, slices=(slice(1, 2), slice(2, 4))),
         )  # fmt: skip
 
@@ -245,14 +241,14 @@ def test_the_best_combination_is_fitted_without_each_of_its_effects(monkeypatch,
         tried.append(model.effects[0].name)
         assert list(values) == ([0.0, 2.0, 3.0] if model.effects[0] is load else [0.0, 1.0])
         assert tangents.shape[1] == len(values)
-        return fit(-50.0, 1.0, *model.effects)
+        return fit(-50.0, -20.0, *model.effects)
 
     monkeypatch.setattr(rounds, "refit", refit)
     monkeypatch.setattr(state, "judged", lambda base, errors, found: sorted(found, key=lambda h: -h.evidence))
     cost = Cost(spent=spent, limit=100.0)
     base = SimpleNamespace(model=SimpleNamespace(cost=cost))
     search = state.Selection(base, base, None, GapOptions(), lambda text: None)
-    search.found += [fit(0.0, 1.0, clock, load), fit(ahead, 1.55, clock), fit(-80.0, alone, load)]
+    search.found += [fit(0.0, -20.0, clock, load), fit(ahead, -29.0, clock), fit(-80.0, alone, load)]
     rounds.leave_out(search)
     assert tried == fitted
 

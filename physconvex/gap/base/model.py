@@ -96,7 +96,7 @@ class EffectModel:
         ]
         for effect, where in zip(self.effects, self.slices, strict=True):
             for dose, value, name in zip(effect.doses, values[where], self.names[where], strict=True):
-                step = 2 * dose.smallest if dose.shape else max(abs(dose.trial(self.situation)), dose.smallest)
+                step = dose.step(self.situation)
                 start = float(np.clip(value, dose.lower, dose.upper))
                 sigma = dose.plausible / float(np.sqrt(self.doubt)) if self.situation.clamped else np.inf
                 out.append(_DoseParameter(name, start, dose.lower, dose.upper, step, dose.null, sigma))

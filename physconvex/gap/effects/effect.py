@@ -136,6 +136,12 @@ class Dose:
         """Change of the dose that undoes or adds the effect of the trial dose, for derivatives there."""
         return 0.4 * self.sign if self.threshold else trial - self.null
 
+    def step(self, situation: Situation) -> float:
+        """A typical one of a fit: to a threshold, however far from null it lies, the smallest of interest."""
+        if self.shape:
+            return 2 * self.smallest
+        return self.smallest if self.threshold else max(abs(self.trial(situation)), self.smallest)
+
     @property
     def sign(self) -> int:
         """+1, −1 where physics allows deviations to one side only, else 0."""

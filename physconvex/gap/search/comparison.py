@@ -109,6 +109,15 @@ class Hypothesis:
         return float((self.information / self.divisor).sum())
 
     @property
+    def seen(self) -> float:
+        """Log-likelihood of the fitted frames, up to a constant.
+
+        Of a struck body the mean square hardly tells one fit from a better one: most of its residuals are of the
+        flight, which all of them follow.
+        """
+        return float((self.likelihood - self.later).sum())
+
+    @property
     def left_to_explain(self) -> float:
         """Gain of log-likelihood in the fitted frames by whatever would leave nothing but noise and numerical error.
 

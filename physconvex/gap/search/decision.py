@@ -18,7 +18,7 @@ __all__ = ["decided"]
 
 _DECIDED = 0.85  # of the deadline: then the full-order fits end
 _HOPELESS = 25.0  # evidence behind the best fit from which on nothing more is made of a fit
-_SWEEPS, _SLOW = 5, 0.98  # over the full-order fits; share of the misfit above which another one is not worth it
+_SWEEPS, _SLOW = 5, 1.0  # over the full-order fits; gain of log-likelihood below which another one is not worth it
 
 
 def decided(
@@ -60,7 +60,7 @@ def decided(
                 continue
             better = _corrected(base, errors, numerics, better, report)
             out[next(i for i, h in enumerate(out) if h.motion is hypothesis.motion)] = better
-            if better.fitted > _SLOW * hypothesis.fitted or better.fitted < 1.0:
+            if better.seen < hypothesis.seen + _SLOW:
                 settled.add(id(better.motion))
     return out if len(out) > 1 else [*out, *chosen[:1]]
 

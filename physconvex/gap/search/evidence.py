@@ -46,7 +46,7 @@ def mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frame
 
 
 def misfit_at(base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray) -> float:
-    """The mean square of a model at some values, in those of the fitted frames that it has.
+    """Minus the log-likelihood of a model at some values, in those of the fitted frames that it has.
 
     Raises:
         ConvergenceError: the body cannot be simulated there.
@@ -55,7 +55,7 @@ def misfit_at(base: Baseline, errors: ErrorModel, model: EffectModel, values: np
     here = model.positions(values)
     fitted = base.split.fitted
     whole = np.concatenate([here, base.positions[len(here) :]])
-    return mean_square(base, errors, whole, fitted[fitted < len(here)])
+    return -float(likelihood_by_kind(base, errors, whole, fitted[fitted < len(here)]).sum())
 
 
 def squares_by_kind(

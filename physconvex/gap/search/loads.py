@@ -108,7 +108,7 @@ def _best_modulus(
 
 
 def _misfit(base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray) -> float:
-    """Mean square of the fitted frames' residuals over the expected one; infinite where nothing comes out."""
+    """Of the fitted frames; infinite where nothing comes out."""
     try:
         return misfit_at(base, errors, model, values)
     except (ConvergenceError, InputError):

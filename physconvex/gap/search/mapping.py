@@ -63,18 +63,30 @@ def _in_step(base: Baseline, full: EffectModel, found: Hypothesis) -> np.ndarray
     return values
 
 
+def _saturates(model: EffectModel) -> bool:
+    """Whether a dose of its effects does nothing beyond a threshold.
+
+    The reduced model's stresses are others, so that it saturates at another dose: no motion that is added to it makes
+    up for that, and such a fit is searched with the full-order model itself.
+    """
+    return any(dose.threshold for effect in model.effects for dose in effect.doses)
+
+
 def improved(base: Baseline, errors: ErrorModel, here: Hypothesis, options: GapOptions) -> Hypothesis | None:
     """A better fit of the full-order model, searched with the reduced one about the one that is there.
 
     None where there is none, or where it is no better.
     """
     scales = np.array([p.step for p in here.model.parameters(here.values)])
-    first = best = last = here
+    first = best = here
+    count = int(base.split.fitted[-1]) + 1
     for _ in range(_ROUNDS):
         try:
             base.model.cost.check()
-            model, _ = reduced_like(here.model, here.motion, here.values)
-            last = refit(base, errors, model, here.values, last.tangents, options)
+            model, motion = reduced_like(here.model, here.motion, here.values)
+            tangents = replace(model, frames=count).tangents(here.values, motion.first(count))
+            searched = here.model if _saturates(here.model) else model
+            last = refit(base, errors, searched, here.values, tangents, options)
             if np.abs((last.values - here.values) / scales).max() < _STILL:
                 break
             motion = here.model.motion(last.values)
@@ -83,5 +95,5 @@ def improved(base: Baseline, errors: ErrorModel, here: Hypothesis, options: GapO
         here = hypothesis_at(base, errors, here.model, last.values, last.errors, motion, last.tangents)
         if here.fitted > 1.5 * best.fitted:
             break
-        best = here if here.fitted < best.fitted else best
-    return None if best.fitted >= first.fitted else best
+        best = here if here.seen > best.seen else best
+    return None if best is first else best

@@ -40,7 +40,7 @@ _PAIRS, _ADDED, _EARLY = 4, 3, 4  # fits: two effects at once, in each further r
 _ELSEWHERE = 4  # other starts of an effect that is somewhere in the body
 _POLISHED = 3  # fits with derivatives taken anew
 _MANY = 40  # pairs that are ranked
-_AS_GOOD = 1.2  # times what a combination leaves: so much an earlier fit without one of its effects may leave
+_AS_GOOD = 4.0  # log-likelihood of the fitted frames: so much an earlier fit without one of the effects may lack
 _SPARED = 0.2  # of the cost of a search, for fits of the best combination without one of its effects
 _WORTH = 4.0  # gain of evidence for which the search goes on
 
@@ -217,7 +217,7 @@ def leave_out(search: Selection) -> None:
     cost.limit = max(cost.limit, cost.spent + _SPARED * search.options.search_cost)
     for index, effect in enumerate(best.effects):
         rest = tuple(e for e in best.effects if e is not effect)
-        if any(set(h.effects) == set(rest) and h.fitted <= _AS_GOOD * best.fitted for h in search.found):
+        if any(set(h.effects) == set(rest) and h.seen >= best.seen - _AS_GOOD for h in search.found):
             continue
         where = best.model.slices[index]
         keep = np.r_[0 : where.start, where.stop : len(best.values)]

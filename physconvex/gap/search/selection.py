@@ -118,7 +118,8 @@ def select_effects(
                 break
         beside_in_first_frames(search, numerics, dictionary)
         leave_out(search)
-    best = finalists(search.ranked, options.candidates if open_gap else 1, tied=TIED)
+    decisive = max(1, options.candidates // 2) if base.situation.clamped else options.candidates
+    best = finalists(search.ranked, decisive if open_gap else 1, tied=TIED)
     chosen = judged(base, search.errors, decided(base, search.errors, numerics, best, options, report))
     plain = next(h for h in chosen if not h.effects)
     return Selected(continued(base, plain), chosen, screening, search.errors, numerics)
