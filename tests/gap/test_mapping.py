@@ -46,7 +46,7 @@ def runs(monkeypatch):
         )
 
     def refit(base, errors, model, values, tangents, options):
-        assert tangents == f"taken at {values[0]:g}"
+        assert tangents == "taken at 0"
         searched.append(model)
         return SimpleNamespace(values=values + 1, errors=np.zeros(1), tangents=tangents)
 

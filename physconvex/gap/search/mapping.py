@@ -80,13 +80,16 @@ def improved(base: Baseline, errors: ErrorModel, here: Hypothesis, options: GapO
     scales = np.array([p.step for p in here.model.parameters(here.values)])
     first = best = here
     count = int(base.split.fitted[-1]) + 1
+    tangents = None
     for _ in range(_ROUNDS):
         try:
             base.model.cost.check()
             model, motion = reduced_like(here.model, here.motion, here.values)
-            tangents = replace(model, frames=count).tangents(here.values, motion.first(count))
+            if tangents is None:
+                tangents = replace(model, frames=count).tangents(here.values, motion.first(count))
             searched = here.model if _saturates(here.model) else model
             last = refit(base, errors, searched, here.values, tangents, options)
+            tangents = last.tangents
             if np.abs((last.values - here.values) / scales).max() < _STILL:
                 break
             motion = here.model.motion(last.values)
