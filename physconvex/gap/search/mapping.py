@@ -75,7 +75,8 @@ def _saturates(model: EffectModel) -> bool:
 def improved(base: Baseline, errors: ErrorModel, here: Hypothesis, options: GapOptions) -> Hypothesis | None:
     """A better fit of the full-order model, searched with the reduced one about the one that is there.
 
-    None where there is none, or where it is no better.
+    What saturates is searched with the full-order model itself. Better is what makes the fitted frames likelier. None
+    where there is none.
     """
     scales = np.array([p.step for p in here.model.parameters(here.values)])
     first = best = here
