@@ -12,7 +12,7 @@ from physconvex.gap.search.comparison import Hypothesis, base_hypothesis
 from physconvex.gap.search.exactness import with_own_correction
 from physconvex.gap.search.mapping import confirmed, improved
 from physconvex.gap.search.ranking import judged
-from physconvex.gap.search.state import FAILURES, HELD
+from physconvex.gap.search.state import FAILURES
 
 __all__ = ["decided"]
 
@@ -31,7 +31,7 @@ def decided(
     One for which there was no time is left out; if there was none for any, the reduced model's word is taken.
     """
     cost, plain = base.model.cost, base_hypothesis(base, errors)
-    cost.allow(options.decision_cost * (HELD if base.situation.clamped else 1.0), _DECIDED)
+    cost.allow(options.decision_cost, _DECIDED)
     out = [plain]
     for hypothesis in sorted(chosen, key=lambda h: len(h.effects)):  # the simple ones first, should time run out
         report(f"full-order run: {hypothesis.label}")

@@ -42,11 +42,12 @@ from physconvex.gap.search.rounds import (
     polish,
     together,
 )
-from physconvex.gap.search.state import HELD, LATE_GAP, Selection
+from physconvex.gap.search.state import LATE_GAP, Selection
 
 __all__ = ["Selected", "select_effects"]
 
 _SEARCHED = 0.6  # of the deadline: then the search ends
+_HELD = 1.5  # of its cost, for a held body, whose runs cost about a third of what they are counted as
 _CLOSED = 1.5  # mean square over the expected one below which there is no gap to explain
 _SINGLES, _STEMS = 7, 2  # effects that are fitted alone; fits that the first further round goes on from
 
@@ -89,7 +90,7 @@ def select_effects(
     cheap, dictionary = as_reduced(base), tuple(dictionary)
     screening = screening or screen(cheap, errors, numerics, dictionary, report)
     cost = cheap.model.cost
-    cost.allow(options.search_cost * (HELD if base.situation.clamped else 1.0), _SEARCHED)
+    cost.allow(options.search_cost * (_HELD if base.situation.clamped else 1.0), _SEARCHED)
     search = Selection(base, cheap, errors, options, report)
     search.found.append(base_hypothesis(cheap, errors))
     rows = len(base.rows(base.split.fitted))

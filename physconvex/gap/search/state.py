@@ -15,11 +15,10 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.search.comparison import Hypothesis, fit_effects
 from physconvex.gap.search.ranking import judged
 
-__all__ = ["FAILURES", "HELD", "LATE_GAP", "Selection"]
+__all__ = ["FAILURES", "LATE_GAP", "Selection"]
 
 # of a run with doses that no body can bear: such a fit is left out, and the report says so
 FAILURES = (ConvergenceError, InputError, np.linalg.LinAlgError)
-HELD = 1.5  # of the costs allowed, for a held body, whose runs cost about a third of what they are counted as
 # mean square over the expected one of the frames that choose: an impact near the end of the fitted ones shows there
 LATE_GAP = 5.0
 _WIDE = 3.0  # the same of the fitted ones, from which on a further effect is looked for in any case
