@@ -47,7 +47,7 @@ from physconvex.gap.search.state import LATE_GAP, Selection
 __all__ = ["Selected", "select_effects"]
 
 _SEARCHED = 0.6  # of the deadline: then the search ends
-_HELD = 1.5  # of its cost, for a held body, whose runs cost about a third of what they are counted as
+_HELD = 1.5  # of the cost of a search, for a held body, whose runs cost about a third of what they are counted as
 _CLOSED = 1.5  # mean square over the expected one below which there is no gap to explain
 _SINGLES, _STEMS = 7, 2  # effects that are fitted alone; fits that the first further round goes on from
 
