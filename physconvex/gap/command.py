@@ -24,8 +24,12 @@ def diagnose(
         str | None, typer.Option(help="Names of the effects to try, separated by commas. Default: all.")
     ] = None,
     without: Annotated[str | None, typer.Option(help="Names of effects to leave out.")] = None,
-    max_nodes: Annotated[int, typer.Option(help="Most nodes of the model's quadratic mesh.")] = 250,
-    candidates: Annotated[int, typer.Option(help="Fits that the full-order model decides between.")] = 8,
+    max_nodes: Annotated[
+        int | None, typer.Option(help="Most nodes of the model's quadratic mesh. Default: that of GapOptions.")
+    ] = None,
+    candidates: Annotated[
+        int | None, typer.Option(help="Fits that the full-order model decides between. Default: that of GapOptions.")
+    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print report.json to standard output, nothing else.")
     ] = False,
@@ -42,7 +46,11 @@ def diagnose(
     from physconvex.gap.diagnose import diagnose as run
     from physconvex.gap.options import GapOptions
 
-    options = GapOptions(max_nodes=max_nodes, candidates=candidates)
+    usual = GapOptions()
+    options = GapOptions(
+        max_nodes=usual.max_nodes if max_nodes is None else max_nodes,
+        candidates=usual.candidates if candidates is None else candidates,
+    )
 
     with tqdm(total=None, dynamic_ncols=True, disable=no_progress or as_json or not sys.stderr.isatty()) as bar:
 

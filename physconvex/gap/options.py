@@ -18,7 +18,7 @@ class GapOptions:
         fine_nodes: nodes of the mesh whose difference to the model's is added to every run.
         weights: skinning weights of the reduced model of the rough fit.
         candidates: fits that the full-order model decides between, one of each set of effects; half as many of a held
-            body, whose runs cost more, and whose cheaper model is a full-order one too.
+            body, whose runs cost more, and whose cheaper model is a full-order one too, and where nothing is open.
         starts: shares of the screened doses that a fit may begin at; the one that fits best is taken.
         iterations: linearisations of each fit.
         most_effects: that are looked for together.

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from physconvex.gap import GapOptions
+from physconvex.gap.base.baseline import Split
 from physconvex.gap.base.cost import Cost
 from physconvex.gap.effects import Motion
 from physconvex.gap.errors.absorbing import with_absorbed_mesh
@@ -55,7 +56,7 @@ def base(monkeypatch):
     fine, values = Bending(stiffer=1.0, other=0.0), np.array([5.0])
     return SimpleNamespace(
         situation=SimpleNamespace(clamped=True, size=0.1), model=fine, motion=fine.motion(values),
-        fit=SimpleNamespace(values=values), split=SimpleNamespace(fitted=np.arange(25)),
+        fit=SimpleNamespace(values=values), split=Split(np.arange(25), np.arange(0), np.arange(0)),
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from physconvex.gap import DEFAULT_EFFECTS
+from physconvex.gap.base.baseline import Split
 from physconvex.gap.base.body_modes import BodyModes, undivided
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.search.comparison import Hypothesis, _beside, _best_start, doses_at_bounds
@@ -28,7 +29,7 @@ def case(residual, numerical):
     count = FRAMES * POINTS * 3
     frames = np.repeat(np.arange(FRAMES), POINTS * 3)
     base = SimpleNamespace(
-        split=SimpleNamespace(fitted=np.arange(12), selecting=np.arange(12, FRAMES)),
+        split=Split(np.arange(12), np.arange(12, FRAMES), np.arange(0)),
         observations=SimpleNamespace(frames=frames),
         modes=undivided(frames),
         columns=np.tile(np.arange(POINTS * 3), FRAMES),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from physconvex.gap import DEFAULT_EFFECTS
+from physconvex.gap.base.baseline import Split
 from physconvex.gap.base.body_modes import BodyModes
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.judgement.flight import gain_in_flight, left_in_flight
@@ -22,7 +23,7 @@ def case(touched=TOUCHED):
     frames = np.repeat(np.arange(FRAMES), ROWS)
     modes = BodyModes(frames, np.where(frames < touched, 0, 3), (6.0, 6.0, 12.0) * 2)
     base = SimpleNamespace(
-        split=SimpleNamespace(fitted=np.arange(FRAMES)),
+        split=Split(np.arange(FRAMES), np.arange(0), np.arange(0)),
         observations=SimpleNamespace(frames=frames),
         modes=modes,
         model=SimpleNamespace(frames=FRAMES),

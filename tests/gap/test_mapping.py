@@ -62,7 +62,7 @@ def runs(monkeypatch):
 
 
 def improved(runs):
-    base = SimpleNamespace(model=SimpleNamespace(cost=runs.cost), split=SimpleNamespace(fitted=np.arange(5)))
+    base = SimpleNamespace(model=SimpleNamespace(cost=runs.cost), split=SimpleNamespace(end=5))
     return mapping.improved(base, None, runs.start, GapOptions())
 
 

@@ -1,8 +1,9 @@
-"""A fit of a held body ends where the recording says, wherever it begins."""
+"""A fit ends where the recording says, wherever it begins."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ import pytest
 from physconvex.capture import Capture
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions
 from physconvex.gap.base.base_fit import rough_baseline
+from physconvex.gap.base.cost import Cost
 from physconvex.gap.errors.numerics import Numerics, error_model
+from physconvex.gap.search import comparison
 from physconvex.gap.search.comparison import refit
 
 OPTIONS = GapOptions(max_nodes=100, weights=4)
@@ -34,3 +37,69 @@ def test_a_far_start_does_not_decide_where_a_fit_ends(
     found = refit(rough, errors, model, start, model.tangents(start, motion), OPTIONS)
     assert found.fitted < 10 and found.selecting < 10  # 60 and 20 before; what is left is the coarse mesh
     assert found.values[:3] == pytest.approx([5.33, 0.34, 0.36], abs=0.01)  # from either start
+
+
+@dataclass(frozen=True)
+class Model:
+    """As much of a model of a struck body as a fit needs; `taken` gathers where derivatives were taken."""
+
+    effects: tuple
+    taken: list
+    frames: int = 3
+    doubt: float = 1.0
+
+    def positions(self, values):
+        return np.full((self.frames, 1, 3), values[0])
+
+    motion = positions
+
+    @property
+    def slices(self):
+        return [slice(1, 1 + len(self.effects[0].doses))]
+
+    def observed(self, motion, values):
+        return motion
+
+    def parameters(self, values):
+        return [SimpleNamespace(step=1.0)] * len(values)
+
+    def tangents(self, values, motion):
+        self.taken.append(float(values[0]))
+        return np.ones((self.frames, len(values), 1, 3))
+
+
+@pytest.mark.wrong_types
+@pytest.mark.parametrize(
+    ("label", "misfits", "taken"),
+    [
+        ("anisotropy (z)", (9.0, 5.0, 4.0), [1.0, 2.0]),  # as long as that gains, at most twice
+        ("anisotropy (z)", (9.0, 8.9, 0.0), [1.0]),
+        ("damping", (9.0, 5.0, 4.0), []),  # begins with a dose, and lies nowhere
+    ],
+)
+def test_derivatives_by_a_direction_are_taken_anew(
+    monkeypatch: pytest.MonkeyPatch, label: str, misfits: tuple[float, ...], taken: list[float]
+) -> None:
+    """Taken where there was hardly any fibre, they say nothing of where it points (2501/024, a dropped body)."""
+    effect = next(effect for effect in DEFAULT_EFFECTS if effect.label == label)
+    model, left = Model((effect,), []), iter(misfits)
+    base = SimpleNamespace(
+        fit=SimpleNamespace(values=np.zeros(1)), split=SimpleNamespace(end=3, fitted=np.arange(3)),
+        situation=SimpleNamespace(clamped=False), weighted=lambda variance, count: None,
+        model=SimpleNamespace(cost=Cost()),
+    )  # fmt: skip
+
+    def fit(secant, weighted, parameters, options):
+        values = secant._last[0] + 1.0
+        return SimpleNamespace(values=values, positions=model.positions(values), reduced_chi_square=1.0)
+
+    monkeypatch.setattr(comparison, "fit", fit)
+    monkeypatch.setattr(comparison, "misfit_of", lambda base, errors, here: next(left))
+    monkeypatch.setattr(comparison, "_doubt", lambda base, errors, here: 1.0)
+    monkeypatch.setattr(comparison, "_deviations", lambda *of: np.zeros(1))
+    monkeypatch.setattr(comparison, "hypothesis_at", lambda base, errors, model, values, *of: values)
+    start = np.zeros(1 + len(effect.doses))
+    errors = SimpleNamespace(variance=None)
+    found = refit(base, errors, model, start, np.ones((3, len(start), 1, 3)), GapOptions())
+    assert model.taken == taken
+    assert found[0] == 1.0 + len(taken)

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from physconvex.gap.base.baseline import Split
 from physconvex.gap.base.body_modes import BodyModes, undivided
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.errors.trust import error_scale
@@ -20,7 +21,7 @@ def case(residual, size=SIZE, fitted=FRAMES):
     count = FRAMES * EACH
     frames = np.repeat(np.arange(FRAMES), EACH)
     base = SimpleNamespace(
-        split=SimpleNamespace(fitted=np.arange(fitted), selecting=np.arange(fitted, FRAMES)),
+        split=Split(np.arange(fitted), np.arange(fitted, FRAMES), np.arange(0)),
         observations=SimpleNamespace(frames=frames),
         modes=undivided(frames),
         positions=np.zeros((FRAMES, EACH // 3, 3)),

@@ -8,6 +8,7 @@ import pytest
 from physconvex.capture import Capture
 from physconvex.errors import InputError
 from physconvex.fem import box_mesh
+from physconvex.gap.base.baseline import Split
 from physconvex.gap.base.observing import _check_on_body, starts_elsewhere, with_honest_noise
 from physconvex.gap.location.ledger import _rigid_motion
 from physconvex.gap.search.ringing import deformation, ringing, ringing_likelihood
@@ -43,7 +44,7 @@ def test_an_explanation_that_rings_otherwise_is_the_worse_one():
         observations=MarkerObservations(rest, seen, np.full((45, 3), 1e-5)),
         situation=SimpleNamespace(clamped=True),
         motion=SimpleNamespace(rest=rest),
-        split=SimpleNamespace(fitted=np.arange(30), selecting=np.arange(30, 38)),
+        split=Split(np.arange(30), np.arange(30, 38), np.arange(0)),
         capture=SimpleNamespace(fps=100.0),
     )
     right = ringing_likelihood(base, swinging(3.4, 0.07, late=0.02))  # whatever began the motion and when

@@ -174,7 +174,7 @@ def rough_baseline(
     """
     observations = with_honest_noise(observe(capture, _cheap(capture, options)))
     split = split_frames(capture, observations.frames)
-    count = int(split.fitted[-1]) + 1
+    count = split.end
     fitted = observations.in_frames(count)
     report("rough fit of the base model")
     starts = _first_values(capture, fitted, count, options)
@@ -270,7 +270,7 @@ def _fit_from(
 ) -> Baseline:
     """From one start."""
     split, names = rough.split, rough.model.base
-    count = int(split.fitted[-1]) + 1
+    count = split.end
     weighted = rough.weighted(variance, count)
     stop = FitOptions(max_iterations=options.iterations + 3, relative_tolerance=1e-3, absolute_tolerance=0.05)
     mesh, motion = (None, rough.motion) if fine is None else fine

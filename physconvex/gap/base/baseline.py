@@ -41,6 +41,11 @@ class Split:
     reporting: Int[np.ndarray, " r"]
 
     @property
+    def end(self) -> int:
+        """Number of frames up to the last that is fitted."""
+        return int(self.fitted[-1]) + 1
+
+    @property
     def held_out(self) -> Int[np.ndarray, " h"]:
         """Frames that no fit sees."""
         return np.concatenate([self.selecting, self.reporting])

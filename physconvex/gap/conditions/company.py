@@ -45,7 +45,7 @@ class Company:
         self.base = base
         known = {e.label: e for e in applicable(DEFAULT_EFFECTS, base.situation)}
         self.effects: tuple[Effect, ...] = tuple(known[label] for label in labels if label in known)
-        self.frames = int(base.split.fitted[-1]) + 1
+        self.frames = base.split.end
         self.seen: Seen = with_rough_errors(base.observations, base.twin, self.frames)
         self._iterations = options.iterations
 

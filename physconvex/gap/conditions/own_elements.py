@@ -156,7 +156,7 @@ def _best_modulus(
     base: Baseline, model: EffectModel, start: np.ndarray, variance: Float[np.ndarray, " N"]
 ) -> tuple[float, float]:
     """Least misfit in the fitted frames, and the log10 E, near the start, at which it is reached."""
-    index, count = base.model.base.index(MODULUS), int(base.split.fitted[-1]) + 1
+    index, count = base.model.base.index(MODULUS), base.split.end
     shorter, tried = replace(model, frames=count), []
     for decades in _DECADES:
         values = start.copy()
@@ -169,7 +169,7 @@ def _best_modulus(
 
 def _surrogate(base: Baseline, mesh: TetMesh, values: np.ndarray, target: Float[np.ndarray, "T P 3"]) -> float:
     """Decades of E by which the cheaper model must be stiffer to vibrate as the own elements do."""
-    count = int(base.split.fitted[-1]) + 1
+    count = base.split.end
     coarse = replace(base.model, mesh=None, correction=None, frames=count)
 
     def missed(decades: float) -> float:

@@ -33,7 +33,7 @@ def with_absorbed_mesh(base: Baseline, numerics: Numerics, options: GapOptions) 
     """
     if not base.situation.clamped or numerics.fine is None or MODULUS not in base.model.base:
         return numerics
-    count = int(base.split.fitted[-1]) + 1
+    count = base.split.end
     coarse, target = replace(base.model, mesh=None, correction=None), base.motion.positions
     shorter, values = replace(coarse, frames=count), base.fit.values
     sigma = np.full(target.shape[:2], _SIGMA * base.situation.size)

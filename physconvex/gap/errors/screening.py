@@ -89,7 +89,7 @@ def screen(
 ) -> Screening:
     """Score every effect that can be tried, on the fitted frames."""
     rows = base.rows(base.split.fitted)
-    here, count = base.positions, int(base.split.fitted[-1]) + 1
+    here, count = base.positions, base.split.end
     nuisances = derivatives_of_residuals(base, here[:count], base.tangents[:count])[:, rows]
     projector = Projector(errors.restricted(rows), nuisances)
     residual = base.residual(here)[rows]

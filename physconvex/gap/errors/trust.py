@@ -51,7 +51,7 @@ def _fitted_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> F
     """By kind, of the fitted frames."""
     rows = base.rows(base.split.fitted)
     weights = 1 / np.sqrt(errors.expected[rows])
-    count = int(base.split.fitted[-1]) + 1
+    count = base.split.end
     here = base.positions[:count]
     tangents = derivatives_of_residuals(base, here, base.tangents[:count])[:, rows]
     residual = base.residual(base.positions)[rows]

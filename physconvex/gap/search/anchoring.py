@@ -16,6 +16,7 @@ from physconvex.gap.base.baseline import Baseline, Report, derivatives_of_residu
 from physconvex.gap.base.model import MODULUS, SecantModel
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.options import GapOptions
+from physconvex.gap.search.comparison import derivatives_at
 from physconvex.identify import FitOptions, fit
 
 __all__ = ["early_point", "early_window"]
@@ -30,7 +31,7 @@ def early_window(base: Baseline, errors: ErrorModel) -> int | None:
     names = base.model.base
     if MODULUS not in names:
         return None
-    count = int(base.split.fitted[-1]) + 1
+    count = base.split.end
     lowest = max(6, count // 3) if base.first_contact is None else base.first_contact + 2
     here = base.positions[: len(base.tangents)]
     columns = derivatives_of_residuals(base, here, base.tangents)
@@ -61,8 +62,7 @@ def early_point(base: Baseline, errors: ErrorModel, options: GapOptions, report:
         if abs(found.values[index] - values[index]) < _APART:
             return None
         motion = base.model.motion(found.values)
-        count = int(base.split.fitted[-1]) + 1
-        tangents = replace(base.model, frames=count).tangents(found.values, motion.first(count))
+        tangents = derivatives_at(base, base.model, found.values, motion)
     except ConvergenceError:
         return None
     here = replace(base.fit, parameters=base.model.parameters(found.values), values=found.values)

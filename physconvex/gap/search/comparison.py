@@ -20,7 +20,7 @@ from physconvex.gap.search.evidence import (
     information_by_kind,
     likelihood_by_kind,
     mean_square,
-    misfit_at,
+    misfit_of,
     moved_kinds,
     residuals_per_one,
     squares_by_kind,
@@ -32,6 +32,7 @@ __all__ = [
     "Hypothesis",
     "base_hypothesis",
     "continued",
+    "derivatives_at",
     "doses_at_bounds",
     "fit_effects",
     "hypothesis_at",
@@ -39,8 +40,9 @@ __all__ = [
 ]
 
 _FOLLOWED = 1.5  # mean square over the expected one up to which nothing is left of a kind of residuals
-_ROUNDS = 6  # of a held body's fit
+_ROUNDS, _PLACED = 6, 3  # of the fit of a held body, and of what lies somewhere in another, or along something
 _STILL, _SETTLED = 0.98, 0.7  # shares of misfit and doubt above which another one is not worth it
+_SLIGHT = 0.5  # gain of log-likelihood below which it is not of a body that is not held
 _FAR, _MOVED = 5.0, 0.3  # typical steps: most that other values are moved by, and from which on it is tried
 
 
@@ -197,9 +199,24 @@ def fit_effects(
     point = base if starts is None else starts
     model = replace(point.model, effects=(*point.model.effects, *(entry.effect for entry in chosen)))
     values = _best_start(base, errors, model, _starts(base, errors, point, chosen, options))
-    count = int(base.split.fitted[-1]) + 1
+    count = base.split.end
     tangents = np.concatenate([point.tangents[:count], *(_tangents(entry) for entry in chosen)], axis=1)
     return refit(base, errors, model, values, tangents, options)
+
+
+def derivatives_at(base: Baseline, model: EffectModel, values: np.ndarray, motion: Motion) -> np.ndarray:
+    """Derivatives of what a model says by all its values, in the frames up to the last fitted one.
+
+    Args:
+        base: for the frames.
+        model: the model, all frames.
+        values: where.
+        motion: the model's there.
+
+    Raises:
+        ConvergenceError: the body cannot be simulated near there.
+    """
+    return replace(model, frames=base.split.end).tangents(values, motion.first(base.split.end))
 
 
 def _beside(base: Baseline, errors: ErrorModel, point: Baseline, chosen: Sequence[Screened]) -> np.ndarray:
@@ -208,7 +225,7 @@ def _beside(base: Baseline, errors: ErrorModel, point: Baseline, chosen: Sequenc
     An inclusion that is three times as stiff asks for another E of the whole; with the old one the search ran back to
     none.
     """
-    count, rows = int(base.split.fitted[-1]) + 1, base.rows(base.split.fitted)
+    count, rows = base.split.end, base.rows(base.split.fitted)
     here = point.positions[:count]
     explained = sum(np.tensordot(entry.score.amounts, entry.signature[:, :count], 1) for entry in chosen)
     columns = derivatives_of_residuals(base, here, point.tangents[:count])[:, rows]
@@ -249,12 +266,12 @@ def _best_start(base: Baseline, errors: ErrorModel, model: EffectModel, starts: 
             apart.append(values)
     if len(apart) == 1:
         return apart[0]
-    count = int(base.split.fitted[-1]) + 1
+    count = base.split.end
     shorter = replace(model, frames=count)
 
     def misfit(values: np.ndarray) -> float:
         try:
-            return misfit_at(base, errors, shorter, values)
+            return misfit_of(base, errors, shorter.positions(values))
         except ConvergenceError:
             return float("inf")
 
@@ -273,12 +290,13 @@ def refit(
 
     Priors weigh the more the worse the fit (`EffectModel.doubt`), which may begin a hundred times as bad as it ends. A
     held body, the only one that has priors, is fitted anew by what is left, with derivatives taken where it is, until
-    both stay.
+    both stay. So are fibres and inclusions of another body, while that makes the fitted frames likelier: derivatives
+    by their direction or place, taken where there is hardly any dose of them, say next to nothing.
 
     Raises:
         ConvergenceError: the body cannot be simulated at the start.
     """
-    count = int(base.split.fitted[-1]) + 1
+    count = base.split.end
     shorter, own = replace(model, frames=count), len(base.fit.values)
     weighted = base.weighted(errors.variance, count)
     try:
@@ -289,8 +307,8 @@ def refit(
     tangents = tangents[:count].copy()
     _add_shapes(shorter, values, here, tangents)
     stop = FitOptions(max_iterations=options.iterations + 1, relative_tolerance=2e-3, absolute_tolerance=0.1)
-    doubt, left, settled = np.inf, np.inf, False
-    for number in range(_ROUNDS if base.situation.clamped else 1):
+    doubt, left, settled, held = np.inf, np.inf, False, base.situation.clamped
+    for number in range(_ROUNDS if held else _PLACED if any(d.shape for e in model.effects for d in e.doses) else 1):
         before, doubt = doubt, _doubt(base, errors, here)
         if number and ((settled and doubt > _SETTLED * before) or base.model.cost.over):
             break
@@ -300,7 +318,8 @@ def refit(
         secant = SecantModel(shorter, values, here, tangents)
         found = fit(secant, weighted, shorter.parameters(values), options=stop)
         values, here, tangents = found.values, found.positions, secant.tangents
-        settled, left = found.reduced_chi_square > _STILL * left, found.reduced_chi_square
+        misfit = found.reduced_chi_square if held else misfit_of(base, errors, here)
+        settled, left = misfit > (_STILL * left if held else left - _SLIGHT), misfit
     motion = model.motion(found.values)
     deviations = _deviations(base, errors, found, model.observed(motion, found.values))
     return hypothesis_at(base, errors, model, found.values, deviations, motion, tangents)

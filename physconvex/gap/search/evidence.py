@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float
 
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.independence import temperature
-from physconvex.gap.base.model import EffectModel
 from physconvex.gap.effects import IN_FLIGHT, Effect
 from physconvex.gap.errors.score import ErrorModel
 
@@ -20,7 +19,7 @@ __all__ = [
     "information_per_one",
     "likelihood_by_kind",
     "mean_square",
-    "misfit_at",
+    "misfit_of",
     "moved_kinds",
     "residuals_per_one",
     "squares_by_kind",
@@ -45,14 +44,8 @@ def mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frame
     return max(found, default=float("nan"))
 
 
-def misfit_at(base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray) -> float:
-    """Minus the log-likelihood of a model at some values, in those of the fitted frames that it has.
-
-    Raises:
-        ConvergenceError: the body cannot be simulated there.
-        InputError: no body can have such doses.
-    """
-    here = model.positions(values)
+def misfit_of(base: Baseline, errors: ErrorModel, here: np.ndarray) -> float:
+    """Minus the log-likelihood of positions in the first frames, in those of them that are fitted."""
     fitted = base.split.fitted
     whole = np.concatenate([here, base.positions[len(here) :]])
     return -float(likelihood_by_kind(base, errors, whole, fitted[fitted < len(here)]).sum())

@@ -20,7 +20,7 @@ from physconvex.gap.effects import IN_FLIGHT, Effect
 from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.errors.screening import Screened, best_pairs, screen
 from physconvex.gap.search.comparison import Hypothesis, fit_effects
-from physconvex.gap.search.evidence import mean_square, misfit_at
+from physconvex.gap.search.evidence import mean_square, misfit_of
 from physconvex.gap.search.rounds import fitted_there
 from physconvex.gap.search.state import FAILURES, Selection
 
@@ -77,7 +77,7 @@ def _fitted(search: Selection, told: Hypothesis) -> Hypothesis:
     place = base.model.base.index(MODULUS)
     bare = replace(base.model, effects=told.effects, correction=None)
     full = replace(search.full.model, effects=told.effects)
-    last = int(base.split.fitted[-1]) + 1
+    last = base.split.end
     assert base.first_contact is not None
     first = min(base.first_contact + _TOUCHING, last)
     values = _best_material(search, replace(bare, frames=first), values, values[place] + _CHANGES)
@@ -97,7 +97,7 @@ def _best_material(search: Selection, model: EffectModel, values: np.ndarray, mo
         if "poisson_ratio" in names:
             moved[names.index("poisson_ratio")] = _RATIO
         try:
-            misfit = misfit_at(base, search.errors, model, moved)
+            misfit = misfit_of(base, search.errors, model.positions(moved))
         except ConvergenceError:
             continue
         if misfit < least:

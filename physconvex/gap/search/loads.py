@@ -18,7 +18,7 @@ from physconvex.gap.base.lowest_mode import lowest_frequency
 from physconvex.gap.base.model import MODULUS, EffectModel
 from physconvex.gap.effects import Effect
 from physconvex.gap.errors.score import ErrorModel
-from physconvex.gap.search.evidence import misfit_at
+from physconvex.gap.search.evidence import misfit_of
 from physconvex.gap.search.ringing import recorded_ringing
 
 __all__ = ["loaded_starts"]
@@ -47,9 +47,7 @@ def loaded_starts(base: Baseline, errors: ErrorModel, dictionary: Iterable[Effec
     damped = () if damping is None or "damping" in {e.name for e in known_already} else (damping,)
     # what damps the main shape by the ratio that was recorded, E in proportion to viscosity
     dose = max(recorded.ratio, 0.0) / (np.pi * recorded.frequency)
-    model = replace(
-        base.model, effects=(*known_already, load, *damped), correction=None, frames=int(base.split.fitted[-1]) + 1
-    )
+    model = replace(base.model, effects=(*known_already, load, *damped), correction=None, frames=base.split.end)
     frequency, here, tried = recorded.frequency / _clock(base), len(base.fit.values), []
     for ratio in _RATIOS:  # at the very end: further in, a larger one looks nearly alike
         values = np.concatenate([base.fit.values, [ratio, 0.0], np.full(len(damped), dose)])
@@ -110,6 +108,6 @@ def _best_modulus(
 def _misfit(base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray) -> float:
     """Of the fitted frames; infinite where nothing comes out."""
     try:
-        return misfit_at(base, errors, model, values)
+        return misfit_of(base, errors, model.positions(values))
     except (ConvergenceError, InputError):
         return np.inf

@@ -17,7 +17,7 @@ from physconvex.gap.base.lowest_mode import decades_between
 from physconvex.gap.base.model import MODULUS, EffectModel, reduced_like, searches_itself
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.comparison import Hypothesis, hypothesis_at, refit
+from physconvex.gap.search.comparison import Hypothesis, derivatives_at, hypothesis_at, refit
 
 __all__ = ["as_reduced", "confirmed", "improved"]
 
@@ -80,15 +80,16 @@ def improved(base: Baseline, errors: ErrorModel, here: Hypothesis, options: GapO
     """
     scales = np.array([p.step for p in here.model.parameters(here.values)])
     first = best = here
-    count = int(base.split.fitted[-1]) + 1
-    tangents = None
+    saturates = _saturates(here.model)
+    tangents: np.ndarray | None = None
     for _ in range(_ROUNDS):
         try:
             base.model.cost.check()
-            model, motion = reduced_like(here.model, here.motion, here.values)
-            if tangents is None:
-                tangents = replace(model, frames=count).tangents(here.values, motion.first(count))
-            searched = here.model if _saturates(here.model) else model
+            searched = here.model
+            if tangents is None or not saturates:
+                cheap, own = reduced_like(here.model, here.motion, here.values)
+                tangents = derivatives_at(base, cheap, here.values, own) if tangents is None else tangents
+                searched = here.model if saturates else cheap
             last = refit(base, errors, searched, here.values, tangents, options)
             tangents = last.tangents
             if np.abs((last.values - here.values) / scales).max() < _STILL:

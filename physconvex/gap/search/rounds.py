@@ -13,7 +13,7 @@ from physconvex.gap.effects import Effect, applicable
 from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.errors.screening import Pair, Screened, Screening, best_pairs, screen
 from physconvex.gap.search.anchoring import early_point
-from physconvex.gap.search.comparison import Hypothesis, continued, hypothesis_at, refit
+from physconvex.gap.search.comparison import Hypothesis, continued, derivatives_at, hypothesis_at, refit
 from physconvex.gap.search.loads import loaded_starts
 from physconvex.gap.search.mapping import as_reduced, confirmed, improved
 from physconvex.gap.search.ranking import finalists
@@ -75,9 +75,8 @@ def from_there(search: Selection, full: Baseline, effects: tuple[Effect, ...], v
 
 def fitted_there(search: Selection, full: EffectModel, values: np.ndarray) -> Hypothesis:
     """A fit from values far from the base fit, by a reduced model that says what the full-order one does there."""
-    count = int(search.base.split.fitted[-1]) + 1
     cheap, motion = reduced_like(full, full.motion(values), values)
-    tangents = replace(cheap, frames=count).tangents(values, motion.first(count))
+    tangents = derivatives_at(search.base, cheap, values, motion)
     return refit(search.base, search.errors, cheap, values, tangents, search.options)
 
 
@@ -191,11 +190,9 @@ def polish(search: Selection) -> None:
     for hypothesis in finalists(search.ranked, _POLISHED, tied=TIED)[:_POLISHED]:
         if id(hypothesis.motion) in search.polished or search.late:
             continue
-        count = int(search.base.split.fitted[-1]) + 1
-        shorter = replace(hypothesis.model, frames=count)
 
-        def again(h: Hypothesis = hypothesis, model: EffectModel = shorter, count: int = count) -> Hypothesis:
-            tangents = model.tangents(h.values, h.motion.first(count))
+        def again(h: Hypothesis = hypothesis) -> Hypothesis:
+            tangents = derivatives_at(search.base, h.model, h.values, h.motion)
             return refit(search.base, search.errors, h.model, h.values, tangents, search.options)
 
         found = search.attempt(f"{hypothesis.label}, again", again)

@@ -101,7 +101,7 @@ def select_effects(
     if open_gap and base.situation.clamped:
         for effects, values in loaded_starts(cheap, errors, applicable(dictionary, base.situation)):
             from_there(search, base, effects, values)
-    singles = screening.one_per_name[: _SINGLES if open_gap else 2]
+    singles = screening.one_per_name[:_SINGLES]
     alone(search, singles)
     if open_gap:
         from_elsewhere(search, screening, singles)
@@ -119,8 +119,9 @@ def select_effects(
                 break
         beside_in_first_frames(search, numerics, dictionary)
         leave_out(search)
-    decisive = max(1, options.candidates // 2) if base.situation.clamped else options.candidates
-    best = finalists(search.ranked, decisive if open_gap else 1, tied=TIED)
+    few = base.situation.clamped or not open_gap
+    decisive = max(1, options.candidates // 2) if few else options.candidates
+    best = finalists(search.ranked, decisive, tied=TIED)
     chosen = judged(base, search.errors, decided(base, search.errors, numerics, best, options, report))
     plain = next(h for h in chosen if not h.effects)
     return Selected(continued(base, plain), chosen, screening, search.errors, numerics)
