@@ -46,7 +46,7 @@ class GapOptions:
     iterations: int = 9
     most_effects: int = 3
     search_cost: float = 240.0
-    decision_cost: float = 600.0
+    decision_cost: float = 900.0
     deadline: float = 840.0
     error_scale: float = 1.0
     discretisation: float = 2e-3

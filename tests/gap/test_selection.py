@@ -75,9 +75,10 @@ def test_what_is_somewhere_in_a_struck_body_is_fitted_from_several_places():
     assert len(fits) == 4
 
 
-def fitted(evidence, *labels):
+def fitted(evidence, *labels, slight=False):
     names = tuple(label.split(" (")[0] for label in labels)
-    return SimpleNamespace(effects=tuple(SimpleNamespace(label=one) for one in labels), names=names, evidence=evidence)
+    effects = tuple(SimpleNamespace(label=one) for one in labels)
+    return SimpleNamespace(effects=effects, names=names, evidence=evidence, is_slight=lambda: slight)
 
 
 def test_the_best_single_effects_are_carried_over():
@@ -90,6 +91,27 @@ def test_a_form_that_is_as_likely_is_carried_over():
     found = [fitted(9.0, "a (x)", "b"), fitted(8.7, "a (y)", "b"), fitted(8.6, "a (y)", "b"), fitted(6.0, "a (z)", "b")]
     assert [h.evidence for h in finalists(found, 4, tied=1.0)] == [9.0, 8.7]
     assert [h.evidence for h in finalists(found, 4)] == [9.0]
+
+
+def test_three_forms_of_a_single_effect_are_carried_over():
+    """Fibres along x, fourth in the search, came to the true ones by the full-order model (2301/040)."""
+    found = [fitted(9.0 - i, f"a ({axis})") for i, axis in enumerate("xyzw")]
+    both = [fitted(9.5, "a (x)", "b"), fitted(8.0, "a (y)", "b")]
+    assert finalists([*found, *both], 4, forms=3) == [both[0], *found[:3]]
+
+
+def test_a_form_that_came_to_nothing_stands_for_no_other():
+    """Fibres of no strength, one way, had kept out those that were there, another way (2301/040)."""
+    none, found = fitted(9.0, "a (x)", slight=True), [fitted(8.5, "a (y)"), fitted(8.0, "a (z)")]
+    assert finalists([none, *found], 4, tied=1.0) == found
+    assert finalists([none, fitted(5.0)], 4) == [none]
+
+
+def test_partners_that_add_nothing_do_not_keep_out_effects_alone():
+    """Pairs less likely than one of the two alone, before effects that were further off in the search (2301/040)."""
+    alone, pair, weaker = fitted(8.0, "a"), fitted(7.0, "a", "b"), fitted(5.0, "c")
+    also = fitted(4.0, "d")
+    assert finalists([fitted(9.0), pair, alone, weaker, also], 3) == [alone, weaker, also]
 
 
 def test_full_order_fits_go_on_as_long_as_they_help(monkeypatch):

@@ -10,6 +10,7 @@ from physconvex.gap.judgement import verdict as rules
 from physconvex.gap.judgement.caveats import caveats_of
 from physconvex.gap.judgement.measured import Measured
 from physconvex.gap.judgement.naming import favoured, probabilities
+from physconvex.gap.search.comparison import Hypothesis
 from physconvex.gap.search.ranking import within_bounds
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
@@ -24,7 +25,7 @@ def effect(name):
 def hypothesis(evidence, *names, log10_modulus=5.0, dose=0.1, slight=(), later=0.0):
     effects = tuple(effect(n) for n in names)
     values = [np.full(len(e.doses), 0.0 if e.name in slight else dose) for e in effects]
-    return SimpleNamespace(
+    found = SimpleNamespace(
         effects=effects,
         names=tuple(e.name for e in effects),
         label=" + ".join(e.label for e in effects) or "base model",
@@ -38,6 +39,8 @@ def hypothesis(evidence, *names, log10_modulus=5.0, dose=0.1, slight=(), later=0
         ),
         doses=lambda one: (values[effects.index(one)], 0.1 * values[effects.index(one)]),
     )
+    found.is_slight = lambda *some: Hypothesis.is_slight(found, *some)
+    return found
 
 
 def decide(hypotheses, screening, before, after, remaining, options, **more):
@@ -430,6 +433,18 @@ def test_so_is_one_within_the_error_that_leaves_a_quarter_of_what_a_placebo_does
     quiet.fitted = 1.1
     fits = [hypothesis(16.0, "damping"), quiet]
     assert decide(fits, screening(), 2.0, 0.5, remaining, OPTIONS, placebo=placebo, struck=True).name == name
+
+
+@pytest.mark.parametrize(
+    ("remaining", "placebo", "struck", "name"),
+    [(0.03, 0.13, True, "effect"), (0.03, 0.75, True, "none"), (0.03, 0.13, False, "none")],
+)
+def test_so_is_one_of_a_struck_body_that_leaves_a_tenth_of_it(remaining, placebo, struck, name):
+    """Fibres of a dropped body (2201/034): 24 mm of gap on frames that chose nothing come down to 4, the floor is 6."""
+    quiet = hypothesis(0.0)
+    quiet.fitted = 1.1
+    fits = [hypothesis(2.1, "damping"), quiet]
+    assert decide(fits, screening(), 2.0, 0.5, remaining, OPTIONS, placebo=placebo, struck=struck).name == name
 
 
 def test_numerical_error_that_leaves_the_gap_is_no_answer():

@@ -16,7 +16,6 @@ from physconvex.gap.judgement.case import (
     Case,
     Verdict,
     VerdictName,
-    is_slight,
 )
 from physconvex.gap.judgement.measured import Measured
 from physconvex.gap.judgement.naming import SOMETHING_ELSE, WEAK, beside_something_else, favoured, probabilities
@@ -74,20 +73,20 @@ def _nothing(e: Case) -> Verdict | None:
 
     What the flight shows beyond doubt is there, however little later frames can tell.
     """
-    if e.flies and not is_slight(e.best):
+    if e.flies and not e.best.is_slight():
         return None
     significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
     # a fit finds what one finite dose does not
     significant = significant or (e.gain >= TELLING and e.telling) or (e.foretold and e.measured.seen >= SEEN)
     closed = min(e.measured.before, e.base.fitted) < _FLOOR and not e.telling
     little = e.gain < WEAK and e.measured.before < OPEN
-    slight = is_slight(e.best) and not e.open and not e.foretold
+    slight = e.best.is_slight() and not e.open and not e.foretold
     late = e.telling and e.measured.before >= OPEN  # opens after the fitted frames, and the effect foretells it
     if not (little or slight or (not late and (closed or not significant))):
         return None
     if e.measured.floor > _BLIND:
         return _blind(e)
-    if e.open and not is_slight(e.best):
+    if e.open and not e.best.is_slight():
         sentence = (
             "Inconclusive: a gap opens after the frames that were fitted, above noise and numerical error, and "
             f"{e.best.label}, which fits best, does not foretell it."
@@ -96,7 +95,7 @@ def _nothing(e: Case) -> Verdict | None:
     reason = "is no more than chance"
     if closed:
         reason = "lies within these errors"
-    if is_slight(e.best):
+    if e.best.is_slight():
         reason = "is smaller than is of interest"
     sentence = f"No gap above noise and numerical error: what {e.best.label} would add {reason}."
     return e.verdict("none", sentence, power=True)
@@ -104,7 +103,7 @@ def _nothing(e: Case) -> Verdict | None:
 
 def _slight(e: Case) -> Verdict | None:
     """A dose too small to be of interest fits best, and leaves the gap."""
-    if not is_slight(e.best) or e.foretold:
+    if not e.best.is_slight() or e.foretold:
         return None
     if e.measured.floor > _BLIND:
         return _blind(e)

@@ -105,6 +105,19 @@ class Hypothesis:
         where = self.model.slices[self.effects.index(effect)]
         return self.values[where], self.errors[where]
 
+    def is_slight(self, *effects: Effect) -> bool:
+        """Whether all doses (of all effects unless some are given) lie nearer to null than is of interest.
+
+        What fits so is the model's own error.
+        """
+        slight = [
+            abs(value - dose.null) < dose.smallest
+            for effect in effects or self.effects
+            for value, dose in zip(self.doses(effect)[0], effect.doses, strict=True)
+            if not dose.shape and effect.source != "numerical"
+        ]
+        return bool(slight) and all(slight)
+
     @property
     def independent(self) -> float:
         """Number of independent fitted residuals, those that are alike counted once."""

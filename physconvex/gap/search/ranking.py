@@ -33,25 +33,46 @@ def within_bounds(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     return kept if any(h.effects for h in kept) else list(hypotheses)
 
 
-def finalists(found: Sequence[Hypothesis], count: int, *, tied: float = 0.0) -> list[Hypothesis]:
+def finalists(
+    found: Sequence[Hypothesis], count: int, *, tied: float = 0.0, forms: int = 1
+) -> list[Hypothesis]:  # fmt: skip
     """The best fits with effects, one of each set of names; two single effects are among them.
 
     Args:
         found: fits.
-        count: how many of the best, at most two single effects not counted.
+        count: how many sets of names, at most two single effects not counted.
         tied: another form of the same effects is kept too where its evidence is less than this below the best one's.
+        forms: so many of a single effect are kept whatever their evidence.
+
+    A form whose doses came to nothing, fibres of no strength, says what the fit without it says: it stands for its
+    effects only where all their forms came to that. And what fewer effects do as well comes after all that stands for
+    itself: effects that seem to be none the better for a partner may yet be right where the model errs by ten.
     """
-    best: dict[frozenset[str], Hypothesis] = {}
-    forms: dict[frozenset[str], Hypothesis] = {}
-    for hypothesis in sorted(found, key=lambda h: -h.evidence):
-        names = frozenset(hypothesis.names)
-        first = best.setdefault(names, hypothesis)
-        if hypothesis.effects and (hypothesis is first or hypothesis.evidence > first.evidence - tied):
-            forms.setdefault(frozenset(effect.label for effect in hypothesis.effects), hypothesis)
-    ranked = list(forms.values())
-    chosen = ranked[:count]
-    singles = [h for h in ranked if len(h.effects) == 1][: min(2, count)]
-    return [*chosen, *(h for h in singles if h not in chosen)]
+    kept: dict[frozenset[str], list[Hypothesis]] = {}
+    for hypothesis in sorted((h for h in found if h.effects), key=lambda h: (h.is_slight(), -h.evidence)):
+        same = kept.setdefault(frozenset(hypothesis.names), [])
+        if not same or _another(hypothesis, same, tied, forms):
+            same.append(hypothesis)
+    ranked = sorted(kept.values(), key=lambda same: (_idle(same[0], kept), -same[0].evidence))
+    singles = [same for same in ranked if len(same[0].effects) == 1][: min(2, count)]
+    chosen = [*ranked[:count], *(same for same in singles if same not in ranked[:count])]
+    return [h for same in chosen for h in same]
+
+
+def _another(hypothesis: Hypothesis, same: Sequence[Hypothesis], tied: float, forms: int) -> bool:
+    """Whether a fit is another form of the same effects that is worth keeping."""
+    labels = {e.label for e in hypothesis.effects}
+    if any(labels == {e.label for e in other.effects} for other in same):
+        return False
+    if hypothesis.is_slight() != same[0].is_slight():
+        return False
+    return hypothesis.evidence > same[0].evidence - tied or (len(labels) == 1 and len(same) < forms)
+
+
+def _idle(combined: Hypothesis, kept: dict[frozenset[str], list[Hypothesis]]) -> bool:
+    """Whether fewer of its effects say as much."""
+    names = frozenset(combined.names)
+    return any(part < names and same[0].evidence > combined.evidence for part, same in kept.items())
 
 
 def evidence_of_anything(best: Hypothesis) -> float:

@@ -50,6 +50,7 @@ _SEARCHED = 0.6  # of the deadline: then the search ends
 _HELD = 1.5  # of the cost of a search, for a held body, whose runs cost about a third of what they are counted as
 _CLOSED = 1.5  # mean square over the expected one below which there is no gap to explain
 _SINGLES, _STEMS = 7, 2  # effects that are fitted alone; fits that the first further round goes on from
+_FORMS = 3  # of fibres, or of an inclusion, of a struck body that the full-order model decides between
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +122,7 @@ def select_effects(
         leave_out(search)
     few = base.situation.clamped or not open_gap
     decisive = max(1, options.candidates // 2) if few else options.candidates
-    best = finalists(search.ranked, decisive, tied=TIED)
+    best = finalists(search.ranked, decisive, tied=TIED, forms=1 if few else _FORMS)
     chosen = judged(base, search.errors, decided(base, search.errors, numerics, best, options, report))
     plain = next(h for h in chosen if not h.effects)
     return Selected(continued(base, plain), chosen, screening, search.errors, numerics)
