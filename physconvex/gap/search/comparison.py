@@ -321,7 +321,9 @@ def refit(
     _add_shapes(shorter, values, here, tangents)
     stop = FitOptions(max_iterations=options.iterations + 1, relative_tolerance=2e-3, absolute_tolerance=0.1)
     doubt, left, settled, held = np.inf, np.inf, False, base.situation.clamped
-    for number in range(_ROUNDS if held else _PLACED if any(d.shape for e in model.effects for d in e.doses) else 1):
+    placed = any(dose.shape for effect in model.effects for dose in effect.doses)
+    rounds = _ROUNDS if held else _PLACED if placed else 1
+    for number in range(rounds):
         before, doubt = doubt, _doubt(base, errors, here)
         if number and ((settled and doubt > _SETTLED * before) or base.model.cost.over):
             break

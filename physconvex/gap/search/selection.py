@@ -50,7 +50,7 @@ _SEARCHED = 0.6  # of the deadline: then the search ends
 _HELD = 1.5  # of the cost of a search, for a held body, whose runs cost about a third of what they are counted as
 _CLOSED = 1.5  # mean square over the expected one below which there is no gap to explain
 _SINGLES, _STEMS = 7, 2  # effects that are fitted alone; fits that the first further round goes on from
-_FORMS = 3  # of fibres, or of an inclusion, of a struck body that the full-order model decides between
+_FORMS = 3  # of a single effect (fibres, an inclusion) of a struck body that the full-order model decides between
 
 
 @dataclass(frozen=True, eq=False)
