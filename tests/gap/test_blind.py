@@ -30,8 +30,9 @@ from physconvex.gap.blind.engine import run_explicit
 from physconvex.gap.blind.explicit_cases import _seen_effect
 from physconvex.gap.blind.metrics import area_under_roc, calibration_error, proportion, reliability
 from physconvex.gap.blind.plan import plan_bank
+from physconvex.gap.blind.pooling import pool_scores
 from physconvex.gap.blind.rows import share_of
-from physconvex.gap.blind.summary import draw_score, score_markdown
+from physconvex.gap.blind.summary import draw_score, score_json, score_markdown
 from physconvex.gap.effects import DEFAULT_EFFECTS
 
 
@@ -223,6 +224,32 @@ def test_the_command_scores_and_writes(small):
     assert (small / "s.md").read_text() in result.output and (small / "s.png").exists()
     result = CliRunner().invoke(app, [*arguments, "--captures", str(small / "captures")])
     assert isinstance(result.exception, InputError) and "one for each of 2 banks" in str(result.exception)
+
+
+def test_stored_scores_are_counted_together(small):
+    """The score of one bank is got back from its file, doses and what is not known too; a second one adds to it."""
+    visible(small)
+    answers_of(small, lambda label: label["effects"][0]["name"] if label["effects"] else None)
+    found = scored(small)
+    assert any(row.dose is not None for row in found.rows) and any(np.isnan(row.oracle) for row in found.rows)
+    text = score_json(found)
+    paths = [small / "first.json", small / "second.json"]
+    paths[0].write_text(text)
+    paths[1].write_text(text.replace(f'"{small.name}/capture_', '"other/capture_'))
+    assert score_json(pool_scores(paths[:1])) == text
+    both = pool_scores(paths)
+    assert both.captures == 2 * found.captures and len(both.controls) == 2 * len(found.controls)
+    assert both.top_1.count == 2 * found.top_1.count
+    with pytest.raises(InputError, match=f"{small.name}/capture_000 is in two of them"):
+        pool_scores([paths[0], paths[0]])
+    with pytest.raises(InputError, match="got none"):
+        pool_scores([])
+    for spoiled in (text.replace('"verdict"', '"answer"'), "[]", text.replace('"undrawn"', '"lost"')):
+        paths[1].write_text(spoiled)
+        with pytest.raises(InputError, match=r"second.json: no result of"):
+            pool_scores(paths)
+    result = CliRunner().invoke(app, ["pool", str(paths[0]), "--out", str(small / "pooled.json")])
+    assert result.exit_code == 0 and (small / "pooled.json").read_text() == text, result.output
 
 
 def test_shuffled_labels_fall_to_chance(small):

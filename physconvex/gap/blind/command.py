@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from physconvex.gap.blind.scoring import BankScore
 
 __all__ = ["app"]
 
@@ -96,7 +99,6 @@ def score(
     """Open the seals and score the answers."""
     from physconvex.errors import InputError
     from physconvex.gap.blind.scoring import Bank, score_banks
-    from physconvex.gap.blind.summary import draw_score, score_json, score_markdown
 
     oracles: list[Path | None] = list(oracle) if oracle else [None for _ in captures]
     if not len(captures) == len(seal) == len(answers) == len(oracles):
@@ -104,7 +106,25 @@ def score(
             f"seal, answers, oracle: got {len(seal)}, {len(answers)} and {len(oracles)}; expected one for each of "
             f"{len(captures)} banks"
         )
-    result = score_banks(*map(Bank, captures, seal, answers, oracles))
+    _write(score_banks(*map(Bank, captures, seal, answers, oracles)), out, tables, figure)
+
+
+@app.command()
+def pool(
+    results: Annotated[list[Path], typer.Argument(help="Files that `score` wrote, of banks diagnosed alike.")],
+    out: Annotated[Path, typer.Option(help="File of the result (JSON).")] = Path("gap_score.json"),
+    tables: Annotated[Path | None, typer.Option(help="File of the result to read (Markdown).")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Picture: confusion, reliability, visibility.")] = None,
+) -> None:
+    """Count the captures of banks that were scored before together."""
+    from physconvex.gap.blind.pooling import pool_scores
+
+    _write(pool_scores(results), out, tables, figure)
+
+
+def _write(result: BankScore, out: Path, tables: Path | None, figure: Path | None) -> None:
+    from physconvex.gap.blind.summary import draw_score, score_json, score_markdown
+
     out.write_text(score_json(result), encoding="utf-8")
     text = score_markdown(result)
     if tables is not None:

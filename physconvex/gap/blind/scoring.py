@@ -25,7 +25,7 @@ from physconvex.gap.blind.metrics import (
 )
 from physconvex.gap.blind.rows import Row, scored_row
 
-__all__ = ["VISIBLE", "Bank", "BankScore", "EffectScore", "VisibilityScore", "opened", "score_banks"]
+__all__ = ["VISIBLE", "Bank", "BankScore", "EffectScore", "VisibilityScore", "opened", "score_banks", "score_rows"]
 
 VISIBLE = 10.0  # visibility from which on the figures count
 _LADDER = (1.5, 3.0, 10.0, 30.0)  # that accuracy is shown by
@@ -182,10 +182,17 @@ def score_banks(*banks: Bank) -> BankScore:
             if not label.get("control")
         ]  # fmt: skip
         controls += score_controls(labels, by_name)
-    return _scored(rows, tuple(controls), undrawn)
+    return score_rows(rows, tuple(controls), undrawn)
 
 
-def _scored(rows: Sequence[Row], controls: tuple[ControlScore, ...], undrawn: int) -> BankScore:
+def score_rows(rows: Sequence[Row], controls: tuple[ControlScore, ...], undrawn: int) -> BankScore:
+    """All figures, of captures that were put beside their labels.
+
+    Args:
+        rows: one per capture, controls aside.
+        controls: their answers.
+        undrawn: number of captures that could not be simulated.
+    """
     answered = [row for row in rows if row.verdict != "error"]
     single = [row for row in answered if row.single]
     visible = [row for row in single if row.visibility >= VISIBLE]
