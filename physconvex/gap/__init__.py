@@ -15,7 +15,7 @@ from physconvex.gap.judgement.verdict import Verdict
 from physconvex.gap.location.where import Part, Where
 from physconvex.gap.options import GapOptions
 from physconvex.gap.page.report import GapReport, ImprovedTwin
-from physconvex.gap.search.comparison import Hypothesis
+from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.shrinkage.how_far import HowFar
 
 __all__ = [

@@ -35,7 +35,8 @@ from physconvex.gap.location.where import locate_gap
 from physconvex.gap.options import GapOptions
 from physconvex.gap.page.findings import Provenance
 from physconvex.gap.page.report import GapReport
-from physconvex.gap.search.comparison import Hypothesis, base_hypothesis, fit_effects
+from physconvex.gap.search.fitting import fit_effects
+from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis
 from physconvex.gap.search.mapping import as_reduced
 from physconvex.gap.search.selection import select_effects
 from physconvex.gap.search.state import FAILURES

@@ -9,7 +9,7 @@ from physconvex.gap import DEFAULT_EFFECTS
 from physconvex.gap.base.independence import temperature
 from physconvex.gap.errors.numerics import detail_errors
 from physconvex.gap.errors.score import ErrorModel
-from physconvex.gap.search.comparison import Hypothesis
+from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.search.ranking import evidence_of_anything
 
 FRAMES, COLUMNS = 40, 9

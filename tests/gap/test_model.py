@@ -12,8 +12,8 @@ from physconvex.gap.base.base_fit import rough_baseline
 from physconvex.gap.base.model import reduced_like
 from physconvex.gap.effects import DEFAULT_EFFECTS
 from physconvex.gap.errors.numerics import Numerics, error_model, exact_model
-from physconvex.gap.search.comparison import base_hypothesis
 from physconvex.gap.search.exactness import with_own_correction
+from physconvex.gap.search.hypothesis import base_hypothesis
 
 FRAMES, FPS, SIZE = 14, 40.0, 0.14
 UP = np.array([0.0, 0.0, 0.5 * SIZE + 0.05])

@@ -16,7 +16,7 @@ from physconvex.gap.conditions.own_elements import own_elements, with_own_elemen
 from physconvex.gap.effects import Correction
 from physconvex.gap.errors.numerics import Numerics, error_model
 from physconvex.gap.judgement.caveats import _elements
-from physconvex.gap.search.comparison import base_hypothesis
+from physconvex.gap.search.hypothesis import base_hypothesis
 
 MODULUS, SIGMA, FPS, FRAMES = 2e5, 2e-5, 60.0, 18
 OPTIONS = GapOptions(max_nodes=100, weights=4, iterations=6)

@@ -13,8 +13,8 @@ from physconvex.gap import DEFAULT_EFFECTS, GapOptions
 from physconvex.gap.base.base_fit import rough_baseline
 from physconvex.gap.base.cost import Cost
 from physconvex.gap.errors.numerics import Numerics, error_model
-from physconvex.gap.search import comparison
-from physconvex.gap.search.comparison import refit
+from physconvex.gap.search import fitting
+from physconvex.gap.search.fitting import refit
 
 OPTIONS = GapOptions(max_nodes=100, weights=4)
 RATIO = 0.3
@@ -93,11 +93,11 @@ def test_derivatives_by_a_direction_are_taken_anew(
         values = secant._last[0] + 1.0
         return SimpleNamespace(values=values, positions=model.positions(values), reduced_chi_square=1.0)
 
-    monkeypatch.setattr(comparison, "fit", fit)
-    monkeypatch.setattr(comparison, "misfit_of", lambda base, errors, here: next(left))
-    monkeypatch.setattr(comparison, "_doubt", lambda base, errors, here: 1.0)
-    monkeypatch.setattr(comparison, "_deviations", lambda *of: np.zeros(1))
-    monkeypatch.setattr(comparison, "hypothesis_at", lambda base, errors, model, values, *of: values)
+    monkeypatch.setattr(fitting, "fit", fit)
+    monkeypatch.setattr(fitting, "misfit_of", lambda base, errors, here: next(left))
+    monkeypatch.setattr(fitting, "_doubt", lambda base, errors, here: 1.0)
+    monkeypatch.setattr(fitting, "deviations_of", lambda *of: np.zeros(1))
+    monkeypatch.setattr(fitting, "hypothesis_at", lambda base, errors, model, values, *of: values)
     start = np.zeros(1 + len(effect.doses))
     errors = SimpleNamespace(variance=None)
     found = refit(base, errors, model, start, np.ones((3, len(start), 1, 3)), GapOptions())

@@ -14,9 +14,9 @@ from physconvex.gap.effects import DEFAULT_EFFECTS
 from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.search import flight
-from physconvex.gap.search.comparison import base_hypothesis
 from physconvex.gap.search.expecting import expect_anew
 from physconvex.gap.search.flight import from_flight
+from physconvex.gap.search.hypothesis import base_hypothesis
 from physconvex.gap.search.mapping import as_reduced
 from physconvex.gap.search.state import Selection
 

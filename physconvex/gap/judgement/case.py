@@ -16,7 +16,7 @@ from physconvex.gap.judgement.caveats import caveats_of, doses_in_sight
 from physconvex.gap.judgement.measured import Measured
 from physconvex.gap.judgement.naming import WEAK, NamedEffect, by_weight, named_effects
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.comparison import Hypothesis
+from physconvex.gap.search.hypothesis import Hypothesis
 
 __all__ = ["FORETOLD", "LESS", "OPEN", "SEEN", "TELLING", "TRUSTED", "Case", "Verdict", "VerdictName"]
 

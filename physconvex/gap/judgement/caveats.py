@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from physconvex.gap.errors.screening import Screening
-from physconvex.gap.search.comparison import Hypothesis, doses_at_bounds
+from physconvex.gap.search.hypothesis import Hypothesis, doses_at_bounds
 
 __all__ = ["caveats_of", "doses_in_sight"]
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.errors.score import ErrorModel
-from physconvex.gap.search.comparison import Hypothesis
 from physconvex.gap.search.evidence import information_by_kind, squares_by_kind
+from physconvex.gap.search.hypothesis import Hypothesis
 
 __all__ = ["gain_in_flight", "left_in_flight"]
 

@@ -11,8 +11,8 @@ from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.errors.rebound import forgiving
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.judgement.flight import gain_in_flight, left_in_flight
-from physconvex.gap.search.comparison import Hypothesis, base_hypothesis
 from physconvex.gap.search.evidence import mean_square
+from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis
 from physconvex.gap.search.ranking import evidence_of_anything
 from physconvex.gap.shrinkage.how_far import HowFar
 

@@ -10,7 +10,7 @@ import numpy as np
 from physconvex.gap.effects import Effect
 from physconvex.gap.errors.screening import Screening
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.comparison import Hypothesis
+from physconvex.gap.search.hypothesis import Hypothesis
 
 __all__ = [
     "SOMETHING_ELSE",

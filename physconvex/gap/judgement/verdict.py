@@ -20,7 +20,7 @@ from physconvex.gap.judgement.case import (
 from physconvex.gap.judgement.measured import Measured
 from physconvex.gap.judgement.naming import SOMETHING_ELSE, WEAK, beside_something_else, favoured, probabilities
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.comparison import Hypothesis
+from physconvex.gap.search.hypothesis import Hypothesis
 
 __all__ = ["Verdict", "VerdictName", "decide"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from physconvex.gap.base.baseline import Baseline
-from physconvex.gap.search.comparison import Hypothesis
+from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.search.ringing import deformation, ringing
 from physconvex.identify import MarkerObservations
 

@@ -14,7 +14,7 @@ from physconvex.gap.location.ledger import Entry, impulses
 from physconvex.gap.location.sources import budget_of, reduction_by_frame, squares_by_frame
 from physconvex.gap.location.vibration import Mode, vibrations
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.comparison import Hypothesis
+from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.identify import PixelObservations
 
 __all__ = ["Part", "Where", "block_bootstrap", "locate_gap", "phases_of"]

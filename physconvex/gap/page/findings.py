@@ -14,7 +14,7 @@ from physconvex.gap.light.image_formation import ImageFinding
 from physconvex.gap.location.vibration import Mode
 from physconvex.gap.location.where import Part, Where
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.comparison import Hypothesis
+from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.shrinkage.how_far import HowFar
 
 __all__ = ["FORMAT_VERSION", "GapFindings", "Provenance"]

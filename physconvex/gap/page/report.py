@@ -16,7 +16,7 @@ from physconvex.gap.light.image_formation import ImageFinding
 from physconvex.gap.page.findings import GapFindings
 from physconvex.gap.page.html import write_html
 from physconvex.gap.page.pictures import write_body
-from physconvex.gap.search.comparison import Hypothesis
+from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.reduced import ReducedScene
 
 __all__ = ["GapReport", "ImprovedTwin"]

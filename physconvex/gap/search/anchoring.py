@@ -16,7 +16,7 @@ from physconvex.gap.base.baseline import Baseline, Report, derivatives_of_residu
 from physconvex.gap.base.model import MODULUS, SecantModel
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.comparison import derivatives_at
+from physconvex.gap.search.fitting import derivatives_at
 from physconvex.identify import FitOptions, fit
 
 __all__ = ["early_point", "early_window"]

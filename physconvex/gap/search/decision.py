@@ -8,8 +8,8 @@ from physconvex.gap.base.baseline import Baseline, Report
 from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.comparison import Hypothesis, base_hypothesis
 from physconvex.gap.search.exactness import with_own_correction
+from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis
 from physconvex.gap.search.mapping import confirmed, improved
 from physconvex.gap.search.ranking import judged
 from physconvex.gap.search.state import FAILURES

@@ -14,7 +14,7 @@ from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.effects import Correction, Motion
 from physconvex.gap.errors.numerics import Numerics, exact_model
 from physconvex.gap.errors.score import ErrorModel
-from physconvex.gap.search.comparison import Hypothesis, hypothesis_at
+from physconvex.gap.search.hypothesis import Hypothesis, hypothesis_at
 
 __all__ = ["with_own_correction"]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from physconvex.gap.base.model import MODULUS
 from physconvex.gap.errors.numerics import Numerics, error_model, numerical_differences
-from physconvex.gap.search.comparison import continued, hypothesis_at
+from physconvex.gap.search.hypothesis import continued, hypothesis_at
 from physconvex.gap.search.mapping import confirmed
 from physconvex.gap.search.state import FAILURES, Selection
 

@@ -19,8 +19,9 @@ from physconvex.gap.base.model import MODULUS, EffectModel
 from physconvex.gap.effects import IN_FLIGHT, Effect
 from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.errors.screening import Screened, best_pairs, screen
-from physconvex.gap.search.comparison import Hypothesis, fit_effects
 from physconvex.gap.search.evidence import mean_square, misfit_of
+from physconvex.gap.search.fitting import fit_effects
+from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.search.rounds import fitted_there
 from physconvex.gap.search.state import FAILURES, Selection
 

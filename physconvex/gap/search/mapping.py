@@ -17,7 +17,8 @@ from physconvex.gap.base.lowest_mode import decades_between
 from physconvex.gap.base.model import MODULUS, EffectModel, reduced_like, searches_itself
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.comparison import Hypothesis, derivatives_at, hypothesis_at, refit
+from physconvex.gap.search.fitting import derivatives_at, refit
+from physconvex.gap.search.hypothesis import Hypothesis, hypothesis_at
 
 __all__ = ["as_reduced", "confirmed", "improved"]
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.errors.score import ErrorModel
-from physconvex.gap.search.comparison import Hypothesis, doses_at_bounds
 from physconvex.gap.search.evidence import information_per_one
+from physconvex.gap.search.hypothesis import Hypothesis, doses_at_bounds
 
 __all__ = ["evidence_of_anything", "finalists", "judged", "within_bounds"]
 

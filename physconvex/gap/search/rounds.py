@@ -13,7 +13,8 @@ from physconvex.gap.effects import Effect, applicable
 from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.errors.screening import Pair, Screened, Screening, best_pairs, screen
 from physconvex.gap.search.anchoring import early_point
-from physconvex.gap.search.comparison import Hypothesis, continued, derivatives_at, hypothesis_at, refit
+from physconvex.gap.search.fitting import derivatives_at, refit
+from physconvex.gap.search.hypothesis import Hypothesis, continued, hypothesis_at
 from physconvex.gap.search.loads import loaded_starts
 from physconvex.gap.search.mapping import as_reduced, confirmed, improved
 from physconvex.gap.search.ranking import finalists

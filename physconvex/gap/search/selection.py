@@ -21,11 +21,11 @@ from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.errors.screening import Screening, screen
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.comparison import Hypothesis, base_hypothesis, continued
 from physconvex.gap.search.decision import decided
 from physconvex.gap.search.evidence import residuals_per_one
 from physconvex.gap.search.expecting import expect_anew
 from physconvex.gap.search.flight import from_flight
+from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis, continued
 from physconvex.gap.search.loads import loaded_starts
 from physconvex.gap.search.mapping import as_reduced
 from physconvex.gap.search.ranking import finalists, judged

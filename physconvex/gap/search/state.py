@@ -12,7 +12,8 @@ from physconvex.gap.base.baseline import Baseline, Report
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.errors.screening import Screened
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.comparison import Hypothesis, fit_effects
+from physconvex.gap.search.fitting import fit_effects
+from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.search.ranking import judged
 
 __all__ = ["FAILURES", "LATE_GAP", "Selection"]

@@ -14,7 +14,7 @@ from physconvex.gap.base.observing import followed
 from physconvex.gap.effects import Effect, Motion
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.comparison import Hypothesis
+from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.shrinkage.how_far import HowFar, Positions, shrinkage_on
 from physconvex.identify import PixelObservations
 

@@ -14,7 +14,7 @@ from physconvex.gap.conditions.setting import find_setting
 from physconvex.gap.errors.numerics import other_mesh
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.comparison import Hypothesis
+from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.shrinkage.how_far import HowFar, shrinkage_on
 
 __all__ = ["second_take_shrinkage"]

@@ -1,4 +1,4 @@
-"""How much a likelihood counts."""
+"""How fits compare: how much a likelihood counts, and where a fit begins."""
 
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -10,7 +10,6 @@ from physconvex.gap import DEFAULT_EFFECTS
 from physconvex.gap.base.baseline import Split
 from physconvex.gap.base.body_modes import BodyModes, undivided
 from physconvex.gap.errors.score import ErrorModel
-from physconvex.gap.search.comparison import Hypothesis, _beside, _best_start, doses_at_bounds
 from physconvex.gap.search.evidence import (
     evidence_of,
     information_per_one,
@@ -18,6 +17,8 @@ from physconvex.gap.search.evidence import (
     mean_square,
     moved_kinds,
 )
+from physconvex.gap.search.fitting import _beside, _best_start
+from physconvex.gap.search.hypothesis import Hypothesis, doses_at_bounds
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 

@@ -1,192 +1,29 @@
-"""Fits of effects, and how they compare on frames that no fit saw."""
+"""Effects fitted to the fitted frames, together with the base model's values."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from physconvex.errors import ConvergenceError
 from physconvex.gap.base.baseline import Baseline, derivatives_of_residuals
 from physconvex.gap.base.model import EffectModel, SecantModel
-from physconvex.gap.effects import Effect, Motion
+from physconvex.gap.effects import Motion
 from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.errors.screening import Screened
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.evidence import (
-    evidence_of,
-    information_by_kind,
-    likelihood_by_kind,
-    mean_square,
-    misfit_of,
-    moved_kinds,
-    residuals_per_one,
-    squares_by_kind,
-)
-from physconvex.gap.search.ringing import ringing_likelihood
-from physconvex.identify import Fit, FitOptions, fit, marginal_deviations
+from physconvex.gap.search.evidence import mean_square, misfit_of, residuals_per_one
+from physconvex.gap.search.hypothesis import Hypothesis, deviations_of, hypothesis_at
+from physconvex.identify import FitOptions, fit
 
-__all__ = [
-    "Hypothesis",
-    "base_hypothesis",
-    "continued",
-    "derivatives_at",
-    "doses_at_bounds",
-    "fit_effects",
-    "hypothesis_at",
-    "refit",
-]
+__all__ = ["derivatives_at", "fit_effects", "refit"]
 
-_FOLLOWED = 1.5  # mean square over the expected one up to which nothing is left of a kind of residuals
 _ROUNDS, _PLACED = 6, 3  # of the fit of a held body, and of what lies somewhere in another, or along something
 _STILL, _SETTLED = 0.98, 0.7  # shares of misfit and doubt above which another one is not worth it
 _SLIGHT = 0.5  # gain of log-likelihood below which it is not of a body that is not held
 _FAR, _MOVED = 5.0, 0.3  # typical steps: most that other values are moved by, and from which on it is tried
-
-
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """The base model, or it with effects, fitted.
-
-    Attributes:
-        effects: none for the base model.
-        model: the model, all frames.
-        values: base parameters, then doses.
-        errors: standard errors, lack of fit included.
-        positions: what it says is observed [m], all frames.
-        motion: of the points, before observation.
-        tangents: derivatives of the positions by the values, in the first frames, shape [f, K, P, 3].
-        fitted: mean square of the residuals in the fitted frames, over that of noise and numerical error.
-        selecting: the same in the frames that choose, of the kind that has most.
-        evidence: log-evidence up to a constant, tempered or not.
-        likelihood: its part that the residuals make, not tempered, by kind (`physconvex.gap.base.body_modes`).
-        attainable: what that would be if nothing but noise and numerical error were left.
-        information: number of independent fitted residuals by kind.
-        moved: kinds that its effects change something of: only of these the residuals tell the doses.
-        divisor: residuals per independent one that the evidence is tempered with, by kind.
-        ringing: log-likelihood of how the recording rings, part of the evidence that is not tempered.
-        later: the part of the likelihood that the frames make which choose, and which no fit saw.
-        struck: kinds that are of frames from the first contact on; None where they are not divided.
-    """
-
-    effects: tuple[Effect, ...]
-    model: EffectModel
-    values: Float[np.ndarray, " K"]
-    errors: Float[np.ndarray, " K"]
-    positions: Float[np.ndarray, "T P 3"]
-    motion: Motion
-    tangents: Float[np.ndarray, "f K P 3"]
-    fitted: float
-    selecting: float
-    evidence: float
-    likelihood: Float[np.ndarray, " D"] = field(default_factory=lambda: np.zeros(1))
-    attainable: Float[np.ndarray, " D"] = field(default_factory=lambda: np.zeros(1))
-    information: Float[np.ndarray, " D"] = field(default_factory=lambda: np.full(1, 2.0))
-    moved: Bool[np.ndarray, " D"] = field(default_factory=lambda: np.ones(1, dtype=bool))
-    divisor: Float[np.ndarray, " D"] = field(default_factory=lambda: np.ones(1))
-    ringing: float = 0.0
-    later: Float[np.ndarray, " D"] = field(default_factory=lambda: np.zeros(1))
-    struck: Bool[np.ndarray, " D"] | None = None
-
-    @property
-    def label(self) -> str:
-        """Names of its effects."""
-        return " + ".join(e.label for e in self.effects) or "base model"
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of its effects without variants."""
-        return tuple(e.name for e in self.effects)
-
-    def doses(self, effect: Effect) -> tuple[Float[np.ndarray, " D"], Float[np.ndarray, " D"]]:
-        """Doses of an effect and their standard errors."""
-        where = self.model.slices[self.effects.index(effect)]
-        return self.values[where], self.errors[where]
-
-    def is_slight(self, *effects: Effect) -> bool:
-        """Whether all doses (of all effects unless some are given) lie nearer to null than is of interest.
-
-        What fits so is the model's own error.
-        """
-        slight = [
-            abs(value - dose.null) < dose.smallest
-            for effect in effects or self.effects
-            for value, dose in zip(self.doses(effect)[0], effect.doses, strict=True)
-            if not dose.shape and effect.source != "numerical"
-        ]
-        return bool(slight) and all(slight)
-
-    @property
-    def independent(self) -> float:
-        """Number of independent fitted residuals, those that are alike counted once."""
-        return float((self.information / self.divisor).sum())
-
-    @property
-    def seen(self) -> float:
-        """Log-likelihood of the fitted frames, up to a constant.
-
-        Of a struck body the mean square hardly tells one fit from a better one: most of its residuals are of the
-        flight, which all of them follow.
-        """
-        return float((self.likelihood - self.later).sum())
-
-    @property
-    def left_to_explain(self) -> float:
-        """Gain of log-likelihood in the fitted frames by whatever would leave nothing but noise and numerical error.
-
-        Kind by kind: what little is left of a flight hides in the mean beside what a rebound errs by. Kinds that lie
-        within their errors leave nothing.
-        """
-        seen = self.likelihood - self.later
-        followed = seen >= -0.5 * self.information * np.log(_FOLLOWED + 1.0)
-        gain = (-0.5 * self.information * np.log(2.0) - seen) / self.divisor
-        return float(gain[~followed].sum())
-
-    def foretells_more_than(self, other: Hypothesis) -> bool:
-        """Whether the frames that choose are no less likely than with another fit, kinds weighed as in the evidence."""
-        return bool(((self.later - other.later) / self.divisor).sum() >= 0)
-
-    def tempered(self, divisor: Float[np.ndarray, " D"]) -> Hypothesis:
-        """With the evidence that it has if only one in `divisor` residuals of each kind is independent."""
-        told = self.information * self.moved
-        evidence = evidence_of(self.likelihood, told, self.effects, self.values, divisor, struck=self.struck)
-        return replace(self, evidence=evidence + self.ringing, divisor=divisor)
-
-
-def hypothesis_at(
-    base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray, deviations: np.ndarray,
-    motion: Motion, tangents: np.ndarray,
-) -> Hypothesis:  # fmt: skip
-    """A model at fitted values, with what it says and how well that fits."""
-    positions = model.observed(motion, values)
-    fitted = mean_square(base, errors, positions, base.split.fitted)
-    selecting = float(np.nanmax(squares_by_kind(base, errors, positions, base.split.selecting), initial=0.0))
-    seen, later = (likelihood_by_kind(base, errors, positions, f) for f in (base.split.fitted, base.split.selecting))
-    attainable = sum(likelihood_by_kind(base, errors, None, f) for f in (base.split.fitted, base.split.selecting))
-    likelihood = seen + later
-    information = information_by_kind(base, errors, base.split.fitted)
-    moved = moved_kinds(base, errors, positions)
-    ringing = ringing_likelihood(base, positions)
-    struck = base.modes.struck
-    evidence = evidence_of(likelihood, information * moved, model.effects, values, struck=struck) + ringing
-    return Hypothesis(
-        model.effects, model, values, deviations, positions, motion, tangents, fitted, selecting, evidence, likelihood,
-        np.asarray(attainable), information, moved, ringing=ringing, later=later, struck=struck,
-    )  # fmt: skip
-
-
-def base_hypothesis(base: Baseline, errors: ErrorModel) -> Hypothesis:
-    """The base model as one of those compared."""
-    deviations = _deviations(base, errors, base.fit, base.positions)
-    return hypothesis_at(base, errors, base.model, base.fit.values, deviations, base.motion, base.tangents)
-
-
-def continued(base: Baseline, found: Hypothesis) -> Baseline:
-    """A baseline at a fit with effects: where the search for further effects goes on."""
-    fit = replace(base.fit, parameters=found.model.parameters(found.values), values=found.values)
-    return replace(base, model=found.model, fit=fit, motion=found.motion, tangents=found.tangents)
 
 
 def fit_effects(
@@ -336,14 +173,8 @@ def refit(
         misfit = found.reduced_chi_square if held else misfit_of(base, errors, here)
         settled, left = misfit > (_STILL * left if held else left - _SLIGHT), misfit
     motion = model.motion(found.values)
-    deviations = _deviations(base, errors, found, model.observed(motion, found.values))
+    deviations = deviations_of(base, errors, found, model.observed(motion, found.values))
     return hypothesis_at(base, errors, model, found.values, deviations, motion, tangents)
-
-
-def _deviations(base: Baseline, errors: ErrorModel, found: Fit, positions: np.ndarray) -> np.ndarray:
-    """Standard errors of fitted values: what is left is no noise, and many residuals of it tell as much as a few."""
-    alike = residuals_per_one(base, errors, positions, base.split.fitted)
-    return marginal_deviations(found) * np.sqrt(max(found.reduced_chi_square * alike, 1.0))
 
 
 def _doubt(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> float:
@@ -387,19 +218,3 @@ def _add_shapes(model: EffectModel, values: np.ndarray, here: np.ndarray, tangen
                     step = -step
                 changed[at] += step
                 tangents[:, at] = (model.positions(changed) - here) / step
-
-
-def doses_at_bounds(best: Hypothesis) -> list[str]:
-    """Doses that the fit drove to a bound other than their null value.
-
-    Those that only shape an effect may lie there: an inclusion at the very face of a body is none less.
-    """
-    found = []
-    for effect in best.effects:
-        for dose, value in zip(effect.doses, best.doses(effect)[0], strict=True):
-            if dose.shape:
-                continue
-            near = 1e-3 * (dose.upper - dose.lower)
-            if any(abs(value - bound) < near and abs(bound - dose.null) > near for bound in (dose.lower, dose.upper)):
-                found.append(f"{effect.name} ({dose.name} = {value:.3g} {dose.unit})".replace(" )", ")"))
-    return found
