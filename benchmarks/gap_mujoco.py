@@ -4,7 +4,7 @@ python benchmarks/gap_mujoco.py --out mujoco_bank [--cases none,damping,friction
 
 Another program with another law (Saint Venant–Kirchhoff), linear tetrahedra that lock, semi-implicit Euler, and a soft
 contact that loses energy by itself (the cube sinks in by 6 % of its size). The captures hold its mesh. Needs
-`pip install mujoco mujoco-core`, which is no dependency of this package.
+`pip install mujoco==4.0.0 mujoco-core==4.0.0` (both of one version), which is no dependency of this package.
 """
 
 from __future__ import annotations
