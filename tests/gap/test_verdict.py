@@ -227,17 +227,18 @@ def test_a_further_effect_that_gains_little_is_not_named():
     assert favoured([hypothesis(20.0, "damping"), plain]).names == ("damping",) and favoured([plain]) is None
 
 
-@pytest.mark.parametrize(("soft", "gain", "names"), [
-    (False, 6.0, ("friction", "damping")), (True, 6.0, ("friction",)), (True, 12.0, ("friction", "damping")),
+@pytest.mark.parametrize(("soft", "further", "gain", "both"), [
+    (False, "damping", 6.0, True), (True, "damping", 6.0, False), (True, "damping", 60.0, False),
+    (True, "plasticity", 11.3, False), (True, "wind", 6.0, False), (True, "wind", 12.0, True),
 ])  # fmt: skip
-def test_a_further_effect_must_gain_more_beside_a_floor_that_gives_way(soft, gain, names):
-    """Damping beside the friction of a cube that MuJoCo threw on a soft floor, where there was none."""
-    fits = [hypothesis(20.0 + gain, "friction", "damping"), hypothesis(20.0, "friction"), hypothesis(0.0)]
+def test_a_further_effect_must_gain_more_beside_a_floor_that_gives_way(soft, further, gain, both):
+    """Damping, and flow, beside the friction of a cube that MuJoCo threw on a soft floor, where there was none."""
+    fits = [hypothesis(20.0 + gain, "friction", further), hypothesis(20.0, "friction"), hypothesis(0.0)]
     for fit in fits:
         fit.model.situation.in_soft_floor = soft
-    assert favoured(fits).names == names
-    told = decide(fits, screening_with("friction", "damping"), 30.0, 1.0, 0.05, OPTIONS)
-    assert ("perhaps also by damping (or the floor)" in told.sentence) == (len(names) == 1)
+    assert favoured(fits).names == (("friction", further) if both else ("friction",))
+    told = decide(fits, screening_with("friction", further), 30.0, 1.0, 0.05, OPTIONS)
+    assert (f"perhaps also by {further} (or the floor)" in told.sentence) == (not both)
 
 
 @pytest.mark.parametrize(("later", "names"), [(-0.5, ["damping"]), (0.5, ["damping", "wind"])])

@@ -27,6 +27,7 @@ __all__ = [
 SOMETHING_ELSE = "something else"
 WEAK = 1.5  # gain of log-evidence by an effect that leaves open whether it is there
 _BESIDE_A_SOFT_FLOOR = 10.0  # gain below which a further effect may be following what a law of such a contact is
+_LIKE_A_FLOOR = ("material", "contact")  # sources of effects that may be following it however much they gain
 # cosine of signatures: of any two effects, and of two that are known to look alike
 _ALIKE, _ALIKE_AS_DECLARED = 0.95, 0.85
 # of a dose: what two programs that mean the same effect differ by, as a standard error; the second of effects that act
@@ -63,8 +64,9 @@ def favoured(hypotheses: Sequence[Hypothesis]) -> Hypothesis | None:
 
     Effects that gain in the fitted frames and lose in those that no fit saw count as gaining too little: what programs
     differ by after an impact is followed so, by damping or an uneven E beside the cause. In a recording whose floor
-    gives way by percents of the body's size they have to gain more: what such a contact takes and gives back otherwise
-    than the model's is followed so too.
+    gives way by percents of the body's size they have to gain more, since what such a contact takes and gives back
+    otherwise than the model's is followed so too; what acts through how the body deforms or touches counts as too
+    little however much it gains there: flow was added so to the friction of MuJoCo's cube, for 11.
 
     Args:
         hypotheses: best evidence first.
@@ -72,12 +74,17 @@ def favoured(hypotheses: Sequence[Hypothesis]) -> Hypothesis | None:
     best = next((h for h in hypotheses if h.effects), None)
     if best is None:
         return None
-    little = _BESIDE_A_SOFT_FLOOR if best.model.situation.in_soft_floor else WEAK
+    soft = best.model.situation.in_soft_floor
+    little = _BESIDE_A_SOFT_FLOOR if soft else WEAK
+
+    def may_be_the_floor(h: Hypothesis) -> bool:
+        return soft and all(e.source in _LIKE_A_FLOOR for e in best.effects if e.name not in h.names)
+
     enough = [
         h
         for h in hypotheses
         if h.effects and set(h.names) < set(best.names)
-        and (best.evidence - h.evidence < little or not best.foretells_more_than(h))
+        and (best.evidence - h.evidence < little or not best.foretells_more_than(h) or may_be_the_floor(h))
     ]  # fmt: skip
     return min(enough, key=lambda h: (len(h.effects), -h.evidence), default=best)
 
