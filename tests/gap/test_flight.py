@@ -48,6 +48,16 @@ def test_a_gain_in_flight_counts_whatever_follows_the_impact():
     assert found == pytest.approx(40.0 - 0.5 * 2 * np.log((TOUCHED * (ROWS + 1.5)) / 2), rel=0.02)
 
 
+def test_the_frame_next_to_the_contact_is_no_flight_to_be_followed():
+    """A cube of another program touched its floor a frame before the model's did, and its spin was not named."""
+    base, errors = case()
+    best, plain = fits(base, 1.0, 30.0, 80.0)
+    best.positions = np.where(base.observations.frames == TOUCHED - 1, 50.0, best.positions)
+    assert gain_in_flight(base, errors, best, plain) > 30.0
+    best.positions = np.where(base.observations.frames == TOUCHED - 2, 50.0, best.positions)
+    assert gain_in_flight(base, errors, best, plain) == -np.inf
+
+
 @pytest.mark.parametrize(("before", "touched"), [(2.0, TOUCHED), (1.0, FRAMES)])
 def test_none_where_the_flight_is_not_followed_or_nothing_follows_it(before, touched):
     base, errors = case(touched)

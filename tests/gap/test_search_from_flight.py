@@ -86,6 +86,19 @@ def test_the_flight_tells_the_tilt_and_the_contact_the_modulus(tilted):
 
 
 @pytest.mark.slow
+def test_what_follows_an_impact_draws_no_dose_away_from_what_the_flight_says(tmp_path, tilted):
+    """The body is thrown aside as it strikes, by .8 m/s, which a tilt that is half as large again would follow."""
+    tracks = tilted.tracks()
+    struck = np.maximum(np.arange(FRAMES) - 10, 0) / FPS
+    aside = tracks.positions - struck[:, None, None] * np.array([0.8, 0.0, 0.0])
+    thrown = replace(tilted, folder=tmp_path / "thrown")
+    save_capture(thrown, tets=tilted.tets(), tracks=replace(tracks, positions=aside))
+    search = searched(thrown, 0.6)
+    told = next(h for h in search.found if h.names == ("gravity_tilt",))
+    assert np.linalg.norm(told.doses(told.effects[0])[0]) == pytest.approx(np.degrees(TILT), abs=0.1)
+
+
+@pytest.mark.slow
 def test_no_modulus_is_looked_for_where_nothing_shows_in_flight(tmp_path, tilted, monkeypatch):
     """A body that falls as the model says, or that strikes the floor at once."""
     assert len(searched(dropped(tmp_path / "upright", 0.0, 0.12), 0.6).found) == 1

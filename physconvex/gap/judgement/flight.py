@@ -24,7 +24,8 @@ _CLOSED = 2.0  # mean square over the expected one up to which a flight is follo
 def gain_in_flight(base: Baseline, errors: ErrorModel, best: Hypothesis, plain: Hypothesis) -> float:
     """Log-likelihood of the frames before the first contact that effects gain, less ½ k ln n for their k doses.
 
-    −∞ unless they leave nothing there but noise and numerical error, or where no contact follows.
+    −∞ unless they leave nothing there but noise and numerical error, the last frame before the contact aside, or where
+    no contact follows.
 
     Args:
         base: the base fit.
@@ -37,7 +38,9 @@ def gain_in_flight(base: Baseline, errors: ErrorModel, best: Hypothesis, plain: 
     flight = ~struck & (information > 0)
     if not flight.any() or not information[struck].any():
         return -np.inf
-    if squares_by_kind(base, errors, best.positions, fitted)[flight].max() > _CLOSED:
+    seen = fitted[fitted < _last_of_flight(base)]
+    left = squares_by_kind(base, errors, best.positions, seen)[flight]
+    if not len(seen) or np.nanmax(left) > _CLOSED:
         return -np.inf
     gain = ((best.likelihood - plain.likelihood) / best.divisor)[flight].sum()
     independent = (information / best.divisor)[flight].sum()
@@ -48,8 +51,8 @@ def gain_in_flight(base: Baseline, errors: ErrorModel, best: Hypothesis, plain: 
 def left_in_flight(base: Baseline, errors: ErrorModel, hypotheses: Sequence[Hypothesis]) -> float:
     """Least mean square, over the expected one, that any fit leaves before the first contact.
 
-    Not in the last frame before it: with another clock, or a floor that is a little higher, it may be struck. 0 where
-    residuals are not divided by contact (of held bodies, and of points that a video may lose).
+    Not in the last frame before it. 0 where residuals are not divided by contact (of held bodies, and of points that a
+    video may lose).
 
     Args:
         base: the base fit.
@@ -60,7 +63,12 @@ def left_in_flight(base: Baseline, errors: ErrorModel, hypotheses: Sequence[Hypo
     flying = ~base.modes.struck[base.modes.kinds]
     if not base.modes.reflections or not flying.any():
         return 0.0
-    rows = np.flatnonzero(flying & (frames < frames[flying].max()))
+    rows = np.flatnonzero(flying & (frames < _last_of_flight(base)))
     if not len(rows):
         return 0.0
     return float(min((base.residual(h.positions)[rows] ** 2 / errors.expected[rows]).mean() for h in hypotheses))
+
+
+def _last_of_flight(base: Baseline) -> int:
+    """The frame next to the first contact: with another clock, or a floor that is a little higher, it is struck."""
+    return int(base.observations.frames[~base.modes.struck[base.modes.kinds]].max())

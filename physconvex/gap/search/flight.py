@@ -70,7 +70,7 @@ def _flight(base: Baseline) -> Baseline | None:
 
 
 def _fitted(search: Selection, told: Hypothesis) -> Hypothesis:
-    """Initial motion and doses as the flight has them, E by the first contact, then all together."""
+    """Initial motion and doses as the flight has them, E by the first contact, then all together, kind by kind."""
     base, values = search.base, told.values.copy()
     for place, name in enumerate(base.model.base):
         if not name.startswith("initial"):  # of which the flight says nothing
@@ -83,7 +83,7 @@ def _fitted(search: Selection, told: Hypothesis) -> Hypothesis:
     first = min(base.first_contact + _TOUCHING, last)
     values = _best_material(search, replace(bare, frames=first), values, values[place] + _CHANGES)
     values = _best_material(search, replace(full, frames=last), values, values[place] + _ABOVE)
-    return fitted_there(search, full, values)
+    return fitted_there(search, full, values, by_kind=True)
 
 
 def _best_material(search: Selection, model: EffectModel, values: np.ndarray, moduli: np.ndarray) -> np.ndarray:

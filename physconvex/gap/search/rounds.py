@@ -13,6 +13,7 @@ from physconvex.gap.effects import Effect, applicable
 from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.errors.screening import Pair, Screened, Screening, best_pairs, screen
 from physconvex.gap.search.anchoring import early_point
+from physconvex.gap.search.evidence import squares_by_kind
 from physconvex.gap.search.fitting import derivatives_at, refit
 from physconvex.gap.search.hypothesis import Hypothesis, continued, hypothesis_at
 from physconvex.gap.search.loads import loaded_starts
@@ -74,11 +75,25 @@ def from_there(search: Selection, full: Baseline, effects: tuple[Effect, ...], v
     search.attempt(f"{label}, from a scan", lambda: fitted_there(search, model, values))
 
 
-def fitted_there(search: Selection, full: EffectModel, values: np.ndarray) -> Hypothesis:
-    """A fit from values far from the base fit, by a reduced model that says what the full-order one does there."""
+def fitted_there(search: Selection, full: EffectModel, values: np.ndarray, *, by_kind: bool = False) -> Hypothesis:
+    """A fit from values far from the base fit, by a reduced model that says what the full-order one does there.
+
+    Args:
+        search: for the base fit and the errors.
+        full: the full-order model.
+        values: where to begin.
+        by_kind: residuals of each kind weigh by what is left of them there, which is what fits are compared by: what
+            follows an impact, if no fit comes near it, does not draw doses away from what the flight says of them.
+    """
+    base, errors = search.base, search.errors
     cheap, motion = reduced_like(full, full.motion(values), values)
-    tangents = derivatives_at(search.base, cheap, values, motion)
-    return refit(search.base, search.errors, cheap, values, tangents, search.options)
+    tangents = derivatives_at(base, cheap, values, motion)
+    if not by_kind:
+        return refit(base, errors, cheap, values, tangents, search.options)
+    left = squares_by_kind(base, errors, cheap.observed(motion, values), base.split.fitted)
+    weights = replace(errors, variance=errors.variance * (1.0 + np.nan_to_num(left))[base.modes.kinds])
+    found = refit(base, weights, cheap, values, tangents, search.options)
+    return hypothesis_at(base, errors, found.model, found.values, found.errors, found.motion, found.tangents)
 
 
 def load_beside(search: Selection, dictionary: tuple[Effect, ...]) -> None:
