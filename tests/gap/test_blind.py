@@ -13,6 +13,7 @@ from physconvex.gap import Motion
 from physconvex.gap.blind import (
     Bank,
     Shares,
+    answers,
     bank,
     diagnose_bank,
     explicit_cases,
@@ -224,6 +225,21 @@ def test_the_command_scores_and_writes(small):
     assert (small / "s.md").read_text() in result.output and (small / "s.png").exists()
     result = CliRunner().invoke(app, [*arguments, "--captures", str(small / "captures")])
     assert isinstance(result.exception, InputError) and "one for each of 2 banks" in str(result.exception)
+
+
+def test_an_interrupted_diagnosis_keeps_the_answers_so_far(small, monkeypatch):
+    def interrupted(job):
+        if job.name == "capture_001":
+            raise KeyboardInterrupt
+        job.target.mkdir(parents=True)
+        (job.target / "error.txt").write_text("no use")
+
+    monkeypatch.setattr(answers, "_diagnose", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        diagnose_bank(small / "captures", small)
+    found = scored(small)
+    assert [row.error for row in found.rows] == ["no use", "no answer", "no answer"] and found.errors == 3
+    assert found.captures == 0 and not found.controls
 
 
 def test_stored_scores_are_counted_together(small):

@@ -27,6 +27,8 @@ def diagnose_bank(
 ) -> Path:  # fmt: skip
     """Diagnose every capture of a bank and write answers.json; captures that have an answer are left.
 
+    Where that is interrupted, answers.json has the answers so far; `score` counts the others as errors.
+
     Args:
         captures: folder of the captures; its `dictionary.json` says which effects some are diagnosed without.
         out: folder of the reports.
@@ -50,14 +52,18 @@ def diagnose_bank(
         _Job(folder, out / folder.name, tuple(dict.fromkeys([*without, *deleted.get(folder.name, ())])), options)
         for folder in folders
     ]
-    run_jobs(_diagnose, [job for job in jobs if not job.done], workers=workers, report=report)
-    answers = [_answer(job) for job in jobs]
-    text = json.dumps(answers, indent=1)
-    path = out / "answers.json"
-    path.write_text(
-        json.dumps({"sha256": digest(text, ""), "without": list(without), "answers": answers}, indent=1) + "\n",
-        encoding="utf-8",
-    )
+    try:
+        run_jobs(_diagnose, [job for job in jobs if not job.done], workers=workers, report=report)
+    finally:
+        path = _write(out, [_answer(job) for job in jobs if job.answered], without)
+    return path
+
+
+def _write(out: Path, answers: Sequence[dict[str, Any]], without: Sequence[str]) -> Path:
+    path, text = out / "answers.json", json.dumps(answers, indent=1)
+    content = {"sha256": digest(text, ""), "without": list(without), "answers": list(answers)}
+    out.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     return path
 
 
@@ -77,6 +83,10 @@ class _Job:
     @property
     def done(self) -> bool:
         return (self.target / "report.json").exists()
+
+    @property
+    def answered(self) -> bool:
+        return self.done or (self.target / "error.txt").exists()
 
 
 def _diagnose(job: _Job) -> None:
