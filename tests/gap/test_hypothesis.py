@@ -196,6 +196,23 @@ def test_what_acts_on_impact_is_not_priced_by_the_residuals_of_the_flight():
     assert evidence(spin, friction) == evidence(friction, spin) == pytest.approx(-1.5 * np.log(520) - np.log(20))
 
 
+def test_where_a_load_hangs_costs_no_more_than_the_recording_tells_of_it():
+    """Of a light load nothing tells it, and it cost as much as the load's mass: a wrong frame rate led for that."""
+    load = next(e for e in DEFAULT_EFFECTS if e.name == "attached_mass" and len(e.doses) == 2)
+    information, values = np.array([100.0]), np.array([5.0, 0.03, 0.0])
+
+    def price(*deviations):
+        told = np.array([0.01, *deviations]) if deviations else None
+        odd = sum(d.implausibility(v) for d, v in zip(load.doses, values[1:], strict=True))
+        return -evidence_of(np.zeros(1), information, (load,), values, deviations=told) - odd
+
+    one = 0.5 * np.log(100)
+    assert price() == price(1e-3, 1e-4) == pytest.approx(2 * one)  # told well
+    assert price(1e-3, 0.03) == pytest.approx(one + np.log(2))  # half as wide as is plausible
+    assert price(1e-3, 0.2) == price(1e-3, 0.06) == pytest.approx(one)
+    assert price(5.0, 0.06) == pytest.approx(one)  # the mass itself is not cheaper for being told badly
+
+
 def left(squares, information, **changed):
     """What kinds of residuals that are so large leave to explain."""
     seen, later = (-0.5 * information * np.log(np.array(part) + 1.0) for part in (squares, (9.0, 9.0)))

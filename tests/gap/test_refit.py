@@ -103,3 +103,42 @@ def test_derivatives_by_a_direction_are_taken_anew(
     found = refit(base, errors, model, start, np.ones((3, len(start), 1, 3)), GapOptions())
     assert model.taken == taken
     assert found[0] == 1.0 + len(taken)
+
+
+@pytest.mark.wrong_types
+@pytest.mark.parametrize(
+    ("clamped", "there", "ends", "weights"),
+    [
+        (True, 1.0, 2.0, [50.0, 1.0]),  # what is left at the other place is noise, which keeps priors weak
+        (True, -1.0, 1.0, [50.0, 1.0]),  # it is not as likely
+        (False, 1.0, 1.0, [50.0]),  # no priors
+    ],
+)
+def test_a_held_body_is_fitted_from_weak_priors_too(
+    monkeypatch: pytest.MonkeyPatch, clamped: bool, there: float, ends: float, weights: list[float]
+) -> None:
+    """A load with another ν: strong priors left a smooth residual, which kept them strong (2301/043)."""
+    effect = next(effect for effect in DEFAULT_EFFECTS if effect.label == "damping")
+    model, doubts = Model((effect,), []), []
+    base = SimpleNamespace(
+        fit=SimpleNamespace(values=np.zeros(1)), split=SimpleNamespace(end=3, fitted=np.arange(3)),
+        situation=SimpleNamespace(clamped=clamped), weighted=lambda variance, count: None,
+        model=SimpleNamespace(cost=Cost()),
+    )  # fmt: skip
+
+    def fit(secant, weighted, parameters, options):
+        doubts.append(secant.model.doubt)
+        values = np.array([1.0 if secant.model.doubt > 2 else 2.0, 0.0])  # what priors of that weight let it be
+        return SimpleNamespace(values=values, positions=model.positions(values), reduced_chi_square=1.0)
+
+    def stated(base, errors, model, values, *of):
+        return SimpleNamespace(values=values, evidence=there * (values[0] - 1.0))
+
+    monkeypatch.setattr(fitting, "fit", fit)
+    monkeypatch.setattr(fitting, "misfit_of", lambda base, errors, here: 1.0)
+    monkeypatch.setattr(fitting, "_doubt", lambda base, errors, here: 1.0 if here[0, 0, 0] == 2.0 else 50.0)
+    monkeypatch.setattr(fitting, "deviations_of", lambda *of: np.zeros(2))
+    monkeypatch.setattr(fitting, "hypothesis_at", stated)
+    found = refit(base, SimpleNamespace(variance=None), model, np.zeros(2), np.ones((3, 2, 1, 3)), GapOptions())
+    assert found.values[0] == ends
+    assert list(dict.fromkeys(doubts)) == weights

@@ -117,6 +117,16 @@ class Dose:
         """½ of its squared distance from null in units of what is plausible [nats]."""
         return 0.5 * float((value - self.null) / self.plausible) ** 2
 
+    def narrowed(self, deviation: float) -> float:
+        """By how much a recording narrows what is plausible [nats]; inf of a dose that does not only shape an effect.
+
+        Args:
+            deviation: standard error, what is plausible counted in; NaN where it is not known.
+        """
+        if not self.shape or not np.isfinite(self.plausible) or not deviation > 0:
+            return float("inf")
+        return max(float(np.log(self.plausible / deviation)), 0.0)
+
     def estimate(self, amount: float, error: float, trial: float) -> tuple[float, float]:
         """Dose of which the trial one is a multiple 1/amount, and its standard error, by first order.
 

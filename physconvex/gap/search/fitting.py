@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,13 +17,14 @@ from physconvex.gap.errors.screening import Screened
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.evidence import mean_square, misfit_of, residuals_per_one
 from physconvex.gap.search.hypothesis import Hypothesis, deviations_of, hypothesis_at
-from physconvex.identify import FitOptions, fit
+from physconvex.identify import Fit, FitOptions, fit
 
 __all__ = ["derivatives_at", "fit_effects", "refit"]
 
 _ROUNDS, _PLACED = 6, 3  # of the fit of a held body, and of what lies somewhere in another, or along something
 _STILL, _SETTLED = 0.98, 0.7  # shares of misfit and doubt above which another one is not worth it
 _SLIGHT = 0.5  # gain of log-likelihood below which it is not of a body that is not held
+_SURE = 2.0  # doubt below which priors weigh as they are
 _FAR, _MOVED = 5.0, 0.3  # typical steps: most that other values are moved by, and from which on it is tried
 
 
@@ -143,12 +145,16 @@ def refit(
     both stay. So are fibres and inclusions of another body, while that makes the fitted frames likelier: derivatives
     by their direction or place, taken where there is hardly any dose of them, say next to nothing.
 
+    Of a held body two places may both stay: with strong priors what is left is smooth, counts as few residuals, and so
+    keeps them strong; with weak ones it may be noise, which keeps them weak. So it is fitted from the other side too,
+    from priors as they are, and the likelier fit taken: the loads of held bars came out a quarter too light, since they
+    could not have their ν, and a wrong frame rate was called in their place.
+
     Raises:
         ConvergenceError: the body cannot be simulated at the start.
     """
     count = base.split.end
     shorter, own = replace(model, frames=count), len(base.fit.values)
-    weighted = base.weighted(errors.variance, count)
     try:
         here = shorter.positions(values)
     except ConvergenceError:
@@ -156,25 +162,57 @@ def refit(
         here = shorter.positions(values)
     tangents = tangents[:count].copy()
     _add_shapes(shorter, values, here, tangents)
+    first = _settled(base, errors, shorter, _Point(values, here, tangents), _doubt(base, errors, here), options)
+    best = _stated(base, errors, model, first)
+    if not base.situation.clamped or _doubt(base, errors, first.here) < _SURE or base.model.cost.over:
+        return best
+    with suppress(ConvergenceError):
+        other = _stated(base, errors, model, _settled(base, errors, shorter, first, 1.0, options))
+        best = max(best, other, key=lambda h: h.evidence)
+    return best
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Where a fit is: values, positions in the first frames, derivatives, and the fit that led there."""
+
+    values: np.ndarray
+    here: np.ndarray
+    tangents: np.ndarray
+    found: Fit | None = None
+
+
+def _settled(
+    base: Baseline, errors: ErrorModel, shorter: EffectModel, start: _Point, doubt: float, options: GapOptions
+) -> _Point:  # fmt: skip
+    """Rounds of fitting from some values, the first with priors that weigh so much, until both stay."""
+    weighted = base.weighted(errors.variance, base.split.end)
     stop = FitOptions(max_iterations=options.iterations + 1, relative_tolerance=2e-3, absolute_tolerance=0.1)
-    doubt, left, settled, held = np.inf, np.inf, False, base.situation.clamped
-    placed = any(dose.shape for effect in model.effects for dose in effect.doses)
+    point, left, settled, held = start, np.inf, False, base.situation.clamped
+    placed = any(dose.shape for effect in shorter.effects for dose in effect.doses)
     rounds = _ROUNDS if held else _PLACED if placed else 1
     for number in range(rounds):
-        before, doubt = doubt, _doubt(base, errors, here)
-        if number and ((settled and doubt > _SETTLED * before) or base.model.cost.over):
-            break
-        shorter = replace(shorter, doubt=doubt)
         if number:
-            tangents = shorter.tangents(values, shorter.motion(values))
-        secant = SecantModel(shorter, values, here, tangents)
-        found = fit(secant, weighted, shorter.parameters(values), options=stop)
-        values, here, tangents = found.values, found.positions, secant.tangents
-        misfit = found.reduced_chi_square if held else misfit_of(base, errors, here)
+            before, doubt = doubt, _doubt(base, errors, point.here)
+            if (settled and doubt > _SETTLED * before) or base.model.cost.over:
+                break
+        model, tangents = replace(shorter, doubt=doubt), point.tangents
+        if number:
+            tangents = model.tangents(point.values, model.motion(point.values))
+        secant = SecantModel(model, point.values, point.here, tangents)
+        found = fit(secant, weighted, model.parameters(point.values), options=stop)
+        point = _Point(found.values, found.positions, secant.tangents, found)
+        misfit = found.reduced_chi_square if held else misfit_of(base, errors, point.here)
         settled, left = misfit > (_STILL * left if held else left - _SLIGHT), misfit
-    motion = model.motion(found.values)
-    deviations = deviations_of(base, errors, found, model.observed(motion, found.values))
-    return hypothesis_at(base, errors, model, found.values, deviations, motion, tangents)
+    return point
+
+
+def _stated(base: Baseline, errors: ErrorModel, model: EffectModel, point: _Point) -> Hypothesis:
+    """What a model says of all frames where a fit has led."""
+    assert point.found is not None
+    motion = model.motion(point.values)
+    deviations = deviations_of(base, errors, point.found, model.observed(motion, point.values))
+    return hypothesis_at(base, errors, model, point.values, deviations, motion, point.tangents)
 
 
 def _doubt(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> float:

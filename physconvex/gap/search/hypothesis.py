@@ -133,7 +133,9 @@ class Hypothesis:
     def tempered(self, divisor: Float[np.ndarray, " D"]) -> Hypothesis:
         """With the evidence that it has if only one in `divisor` residuals of each kind is independent."""
         told = self.information * self.moved
-        evidence = evidence_of(self.likelihood, told, self.effects, self.values, divisor, struck=self.struck)
+        evidence = evidence_of(
+            self.likelihood, told, self.effects, self.values, divisor, struck=self.struck, deviations=self.errors
+        )
         return replace(self, evidence=evidence + self.ringing, divisor=divisor)
 
 
@@ -152,7 +154,8 @@ def hypothesis_at(
     moved = moved_kinds(base, errors, positions)
     ringing = ringing_likelihood(base, positions)
     struck = base.modes.struck
-    evidence = evidence_of(likelihood, information * moved, model.effects, values, struck=struck) + ringing
+    told = information * moved
+    evidence = evidence_of(likelihood, told, model.effects, values, struck=struck, deviations=deviations) + ringing
     return Hypothesis(
         model.effects, model, values, deviations, positions, motion, tangents, fitted, selecting, evidence, likelihood,
         np.asarray(attainable), information, moved, ringing=ringing, later=later, struck=struck,
