@@ -260,7 +260,7 @@ def test_stored_scores_are_counted_together(small):
         pool_scores([paths[0], paths[0]])
     with pytest.raises(InputError, match="got none"):
         pool_scores([])
-    for spoiled in (text.replace('"verdict"', '"answer"'), "[]", text.replace('"undrawn"', '"lost"')):
+    for spoiled in (text.replace('"verdict"', '"answer"'), "[]", '{"rows": [1]}', text.replace('"undrawn"', '"lost"')):
         paths[1].write_text(spoiled)
         with pytest.raises(InputError, match=r"second.json: no result of"):
             pool_scores(paths)

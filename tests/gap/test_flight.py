@@ -56,6 +56,8 @@ def test_the_frame_next_to_the_contact_is_no_flight_to_be_followed():
     assert gain_in_flight(base, errors, best, plain) > 30.0
     best.positions = np.where(base.observations.frames == TOUCHED - 2, 50.0, best.positions)
     assert gain_in_flight(base, errors, best, plain) == -np.inf
+    at_once, errors = case(1)  # it has no other frame of flight
+    assert gain_in_flight(at_once, errors, *fits(at_once, 1.0, 30.0, 80.0)) == -np.inf
 
 
 @pytest.mark.parametrize(("before", "touched"), [(2.0, TOUCHED), (1.0, FRAMES)])

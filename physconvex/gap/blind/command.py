@@ -111,7 +111,7 @@ def score(
 
 @app.command()
 def pool(
-    results: Annotated[list[Path], typer.Argument(help="Files that `score` wrote, of banks diagnosed alike.")],
+    results: Annotated[list[Path], typer.Argument(help="Files that `score` wrote, one of each bank.")],
     out: Annotated[Path, typer.Option(help="File of the result (JSON).")] = Path("gap_score.json"),
     tables: Annotated[Path | None, typer.Option(help="File of the result to read (Markdown).")] = None,
     figure: Annotated[Path | None, typer.Option(help="Picture: confusion, reliability, visibility.")] = None,

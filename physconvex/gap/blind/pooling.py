@@ -30,7 +30,7 @@ def pool_scores(results: Sequence[Path]) -> BankScore:
     """The score of all captures of banks that were scored before.
 
     Args:
-        results: files that `score` wrote; the same settings of the diagnosis are meant, which nothing here can check.
+        results: files that `score` wrote.
 
     Raises:
         InputError: no result is given, one cannot be read, or a capture is in two of them.
@@ -48,11 +48,10 @@ def pool_scores(results: Sequence[Path]) -> BankScore:
 
 
 def _stored(path: Path) -> _Stored:
-    adapter = TypeAdapter(dict[str, Any])
     try:
-        content = adapter.validate_json(path.read_bytes())
-        content["rows"] = [_row(row) for row in content.get("rows", ())]
-        return TypeAdapter(_Stored).validate_python(content)
+        content = TypeAdapter(dict[str, Any]).validate_json(path.read_bytes())
+        rows = TypeAdapter(list[dict[str, Any]]).validate_python(content.get("rows"))
+        return TypeAdapter(_Stored).validate_python(content | {"rows": [_row(row) for row in rows]})
     except (OSError, ValidationError) as error:
         raise InputError(f"{path}: no result of `physconvex evaluate gap score`, or an older one: {error}") from error
 

@@ -40,7 +40,7 @@ def gain_in_flight(base: Baseline, errors: ErrorModel, best: Hypothesis, plain: 
         return -np.inf
     seen = fitted[fitted < _last_of_flight(base)]
     left = squares_by_kind(base, errors, best.positions, seen)[flight]
-    if not len(seen) or np.nanmax(left) > _CLOSED:
+    if np.isnan(left).all() or np.nanmax(left) > _CLOSED:
         return -np.inf
     gain = ((best.likelihood - plain.likelihood) / best.divisor)[flight].sum()
     independent = (information / best.divisor)[flight].sum()
