@@ -208,9 +208,10 @@ def test_where_a_load_hangs_costs_no_more_than_the_recording_tells_of_it():
 
     one = 0.5 * np.log(100)
     assert price() == price(1e-3, 1e-4) == pytest.approx(2 * one)  # told well
-    assert price(1e-3, 0.03) == pytest.approx(one + np.log(2))  # half as wide as is plausible
-    assert price(1e-3, 0.2) == price(1e-3, 0.06) == pytest.approx(one)
-    assert price(5.0, 0.06) == pytest.approx(one)  # the mass itself is not cheaper for being told badly
+    wide = load.doses[1].plausible
+    assert price(1e-3, wide / 2) == pytest.approx(one + np.log(2))
+    assert price(1e-3, 3 * wide) == price(1e-3, wide) == pytest.approx(one)
+    assert price(5.0, wide) == pytest.approx(one)  # the mass itself is not cheaper for being told badly
 
 
 def left(squares, information, **changed):

@@ -64,7 +64,7 @@ def _on_nodes(scene: Scene, axis: int, side: int, ratio: float, inset: float, sl
 
 
 _RATIO = Dose("mass_ratio", "", 0.0, 10.0, 0.02, lambda s: 0.3, plausible=2.0)
-_INSET = Dose("inset", "", 0.0, 0.5, 0.01, lambda s: 0.02, shape=True, plausible=0.06)  # of the length
+_INSET = Dose("inset", "", 0.0, 0.5, 0.01, lambda s: 0.02, shape=True, plausible=0.04)  # of the length
 _SLACK = Dose("slack", "m", 0.0, 0.2, 1e-3, lambda s: 0.05 * s.size, shape=True)
 
 
