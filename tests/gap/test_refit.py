@@ -68,6 +68,15 @@ class Model:
         return np.ones((self.frames, len(values), 1, 3))
 
 
+def base_of_three_frames(*, clamped: bool) -> SimpleNamespace:
+    """As much of a base fit as a fit of `Model` needs."""
+    return SimpleNamespace(
+        fit=SimpleNamespace(values=np.zeros(1)), split=SimpleNamespace(end=3, fitted=np.arange(3)),
+        situation=SimpleNamespace(clamped=clamped), weighted=lambda variance, count: None,
+        model=SimpleNamespace(cost=Cost()),
+    )  # fmt: skip
+
+
 @pytest.mark.wrong_types
 @pytest.mark.parametrize(
     ("label", "misfits", "taken"),
@@ -83,11 +92,7 @@ def test_derivatives_by_a_direction_are_taken_anew(
     """Taken where there was hardly any fibre, they say nothing of where it points (2501/024, a dropped body)."""
     effect = next(effect for effect in DEFAULT_EFFECTS if effect.label == label)
     model, left = Model((effect,), []), iter(misfits)
-    base = SimpleNamespace(
-        fit=SimpleNamespace(values=np.zeros(1)), split=SimpleNamespace(end=3, fitted=np.arange(3)),
-        situation=SimpleNamespace(clamped=False), weighted=lambda variance, count: None,
-        model=SimpleNamespace(cost=Cost()),
-    )  # fmt: skip
+    base = base_of_three_frames(clamped=False)
 
     def fit(secant, weighted, parameters, options):
         values = secant._last[0] + 1.0
@@ -120,11 +125,7 @@ def test_a_held_body_is_fitted_from_weak_priors_too(
     """A load with another ν: strong priors left a smooth residual, which kept them strong (2301/043)."""
     effect = next(effect for effect in DEFAULT_EFFECTS if effect.label == "damping")
     model, doubts = Model((effect,), []), []
-    base = SimpleNamespace(
-        fit=SimpleNamespace(values=np.zeros(1)), split=SimpleNamespace(end=3, fitted=np.arange(3)),
-        situation=SimpleNamespace(clamped=clamped), weighted=lambda variance, count: None,
-        model=SimpleNamespace(cost=Cost()),
-    )  # fmt: skip
+    base = base_of_three_frames(clamped=clamped)
 
     def fit(secant, weighted, parameters, options):
         doubts.append(secant.model.doubt)

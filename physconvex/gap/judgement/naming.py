@@ -27,7 +27,7 @@ __all__ = [
 SOMETHING_ELSE = "something else"
 WEAK = 1.5  # gain of log-evidence by an effect that leaves open whether it is there
 _BESIDE_A_SOFT_FLOOR = 10.0  # gain below which a further effect may be following what a law of such a contact is
-_LIKE_A_FLOOR = ("material", "contact")  # sources of effects that may be following it however much they gain
+_DEFORMING = ("material", "contact")  # sources of effects that act through how the body deforms or touches
 # cosine of signatures: of any two effects, and of two that are known to look alike
 _ALIKE, _ALIKE_AS_DECLARED = 0.95, 0.85
 # of a dose: what two programs that mean the same effect differ by, as a standard error; the second of effects that act
@@ -78,7 +78,7 @@ def favoured(hypotheses: Sequence[Hypothesis]) -> Hypothesis | None:
     little = _BESIDE_A_SOFT_FLOOR if soft else WEAK
 
     def may_be_the_floor(h: Hypothesis) -> bool:
-        return soft and all(e.source in _LIKE_A_FLOOR for e in best.effects if e.name not in h.names)
+        return soft and all(e.source in _DEFORMING for e in best.effects if e.name not in h.names)
 
     enough = [
         h
@@ -159,7 +159,7 @@ def _form_errors(effect: Effect, doses: np.ndarray, *, held: bool) -> np.ndarray
     Where the fit leaves next to nothing, the residuals would have a dose to a hundredth of what the model's mesh, steps
     and contact make of it.
     """
-    share = _FORM_DEFORMING if held or effect.source in ("material", "contact") else _FORM
+    share = _FORM_DEFORMING if held or effect.source in _DEFORMING else _FORM
     out = np.empty(len(doses))
     for i, dose in enumerate(effect.doses):
         alike = [j for j, other in enumerate(effect.doses) if other.unit == dose.unit]

@@ -5,6 +5,8 @@ All of it by kind of residual (`physconvex.gap.base.body_modes`).
 
 from __future__ import annotations
 
+from math import fsum
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -150,19 +152,15 @@ def evidence_of(
     late = whole if struck is None or not independent[struck].any() else float(independent[struck].sum())
     doses = [dose for effect in effects for dose in effect.doses]
     first = len(values) - len(doses)
-    prices = []  # of one dose of each effect
-    price = 0.0
-    for effect in effects:
-        prices.append(0.5 * float(np.log(max(whole if effect.source in IN_FLIGHT else late, 2.0))))
-        # a physical cause goes before a numerical one of the same looks
-        price += prices[-1] * (effect.source == "numerical")
-        full = [prices[-1]] * len(effect.doses)
-        if deviations is not None:
-            full = [min(prices[-1], d.narrowed(e)) for d, e in zip(effect.doses, deviations[first:], strict=False)]
-        price += sum(full)
-        first += len(effect.doses)
-    price += sum(sorted(prices)[:-1])
-    odd = sum(dose.implausibility(value) for dose, value in zip(doses, values[len(values) - len(doses) :], strict=True))
+    # of one dose of each effect
+    prices = [0.5 * float(np.log(max(whole if e.source in IN_FLIGHT else late, 2.0))) for e in effects]
+    paid = [price for effect, price in zip(effects, prices, strict=True) for _ in effect.doses]
+    if deviations is not None:
+        paid = [min(one, d.narrowed(e)) for one, d, e in zip(paid, doses, deviations[first:], strict=True)]
+    # a physical cause goes before a numerical one of the same looks
+    paid += [price for effect, price in zip(effects, prices, strict=True) if effect.source == "numerical"]
+    price = fsum([*paid, *sorted(prices)[:-1]])  # in whatever order the effects come
+    odd = sum(dose.implausibility(value) for dose, value in zip(doses, values[first:], strict=True))
     return float((likelihood / divisor).sum() - price - odd)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from physconvex.gap.base.model import MODULUS
 from physconvex.gap.errors.numerics import Numerics, error_model, numerical_differences
-from physconvex.gap.search.hypothesis import continued, hypothesis_at
+from physconvex.gap.search.hypothesis import continued, weighed_anew
 from physconvex.gap.search.mapping import confirmed
 from physconvex.gap.search.state import FAILURES, Selection
 
@@ -43,9 +43,6 @@ def expect_anew(search: Selection) -> Numerics | None:
         return None
     numerics = numerical_differences(point, search.options, search.report)
     search.errors = error_model(point, numerics, search.options)
-    search.found = [
-        hypothesis_at(search.base, search.errors, h.model, h.values, h.errors, h.motion, h.tangents)
-        for h in search.found
-    ]
+    search.found = [weighed_anew(search.base, search.errors, h) for h in search.found]
     cost.limit += cost.spent - before + _AGAIN * search.options.search_cost
     return numerics

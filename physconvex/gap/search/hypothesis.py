@@ -23,7 +23,15 @@ from physconvex.gap.search.evidence import (
 from physconvex.gap.search.ringing import ringing_likelihood
 from physconvex.identify import Fit, marginal_deviations
 
-__all__ = ["Hypothesis", "base_hypothesis", "continued", "deviations_of", "doses_at_bounds", "hypothesis_at"]
+__all__ = [
+    "Hypothesis",
+    "base_hypothesis",
+    "continued",
+    "deviations_of",
+    "doses_at_bounds",
+    "hypothesis_at",
+    "weighed_anew",
+]
 
 _FOLLOWED = 1.5  # mean square over the expected one up to which nothing is left of a kind of residuals
 
@@ -166,6 +174,11 @@ def base_hypothesis(base: Baseline, errors: ErrorModel) -> Hypothesis:
     """The base model as one of those compared."""
     deviations = deviations_of(base, errors, base.fit, base.positions)
     return hypothesis_at(base, errors, base.model, base.fit.values, deviations, base.motion, base.tangents)
+
+
+def weighed_anew(base: Baseline, errors: ErrorModel, found: Hypothesis) -> Hypothesis:
+    """A fit with other weights of the residuals than it was made or weighed with."""
+    return hypothesis_at(base, errors, found.model, found.values, found.errors, found.motion, found.tangents)
 
 
 def continued(base: Baseline, found: Hypothesis) -> Baseline:

@@ -15,7 +15,7 @@ from physconvex.gap.errors.screening import Pair, Screened, Screening, best_pair
 from physconvex.gap.search.anchoring import early_point
 from physconvex.gap.search.evidence import squares_by_kind
 from physconvex.gap.search.fitting import derivatives_at, refit
-from physconvex.gap.search.hypothesis import Hypothesis, continued, hypothesis_at
+from physconvex.gap.search.hypothesis import Hypothesis, continued, hypothesis_at, weighed_anew
 from physconvex.gap.search.loads import loaded_starts
 from physconvex.gap.search.mapping import as_reduced, confirmed, improved
 from physconvex.gap.search.ranking import finalists
@@ -92,8 +92,7 @@ def fitted_there(search: Selection, full: EffectModel, values: np.ndarray, *, by
         return refit(base, errors, cheap, values, tangents, search.options)
     left = squares_by_kind(base, errors, cheap.observed(motion, values), base.split.fitted)
     weights = replace(errors, variance=errors.variance * (1.0 + np.nan_to_num(left))[base.modes.kinds])
-    found = refit(base, weights, cheap, values, tangents, search.options)
-    return hypothesis_at(base, errors, found.model, found.values, found.errors, found.motion, found.tangents)
+    return weighed_anew(base, errors, refit(base, weights, cheap, values, tangents, search.options))
 
 
 def load_beside(search: Selection, dictionary: tuple[Effect, ...]) -> None:
