@@ -1,6 +1,6 @@
 """What limits how well an effect that is in no dictionary is told from known ones, by the rows of the blind banks.
 
-python benchmarks/gap_unknown.py [--banks 2101 2201 2301 2401 2501 2601]
+python benchmarks/gap_unknown.py [--banks 2101 2201 2301 2401 2501 2601 2701]
 
 Six ways to say "none of these" are held against each other, on captures whose effect was taken out of the dictionary
 and on those with one visible effect that is in it: how little the fits believe in the likeliest effect (which the
@@ -65,7 +65,7 @@ def told(rows: list[Row]) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--banks", nargs="+", default=["2101", "2201", "2301", "2401", "2501", "2601"])
+    parser.add_argument("--banks", nargs="+", default=["2101", "2201", "2301", "2401", "2501", "2601", "2701"])
     banks = parser.parse_args().banks
     files = [RESULTS / f"gap_blind_{bank}.json" for bank in banks]
     rows = [row for file in files for row in json.loads(file.read_text())["rows"] if row["truth"] and not row["error"]]
