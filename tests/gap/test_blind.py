@@ -387,10 +387,30 @@ def test_plan_holds_what_was_asked_for():
     )
 
 
-def test_a_capture_with_new_noise_is_asked_with_the_same_dictionary():
-    *plan, again = plan_bank(0, 4, ["friction", "wind"], (10.0,), Shares(free=0, deleted=1), ("noise",))
-    first = plan[again.repeats]
-    assert again.without == first.without != () and again.effects == first.effects and again.control.name == "noise"
+def test_a_capture_with_new_noise_is_asked_with_the_same_dictionary(small):
+    folder = small / "deleted"
+    make(folder, shares=Shares(free=0, deleted=1), controls=["noise"])
+    again = labels_of(folder)[-1]
+    asked = json.loads((folder / "captures" / "dictionary.json").read_text())
+    assert again["control"] == "noise" and again["repeats"] == "capture_000"
+    assert asked[again["capture"]] == asked[again["repeats"]] != []
+
+
+def test_new_noise_is_put_on_a_capture_that_could_be_drawn(small, monkeypatch):
+    made_up, hiding = bank.simulate_case, [label["effects"] for label in labels_of(small)[:3]]
+    first, second = (effects[0]["name"] for effects in hiding if effects)
+
+    def at_times(case, **_):
+        if case.hidden and case.hidden[0].name == first:
+            raise ConvergenceError("it does not settle")
+        return made_up(case)
+
+    monkeypatch.setattr(bank, "simulate_case", at_times)
+    folder = small / "at_times"
+    assert make(folder) == 4
+    *_, again = labels_of(folder)
+    assert [effect["name"] for effect in again["effects"]] == [second] and "failed" not in again
+    assert load_capture(folder / "captures" / again["capture"]).tracks() is not None
 
 
 def test_what_is_taken_out_does_not_tell_what_is_hidden():

@@ -84,12 +84,14 @@ def generate_bank(
     _begin(out, seal, parts, json.dumps({"seed": seed, "engine": engine, "plan": [asdict(p) for p in plan]}))
     jobs = [_Job(number, planned, seed, engine, out, parts) for number, planned in enumerate(plan)]
     todo = [job for job in jobs if not job.label.exists()]
-    run_jobs(_make, [job for job in todo if job.planned.repeats is None], workers=workers, report=report)
+    run_jobs(_make, [job for job in todo if not job.planned.repeats], workers=workers, report=report)
     # a capture that repeats another one needs that one first
-    run_jobs(_make, [job for job in todo if job.planned.repeats is not None], workers=1, report=report)
+    run_jobs(_make, [job for job in todo if job.planned.repeats], workers=1, report=report)
     labels = [json.loads(job.label.read_text(encoding="utf-8")) for job in jobs]
     text, salt = json.dumps(labels, indent=1), secrets.token_hex(16)
-    deleted = {job.name: list(job.planned.without) for job in jobs if job.planned.without}
+    without = {job.name: list(job.planned.without) for job in jobs}
+    asked = {label["capture"]: without[label.get("repeats", label["capture"])] for label in labels}
+    deleted = {name: names for name, names in asked.items() if names}
     (out / DICTIONARY).write_text(json.dumps(deleted, indent=1) + "\n", encoding="utf-8")
     commitment = {"sha256": digest(text, salt), "captures": len(labels), "hashed": "salt + labels"}
     (out / COMMITMENT).write_text(json.dumps(commitment, indent=1) + "\n", encoding="utf-8")
@@ -140,27 +142,25 @@ def _name(number: int) -> str:
 def _make(job: _Job) -> None:
     """Write a capture, then its label."""
     planned, control = job.planned, job.planned.control
-    label: dict[str, Any]
-    if planned.repeats is not None:
-        original = json.loads((job.parts / f"{_name(planned.repeats)}.json").read_text(encoding="utf-8"))
-        label = original | {"capture": job.name, "control": control and control.name, "repeats": original["capture"]}
-        if "failed" not in original:
-            _repeated(job.out / job.name, job.out / original["capture"], original["seed"])
-    else:
-        label = {"capture": job.name, "control": control and control.name, "planned": planned.effects}
-        try:
-            case, seen = _written(job)
-        except ConvergenceError as error:
-            label |= {"failed": str(error), "effects": []}
-        else:
-            label |= {
-                "kind": case.kind, "seed": case.seed, "youngs_modulus": case.youngs_modulus,
-                "poisson_ratio": case.poisson_ratio, "engine": job.engine, "wanted": planned.visibility,
-                "visibility": seen, "effects": [asdict(h) for h in case.hidden],
-            }  # fmt: skip
+    label: dict[str, Any] = {"planned": planned.effects}
+    try:
+        label |= _repeated(job) if planned.repeats else _drawn(job)
+    except ConvergenceError as error:
+        label |= {"failed": str(error), "effects": []}
+    label |= {"capture": job.name, "control": control and control.name}
     whole = job.label.with_suffix(".tmp")
     whole.write_text(json.dumps(label), encoding="utf-8")
     whole.replace(job.label)
+
+
+def _drawn(job: _Job) -> dict[str, Any]:
+    """Draw and write a capture; what its label says of it."""
+    case, seen = _written(job)
+    return {
+        "kind": case.kind, "seed": case.seed, "youngs_modulus": case.youngs_modulus,
+        "poisson_ratio": case.poisson_ratio, "engine": job.engine, "wanted": job.planned.visibility,
+        "visibility": seen, "effects": [asdict(h) for h in case.hidden],
+    }  # fmt: skip
 
 
 def _written(job: _Job) -> tuple[Case, float]:
@@ -187,15 +187,22 @@ def _written(job: _Job) -> tuple[Case, float]:
     raise ConvergenceError(f"{folder.name}: {_DRAWS} draws could not be simulated")
 
 
-def _repeated(folder: Path, original: Path, seed: int) -> None:
-    """The same take with new noise."""
-    capture = load_capture(original)
+def _repeated(job: _Job) -> dict[str, Any]:
+    """Write a capture that was drawn before with new noise: the first that hides something, if one does."""
+    labels = [json.loads((job.parts / f"{_name(k)}.json").read_text(encoding="utf-8")) for k in range(job.number)]
+    drawn = [label for label in labels if "failed" not in label and label["control"] is None]
+    if not drawn:
+        raise ConvergenceError(f"{job.name}: no capture was drawn that it could repeat")
+    original = next((label for label in drawn if label["effects"]), drawn[0])
+    capture = load_capture(job.out / original["capture"])
     tracks, mesh = capture.tracks(), capture.mesh()
     assert tracks is not None and mesh is not None
     sigma = tracks.sigma[..., None]
-    old = sigma * np.random.default_rng([seed, 2]).normal(size=tracks.positions.shape)
-    new = sigma * np.random.default_rng([seed, 3]).normal(size=tracks.positions.shape)
+    old, new = (
+        sigma * np.random.default_rng([original["seed"], take]).normal(size=tracks.positions.shape) for take in (2, 3)
+    )
     parts: dict[str, Any] = {"mesh": mesh, "tracks": replace(tracks, positions=tracks.positions - old + new)}
     if capture.boundary() is not None:
         parts["boundary"] = capture.boundary()
-    save_capture(replace(capture, folder=folder), **parts)
+    save_capture(replace(capture, folder=job.out / job.name), **parts)
+    return original | {"repeats": original["capture"]}

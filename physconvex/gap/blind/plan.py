@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,15 +24,18 @@ class Planned:
         effects: that it hides.
         visibility: that their doses are scaled to.
         without: names that are taken out of the dictionary it is diagnosed with.
-        control: what else is done to it.
-        repeats: number of the capture that it shows with new noise.
+        control: what else is done to it, or which earlier one it repeats.
     """
 
     effects: tuple[str, ...]
     visibility: float
     without: tuple[str, ...] = ()
     control: Control | None = None
-    repeats: int | None = None
+
+    @property
+    def repeats(self) -> bool:
+        """Whether it shows an earlier capture with new noise."""
+        return self.control is not None and self.control.repeats
 
 
 @dataclass(frozen=True)
@@ -81,14 +84,7 @@ def plan_bank(
     plan += [Planned((OUTSIDE[i % len(OUTSIDE)],), visibility(i)) for i in range(outside)]
     plan += [Planned(pair, visibility(i)) for i, pair in enumerate(_pairs(rng, order, two))]
     plan = [plan[i] for i in rng.permutation(len(plan))]
-    first = next((number for number, capture in enumerate(plan) if capture.effects), 0)
-    for name in controls:
-        control = CONTROLS[name]
-        if control.repeats:
-            plan.append(replace(plan[first], control=control, repeats=first))
-        else:
-            plan.append(Planned(control.effects, visibility(0), control=control))
-    return plan
+    return plan + [Planned(CONTROLS[name].effects, visibility(0), control=CONTROLS[name]) for name in controls]
 
 
 def _pairs(rng: np.random.Generator, order: Sequence[str], count: int) -> list[tuple[str, str]]:
