@@ -148,6 +148,16 @@ def test_wrong_answers_score_nothing(small):
     assert {first for _, first, _ in found.confusion} == {"exposure"}
 
 
+def test_what_the_material_is_off_by_has_a_sign(small):
+    visible(small)
+    answers_of(small, lambda label: label["effects"][0]["name"] if label["effects"] else None)
+    off = [0.3 - label["poisson_ratio"] for label in labels_of(small)[:3] if label["effects"]]
+    found = scored(small).bias["poisson_ratio, one effect"]
+    assert found.mean == pytest.approx(np.mean(off)) and found.deviation == pytest.approx(np.std(off))
+    assert found.median == pytest.approx(np.mean(np.abs(off))) and found.most < np.max(np.abs(off))
+    assert f"| {found.mean:+.3f} ± {found.deviation:.3f}; " in score_markdown(scored(small))
+
+
 def test_captures_that_are_less_visible_count_by_visibility_alone(small):
     answers_of(small, lambda label: label["effects"][0]["name"] if label["effects"] else None)
     labels = [label | {"wanted": 3.0} for label in labels_of(small)]

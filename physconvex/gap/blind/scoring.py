@@ -25,7 +25,17 @@ from physconvex.gap.blind.metrics import (
 )
 from physconvex.gap.blind.rows import Row, scored_row
 
-__all__ = ["VISIBLE", "Bank", "BankScore", "EffectScore", "VisibilityScore", "opened", "score_banks", "score_rows"]
+__all__ = [
+    "VISIBLE",
+    "Bank",
+    "BankScore",
+    "Bias",
+    "EffectScore",
+    "VisibilityScore",
+    "opened",
+    "score_banks",
+    "score_rows",
+]
 
 VISIBLE = 10.0  # visibility from which on the figures count
 _LADDER = (1.5, 3.0, 10.0, 30.0)  # that accuracy is shown by
@@ -73,6 +83,16 @@ class VisibilityScore:
 
 
 @dataclass(frozen=True)
+class Bias:
+    """What a parameter is off by: mean and standard deviation, median and 90th percentile of its absolutes."""
+
+    mean: float
+    deviation: float
+    median: float
+    most: float
+
+
+@dataclass(frozen=True)
 class BankScore:
     """Result of a blind test. Figures of single effects are of those with visibility 10 and more.
 
@@ -100,8 +120,7 @@ class BankScore:
         calibration_error: of that told of the class of the first effect that is named or remains possible; a numerical
             one is right where nothing is hidden and nothing is called.
         reliability: bins of it.
-        bias: |log10 E| and |ν| off after the diagnosis, medians and 90th percentiles, of single effects and of captures
-            without any.
+        bias: what log10 E and ν are off by after the diagnosis, of single effects and of captures without any.
         by_effect, by_visibility: rows.
         confusion: hidden effect, effect that leads the fits ("-": none), number.
         failures: captures whose answer is not the one to be hoped for.
@@ -134,7 +153,7 @@ class BankScore:
     doses_covered: Proportion
     calibration_error: float
     reliability: tuple[Bin, ...]
-    bias: dict[str, tuple[float, float]]
+    bias: dict[str, Bias]
     by_effect: tuple[EffectScore, ...]
     by_visibility: tuple[VisibilityScore, ...]
     confusion: tuple[tuple[str, str, int], ...]
@@ -273,13 +292,14 @@ def _shuffled(single: Sequence[Row]) -> float:
     ])  # fmt: skip
 
 
-def _bias(parts: dict[str, Sequence[Row]]) -> dict[str, tuple[float, float]]:
+def _bias(parts: dict[str, Sequence[Row]]) -> dict[str, Bias]:
     out = {}
     for what, rows in parts.items():
         for name in ("log10_youngs_modulus", "poisson_ratio"):
-            sizes = [abs(getattr(row, f"bias_{name}")[1]) for row in rows]
-            if sizes:
-                out[f"{name}, {what}"] = (float(np.median(sizes)), float(np.quantile(sizes, 0.9)))
+            off = np.array([getattr(row, f"bias_{name}")[1] for row in rows])
+            if len(off):
+                median, most = np.quantile(np.abs(off), (0.5, 0.9))
+                out[f"{name}, {what}"] = Bias(float(off.mean()), float(off.std()), float(median), float(most))
     return out
 
 

@@ -77,8 +77,12 @@ def _figures(score: BankScore) -> list[tuple[object, ...]]:
         ("doses in their 90 % intervals", score.doses_covered, ".85 to .95"),
         ("calibration error", _told(score.calibration_error), "≤ .05"),
         *(
-            (f"off by, {name}: median, 90th percentile", f"{median:.3f}, {most:.3f}", "")
-            for name, (median, most) in score.bias.items()
+            (
+                f"off by, {name}: mean ± deviation; absolutes: median, 90th percentile",
+                f"{bias.mean:+.3f} ± {bias.deviation:.3f}; {bias.median:.3f}, {bias.most:.3f}",
+                "mean within the deviation without effect" if "one effect" in name else "",
+            )
+            for name, bias in score.bias.items()
         ),
     ]
 
