@@ -64,15 +64,22 @@ def test_what_is_somewhere_in_a_struck_body_is_fitted_from_several_places():
     ranked = tuple(SimpleNamespace(effect=e) for e in DEFAULT_EFFECTS if e.label in labels)
     screening, tried = SimpleNamespace(ranked=ranked), [ranked[0], ranked[-1]]
     fits = []
-    search = SimpleNamespace(
-        base=SimpleNamespace(situation=SimpleNamespace(clamped=False)), fit=lambda chosen: fits.append(chosen[0])
-    )
+    search = SimpleNamespace(placed=True, fit=lambda chosen: fits.append(chosen[0]))
     rounds.from_elsewhere(search, screening, tried)
     assert len(fits) == 4 and not any(entry in tried for entry in fits)
     assert all(entry.effect.variant.startswith("inclusion") for entry in fits)
-    search.base.situation.clamped = True  # what bends as a whole tells the place
+    search.placed = False
     rounds.from_elsewhere(search, screening, tried)
     assert len(fits) == 4
+
+
+@pytest.mark.parametrize(("clamped", "points", "placed"), [(False, 20, True), (False, 1, False), (True, 20, False)])
+def test_places_are_tried_where_the_recording_tells_how_a_struck_body_deforms(clamped, points, placed):
+    """The middle of a rolling ball tells no direction of fibres: their fits took what a search may cost. What bends as
+    a whole tells the place.
+    """  # fmt: skip
+    base = SimpleNamespace(situation=SimpleNamespace(clamped=clamped), positions=np.zeros((9, points, 3)))
+    assert state.Selection(None, base, None, None, None).placed == placed
 
 
 def fitted(evidence, *labels, slight=False):

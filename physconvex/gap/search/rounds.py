@@ -60,7 +60,7 @@ def from_elsewhere(search: Selection, screening: Screening, tried: Sequence[Scre
 
     Of a struck body screening hardly tells these: E has taken up what a stiff core does, and a soft end looks alike.
     """
-    if search.base.situation.clamped:
+    if not search.placed:
         return
     for name in [entry.effect.name for entry in tried]:
         placed = [e for e in screening.ranked if e.effect.name == name and any(d.shape for d in e.effect.doses)]

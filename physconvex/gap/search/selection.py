@@ -122,7 +122,8 @@ def select_effects(
         leave_out(search)
     few = base.situation.clamped or not open_gap
     decisive = max(1, options.candidates // 2) if few else options.candidates
-    best = finalists(search.ranked, decisive, tied=TIED, forms=1 if few else _FORMS)
+    forms = _FORMS if search.placed and open_gap else 1
+    best = finalists(search.ranked, decisive, tied=TIED, forms=forms)
     chosen = judged(base, search.errors, decided(base, search.errors, numerics, best, options, report))
     plain = next(h for h in chosen if not h.effects)
     return Selected(continued(base, plain), chosen, screening, search.errors, numerics)

@@ -25,6 +25,7 @@ LATE_GAP = 5.0
 _WIDE = 3.0  # the same of the fitted ones, from which on a further effect is looked for in any case
 _LEFT = 6.0  # log-likelihood that is left to gain, above which a further effect is looked for
 _LONGEST = 0.15  # of the cost of the search that a single fit may take
+_TELLING = 4  # observed points, fewer of which tell no strain from a motion of the body as a whole
 
 
 @dataclass(eq=False)
@@ -60,6 +61,13 @@ class Selection:
     def ranked(self) -> list[Hypothesis]:
         """Fits so far by tempered evidence, best first."""
         return judged(self.base, self.errors, self.found)
+
+    @property
+    def placed(self) -> bool:
+        """Whether several places and directions of an effect within the body are tried: of one that is struck, where
+        the recording tells how it deforms.
+        """  # fmt: skip
+        return not self.base.situation.clamped and self.base.positions.shape[1] >= _TELLING
 
     @property
     def late(self) -> bool:
