@@ -24,7 +24,7 @@ class Planned:
         effects: that it hides.
         visibility: that their doses are scaled to.
         without: names that are taken out of the dictionary it is diagnosed with.
-        control: what else is done to it, or which earlier one it repeats.
+        control: what else is done to it, or that it repeats an earlier one.
     """
 
     effects: tuple[str, ...]
