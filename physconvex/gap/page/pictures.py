@@ -83,7 +83,7 @@ def budget(where: Where) -> Figure:
             axes.text(start, i, f"{share:.1f} % ", va="center", ha="right")
     axes.invert_yaxis()
     axes.set_xlim(0, 100)
-    axes.set_xlabel("share of the mean square distance between base model and observation [%]")
+    axes.set_xlabel("share of the mean square distance to the observation [%]")
     _clean(axes)
     return figure
 
