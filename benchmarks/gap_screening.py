@@ -1,0 +1,61 @@
+"""How long the screening of a diagnosis takes: from its first effect to the first fit that follows.
+
+python benchmarks/gap_screening.py [CAPTURE ...]
+
+A diagnosis is ended there. `before` is what comes before: rough fits, errors to expect, the base fit. How long whole
+ones take is in the results of `gap_silicone_beam.py` and, by capture, in those of blind banks (`seconds`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+
+import torch
+
+from physconvex.capture import load_capture
+from physconvex.gap import diagnose
+
+RESULT = Path(__file__).parent / "results" / "gap_screening.json"
+CAPTURES = Path(__file__).parents[1] / "examples" / "captures"
+
+
+class _ScreenedError(Exception):
+    """The screening is over."""
+
+
+def screening_seconds(capture: Path) -> dict[str, float]:
+    """Seconds by the clock before the screening and in it, and how many effects it has tried, forms counted."""
+    start, begun, effects = time.perf_counter(), 0.0, 0
+
+    def on_progress(text: str) -> None:
+        nonlocal begun, effects
+        if text.startswith("screening:"):
+            begun, effects = begun or time.perf_counter(), effects + 1
+        elif effects:
+            raise _ScreenedError
+
+    try:
+        diagnose(load_capture(capture), on_progress=on_progress)
+    except _ScreenedError:
+        pass
+    return {"before": round(begun - start, 1), "screening": round(time.perf_counter() - begun, 1), "effects": effects}
+
+
+def main() -> None:
+    """Time the captures one after the other and store the result."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("captures", nargs="*", type=Path)
+    captures = parser.parse_args().captures or sorted(path.parent for path in CAPTURES.glob("*/capture.json"))
+    torch.set_num_threads(1)
+    found = {}
+    for capture in captures:
+        found[capture.name] = screening_seconds(capture)
+        print(capture.name, found[capture.name], flush=True)
+    RESULT.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
