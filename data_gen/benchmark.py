@@ -1,7 +1,7 @@
 """The benchmark of `physconvex evaluate paper`: textured objects moved by the FEM, filmed, truth apart from captures.
 
     OUT/benchmark.json                    options, objects
-    OUT/captures/NAME/                    a capture with the front camera alone, mesh.obj
+    OUT/captures/NAME/                    a capture with the front camera (and further observed ones), mesh.obj
     OUT/first_frames/NAME/                all cameras at t = 0 (images with alpha), mesh.obj
     OUT/truth/NAME/truth.json             parameters, errors of mesh and step
     OUT/truth/NAME/CAMERA.mp4             what every camera would have seen, before white
@@ -65,6 +65,7 @@ class BenchmarkOptions:
         names: of the objects' folders; None: evenly spread over the alphabet.
         size: of the square images [pixels].
         views: cameras around.
+        observed_views: those of them that the capture holds, evenly spread from the front camera on.
         frames, observed_frames, fps: of the motion.
         nodes: most nodes of the truth's quadratic mesh.
         fill: whether its elements count as far as the body fills them, see `physconvex.fem.filled`.
@@ -93,16 +94,20 @@ class BenchmarkOptions:
     damping_time: tuple[float, float] = (5e-4, 2e-3)
     object_size: float = 1.0
     motion: MotionName = "drop"
+    observed_views: int = 1
 
     def __post_init__(self) -> None:
-        least = {"count": 1, "size": 64, "views": 2, "observed_frames": 2, "nodes": 50, "steps_per_frame": 1}
+        least = {"count": 1, "size": 64, "views": 2, "observed_views": 1, "observed_frames": 2}
+        least |= {"nodes": 50, "steps_per_frame": 1}
         for name, bound in least.items():
             if getattr(self, name) < bound:
                 raise InputError(f"{name}: got {getattr(self, name)}; expected at least {bound}")
         if self.motion not in MOTIONS:
             raise InputError(f"motion: got {self.motion!r}; expected one of {', '.join(MOTIONS)}")
-        if self.observed_frames > self.frames:
-            raise InputError(f"observed_frames: got {self.observed_frames}; expected at most frames = {self.frames}")
+        for name, most in (("frames", self.frames), ("views", self.views)):
+            if getattr(self, f"observed_{name}") > most:
+                got = getattr(self, f"observed_{name}")
+                raise InputError(f"observed_{name}: got {got}; expected at most {name} = {most}")
 
 
 def generate_benchmark(
@@ -170,7 +175,7 @@ def drop_object(
         grid = take.mesh()
         moved = take.moved(take.surface(grid), take.scene(grid))
         camera = take.cameras(moved)[0]
-        take.write_capture(folder, camera, *take.filmed(moved, camera))
+        take.write_capture(folder, {camera: take.filmed(moved, camera)})
         np.savez_compressed(kept, moved=moved)
     with np.load(kept, allow_pickle=False) as archive:
         return folder, archive["moved"]
@@ -285,36 +290,41 @@ class _Take:
             out[f"ssim_to_{label}"] = [float(structural_similarity(a, b)) for a, b in pairs]
         return out
 
-    def write_capture(self, folder: Path, camera: Camera, video: np.ndarray, mask: np.ndarray) -> None:
-        """What one camera saw, with the rest geometry and how it starts."""
+    def write_capture(self, folder: Path, films: dict[Camera, tuple[np.ndarray, np.ndarray]]) -> None:
+        """What cameras saw (images and masks), with the rest geometry and how it starts."""
         folder.parent.mkdir(parents=True, exist_ok=True)
         capture = Capture(
             folder,
             self.options.fps,
             self.options.frames,
             self.options.observed_frames,
-            cameras=(camera,),
+            cameras=tuple(films),
             density=DENSITY,
             floor=Floor(np.zeros(3), np.array([0.0, 0.0, 1.0]), friction=FRICTION) if self.motion.floor else None,
             initial_velocity=np.array(self.motion.velocity),
             initial_angular_velocity=np.array(self.motion.spin),
         )
         rest = trimesh.Trimesh(self.body.vertices, self.body.faces, process=False)
-        save_capture(capture, videos={camera.name: video}, masks={camera.name: mask}, mesh=rest, crf=6)
+        videos = {camera.name: video for camera, (video, _) in films.items()}
+        masks = {camera.name: mask for camera, (_, mask) in films.items()}
+        save_capture(capture, videos=videos, masks=masks, mesh=rest, crf=6)
 
 
 def _write_pictures(out: Path, name: str, take: _Take, moved: np.ndarray, cameras: list[Camera]) -> np.ndarray:
     """What all cameras saw, the capture and the first frames; returns the frames of the front view [T, H, W, 3]."""
     truth, size = out / "truth" / name, take.options.size
     truth.mkdir(parents=True, exist_ok=True)
-    front, mask = take.filmed(moved, cameras[0])
-    for camera in cameras:
-        white = front if camera is cameras[0] else take.filmed(moved, camera)[0]
-        write_video(truth / f"{camera.name}.mp4", white, fps=take.options.fps, crf=6)
+    observed = {k * len(cameras) // take.options.observed_views for k in range(take.options.observed_views)}
+    films = {}
+    for k, camera in enumerate(cameras):
+        film = take.filmed(moved, camera)
+        write_video(truth / f"{camera.name}.mp4", film[0], fps=take.options.fps, crf=6)
+        if k in observed:
+            films[camera] = film
     if not (out / "captures" / name).exists():
-        take.write_capture(out / "captures" / name, cameras[0], front, mask)
+        take.write_capture(out / "captures" / name, films)
     (truth / "cameras.json").write_text(json.dumps([c.to_json() for c in cameras], indent=1) + "\n", encoding="utf-8")
     if not (out / "first_frames" / name).exists():
         (out / "first_frames").mkdir(exist_ok=True)
         write_still_capture(out / "first_frames" / name, take.body, (), size=size, lighting=FLAT, cameras=cameras)
-    return front
+    return films[cameras[0]][0]

@@ -131,6 +131,9 @@ def benchmark(
     ] = None,
     size: Annotated[int, typer.Option(min=64, help="Width and height of the images [pixels].")] = 448,
     views: Annotated[int, typer.Option(min=2, help="Cameras around.")] = 12,
+    observed_views: Annotated[
+        int, typer.Option(min=1, help="Those that a capture holds, evenly spread; 1: the front camera alone.")
+    ] = 1,
     motion: Annotated[
         str, typer.Option(help="drop (on a rough floor) or toss (up, spinning, without a floor).")
     ] = "drop",
@@ -151,6 +154,7 @@ def benchmark(
     options = BenchmarkOptions(
         count, tuple(name) if name else None, size, views, frames, observed_frames, fps, nodes=nodes, fill=fill,
         steps_per_frame=steps_per_frame, checked=check, seed=seed, log10_modulus=modulus, motion=motion,  # type: ignore[arg-type]
+        observed_views=observed_views,
     )  # fmt: skip
     with tqdm(total=len(only or name or ()) or count, unit="object", disable=not progress) as bar:
         made = generate_benchmark(objects, out, options, only=only, on_object=lambda _: bar.update())

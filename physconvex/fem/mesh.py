@@ -173,7 +173,7 @@ def compact(vertices: np.ndarray, tets: np.ndarray) -> TetMesh:
 
 
 def to_quadratic(mesh: TetMesh) -> TetMesh:
-    """The same geometry with quadratic elements: one node is added in the middle of every edge."""
+    """The same geometry with quadratic elements, one node in the middle of every edge; a filling is not kept."""
     if mesh.order == 2:
         return mesh
     edges = np.sort(mesh.tets[:, EDGE_CORNERS], axis=2).reshape(-1, 2)
@@ -184,7 +184,7 @@ def to_quadratic(mesh: TetMesh) -> TetMesh:
 
 
 def refine(mesh: TetMesh) -> TetMesh:
-    """Each tetrahedron split into eight (Bey 1995); same geometry, same order."""
+    """Each tetrahedron split into eight (Bey 1995); same geometry, same order; a filling is not kept."""
     quadratic = to_quadratic(TetMesh(mesh.vertices, mesh.tets) if mesh.order == 1 else linear_part(mesh))
     children = quadratic.tets[:, CHILDREN].reshape(-1, 4)
     x = quadratic.vertices[children]

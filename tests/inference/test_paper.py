@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from typer.testing import CliRunner
 
 from inference.paper import PaperOptions, evaluate_paper
 from inference.paper.tables import markdown, summary
+from physconvex.capture import load_capture
 from physconvex.errors import InputError
 
 SMALL = PaperOptions(
@@ -95,6 +97,23 @@ def test_a_benchmark_keeps_truth_apart(benchmark):
     with np.load(benchmark / "truth" / "ball" / "points.npz") as arrays:
         assert arrays["positions"].shape == (10, len(arrays["rest"]), 3)
         assert np.abs(arrays["positions_pushed"] - arrays["positions"]).max() > 0.05
+
+
+@pytest.mark.slow
+def test_a_capture_holds_as_many_views_as_are_observed(benchmark, tmp_path):
+    from data_gen.benchmark import BenchmarkOptions, generate_benchmark
+
+    sizes = BenchmarkOptions(
+        count=1, size=64, views=4, observed_views=2, frames=2, observed_frames=2, nodes=60, steps_per_frame=1,
+        checked=False,
+    )  # fmt: skip
+    generate_benchmark(benchmark.parent / "objects", tmp_path, sizes)
+    capture = load_capture(tmp_path / "captures" / "ball")
+    assert [camera.name for camera in capture.cameras] == ["view0", "view2"]
+    files = {path.name for path in capture.folder.iterdir()}
+    assert files >= {"view0.mp4", "view0_mask.mp4", "view2.mp4", "view2_mask.mp4"} and "view1.mp4" not in files
+    with pytest.raises(InputError, match="observed_views: got 5; expected at most views = 4"):
+        replace(sizes, observed_views=5)
 
 
 @pytest.mark.slow
