@@ -81,7 +81,7 @@ def refine(
     from inference.refining.options import RefineOptions
     from inference.refining.pipeline import refine as run_refine
     from inference.refining.writing import write_refinement
-    from physconvex.identify.nuisance import Nuisance
+    from physconvex.identify import Nuisance
 
     options = RefineOptions(
         observations=observations,  # type: ignore[arg-type]

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 from physconvex.errors import InputError
-from physconvex.identify.nuisance import Nuisance
+from physconvex.identify import Nuisance
 
 __all__ = ["RefineOptions"]
 

@@ -15,6 +15,7 @@ from physconvex.identify.full_fit import fit_full
 from physconvex.identify.held_region import HeldRegion
 from physconvex.identify.levenberg_marquardt import Fit, FitOptions, Iteration, fit
 from physconvex.identify.model import FullModel, LinearModel, Model, ReducedModel, roll_out_together
+from physconvex.identify.nuisance import Nuisance
 from physconvex.identify.observations import (
     MarkerObservations,
     Observations,
@@ -54,6 +55,7 @@ __all__ = [
     "LinearModel",
     "MarkerObservations",
     "Model",
+    "Nuisance",
     "NullDirection",
     "Observations",
     "Parameter",

@@ -1,8 +1,11 @@
 """From a made video of one camera, without tracks, to E; the mask's outline beside the followed points."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from inference.refining import RefineOptions, refine, write_refinement
 from inference.refining.appearance import fitted_field
@@ -11,7 +14,7 @@ from physconvex.capture import Capture, Floor, load_capture, save_capture
 from physconvex.convex import read_ply
 from physconvex.errors import InputError
 from physconvex.fem import TetMesh, box_mesh
-from physconvex.identify import ReducedModel, TwinOptions, base_twin
+from physconvex.identify import Nuisance, ReducedModel, TwinOptions, base_twin
 from physconvex.identify.raster import cast_camera_rays
 
 FRAMES, OBSERVED = 7, 6
@@ -33,45 +36,55 @@ def texture(points):
     return 128 + 18 * np.stack([np.sin(points @ w.T + p).sum(-1) for w, p in zip(waves, phases, strict=True)], axis=-1)
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A box that falls on a tilted floor, moved by the reduced model with three weights, before a plain background."""
-    root = tmp_path_factory.mktemp("video")
-    box = box_mesh((0.3, 0.2, 0.1), (2, 1, 1), order=1)
-    tets = TetMesh(box.vertices + np.array([0, 0, 0.012]), box.tets)
-    fine = box_mesh((0.3, 0.2, 0.1), (9, 6, 3), order=1)
-    used, faces = np.unique(fine.boundary_faces, return_inverse=True)
-    rest = fine.vertices[used] + np.array([0, 0, 0.012])
-    faces = faces.reshape(-1, 3)
-    camera = look_at((0.55, -1.0, 0.45), (0.15, 0.1, 0.02), width=192, height=128, vertical_field_of_view=0.42)
+RATE, FINER = 48.0, 4  # frames per second, and states of the motion per frame
+CAMERA = look_at((0.55, -1.0, 0.45), (0.15, 0.1, 0.02), width=192, height=128, vertical_field_of_view=0.42)
+BOX = box_mesh((0.3, 0.2, 0.1), (2, 1, 1), order=1)
+TETS = TetMesh(BOX.vertices + np.array([0, 0, 0.012]), BOX.tets)
+FINE = box_mesh((0.3, 0.2, 0.1), (9, 6, 3), order=1)
+USED, FACES = np.unique(FINE.boundary_faces, return_inverse=True)
+REST, FACES = FINE.vertices[USED] + np.array([0, 0, 0.012]), FACES.reshape(-1, 3)
+
+
+def capture_of(folder, fps, frames, observed, camera):
     floor = Floor(np.zeros(3), np.array([0.1, 0.05, 1.0]), friction=0.3)
+    still = {"initial_velocity": np.array([0.0, 0.0, -0.8]), "initial_angular_velocity": np.zeros(3)}
+    return Capture(folder, fps, frames, observed, (camera,), floor=floor, **still)
 
-    def capture(name):
-        velocity, spin = np.array([0.0, 0.0, -0.8]), np.zeros(3)
-        return Capture(
-            root / name, 48.0, FRAMES, OBSERVED, (camera,), floor=floor,
-            initial_velocity=velocity, initial_angular_velocity=spin,
-        )  # fmt: skip
 
-    save_capture(capture("plain"), tets=tets)
-    twin = base_twin(capture("plain"), TwinOptions(weights=3, steps_per_frame=4))
-    moved = ReducedModel(twin, tuple(TRUTH), rest, FRAMES).positions(np.array(list(TRUTH.values())))
+def filmed(folder, states, *, told=CAMERA):
+    """The capture of states of the body, one per frame, seen by the camera and said to be seen by another one."""
     images, masks = [], []
-    for x in moved:
-        hits = cast_camera_rays(camera, x, faces)
+    for x in states:
+        hits = cast_camera_rays(CAMERA, x, FACES)
         seen = hits.faces >= 0
-        picture = np.where(seen[..., None], texture(np.nan_to_num(hits.on(rest, faces))), 235)
+        picture = np.where(seen[..., None], texture(np.nan_to_num(hits.on(REST, FACES))), 235)
         images.append(picture.clip(0, 255).astype(np.uint8))
         masks.append(seen)
-    save_capture(
-        capture("seen"),
-        tets=tets,
-        mesh=trimesh.Trimesh(rest, faces, process=False),
-        videos={"front": np.stack(images)},
-        masks={"front": np.stack(masks)},
-        crf=8,
-    )
-    return capture("seen").folder
+    films = {"videos": {"front": np.stack(images)}, "masks": {"front": np.stack(masks)}}
+    shown = trimesh.Trimesh(REST, FACES, process=False)
+    save_capture(capture_of(folder, RATE, FRAMES, OBSERVED, told), tets=TETS, mesh=shown, crf=8, **films)
+    return folder
+
+
+def refined_with(folder, nuisance):
+    start = {"log10_youngs_modulus": 4.1, "poisson_ratio": 0.3}
+    return refine(folder, options=RefineOptions(initial=start, nuisance=nuisance, **FEW, field=False))
+
+
+@pytest.fixture(scope="module")
+def motion(tmp_path_factory):
+    """A box that falls on a tilted floor, moved by the reduced model with three weights: four states per frame."""
+    count = FINER * FRAMES
+    plain = capture_of(tmp_path_factory.mktemp("moved") / "plain", FINER * RATE, count, count, CAMERA)
+    save_capture(plain, tets=TETS)
+    twin = base_twin(plain, TwinOptions(weights=3, steps_per_frame=1))
+    return ReducedModel(twin, tuple(TRUTH), REST, count).positions(np.array(list(TRUTH.values())))
+
+
+@pytest.fixture(scope="module")
+def folder(motion, tmp_path_factory):
+    """Its film before a plain background."""
+    return filmed(tmp_path_factory.mktemp("video") / "seen", motion[::FINER])
 
 
 @pytest.mark.slow
@@ -94,6 +107,26 @@ def test_one_camera_is_enough(folder, tmp_path):
     np.testing.assert_allclose(moved.numpy(), body, atol=0.01)
     picture, alpha = found.appearance.image(2, load_capture(folder).cameras[0])
     assert picture.shape == (128, 192, 3) and 0.02 < alpha.mean() < 0.6
+
+
+@pytest.mark.slow
+def test_a_late_clock_is_found_beside_the_material(motion, tmp_path):
+    late = filmed(tmp_path / "late", np.concatenate([motion[:1], motion[FINER + 1 :: FINER]]))
+    believed, found = (refined_with(late, Nuisance(time_offset=sigma)) for sigma in (0.0, 0.01))
+    assert found.nuisances["time_offset [s]"] == pytest.approx(1 / (FINER * RATE), rel=0.1)
+    errors = [one["log10_youngs_modulus"].value - TRUTH["log10_youngs_modulus"] for one in (believed, found)]
+    assert errors[0] > 0.08 and abs(errors[1]) < 0.5 * errors[0]
+
+
+@pytest.mark.slow
+def test_a_camera_that_is_turned_otherwise_than_told_is_found(motion, tmp_path):
+    turn, pose = np.array([0.003, 0.01, 0.0]), CAMERA.transform_matrix.copy()
+    pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(turn).as_matrix()
+    seen = filmed(tmp_path / "turned", motion[::FINER], told=replace(CAMERA, transform_matrix=pose))
+    found = refined_with(seen, Nuisance(camera_rotation=0.02))
+    back = [found.nuisances[f"front/rotation_{axis} [rad]"] for axis in "xyz"]
+    np.testing.assert_allclose(back, -turn, atol=1.5e-3)
+    assert found["log10_youngs_modulus"].value == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.05)
 
 
 @pytest.mark.gpu
