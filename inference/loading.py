@@ -188,7 +188,7 @@ def _load_capture(folder: Path) -> LoadedClip:
     stated = read_json_object(folder / CAPTURE_FILE).values
     if not capture.cameras:
         raise InputError(f"{folder}: the capture has no camera; prediction needs a video. Add one to {CAPTURE_FILE}.")
-    name, count = capture.cameras[0].name, capture.observed_frames
+    name, count = _used(capture), capture.observed_frames
     video, mask = capture.video(name), capture.mask(name)
     truncated, warnings = _named(f"{displayed_path(folder)}: camera {name!r}", video)
     return LoadedClip(
@@ -203,10 +203,15 @@ def _load_capture(folder: Path) -> LoadedClip:
     )
 
 
+def _used(capture: Capture) -> str:
+    """Name of the first camera that has images, or whose images are missing."""
+    return (capture.filmed or capture.cameras)[0].name
+
+
 def _capture_warnings(capture: Capture) -> list[str]:
     warnings = []
-    if len(capture.cameras) > 1:
-        warnings.append(f"camera {capture.cameras[0].name!r} was used, the first of {len(capture.cameras)}")
+    if len(capture.filmed) > 1:
+        warnings.append(f"camera {_used(capture)!r} was used, the first of {len(capture.filmed)}")
     gravity = float(np.linalg.norm(capture.gravity))
     if abs(gravity / _GRAVITY - 1) > 0.01:
         warnings.append(f"gravity is {gravity:.3g} m/s^2, the predictor was trained with {_GRAVITY} m/s^2")

@@ -74,11 +74,11 @@ class Appearance:
 def begun_field(
     capture: Capture, options: RefineOptions, stages: Stages, workers: Workers
 ) -> Callable[[], Arrays] | None:
-    """Begin to fit a field to the first images of all cameras, beside other work; None where none is wanted.
+    """Begin to fit a field to the first images of the cameras, beside other work; None where none is wanted or there.
 
     A field is fitted from the capture's mesh, if there is one: one camera will then do.
     """
-    if options.field_file is not None or not options.field or not capture.cameras:
+    if options.field_file is not None or not options.field or not capture.filmed:
         return None
     call = partial(fitted_field, capture, options)
     return call if stages.known("field") else workers.start(call)
@@ -87,7 +87,7 @@ def begun_field(
 def fitted_field(capture: Capture, options: RefineOptions) -> Arrays:
     """Parts of a field fitted to the first images on `options.device`, and how well each camera's is drawn [dB]."""
     mesh = capture.mesh()
-    views = capture_views(capture, least=2 if mesh is None else 1).training
+    views = capture_views(replace(capture, cameras=capture.filmed), least=2 if mesh is None else 1).training
     config = ReconstructionConfig(budget=options.field_budget, steps=options.field_steps)
     around = [*views]
     if mesh is not None and len(views) == 1:  # the other sides are given the mean colour, and then not fitted

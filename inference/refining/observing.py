@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from physconvex.errors import InputError
 from physconvex.identify import Observations, PixelObservations, StackedObservations, Twin, marker_observations
 from physconvex.identify.outlines import OutlineObservations
 from physconvex.identify.setup import start_motion
-from physconvex.identify.video_tracks import FollowOptions, Seeds, follow, follow_from_model, seed_points
+from physconvex.identify.video_tracks import FollowOptions, follow, follow_from_model, seed_points
 
 __all__ = ["Observed", "observe"]
 
@@ -24,16 +24,17 @@ Arrays = dict[str, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """The stack of observations, and a line about each of its parts."""
+    """The stack of observations, a line about each of its parts, the cameras among them, and notes for the user."""
 
     observations: StackedObservations
     sources: tuple[str, ...]
     cameras: tuple[Camera, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
-    def can_be_anchored(self) -> bool:
+    def follows_points(self) -> bool:
         """Whether points were followed in videos, which a fitted model helps to follow better."""
-        return bool(self.cameras)
+        return any(isinstance(part, PixelObservations) for part in self.observations.parts)
 
     def rms(self, residuals: np.ndarray) -> dict[str, float]:
         """Root mean square residual by part, in standard deviations of its stated noise."""
@@ -83,6 +84,7 @@ def observe(capture: Capture, twin: Twin, options: RefineOptions, stages: Stages
     parts: list[Observations] = []
     sources: list[str] = []
     cameras: tuple[Camera, ...] = ()
+    notes: list[str] = []
     if tracked:
         markers = marker_observations(capture)
         parts.append(markers)
@@ -90,10 +92,10 @@ def observe(capture: Capture, twin: Twin, options: RefineOptions, stages: Stages
         twin = start_motion(twin, markers)
     if filmed:
         cameras = _cameras(capture, options)
-        seen = _video_parts(capture, twin, cameras, options, stages)
+        seen = _video_parts(capture, twin, cameras, options, stages, notes)
         parts.extend(seen)
         sources.extend(_line(part) for part in seen)
-    return Observed(StackedObservations.of(parts), tuple(sources), cameras), twin
+    return Observed(StackedObservations.of(parts), tuple(sources), cameras, tuple(notes)), twin
 
 
 def _kinds(capture: Capture, options: RefineOptions) -> tuple[bool, bool]:
@@ -118,30 +120,55 @@ def _cameras(capture: Capture, options: RefineOptions) -> tuple[Camera, ...]:
 
 
 def _video_parts(
-    capture: Capture, twin: Twin, cameras: Sequence[Camera], options: RefineOptions, stages: Stages
+    capture: Capture,
+    twin: Twin,
+    cameras: Sequence[Camera],
+    options: RefineOptions,
+    stages: Stages,
+    notes: list[str],
 ) -> list[Observations]:
-    """Points and outlines of each camera."""
+    """Points and outlines of each camera; of one without images, or where no point can be followed, outlines alone."""
     vertices, triangles = twin.surface
-    arrays = stages.run("points", lambda: _followed(capture, cameras, vertices, triangles))
+    masks = {camera.name: capture.mask(camera.name) for camera in cameras}
+    arrays = stages.run("points", lambda: _followed(capture, cameras, masks, vertices, triangles, options))
     parts: list[Observations] = []
     sigma = FollowOptions().sigma
     for camera in cameras:
-        pixels = arrays[f"{camera.name}/pixels"]
-        parts.append(PixelObservations(camera, arrays[f"{camera.name}/points"], pixels, _full(pixels, sigma)))
-        masks = capture.mask(camera.name) if options.outlines else None
-        if masks is not None:
-            seen = masks[: capture.observed_frames]
-            parts.append(OutlineObservations.of_masks(camera, seen, vertices, triangles))
+        if f"{camera.name}/points" in arrays:
+            pixels = arrays[f"{camera.name}/pixels"]
+            parts.append(PixelObservations(camera, arrays[f"{camera.name}/points"], pixels, _full(pixels, sigma)))
+        elif camera in capture.filmed:
+            notes.append(
+                f"Camera {camera.name}: no point of the object can be followed, so outlines alone are fitted; they do "
+                "not tell how a surface turns within them. Paint a texture on, or give marker tracks."
+            )
+        mask = masks[camera.name]
+        if options.outlines and mask is not None:
+            parts.append(OutlineObservations.of_masks(camera, mask[: capture.observed_frames], vertices, triangles))
     return parts
 
 
-def _followed(capture: Capture, cameras: Sequence[Camera], vertices: np.ndarray, triangles: np.ndarray) -> Arrays:
+def _followed(
+    capture: Capture,
+    cameras: Sequence[Camera],
+    masks: Mapping[str, np.ndarray | None],
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    options: RefineOptions,
+) -> Arrays:
     out = {}
     for camera in cameras:
+        mask = masks[camera.name]
+        outlined = options.outlines and mask is not None
+        if outlined and camera not in capture.filmed:
+            continue
         frames = capture.video(camera.name).frames[: capture.observed_frames]
-        masks = capture.mask(camera.name)
-        mask = None if masks is None else masks[0] > 0
-        seeds: Seeds = seed_points(camera, frames[0], vertices, triangles, mask=mask)
+        try:
+            seeds = seed_points(camera, frames[0], vertices, triangles, mask=None if mask is None else mask[0] > 0)
+        except InputError:
+            if not outlined:
+                raise
+            continue
         out[f"{camera.name}/points"] = seeds.points
         out[f"{camera.name}/pixels"] = follow(frames, seeds.pixels)
     return out

@@ -114,7 +114,7 @@ class _Run:
         reduced = start = self.search.run(problem)
         if self.options.own_derivatives:
             problem, start = self._begun(problem, reduced)
-        if problem.observed.can_be_anchored:
+        if problem.observed.follows_points:
             problem, start = self._anchored(problem, start)
         problem = self._with_step(problem, start)
         other = self._beside(problem, start)
@@ -124,7 +124,7 @@ class _Run:
         coloured = (
             self.options.colours
             and (self.options.own_derivatives or not self.options.correction)
-            and problem.observed.cameras
+            and problem.observed.follows_points
         )
         final, runs, converged = self._corrected(problem, start, last=not coloured)
         before = final
@@ -148,6 +148,7 @@ class _Run:
             twin = with_free_friction(twin)
         held = {name: value for name, value in options.fixed.items() if value is not None}
         observed, twin = observe(self.capture, twin, options, self.stages)
+        self.warnings.extend(observed.notes)
         if held:
             twin = twin.with_values(list(held), np.array(list(held.values())))
         parameters = default_parameters(

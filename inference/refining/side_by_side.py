@@ -27,8 +27,8 @@ def write_side_by_side(found: Refinement, capture: Capture, path: Path) -> None:
 
 
 def _video_frames(found: Refinement, capture: Capture) -> UInt8[np.ndarray, "T H W 3"]:
-    camera = capture.cameras[0]
-    seen = capture.video(camera.name).frames
+    camera = (capture.filmed or capture.cameras)[0]
+    seen = capture.video(camera.name).frames if capture.filmed else _silhouettes(capture, camera)
     first, motion = seen[0].astype(np.float32), found.motion
     from physconvex.identify.video_tracks import appearance_map
 
@@ -49,6 +49,13 @@ def _video_frames(found: Refinement, capture: Capture) -> UInt8[np.ndarray, "T H
         panel = np.concatenate([image, model.clip(0, 255), 255 - difference.clip(0, 255)], axis=1)
         out.append(_labelled(_even(panel.astype(np.uint8)), frame, found))
     return np.stack(out)
+
+
+def _silhouettes(capture: Capture, camera: Camera) -> UInt8[np.ndarray, "T H W 3"]:
+    """The masks of a camera without images: grey before white."""
+    masks = capture.mask(camera.name)
+    assert masks is not None
+    return np.repeat(np.where(masks > 0, np.uint8(160), np.uint8(255))[..., None], 3, axis=-1)
 
 
 def _marker_frames(found: Refinement, capture: Capture) -> UInt8[np.ndarray, "T H W 3"]:

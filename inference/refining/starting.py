@@ -43,7 +43,7 @@ def scan_range(capture: Capture, size: float, options: RefineOptions) -> ScanRan
     """
     gravity = float(np.linalg.norm(capture.gravity))
     everywhere = scan_values(density=capture.density, gravity=gravity, size=size)
-    if options.start == "scan" or (options.start == "auto" and not capture.cameras):
+    if options.start == "scan" or (options.start == "auto" and not capture.filmed):
         return ScanRange(everywhere, _RATIOS)
     try:
         moduli, ratios = _predicted(capture, options)

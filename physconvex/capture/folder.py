@@ -99,6 +99,15 @@ class Capture:
                 return camera
         raise InputError(f"camera: got {name!r}, expected one of {[camera.name for camera in self.cameras]}")
 
+    @property
+    def filmed(self) -> tuple[Camera, ...]:
+        """The cameras of which there are images; of the others there may be masks alone."""
+        return tuple(camera for camera in self.cameras if any(map(_is_there, self._pictures(camera.name))))
+
+    def _pictures(self, camera: str) -> tuple[Path, Path]:
+        """Where its images may be: a video, a folder."""
+        return self.folder / f"{camera}.mp4", self.folder / camera
+
     def video(self, camera: str) -> Video:
         """All frames of one camera, timed by the capture's rate (not the file's).
 
@@ -106,10 +115,10 @@ class Capture:
             InputError: no video of that camera; another size than the camera's; fewer frames than stated.
         """
         size = self.camera(camera)
-        movie, images = self.folder / f"{camera}.mp4", self.folder / camera
+        movie, images = self._pictures(camera)
         if images.is_dir():
             video, path = read_image_sequence(images, fps=self.fps), images
-        elif movie.exists() or movie.is_symlink():
+        elif _is_there(movie):
             video, path = read_video(movie, max_frames=max(2, self.frames)), movie
         else:
             raise InputError(
@@ -218,6 +227,11 @@ def _cameras(fields: JsonFields) -> tuple[Camera, ...]:
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         raise fields.error("cameras", "a list of objects")
     return tuple(Camera.from_json(entry) for entry in entries)
+
+
+def _is_there(path: Path) -> bool:
+    """Whether there is a file, a folder, or a link (which may lead nowhere, and then be named)."""
+    return path.exists() or path.is_symlink()
 
 
 def _check_frames(path: Path, got: tuple[int, ...], expected: tuple[int, int, int]) -> None:

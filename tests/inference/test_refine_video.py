@@ -51,16 +51,22 @@ def capture_of(folder, fps, frames, observed, camera):
     return Capture(folder, fps, frames, observed, (camera,), floor=floor, **still)
 
 
-def filmed(folder, states, *, told=CAMERA):
-    """The capture of states of the body, one per frame, seen by the camera and said to be seen by another one."""
+def filmed(folder, states, *, told=CAMERA, shown="painted"):
+    """The capture of states of the body, one per frame, seen by the camera and said to be seen by another one.
+
+    The body is "painted", "plain" (of one colour) or shown by its "masks" alone.
+    """
     images, masks = [], []
     for x in states:
         hits = cast_camera_rays(CAMERA, x, FACES)
         seen = hits.faces >= 0
-        picture = np.where(seen[..., None], texture(np.nan_to_num(hits.on(REST, FACES))), 235)
+        paint = np.full(3, 90.0) if shown == "plain" else texture(np.nan_to_num(hits.on(REST, FACES)))
+        picture = np.where(seen[..., None], paint, 235)
         images.append(picture.clip(0, 255).astype(np.uint8))
         masks.append(seen)
-    films = {"videos": {"front": np.stack(images)}, "masks": {"front": np.stack(masks)}}
+    films = {"masks": {"front": np.stack(masks)}}
+    if shown != "masks":
+        films["videos"] = {"front": np.stack(images)}
     shown = trimesh.Trimesh(REST, FACES, process=False)
     save_capture(capture_of(folder, RATE, FRAMES, OBSERVED, told), tets=TETS, mesh=shown, crf=8, **films)
     return folder
@@ -107,6 +113,24 @@ def test_one_camera_is_enough(folder, tmp_path):
     np.testing.assert_allclose(moved.numpy(), body, atol=0.01)
     picture, alpha = found.appearance.image(2, load_capture(folder).cameras[0])
     assert picture.shape == (128, 192, 3) and 0.02 < alpha.mean() < 0.6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shown", ["plain", "masks"])
+def test_outlines_alone_will_do(motion, shown, tmp_path):
+    """A body without texture, or without any image, could not be refined at all."""
+    seen, stages = filmed(tmp_path / "seen", motion[::FINER], shown=shown), []
+    options = RefineOptions(start="scan", **FEW)
+    found = refine(seen, out=tmp_path / "out", options=options, on_stage=lambda name, _: stages.append(name))
+    assert found["log10_youngs_modulus"].value == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.1)
+    assert len(found.sources) == 1 and "outline points" in found.sources[0]
+    assert not {"anchored", "colours_1.5"} & {*stages}
+    assert any("no point of the object can be followed" in line for line in found.warnings) == (shown == "plain")
+    assert (found.appearance is not None) == (shown == "plain")
+    write_refinement(found, tmp_path / "out")
+    assert (tmp_path / "out" / "side_by_side.mp4").stat().st_size > 1000
+    with pytest.raises(InputError, match=r"no point of the object|no such file"):
+        refine(seen, options=replace(options, outlines=False))
 
 
 @pytest.mark.slow
