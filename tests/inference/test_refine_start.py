@@ -18,6 +18,8 @@ CAMERA = look_at((0, -1, 0), (0, 0, 0), width=32, height=32, vertical_field_of_v
 
 
 def capture(tmp_path, *cameras):
+    for camera in cameras:
+        (tmp_path / f"{camera.name}.mp4").touch()
     return Capture(tmp_path, 24.0, 4, 3, cameras)
 
 
