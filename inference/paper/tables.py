@@ -35,7 +35,7 @@ def _ways(rows: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Means over the objects: |Δlog10 E|, |Δν|, coverage, pictures, changes, time; failures by name."""
+    """Means over the objects: |Δlog10 E|, |Δν|, coverage, pictures, changes, time, primitives; failures by name."""
     out: dict[str, Any] = {"objects": len(rows), "identification": {}, "pictures": {}, "changes": {}, "failures": []}
     for way in _ways(rows):
         good = [row[way] for row in rows if "errors" in row.get(way, {})]
@@ -54,6 +54,9 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         _add_pictures(out["pictures"], way, good)
     _add_pictures(out["pictures"], _FOLLOWED, [row[_FOLLOWED] for row in rows if _FOLLOWED in row])
     _add_pictures(out["pictures"], _ITSELF, [row[_ITSELF] for row in rows if _ITSELF in row])
+    fields = [row["field"] for row in rows if "convexes" in row.get("field", {})]
+    kinds = ("convexes", "psnr", "process_seconds")
+    out["field"] = {kind: float(np.mean([one[kind] for one in fields])) for kind in kinds} if fields else None
     out["points"] = _points_of(rows)
     refined = [row["refined"] for row in rows if "errors" in row.get("refined", {})]
     covered = [c for row in refined for c in row["covered"] if c is not None]
@@ -140,6 +143,12 @@ def markdown(rows: Sequence[dict[str, Any]], note: str) -> str:
                 forms = {"psnr": ".2f", "ssim": ".4f", "psnr_object": ".2f", "fovvdp": ".2f"}
                 numbers = " | ".join(format(s[n], form) if n in s else "–" for n, form in forms.items())
                 lines.append(f"| {_label(way)} | {part} | {view} | {numbers} |")
+    if (field := told["field"]) is not None:
+        lines += [
+            "",
+            f"Drawn with fields of {field['convexes']:.0f} convexes in the mean, fitted to the first images of all "
+            f"cameras ({field['psnr']:.1f} dB) in {field['process_seconds']:.0f} s of a processor.",
+        ]
     lines += ["", "## Generalisation", "", "| change | distance from the truth [mm] | how far the change goes [mm] |"]
     lines += ["|---|---|---|"]
     lines += [

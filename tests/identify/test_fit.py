@@ -22,6 +22,7 @@ from physconvex.identify import (
     noise_covariance,
     scan,
 )
+from physconvex.reduced import parameter_values
 
 TRUTH = np.array([np.log10(2e4), 0.38])
 
@@ -59,6 +60,24 @@ def test_the_dashpot_of_the_floor_is_found(box_twin, seen):
     found = fit(bouncing, tracks, [default_parameter(n, start=v) for n, v in zip(names, (4.4, 0.3, 0.0), strict=True)])
     assert found.converged
     np.testing.assert_allclose(found.values, truth, rtol=2e-3)
+
+
+POSE = tuple(f"initial_{kind}_{axis}" for kind in ("position", "orientation") for axis in "xyz")
+
+
+@pytest.mark.parametrize("kind", [ReducedModel, FullModel])
+def test_the_initial_pose_is_found_beside_the_modulus(kind, box_twin, seen):
+    """The box lies otherwise than its mesh has it: by millimetres and hundredths of a radian."""
+    names = ("log10_youngs_modulus", *POSE)
+    there = parameter_values(box_twin.scene, POSE)
+    truth = np.array([TRUTH[0], *np.add(there, [2e-3, -1e-3, 3e-3, 0.02, -0.01, 0.03])])
+    model = kind(box_twin, names, seen.points, 5)
+    motion = model.positions(truth)
+    tracks = MarkerObservations(seen.points, motion, np.full(motion.shape[:2], 1e-4))
+    start = [default_parameter(n, start=v) for n, v in zip(names, (4.2, *there), strict=True)]
+    found = fit(model, tracks, start)
+    assert found.converged
+    np.testing.assert_allclose(found.values, truth, atol=2e-4)
 
 
 def test_a_scan_escapes_a_wrong_start(model, seen, unknowns):

@@ -35,6 +35,7 @@ def row(name, error, covered, psnr):
             "changes": {"pushed": {"rms_m": 1e-3, "change_rms_m": 0.2}},
             **motion,
         },
+        "field": {"convexes": 200 * psnr, "psnr": 40.0, "process_seconds": 90.0},
         "reduced_M8": {"errors": [-0.1, 0.0], "process_seconds": 3.0},
         "truth_itself": {"nodes": 900, "pictures": {"future": {"front": {"psnr": psnr - 10, "ssim": 0.8}}}},
     }
@@ -53,6 +54,7 @@ def test_means_are_of_absolutes_and_failures_are_named():
     assert "| mug | 5.00, 0.30 | +0.500 / +0.045 | failed | +0.020 / -0.010 |" in page
     assert "| truth of half the nodes | future | front | 22.00 | 0.8000 | – | – |" in page
     assert "arXiv 2602.18886" in page
+    assert "fields of 6400 convexes in the mean" in page and "(40.0 dB) in 90 s" in page
     assert "reduced model alone, M = 8" in page and "| pushed | 1.0 | 200.0 |" in page
 
 
