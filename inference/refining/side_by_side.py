@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -17,18 +18,22 @@ from physconvex.video import write_video
 __all__ = ["write_side_by_side"]
 
 _SIZE = 320  # of a view of markers [pixels]
+_GREY = 160
 _SEEN, _MODEL = (200, 40, 40), (40, 70, 200)
 
 
 def write_side_by_side(found: Refinement, capture: Capture, path: Path) -> None:
     """Write observed | model | difference of the first camera; markers over the model's surface where there is none."""
-    frames = _video_frames(found, capture) if capture.cameras else _marker_frames(found, capture)
+    if capture.filmed:
+        frames = _video_frames(found, capture)
+    else:
+        frames = _outline_frames(found, capture) if capture.cameras else _marker_frames(found, capture)
     write_video(path, frames, fps=min(capture.fps, 24.0))
 
 
 def _video_frames(found: Refinement, capture: Capture) -> UInt8[np.ndarray, "T H W 3"]:
-    camera = (capture.filmed or capture.cameras)[0]
-    seen = capture.video(camera.name).frames if capture.filmed else _silhouettes(capture, camera)
+    camera = capture.filmed[0]
+    seen = capture.video(camera.name).frames
     first, motion = seen[0].astype(np.float32), found.motion
     from physconvex.identify.video_tracks import appearance_map
 
@@ -46,16 +51,21 @@ def _video_frames(found: Refinement, capture: Capture) -> UInt8[np.ndarray, "T H
             drawn, inside = found.appearance.image(frame, camera)
             model = drawn.astype(np.float64)
         difference = np.abs(model - image) * inside[..., None]
-        panel = np.concatenate([image, model.clip(0, 255), 255 - difference.clip(0, 255)], axis=1)
-        out.append(_labelled(_even(panel.astype(np.uint8)), frame, found))
+        panels = (image, model.clip(0, 255), 255 - difference.clip(0, 255))
+        out.append(_labelled(panels, frame, found))
     return np.stack(out)
 
 
-def _silhouettes(capture: Capture, camera: Camera) -> UInt8[np.ndarray, "T H W 3"]:
-    """The masks of a camera without images: grey before white."""
+def _outline_frames(found: Refinement, capture: Capture) -> UInt8[np.ndarray, "T H W 3"]:
+    """Of a camera without images: its masks and the model's, grey before white."""
+    camera, motion, out = capture.cameras[0], found.motion, []
     masks = capture.mask(camera.name)
     assert masks is not None
-    return np.repeat(np.where(masks > 0, np.uint8(160), np.uint8(255))[..., None], 3, axis=-1)
+    for frame, mask in enumerate(masks):
+        inside = cast_camera_rays(camera, motion.vertices[frame], motion.faces).faces >= 0
+        shapes = (mask > 0, inside, (mask > 0) != inside)
+        out.append(_labelled([np.where(shape, _GREY, 255)[..., None].repeat(3, -1) for shape in shapes], frame, found))
+    return np.stack(out)
 
 
 def _marker_frames(found: Refinement, capture: Capture) -> UInt8[np.ndarray, "T H W 3"]:
@@ -74,7 +84,7 @@ def _marker_frames(found: Refinement, capture: Capture) -> UInt8[np.ndarray, "T 
             _dots(panels[1], said, _MODEL)
             _dots(panels[2], said, _MODEL)
             _dots(panels[2], seen, _SEEN)
-        out.append(_labelled(_even(np.concatenate(panels, axis=1)), frame, found))
+        out.append(_labelled(panels, frame, found))
     return np.stack(out)
 
 
@@ -91,12 +101,11 @@ def _dots(image: np.ndarray, pixels: np.ndarray, color: tuple[int, int, int]) ->
         cv2.circle(image, (round(float(x)), round(float(y))), 3, color, -1, cv2.LINE_AA)
 
 
-def _even(image: np.ndarray) -> np.ndarray:
-    height, width = image.shape[:2]
-    return np.ascontiguousarray(image[: height - height % 2, : width - width % 2])
-
-
-def _labelled(image: np.ndarray, frame: int, found: Refinement) -> np.ndarray:
+def _labelled(panels: Sequence[np.ndarray], frame: int, found: Refinement) -> np.ndarray:
+    """Three panels side by side, of even width and height, with their names."""
+    both = np.concatenate(panels, axis=1).astype(np.uint8)
+    height, width = both.shape[:2]
+    image = np.ascontiguousarray(both[: height - height % 2, : width - width % 2])
     third = image.shape[1] // 3
     state = "fitted" if frame < found.observed_frames else "predicted"
     for column, text in enumerate(("observed", f"model, {state}", "difference")):
