@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from inference.refining import RefineOptions, refine, write_refinement
 from inference.refining.appearance import fitted_field
 from physconvex.camera import look_at
-from physconvex.capture import Capture, Floor, load_capture, save_capture
+from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
 from physconvex.convex import read_ply
 from physconvex.errors import InputError
 from physconvex.fem import TetMesh, box_mesh
@@ -51,10 +51,10 @@ def capture_of(folder, fps, frames, observed, camera):
     return Capture(folder, fps, frames, observed, (camera,), floor=floor, **still)
 
 
-def filmed(folder, states, *, told=CAMERA, shown="painted"):
+def filmed(folder, states, *, told=CAMERA, shown="painted", tracks=None):
     """The capture of states of the body, one per frame, seen by the camera and said to be seen by another one.
 
-    The body is "painted", "plain" (of one colour) or shown by its "masks" alone.
+    The body is "painted", "plain" (of one colour) or shown by its "masks" alone. Markers may be seen besides.
     """
     images, masks = [], []
     for x in states:
@@ -68,7 +68,7 @@ def filmed(folder, states, *, told=CAMERA, shown="painted"):
     if shown != "masks":
         films["videos"] = {"front": np.stack(images)}
     shown = trimesh.Trimesh(REST, FACES, process=False)
-    save_capture(capture_of(folder, RATE, FRAMES, OBSERVED, told), tets=TETS, mesh=shown, crf=8, **films)
+    save_capture(capture_of(folder, RATE, FRAMES, OBSERVED, told), tets=TETS, mesh=shown, tracks=tracks, crf=8, **films)
     return folder
 
 
@@ -113,6 +113,24 @@ def test_one_camera_is_enough(folder, tmp_path):
     np.testing.assert_allclose(moved.numpy(), body, atol=0.01)
     picture, alpha = found.appearance.image(2, load_capture(folder).cameras[0])
     assert picture.shape == (128, 192, 3) and 0.02 < alpha.mean() < 0.6
+
+
+@pytest.mark.slow
+def test_markers_and_videos_are_fitted_together(motion, tmp_path):
+    some, states, rng = slice(None, None, 40), motion[::FINER], np.random.default_rng(0)
+    seen = states[:, some] + rng.normal(scale=1e-3, size=states[:, some].shape)
+    tracks = Tracks(REST[some], seen, np.full(seen.shape[:2], 1e-3))
+    folder = filmed(tmp_path / "seen", states, tracks=tracks)
+    options = RefineOptions(initial={"log10_youngs_modulus": 4.1, "poisson_ratio": 0.3}, **FEW, field=False)
+    alone, both = (refine(folder, options=replace(options, observations=kind)) for kind in ("tracks", "both"))
+    assert len(alone.sources) == 1 and [line.rpartition(" ")[2] for line in both.sources] == [
+        "markers",
+        "points",
+        "points",
+    ]
+    assert both["log10_youngs_modulus"].value == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.03)
+    assert both["log10_youngs_modulus"].noise_sigma < 0.5 * alone["log10_youngs_modulus"].noise_sigma
+    assert len(both.residual_rms) == 3 and both.residual_rms[both.sources[0]] == pytest.approx(1.0, abs=0.3)
 
 
 @pytest.mark.slow
