@@ -101,16 +101,27 @@ def evaluate_paper(
     if unknown:
         raise InputError(f"objects: {', '.join(unknown)}: not in {benchmark}; expected some of {', '.join(every)}")
     (out / "objects").mkdir(parents=True, exist_ok=True)
-    held, settings = out / "options.json", json.loads(json.dumps(asdict(options)))
-    if held.exists() and json.loads(held.read_text(encoding="utf-8")) != settings:
-        raise InputError(f"{out}: holds an evaluation with other options; choose another folder")
-    held.write_text(json.dumps(settings, indent=1) + "\n", encoding="utf-8")
+    _claim(out / "options.json", options)
     made = [name for name in names or every if (benchmark / "truth" / name / "truth.json").exists()]
     for comparing in (False, True) if comparisons else (False,):  # what the tables are about first, of all objects
         for name in made:
             _Object(benchmark, out, name, options, on_part).evaluate(comparing)
     files = [out / "objects" / f"{name}.json" for name in every]
     return [json.loads(file.read_text(encoding="utf-8")) for file in files if file.exists()]
+
+
+def _claim(file: Path, options: PaperOptions) -> None:
+    """Write the settings that results depend on; what merely chooses parts may be another one each time."""
+    settings = json.loads(json.dumps(asdict(options)))
+    for choice in ("ablation", "ablation_points", *(() if options.adam_steps else ("adam_steps",))):
+        del settings[choice]
+    held = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+    others = [name for name, value in settings.items() if held.get(name, value) != value]
+    if others:
+        raise InputError(
+            f"{file.parent}: holds an evaluation with other options ({', '.join(others)}); choose another folder"
+        )
+    file.write_text(json.dumps(held | settings, indent=1) + "\n", encoding="utf-8")
 
 
 class _Object:

@@ -160,6 +160,17 @@ def test_an_object_is_evaluated_part_by_part(benchmark, tmp_path):
         evaluate_paper(benchmark, tmp_path, PaperOptions())
 
 
+def test_other_parts_may_be_chosen_later_but_not_other_settings(tmp_path):
+    benchmark, out = tmp_path / "made", tmp_path / "out"
+    benchmark.mkdir()
+    (benchmark / "benchmark.json").write_text('{"objects": []}')
+    for choice in (SMALL, replace(SMALL, ablation=(3,), ablation_points=(5, 6)), replace(SMALL, adam_steps=0)):
+        assert evaluate_paper(benchmark, out, choice) == []
+    for change, name in (({"adam_steps": 4}, "adam_steps"), ({"fine_nodes": 200}, "fine_nodes")):
+        with pytest.raises(InputError, match=rf"other options \({name}\); choose another folder"):
+            evaluate_paper(benchmark, out, replace(SMALL, **change))
+
+
 def test_a_folder_without_a_benchmark_is_named(tmp_path):
     with pytest.raises(InputError, match="physconvex generate benchmark"):
         evaluate_paper(tmp_path, tmp_path / "out")
