@@ -22,7 +22,7 @@ _ALIKE = 0.05  # of the volume of body and mesh together, that only one of them 
 _MOST_NODES = 4000  # of tetrahedra cut in eight
 # most nodes of the last searches, of bodies of so many times their own weight's pressure and of softer ones: these lie
 # on the floor with hundreds of points, and a roll-out takes minutes
-_STIFF, _OF_STIFF, _OF_SOFT = 20.0, 2400, 1400
+_STIFF, _OF_STIFF, _OF_SOFT = 30.0, 2400, 1400
 
 
 def finer_mesh(twin: Twin) -> TetMesh | None:
@@ -48,7 +48,7 @@ def fine_mesh(twin: Twin, found: Fit, options: RefineOptions, stages: Stages) ->
     """That of the last searches of a body that strikes something, which of few nodes rebounds otherwise.
 
     The best that is found, of several meshers, with at most `options.fine_nodes` nodes, or else 2,400, or 1,400 where E
-    is less than 20 ρ g L at the fit that was found; it is made anew from the surface of the capture. None where
+    is less than 30 ρ g L at the fit that was found; it is made anew from the surface of the capture. None where
     nothing is struck, the twin's mesh is all but the body (a twentieth of their volume apart), or no mesh with more
     nodes is found.
     """
