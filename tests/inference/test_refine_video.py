@@ -67,14 +67,15 @@ def filmed(folder, states, *, told=CAMERA, shown="painted", tracks=None):
     films = {"masks": {"front": np.stack(masks)}}
     if shown != "masks":
         films["videos"] = {"front": np.stack(images)}
-    shown = trimesh.Trimesh(REST, FACES, process=False)
-    save_capture(capture_of(folder, RATE, FRAMES, OBSERVED, told), tets=TETS, mesh=shown, tracks=tracks, crf=8, **films)
+    surface = trimesh.Trimesh(REST, FACES, process=False)
+    capture = capture_of(folder, RATE, FRAMES, OBSERVED, told)
+    save_capture(capture, tets=TETS, mesh=surface, tracks=tracks, crf=8, **films)
     return folder
 
 
-def refined_with(folder, nuisance):
+def refined(folder, **options):
     start = {"log10_youngs_modulus": 4.1, "poisson_ratio": 0.3}
-    return refine(folder, options=RefineOptions(initial=start, nuisance=nuisance, **FEW, field=False))
+    return refine(folder, options=RefineOptions(initial=start, **FEW, field=False, **options))
 
 
 @pytest.fixture(scope="module")
@@ -121,13 +122,8 @@ def test_markers_and_videos_are_fitted_together(motion, tmp_path):
     seen = states[:, some] + rng.normal(scale=1e-3, size=states[:, some].shape)
     tracks = Tracks(REST[some], seen, np.full(seen.shape[:2], 1e-3))
     folder = filmed(tmp_path / "seen", states, tracks=tracks)
-    options = RefineOptions(initial={"log10_youngs_modulus": 4.1, "poisson_ratio": 0.3}, **FEW, field=False)
-    alone, both = (refine(folder, options=replace(options, observations=kind)) for kind in ("tracks", "both"))
-    assert len(alone.sources) == 1 and [line.rpartition(" ")[2] for line in both.sources] == [
-        "markers",
-        "points",
-        "points",
-    ]
+    alone, both = (refined(folder, observations=kind) for kind in ("tracks", "both"))
+    assert [line.split()[-1] for line in (*alone.sources, *both.sources)] == 2 * ["markers"] + 2 * ["points"]
     assert both["log10_youngs_modulus"].value == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.03)
     assert both["log10_youngs_modulus"].noise_sigma < 0.5 * alone["log10_youngs_modulus"].noise_sigma
     assert len(both.residual_rms) == 3 and both.residual_rms[both.sources[0]] == pytest.approx(1.0, abs=0.3)
@@ -154,7 +150,7 @@ def test_outlines_alone_will_do(motion, shown, tmp_path):
 @pytest.mark.slow
 def test_a_late_clock_is_found_beside_the_material(motion, tmp_path):
     late = filmed(tmp_path / "late", np.concatenate([motion[:1], motion[FINER + 1 :: FINER]]))
-    believed, found = (refined_with(late, Nuisance(time_offset=sigma)) for sigma in (0.0, 0.01))
+    believed, found = (refined(late, nuisance=Nuisance(time_offset=sigma)) for sigma in (0.0, 0.01))
     assert found.nuisances["time_offset [s]"] == pytest.approx(1 / (FINER * RATE), rel=0.1)
     errors = [one["log10_youngs_modulus"].value - TRUTH["log10_youngs_modulus"] for one in (believed, found)]
     assert errors[0] > 0.08 and abs(errors[1]) < 0.5 * errors[0]
@@ -165,7 +161,7 @@ def test_a_camera_that_is_turned_otherwise_than_told_is_found(motion, tmp_path):
     turn, pose = np.array([0.003, 0.01, 0.0]), CAMERA.transform_matrix.copy()
     pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(turn).as_matrix()
     seen = filmed(tmp_path / "turned", motion[::FINER], told=replace(CAMERA, transform_matrix=pose))
-    found = refined_with(seen, Nuisance(camera_rotation=0.02))
+    found = refined(seen, nuisance=Nuisance(camera_rotation=0.02))
     back = [found.nuisances[f"front/rotation_{axis} [rad]"] for axis in "xyz"]
     np.testing.assert_allclose(back, -turn, atol=1.5e-3)
     assert found["log10_youngs_modulus"].value == pytest.approx(TRUTH["log10_youngs_modulus"], abs=0.05)
