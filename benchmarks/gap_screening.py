@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import torch
@@ -37,10 +38,8 @@ def screening_seconds(capture: Path) -> dict[str, float]:
         elif effects:
             raise _ScreenedError
 
-    try:
+    with suppress(_ScreenedError):
         diagnose(load_capture(capture), on_progress=on_progress)
-    except _ScreenedError:
-        pass
     return {"before": round(begun - start, 1), "screening": round(time.perf_counter() - begun, 1), "effects": effects}
 
 

@@ -20,6 +20,10 @@ from physconvex.identify.video_tracks import FollowOptions, follow, follow_from_
 __all__ = ["Observed", "observe"]
 
 Arrays = dict[str, np.ndarray]
+_UNFOLLOWED = (
+    "Camera {}: no point of the object can be followed, so outlines alone are fitted; they do not tell how a surface "
+    "turns within them. Paint a texture on, or give marker tracks."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +88,7 @@ def observe(capture: Capture, twin: Twin, options: RefineOptions, stages: Stages
     parts: list[Observations] = []
     sources: list[str] = []
     cameras: tuple[Camera, ...] = ()
-    notes: list[str] = []
+    notes: tuple[str, ...] = ()
     if tracked:
         markers = marker_observations(capture)
         parts.append(markers)
@@ -92,10 +96,11 @@ def observe(capture: Capture, twin: Twin, options: RefineOptions, stages: Stages
         twin = start_motion(twin, markers)
     if filmed:
         cameras = _cameras(capture, options)
-        seen = _video_parts(capture, twin, cameras, options, stages, notes)
+        seen = _video_parts(capture, twin, cameras, options, stages)
+        notes = tuple(_UNFOLLOWED.format(camera.name) for camera in cameras if _is_unfollowed(camera, capture, seen))
         parts.extend(seen)
         sources.extend(_line(part) for part in seen)
-    return Observed(StackedObservations.of(parts), tuple(sources), cameras, tuple(notes)), twin
+    return Observed(StackedObservations.of(parts), tuple(sources), cameras, notes), twin
 
 
 def _kinds(capture: Capture, options: RefineOptions) -> tuple[bool, bool]:
@@ -120,12 +125,7 @@ def _cameras(capture: Capture, options: RefineOptions) -> tuple[Camera, ...]:
 
 
 def _video_parts(
-    capture: Capture,
-    twin: Twin,
-    cameras: Sequence[Camera],
-    options: RefineOptions,
-    stages: Stages,
-    notes: list[str],
+    capture: Capture, twin: Twin, cameras: Sequence[Camera], options: RefineOptions, stages: Stages
 ) -> list[Observations]:
     """Points and outlines of each camera; of one without images, or where no point can be followed, outlines alone."""
     vertices, triangles = twin.surface
@@ -137,15 +137,16 @@ def _video_parts(
         if f"{camera.name}/points" in arrays:
             pixels = arrays[f"{camera.name}/pixels"]
             parts.append(PixelObservations(camera, arrays[f"{camera.name}/points"], pixels, _full(pixels, sigma)))
-        elif camera in capture.filmed:
-            notes.append(
-                f"Camera {camera.name}: no point of the object can be followed, so outlines alone are fitted; they do "
-                "not tell how a surface turns within them. Paint a texture on, or give marker tracks."
-            )
         mask = masks[camera.name]
         if options.outlines and mask is not None:
             parts.append(OutlineObservations.of_masks(camera, mask[: capture.observed_frames], vertices, triangles))
     return parts
+
+
+def _is_unfollowed(camera: Camera, capture: Capture, parts: Sequence[Observations]) -> bool:
+    """Whether there are images of a camera, and yet no point that is followed in them."""
+    followed = any(isinstance(part, PixelObservations) and part.camera is camera for part in parts)
+    return camera in capture.filmed and not followed
 
 
 def _followed(
