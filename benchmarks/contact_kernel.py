@@ -19,9 +19,8 @@ import numpy as np
 import torch
 from contact_solvers import DROPS, scene_of, timed
 
-from physconvex.fem import contact_kernel
-from physconvex.fem.kernel import load_library
-from physconvex.native import KernelUnavailable
+from physconvex.fem import compiled_contact as contact_kernel, load_library
+from physconvex.kernels import KernelUnavailable
 
 RESULT = Path(__file__).parent / "results" / "contact_kernel.json"
 

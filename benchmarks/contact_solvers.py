@@ -24,10 +24,9 @@ os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM
 import numpy as np
 import torch
 
-from data_gen.config import SolverConfig, load_config
-from data_gen.scene import draw_drop
-from data_gen.simulate import make_mesh
-from physconvex.fem import ElasticBody, Plane, Scene, simulate
+from data_gen import SolverConfig, draw_drop, load_config, make_mesh
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Scene, simulate
 
 RESULT = Path(__file__).parent / "results" / "contact_solvers.json"
 DROPS = ((4, 5e6), (7, 3e5), (11, 2e4))  # number of the simulation, E [Pa]; those that land soonest

@@ -24,14 +24,17 @@ import numpy as np
 import torch
 from moving_field import SIZE, VIEWS, deformations, drawn, drop, placed
 
-from data_gen.objects.library import ObjectMesh
-from data_gen.objects.user_meshes import load_user_mesh
-from data_gen.still_captures import FLAT, StillViews, rendered_frames, still_cameras, write_still_capture
-from data_gen.surface import Surface
-from inference.reconstruction import reconstruct
-from inference.reconstruction_views import capture_views
-from physconvex.camera import Camera
-from physconvex.capture import load_capture
+from data_gen import (
+    FLAT,
+    ObjectMesh,
+    StillViews,
+    Surface,
+    load_user_mesh,
+    rendered_frames,
+    still_cameras,
+    write_still_capture,
+)
+from inference import capture_views, reconstruct
 from physconvex.convex import (
     ConvexField,
     DeformationMap,
@@ -43,7 +46,8 @@ from physconvex.convex import (
     split_until_affine,
     tet_map,
 )
-from physconvex.fem import Embedding
+from physconvex.io import Camera, load_capture
+from physconvex.mesh import Embedding
 from physconvex.reconstruction import load_reconstruction_config, psnr, simplify
 
 RESULT = Path(__file__).parent / "results" / "convex_dynamics.json"

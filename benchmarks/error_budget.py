@@ -21,16 +21,8 @@ import numpy as np
 import torch
 from jaxtyping import Float64
 
-from models.estimator import PhysicsPredictor
-from models.heads import BinnedDensity
-from models.motion import STATE_SCALE
-from models.network import PhysicsNetwork
-from train.cache import prepare_clips
-from train.data import TrainingClips
-from train.falls.batches import FallBatch
-from train.falls.real import RealClips
-from train.metrics import constant_mae
-from train.records import read_clips
+from models import STATE_SCALE, BinnedDensity, PhysicsNetwork, PhysicsPredictor
+from train import FallBatch, RealClips, TrainingClips, constant_mae, prepare_clips, read_clips
 
 RESULT = Path(__file__).parent / "results" / "error_budget.json"
 BATCH = 20

@@ -22,12 +22,9 @@ from pathlib import Path
 
 import torch
 
-from data_gen.config import load_config
-from data_gen.explicit import generate_falls
-from data_gen.explicit.generate import read_falls
-from models.network import PhysicsNetwork
-from train.config import load_train_config
-from train.falls import Pretraining, pretrain, simulate_falls
+from data_gen import generate_falls, load_config, read_falls
+from models import PhysicsNetwork
+from train import Pretraining, load_train_config, pretrain, simulate_falls
 
 RESULTS = Path(__file__).parent / "results"
 

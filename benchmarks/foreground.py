@@ -17,8 +17,8 @@ import numpy as np
 import torch
 
 import physconvex
-from models.foreground import locate_foreground
-from train.records import LabelledClip, dataset_checksum, read_clips
+from models import locate_foreground
+from train import LabelledClip, dataset_checksum, read_clips
 
 RESULT = Path(__file__).parent.parent / "docs" / "results" / "foreground.json"
 POOR = 0.7

@@ -9,13 +9,19 @@ from pathlib import Path
 
 import numpy as np
 
-from physconvex.capture import Boundary, Floor, Tracks, load_capture
-from physconvex.errors import PhysconvexError
-from physconvex.fem import TetMesh
-from physconvex.gap import GapOptions, diagnose
-from physconvex.gap.base.base_fit import fit_baseline, rough_baseline
-from physconvex.gap.conditions.setting import find_setting
-from physconvex.gap.errors.numerics import correction_of, error_model, numerical_differences
+from physconvex import PhysconvexError
+from physconvex.gap import (
+    GapOptions,
+    correction_of,
+    diagnose,
+    error_model,
+    find_setting,
+    fit_baseline,
+    numerical_differences,
+    rough_baseline,
+)
+from physconvex.io import Boundary, Floor, Tracks, load_capture
+from physconvex.mesh import TetMesh
 
 RESULTS = Path(__file__).parent / "results"
 FLOOR = Floor(np.zeros(3), np.array([0.0, 0.0, 1.0]))

@@ -14,8 +14,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from data_gen.objects import random_object
-from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, simulate, tetrahedralize_implicit
+from data_gen import random_object
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.mesh import TetMesh, tetrahedralize_implicit
 
 RESULT = Path(__file__).parent / "results" / "friction_passes.json"
 # (steps per frame, passes, tolerance); the first is the reference of its stiffness

@@ -20,12 +20,11 @@ from unittest.mock import patch
 import numpy as np
 import torch
 
-from physconvex import linear_solvers
-from physconvex.fem import ElasticBody, Plane, Scene, box_mesh, kernel, simulate
-from physconvex.fem.simulation import ContactSolver
-from physconvex.fem.step_equations import StepEquations
-from physconvex.integrators import State, implicit_euler
-from physconvex.native import KernelUnavailable
+from physconvex.dynamics import Plane, State, implicit_euler
+from physconvex.fem import ContactSolver, ElasticBody, Scene, StepEquations, compiled_elements as kernel, simulate
+from physconvex.kernels import KernelUnavailable
+from physconvex.mesh import box_mesh
+from physconvex.numerics import sparse_solvers as linear_solvers
 
 RESULT = Path(__file__).parent / "results" / "full_order_speed.json"
 STEP = 1 / 400

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from foreign_captures import FLOOR, HELD, RESULTS, markers, run
 
-from physconvex.capture import Capture, save_capture
-from physconvex.fem import TetMesh
+from physconvex.io import Capture, save_capture
+from physconvex.mesh import TetMesh
 
 SIZE, COUNT, GAP, DENSITY, STEP, FPS, FRAMES, MARKERS, SIGMA = 0.12, 7, 0.2, 1000.0, 1e-4, 50.0, 30, 30, 6e-5
 GRAVITY = 9.81

@@ -18,8 +18,8 @@ import numpy as np
 import trimesh
 from foreign_captures import FLOOR, HELD, RESULTS, run
 
-from physconvex.capture import Boundary, Capture, Tracks, save_capture
-from physconvex.kabsch import best_rotation
+from physconvex.io import Boundary, Capture, Tracks, save_capture
+from physconvex.numerics import best_rotation
 
 DATA = Path(__file__).parents[1] / "tests" / "data"
 RADIUS, MASS, BALL_SIGMA = 0.03429, 0.0577, 4e-4  # [m], [kg], [m] of second differences, 0.1 to 0.6 mm

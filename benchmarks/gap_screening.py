@@ -16,8 +16,8 @@ from pathlib import Path
 
 import torch
 
-from physconvex.capture import load_capture
 from physconvex.gap import diagnose
+from physconvex.io import load_capture
 
 RESULT = Path(__file__).parent / "results" / "gap_screening.json"
 CAPTURES = Path(__file__).parents[1] / "examples" / "captures"

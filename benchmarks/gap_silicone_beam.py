@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from physconvex.capture import load_capture
 from physconvex.gap import GapReport, diagnose
 from physconvex.identify import MarkerObservations
+from physconvex.io import load_capture
 
 RESULTS = Path(__file__).parent / "results"
 CAPTURES = Path(__file__).parents[1] / "examples" / "captures"

@@ -18,7 +18,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from physconvex.gap.blind.metrics import area_under_roc
+from train import area_under_roc
 
 RESULTS = Path(__file__).parent / "results"
 FOLLOWED = 1.5  # times the floor of held-out frames

@@ -23,15 +23,19 @@ import numpy as np
 from foreign_captures import RESULTS, answer, store
 from scipy.interpolate import CubicSpline
 
-from data_gen.benchmark import BenchmarkOptions, drop_object
-from data_gen.benchmark_scenes import placed
-from data_gen.objects.library import ObjectMesh
-from data_gen.objects.user_meshes import load_user_mesh
-from data_gen.still_captures import FLAT, StillViews, rendered_frames, still_cameras
-from data_gen.surface import Surface
-from physconvex.camera import Camera
-from physconvex.capture.folder import CAPTURE_FILE
-from physconvex.video import write_video
+from data_gen import (
+    FLAT,
+    BenchmarkOptions,
+    ObjectMesh,
+    StillViews,
+    Surface,
+    drop_object,
+    load_user_mesh,
+    placed,
+    rendered_frames,
+    still_cameras,
+)
+from physconvex.io import CAPTURE_FILE, Camera, write_video
 
 TOY = "SCHOOL_BUS"
 RESULT = RESULTS / "gap_video.json"

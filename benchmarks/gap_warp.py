@@ -19,8 +19,8 @@ import trimesh
 from foreign_captures import FLOOR, HELD, RESULTS, markers, run
 from scipy.spatial.transform import Rotation
 
-from physconvex.capture import Capture, save_capture
-from physconvex.fem import TetMesh, box_mesh, tetrahedralize
+from physconvex.io import Capture, save_capture
+from physconvex.mesh import TetMesh, box_mesh, tetrahedralize
 
 GRAVITY, DENSITY, FPS, FRAMES, MARKERS, SIGMA, STEP = 9.81, 1000.0, 50.0, 30, 30, 6e-5, 2e-5
 AXES, HEIGHT, TURN = (0.065, 0.05, 0.04), 0.2, (0.4, 0.5, 0.2)  # half axes [m], gap to the floor [m], rotation vector

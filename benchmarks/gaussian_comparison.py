@@ -22,10 +22,9 @@ import torch
 from gaussian_fit import Rates, fit_gaussians, score_gaussians
 from reconstruction import VIEWS, stored_rows
 
-from data_gen.objects.user_meshes import load_user_mesh
-from data_gen.still_captures import write_still_capture
-from inference.reconstruction_views import CaptureViews, capture_views
-from physconvex.capture import load_capture
+from data_gen import load_user_mesh, write_still_capture
+from inference import CaptureViews, capture_views
+from physconvex.io import load_capture
 from physconvex.reconstruction import begin, fit, load_reconstruction_config, score, start_field
 
 RESULT = Path(__file__).parent / "results" / "gaussian_comparison.json"

@@ -19,10 +19,17 @@ from gaussians import Gaussians, blend_gaussians, quaternions_of, render_gaussia
 from torch import Tensor
 
 from physconvex.convex import coefficients_of_colour
-from physconvex.reconstruction import Observation, ReconstructionConfig, image_loss, psnr, structural_similarity
-from physconvex.reconstruction.adam import RowAdam
-from physconvex.reconstruction.triangles import even_triangles, welded
-from physconvex.reconstruction.visual_hull import footprint
+from physconvex.reconstruction import (
+    Observation,
+    ReconstructionConfig,
+    RowAdam,
+    even_triangles,
+    footprint,
+    image_loss,
+    psnr,
+    structural_similarity,
+    welded,
+)
 
 __all__ = ["Rates", "Score", "fit_gaussians", "gaussians_on", "score_gaussians"]
 

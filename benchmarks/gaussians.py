@@ -20,10 +20,9 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from physconvex.convex.spherical_harmonics import view_colours
-from physconvex.native import compiled
-from physconvex.render import RenderedImage, View
-from physconvex.render.native import RENDER_FLAGS, SOURCES
+from physconvex.convex import view_colours
+from physconvex.kernels import SOURCES, compiled
+from physconvex.render import RENDER_FLAGS, RenderedImage, View
 
 __all__ = ["Gaussians", "blend_gaussians", "quaternions_of", "render_gaussians", "rotation_matrices"]
 
@@ -144,7 +143,7 @@ class _Splats(ctypes.Structure):
 @cache
 def _library() -> ctypes.CDLL:
     library = ctypes.CDLL(
-        str(compiled(Path(__file__).with_name("gaussian_kernel"), include=[SOURCES], flags=RENDER_FLAGS))
+        str(compiled(Path(__file__).with_name("gaussian_kernel"), include=[SOURCES / "render"], flags=RENDER_FLAGS))
     )
     scene: Any = ctypes.POINTER(_Splats)
     pointer: Any = ctypes.c_void_p

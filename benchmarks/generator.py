@@ -28,14 +28,21 @@ os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM
 
 import torch
 
-from data_gen.config import GeneratorConfig, load_config
-from data_gen.degrade import draw_degradation
-from data_gen.generate import generate_dataset, prepare_surface, render_view
-from data_gen.scene import draw_drop, draw_look, stream
-from data_gen.simulate import make_mesh, simulate_drop
-from physconvex import __version__
-from physconvex.errors import ConvergenceError
-from physconvex.video import write_video
+from data_gen import (
+    GeneratorConfig,
+    draw_degradation,
+    draw_drop,
+    draw_look,
+    generate_dataset,
+    load_config,
+    make_mesh,
+    prepare_surface,
+    render_view,
+    simulate_drop,
+    stream,
+)
+from physconvex import ConvergenceError, __version__
+from physconvex.io import write_video
 
 STAGES = ("object", "mesh", "simulate", "render", "encode")
 VARIATIONS: dict[str, tuple[tuple[str, int], ...]] = {

@@ -20,14 +20,16 @@ import torch
 from known_states import labels_of
 from torch import Tensor, nn
 
-from models.clip import touches_border
-from models.config import KinematicsConfig
-from models.kinematics import SilhouetteFeatures
-from models.mirror import mirrored_moments
-from models.motion import STATE_SCALE, MotionBranch
-from models.silhouette import silhouette_moments
-from train.records import read_clips
-from train.states import flipped_states
+from models import (
+    STATE_SCALE,
+    KinematicsConfig,
+    MotionBranch,
+    SilhouetteFeatures,
+    mirrored_moments,
+    silhouette_moments,
+    touches_border,
+)
+from train import flipped_states, read_clips
 
 RESULT = Path(__file__).parent / "results" / "known_silhouettes.json"
 BATCH, HELD_OUT = 48, 5

@@ -20,12 +20,17 @@ import torch
 from timm.layers import Mlp
 from torch import Tensor, nn
 
-from models.config import NetworkConfig
-from models.heads import BinnedDensity, DensityHead
-from models.motion import STATE_NAMES, STATE_SCALE, MotionBranch
-from models.scaling import dimensionless_interval, log10_dimensionless_stiffness
-from train.losses import smoothed_target
-from train.records import LabelledClip, Split, read_clips
+from models import (
+    STATE_NAMES,
+    STATE_SCALE,
+    BinnedDensity,
+    DensityHead,
+    MotionBranch,
+    NetworkConfig,
+    dimensionless_interval,
+    log10_dimensionless_stiffness,
+)
+from train import LabelledClip, Split, read_clips, smoothed_target
 
 RESULT = Path(__file__).parent / "results" / "known_states.json"
 BATCH = 64

@@ -27,16 +27,21 @@ import torch
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from data_gen.config import SolverConfig, load_config
-from data_gen.explicit.bodies import falling_body, lay_out
-from data_gen.explicit.kernels import roll_out
-from data_gen.landing import refine_at_landing
-from data_gen.objects import ObjectMesh, random_object
-from data_gen.scene import Drop
-from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, refine, simulate
-from physconvex.fem.implicit_meshing import tetrahedralize_implicit
-from physconvex.fem.mesh import linear_part
+from data_gen import (
+    Drop,
+    ObjectMesh,
+    SolverConfig,
+    falling_body,
+    lay_out,
+    load_config,
+    random_object,
+    refine_at_landing,
+    roll_out,
+)
+from physconvex import ConvergenceError, InputError
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.mesh import TetMesh, linear_part, refine, tetrahedralize_implicit
 
 FALL_NODES = 1900
 STEP_E, STEP_NU = 0.05, 0.02  # central differences in log10 E and ν

@@ -25,7 +25,7 @@ from silicone_beam import AUTHORS, CELLS, HELD, OFFSETS_MS
 from docs.figures.fem_cases.beam_capture import SIGMA, beam_capture
 from docs.figures.fem_cases.beams import edge_load
 from docs.figures.fem_cases.measured import GRAVITY, LOAD
-from inference.refining.result import interval_of
+from inference import interval_of
 from physconvex.fem import HangingLoad, Scene
 from physconvex.identify import (
     Fit,

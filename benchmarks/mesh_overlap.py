@@ -21,12 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from data_gen.benchmark_scenes import Motion, placed, rolled, scene_of
-from data_gen.objects.library import ObjectMesh
-from data_gen.objects.user_meshes import load_user_mesh, objects_from_folder
-from physconvex.errors import ConvergenceError
-from physconvex.fem import Embedding, TetMesh, tetrahedralize
-from physconvex.fem.surface_distance import merged, overlap
+from data_gen import Motion, ObjectMesh, load_user_mesh, objects_from_folder, placed, rolled, scene_of
+from physconvex import ConvergenceError
+from physconvex.mesh import Embedding, TetMesh, merged, overlap, tetrahedralize
 
 RESULT = Path(__file__).parent / "results" / "mesh_overlap.json"
 NODES = (500, 1500)

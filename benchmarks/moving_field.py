@@ -29,22 +29,29 @@ from gaussians import Gaussians, quaternions_of, render_gaussians, rotation_matr
 from PIL import Image
 from scipy.ndimage import binary_erosion
 
-from data_gen.objects.library import ObjectMesh
-from data_gen.objects.user_meshes import load_user_mesh
-from data_gen.still_captures import FLAT, StillViews, rendered_frames, still_cameras, write_still_capture
-from data_gen.surface import Surface
-from inference.reconstruction import reconstruct
-from inference.reconstruction_views import capture_views
-from physconvex.camera import Camera
-from physconvex.capture import load_capture
-from physconvex.contact import Plane
+from data_gen import (
+    FLAT,
+    ObjectMesh,
+    StillViews,
+    Surface,
+    load_user_mesh,
+    rendered_frames,
+    still_cameras,
+    write_still_capture,
+)
+from inference import capture_views, reconstruct
 from physconvex.convex import BoundField, ConvexField, bind_to_tets, non_affinity, polar_rotation
-from physconvex.fem import ElasticBody, Embedding, Scene, TetMesh, simulate
-from physconvex.fem.embedding import locate
-from physconvex.fem.implicit_meshing import tetrahedralize_implicit
-from physconvex.fem.surface_distance import surface_distance
-from physconvex.reconstruction import ReconstructionConfig, load_reconstruction_config, psnr, structural_similarity
-from physconvex.reconstruction.triangles import welded
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.io import Camera, load_capture
+from physconvex.mesh import Embedding, TetMesh, locate, surface_distance, tetrahedralize_implicit
+from physconvex.reconstruction import (
+    ReconstructionConfig,
+    load_reconstruction_config,
+    psnr,
+    structural_similarity,
+    welded,
+)
 from physconvex.render import View, render
 
 RESULT = Path(__file__).parent / "results" / "moving_field.json"

@@ -33,21 +33,29 @@ import numpy as np
 import torch
 from torch.nn.modules.module import register_module_forward_hook, register_module_forward_pre_hook
 
-from inference import predict_batch
-from inference.loading import ClipSettings, load_clip
-from inference.pictures import ClipPictures, frame_strip
-from inference.preparing import ready_source, to_prediction
-from inference.results import ResultsFolder
-from inference.sources import ClipSource
-from inference.weight_maps import weight_maps
-from models import PhysicsPredictor
-from models.config import EncoderConfig, NetworkConfig
-from models.estimator import collate_clips
-from models.mirror import answer_both_ways
-from models.outline import OutlineNetwork
-from models.scaling import dimensionless_interval
-from models.segmenter import SilhouetteSegmenter
-from physconvex.errors import InputError
+from inference import (
+    ClipPictures,
+    ClipSettings,
+    ClipSource,
+    ResultsFolder,
+    frame_strip,
+    load_clip,
+    predict_batch,
+    ready_source,
+    to_prediction,
+    weight_maps,
+)
+from models import (
+    EncoderConfig,
+    NetworkConfig,
+    OutlineNetwork,
+    PhysicsPredictor,
+    SilhouetteSegmenter,
+    answer_both_ways,
+    collate_clips,
+    dimensionless_interval,
+)
+from physconvex import InputError
 
 CLIPS = Path(__file__).parents[1] / "examples" / "clips"
 RESULT = Path(__file__).parent / "results" / "predict_throughput.json"

@@ -24,11 +24,10 @@ from pathlib import Path
 
 import torch
 
-from physconvex.camera import look_at
 from physconvex.convex import ConvexField, FreeParameters, coefficients_of_colour
-from physconvex.devices import device_named
-from physconvex.render import View, render, render_jacobian
-from physconvex.render.rasterize import splat
+from physconvex.io import look_at
+from physconvex.numerics import device_named
+from physconvex.render import View, render, render_jacobian, splat
 
 RESULTS = Path(__file__).parent / "results"
 SIZE = 448

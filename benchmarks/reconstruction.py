@@ -28,12 +28,12 @@ import numpy as np
 import torch
 import trimesh
 
-from data_gen.objects.user_meshes import load_user_mesh
-from data_gen.still_captures import StillViews, write_still_capture
-from inference.reconstruction import Reconstruction, reconstruct
-from physconvex.capture import load_capture
-from physconvex.errors import InputError
-from physconvex.reconstruction import Coverage, load_reconstruction_config, measure_coverage
+from data_gen import StillViews, load_user_mesh, write_still_capture
+from inference import Reconstruction, reconstruct
+from physconvex import InputError
+from physconvex.io import load_capture
+from physconvex.reconstruction import load_reconstruction_config
+from train import Coverage, measure_coverage
 
 RESULTS = Path(__file__).parent / "results"
 VIEWS = (StillViews(12, (10, 35, -10), name="fit"), StillViews(4, (20, 0), phase=0.37, name="held"))

@@ -25,17 +25,16 @@ from typing import Any
 import numpy as np
 import torch
 
-from data_gen import Surface
-from data_gen.still_captures import FLAT, rendered_frames
+from data_gen import FLAT, Surface, rendered_frames
 from inference import predict
-from physconvex.camera import look_at
-from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import ElasticBody, Scene, TetMesh, box_mesh, tetrahedralize
-from physconvex.fem import simulate as simulate_full
-from physconvex.native import cache_folder
+from physconvex import ConvergenceError, InputError
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Scene, simulate as simulate_full
+from physconvex.io import look_at
+from physconvex.kernels import cache_folder
+from physconvex.mesh import TetMesh, box_mesh, tetrahedralize
 from physconvex.reduced import (
     BodySamples,
-    Plane,
     ReducedBody,
     ReducedScene,
     ReducedSpace,

@@ -19,11 +19,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from physconvex.fem import ElasticBody, Scene, TetMesh, box_mesh
-from physconvex.fem import simulate as simulate_full
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Scene, simulate as simulate_full
+from physconvex.mesh import TetMesh, box_mesh
 from physconvex.reduced import (
     BodySamples,
-    Plane,
     ReducedBody,
     ReducedScene,
     ReducedSpace,

@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from physconvex.fem import ElasticBody, Scene, box_mesh
-from physconvex.fem import Pins as FullPins
-from physconvex.fem import simulate as simulate_full
+from physconvex.fem import ElasticBody, Pins as FullPins, Scene, simulate as simulate_full
+from physconvex.mesh import box_mesh
 from physconvex.reduced import (
     BodySamples,
     Pins,

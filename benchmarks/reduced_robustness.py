@@ -23,20 +23,20 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from physconvex.errors import ConvergenceError
-from physconvex.fem import ElasticBody, TetMesh, box_mesh
-from physconvex.integrators import State
+from physconvex import ConvergenceError
+from physconvex.dynamics import Plane, State
+from physconvex.fem import ElasticBody
+from physconvex.mesh import TetMesh, box_mesh
 from physconvex.reduced import (
     BodySamples,
-    Plane,
     ReducedBody,
     ReducedScene,
     ReducedSpace,
     ReducedTrajectory,
+    StepEquations,
     eigenmode_weights,
     simulate,
 )
-from physconvex.reduced.equations import StepEquations
 
 RESULT = Path(__file__).parent / "results" / "reduced_robustness.json"
 FRAMES, FPS, STEPS = 241, 24.0, 8

@@ -19,10 +19,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from physconvex.fem import ElasticBody, TetMesh, box_mesh
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody
+from physconvex.mesh import TetMesh, box_mesh
 from physconvex.reduced import (
     BodySamples,
-    Plane,
     ReducedBody,
     ReducedScene,
     ReducedSpace,

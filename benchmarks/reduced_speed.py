@@ -21,25 +21,25 @@ from unittest.mock import patch
 import numpy as np
 import torch
 
-from physconvex.fem import ElasticBody, box_mesh
-from physconvex.integrators import State, implicit_euler
-from physconvex.native import KernelUnavailable
+from physconvex.dynamics import Plane, State, implicit_euler
+from physconvex.fem import ElasticBody
+from physconvex.kernels import KernelUnavailable
+from physconvex.mesh import box_mesh
 from physconvex.reduced import (
     BodySamples,
     Candidates,
     CandidateTrajectories,
-    Plane,
     ReducedBody,
     ReducedScene,
     ReducedSpace,
+    StepEquations,
+    compiled_body as kernel,
     eigenmode_weights,
-    kernel,
     optimised_cubature,
     simulate,
     simulate_candidates,
     simulate_with_sensitivities,
 )
-from physconvex.reduced.equations import StepEquations
 
 RESULT = Path(__file__).parent / "results" / "reduced_speed.json"
 

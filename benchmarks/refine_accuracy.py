@@ -26,20 +26,11 @@ import torch
 from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest
 
-from inference.refining import Refinement, RefineOptions, refine
-from physconvex.capture import Boundary, Capture, Floor, Tracks, load_capture, save_capture
-from physconvex.fem import (
-    ElasticBody,
-    Embedding,
-    Pins,
-    Plane,
-    Scene,
-    SurfacePoints,
-    TetMesh,
-    box_mesh,
-    simulate,
-    to_quadratic,
-)
+from inference import Refinement, RefineOptions, refine
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Pins, Scene, SurfacePoints, simulate
+from physconvex.io import Boundary, Capture, Floor, Tracks, load_capture, save_capture
+from physconvex.mesh import Embedding, TetMesh, box_mesh, to_quadratic
 
 RESULTS = Path(__file__).parent / "results"
 FPS, FRAMES, OBSERVED, MARKERS = 48.0, 16, 12, 20

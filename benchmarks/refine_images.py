@@ -24,12 +24,10 @@ import torch
 import trimesh
 from refine_accuracy import CELLS, COARSE, OPTIONS, RESULTS, Row, row_of, simulated, summary
 
-from data_gen.still_captures import FLAT, StillViews, rendered_frames, still_cameras
-from data_gen.surface import Surface
-from data_gen.textures import vertex_colors
-from inference.refining import refine
-from physconvex.capture import save_capture
-from physconvex.fem import Embedding
+from data_gen import FLAT, StillViews, Surface, rendered_frames, still_cameras, vertex_colors
+from inference import refine
+from physconvex.io import save_capture
+from physconvex.mesh import Embedding
 
 SIZE, NOISE, EDGE = 256, 2.0, 0.004  # [px], [of 255], [m] of the coloured triangles
 

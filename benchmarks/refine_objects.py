@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from data_gen.benchmark import BenchmarkOptions, drop_object
-from data_gen.objects.user_meshes import objects_from_folder
-from inference.refining import RefineOptions, refine
+from data_gen import BenchmarkOptions, drop_object, objects_from_folder
+from inference import RefineOptions, refine
 
 RESULT = Path(__file__).parent / "results" / "refine_objects.json"
 DAMPING = 1e-3

@@ -19,8 +19,9 @@ import numpy as np
 import torch
 from refine_accuracy import BLOCK, CELLS, FLOOR, FPS, OBSERVED, Throw, throw_of, turned
 
-from physconvex.fem import ElasticBody, Embedding, Plane, Scene, SurfacePoints, TetMesh, simulate, to_quadratic
-from physconvex.fem import refine as cut_in_eight
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Scene, SurfacePoints, simulate
+from physconvex.mesh import Embedding, TetMesh, refine as cut_in_eight, to_quadratic
 
 RESULT = Path(__file__).parent / "results" / "refine_roll_outs.json"
 SOLVERS: dict[str, dict[str, Any]] = {

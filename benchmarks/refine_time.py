@@ -25,9 +25,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does, befor
 
 import torch
 
-from inference.refining import Refinement, RefineOptions, refine
-from physconvex.devices import device_named
-from physconvex.identify.roll_outs import RollOut, RollOuts
+from inference import Refinement, RefineOptions, refine
+from physconvex.identify import RollOut, RollOuts
+from physconvex.numerics import device_named
 
 RESULT = Path(__file__).parent / "results" / "refine_time.json"
 TRUTHS = {"school_bus": {"log10_youngs_modulus": 5.3, "poisson_ratio": 0.4, "damping_time": 1e-3}}

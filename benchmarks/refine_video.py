@@ -21,9 +21,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from data_gen.captures import RingOptions, capture_folder, generate_captures
-from data_gen.config import load_config
-from inference.refining import Refinement, RefineOptions, refine
+from data_gen import RingOptions, capture_folder, generate_captures, load_config
+from inference import Refinement, RefineOptions, refine
 
 RESULT = Path(__file__).parent / "results" / "refine_video.json"
 MODULUS, RATIO = (4.3, 5.7), (0.2, 0.45)

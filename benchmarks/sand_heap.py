@@ -18,17 +18,11 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from physconvex.fem import ElasticBody, tetrahedralize
-from physconvex.reduced import (
-    BodySamples,
-    Plane,
-    ReducedBody,
-    ReducedScene,
-    ReducedSpace,
-    Sand,
-    eigenmode_weights,
-    simulate,
-)
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody
+from physconvex.materials import Sand
+from physconvex.mesh import tetrahedralize
+from physconvex.reduced import BodySamples, ReducedBody, ReducedScene, ReducedSpace, eigenmode_weights, simulate
 
 RESULT = Path(__file__).parent / "results" / "sand_heap.json"
 RADIUS, ANGLE, FPS = 0.1, 30.0, 24.0

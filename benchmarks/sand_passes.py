@@ -17,17 +17,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from physconvex.fem import ElasticBody, box_mesh
-from physconvex.reduced import (
-    BodySamples,
-    Plane,
-    ReducedBody,
-    ReducedScene,
-    ReducedSpace,
-    Sand,
-    eigenmode_weights,
-    simulate,
-)
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody
+from physconvex.materials import Sand
+from physconvex.mesh import box_mesh
+from physconvex.reduced import BodySamples, ReducedBody, ReducedScene, ReducedSpace, eigenmode_weights, simulate
 
 RESULT = Path(__file__).parent / "results" / "sand_passes.json"
 

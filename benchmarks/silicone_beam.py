@@ -30,7 +30,7 @@ from docs.figures.fem_cases.measured import (
     recording,
     static_state,
 )
-from inference.refining import RefineOptions, refine, write_refinement
+from inference import RefineOptions, refine, write_refinement
 from physconvex.fem import ElasticBody
 
 RESULT = Path(__file__).parent / "results" / "silicone_beam.json"

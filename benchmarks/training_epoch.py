@@ -21,8 +21,7 @@ from pathlib import Path
 
 import torch
 
-from train.config import load_train_config
-from train.loop import train_predictor
+from train import load_train_config, train_predictor
 
 RESULT = Path(__file__).parent / "results" / "training_epoch.json"
 

@@ -25,10 +25,10 @@ from typing import Any
 
 import numpy as np
 
-from physconvex.capture import load_capture
-from physconvex.fem import SurfacePoints, TetMesh, filled, tetrahedralize
-from physconvex.fem.surface_distance import overlap
+from physconvex.fem import SurfacePoints
 from physconvex.identify import FullModel, Twin, TwinOptions, base_twin
+from physconvex.io import load_capture
+from physconvex.mesh import TetMesh, filled, overlap, tetrahedralize
 from physconvex.reduced import parameter_values
 
 RESULTS = Path(__file__).parent / "results"

@@ -34,21 +34,16 @@ from data_gen.benchmark_scenes import (
     rolled,
     scene_of,
 )
+from data_gen.changed_conditions import changed, changes_of
 from data_gen.objects.library import ObjectMesh
 from data_gen.objects.user_meshes import load_user_mesh, objects_from_folder
 from data_gen.still_captures import FLAT, StillViews, rendered_frames, still_cameras, write_still_capture
 from data_gen.surface import Surface
-from physconvex import __version__
-from physconvex.camera import Camera
-from physconvex.capture import Capture, Floor, save_capture
-from physconvex.errors import InputError
-from physconvex.fem import Embedding, Scene, TetMesh, filled
-from physconvex.fem.mesh_volume import enclosed_volume
-from physconvex.fem.meshing import tetrahedralize
-from physconvex.fem.surface_distance import overlap
-from physconvex.identify.changes import changed, changes_of
+from physconvex import InputError, __version__
+from physconvex.fem import Scene
+from physconvex.io import Camera, Capture, Floor, save_capture, write_video
+from physconvex.mesh import Embedding, TetMesh, enclosed_volume, filled, overlap, tetrahedralize
 from physconvex.reconstruction import psnr, structural_similarity
-from physconvex.video import write_video
 
 __all__ = ["BenchmarkOptions", "drop_object", "generate_benchmark"]
 

@@ -10,8 +10,10 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from data_gen.objects.library import ObjectMesh
-from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, Plane, Scene, SurfacePoints, TetMesh, simulate
+from physconvex import InputError
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Scene, SurfacePoints, simulate
+from physconvex.mesh import TetMesh
 
 __all__ = ["DENSITY", "FRICTION", "MOTIONS", "Motion", "MotionName", "motion_of", "placed", "rolled", "scene_of"]
 

@@ -30,11 +30,9 @@ from data_gen.generate import (
     simulate_with_replacements,
 )
 from data_gen.scene import LOOK, Drop, Look, draw_look, stream, surface_of
-from physconvex import __version__
-from physconvex.capture import Capture, Floor, Tracks, save_capture
-from physconvex.errors import InputError
-from physconvex.fem import TetMesh
-from physconvex.fem.mesh import compact
+from physconvex import InputError, __version__
+from physconvex.io import Capture, Floor, Tracks, save_capture
+from physconvex.mesh import TetMesh, compact
 
 __all__ = ["CaptureTask", "RingOptions", "capture_folder", "generate_captures", "make_capture", "ring_of_looks"]
 

@@ -13,8 +13,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from physconvex.configuration import read_tree, set_value, validated
-from physconvex.fem.simulation import ContactSolver
+from physconvex.fem import ContactSolver
+from physconvex.io import read_tree, set_value, validated
 
 __all__ = [
     "AppearanceConfig",

@@ -22,9 +22,8 @@ import pyarrow.parquet as pq
 from jaxtyping import Bool, UInt8
 
 from data_gen.simulate import Samples
-from physconvex.camera import Camera
-from physconvex.errors import InputError
-from physconvex.video import read_video
+from physconvex import InputError
+from physconvex.io import Camera, read_video
 
 __all__ = [
     "FORMAT_VERSION",

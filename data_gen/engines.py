@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any, Literal, TypeVar
 
-from physconvex.errors import InputError
-from physconvex.processes import ONE_THREAD, end_with_parent, one_thread_each
+from physconvex import InputError
+from physconvex.io import ONE_THREAD, end_with_parent, one_thread_each
 
 __all__ = ["EngineName", "run_tasks"]
 

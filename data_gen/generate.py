@@ -14,23 +14,15 @@ from typing import Any
 import numpy as np
 
 from data_gen.config import GeneratorConfig
-from data_gen.dataset import (
-    RenderedView,
-    finish_dataset,
-    is_settled,
-    write_claim,
-    write_given_up,
-    write_simulation,
-)
+from data_gen.dataset import RenderedView, finish_dataset, is_settled, write_claim, write_given_up, write_simulation
 from data_gen.degrade import Degradation, draw_degradation, expose, shake, sub_positions
 from data_gen.engines import EngineName, run_tasks
 from data_gen.render import Renderer
 from data_gen.scene import LOOK, Drop, Look, draw_drop, draw_look, split_of, stream, surface_of
 from data_gen.simulate import SimulatedDrop, simulate_drop
-from physconvex import __version__
-from physconvex.errors import ConvergenceError, InputError
-from physconvex.threads import one_torch_thread
-from physconvex.video import write_video
+from physconvex import ConvergenceError, InputError, __version__
+from physconvex.io import write_video
+from physconvex.numerics import one_torch_thread
 
 __all__ = [
     "Attempts",

@@ -9,8 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from physconvex.fem import TetMesh
-from physconvex.fem.local_refinement import refine_locally
+from physconvex.mesh import TetMesh, refine_locally
 
 __all__ = ["landing_heights", "mass_properties", "refine_at_landing", "turning"]
 

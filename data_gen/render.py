@@ -24,8 +24,8 @@ from data_gen.vtk_passes import (
     plate_pass,
     shadow_pass,
 )
-from physconvex.camera import Camera
-from physconvex.errors import InputError
+from physconvex import InputError
+from physconvex.io import Camera
 
 __all__ = ["Backdrop", "Lighting", "RenderError", "Renderer"]
 

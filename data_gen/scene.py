@@ -11,10 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from data_gen.config import CameraConfig, GeneratorConfig, MotionConfig
 from data_gen.lighting import Backdrop, Lighting
-from data_gen.objects import ObjectMesh, load_user_mesh, objects_from_folder, random_object
+from data_gen.objects.library import ObjectMesh, random_object
+from data_gen.objects.user_meshes import load_user_mesh, objects_from_folder
 from data_gen.surface import Surface
 from data_gen.textures import background_texture, floor_texture, vertex_colors
-from physconvex.camera import Camera, look_at
+from physconvex.io import Camera, look_at
 
 __all__ = ["Drop", "Look", "draw_drop", "draw_look", "draw_object", "split_of"]
 

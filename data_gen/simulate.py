@@ -11,21 +11,10 @@ from jaxtyping import Float
 from data_gen.config import GeneratorConfig, SolverConfig
 from data_gen.landing import refine_at_landing
 from data_gen.scene import Drop
-from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import (
-    ElasticBody,
-    Plane,
-    Scene,
-    SolveStatistics,
-    SurfacePoints,
-    TetMesh,
-    Trajectory,
-    simulate,
-    skinning_eigenmodes,
-)
-from physconvex.fem.embedding import Embedding, sample_interior
-from physconvex.fem.implicit_meshing import tetrahedralize_implicit
-from physconvex.fem.meshing import tetrahedralize
+from physconvex import ConvergenceError, InputError
+from physconvex.dynamics import Plane, SolveStatistics
+from physconvex.fem import ElasticBody, Scene, SurfacePoints, Trajectory, simulate, skinning_eigenmodes
+from physconvex.mesh import Embedding, TetMesh, sample_interior, tetrahedralize, tetrahedralize_implicit
 
 __all__ = ["Samples", "SimulatedDrop", "make_mesh", "simulate_drop"]
 

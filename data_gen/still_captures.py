@@ -18,8 +18,8 @@ from data_gen.lighting import Backdrop, Lighting
 from data_gen.objects.library import ObjectMesh
 from data_gen.render import Renderer
 from data_gen.surface import Surface
-from physconvex.camera import Camera, look_at
-from physconvex.errors import InputError
+from physconvex import InputError
+from physconvex.io import Camera, look_at
 
 __all__ = ["FLAT", "KEYED", "StillViews", "rendered_frames", "still_cameras", "write_still_capture"]
 

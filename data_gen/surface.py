@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int, UInt8
 
-from physconvex.errors import InputError
+from physconvex import InputError
 
 __all__ = ["CornerNormals", "Surface", "corner_normals"]
 

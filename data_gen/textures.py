@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 
-from physconvex.errors import InputError
+from physconvex import InputError
 
 __all__ = ["PATTERNS", "background_texture", "floor_texture", "palette", "vertex_colors"]
 

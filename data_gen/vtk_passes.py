@@ -16,8 +16,8 @@ from jaxtyping import Float
 
 from data_gen.lighting import Backdrop, Lighting
 from data_gen.surface import Surface
-from physconvex.camera import Camera
-from physconvex.errors import PhysconvexError
+from physconvex import PhysconvexError
+from physconvex.io import Camera
 
 __all__ = [
     "RenderError",

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data_gen.benchmark import BenchmarkOptions, drop_object
+from data_gen import BenchmarkOptions, drop_object
 from docs.figures.fem_cases.beam_capture import beam_capture
 
 RECORDINGS = ("gravity", "load101")

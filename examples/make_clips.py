@@ -17,14 +17,19 @@ import numpy as np
 import torch
 from PIL import Image
 
-from data_gen.config import GeneratorConfig, load_config
-from data_gen.degrade import draw_degradation
-from data_gen.generate import prepare_surface, render_view
-from data_gen.lighting import Backdrop
-from data_gen.scene import draw_drop, draw_look
-from data_gen.simulate import simulate_drop
-from data_gen.textures import floor_texture
-from physconvex.video import write_video
+from data_gen import (
+    Backdrop,
+    GeneratorConfig,
+    draw_degradation,
+    draw_drop,
+    draw_look,
+    floor_texture,
+    load_config,
+    prepare_surface,
+    render_view,
+    simulate_drop,
+)
+from physconvex.io import write_video
 
 SIZE = 1.0  # largest edge of the rest bounding box [m]
 SHEET_FRAMES = (0, 4, 8, 10, 12, 14, 18, 23)

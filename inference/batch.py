@@ -11,9 +11,9 @@ from dataclasses import asdict
 from inference.decoding import failure_from
 from inference.gallery import write_gallery
 from inference.loading import ClipSettings
-from inference.naming import assign_names
 from inference.predictor import load_predictor
-from inference.preparing import Predictor
+from inference.preparation import Predictor
+from inference.result_names import assign_names
 from inference.results import ResultsFolder
 from inference.run_record import checkpoint_digest, finish_run, start_run
 from inference.sources import ClipSource, Found, displayed_path, find_sources, fingerprint

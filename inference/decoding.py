@@ -8,9 +8,9 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from inference.preparing import ReadyClip
+from inference.preparation import ReadyClip
 from inference.sources import ClipSource, displayed_path
-from physconvex.errors import InputError
+from physconvex import InputError
 
 __all__ = ["BackgroundReader", "Failure", "Reader", "failure_from"]
 

@@ -11,11 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
 from inference.sources import ClipSource, displayed_path
-from physconvex.capture import Capture, load_capture
-from physconvex.capture.fields import read_json_object
-from physconvex.capture.folder import CAPTURE_FILE
-from physconvex.errors import InputError
-from physconvex.video import Video, read_image_sequence, read_video
+from physconvex import InputError
+from physconvex.io import CAPTURE_FILE, Capture, Video, load_capture, read_image_sequence, read_json_object, read_video
 
 __all__ = [
     "DEFAULT_DENSITY",

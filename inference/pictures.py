@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from inference.loading import LoadedClip
-from models.clip import PreparedClip
+from models import PreparedClip
 
 __all__ = ["ClipPictures", "frame_strip", "shown_source_frames"]
 

@@ -9,9 +9,9 @@ from typing import Any, cast
 
 from inference.loading import ClipSettings, LoadedClip, load_array, load_clip
 from inference.prediction import Prediction
-from inference.preparing import Predictor, ready_clip, to_prediction
+from inference.preparation import Predictor, ready_clip, to_prediction
 from inference.sources import ClipSource, SourceProblem, displayed_path, source_at
-from physconvex.errors import InputError
+from physconvex import InputError
 
 __all__ = ["load_predictor", "predict"]
 
@@ -68,7 +68,7 @@ def load_predictor(checkpoint: str = "default", device: str = "cpu") -> Predicto
     Raises:
         InputError: there is no such checkpoint or device.
     """
-    from models.estimator import PhysicsPredictor
+    from models import PhysicsPredictor
 
     return cast(Predictor, PhysicsPredictor.from_pretrained(checkpoint, device=device))
 

@@ -19,10 +19,10 @@ import trimesh
 import physconvex
 from inference.reconstruction_pictures import write_comparison
 from inference.reconstruction_views import CaptureViews, capture_views
-from physconvex.capture import load_capture
+from physconvex import InputError
 from physconvex.convex import ConvexField, read_ply, write_glb, write_ply
-from physconvex.devices import device_named
-from physconvex.errors import InputError
+from physconvex.io import load_capture, write_video
+from physconvex.numerics import device_named
 from physconvex.reconstruction import (
     FitState,
     Progress,
@@ -32,13 +32,13 @@ from physconvex.reconstruction import (
     body_surface,
     fill_gaps,
     fit,
+    load_state,
+    save_state,
     score,
     start_field,
     start_kind,
 )
-from physconvex.reconstruction.state import load_state, save_state
-from physconvex.render.movies import film, orbit
-from physconvex.video import write_video
+from physconvex.render import film, orbit
 
 __all__ = ["Reconstruction", "reconstruct"]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from physconvex.capture import Capture
-from physconvex.errors import InputError
+from physconvex import InputError
+from physconvex.io import Capture
 from physconvex.reconstruction import Observation, observe
 
 __all__ = ["CaptureViews", "capture_views"]
@@ -62,7 +62,7 @@ def _observation(capture: Capture, name: str) -> tuple[Observation, str]:
         return observe(camera, frame, mask[0], fractional=False), "mask"
     if video.alpha is not None:
         return observe(camera, frame, video.alpha[0], fractional=True), "alpha"
-    from models.background import plain_background_masks
+    from models import plain_background_masks
 
     masks = plain_background_masks(frame[None])
     if masks is None or not np.any(masks):

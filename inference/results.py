@@ -26,7 +26,7 @@ from inference.pictures import ClipPictures
 from inference.prediction import Prediction
 from inference.sources import ClipSource, SourceProblem, displayed_path
 from inference.table import ResultRow, row_of_error, row_of_prediction, write_csv, write_parquet
-from physconvex.errors import InputError
+from physconvex import InputError
 
 __all__ = ["JournalEntry", "ResultsFolder"]
 

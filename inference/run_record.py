@@ -16,7 +16,7 @@ from typing import Any
 import torch
 
 import physconvex
-from inference.preparing import Predictor
+from inference.preparation import Predictor
 
 __all__ = ["checkpoint_digest", "finish_run", "start_run"]
 

@@ -12,12 +12,12 @@ from inference.loading import ClipSettings
 from inference.pictures import ClipPictures
 from inference.prediction import Prediction
 from inference.predictor import load_predictor
-from inference.preparing import Predictor, ReadyClip, ready_source, to_prediction
+from inference.preparation import Predictor, ReadyClip, ready_source, to_prediction
 from inference.read_ahead import read_ahead
 from inference.sources import ClipSource, Found, SourceProblem, displayed_path, find_sources
-from inference.weight_maps import weight_maps
+from inference.weight_pictures import weight_maps
 from inference.worker import WorkerReader
-from physconvex.errors import InputError
+from physconvex import InputError
 
 __all__ = ["BatchOptions", "ClipResult", "Paths", "as_list", "iter_predictions", "stream"]
 

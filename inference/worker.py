@@ -19,10 +19,10 @@ import cv2
 
 from inference.decoding import Failure, failure_from
 from inference.loading import ClipSettings
-from inference.preparing import ReadyClip, ready_source
+from inference.preparation import ReadyClip, ready_source
 from inference.sources import ClipSource
-from models.clip import ClipConfig, prepare_clip
-from physconvex.errors import PhysconvexError
+from models import ClipConfig, prepare_clip
+from physconvex import PhysconvexError
 
 __all__ = ["ReaderCrashError", "WorkerReader", "serve"]
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from models.config import BinConfig
 from models.heads import BinnedDensity
-from physconvex.errors import InputError
+from physconvex import InputError
 
 __all__ = ["COVERAGE", "Calibration", "DensityCalibration", "fit_density_calibration"]
 

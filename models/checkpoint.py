@@ -15,8 +15,8 @@ from models.calibration import Calibration
 from models.clip import ClipConfig
 from models.config import NetworkConfig
 from models.network import PhysicsNetwork
-from physconvex.devices import device_named
-from physconvex.errors import InputError
+from physconvex import InputError
+from physconvex.numerics import device_named
 
 __all__ = [
     "BUNDLED",

@@ -11,7 +11,7 @@ from models.shrinking import halvings, shrink
 from models.silhouette import MOMENT_NAMES, silhouette_moments
 from models.timing import motion_start, resample
 from models.windows import GREY, object_windows
-from physconvex.errors import InputError
+from physconvex import InputError
 
 __all__ = [
     "MOMENT_NAMES",

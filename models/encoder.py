@@ -13,7 +13,7 @@ from transformers import VideoMAEConfig, VideoMAEModel
 from transformers.models.videomae.modeling_videomae import get_sinusoid_encoding_table
 
 from models.config import EncoderConfig
-from physconvex.errors import InputError
+from physconvex import InputError
 
 __all__ = ["VideoEncoder", "load_pretrained_encoder", "normalised", "position_table", "token_coverage"]
 

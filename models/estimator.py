@@ -19,7 +19,7 @@ from models.mirror import answer_both_ways
 from models.network import ClipBatch, PhysicsNetwork
 from models.scaling import dimensionless_interval, log10_youngs_modulus
 from models.skinning import SkinningField
-from physconvex.errors import InputError
+from physconvex import InputError
 
 __all__ = ["Estimate", "PhysicsPredictor", "collate_clips"]
 

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from safetensors.torch import load_file, save
 from torch import nn
 
-from physconvex.errors import InputError
+from physconvex import InputError
 
 __all__ = ["FinderConfig", "load_finder_network", "save_finder_network"]
 

@@ -11,8 +11,8 @@ from models.activity import moving_window
 from models.background import plain_background_masks
 from models.shapes import link_masks
 from models.shrinking import shrink
-from models.stabilise import stabilise
-from physconvex.errors import InputError
+from models.stabilisation import stabilise
+from physconvex import InputError
 
 __all__ = ["Foreground", "ForegroundSource", "locate_foreground"]
 

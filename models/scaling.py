@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Float64
 
-from physconvex.errors import InputError
+from physconvex import InputError
 
 __all__ = [
     "GRAVITY",

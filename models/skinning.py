@@ -16,7 +16,7 @@ from safetensors.numpy import save
 from torch import Tensor, nn
 
 from models.config import SkinningConfig
-from physconvex.errors import InputError
+from physconvex import InputError
 
 __all__ = ["SkinningField", "SkinningHead", "fourier_features"]
 

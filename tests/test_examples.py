@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from examples import make_captures
-from physconvex.capture import load_capture
+from physconvex.io import load_capture
 
 FOLDERS = [f"silicone_beam_{name}" for name in make_captures.RECORDINGS]
 

@@ -9,8 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 import physconvex
-from physconvex import cli
-from physconvex.errors import ConvergenceError, InputError
+from physconvex import ConvergenceError, InputError, cli
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -55,6 +55,10 @@ def test_typecheck_takes_whole_numbers_and_refuses_wrong_shapes(tmp_path: Path) 
         "Scene(ElasticBody(box_mesh((1, 1, 1), (1, 1, 1))))",
     ]
     assert typechecked(tmp_path, *fine).returncode == 0
-    wrong = ["import numpy", "from physconvex.fem.elements import shape_values", "shape_values(numpy.zeros((3, 5)), 1)"]
+    wrong = [
+        "import numpy",
+        "from physconvex.mesh.elements import shape_values",
+        "shape_values(numpy.zeros((3, 5)), 1)",
+    ]
     refused = typechecked(tmp_path, *wrong)
     assert refused.returncode == 1 and "TypeCheckError" in refused.stdout

@@ -1,16 +1,5 @@
 """Training and evaluation of the predictor on data sets of `data_gen`."""
 
-from importlib import import_module
-from typing import Any
+import lazy_loader
 
-_LAZY = {"TrainConfig": "train.config", "load_train_config": "train.config", "train_predictor": "train.loop"}
-
-__all__ = ["TrainConfig", "load_train_config", "train_predictor"]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _LAZY:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(_LAZY[name]), name)
-    globals()[name] = value
-    return value
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -10,9 +10,7 @@ import torch
 from jaxtyping import Bool, Float32, Int64, UInt8
 from torchvision.transforms.v2 import functional as transforms
 
-from models.mirror import mirrored_moments
-from models.silhouette import MOMENT_NAMES
-from models.windows import GREY
+from models import GREY, MOMENT_NAMES, mirrored_moments
 from train.config import AugmentConfig
 from train.states import flipped_states, referred_states
 

@@ -16,10 +16,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
-from models.checkpoint import ClipSettings
-from models.clip import PreparedClip, prepare_clip
-from models.silhouette import MOMENT_NAMES
-from physconvex.processes import end_with_parent
+from models import MOMENT_NAMES, ClipSettings, PreparedClip, prepare_clip
+from physconvex.io import end_with_parent
 from train.records import LabelledClip, dataset_checksum
 
 __all__ = ["PreparedClips", "prepare_clips"]

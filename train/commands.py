@@ -35,7 +35,7 @@ def train(
     """
     import torch
 
-    from physconvex.errors import InputError
+    from physconvex import InputError
     from train.config import load_train_config
     from train.loop import train_predictor
 

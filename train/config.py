@@ -7,9 +7,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from models.checkpoint import ClipSettings
-from models.config import NetworkConfig
-from physconvex.configuration import read_tree, validated
+from models import ClipSettings, NetworkConfig
+from physconvex.io import read_tree, validated
 
 __all__ = ["AugmentConfig", "LossConfig", "TrainConfig", "load_train_config"]
 

@@ -10,8 +10,7 @@ import torch
 from jaxtyping import Float32
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from models.network import ClipBatch
-from models.scaling import dimensionless_interval, log10_dimensionless_stiffness
+from models import ClipBatch, dimensionless_interval, log10_dimensionless_stiffness
 from train.augment import Sample, augment
 from train.cache import PreparedClips
 from train.config import AugmentConfig

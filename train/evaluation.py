@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 from tqdm import tqdm
 
-from physconvex.gap.blind.command import app as gap_app
+from train.blind.command import app as gap_app
+from train.paper.command import paper
 
 __all__ = ["app"]
 
 app = typer.Typer(no_args_is_help=True, help=__doc__)
 app.add_typer(gap_app, name="gap")
-for _point in entry_points(group="physconvex.evaluations"):  # of packages that this one may not import
-    app.command(_point.name)(_point.load())
+app.command()(paper)
 
 Data = Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")]
 Out = Annotated[Path, typer.Option(help="Folder of the results (JSON and figure).")]

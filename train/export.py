@@ -8,10 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from models.calibration import Calibration
-from models.checkpoint import ClipSettings, PredictorConfig, TrainingRange, find_checkpoint
-from models.estimator import PhysicsPredictor
-from models.network import PhysicsNetwork
+from models import (
+    Calibration,
+    ClipSettings,
+    PhysicsNetwork,
+    PhysicsPredictor,
+    PredictorConfig,
+    TrainingRange,
+    find_checkpoint,
+)
 from train.data import TrainingClips
 from train.metrics import DensityMetrics
 from train.records import dataset_checksum

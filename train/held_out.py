@@ -9,8 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from models.clip import PreparedClip
-from models.estimator import Estimate, PhysicsPredictor
+from models import Estimate, PhysicsPredictor, PreparedClip
 from train.cache import PreparedClips, prepare_clips
 from train.records import LabelledClip, Split, read_clips
 

@@ -18,10 +18,8 @@ from accelerate.utils import DistributedDataParallelKwargs, broadcast
 from timm.optim import create_optimizer_v2
 from timm.utils import ModelEmaV3
 
-from models.checkpoint import load_checkpoint
-from models.encoder import load_pretrained_encoder
-from models.network import PhysicsNetwork
-from physconvex.errors import InputError
+from models import PhysicsNetwork, load_checkpoint, load_pretrained_encoder
+from physconvex import InputError
 from train.config import TrainConfig
 from train.data import TrainingBatch, batches
 from train.export import export_best

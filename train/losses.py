@@ -8,12 +8,16 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from models.config import BinConfig, NetworkConfig
-from models.heads import BinnedDensity
-from models.kinematics import differences
-from models.motion import STATE_SCALE
-from models.network import NetworkOutput
-from models.skinning_energy import captured_energy_loss, span_loss
+from models import (
+    STATE_SCALE,
+    BinConfig,
+    BinnedDensity,
+    NetworkConfig,
+    NetworkOutput,
+    captured_energy_loss,
+    differences,
+    span_loss,
+)
 from train.config import LossConfig
 
 __all__ = [

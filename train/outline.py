@@ -13,8 +13,7 @@ from torch import Tensor
 from torch.nn import functional
 
 import physconvex
-from models.finder_checkpoint import save_finder_network
-from models.outline import OutlineConfig, OutlineNetwork, load_outline, outline_input, refined_coverage
+from models import OutlineConfig, OutlineNetwork, load_outline, outline_input, refined_coverage, save_finder_network
 from train.finder_loop import Report, overlap_of_frames, train_finder_network
 from train.outline_data import RoughClip, degraded, read_rough_clips, rearranged
 from train.records import Split, dataset_checksum, read_clips

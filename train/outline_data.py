@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from models.segmenter import object_coverage
+from models import object_coverage
 from train.records import LabelledClip
 from train.segmentation_data import (
     MaskedClip,

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Int64
 
-from physconvex.errors import InputError
+from physconvex import InputError
 from train.config import TrainConfig
 
 __all__ = ["Plan", "Step"]

@@ -13,9 +13,8 @@ import numpy as np
 from jaxtyping import Float64
 
 import physconvex
-from models.clip import PreparedClip, freeze_time, shuffle_time
-from models.estimator import Estimate, PhysicsPredictor
-from physconvex.errors import InputError
+from models import Estimate, PhysicsPredictor, PreparedClip, freeze_time, shuffle_time
+from physconvex import InputError
 from train.held_out import HeldOut, Report, Shown, estimates_of, held_out
 from train.metrics import DensityMetrics, density_metrics
 from train.records import LabelledClip, dataset_checksum, read_clips

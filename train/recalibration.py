@@ -8,11 +8,15 @@ from pathlib import Path
 
 import torch
 
-from models.calibration import Calibration, DensityCalibration, fit_density_calibration
-from models.checkpoint import find_checkpoint
-from models.config import BinConfig
-from models.estimator import PhysicsPredictor
-from physconvex.errors import InputError
+from models import (
+    BinConfig,
+    Calibration,
+    DensityCalibration,
+    PhysicsPredictor,
+    find_checkpoint,
+    fit_density_calibration,
+)
+from physconvex import InputError
 from train.data import TrainingClips
 from train.held_out import Report, held_out
 from train.metrics import DensityMetrics

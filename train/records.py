@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Float32
 
-from data_gen.dataset import ClipRecord, Dataset
-from physconvex.errors import InputError
+from data_gen import ClipRecord, Dataset
+from physconvex import InputError
 from train.states import states_of_motion
 
 __all__ = ["ClipSamples", "LabelledClip", "Split", "camera_aligned_axes", "dataset_checksum", "read_clips"]

@@ -13,8 +13,7 @@ from torch import Tensor
 from torch.nn import functional
 
 import physconvex
-from models.finder_checkpoint import save_finder_network
-from models.segmenter import (
+from models import (
     SegmenterConfig,
     SilhouetteSegmenter,
     block_pixels,
@@ -22,6 +21,7 @@ from models.segmenter import (
     load_segmenter,
     object_coverage,
     pad_pictures,
+    save_finder_network,
 )
 from train.finder_loop import Report, overlap_of_frames, train_finder_network
 from train.records import Split, dataset_checksum, read_clips

@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Int64, UInt8
 
-from models.activity import moving_window
-from models.stabilise import stabilise
+from models import moving_window, stabilise
 from train.records import LabelledClip
 
 __all__ = [

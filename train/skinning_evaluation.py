@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Float64
 
 import physconvex
-from models.estimator import PhysicsPredictor
-from models.skinning_energy import captured_energy, random_basis
+from models import PhysicsPredictor, captured_energy, random_basis
 from train.held_out import Report, Shown, estimates_of, held_out
 from train.records import ClipSamples, dataset_checksum
 

@@ -16,7 +16,7 @@ from safetensors import safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from physconvex.errors import InputError
+from physconvex import InputError
 
 __all__ = ["Progress", "load_state", "read_progress", "refuse_other_run", "save_state"]
 

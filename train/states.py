@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
-from models.motion import STATE_NAMES
+from models import STATE_NAMES
 
 __all__ = ["MIRROR", "flipped_states", "referred_states", "states_of_motion"]
 

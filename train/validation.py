@@ -9,12 +9,17 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from models.calibration import Calibration, DensityCalibration, fit_density_calibration
-from models.config import BinConfig
-from models.mirror import answer_both_ways
-from models.motion import STATE_SCALE
-from models.network import PhysicsNetwork
-from models.skinning_energy import captured_energy_loss, span_loss
+from models import (
+    STATE_SCALE,
+    BinConfig,
+    Calibration,
+    DensityCalibration,
+    PhysicsNetwork,
+    answer_both_ways,
+    captured_energy_loss,
+    fit_density_calibration,
+    span_loss,
+)
 from train.data import Item, TrainingClips, collate
 from train.metrics import DensityMetrics, density_metrics
 

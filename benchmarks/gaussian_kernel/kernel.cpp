@@ -2,7 +2,7 @@
 //
 //   α = min(opacity exp(-½ dᵀ Q d), 0.99), zero below 1/255;  w = α T;  features += w f;  T -= w  (T: from 1),
 // over the Gaussians from the nearest to the farthest, d the distance of a pixel's centre from the projected centre
-// [pixels], Q = (a, b; b, c) the inverse of the projected covariance. Tiles and rows as in physconvex/render/cpu.
+// [pixels], Q = (a, b; b, c) the inverse of the projected covariance. Tiles and rows as in physconvex/kernels/sources/render.
 
 #include "arithmetic.h"
 

@@ -15,11 +15,10 @@ from scipy.spatial.transform import Rotation
 from data_gen.explicit.chebyshev import reach, stages_for, step_coefficients
 from data_gen.landing import mass_properties, turning
 from data_gen.scene import Drop
-from physconvex.fem import ElasticBody, TetMesh
-from physconvex.fem.mesh import linear_part, to_quadratic
-from physconvex.fem.scene import contact_defaults
+from physconvex.fem import ElasticBody, contact_defaults
+from physconvex.io import Workers
 from physconvex.materials import lame_parameters
-from physconvex.workers import Workers
+from physconvex.mesh import TetMesh, linear_part, to_quadratic
 
 __all__ = ["FPS", "GRAVITY", "LARGEST", "FallingBody", "Layout", "falling_body", "lay_out"]
 

@@ -15,10 +15,9 @@ from data_gen.engines import EngineName, run_tasks
 from data_gen.explicit.bodies import FPS, GRAVITY, LARGEST, FallingBody, falling_body
 from data_gen.explicit.store import load_bodies, save_bodies
 from data_gen.scene import draw_drop, draw_object
-from physconvex import __version__
-from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem.implicit_meshing import tetrahedralize_implicit
-from physconvex.threads import one_torch_thread
+from physconvex import ConvergenceError, InputError, __version__
+from physconvex.mesh import tetrahedralize_implicit
+from physconvex.numerics import one_torch_thread
 
 __all__ = ["draw_falls", "generate_falls", "read_falls"]
 

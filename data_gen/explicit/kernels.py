@@ -12,8 +12,7 @@ from jaxtyping import Float32, Int32
 from torch import Tensor
 
 from data_gen.explicit.bodies import Layout
-from physconvex.cuda_kernels import launch
-from physconvex.native import POINTER, loaded
+from physconvex.kernels import POINTER, launch, loaded
 
 __all__ = ["LOOK", "VIEW", "draw", "roll_out"]
 

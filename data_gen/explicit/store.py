@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from data_gen.explicit.bodies import FallingBody
-from physconvex.errors import ConvergenceError
+from physconvex import ConvergenceError
 
 __all__ = ["load_bodies", "save_bodies"]
 

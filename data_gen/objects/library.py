@@ -13,7 +13,7 @@ from data_gen.objects.implicit import Field, sampled, surface
 from data_gen.objects.limbs import caterpillar, humanoid, octopus, quadruped, starfish
 from data_gen.objects.profiles import extruded, letter, revolved, ring
 from data_gen.objects.solids import blob, boolean, superquadric, supertoroid
-from physconvex.errors import ConvergenceError, InputError
+from physconvex import ConvergenceError, InputError
 
 __all__ = ["FAMILIES", "ObjectMesh", "random_object"]
 

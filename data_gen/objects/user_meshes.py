@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from data_gen.objects.library import ObjectMesh
-from physconvex.errors import InputError
+from physconvex import InputError
 
 __all__ = ["load_user_mesh", "objects_from_folder"]
 

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 import trimesh
 
-from physconvex.camera import look_at
 from physconvex.convex import ConvexField, coefficients_of_colour
+from physconvex.io import look_at
 from physconvex.render import render
 
 OUT = Path(__file__).parents[1] / "images" / "convex.png"

@@ -14,7 +14,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from inference.units import format_pascals, format_pascals_range
+from inference import format_pascals, format_pascals_range
 
 TARGET = Path(__file__).parents[1] / "images" / "demo.png"
 

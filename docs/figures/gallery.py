@@ -16,8 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import torch
 
-from physconvex.play import PlayedObject, RestSurface, frames_of, load_play_config, play, read_surface
-from physconvex.play.writing import summary_of
+from physconvex.play import PlayedObject, RestSurface, frames_of, load_play_config, play, read_surface, summary_of
 
 TARGET = Path(__file__).parents[1] / "images" / "gallery.png"
 RESULT = Path(__file__).parents[1] / "results" / "gallery.json"

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from data_gen.dataset import ClipRecord, Dataset
+from data_gen import ClipRecord, Dataset
 
 CLIPS, FRAMES = 8, 8
 TARGET = Path(__file__).parents[1] / "images" / "generator.png"

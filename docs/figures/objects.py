@@ -11,8 +11,7 @@ import numpy as np
 import pyvista
 from PIL import Image
 
-from data_gen.objects import FAMILIES, random_object
-from data_gen.textures import vertex_colors
+from data_gen import FAMILIES, random_object, vertex_colors
 
 COLUMNS, TILE = 6, 200
 TARGET = Path(__file__).parents[1] / "images" / "objects.png"

@@ -17,8 +17,7 @@ import torch
 import trimesh
 
 from docs.figures.gallery import knot
-from physconvex.play import RestSurface, frames_of, load_play_config, play_together
-from physconvex.play.writing import summary_of
+from physconvex.play import RestSurface, frames_of, load_play_config, play_together, summary_of
 
 TARGET = Path(__file__).parents[1] / "images" / "several_bodies.png"
 RESULT = Path(__file__).parents[1] / "results" / "several_bodies.json"

@@ -16,7 +16,7 @@ sys.path.append(str(Path(__file__).parents[2]))
 
 from convex import blob, prisms
 
-from physconvex.render.viewer import FieldViewer
+from physconvex.render import FieldViewer
 from tests.convex.browser import screenshots
 
 OUT = Path(__file__).parents[1] / "images" / "viewer.png"

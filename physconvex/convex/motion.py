@@ -15,10 +15,8 @@ from torch import Tensor
 from physconvex.convex.field import ConvexField
 from physconvex.convex.rotation import polar_rotation, rotate_harmonics
 from physconvex.errors import InputError
-from physconvex.fem.elements import shape_gradients
-from physconvex.fem.embedding import Embedding, locate
-from physconvex.fem.mesh import TetMesh
-from physconvex.reduced.space import ReducedSpace
+from physconvex.mesh import Embedding, TetMesh, locate, shape_gradients
+from physconvex.reduced import ReducedSpace
 
 __all__ = [
     "BoundField",

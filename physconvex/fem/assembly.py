@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
 
-from physconvex.fem.kernel import sum_into
+from physconvex.fem.compiled_elements import sum_into
 
 __all__ = ["Assembler"]
 

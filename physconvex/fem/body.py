@@ -12,14 +12,20 @@ from jaxtyping import Float
 from torch import Tensor
 
 from physconvex.errors import InputError
-from physconvex.fem.elements import QUADRATURE, shape_gradients, unit_mass
-from physconvex.fem.kernel import volumetric_elements
-from physconvex.fem.mesh import TetMesh
+from physconvex.fem.compiled_elements import volumetric_elements
 from physconvex.fem.volumetric import VolumetricElements
-from physconvex.flows import stored_flows
-from physconvex.inelastic import FlowRule, FlowStep
-from physconvex.materials import Law, get_law, lame_parameters, project_to_positive, strain_stiffness
-from physconvex.volumetric_laws import is_volumetric
+from physconvex.materials import (
+    FlowRule,
+    FlowStep,
+    Law,
+    get_law,
+    is_volumetric,
+    lame_parameters,
+    project_to_positive,
+    stored_flows,
+    strain_stiffness,
+)
+from physconvex.mesh import QUADRATURE, TetMesh, shape_gradients, unit_mass
 
 __all__ = ["ElasticBody"]
 
@@ -32,11 +38,11 @@ class ElasticBody:
 
     Args:
         mesh: linear or quadratic mesh, rest state.
-        law: the elastic law or its name, see `physconvex.materials` and `physconvex.elastic_terms`.
+        law: the elastic law or its name, see `physconvex.materials.laws` and `physconvex.materials.strain_terms`.
         youngs_modulus: E [Pa], scalar, [E], or [E, Q] at `quadrature_points`: what varies within an element.
         poisson_ratio: ν [-], scalar or [E], in (-1, 0.5).
         density: ρ [kg/m³], scalar or [E].
-        flow: how the material flows, see `physconvex.inelastic`; purely elastic unless given.
+        flow: how the material flows, see `physconvex.materials.inelastic`; purely elastic unless given.
         device: where element arithmetic runs (the sparse solve stays on the CPU).
 
     Raises:

@@ -17,9 +17,9 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 from trimesh.remesh import subdivide
 
-from physconvex.contact import Contact, Friction
+from physconvex.dynamics import Contact, Friction
 from physconvex.errors import InputError
-from physconvex.fem.embedding import Embedding
+from physconvex.mesh import Embedding
 
 __all__ = ["CarriedContact", "SurfacePoints"]
 

@@ -17,13 +17,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from physconvex.dynamics import Minimum
 from physconvex.errors import ConvergenceError
 from physconvex.fem.carried_contact import CarriedContact
-from physconvex.fem.contact_kernel import carry
+from physconvex.fem.compiled_contact import carry
 from physconvex.fem.dense_contact import DenseContact
 from physconvex.fem.kept_factor import KeptFactor
 from physconvex.fem.step_equations import StepEquations
-from physconvex.integrators import Minimum
 
 __all__ = ["CondensedContact"]
 

@@ -1,8 +1,8 @@
 """The equation of the contact forces of some points, and Newton's step for it.
 
 With y where the points would be without forces, S = B H Bᵀ their compliance and ρ the inverse of a point's own, the
-forces obey λ = R(y − S λ + λ/ρ), R the resolvent of the law of contact (`physconvex.contact_resolvent`; Alart and
-Curnier 1991; Jourdan, Alart and Jean 1998).
+forces obey λ = R(y − S λ + λ/ρ), R the resolvent of the law of contact (`physconvex.dynamics.contact_resolvent`;
+Alart and Curnier 1991; Jourdan, Alart and Jean 1998).
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import bsr_matrix, csr_matrix, identity, kron
 
-from physconvex.contact import Contact
-from physconvex.contact_resolvent import resolve
+from physconvex.dynamics import Contact, resolve
 
 __all__ = ["ContactProblem"]
 

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.sparse import csr_matrix
 
-from physconvex.contact import Contact
+from physconvex.dynamics import Contact
 from physconvex.errors import ConvergenceError
-from physconvex.fem.contact_kernel import add_near, contact_kind
+from physconvex.fem.compiled_contact import add_near, contact_kind
 from physconvex.fem.contact_problem import ContactProblem
 
 __all__ = ["DenseContact"]

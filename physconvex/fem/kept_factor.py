@@ -10,10 +10,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-from physconvex.fem.contact_kernel import turned_blocks
+from physconvex.fem.compiled_contact import turned_blocks
 from physconvex.fem.step_equations import StepEquations
-from physconvex.kabsch import best_rotation
-from physconvex.linear_solvers import NotPositiveDefiniteError
+from physconvex.numerics import NotPositiveDefiniteError, best_rotation
 
 __all__ = ["KeptFactor"]
 

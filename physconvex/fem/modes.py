@@ -14,7 +14,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh
 from physconvex.errors import InputError
 from physconvex.fem.assembly import Assembler
 from physconvex.fem.body import ElasticBody
-from physconvex.linear_solvers import SymmetricSolver
+from physconvex.numerics import SymmetricSolver
 
 __all__ = [
     "elastic_responses",

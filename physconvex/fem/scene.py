@@ -9,14 +9,12 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float, Int
 
-from physconvex.contact import Contact, Obstacle
+from physconvex.dynamics import Contact, Obstacle, Wind
 from physconvex.errors import InputError
 from physconvex.fem.body import ElasticBody
 from physconvex.fem.carried_contact import CarriedContact, SurfacePoints
-from physconvex.fem.embedding import Embedding
-from physconvex.fem.hanging import HangingLoad
-from physconvex.fem.mesh import TetMesh
-from physconvex.wind import Wind
+from physconvex.fem.hanging_load import HangingLoad
+from physconvex.mesh import Embedding, TetMesh
 
 __all__ = ["Loads", "Pins", "Scene", "contact_defaults"]
 

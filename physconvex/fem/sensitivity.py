@@ -20,14 +20,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from physconvex.dynamics import State, StepRecord, bdf2, extrapolate, implicit_euler
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem.scene import Scene
 from physconvex.fem.simulation import Trajectory, simulate
 from physconvex.fem.step_equations import StepEquations
-from physconvex.integrators import State, bdf2, extrapolate, implicit_euler
-from physconvex.linear_solvers import NotPositiveDefiniteError
-from physconvex.stepping import StepRecord
-from physconvex.threads import one_torch_thread
+from physconvex.numerics import NotPositiveDefiniteError, one_torch_thread
 
 __all__ = ["SensitiveTrajectory", "simulate_with_sensitivities"]
 

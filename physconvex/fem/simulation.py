@@ -9,15 +9,23 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Float
 
+from physconvex.dynamics import (
+    Guide,
+    IntegratorName,
+    SolveStatistics,
+    State,
+    Stepper,
+    StepRecord,
+    check_stepping,
+    frame_states,
+    minimise,
+)
 from physconvex.errors import InputError
 from physconvex.fem.condensed_contact import CondensedContact
-from physconvex.fem.flight import Flight
+from physconvex.fem.flight_steps import Flight
 from physconvex.fem.scene import Scene
 from physconvex.fem.step_equations import StepEquations
-from physconvex.guide import Guide
-from physconvex.integrators import IntegratorName, State, check_stepping, frame_states, minimise
-from physconvex.stepping import SolveStatistics, Stepper, StepRecord
-from physconvex.threads import one_torch_thread
+from physconvex.numerics import one_torch_thread
 
 __all__ = ["ContactSolver", "Trajectory", "simulate", "solve_static"]
 

@@ -7,14 +7,13 @@ import weakref
 import numpy as np
 from torch import Tensor
 
-from physconvex.contact import Friction
+from physconvex.dynamics import Friction, State, StepCoefficients
 from physconvex.fem.assembly import Assembler
 from physconvex.fem.carried_contact import CarriedContact
-from physconvex.fem.hanging import Hanging
+from physconvex.fem.hanging_load import Hanging
 from physconvex.fem.scene import Scene
-from physconvex.inelastic import FlowStep
-from physconvex.integrators import State, StepCoefficients
-from physconvex.linear_solvers import SymmetricSolver
+from physconvex.materials import FlowStep
+from physconvex.numerics import SymmetricSolver
 
 __all__ = ["StepEquations"]
 

@@ -1,4 +1,4 @@
-"""Fast arithmetic for the laws of `physconvex.volumetric_laws` on tetrahedra, and Kelvin–Voigt viscosity; on the CPU.
+"""Fast arithmetic on the CPU for the laws of `physconvex.materials.volumetric` on tetrahedra, with viscosity.
 
 Arrays hold one component each, over all quadrature points p: F [i, j, p]. F and nodal forces come from one sparse
 matrix, ∂N_a/∂X_j at the points. With C = cof F and u_ai = Σ_j C_ij ∂N_a/∂X_j, the stiffness of an element is
@@ -18,8 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
 
-from physconvex.materials import Law
-from physconvex.volumetric_laws import cofactor_and_determinant, energy_and_stress, nearly_flat, volumetric_term
+from physconvex.materials import Law, cofactor_and_determinant, energy_and_stress, nearly_flat, volumetric_term
 
 __all__ = ["VolumetricElements"]
 
@@ -31,7 +30,7 @@ class VolumetricElements:
     """The quadrature points of a body of such a law.
 
     Args:
-        law: the law, see `physconvex.volumetric_laws.is_volumetric`.
+        law: the law, see `physconvex.materials.volumetric.is_volumetric`.
         tets: node indices, shape [E, n].
         count: V, number of nodes.
         gradients: ∂N_a/∂X [1/m], shape [E, Q, n, 3].

@@ -43,7 +43,7 @@ def diagnose(
     """
     from tqdm import tqdm
 
-    from physconvex.gap.diagnose import diagnose as run
+    from physconvex.gap.diagnosis import diagnose as run
     from physconvex.gap.options import GapOptions
 
     usual = GapOptions()

@@ -10,12 +10,11 @@ from jaxtyping import Float, Int
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
-from physconvex.capture import Boundary
 from physconvex.errors import InputError
 from physconvex.fem import Pins as NodePins
-from physconvex.fem import TetMesh
-from physconvex.fem.mesh import EDGE_CORNERS
 from physconvex.identify.held_region import HeldRegion
+from physconvex.io import Boundary
+from physconvex.mesh import EDGE_CORNERS, TetMesh
 from physconvex.reduced import Pins
 
 __all__ = ["Clamp", "clamp_of"]

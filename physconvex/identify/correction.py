@@ -24,8 +24,8 @@ from physconvex.identify.levenberg_marquardt import Fit, FitOptions, fit
 from physconvex.identify.model import Model
 from physconvex.identify.observations import MarkerObservations, Observations, misfit_of
 from physconvex.identify.parameters import Parameter, lower_bounds, step_scales, upper_bounds
-from physconvex.identify.secants import broyden_update
 from physconvex.identify.uncertainty import noise_covariance
+from physconvex.numerics import broyden_update
 
 __all__ = [
     "FAR",

@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from physconvex.fem.embedding import nearest_on_triangles
-from physconvex.fem.mesh import FACE_CORNERS
+from physconvex.mesh import FACE_CORNERS, nearest_on_triangles
 
 __all__ = ["HeldRegion"]
 

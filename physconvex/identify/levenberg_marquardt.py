@@ -17,11 +17,11 @@ from jaxtyping import Float
 from scipy.optimize import lsq_linear
 
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.identify.coordinates import SearchCoordinates
 from physconvex.identify.model import Model, check_names
 from physconvex.identify.observations import Observations, misfit_of
 from physconvex.identify.parameters import Parameter, lower_bounds, starts, step_scales, upper_bounds
-from physconvex.robust import huber_loss, huber_weights
+from physconvex.identify.search_coordinates import SearchCoordinates
+from physconvex.numerics import huber_loss, huber_weights
 
 __all__ = ["Fit", "FitOptions", "Iteration", "fit"]
 

@@ -11,15 +11,11 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import Scene
-from physconvex.fem import simulate_with_sensitivities as full_with_sensitivities
-from physconvex.fem.carried_contact import SurfacePoints
-from physconvex.fem.embedding import Embedding
-from physconvex.fem.mesh import TetMesh
-from physconvex.fem.simulation import ContactSolver
+from physconvex.fem import ContactSolver, Scene, SurfacePoints, simulate_with_sensitivities as full_with_sensitivities
 from physconvex.identify.parameters import default_parameter, lower_bounds, step_scales, upper_bounds
 from physconvex.identify.roll_outs import RollOut, RollOuts
 from physconvex.identify.twin import Twin
+from physconvex.mesh import Embedding, TetMesh
 from physconvex.reduced import simulate, simulate_with_sensitivities
 
 __all__ = ["FullModel", "LinearModel", "Model", "ReducedModel", "roll_out_together"]

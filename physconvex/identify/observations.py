@@ -15,9 +15,9 @@ from typing import ClassVar, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from physconvex.camera import Camera
 from physconvex.errors import InputError
-from physconvex.robust import huber_loss
+from physconvex.io import Camera
+from physconvex.numerics import huber_loss
 
 __all__ = [
     "MarkerObservations",

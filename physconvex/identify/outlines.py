@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from physconvex.camera import Camera
 from physconvex.errors import InputError
 from physconvex.identify.observations import Observations, StackedObservations, WrappedObservations, camera_jacobian
 from physconvex.identify.silhouette import Borders, filled_border
+from physconvex.io import Camera
 
 __all__ = ["OutlineObservations", "outline_of_mask", "with_drawn_outlines"]
 

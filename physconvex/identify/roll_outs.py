@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from physconvex.dynamics import Guide
 from physconvex.errors import ConvergenceError
-from physconvex.fem import Scene
-from physconvex.fem import simulate as simulate_full
-from physconvex.fem.simulation import ContactSolver
-from physconvex.guide import Guide
-from physconvex.workers import Workers
+from physconvex.fem import ContactSolver, Scene, simulate as simulate_full
+from physconvex.io import Workers
 
 __all__ = ["RollOut", "RollOuts"]
 

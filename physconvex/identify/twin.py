@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from physconvex.capture import Capture
-from physconvex.contact import Plane
+from physconvex.dynamics import Plane
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import ElasticBody, Scene, TetMesh, filled, to_quadratic
-from physconvex.fem.mesh_volume import enclosed_volume
+from physconvex.fem import ElasticBody, Scene
 from physconvex.identify.clamping import Clamp, clamp_of
-from physconvex.identify.faithful import faithful_mesh, unfaithfulness
+from physconvex.io import Capture
+from physconvex.mesh import TetMesh, enclosed_volume, faithful_mesh, filled, to_quadratic, unfaithfulness
 from physconvex.reduced import (
     BodySamples,
     NodalWeights,
@@ -43,7 +42,7 @@ class TwinOptions:
         weights: number M of skinning weights beside the constant one, see `smooth_weights`.
         max_nodes: most nodes of its quadratic mesh; finer tetrahedra of a capture are meshed anew.
         steps_per_frame: time steps per frame; None: at least 384 per second, at least 4 per frame.
-        law: elastic law, see `physconvex.materials`.
+        law: elastic law, see `physconvex.materials.laws`.
         youngs_modulus, poisson_ratio: of the twin before anything is fitted.
         fill: whether mass and energy of a mesh that was made of a surface are those of the surface's inside
             (`physconvex.fem.filled`).

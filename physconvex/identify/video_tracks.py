@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from physconvex.camera import Camera
 from physconvex.errors import InputError
-from physconvex.identify.raster import Hits, cast_camera_rays, cast_rays, unit_normals
+from physconvex.identify.visible_points import Hits, cast_camera_rays, cast_rays, unit_normals
+from physconvex.io import Camera
 
 __all__ = ["FollowOptions", "Seeds", "appearance_map", "follow", "follow_from_model", "seed_points"]
 

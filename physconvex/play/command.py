@@ -61,7 +61,7 @@ def simulate(
 
     from physconvex.play.assets import read_asset
     from physconvex.play.config import load_play_config, overrides_of
-    from physconvex.play.play import play_together
+    from physconvex.play.roll_out import play_together
     from physconvex.play.writing import summary_of, write_played
 
     chosen = {

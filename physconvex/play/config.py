@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from physconvex.configuration import read_tree, set_value, validated
 from physconvex.errors import InputError
+from physconvex.io import read_tree, set_value, validated
 from physconvex.materials import LawName
 
 __all__ = [

@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 
-from physconvex.camera import look_at
 from physconvex.convex import (
     BoundField,
     ConvexField,
@@ -19,7 +18,8 @@ from physconvex.convex import (
     space_map,
     write_ply,
 )
-from physconvex.play.play import PlayedObject
+from physconvex.io import look_at
+from physconvex.play.roll_out import PlayedObject
 from physconvex.reduced import ReducedTrajectory
 from physconvex.render import film
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from physconvex.play.config import FloorConfig
-from physconvex.play.play import PlayedObject
+from physconvex.play.roll_out import PlayedObject
 
 __all__ = ["floor_displacement", "frames_of"]
 

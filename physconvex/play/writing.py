@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 import physconvex
+from physconvex.io import write_video
 from physconvex.play.animated_glb import write_animated_glb
 from physconvex.play.fields import frames_of_field, write_fields
 from physconvex.play.pictures import frames_of
-from physconvex.play.play import PlayedObject
-from physconvex.video import write_video
+from physconvex.play.roll_out import PlayedObject
 
 __all__ = ["summary_of", "write_played"]
 

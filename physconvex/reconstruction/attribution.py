@@ -9,8 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from physconvex.convex import ConvexField
-from physconvex.render.rasterize import splat
-from physconvex.render.view import View
+from physconvex.render import View, splat
 
 __all__ = ["Gathered", "gather"]
 

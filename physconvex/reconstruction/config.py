@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from physconvex.configuration import set_value, validated
 from physconvex.errors import InputError
+from physconvex.io import set_value, validated
 
 __all__ = ["ReconstructionConfig", "StartKind", "load_reconstruction_config"]
 

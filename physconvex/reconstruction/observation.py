@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from physconvex.camera import Camera
 from physconvex.errors import InputError
+from physconvex.io import Camera
 from physconvex.render import View
 
 __all__ = ["Observation", "observe"]

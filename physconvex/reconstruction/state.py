@@ -14,7 +14,7 @@ from safetensors.torch import save_file
 from physconvex.convex import FreeParameters
 from physconvex.errors import InputError
 from physconvex.reconstruction.adam import RowAdam
-from physconvex.reconstruction.fit import FitState
+from physconvex.reconstruction.field_fit import FitState
 
 __all__ = ["load_state", "save_state"]
 

@@ -16,20 +16,18 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
+from physconvex.dynamics import SolvedPass, StepRecord, extrapolate
 from physconvex.errors import InputError
-from physconvex.integrators import extrapolate
 from physconvex.materials import lame_parameters
+from physconvex.numerics import one_torch_thread, rotation_matrix
 from physconvex.reduced.body import viscous_stress
 from physconvex.reduced.density_gradient import DensityGradient
 from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.field_gradient import FieldBars
 from physconvex.reduced.friction_tangents import FreezeTangent, friction_tangent
-from physconvex.reduced.rotation_vector import rotation_matrix
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.simulation import ReducedTrajectory, simulate
 from physconvex.reduced.step_derivatives import StepDerivatives
-from physconvex.stepping import SolvedPass, StepRecord
-from physconvex.threads import one_torch_thread
 
 __all__ = ["Bar", "LossGradient", "RecordedRollOut", "Sweep", "simulate_with_adjoint"]
 

@@ -13,6 +13,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from physconvex.errors import InputError
+from physconvex.numerics import one_torch_thread
 from physconvex.reduced.adjoint import RecordedRollOut, Sweep
 from physconvex.reduced.basis import CallableWeights, checked_points
 from physconvex.reduced.field_gradient import FieldBars
@@ -21,7 +22,6 @@ from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.sensitivity import simulate_with_sensitivities
 from physconvex.reduced.simulation import simulate
 from physconvex.reduced.space import ReducedSpace
-from physconvex.threads import one_torch_thread
 
 __all__ = ["rollout_of_weights", "rollout_positions"]
 

@@ -17,11 +17,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from physconvex.errors import InputError
-from physconvex.fem.body import ElasticBody
-from physconvex.fem.elements import shape_gradients, shape_values
-from physconvex.fem.embedding import locate
-from physconvex.fem.mesh import TetMesh
-from physconvex.fem.modes import skinning_eigenmodes
+from physconvex.fem import ElasticBody, skinning_eigenmodes
+from physconvex.mesh import TetMesh, locate, shape_gradients, shape_values
 
 __all__ = [
     "MAX_WEIGHTS",

@@ -11,13 +11,20 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from physconvex.errors import InputError
-from physconvex.flows import stored_flows
-from physconvex.inelastic import FlowRule, FlowStep
-from physconvex.materials import Law, get_law, lame_parameters, project_to_positive, strain_stiffness
-from physconvex.reduced.kernel import CompiledViscosity, compiled_viscosity, volumetric_samples
+from physconvex.materials import (
+    FlowRule,
+    FlowStep,
+    Law,
+    get_law,
+    is_volumetric,
+    lame_parameters,
+    project_to_positive,
+    stored_flows,
+    strain_stiffness,
+)
+from physconvex.reduced.compiled_body import CompiledViscosity, compiled_viscosity, volumetric_samples
 from physconvex.reduced.space import ReducedSpace
 from physconvex.reduced.volumetric import VolumetricSamples
-from physconvex.volumetric_laws import is_volumetric
 
 __all__ = ["ReducedBody", "function_by_function", "viscous_stress"]
 
@@ -50,13 +57,13 @@ class ReducedBody:
 
     Args:
         space: shape functions and samples.
-        law: the elastic law or its name, see `physconvex.materials` and `physconvex.elastic_terms`.
+        law: the elastic law or its name, see `physconvex.materials.laws` and `physconvex.materials.strain_terms`.
         youngs_modulus: E [Pa], scalar or [C].
         poisson_ratio: ν [-], scalar or [C], in (-1, 0.5).
         density: ρ [kg/m³], scalar or [C].
         regions: number of each cell's region, [C], 0 to K − 1: E, ν and ρ of a region are then parameters of a scene,
             as `poisson_ratio[0]`.
-        flow: how the material flows, see `physconvex.inelastic`; purely elastic unless given. `Plasticine` and `Sand`
+        flow: how the material flows, see `FlowRule`; purely elastic unless given. `Plasticine` and `Sand`
             stand in the place of `law`, `StandardLinearSolid` beside it.
         device: where the arithmetic over the samples runs (the dense solve stays on the CPU).
 

@@ -10,9 +10,7 @@ from jaxtyping import Float, Int
 from scipy.special import roots_jacobi
 
 from physconvex.errors import InputError
-from physconvex.fem.elements import QUADRATURE
-from physconvex.fem.mesh import TetMesh
-from physconvex.fem.meshing import Surface, tetrahedralize
+from physconvex.mesh import QUADRATURE, Surface, TetMesh, tetrahedralize
 from physconvex.reduced.shell import Shell
 
 __all__ = ["BodySamples", "Cubature", "tet_cubature"]

@@ -9,10 +9,10 @@ from jaxtyping import Float
 from scipy.linalg import lu_factor, lu_solve
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from physconvex.integrators import StepCoefficients
-from physconvex.linear_solvers import NotPositiveDefiniteError
+from physconvex.dynamics import StepCoefficients
+from physconvex.numerics import NotPositiveDefiniteError
 from physconvex.reduced.body import function_by_function
-from physconvex.reduced.secants import Secants
+from physconvex.reduced.secant_corrections import Secants
 
 __all__ = ["DenseNewton"]
 

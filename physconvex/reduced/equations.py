@@ -8,9 +8,8 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
-from physconvex.contact import Friction
-from physconvex.inelastic import FlowStep
-from physconvex.integrators import State, StepCoefficients
+from physconvex.dynamics import Friction, State, StepCoefficients
+from physconvex.materials import FlowStep
 from physconvex.reduced.dense_newton import DenseNewton
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.surface_contact import SurfaceContact, add_surface_blocks, contact_blocks

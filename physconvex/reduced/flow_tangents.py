@@ -18,8 +18,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from physconvex.errors import InputError
-from physconvex.flows import stored_flows
-from physconvex.inelastic import FlowRule, FlowStep
+from physconvex.materials import FlowRule, FlowStep, stored_flows
 from physconvex.reduced.body import ReducedBody
 
 __all__ = ["FlowTangents"]

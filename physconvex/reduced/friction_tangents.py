@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.contact import Contact, Obstacle
+from physconvex.dynamics import Contact, Obstacle
 
 __all__ = ["FreezeTangent", "friction_tangent"]
 

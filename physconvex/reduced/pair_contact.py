@@ -1,7 +1,7 @@
 """Contact between two bodies: sampled points of the one that lie inside the triangles that bound the other.
 
 A point x of body A that stands for the area A_s and lies inside body B, p deep under the nearest point q of its
-shell, has the energy ½ A_s ψ(p) with the hinge of `physconvex.contact`; the other half comes from B's points inside A.
+shell, has the energy ½ A_s ψ(p) with the hinge of `Contact`; the other half comes from B's points inside A.
 q = Σ_k b_k x_k(B), so that x − q is linear in the coordinates of both bodies as long as q stays at one place of the
 shell, and, since q is nearest, the derivative of p is that at fixed q: force and reaction are equal, opposite, and on
 one line, which keeps momentum and angular momentum. The Hessian leaves out how the normal turns (ψ' over the
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.distance import cdist
 
-from physconvex.contact import Contact
+from physconvex.dynamics import Contact
 from physconvex.reduced.shell import nearest_on_triangles
 
 __all__ = ["FrozenPairs", "PairContact", "Touch"]

@@ -9,11 +9,10 @@ from typing import Any, Literal, get_args
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.contact import Obstacle
+from physconvex.dynamics import Obstacle, Wind
 from physconvex.errors import InputError
 from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.scene import ReducedScene
-from physconvex.wind import Wind
 
 __all__ = ["FLOW_PARAMETERS", "PARAMETERS", "ParameterName", "check_parameters", "parameter_values", "with_parameters"]
 

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.contact import Contact, Obstacle
+from physconvex.dynamics import Contact, Obstacle, Wind
 from physconvex.errors import InputError
-from physconvex.fem.scene import CONTACT_STIFFNESS_RATIO
+from physconvex.fem import CONTACT_STIFFNESS_RATIO
+from physconvex.numerics import rotation_matrix
 from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.pins import PIN_STIFFNESS_RATIO, Pins, PinSprings
-from physconvex.reduced.rotation_vector import rotation_matrix
-from physconvex.wind import Wind
 
 __all__ = ["ReducedScene"]
 

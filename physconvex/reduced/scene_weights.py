@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.errors import InputError
-from physconvex.fem.body import ElasticBody
-from physconvex.fem.mesh import TetMesh
-from physconvex.reduced.elastic_weights import elastic_weights
-from physconvex.reduced.loads import even_loads, held_nodes, touched_loads
+from physconvex.fem import ElasticBody
+from physconvex.mesh import TetMesh
+from physconvex.reduced.elastic_basis import elastic_weights
+from physconvex.reduced.load_cases import even_loads, held_nodes, touched_loads
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.simulation import simulate
 from physconvex.reduced.space import ReducedSpace

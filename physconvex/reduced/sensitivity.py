@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.integrators import State, StepCoefficients, bdf2, extrapolate, implicit_euler
+from physconvex.dynamics import State, StepCoefficients, StepRecord, bdf2, extrapolate, implicit_euler
+from physconvex.numerics import one_torch_thread
 from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.flow_tangents import FlowTangents
 from physconvex.reduced.friction_tangents import friction_tangent
@@ -26,8 +27,6 @@ from physconvex.reduced.parameters import parameter_values
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.simulation import ReducedTrajectory, simulate
 from physconvex.reduced.step_derivatives import StepDerivatives
-from physconvex.stepping import StepRecord
-from physconvex.threads import one_torch_thread
 
 __all__ = ["SensitiveTrajectory", "simulate_with_sensitivities"]
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from physconvex.errors import InputError
-from physconvex.fem.mesh import TetMesh
+from physconvex.mesh import TetMesh
 
 __all__ = ["Shell", "nearest_on_triangles"]
 

@@ -8,12 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.integrators import IntegratorName, State, check_stepping, frame_states
+from physconvex.dynamics import (
+    IntegratorName,
+    SolveStatistics,
+    State,
+    Stepper,
+    StepRecord,
+    check_stepping,
+    frame_states,
+)
+from physconvex.numerics import one_torch_thread
 from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.space import ReducedSpace
-from physconvex.stepping import SolveStatistics, Stepper, StepRecord
-from physconvex.threads import one_torch_thread
 
 __all__ = ["STALE_RATE", "ReducedTrajectory", "simulate"]
 
@@ -30,7 +37,7 @@ class ReducedTrajectory:
         coordinates: y [m], shape [T, R, 3].
         velocities: ẏ [m/s], shape [T, R, 3].
         statistics: what the roll-out cost.
-        flowed: F_f at the interior samples, shape [T, Q, 3, 3], of `physconvex.flows.Flows` [T, Q, 2, 3, 3]; None for
+        flowed: F_f at the interior samples, shape [T, Q, 3, 3], of `Flows` [T, Q, 2, 3, 3]; None for
             an elastic body.
     """
 

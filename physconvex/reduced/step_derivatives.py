@@ -9,11 +9,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from physconvex.integrators import State, StepCoefficients
+from physconvex.dynamics import State, StepCoefficients
+from physconvex.numerics import rotation_matrix, turning_rates
 from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.friction_tangents import FreezeTangent
 from physconvex.reduced.parameters import axis_of, cells_of, check_parameters, mean_density, region_of
-from physconvex.reduced.rotation_vector import rotation_matrix, turning_rates
 from physconvex.reduced.scene import ReducedScene
 
 __all__ = ["StepDerivatives"]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.contact import Contact, Friction
-from physconvex.reduced.kernel import compiled_surface
+from physconvex.dynamics import Contact, Friction
+from physconvex.reduced.compiled_body import compiled_surface
 
 __all__ = ["SurfaceContact", "add_surface_blocks", "contact_blocks"]
 

@@ -1,4 +1,4 @@
-"""Fast arithmetic for the laws of `physconvex.volumetric_laws` in a reduced space, float64 on the CPU.
+"""Fast arithmetic for the laws of `physconvex.materials.volumetric` in a reduced space, float64 on the CPU.
 
 With C = cof F, the stress is P = μ F + f' C, and with u_i = Σ_j C_ij ∂N/∂X_j ∈ R^R the integrated Hessian has the
 blocks
@@ -17,8 +17,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.materials import Law
-from physconvex.volumetric_laws import cofactor_and_determinant, energy_and_stress, nearly_flat, volumetric_term
+from physconvex.materials import Law, cofactor_and_determinant, energy_and_stress, nearly_flat, volumetric_term
 
 __all__ = ["VolumetricSamples"]
 
@@ -29,7 +28,7 @@ class VolumetricSamples:
     """The samples of a body of such a law.
 
     Args:
-        law: the law, see `physconvex.volumetric_laws.is_volumetric`.
+        law: the law, see `physconvex.materials.volumetric.is_volumetric`.
         gradients: ∂N_a/∂X [1/m], shape [Q, 3, R].
         weights: volumes [m³], shape [Q].
         mu, lam: Lamé constants [Pa], shape [Q].

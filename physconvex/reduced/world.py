@@ -8,7 +8,7 @@ from itertools import pairwise, permutations
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.contact import Contact
+from physconvex.dynamics import Contact
 from physconvex.errors import InputError
 from physconvex.reduced.pair_contact import PairContact
 from physconvex.reduced.scene import ReducedScene

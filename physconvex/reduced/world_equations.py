@@ -8,8 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
-from physconvex.contact import Friction
-from physconvex.integrators import State, StepCoefficients
+from physconvex.dynamics import Friction, State, StepCoefficients
 from physconvex.reduced.dense_newton import DenseNewton
 from physconvex.reduced.equations import StepEquations
 from physconvex.reduced.pair_contact import FrozenPairs, PairContact

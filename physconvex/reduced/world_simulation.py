@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.integrators import IntegratorName, State, check_stepping, frame_states
+from physconvex.dynamics import IntegratorName, SolveStatistics, State, Stepper, check_stepping, frame_states
+from physconvex.numerics import one_torch_thread
 from physconvex.reduced.simulation import STALE_RATE, ReducedTrajectory
 from physconvex.reduced.world import ReducedWorld
 from physconvex.reduced.world_equations import WorldEquations
-from physconvex.stepping import SolveStatistics, Stepper
-from physconvex.threads import one_torch_thread
 
 __all__ = ["WorldTrajectory", "simulate_world"]
 

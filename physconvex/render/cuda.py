@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -12,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from physconvex.cuda_kernels import launch
+from physconvex.kernels import SOURCES, launch
 from physconvex.render.directions import Directions, stacked
 from physconvex.render.hull import Hulls
 from physconvex.render.projection import Splats
@@ -66,10 +65,10 @@ def planar_hulls_cuda(points: Float[Tensor, "N C 2"]) -> Hulls:
 @cache
 def source(name: str) -> str:
     """The CUDA text that holds one of `FUNCTIONS`."""
-    here = Path(__file__).parent
     if name != "hulls":
-        return (here / "gpu" / "kernel.cu").read_text(encoding="utf-8")
-    parts = [here / "cpu" / "hulls.h", here / "gpu" / "hulls.cu"]  # the text that the CPU runs too, and its launch
+        return (SOURCES / "render_cuda" / "kernel.cu").read_text(encoding="utf-8")
+    # the text that the CPU runs too, and its launch
+    parts = [SOURCES / "render" / "hulls.h", SOURCES / "render_cuda" / "hulls.cu"]
     return "#define DEVICE __device__\n" + "".join(part.read_text(encoding="utf-8") for part in parts)
 
 

@@ -26,10 +26,9 @@ def film(
 
     from physconvex.convex import ConvexField
     from physconvex.errors import InputError
-    from physconvex.render.movies import film as draw
-    from physconvex.render.movies import orbit
+    from physconvex.io import write_video
+    from physconvex.render.movies import film as draw, orbit
     from physconvex.render.viewer import read_fields
-    from physconvex.video import write_video
 
     if out.suffix not in (".mp4", ".png"):
         raise InputError(f"out: got {out.name!r}; expected a name that ends in .mp4 or .png")

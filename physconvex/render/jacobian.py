@@ -10,11 +10,11 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd import forward_ad
 
-from physconvex.convex.field import ConvexField
+from physconvex.convex import ConvexField
 from physconvex.errors import InputError
+from physconvex.render.compiled import composite_kernel, composite_tangents
 from physconvex.render.cuda import composite_cuda, composite_tangents_cuda
 from physconvex.render.directions import load_forward_mode
-from physconvex.render.kernel import composite_kernel, composite_tangents
 from physconvex.render.projection import NEAR, Splats
 from physconvex.render.rasterize import Backend, splat
 from physconvex.render.view import View

@@ -9,9 +9,9 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from physconvex.camera import Camera, look_at
-from physconvex.convex.field import ConvexField
+from physconvex.convex import ConvexField
 from physconvex.errors import InputError
+from physconvex.io import Camera, look_at
 from physconvex.render.rasterize import render
 
 __all__ = ["film", "orbit"]
@@ -49,7 +49,7 @@ def orbit(
 def film(
     fields: Iterable[ConvexField], cameras: Iterable[Camera], *, background: Float[Tensor, " 3"] | None = None
 ) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
-    """Pictures of a field per camera, for `physconvex.video.write_video`; repeat either for a still one."""
+    """Pictures of a field per camera, for `physconvex.io.video.write_video`; repeat either for a still one."""
     for field, camera in zip(fields, cameras, strict=False):
         with torch.no_grad():
             colour = render(field, camera, background=background).colour

@@ -9,8 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from physconvex.convex.field import ConvexField
-from physconvex.convex.spherical_harmonics import view_colours
+from physconvex.convex import ConvexField, view_colours
 from physconvex.render.hull import Hulls, planar_hulls
 from physconvex.render.view import View
 

@@ -11,13 +11,13 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from physconvex.camera import Camera
-from physconvex.convex.field import ConvexField
+from physconvex.convex import ConvexField
 from physconvex.errors import InputError
-from physconvex.native import KernelUnavailable
+from physconvex.io import Camera
+from physconvex.kernels import KernelUnavailable
+from physconvex.render.compiled import composite_kernel, planar_hulls_kernel
 from physconvex.render.cuda import composite_cuda, planar_hulls_cuda
-from physconvex.render.kernel import composite_kernel, planar_hulls_kernel
-from physconvex.render.native import load_library
+from physconvex.render.library import load_library
 from physconvex.render.projection import NEAR, Splats, project
 from physconvex.render.reference import Layers, composite_reference
 from physconvex.render.trial import draws_rightly

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
-from physconvex.camera import look_at
-from physconvex.convex.field import ConvexField
-from physconvex.native import KernelUnavailable
+from physconvex.convex import ConvexField
+from physconvex.io import look_at
+from physconvex.kernels import KernelUnavailable
 from physconvex.render.cuda import composite_cuda, planar_hulls_cuda
 from physconvex.render.directions import load_forward_mode
 from physconvex.render.hull import planar_hulls

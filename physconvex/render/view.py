@@ -9,14 +9,14 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd import forward_ad
 
-from physconvex.camera import UNDISTORT_ITERATIONS, Camera
+from physconvex.io import UNDISTORT_ITERATIONS, Camera
 
 __all__ = ["View"]
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a `physconvex.camera.Camera` holds, as tensors; the same conventions.
+    """What a `physconvex.io.camera.Camera` holds, as tensors; the same conventions.
 
     Points are first projected to the plane at unit distance before the camera, with coordinates (u, v) =
     (x, y) / depth, u to the right and v down; a pixel sees the point of that plane that its (undistorted) ray meets.

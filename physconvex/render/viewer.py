@@ -11,9 +11,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 
-from physconvex.convex.field import ConvexField
-from physconvex.convex.mesh import hull_mesh
-from physconvex.convex.ply import read_ply
+from physconvex.convex import ConvexField, hull_mesh, read_ply
 from physconvex.errors import InputError
 from physconvex.render.movies import FIELD_OF_VIEW, orbit
 from physconvex.render.rasterize import render

@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 
 from physconvex.convex import ConvexField
-from physconvex.render import Splats, View, project
+from physconvex.render import Splats, View, composite_reference, project
 from physconvex.render.directions import Directions, load_forward_mode
-from physconvex.render.reference import Layers, composite_reference
+from physconvex.render.reference import Layers
 from tests.convex.agreement import assert_agrees
 from tests.convex.scenes import camera
 

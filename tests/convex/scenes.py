@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from physconvex.camera import Camera, look_at
 from physconvex.convex import ConvexField
+from physconvex.io import Camera, look_at
 from tests.convex.fields import random_field
 
 

@@ -12,7 +12,8 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from physconvex.convex import ConvexField
-from physconvex.render import KernelUnavailable, Splats, View, cuda, render, render_jacobian
+from physconvex.kernels import SOURCES, KernelUnavailable
+from physconvex.render import Splats, View, cuda, render, render_jacobian
 from physconvex.render.directions import load_forward_mode
 from physconvex.render.hull import planar_hulls
 from tests.convex.agreement import assert_agrees
@@ -21,7 +22,6 @@ from tests.convex.fields import random_field
 from tests.convex.scenes import HARD_CASES, camera, hard_case
 
 EMULATION = Path(__file__).with_name("gpu_emulation")
-SOURCES = Path(cuda.__file__).with_name("gpu")
 
 
 def test_tensors_of_the_cpu_are_refused() -> None:  # first: the fixture below stands in for a device from then on
@@ -36,7 +36,7 @@ def emulated(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     if compiler is None:
         pytest.skip("needs g++")
     library = tmp_path_factory.mktemp("emulation") / "kernel.so"
-    command = [compiler, "-std=c++20", "-O1", "-fPIC", "-shared", "-pthread", f"-I{SOURCES}"]
+    command = [compiler, "-std=c++20", "-O1", "-fPIC", "-shared", "-pthread", f"-I{SOURCES / 'render_cuda'}"]
     subprocess.run([*command, str(EMULATION / "kernel.cpp"), "-o", str(library)], check=True)
     loaded = ctypes.CDLL(str(library))
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from physconvex.convex.spherical_harmonics import view_colours
+from physconvex.convex import view_colours
 from physconvex.render import View
 from tests.convex.agreement import assert_agrees
 from tests.convex.scenes import camera

@@ -7,8 +7,8 @@ import pytest
 import torch
 from scipy.spatial import ConvexHull
 
+from physconvex.render.compiled import planar_hulls_kernel
 from physconvex.render.hull import Hulls, planar_hulls
-from physconvex.render.kernel import planar_hulls_kernel
 
 Finder = Callable[[torch.Tensor], Hulls]
 both = pytest.mark.parametrize("find", [planar_hulls, planar_hulls_kernel])

@@ -9,8 +9,8 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 from physconvex import InputError
-from physconvex.camera import look_at
 from physconvex.convex import ConvexField
+from physconvex.io import look_at
 from physconvex.render import View, render, render_jacobian
 from physconvex.render.directions import load_forward_mode
 from tests.convex.agreement import assert_agrees

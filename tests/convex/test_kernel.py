@@ -5,9 +5,9 @@ import torch
 from torch.autograd import forward_ad
 
 from physconvex.convex import ConvexField
-from physconvex.render import Splats
+from physconvex.render import Splats, composite_kernel
+from physconvex.render.compiled import composite_tangents
 from physconvex.render.directions import load_forward_mode
-from physconvex.render.kernel import composite_kernel, composite_tangents
 from tests.convex.composites import compare_composites, compare_tangents, layers, polygons, rounding, weights
 from tests.convex.fields import random_field
 from tests.convex.scenes import HARD_CASES, hard_case

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import torch
 
+from physconvex import InputError
 from physconvex.convex import advect, affine_map, bind_to_space, bind_to_tets, half_spaces, support
-from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, box_mesh
+from physconvex.fem import ElasticBody
+from physconvex.mesh import box_mesh
 from physconvex.reduced import BodySamples, ReducedSpace, eigenmode_weights
 from physconvex.render import View, render
 from tests.convex.fields import random_field

@@ -10,11 +10,11 @@ import typer
 from PIL import Image
 from typer.testing import CliRunner, Result
 
+from physconvex import InputError
 from physconvex.convex import advect, affine_map, write_ply
-from physconvex.errors import InputError
+from physconvex.io import read_video
 from physconvex.render import film, orbit
 from physconvex.render.film_command import film as command
-from physconvex.video import read_video
 from tests.convex.fields import random_field
 
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from physconvex import InputError
-from physconvex.native import KernelUnavailable
+from physconvex.kernels import KernelUnavailable
 from physconvex.render import rasterize, render
 from tests.convex.fields import random_field
 from tests.convex.scenes import camera

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from physconvex import InputError
-from physconvex.camera import Camera, look_at
 from physconvex.convex import ConvexField, coefficients_of_colour
+from physconvex.io import Camera, look_at
 from physconvex.render import RenderedImage, View, project, reference, render
 from tests.convex.fields import cube, random_field
 from tests.convex.scenes import HARD_CASES, camera, hard_case

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from physconvex import InputError
 from physconvex.convex import (
     ConvexField,
     advect,
@@ -17,7 +18,6 @@ from physconvex.convex import (
     split_until_affine,
 )
 from physconvex.convex.hull_points import _protrusions
-from physconvex.errors import InputError
 from tests.convex.fields import cube, random_field
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from physconvex import InputError
 from physconvex.convex import (
     HalfSpaces,
     advect,
@@ -14,7 +15,6 @@ from physconvex.convex import (
     points_of_half_spaces,
     support,
 )
-from physconvex.errors import InputError
 from tests.convex.fields import cube, random_field
 
 

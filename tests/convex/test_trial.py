@@ -5,9 +5,10 @@ import warnings
 import pytest
 import torch
 
-from physconvex.render import KernelUnavailable, trial
+from physconvex.kernels import KernelUnavailable
+from physconvex.render import composite_reference, trial
 from physconvex.render.hull import planar_hulls
-from physconvex.render.reference import Layers, composite_reference
+from physconvex.render.reference import Layers
 
 CPU = torch.device("cpu")
 

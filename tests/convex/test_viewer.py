@@ -9,10 +9,10 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from physconvex import InputError
-from physconvex.camera import look_at
 from physconvex.convex import ConvexField, coefficients_of_colour, write_ply
-from physconvex.render import render
-from physconvex.render.viewer import FieldViewer, draw, read_fields
+from physconvex.io import look_at
+from physconvex.render import FieldViewer, render
+from physconvex.render.viewer import draw, read_fields
 from tests.convex.browser import screenshots
 from tests.convex.fields import random_field
 

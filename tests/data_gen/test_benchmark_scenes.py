@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
-from data_gen.benchmark import BenchmarkOptions
-from data_gen.benchmark_scenes import FRICTION, Motion, motion_of, rolled, scene_of
-from data_gen.objects.library import ObjectMesh
-from physconvex.errors import InputError
-from physconvex.fem import box_mesh
-from physconvex.identify.changes import changes_of
+from data_gen import BenchmarkOptions, Motion, ObjectMesh, changes_of, rolled, scene_of
+from data_gen.benchmark_scenes import FRICTION, motion_of
+from physconvex import InputError
+from physconvex.mesh import box_mesh
 
 TRUTH = {"youngs_modulus": 1e6, "poisson_ratio": 0.3, "damping_time": 1e-3}
 

@@ -7,12 +7,12 @@ import pytest
 from typer.testing import CliRunner
 
 import data_gen.generate
-from data_gen.captures import CaptureTask, RingOptions, capture_folder, generate_captures, make_capture
+from data_gen import RingOptions, capture_folder, generate_captures, load_config
+from data_gen.captures import CaptureTask, make_capture
 from data_gen.commands import app
-from data_gen.config import load_config
 from data_gen.generate import SuccessfulDrop, simulate_with_replacements
-from physconvex.capture import load_capture
-from physconvex.errors import InputError
+from physconvex import InputError
+from physconvex.io import load_capture
 
 SMALL = [
     "video={frames: 4, width: 64, height: 48, supersampling: 1}",

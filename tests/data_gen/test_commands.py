@@ -4,8 +4,8 @@ import pytest
 from typer.testing import CliRunner
 
 from data_gen.commands import app
+from physconvex import InputError
 from physconvex.cli import main
-from physconvex.errors import InputError
 
 
 def test_help_lists_the_commands_and_their_options():

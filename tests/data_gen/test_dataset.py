@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+from data_gen import Dataset
 from data_gen.dataset import (
-    Dataset,
     RenderedView,
     finish_dataset,
     is_settled,
@@ -16,9 +16,8 @@ from data_gen.dataset import (
     write_simulation,
 )
 from data_gen.simulate import Samples
-from physconvex.camera import look_at
-from physconvex.errors import InputError
-from physconvex.video import write_video
+from physconvex import InputError
+from physconvex.io import look_at, write_video
 
 CAMERA = look_at((0, -4, 1), (0, 0, 0.5), width=64, height=48, vertical_field_of_view=0.7)
 MASK = np.random.default_rng(0).random((3, 48, 63)) < 0.3

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from data_gen.config import DegradationConfig, load_config
-from data_gen.degrade import Degradation, draw_degradation, expose, shake, sub_positions
+from data_gen import draw_degradation, load_config
+from data_gen.config import DegradationConfig
+from data_gen.degrade import Degradation, expose, shake, sub_positions
 
 NONE = Degradation(noise=0.0, crf=18, shutter=0.0, gain=(1.0, 1.0, 1.0), gamma=1.0, shake=0.0)
 

@@ -15,15 +15,22 @@ import pytest
 import trimesh
 
 import data_gen.generate
-from data_gen.config import SolverConfig, load_config
-from data_gen.dataset import Dataset
+from data_gen import (
+    Dataset,
+    ObjectMesh,
+    SolverConfig,
+    draw_drop,
+    generate_dataset,
+    load_config,
+    make_mesh,
+    simulate_drop,
+)
 from data_gen.engines import run_tasks
-from data_gen.generate import generate_dataset
-from data_gen.objects import ObjectMesh
-from data_gen.scene import draw_drop
-from data_gen.simulate import Samples, SimulatedDrop, make_mesh, simulate_drop
-from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import Embedding, SolveStatistics, Trajectory, box_mesh
+from data_gen.simulate import Samples, SimulatedDrop
+from physconvex import ConvergenceError, InputError
+from physconvex.dynamics import SolveStatistics
+from physconvex.fem import Trajectory
+from physconvex.mesh import Embedding, box_mesh
 
 SMALL = [
     "video={frames: 4, width: 48, height: 48, supersampling: 1}",

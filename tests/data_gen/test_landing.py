@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from data_gen.landing import landing_heights, refine_at_landing
-from physconvex.fem import ElasticBody, Scene, TetMesh, box_mesh, simulate
+from data_gen import refine_at_landing
+from data_gen.landing import landing_heights
+from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.mesh import TetMesh, box_mesh
 
 GRAVITY = (0.0, 0.0, -9.81)
 

@@ -5,11 +5,10 @@ import pytest
 import trimesh
 from PIL import Image
 
-from data_gen.objects import FAMILIES, load_user_mesh, objects_from_folder, random_object
+from data_gen import FAMILIES, load_user_mesh, objects_from_folder, random_object
 from data_gen.objects.profiles import polygon_distance
-from physconvex.errors import InputError
-from physconvex.fem.embedding import Embedding
-from physconvex.fem.implicit_meshing import tetrahedralize_implicit
+from physconvex import InputError
+from physconvex.mesh import Embedding, tetrahedralize_implicit
 
 
 @pytest.mark.parametrize("family", sorted(FAMILIES))

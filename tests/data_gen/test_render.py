@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from data_gen.lighting import Backdrop, Lighting
-from data_gen.render import Renderer
-from data_gen.surface import Surface, corner_normals
-from physconvex.camera import Camera, look_at
-from physconvex.errors import InputError
+from data_gen import Backdrop, Lighting, Renderer, Surface
+from data_gen.surface import corner_normals
+from physconvex import InputError
+from physconvex.io import Camera, look_at
 
 GREY = Backdrop(np.full((8, 8, 3), 160, np.uint8), np.full((8, 8, 3), 90, np.uint8))
 OVERHEAD = Lighting((0.0, 0.0, 1.0), shadow_softness=0.0)

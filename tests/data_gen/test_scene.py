@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from data_gen.config import GeneratorConfig, Interval, load_config
-from data_gen.scene import draw_drop, draw_look, split_of, stream
-from physconvex.errors import InputError
+from data_gen import GeneratorConfig, draw_drop, draw_look, load_config, stream
+from data_gen.config import Interval
+from data_gen.scene import split_of
+from physconvex import InputError
 
 
 @pytest.fixture(scope="module")

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from data_gen.config import load_config
-from data_gen.scene import draw_drop, stream
-from data_gen.simulate import simulate_drop
+from data_gen import draw_drop, load_config, simulate_drop, stream
 
 SMALL = [
     "video={frames: 6, fps: 24, width: 16, height: 16}",

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from data_gen.objects.library import ObjectMesh
-from data_gen.still_captures import FLAT, StillViews, write_still_capture
-from physconvex.capture import load_capture
-from physconvex.errors import InputError
+from data_gen import FLAT, ObjectMesh, StillViews, write_still_capture
+from physconvex import InputError
+from physconvex.io import load_capture
 
 
 def test_a_still_capture_can_be_read_back_and_shows_the_colours(tmp_path):

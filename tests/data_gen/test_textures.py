@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from data_gen.textures import PATTERNS, background_texture, floor_texture, vertex_colors
-from physconvex.errors import InputError
+from data_gen import floor_texture, vertex_colors
+from data_gen.textures import PATTERNS, background_texture
+from physconvex import InputError
 
 POINTS = np.random.default_rng(0).uniform(-0.5, 0.5, (3000, 3))
 

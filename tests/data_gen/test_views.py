@@ -4,10 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from data_gen.config import load_config
-from data_gen.render import Renderer
-from data_gen.scene import draw_drop, draw_look, stream, surface_of
-from physconvex.camera import Camera
+from data_gen import Renderer, draw_drop, draw_look, load_config, stream
+from data_gen.scene import surface_of
+from physconvex.io import Camera
 
 CONFIG = load_config(overrides=["video={width: 64, height: 48}"])
 

@@ -5,20 +5,10 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from physconvex.errors import InputError
-from physconvex.fem import (
-    ElasticBody,
-    Embedding,
-    Pins,
-    Plane,
-    Scene,
-    SurfacePoints,
-    TetMesh,
-    box_mesh,
-    simulate,
-    to_quadratic,
-)
-from physconvex.fem.step_equations import StepEquations
+from physconvex import InputError
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Pins, Scene, StepEquations, SurfacePoints, simulate
+from physconvex.mesh import Embedding, TetMesh, box_mesh, to_quadratic
 
 
 @pytest.fixture(scope="module")

@@ -5,27 +5,23 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.sparse import csr_matrix
 
-from physconvex.contact import Contact
-from physconvex.errors import InputError
+from physconvex import InputError
+from physconvex.dynamics import Contact, Plane, Sphere, State, Wind, bdf2
 from physconvex.fem import (
     ElasticBody,
     Pins,
-    Plane,
     Scene,
-    Sphere,
+    StepEquations,
     SurfacePoints,
-    box_mesh,
-    contact_kernel,
+    compiled_contact as contact_kernel,
     kept_factor,
     simulate,
 )
-from physconvex.fem.contact_kernel import CompiledContact, add_near, carry, contact_kind, turned_blocks
+from physconvex.fem.compiled_contact import CompiledContact, add_near, carry, contact_kind, turned_blocks
 from physconvex.fem.contact_problem import ContactProblem
 from physconvex.fem.kept_factor import KeptFactor
-from physconvex.fem.step_equations import StepEquations
-from physconvex.integrators import State, bdf2
-from physconvex.native import KernelUnavailable
-from physconvex.wind import Wind
+from physconvex.kernels import KernelUnavailable
+from physconvex.mesh import box_mesh
 
 BOX = (0.2, 0.2, 0.1)
 FLOOR = Plane(point=(0, 0, -0.02), friction=0.4)

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from physconvex.fem import ElasticBody, Plane, Scene, Sphere, Trajectory, box_mesh, refine, simulate
+from physconvex.dynamics import Plane, Sphere
+from physconvex.fem import ElasticBody, Scene, Trajectory, simulate
+from physconvex.mesh import box_mesh, refine
 
 G = 9.81
 SLAB = (0.2, 0.2, 0.05)

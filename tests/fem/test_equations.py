@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from physconvex.fem import ElasticBody, Pins, Plane, Scene, Sphere, box_mesh
-from physconvex.fem.step_equations import StepEquations
-from physconvex.integrators import State, bdf2, implicit_euler
+from physconvex.dynamics import Plane, Sphere, State, bdf2, implicit_euler
+from physconvex.fem import ElasticBody, Pins, Scene, StepEquations
 from physconvex.materials import LAWS
+from physconvex.mesh import box_mesh
 
 E = 1e4
 STEP = 1e-6  # m on a body of 0.3 m: central differences err by about 1e-10 relatively

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from physconvex.elastic_terms import with_strain_stiffening
-from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, Pins, Plane, Scene, box_mesh, simulate
-from physconvex.inelastic import Plasticine, StandardLinearSolid
-from physconvex.wind import Wind
+from physconvex import InputError
+from physconvex.dynamics import Plane, Wind
+from physconvex.fem import ElasticBody, Pins, Scene, simulate
+from physconvex.materials import Plasticine, StandardLinearSolid, with_strain_stiffening
+from physconvex.mesh import box_mesh
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from physconvex.fem import ElasticBody, Pins, Scene, Trajectory, box_mesh, simulate, solve_static
+from physconvex.fem import ElasticBody, Pins, Scene, Trajectory, simulate, solve_static
+from physconvex.mesh import box_mesh
 
 G = np.array([0.0, 0.0, -9.81])
 

@@ -3,20 +3,11 @@
 import numpy as np
 import pytest
 
-from physconvex import stepping as module
-from physconvex.elastic_terms import with_fibres
-from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import (
-    ElasticBody,
-    Pins,
-    Plane,
-    Scene,
-    box_mesh,
-    simulate,
-    skinning_eigenmodes,
-    vibration_modes,
-)
-from physconvex.materials import LAWS
+from physconvex import ConvergenceError, InputError
+from physconvex.dynamics import Plane, stepping as module
+from physconvex.fem import ElasticBody, Pins, Scene, simulate, skinning_eigenmodes, vibration_modes
+from physconvex.materials import LAWS, with_fibres
+from physconvex.mesh import box_mesh
 
 
 def small_body(**constants) -> ElasticBody:

@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, Pins, Plane, Scene, box_mesh, simulate, simulate_with_sensitivities
+from physconvex import InputError
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Pins, Scene, simulate, simulate_with_sensitivities
+from physconvex.mesh import box_mesh
 
 TIMING = {"frames": 4, "fps": 48.0, "steps_per_frame": 4, "tolerance": 1e-11}
 VALUES = np.array([4.3, 0.3, 1e-3, -0.6])

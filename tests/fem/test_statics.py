@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import ElasticBody, Pins, Scene, TetMesh, box_mesh, simulate, solve_static, surface_load
+from physconvex import ConvergenceError, InputError
+from physconvex.fem import ElasticBody, Pins, Scene, simulate, solve_static, surface_load
 from physconvex.materials import LAWS
+from physconvex.mesh import TetMesh, box_mesh
 
 SIZE = np.array([0.3, 0.1, 0.1])
 E, NU = 2e5, 0.35

@@ -5,11 +5,12 @@ import pickle
 import numpy as np
 import pytest
 
-from physconvex.fem import ElasticBody, box_mesh, kernel
-from physconvex.fem.kernel import CompiledElements, sum_into
+from physconvex.fem import ElasticBody, compiled_elements as kernel
+from physconvex.fem.compiled_elements import CompiledElements, sum_into
 from physconvex.fem.volumetric import VolumetricElements
-from physconvex.native import KernelUnavailable
-from physconvex.volumetric_laws import cofactor_and_determinant
+from physconvex.kernels import KernelUnavailable
+from physconvex.materials import cofactor_and_determinant
+from physconvex.mesh import box_mesh
 
 LAWS = ("neo_hookean", "neo_hookean_log")
 

@@ -11,9 +11,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from physconvex.capture import Capture
-    from physconvex.fem import Scene, TetMesh
+    from physconvex.fem import Scene
     from physconvex.gap import Situation
+    from physconvex.io import Capture
+    from physconvex.mesh import TetMesh
     from physconvex.reduced import ReducedScene
 
 E = 4e4
@@ -21,7 +22,7 @@ E = 4e4
 
 @pytest.fixture(scope="session")
 def mesh() -> TetMesh:
-    from physconvex.fem import box_mesh
+    from physconvex.mesh import box_mesh
 
     return box_mesh((0.2, 0.1, 0.1), (2, 1, 1), order=2)
 
@@ -29,7 +30,8 @@ def mesh() -> TetMesh:
 @pytest.fixture(scope="session")
 def falling(mesh: TetMesh) -> Scene:
     """Full-order block just above a floor, thrown forwards and down."""
-    from physconvex.fem import ElasticBody, Plane, Scene
+    from physconvex.dynamics import Plane
+    from physconvex.fem import ElasticBody, Scene
 
     body = ElasticBody(mesh, youngs_modulus=E, poisson_ratio=0.3)
     floor = Plane(point=(0, 0, float(mesh.vertices[:, 2].min()) - 0.01))
@@ -61,8 +63,9 @@ def rng() -> np.random.Generator:
 @pytest.fixture(scope="session")
 def released() -> Callable[[Path, float], Capture]:
     """Writes the capture of a beam of 0.2 MPa into a folder."""
-    from physconvex.capture import Boundary, Capture, Tracks, save_capture
-    from physconvex.fem import ElasticBody, HangingLoad, Pins, Scene, TetMesh, box_mesh, simulate
+    from physconvex.fem import ElasticBody, HangingLoad, Pins, Scene, simulate
+    from physconvex.io import Boundary, Capture, Tracks, save_capture
+    from physconvex.mesh import TetMesh, box_mesh
 
     def released(folder: Path, ratio: float) -> Capture:
         """A beam that is held at its right end and let go, a load of so many of its own masses at its left end."""

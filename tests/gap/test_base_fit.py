@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.errors import ConvergenceError
+from physconvex import ConvergenceError
 from physconvex.gap.base import base_fit
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits

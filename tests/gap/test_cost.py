@@ -6,14 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.fem import SolveStatistics
+from physconvex.dynamics import SolveStatistics
+from physconvex.gap import GapOptions
 from physconvex.gap.base.cost import Cost, OutOfBudget, newton_step
 from physconvex.gap.base.model import SecantModel
 from physconvex.gap.effects.scenes import with_material
-from physconvex.gap.options import GapOptions
 from physconvex.gap.search import decision
-from physconvex.gap.search.state import Selection
-from physconvex.inelastic import StandardLinearSolid
+from physconvex.gap.search.search_state import Selection
+from physconvex.materials import StandardLinearSolid
 
 
 def test_cost_follows_newton_steps_and_nodes(falling, falling_reduced):
@@ -82,7 +82,7 @@ def test_the_clock_ends_what_the_count_does_not():
 @pytest.mark.parametrize(("full_order", "expected"), [(True, ["base", "a by the full model"]), (False, ["base", "a"])])
 def test_nothing_that_was_found_is_lost_when_time_is_up(monkeypatch, full_order, expected):
     """The first finalist is run by the full-order model all the same; where that fails, the fit counts as it is."""
-    from physconvex.errors import ConvergenceError
+    from physconvex import ConvergenceError
 
     def hypothesis(label):
         return SimpleNamespace(label=label, effects=() if label == "base" else (1,), motion=object())

@@ -12,13 +12,15 @@ import typer
 from PIL import Image
 from typer.testing import CliRunner
 
-from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
-from physconvex.errors import InputError
+from physconvex import InputError
+from physconvex.io import Capture, Floor, Tracks, load_capture, save_capture
 
 
 def thrown_block(folder, velocity, seed):
     """A block that falls on a rough floor, of which the capture says nothing."""
-    from physconvex.fem import ElasticBody, Embedding, Plane, Scene, box_mesh, simulate
+    from physconvex.dynamics import Plane
+    from physconvex.fem import ElasticBody, Scene, simulate
+    from physconvex.mesh import Embedding, box_mesh
 
     mesh = box_mesh((0.2, 0.1, 0.1), (4, 2, 2), order=2)
     body = ElasticBody(mesh, youngs_modulus=3e4, poisson_ratio=0.35)

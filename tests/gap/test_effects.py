@@ -5,20 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.errors import InputError
-from physconvex.fem import SurfacePoints
-from physconvex.fem import simulate as simulate_full
-from physconvex.gap.effects import (
-    DEFAULT_EFFECTS,
-    EFFECT_NAMES,
-    Correction,
-    Dose,
-    Effect,
-    Motion,
-    applicable,
-    by_steps,
-    choose,
-)
+from physconvex import InputError
+from physconvex.fem import SurfacePoints, simulate as simulate_full
+from physconvex.gap import DEFAULT_EFFECTS, EFFECT_NAMES, Correction, Dose, Effect, Motion, applicable, by_steps, choose
 from physconvex.reduced import simulate as simulate_reduced
 
 NAMES = (

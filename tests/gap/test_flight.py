@@ -6,10 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.gap import DEFAULT_EFFECTS
+from physconvex.gap import DEFAULT_EFFECTS, ErrorModel
 from physconvex.gap.base.baseline import Split
 from physconvex.gap.base.body_modes import BodyModes
-from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.judgement.flight import gain_in_flight, left_in_flight
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits

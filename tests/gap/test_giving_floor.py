@@ -6,17 +6,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physconvex.capture import Capture, Floor, Tracks, save_capture
-from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, box_mesh, simulate
-from physconvex.gap import GapOptions, Situation
-from physconvex.gap.base.base_fit import rough_baseline
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.gap import (
+    DEFAULT_EFFECTS,
+    EffectModel,
+    GapOptions,
+    Situation,
+    applicable,
+    find_setting,
+    numerical_differences,
+    rough_baseline,
+)
 from physconvex.gap.base.baseline import FLOOR_LAW, Baseline
-from physconvex.gap.base.depth import depth_seen
-from physconvex.gap.base.model import EffectModel
-from physconvex.gap.conditions.setting import find_setting
-from physconvex.gap.effects import DEFAULT_EFFECTS, applicable
+from physconvex.gap.base.floor_depth import depth_seen
 from physconvex.gap.errors import numerics
-from physconvex.gap.errors.numerics import numerical_differences
+from physconvex.io import Capture, Floor, Tracks, save_capture
+from physconvex.mesh import TetMesh, box_mesh
 from physconvex.reduced import parameter_values
 
 MODULUS, SIGMA, FPS = 4e4, 1e-5, 100.0

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.gap import DEFAULT_EFFECTS
+from physconvex.gap import DEFAULT_EFFECTS, ErrorModel, Hypothesis
 from physconvex.gap.base.baseline import Split
 from physconvex.gap.base.body_modes import BodyModes, undivided
-from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.search.effect_fits import _beside, _best_start
 from physconvex.gap.search.evidence import (
     evidence_of,
     information_per_one,
@@ -17,8 +17,7 @@ from physconvex.gap.search.evidence import (
     mean_square,
     moved_kinds,
 )
-from physconvex.gap.search.fitting import _beside, _best_start
-from physconvex.gap.search.hypothesis import Hypothesis, doses_at_bounds
+from physconvex.gap.search.hypothesis import doses_at_bounds
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 

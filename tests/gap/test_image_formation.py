@@ -7,15 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
-from physconvex.camera import look_at
-from physconvex.gap.effects import DEFAULT_EFFECTS, Patches
-from physconvex.gap.judgement.naming import NamedEffect
-from physconvex.gap.judgement.verdict import Verdict
+from physconvex.gap import DEFAULT_EFFECTS, GapOptions, NamedEffect, Patches, Verdict
 from physconvex.gap.light.image_formation import BRIGHTNESS, SMEAR, finding_of, with_pictures
 from physconvex.gap.light.patches import body_patches, light_of, still_patches
-from physconvex.gap.options import GapOptions
 from physconvex.gap.page.pictures import image_series
 from physconvex.identify import PixelObservations
+from physconvex.io import look_at
 
 SIZE, SIDE, FPS, FRAMES, FALL = 160, 64, 24.0, 16, 0.6  # pixels; pixels per frame²
 EXPOSURE, MOTION_BLUR = (next(e for e in DEFAULT_EFFECTS if e.name == n) for n in ("exposure", "motion_blur"))

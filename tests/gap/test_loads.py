@@ -8,13 +8,19 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.capture import Capture, save_capture
-from physconvex.gap import DEFAULT_EFFECTS, GapOptions
-from physconvex.gap.base.base_fit import fit_baseline, rough_baseline
-from physconvex.gap.effects import Correction, applicable
-from physconvex.gap.errors.numerics import Numerics, error_model
+from physconvex.gap import (
+    DEFAULT_EFFECTS,
+    Correction,
+    GapOptions,
+    applicable,
+    error_model,
+    fit_baseline,
+    rough_baseline,
+)
+from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.search.loads import _clock, loaded_starts
-from physconvex.gap.search.mapping import as_reduced
+from physconvex.gap.search.space_mapping import as_reduced
+from physconvex.io import Capture, save_capture
 
 MODULUS = 2e5  # of the fixture `released`
 Released = Callable[[Path, float], Capture]

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.capture import Capture, Floor, Tracks, save_capture
-from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, box_mesh, simulate
-from physconvex.gap import GapOptions
-from physconvex.gap.base.base_fit import rough_baseline
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.gap import DEFAULT_EFFECTS, GapOptions, error_model, rough_baseline
 from physconvex.gap.base.model import reduced_like
-from physconvex.gap.effects import DEFAULT_EFFECTS
-from physconvex.gap.errors.numerics import Numerics, error_model, exact_model
-from physconvex.gap.search.exactness import with_own_correction
+from physconvex.gap.errors.numerics import Numerics, exact_model
+from physconvex.gap.search.exact_corrections import with_own_correction
 from physconvex.gap.search.hypothesis import base_hypothesis
+from physconvex.io import Capture, Floor, Tracks, save_capture
+from physconvex.mesh import TetMesh, box_mesh
 
 FRAMES, FPS, SIZE = 14, 40.0, 0.14
 UP = np.array([0.0, 0.0, 0.5 * SIZE + 0.05])

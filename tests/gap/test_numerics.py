@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.gap import GapOptions, Motion
+from physconvex.gap import GapOptions, Motion, correction_of, error_model
 from physconvex.gap.base.body_modes import body_modes
-from physconvex.gap.errors.numerics import Numerics, correction_of, error_model
+from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.errors.rebound import path_since_contact
 from physconvex.identify import MarkerObservations
 

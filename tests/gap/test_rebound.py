@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from physconvex.gap import Motion
+from physconvex.gap import ErrorModel, Motion
 from physconvex.gap.base.body_modes import BodyModes
 from physconvex.gap.errors.rebound import forgiving, path_since_contact
-from physconvex.gap.errors.score import ErrorModel
 
 
 def motion_of(height):

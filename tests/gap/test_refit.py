@@ -8,13 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.capture import Capture
-from physconvex.gap import DEFAULT_EFFECTS, GapOptions
-from physconvex.gap.base.base_fit import rough_baseline
+from physconvex.gap import DEFAULT_EFFECTS, GapOptions, error_model, rough_baseline
 from physconvex.gap.base.cost import Cost
-from physconvex.gap.errors.numerics import Numerics, error_model
-from physconvex.gap.search import fitting
-from physconvex.gap.search.fitting import refit
+from physconvex.gap.errors.numerics import Numerics
+from physconvex.gap.search import effect_fits as fitting
+from physconvex.gap.search.effect_fits import refit
+from physconvex.io import Capture
 
 OPTIONS = GapOptions(max_nodes=100, weights=4)
 RATIO = 0.3

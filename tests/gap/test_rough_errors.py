@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from physconvex.capture import Capture, Floor, Tracks, save_capture
-from physconvex.fem import TetMesh, box_mesh
 from physconvex.gap.base import rough_errors
 from physconvex.gap.base.rough_errors import with_rough_errors
 from physconvex.identify import TwinOptions, base_twin, marker_observations
+from physconvex.io import Capture, Floor, Tracks, save_capture
+from physconvex.mesh import TetMesh, box_mesh
 
 FPS, FRAMES, SIZE, HEIGHT = 50.0, 16, 0.1, 0.1
 

@@ -5,20 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.capture import Capture, Floor, Tracks, save_capture
-from physconvex.fem import ElasticBody, Plane, Scene, TetMesh, box_mesh, simulate
-from physconvex.gap import GapOptions
-from physconvex.gap.base.base_fit import rough_baseline
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.gap import DEFAULT_EFFECTS, ErrorModel, GapOptions, rough_baseline
 from physconvex.gap.base.model import MODULUS
-from physconvex.gap.effects import DEFAULT_EFFECTS
 from physconvex.gap.errors.numerics import Numerics
-from physconvex.gap.errors.score import ErrorModel
 from physconvex.gap.search import flight
-from physconvex.gap.search.expecting import expect_anew
+from physconvex.gap.search.expected_errors import expect_anew
 from physconvex.gap.search.flight import from_flight
 from physconvex.gap.search.hypothesis import base_hypothesis
-from physconvex.gap.search.mapping import as_reduced
-from physconvex.gap.search.state import Selection
+from physconvex.gap.search.search_state import Selection
+from physconvex.gap.search.space_mapping import as_reduced
+from physconvex.io import Capture, Floor, Tracks, save_capture
+from physconvex.mesh import TetMesh, box_mesh
 
 OPTIONS = GapOptions(max_nodes=60, weights=4, iterations=6)
 TRUE, FRAMES, FPS, TILT = 5e4, 24, 60.0, np.radians(4.0)

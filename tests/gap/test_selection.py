@@ -6,13 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.errors import ConvergenceError
-from physconvex.gap import DEFAULT_EFFECTS
+from physconvex import ConvergenceError
+from physconvex.gap import DEFAULT_EFFECTS, GapOptions, Score
 from physconvex.gap.base.cost import Cost
-from physconvex.gap.errors.score import Score
 from physconvex.gap.errors.screening import Screened, Screening, best_pairs
-from physconvex.gap.options import GapOptions
-from physconvex.gap.search import decision, rounds, state
+from physconvex.gap.search import decision, rounds, search_state as state
 from physconvex.gap.search.ranking import finalists
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits

@@ -5,10 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.errors import ConvergenceError
-from physconvex.gap import GapOptions, Situation, diagnose
+from physconvex import ConvergenceError
+from physconvex.gap import GapOptions, Situation, diagnose, find_setting
 from physconvex.gap.conditions import setting
-from physconvex.gap.conditions.setting import find_setting
 
 
 def silent(text):

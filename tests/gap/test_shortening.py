@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from physconvex.capture import Boundary, Capture, Tracks, load_capture, save_capture
 from physconvex.gap.base.shortening import shortened
+from physconvex.io import Boundary, Capture, Tracks, load_capture, save_capture
 
 
 @pytest.fixture

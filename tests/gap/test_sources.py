@@ -6,8 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.gap.effects import DEFAULT_EFFECTS, Correction, Motion
-from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap import DEFAULT_EFFECTS, Correction, ErrorModel, Motion
 from physconvex.gap.location.sources import budget_of, reduction_by_frame
 from physconvex.identify import MarkerObservations
 

@@ -5,12 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.gap import DEFAULT_EFFECTS, GapOptions
+from physconvex.gap import DEFAULT_EFFECTS, GapOptions, Hypothesis
 from physconvex.gap.judgement import verdict as rules
 from physconvex.gap.judgement.caveats import caveats_of
-from physconvex.gap.judgement.measured import Measured
 from physconvex.gap.judgement.naming import favoured, probabilities
-from physconvex.gap.search.hypothesis import Hypothesis
+from physconvex.gap.judgement.residual_measures import Measured
 from physconvex.gap.search.ranking import within_bounds
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits

@@ -5,14 +5,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.capture import Capture
-from physconvex.errors import InputError
-from physconvex.fem import box_mesh
+from physconvex import InputError
 from physconvex.gap.base.baseline import Split
-from physconvex.gap.base.observing import _check_on_body, starts_elsewhere, with_honest_noise
-from physconvex.gap.location.ledger import _rigid_motion
-from physconvex.gap.search.ringing import deformation, ringing, ringing_likelihood
+from physconvex.gap.base.observed_points import _check_on_body, starts_elsewhere, with_honest_noise
+from physconvex.gap.location.impulse_and_work import _rigid_motion
+from physconvex.gap.search.damped_sine import deformation, ringing, ringing_likelihood
 from physconvex.identify import MarkerObservations
+from physconvex.io import Capture
+from physconvex.mesh import box_mesh
 
 
 def test_a_damped_sine_is_found():

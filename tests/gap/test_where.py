@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physconvex.capture import Capture
-from physconvex.errors import InputError
+from physconvex import InputError
 from physconvex.gap import GapOptions
 from physconvex.gap.base.baseline import split_frames
 from physconvex.gap.location.where import _spread, block_bootstrap, phases_of
+from physconvex.io import Capture
 
 
 def test_phases_of_a_bounce():

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 if TYPE_CHECKING:
-    from physconvex.capture import Capture
     from physconvex.identify import Twin
+    from physconvex.io import Capture
 
 FRAMES = 6
 
@@ -20,9 +20,9 @@ FRAMES = 6
 @pytest.fixture(scope="session")
 def box_capture(tmp_path_factory) -> Capture:
     """A capture of a box over a tilted, rough floor; its tracks are those of the reduced model at (20 kPa, .38)."""
-    from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
-    from physconvex.fem import TetMesh, box_mesh
     from physconvex.identify import ReducedModel, TwinOptions, base_twin
+    from physconvex.io import Capture, Floor, Tracks, load_capture, save_capture
+    from physconvex.mesh import TetMesh, box_mesh
 
     box = box_mesh((0.3, 0.2, 0.1), (2, 1, 1), order=1)
     tets = TetMesh(box.vertices + np.array([0, 0, 0.012]), box.tets)

@@ -5,13 +5,22 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from physconvex.camera import Camera, look_at
-from physconvex.errors import InputError
-from physconvex.fem import box_mesh
-from physconvex.identify import PixelObservations, StackedObservations, default_parameter, fit
-from physconvex.identify.colours import ColourObservations, blurred, colour_seeds, seen_by
-from physconvex.identify.nuisance import MarginalObservations, Nuisance
-from physconvex.identify.raster import cast_camera_rays
+from physconvex import InputError
+from physconvex.identify import (
+    ColourObservations,
+    MarginalObservations,
+    Nuisance,
+    PixelObservations,
+    StackedObservations,
+    blurred,
+    cast_camera_rays,
+    colour_seeds,
+    default_parameter,
+    fit,
+    seen_by,
+)
+from physconvex.io import Camera, look_at
+from physconvex.mesh import box_mesh
 
 SHIFT = np.array([0.012, 0.0, -0.009])
 FRAMES = 3

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.errors import ConvergenceError, InputError
+from physconvex import ConvergenceError, InputError
 from physconvex.identify import (
     FitOptions,
     FullModel,

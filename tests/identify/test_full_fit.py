@@ -6,25 +6,26 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.capture import Boundary, Capture, Floor, Tracks, load_capture, save_capture
-from physconvex.fem import ElasticBody, Embedding, box_mesh, refine, simulate, to_quadratic
+from physconvex.fem import ElasticBody, simulate
 from physconvex.identify import (
     FullModel,
     ReducedModel,
     TwinOptions,
     base_twin,
     default_parameters,
+    enriched,
     extrapolated_nodes,
-    finer,
     fit,
     fit_finer,
     fit_full,
     marker_observations,
+    model_error as finer,
     noise_covariance,
+    with_weights,
 )
-from physconvex.identify.enrich import enriched, with_weights
-from physconvex.reduced import eigenmode_weights
-from physconvex.reduced import simulate as simulate_reduced
+from physconvex.io import Boundary, Capture, Floor, Tracks, load_capture, save_capture
+from physconvex.mesh import Embedding, box_mesh, refine, to_quadratic
+from physconvex.reduced import eigenmode_weights, simulate as simulate_reduced
 
 NAMES, TRUTH, FRAMES = ("log10_youngs_modulus", "poisson_ratio"), np.array([4.6, 0.35]), 6
 

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from physconvex.capture import Boundary
-from physconvex.fem import box_mesh
-from physconvex.fem.meshing import tetrahedralize
 from physconvex.identify import HeldRegion, clamp_of
+from physconvex.io import Boundary
+from physconvex.mesh import box_mesh, tetrahedralize
 
 SIZE = (0.1, 0.03, 0.03)
 THIN = Boundary(clamped_box=np.array([[-1e-4, -1.0, -1.0], [1e-4, 1.0, 1.0]]))

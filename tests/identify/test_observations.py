@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from physconvex.camera import Camera, look_at
-from physconvex.errors import InputError
+from physconvex import InputError
 from physconvex.identify import MarkerObservations, PixelObservations, StackedObservations, camera_jacobian
+from physconvex.io import Camera, look_at
 
 RNG = np.random.default_rng(3)
 POINTS = RNG.uniform(-0.3, 0.3, size=(5, 3))

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.capture import Capture, Floor, load_capture, save_capture
-from physconvex.errors import ConvergenceError
-from physconvex.fem import TetMesh, box_mesh, refine, simulate
+from physconvex import ConvergenceError
+from physconvex.fem import simulate
 from physconvex.identify import FullModel, RollOuts, TwinOptions, base_twin, roll_out_together, roll_outs
-from physconvex.workers import Workers
+from physconvex.io import Capture, Floor, Workers, load_capture, save_capture
+from physconvex.mesh import TetMesh, box_mesh, refine
 
 NAMES, TRUTH = ("log10_youngs_modulus", "poisson_ratio", "damping_time"), np.array([4.3, 0.35, 1e-3])
 SCALES = np.array([0.2, 0.1, 2e-3])

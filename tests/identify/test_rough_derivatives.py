@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.capture import Capture, Floor, load_capture, save_capture
-from physconvex.fem import TetMesh, box_mesh, simulate
+from physconvex.fem import simulate
 from physconvex.identify import FullModel, TwinOptions, base_twin
+from physconvex.io import Capture, Floor, load_capture, save_capture
+from physconvex.mesh import TetMesh, box_mesh
 
 NAMES = ("log10_youngs_modulus", "poisson_ratio", "damping_time")
 VALUES, STEPS = np.array([4.3, 0.35, 1e-3]), np.array([0.02, 0.01, 2e-4])

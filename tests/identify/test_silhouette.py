@@ -6,8 +6,8 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from physconvex.camera import look_at
 from physconvex.identify.silhouette import Borders, filled_border
+from physconvex.io import look_at
 
 CAMERA = look_at((0, -3, 0.4), (0, 0, 0), width=96, height=80, vertical_field_of_view=0.9)
 

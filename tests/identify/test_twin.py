@@ -4,25 +4,26 @@ import numpy as np
 import pytest
 import trimesh
 
-from physconvex.capture import Boundary, Capture, Floor, Tracks, load_capture, save_capture
-from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, TetMesh, box_mesh, simulate, to_quadratic
+from physconvex import InputError
+from physconvex.fem import ElasticBody, simulate
 from physconvex.identify import (
     MarkerObservations,
     TwinOptions,
     WeightedObservations,
     base_twin,
     clamp_of,
+    coarse_mesh,
     default_parameters,
     frame_errors,
     mesh_of_capture,
+    start_motion,
     twin,
+    with_free_friction,
+    with_weights,
 )
-from physconvex.identify.enrich import with_weights
-from physconvex.identify.setup import start_motion, with_free_friction
-from physconvex.identify.twin import coarse_mesh
-from physconvex.reduced import eigenmode_weights
-from physconvex.reduced import simulate as simulate_reduced
+from physconvex.io import Boundary, Capture, Floor, Tracks, load_capture, save_capture
+from physconvex.mesh import TetMesh, box_mesh, to_quadratic
+from physconvex.reduced import eigenmode_weights, simulate as simulate_reduced
 
 SIZE = (0.2, 0.05, 0.05)
 BOX = np.array([[-1e-6, -1.0, -1.0], [1e-6, 1.0, 1.0]])

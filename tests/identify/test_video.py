@@ -4,13 +4,19 @@ import cv2
 import numpy as np
 import pytest
 
-from physconvex.camera import look_at
-from physconvex.errors import InputError
-from physconvex.fem import box_mesh
-from physconvex.identify import StackedObservations
-from physconvex.identify.outlines import OutlineObservations, outline_of_mask, with_drawn_outlines
-from physconvex.identify.raster import cast_camera_rays
-from physconvex.identify.video_tracks import FollowOptions, follow, follow_from_model, seed_points
+from physconvex import InputError
+from physconvex.identify import (
+    FollowOptions,
+    OutlineObservations,
+    StackedObservations,
+    cast_camera_rays,
+    follow,
+    follow_from_model,
+    seed_points,
+)
+from physconvex.identify.outlines import outline_of_mask, with_drawn_outlines
+from physconvex.io import look_at
+from physconvex.mesh import box_mesh
 
 SIZE = np.array([0.3, 0.2, 0.25])
 CAMERA = look_at((0.75, -1.1, 0.6), SIZE / 2, width=128, height=96, vertical_field_of_view=0.42)

@@ -30,7 +30,7 @@ def falling_ball(
 def make_clip() -> MakeClip:
     """Write a falling ball to a path; options as of `falling_ball`, and fps."""
 
-    from physconvex.video import write_video  # not above: `--typecheck` hooks the packages' first import
+    from physconvex.io import write_video  # not above: `--typecheck` hooks the packages' first import
 
     def make(path: Path, *, fps: float = 24.0, **options: object) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)

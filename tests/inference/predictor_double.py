@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from safetensors.numpy import save_file
 
-from models.clip import ClipConfig, PreparedClip, prepare_clip
+from models import ClipConfig, PreparedClip, prepare_clip
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,9 @@ import av
 import numpy as np
 import pytest
 
-from inference import predict, predict_batch
-from inference.loading import load_clip
-from inference.sources import ClipSource
-from physconvex.errors import InputError
-from physconvex.video import write_video
+from inference import ClipSource, load_clip, predict, predict_batch
+from physconvex import InputError
+from physconvex.io import write_video
 from tests.inference.conftest import MakeClip, falling_ball
 from tests.inference.predictor_double import PredictorDouble
 

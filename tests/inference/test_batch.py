@@ -13,11 +13,10 @@ from pathlib import Path
 import pyarrow.parquet
 import pytest
 
-from inference import iter_predictions, predict, predict_batch
+from inference import ClipSource, iter_predictions, predict, predict_batch
 from inference.decoding import BackgroundReader, Failure
-from inference.sources import ClipSource
 from inference.table import ResultRow
-from physconvex.errors import InputError
+from physconvex import InputError
 from tests.inference.conftest import MakeClip
 from tests.inference.predictor_double import PredictorDouble
 
@@ -160,7 +159,7 @@ def test_a_crash_of_the_reading_process_fails_one_clip(
     site = tmp_path / "site"
     site.mkdir()
     (site / "sitecustomize.py").write_text(
-        "import os, signal, physconvex.video.reading as reading, physconvex.video as video\n"
+        "import os, signal, physconvex.io.video.reading as reading, physconvex.io.video as video\n"
         "read = video.read_video\n"
         "def deadly(path, **options):\n"
         "    if path.name == 'short.mp4': os.kill(os.getpid(), signal.SIGSEGV)\n"

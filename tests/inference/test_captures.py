@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from inference import predict, predict_batch
-from physconvex.video import write_video
+from physconvex.io import write_video
 from tests.inference.predictor_double import PredictorDouble
 
 

@@ -9,7 +9,7 @@ import typer
 from typer.testing import CliRunner
 
 from inference.commands import predict
-from physconvex.errors import InputError
+from physconvex import InputError
 from tests.inference.conftest import MakeClip
 from tests.inference.predictor_double import PredictorDouble
 

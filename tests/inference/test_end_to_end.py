@@ -11,9 +11,8 @@ from typer.testing import CliRunner
 
 from inference import iter_predictions, predict, predict_batch
 from inference.commands import predict as predict_command
-from models import PhysicsPredictor, SkinningField
-from models.config import EncoderConfig, NetworkConfig
-from physconvex.errors import InputError
+from models import EncoderConfig, NetworkConfig, PhysicsPredictor, SkinningField
+from physconvex import InputError
 from tests.inference.conftest import MakeClip
 
 

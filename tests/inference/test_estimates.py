@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from inference.refining import RefineOptions, estimates, meshes
-from inference.refining.stages import Stages
-from physconvex.errors import ConvergenceError
-from physconvex.fem import box_mesh, filled, to_quadratic
+from inference import RefineOptions, Stages
+from inference.refinement import estimates, meshes
+from physconvex import ConvergenceError
+from physconvex.mesh import box_mesh, filled, to_quadratic
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 

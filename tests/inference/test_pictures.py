@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from inference import format_pascals, format_pascals_range, frame_strip, weight_maps
 from inference.gallery import write_gallery
 from inference.loading import load_array
-from inference.pictures import frame_strip, shown_source_frames
+from inference.pictures import shown_source_frames
 from inference.read_ahead import read_ahead
 from inference.table import ResultRow
-from inference.units import format_pascals, format_pascals_range
-from inference.weight_maps import weight_maps
-from models.clip import ClipConfig, prepare_clip
+from models import ClipConfig, prepare_clip
 from tests.inference.conftest import falling_ball
 
 

@@ -9,7 +9,7 @@ import torch
 from PIL import Image
 
 from inference import predict
-from physconvex.errors import InputError
+from physconvex import InputError
 from tests.inference.conftest import MakeClip
 from tests.inference.predictor_double import PredictorDouble
 
@@ -83,7 +83,7 @@ def test_image_folder(tmp_path: Path, ball: np.ndarray) -> None:
 
 
 def test_mask_video_beside_the_video(tmp_path: Path, make_clip: MakeClip, ball: np.ndarray) -> None:
-    from physconvex.video import write_video
+    from physconvex.io import write_video
 
     path = make_clip(tmp_path / "a.mp4")
     inside = np.abs(ball.astype(int) - np.array([40, 90, 200])).max(axis=-1) < 8

@@ -10,14 +10,12 @@ import typer
 from PIL import Image
 from typer.testing import CliRunner
 
-from inference.reconstruction import reconstruct
+from inference import capture_views, reconstruct
 from inference.reconstruction_command import reconstruct as command
-from inference.reconstruction_views import capture_views
-from physconvex.capture import Capture, load_capture, save_capture
+from physconvex import InputError
 from physconvex.convex import read_ply
-from physconvex.errors import InputError
+from physconvex.io import Capture, load_capture, read_video, save_capture
 from physconvex.reconstruction import ReconstructionConfig
-from physconvex.video import read_video
 from tests.reconstruction.scenes import ball_mesh, pictures, ring
 
 TINY = ReconstructionConfig(budget=400, steps=12, levels=(0.5, 1.0), level_shares=(0.5, 0.5), refinements=1)

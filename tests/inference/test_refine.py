@@ -9,15 +9,13 @@ import pytest
 from typer.testing import CliRunner
 
 import physconvex
-from inference.refining import RefineOptions, refine
-from inference.refining.command import _print
-from inference.refining.estimates import estimates_of
-from inference.refining.result import Estimate
-from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
-from physconvex.errors import InputError
-from physconvex.fem import TetMesh, box_mesh
+from inference import Estimate, RefineOptions, refine
+from inference.refinement.command import _print
+from inference.refinement.estimates import estimates_of
+from physconvex import InputError
 from physconvex.identify import ReducedModel, TwinOptions, base_twin
-from physconvex.video import read_video
+from physconvex.io import Capture, Floor, Tracks, load_capture, read_video, save_capture
+from physconvex.mesh import TetMesh, box_mesh
 
 FRAMES, OBSERVED, NOISE = 8, 6, 2e-4
 TRUTH = {"log10_youngs_modulus": np.log10(2e4), "poisson_ratio": 0.38, "initial_velocity_z": -0.5}
@@ -49,7 +47,7 @@ def folder(tmp_path_factory):
 def run(*arguments):
     import typer
 
-    from inference.refining.command import refine as command
+    from inference.refinement.command import refine as command
 
     app = typer.Typer()
     app.command()(command)

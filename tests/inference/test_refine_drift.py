@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from inference.refining import RefineOptions, refine
-from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
-from physconvex.fem import SurfacePoints, TetMesh, box_mesh
+from inference import RefineOptions, refine
+from physconvex.fem import SurfacePoints
 from physconvex.identify import FullModel, TwinOptions, base_twin
+from physconvex.io import Capture, Floor, Tracks, load_capture, save_capture
+from physconvex.mesh import TetMesh, box_mesh
 
 FRAMES, NOISE, FPS = 8, 2e-4, 48.0
 NAMES, TRUTH = ("log10_youngs_modulus", "poisson_ratio"), np.array([4.3, 0.35])

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from inference.refining import RefineOptions, meshes, refine, refitting
-from inference.refining.problem import Problem
-from inference.refining.refitting import Refitting
-from inference.refining.stages import Stages
-from physconvex.camera import look_at
-from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
-from physconvex.errors import ConvergenceError
-from physconvex.fem import SurfacePoints, tetrahedralize
+from inference import RefineOptions, Stages, refine
+from inference.refinement import fine_fit as refitting, meshes
+from inference.refinement.fine_fit import Refitting
+from inference.refinement.problem import Problem
+from physconvex import ConvergenceError
+from physconvex.fem import SurfacePoints
 from physconvex.identify import FullModel, TwinOptions, base_twin, default_parameter
+from physconvex.io import Capture, Floor, Tracks, load_capture, look_at, save_capture
+from physconvex.mesh import tetrahedralize
 
 FRAMES, NOISE, FPS, FEW, MORE = 6, 2e-4, 48.0, 60, 250
 NAMES, TRUTH = ("log10_youngs_modulus", "poisson_ratio"), np.array([4.3, 0.35])

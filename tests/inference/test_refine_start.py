@@ -5,13 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from inference.refining import RefineOptions
-from inference.refining.fits import arrays_of_scan
-from inference.refining.starting import scan_range
-from physconvex.camera import look_at
-from physconvex.capture import Capture
-from physconvex.errors import InputError
+from inference import RefineOptions
+from inference.refinement.fits import arrays_of_scan
+from inference.refinement.network_start import scan_range
+from physconvex import InputError
 from physconvex.identify import Candidate
+from physconvex.io import Capture, look_at
 
 SIZE = 0.5  # m
 CAMERA = look_at((0, -1, 0), (0, 0, 0), width=32, height=32, vertical_field_of_view=0.5)

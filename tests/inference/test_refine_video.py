@@ -7,15 +7,13 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from inference.refining import RefineOptions, refine, write_refinement
-from inference.refining.appearance import fitted_field
-from physconvex.camera import look_at
-from physconvex.capture import Capture, Floor, Tracks, load_capture, save_capture
+from inference import RefineOptions, refine, write_refinement
+from inference.refinement.appearance import fitted_field
+from physconvex import InputError
 from physconvex.convex import read_ply
-from physconvex.errors import InputError
-from physconvex.fem import TetMesh, box_mesh
-from physconvex.identify import Nuisance, ReducedModel, TwinOptions, base_twin
-from physconvex.identify.raster import cast_camera_rays
+from physconvex.identify import Nuisance, ReducedModel, TwinOptions, base_twin, cast_camera_rays
+from physconvex.io import Capture, Floor, Tracks, load_capture, look_at, save_capture
+from physconvex.mesh import TetMesh, box_mesh
 
 FRAMES, OBSERVED = 7, 6
 TRUTH = {"log10_youngs_modulus": np.log10(2e4), "poisson_ratio": 0.38, "damping_time": 1e-3}

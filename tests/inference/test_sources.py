@@ -3,8 +3,9 @@
 import os
 from pathlib import Path
 
-from inference.naming import assign_names
-from inference.sources import ClipSource, SourceProblem, find_sources, fingerprint, source_at
+from inference import ClipSource, find_sources
+from inference.result_names import assign_names
+from inference.sources import SourceProblem, fingerprint, source_at
 
 
 def touch(path: Path) -> Path:

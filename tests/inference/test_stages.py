@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from inference.refining.stages import Stages
+from inference import Stages
 
 
 def test_a_stage_that_was_cut_short_is_made_anew(tmp_path):

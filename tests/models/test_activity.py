@@ -1,6 +1,6 @@
 import numpy as np
 
-from models.activity import moving_window
+from models import moving_window
 
 
 def _square(*, noise: float, step: int = 4, count: int = 12) -> np.ndarray:

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from models.calibration import Calibration, DensityCalibration, fit_density_calibration
-from models.config import BinConfig
-from physconvex.errors import InputError
+from models import BinConfig, Calibration, DensityCalibration, fit_density_calibration
+from physconvex import InputError
 
 BINS = BinConfig(low=-4.0, high=4.0, bins=160)
 

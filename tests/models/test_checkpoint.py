@@ -6,11 +6,17 @@ from pathlib import Path
 import pytest
 import torch
 
-from models.calibration import Calibration, DensityCalibration
-from models.checkpoint import PredictorConfig, load_checkpoint, save_checkpoint
-from models.config import EncoderConfig, NetworkConfig
-from models.network import PhysicsNetwork
-from physconvex.errors import InputError
+from models import (
+    Calibration,
+    DensityCalibration,
+    EncoderConfig,
+    NetworkConfig,
+    PhysicsNetwork,
+    PredictorConfig,
+    load_checkpoint,
+)
+from models.checkpoint import save_checkpoint
+from physconvex import InputError
 
 NETWORK = NetworkConfig(encoder=EncoderConfig(image_size=32, frames=8, hidden_size=24, layers=1), latent_size=16)
 

@@ -4,10 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from models.clip import MOMENT_NAMES, ClipConfig, PreparedClip, freeze_time, prepare_clip, shuffle_time
-from models.silhouette import silhouette_moments
+from models import MOMENT_NAMES, ClipConfig, PreparedClip, freeze_time, prepare_clip, shuffle_time, silhouette_moments
 from models.timing import motion_start, resample
-from physconvex.errors import InputError
+from physconvex import InputError
 
 COLUMN = {name: k for k, name in enumerate(MOMENT_NAMES)}
 GREY = 127

@@ -3,11 +3,8 @@
 import numpy as np
 import pytest
 
-from models.checkpoint import TrainingRange
-from models.clip import PreparedClip
-from models.config import EncoderConfig, KinematicsConfig, NetworkConfig
-from models.estimator import PhysicsPredictor
-from physconvex.errors import InputError
+from models import EncoderConfig, KinematicsConfig, NetworkConfig, PhysicsPredictor, PreparedClip, TrainingRange
+from physconvex import InputError
 
 CONFIG = NetworkConfig(
     encoder=EncoderConfig(image_size=32, frames=12, hidden_size=24, layers=1),

@@ -6,9 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from models.foreground import locate_foreground
-from models.stabilise import stabilise
-from physconvex.errors import InputError
+from models import locate_foreground, stabilise
+from physconvex import InputError
 
 
 @dataclass(frozen=True)

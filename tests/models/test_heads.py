@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from models.config import BinConfig
-from models.heads import BinnedDensity
+from models import BinConfig, BinnedDensity
 
 BINS = BinConfig(low=-1.0, high=2.0, bins=12)
 

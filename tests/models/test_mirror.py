@@ -2,8 +2,8 @@
 
 import torch
 
-from models.mirror import answer_both_ways, mirrored_batch
-from models.network import PhysicsNetwork
+from models import PhysicsNetwork, answer_both_ways
+from models.mirror import mirrored_batch
 from tests.models.test_network import NETWORK, random_batch
 
 

@@ -8,13 +8,20 @@ import pytest
 import torch
 from transformers import VideoMAEConfig, VideoMAEModel
 
-from models.config import EncoderConfig, KinematicsConfig, NetworkConfig
-from models.encoder import VideoEncoder, load_pretrained_encoder, normalised, position_table, token_coverage
+from models import (
+    MOMENT_NAMES,
+    STATE_NAMES,
+    ClipBatch,
+    EncoderConfig,
+    KinematicsConfig,
+    NetworkConfig,
+    PhysicsNetwork,
+    load_pretrained_encoder,
+    silhouette_moments,
+)
+from models.encoder import VideoEncoder, normalised, position_table, token_coverage
 from models.kinematics import kinematic_features
-from models.motion import STATE_NAMES
-from models.network import ClipBatch, PhysicsNetwork
-from models.silhouette import MOMENT_NAMES, silhouette_moments
-from physconvex.errors import InputError
+from physconvex import InputError
 
 SMALL = EncoderConfig(image_size=32, frames=8, hidden_size=48, layers=2, heads=4)
 NETWORK = NetworkConfig(

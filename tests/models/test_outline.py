@@ -4,20 +4,18 @@ import cv2
 import numpy as np
 import pytest
 
-from models.activity import moving_window
-from models.finder_checkpoint import save_finder_network
-from models.outline import (
-    BUNDLED_OUTLINE,
+from models import (
     OutlineConfig,
     OutlineNetwork,
     load_outline,
-    near_object,
+    moving_window,
+    object_coverage,
     outline_input,
     refined_coverage,
-    uncovered_background,
+    save_finder_network,
 )
-from models.segmenter import object_coverage
-from physconvex.errors import InputError
+from models.outline import BUNDLED_OUTLINE, near_object, uncovered_background
+from physconvex import InputError
 
 SMALL = OutlineConfig(channels=(4, 6, 8))
 

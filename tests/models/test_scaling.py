@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from models.scaling import GRAVITY, dimensionless_interval, log10_dimensionless_stiffness, log10_youngs_modulus
-from physconvex.errors import InputError
+from models import dimensionless_interval, log10_dimensionless_stiffness
+from models.scaling import GRAVITY, log10_youngs_modulus
+from physconvex import InputError
 
 
 def test_there_and_back() -> None:

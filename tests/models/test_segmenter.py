@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from models.appearance import sort_pictures
-from models.finder_checkpoint import save_finder_network
-from models.segmenter import (
-    BUNDLED_SEGMENTER,
+from models import (
     SegmenterConfig,
     SilhouetteSegmenter,
     block_pixels,
@@ -15,8 +12,11 @@ from models.segmenter import (
     load_segmenter,
     object_coverage,
     pad_pictures,
+    save_finder_network,
 )
-from physconvex.errors import InputError
+from models.appearance import sort_pictures
+from models.segmenter import BUNDLED_SEGMENTER
+from physconvex import InputError
 
 SMALL = SegmenterConfig(difference_channels=2, channels=(4, 6, 8), rim_channels=4)
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from models import SkinningField, captured_energy, captured_energy_loss, random_basis, span_loss
 from models.config import SkinningConfig
-from models.skinning import SkinningField, SkinningHead
-from models.skinning_energy import captured_energy, captured_energy_loss, random_basis, span_loss
-from physconvex.errors import InputError
+from models.skinning import SkinningHead
+from physconvex import InputError
 
 
 @pytest.fixture

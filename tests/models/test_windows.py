@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from models import GREY
 from models.encoder import normalised
 from models.frame_network import FrameNetwork
-from models.windows import GREY, object_windows
+from models.windows import object_windows
 
 
 def disc(x: float, y: float, radius: float, *, side: int = 96, frames: int = 3) -> tuple[np.ndarray, np.ndarray]:

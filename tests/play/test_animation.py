@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from physconvex.play import PlayConfig, frames_of, load_play_config, play, read_surface, write_animated_glb
-from physconvex.play.config import FloorConfig
+from physconvex.play import FloorConfig, PlayConfig, frames_of, load_play_config, play, read_surface, write_animated_glb
 from physconvex.play.pictures import floor_displacement
 
 QUICK = ["basis.max_nodes=150", "basis.modes=2", "time.frames=4", "time.steps_per_frame=4", "basis.mesher=lattice"]

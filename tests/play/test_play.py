@@ -8,11 +8,11 @@ import trimesh
 from typer import Typer
 from typer.testing import CliRunner
 
-from physconvex.configuration import preset_names
-from physconvex.errors import InputError
+from physconvex import InputError
+from physconvex.io import read_video
+from physconvex.io.configuration import preset_names
 from physconvex.play import PlayConfig, load_play_config, play, read_surface
 from physconvex.play.command import simulate
-from physconvex.video import read_video
 
 QUICK = ["basis.max_nodes=150", "basis.modes=2", "time.frames=3", "time.steps_per_frame=4", "basis.mesher=lattice"]
 

@@ -8,8 +8,8 @@ import numpy as np
 import torch
 import trimesh
 
-from physconvex.camera import Camera, look_at
 from physconvex.convex import ConvexField, coefficients_of_colour
+from physconvex.io import Camera, look_at
 from physconvex.reconstruction import Observation, observe
 from physconvex.render import render
 

@@ -4,12 +4,13 @@ import numpy as np
 import torch
 import trimesh
 
-from physconvex.camera import look_at
 from physconvex.convex import ConvexField, hull_volumes, inside_union
-from physconvex.reconstruction import ReconstructionConfig, fill_gaps, measure_coverage, start_field
+from physconvex.io import look_at
+from physconvex.reconstruction import ReconstructionConfig, fill_gaps, start_field
 from physconvex.reconstruction.filling import grown_boxes
 from physconvex.render import render
 from tests.reconstruction.scenes import RADIUS, ball_mesh, views
+from train import measure_coverage
 
 
 def test_boxes_hold_all_that_is_wanted_and_nothing_that_is_not_allowed():

@@ -6,12 +6,21 @@ import numpy as np
 import pytest
 import torch
 
+from physconvex import InputError
 from physconvex.convex import ConvexField, FreeParameters
-from physconvex.errors import InputError
-from physconvex.reconstruction import ReconstructionConfig, begin, fit, refine, score, simplify, start_field
-from physconvex.reconstruction.adam import RowAdam
+from physconvex.reconstruction import (
+    ReconstructionConfig,
+    RowAdam,
+    begin,
+    fit,
+    load_state,
+    refine,
+    save_state,
+    score,
+    simplify,
+    start_field,
+)
 from physconvex.reconstruction.attribution import gather
-from physconvex.reconstruction.state import load_state, save_state
 from tests.reconstruction.scenes import ball_mesh, striped_ball, views
 
 SMALL = ReconstructionConfig(budget=700, steps=60, levels=(0.5, 1.0), level_shares=(0.25, 0.75), refinements=2)

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.ndimage import binary_dilation, correlate1d
 
-from physconvex.errors import InputError
+from physconvex import InputError
 from physconvex.reconstruction import observe, psnr, structural_similarity
 from tests.reconstruction.scenes import pictures, ring
 

@@ -9,24 +9,25 @@ import torch
 import trimesh
 from scipy.spatial import ConvexHull
 
-from physconvex.camera import look_at
+from physconvex import InputError
 from physconvex.convex import ConvexField, coefficients_of_colour, hull_volumes, inside_union
-from physconvex.errors import InputError
+from physconvex.io import look_at
 from physconvex.reconstruction import (
     ReconstructionConfig,
     begin,
+    even_triangles,
     fit,
     load_reconstruction_config,
-    measure_coverage,
     score,
     start_field,
     visual_hull,
+    welded,
 )
 from physconvex.reconstruction.attribution import gather
 from physconvex.reconstruction.shell import fillers, octahedra, prisms, with_count
-from physconvex.reconstruction.triangles import even_triangles, welded
 from physconvex.render import render
 from tests.reconstruction.scenes import RADIUS, ball_mesh, striped_ball
+from train import measure_coverage
 
 BALL = 4 / 3 * math.pi * RADIUS**3
 

@@ -20,7 +20,8 @@ SIZE = (0.3, 0.2, 0.1)
 @pytest.fixture(scope="session")
 def space_of() -> Callable[..., ReducedSpace]:
     """Box spaces by (order of the mesh, number of weights), each made once."""
-    from physconvex.fem import ElasticBody, box_mesh
+    from physconvex.fem import ElasticBody
+    from physconvex.mesh import box_mesh
     from physconvex.reduced import BodySamples, ReducedSpace, eigenmode_weights
 
     made: dict[tuple[int, int], ReducedSpace] = {}

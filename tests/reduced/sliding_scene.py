@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from physconvex.reduced import Plane, ReducedBody, ReducedScene, Sphere, Wind
+from physconvex.dynamics import Plane, Sphere, Wind
+from physconvex.reduced import ReducedBody, ReducedScene
 
 
 def sliding(body: ReducedBody, seed: int = 0, **fields) -> ReducedScene:

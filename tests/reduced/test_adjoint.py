@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.errors import InputError
+from physconvex import InputError
 from physconvex.reduced import (
     PARAMETERS,
     ReducedScene,

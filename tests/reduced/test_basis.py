@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, box_mesh
+from physconvex import InputError
+from physconvex.fem import ElasticBody
+from physconvex.mesh import box_mesh
 from physconvex.reduced import CallableWeights, NodalWeights, eigenmode_weights, sample_basis, tet_cubature
 
 SIZE = (0.3, 0.2, 0.1)

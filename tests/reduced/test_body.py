@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, box_mesh, surface_load
+from physconvex import InputError
+from physconvex.fem import ElasticBody, surface_load
 from physconvex.materials import LAWS
+from physconvex.mesh import box_mesh
 from physconvex.reduced import BodySamples, CallableWeights, ReducedBody, ReducedSpace
 
 SIZE = (0.3, 0.2, 0.1)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from physconvex.contact import Contact, Plane, Sphere
-from physconvex.native import KernelUnavailable
-from physconvex.reduced import ReducedBody, ReducedScene, kernel, simulate
-from physconvex.reduced.kernel import CompiledSurface, CompiledViscosity
+from physconvex.dynamics import Contact, Plane, Sphere
+from physconvex.kernels import KernelUnavailable
+from physconvex.reduced import ReducedBody, ReducedScene, compiled_body as kernel, simulate
+from physconvex.reduced.compiled_body import CompiledSurface, CompiledViscosity
 from physconvex.reduced.surface_contact import SurfaceContact
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from physconvex.errors import InputError
-from physconvex.fem import box_mesh
+from physconvex import InputError
+from physconvex.mesh import box_mesh
 from physconvex.reduced import BodySamples, Cubature, tet_cubature
 
 SIZE = (0.3, 0.2, 0.1)

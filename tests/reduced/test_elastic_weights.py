@@ -8,19 +8,25 @@ import scipy.linalg
 import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
-from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, Scene, TetMesh, box_mesh, elastic_responses, tangent_stiffness, vibration_modes
-from physconvex.fem import Pins as FullPins
-from physconvex.fem import simulate as simulate_full
-from physconvex.fem.modes import rigid_motions
+from physconvex import InputError
+from physconvex.dynamics import Plane, Sphere
+from physconvex.fem import (
+    ElasticBody,
+    Pins as FullPins,
+    Scene,
+    elastic_responses,
+    rigid_motions,
+    simulate as simulate_full,
+    tangent_stiffness,
+    vibration_modes,
+)
+from physconvex.mesh import TetMesh, box_mesh
 from physconvex.reduced import (
     BodySamples,
     Pins,
-    Plane,
     ReducedBody,
     ReducedScene,
     ReducedSpace,
-    Sphere,
     eigenmode_weights,
     elastic_weights,
     even_loads,

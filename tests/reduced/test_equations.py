@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from physconvex.integrators import State, bdf2, implicit_euler
-from physconvex.linear_solvers import NotPositiveDefiniteError
-from physconvex.reduced import Pins, Plane, ReducedBody, ReducedScene, Sphere, Wind
-from physconvex.reduced.equations import StepEquations
+from physconvex.dynamics import Plane, Sphere, State, Wind, bdf2, implicit_euler
+from physconvex.numerics import NotPositiveDefiniteError
+from physconvex.reduced import Pins, ReducedBody, ReducedScene, StepEquations
 
 STEP = 1e-6
 

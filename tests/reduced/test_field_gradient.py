@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from physconvex.errors import InputError
+from physconvex import InputError
+from physconvex.materials import Plasticine
 from physconvex.reduced import (
     CallableWeights,
     Pins,
-    Plasticine,
     ReducedScene,
     ReducedSpace,
     rollout_of_weights,

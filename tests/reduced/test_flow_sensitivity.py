@@ -3,15 +3,12 @@
 import numpy as np
 import pytest
 
-from physconvex.errors import InputError
-from physconvex.inelastic import FlowRule
+from physconvex import InputError
+from physconvex.dynamics import Plane
+from physconvex.materials import FlowRule, Plasticine, Sand, StandardLinearSolid
 from physconvex.reduced import (
-    Plane,
-    Plasticine,
     ReducedBody,
     ReducedScene,
-    Sand,
-    StandardLinearSolid,
     parameter_values,
     simulate,
     simulate_with_adjoint,

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, box_mesh
+from physconvex import InputError
+from physconvex.fem import ElasticBody
+from physconvex.mesh import box_mesh
 from physconvex.reduced import (
     ArrayWeights,
     BodySamples,
@@ -69,8 +70,9 @@ def test_a_predicted_field_is_turned_and_shifted_with_its_gradients():
 
 def test_the_field_of_the_network_moves_a_body():
     """Float32 values and gradients of a skinning head become a space in float64 that holds affine motions."""
+    from models import SkinningField
     from models.config import SkinningConfig
-    from models.skinning import SkinningField, SkinningHead
+    from models.skinning import SkinningHead
 
     head = SkinningHead(4, SkinningConfig(handles=3))
     (network,) = SkinningField.from_head(head, torch.ones(1, 4), [0.3])

@@ -4,23 +4,20 @@ import numpy as np
 import pytest
 import trimesh
 
-from physconvex.fem import ElasticBody, box_mesh, tetrahedralize
-from physconvex.integrators import State, implicit_euler
+from physconvex.dynamics import Plane, State, implicit_euler
+from physconvex.fem import ElasticBody
+from physconvex.materials import Plasticine, Sand, StandardLinearSolid, with_fibres
+from physconvex.mesh import box_mesh, tetrahedralize
 from physconvex.reduced import (
     BodySamples,
     Pins,
-    Plane,
-    Plasticine,
     ReducedBody,
     ReducedScene,
     ReducedSpace,
-    Sand,
-    StandardLinearSolid,
+    StepEquations,
     eigenmode_weights,
     simulate,
-    with_fibres,
 )
-from physconvex.reduced.equations import StepEquations
 
 SIZE = (0.3, 0.2, 0.1)
 MODULUS = 2e4

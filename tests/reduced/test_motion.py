@@ -5,24 +5,22 @@ import dataclasses
 import numpy as np
 import pytest
 
-from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import ElasticBody, Scene, box_mesh, surface_load
-from physconvex.fem import simulate as simulate_full
-from physconvex.integrators import State
+from physconvex import ConvergenceError, InputError
+from physconvex.dynamics import Plane, Sphere, State
+from physconvex.fem import ElasticBody, Scene, simulate as simulate_full, surface_load
 from physconvex.materials import LAWS
+from physconvex.mesh import box_mesh
 from physconvex.reduced import (
     BodySamples,
     CallableWeights,
-    Plane,
     ReducedBody,
     ReducedScene,
     ReducedSpace,
     ReducedTrajectory,
-    Sphere,
+    StepEquations,
     eigenmode_weights,
     simulate,
 )
-from physconvex.reduced.equations import StepEquations
 
 G = 9.81
 SIZE = (0.3, 0.2, 0.1)

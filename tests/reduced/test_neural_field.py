@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, Scene, box_mesh
-from physconvex.fem import simulate as simulate_full
+from physconvex import InputError
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Scene, simulate as simulate_full
+from physconvex.mesh import box_mesh
 from physconvex.reduced import (
     BodySamples,
     CallableWeights,
     NeuralFieldOptions,
     NeuralWeights,
-    Plane,
     ReducedBody,
     ReducedScene,
     ReducedSpace,

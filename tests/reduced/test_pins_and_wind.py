@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.errors import InputError
+from physconvex import InputError
+from physconvex.dynamics import Plane, Wind
 from physconvex.reduced import (
     Pins,
-    Plane,
     ReducedBody,
     ReducedScene,
-    Wind,
     parameter_values,
     simulate,
     simulate_with_adjoint,

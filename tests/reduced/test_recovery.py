@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from physconvex.dynamics import Plane
 from physconvex.reduced import (
-    Plane,
     ReducedBody,
     ReducedScene,
     parameter_values,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from physconvex.errors import InputError
+from physconvex import InputError
 from physconvex.reduced import (
     PARAMETERS,
     ReducedBody,

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from physconvex.kernels import KernelUnavailable
 from physconvex.materials import get_law
-from physconvex.native import KernelUnavailable
-from physconvex.reduced import ReducedBody, kernel
-from physconvex.reduced.kernel import CompiledSamples, volumetric_samples
+from physconvex.reduced import ReducedBody, compiled_body as kernel
+from physconvex.reduced.compiled_body import CompiledSamples, volumetric_samples
 from physconvex.reduced.volumetric import VolumetricSamples
 
 LAWS = ["neo_hookean", "neo_hookean_log"]

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from physconvex.contact import Contact
-from physconvex.errors import InputError
-from physconvex.fem import ElasticBody, box_mesh
-from physconvex.fem.mesh import TetMesh, to_quadratic
+from physconvex import InputError
+from physconvex.dynamics import Contact, Plane
+from physconvex.fem import ElasticBody
+from physconvex.mesh import TetMesh, box_mesh, to_quadratic
 from physconvex.reduced import (
     BodySamples,
-    Plane,
     ReducedBody,
     ReducedScene,
     ReducedSpace,

@@ -7,10 +7,10 @@ import pytest
 
 from data_gen.dataset import RenderedView, finish_dataset, write_simulation
 from data_gen.simulate import Samples
-from models.config import BinConfig, EncoderConfig, KinematicsConfig, NetworkConfig, SkinningConfig
-from physconvex.camera import look_at
-from physconvex.video import write_video
-from train.config import TrainConfig
+from models import BinConfig, EncoderConfig, KinematicsConfig, NetworkConfig
+from models.config import SkinningConfig
+from physconvex.io import look_at, write_video
+from train import TrainConfig
 
 SIZE, FPS, FRAMES, PIXELS = 1.0, 24.0, 16, 48
 GRAVITY, DENSITY = 9.81, 1000.0

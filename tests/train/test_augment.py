@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from models.motion import STATE_NAMES
-from models.silhouette import silhouette_moments
+from models import STATE_NAMES, silhouette_moments
 from train.augment import Sample, augment, flipped, reindexed
 from train.config import AugmentConfig
 

@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from models.clip import prepare_clip
-from physconvex.camera import look_at
-from physconvex.errors import InputError
-from train.cache import PreparedClips, prepare_clips
-from train.config import TrainConfig, load_train_config
-from train.data import Item, TrainingClips, batches, collate
-from train.losses import smoothed_target
+from models import prepare_clip
+from physconvex import InputError
+from physconvex.io import look_at
+from train import TrainConfig, TrainingClips, load_train_config, prepare_clips, read_clips, smoothed_target
+from train.cache import PreparedClips
+from train.data import Item, batches, collate
 from train.metrics import density_metrics
 from train.plan import Plan
-from train.records import camera_aligned_axes, read_clips
+from train.records import camera_aligned_axes
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 0.7, 3.0, -1.6])

@@ -9,14 +9,11 @@ import pytest
 from PIL import Image
 
 import train.predictor_evaluation
-from models.clip import PreparedClip
-from models.estimator import Estimate, PhysicsPredictor
-from models.skinning import SkinningField
-from physconvex.errors import InputError
-from train.config import TrainConfig
+from models import Estimate, PhysicsPredictor, PreparedClip, SkinningField
+from physconvex import InputError
+from train import TrainConfig, read_clips
 from train.held_out import held_out
 from train.predictor_evaluation import evaluate_predictor, write_predictor_report
-from train.records import read_clips
 from train.skinning_evaluation import evaluate_skinning, write_skinning_report
 
 

@@ -13,13 +13,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from models.checkpoint import load_checkpoint
-from models.estimator import PhysicsPredictor
-from physconvex.errors import InputError
-from train import loop
-from train.config import TrainConfig
-from train.loop import train_predictor
-from train.records import read_clips
+from models import PhysicsPredictor, load_checkpoint
+from physconvex import InputError
+from train import TrainConfig, loop, read_clips, train_predictor
 
 ROOT = Path(__file__).parents[2]
 

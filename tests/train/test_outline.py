@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from models.outline import OutlineConfig, load_outline
+from models import OutlineConfig, load_outline
 from train.outline import OutlineResult, OutlineTraining, outline_loss, train_outline
 from train.outline_data import RoughClip, degraded, rearranged
 from train.segmentation_data import SegmentationAugmentation

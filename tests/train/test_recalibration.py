@@ -9,11 +9,9 @@ import typer
 from typer.testing import CliRunner
 
 import train.commands
-from models.calibration import Calibration, DensityCalibration, fit_density_calibration
-from models.config import BinConfig
-from models.estimator import PhysicsPredictor
-from physconvex.errors import InputError
-from train.config import TrainConfig
+from models import BinConfig, Calibration, DensityCalibration, PhysicsPredictor, fit_density_calibration
+from physconvex import InputError
+from train import TrainConfig
 from train.held_out import estimates_of, held_out
 from train.recalibration import recalibrate
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from models.segmenter import SegmenterConfig, load_segmenter
-from physconvex.errors import InputError
+from models import SegmenterConfig, load_segmenter
+from physconvex import InputError
 from train.segmentation import SegmentationConfig, SegmentationResult, segmentation_loss, train_segmenter
 from train.segmentation_data import MaskedClip, SegmentationAugmentation, augmented
 

@@ -9,9 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from models.mirror import mirrored_moments_tensor
-from models.silhouette import MOMENT_NAMES
-from models.windows import GREY
+from models import GREY, MOMENT_NAMES, mirrored_moments_tensor
 from train.config import AugmentConfig
 from train.states import MIRROR
 

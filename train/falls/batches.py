@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from data_gen.config import CameraConfig
-from models.network import ClipBatch
+from data_gen import CameraConfig
+from models import ClipBatch
 from train.config import TrainConfig
 from train.falls.augment import Shown
 from train.falls.prepare import prepare_clips_at_once

@@ -9,8 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from models.checkpoint import ClipSettings
-from models.windows import GREY
+from models import GREY, ClipSettings
 
 __all__ = ["Prepared", "prepare_clips_at_once"]
 

@@ -18,11 +18,8 @@ from timm.optim import create_optimizer_v2
 from timm.utils import ModelEmaV3
 from torch import Tensor
 
-from data_gen.config import CameraConfig
-from models.heads import BinnedDensity
-from models.mirror import answer_both_ways
-from models.motion import STATE_SCALE
-from models.network import NetworkOutput, PhysicsNetwork
+from data_gen import CameraConfig
+from models import STATE_SCALE, BinnedDensity, NetworkOutput, PhysicsNetwork, answer_both_ways
 from train.config import TrainConfig
 from train.falls.augment import augment_at_once
 from train.falls.batches import FallBatch, draw_batch, joined_batches, real_batch

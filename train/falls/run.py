@@ -10,11 +10,10 @@ from pathlib import Path
 
 import torch
 
-from data_gen.explicit.bodies import FallingBody
-from data_gen.explicit.generate import read_falls
-from models.network import PhysicsNetwork
-from physconvex.devices import device_named
-from physconvex.errors import InputError
+from data_gen import FallingBody, read_falls
+from models import PhysicsNetwork
+from physconvex import InputError
+from physconvex.numerics import device_named
 from train.config import TrainConfig
 from train.export import export_best
 from train.falls.pretrain import STATE, Pretraining, pretrain

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from models.network import PhysicsNetwork
-from models.skinning_energy import captured_energy_loss, span_loss
+from models import PhysicsNetwork, captured_energy_loss, span_loss
 from train.config import LossConfig
 from train.data import Item, TrainingClips, collate
 from train.losses import Targets

@@ -9,8 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from data_gen.config import CameraConfig
-from data_gen.explicit.kernels import LOOK, VIEW, draw
+from data_gen import LOOK, VIEW, CameraConfig, draw
 from train.falls.world import Falls, Index
 
 __all__ = ["Views", "draw_views"]

@@ -10,11 +10,10 @@ import torch
 from jaxtyping import Float, Float32, Int, Int32
 from torch import Tensor
 
-from data_gen.explicit.bodies import FPS, FallingBody, Layout, lay_out
-from data_gen.explicit.kernels import roll_out
-from models.scaling import dimensionless_interval, log10_dimensionless_stiffness
-from physconvex.errors import ConvergenceError
-from physconvex.fem.elements import QUADRATURE, shape_values
+from data_gen import FPS, FallingBody, Layout, lay_out, roll_out
+from models import dimensionless_interval, log10_dimensionless_stiffness
+from physconvex import ConvergenceError
+from physconvex.mesh import QUADRATURE, shape_values
 
 __all__ = ["Falls", "Index", "joined", "motion_states", "simulate_falls", "turned"]
 

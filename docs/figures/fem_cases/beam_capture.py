@@ -8,8 +8,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from docs.figures.fem_cases.measured import GRAVITY, recording
-from physconvex.capture import Boundary, Capture, Tracks, save_capture
-from physconvex.fem import TetMesh, box_mesh
+from physconvex.io import Boundary, Capture, Tracks, save_capture
+from physconvex.mesh import TetMesh, box_mesh
 
 __all__ = ["beam_capture"]
 

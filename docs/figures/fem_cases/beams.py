@@ -14,16 +14,13 @@ from physconvex.fem import (
     ElasticBody,
     Pins,
     Scene,
-    TetMesh,
-    box_mesh,
     simulate,
     solve_static,
     surface_load,
     tangent_stiffness,
-    to_quadratic,
     vibration_modes,
 )
-from physconvex.fem.embedding import Embedding
+from physconvex.mesh import Embedding, TetMesh, box_mesh, to_quadratic
 
 __all__ = [
     "SILICONE",

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from physconvex.fem import ElasticBody, Plane, Scene, box_mesh, simulate
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.mesh import box_mesh
 
 __all__ = ["GRAVITY", "Impact", "Slope", "impact", "slope"]
 

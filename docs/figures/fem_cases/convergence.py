@@ -8,9 +8,9 @@ from functools import cache
 
 import numpy as np
 
-from physconvex.fem import ElasticBody, Pins, Scene, TetMesh, box_mesh, simulate, solve_static
-from physconvex.fem.elements import QUADRATURE, shape_gradients, shape_values
-from physconvex.integrators import IntegratorName
+from physconvex.dynamics import IntegratorName
+from physconvex.fem import ElasticBody, Pins, Scene, simulate, solve_static
+from physconvex.mesh import QUADRATURE, TetMesh, box_mesh, shape_gradients, shape_values
 
 __all__ = ["Convergence", "elastic_displacement", "fitted_slope", "in_space", "in_time"]
 

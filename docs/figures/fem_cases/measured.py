@@ -10,7 +10,7 @@ from scipy.sparse.linalg import eigsh
 
 from docs.figures.fem_cases.beams import DATA, clamp, edge_load
 from physconvex.fem import ElasticBody, Scene, simulate, solve_static, tangent_stiffness
-from physconvex.fem.embedding import Embedding
+from physconvex.mesh import Embedding
 
 __all__ = [
     "LOAD",

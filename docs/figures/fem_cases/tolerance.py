@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from physconvex.fem import ElasticBody, Scene, box_mesh, simulate
+from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.mesh import box_mesh
 
 __all__ = ["Tolerance", "flight"]
 

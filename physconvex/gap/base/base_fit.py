@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.capture import Capture
+from physconvex.dynamics import Plane
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import Plane, TetMesh
 from physconvex.gap.base.baseline import FLOOR_LAW, Baseline, Report, Split, split_frames
 from physconvex.gap.base.body_modes import body_modes
-from physconvex.gap.base.boxes import box_of_body
+from physconvex.gap.base.box_mesh import box_of_body
 from physconvex.gap.base.cost import Cost
-from physconvex.gap.base.depth import depth_seen
-from physconvex.gap.base.independence import temperature
+from physconvex.gap.base.floor_depth import depth_seen
+from physconvex.gap.base.independent_residuals import temperature
 from physconvex.gap.base.model import EffectModel, SecantModel, reduced_like
-from physconvex.gap.base.observing import Seen, observe, starts_elsewhere, with_honest_noise
+from physconvex.gap.base.observed_points import Seen, observe, starts_elsewhere, with_honest_noise
 from physconvex.gap.base.rough_errors import with_rough_errors
-from physconvex.gap.effects import Correction, Motion, Situation
+from physconvex.gap.effects.effect import Situation
+from physconvex.gap.effects.motion import Correction, Motion
 from physconvex.gap.options import GapOptions
 from physconvex.identify import (
     Fit,
@@ -35,8 +35,10 @@ from physconvex.identify import (
     fit,
     scan,
     scan_values,
+    start_motion,
 )
-from physconvex.identify.setup import start_motion
+from physconvex.io import Capture
+from physconvex.mesh import TetMesh
 
 __all__ = ["fit_baseline", "misfit_of_base", "rough_baseline", "run_base", "steps_per_frame"]
 
@@ -223,7 +225,7 @@ def fit_baseline(
 ) -> Baseline:
     """Fit the full-order base model to the fitted frames, with what a finer model would change added.
 
-    The reduced model searches, the full-order one is run at what it found, see `physconvex.gap.search.mapping`. Of a
+    The reduced model searches, the full-order one is run at what it found, see `gap.search.space_mapping`. Of a
     free body that comes out nearly incompressible, or hardly so, the fit is made from a middling ν too, and the better
     one taken: such a ν may be a valley of its own, which an effect that is missing has opened and which no dose is
     found from.

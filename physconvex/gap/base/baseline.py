@@ -8,17 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from physconvex.capture import Capture
 from physconvex.errors import InputError
 from physconvex.gap.base.body_modes import BodyModes, TurnedObservations
 from physconvex.gap.base.model import EffectModel
-from physconvex.gap.base.observing import Seen, components, in_metres, widened
-from physconvex.gap.effects import Motion, Situation
-from physconvex.identify import (
-    Fit,
-    Twin,
-)
-from physconvex.identify.observations import Observations
+from physconvex.gap.base.observed_points import Seen, components, in_metres, widened
+from physconvex.gap.effects.effect import Situation
+from physconvex.gap.effects.motion import Motion
+from physconvex.identify import Fit, Observations, Twin
+from physconvex.io import Capture
 
 __all__ = [
     "FLOOR_LAW",

@@ -28,8 +28,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.linalg import null_space
 
-from physconvex.identify import MarkerObservations, PixelObservations
-from physconvex.identify.observations import Observations, WrappedObservations
+from physconvex.identify import MarkerObservations, Observations, PixelObservations, WrappedObservations
 
 __all__ = ["BodyModes", "TurnedObservations", "body_modes", "undivided"]
 

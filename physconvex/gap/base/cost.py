@@ -13,9 +13,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+from physconvex.dynamics import SolveStatistics
 from physconvex.errors import ConvergenceError
-from physconvex.fem import SolveStatistics
-from physconvex.volumetric_laws import is_volumetric
+from physconvex.materials import is_volumetric
 
 __all__ = ["Cost", "OutOfBudget", "newton_step"]
 

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.camera import Camera
+from physconvex.dynamics import IntegratorName
 from physconvex.errors import ConvergenceError
-from physconvex.fem import Embedding, TetMesh, Trajectory
-from physconvex.fem import Scene as FullScene
-from physconvex.fem import simulate as simulate_full
+from physconvex.fem import Scene as FullScene, Trajectory, simulate as simulate_full
 from physconvex.gap.base.cost import Cost
-from physconvex.gap.effects import Correction, Effect, Motion, Situation, by_steps
+from physconvex.gap.effects.effect import Effect, Situation
+from physconvex.gap.effects.motion import Correction, Motion, by_steps
 from physconvex.identify import Parameter, Twin, default_parameter
-from physconvex.integrators import IntegratorName
+from physconvex.io import Camera
+from physconvex.mesh import Embedding, TetMesh
 from physconvex.reduced import ReducedScene, parameter_values, simulate
 
 __all__ = ["ACCURACY", "MODULUS", "EffectModel", "SecantModel", "reduced_like", "searches_itself"]
@@ -52,7 +52,7 @@ class EffectModel:
         refinement: factor on its time steps.
         integrator: of the full-order model.
         doubt: how much the stated noise overrates what the fit says, by which priors weigh more; see
-            `physconvex.gap.base.independence`.
+            `physconvex.gap.base.independent_residuals`.
         reduced: whether motions come from the reduced model; `correction` then makes up for the difference.
         stiffer: decades of E added in every run.
         surrogate_stiffer: the same for the cheaper model that `reduced_like` makes.

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError
-from physconvex.gap.base.observing import Seen, in_metres, widened
-from physconvex.gap.effects import Motion
+from physconvex.gap.base.observed_points import Seen, in_metres, widened
+from physconvex.gap.effects.motion import Motion
 from physconvex.identify import Twin
 from physconvex.reduced import simulate
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
-from physconvex.capture import Boundary, Capture, Tracks
+from physconvex.io import Boundary, Capture, Tracks
 
 __all__ = ["MOST_FRAMES", "shortened"]
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.model import MODULUS
-from physconvex.gap.conditions.company import Company
+from physconvex.gap.conditions.joint_fits import Company
 from physconvex.gap.options import GapOptions
 from physconvex.identify import Fit, scan_values
 

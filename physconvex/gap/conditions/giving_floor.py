@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.gap.base.baseline import FLOOR_LAW, Baseline
-from physconvex.gap.conditions.company import Company
+from physconvex.gap.conditions.joint_fits import Company
 from physconvex.identify import Fit
 
 __all__ = ["on_giving_floor", "sinks_in", "softness"]

@@ -1,7 +1,7 @@
 """What the recording was made with: a floor that gives way or not, its own linear elements or any; or much damping.
 
 Of a free body both are asked at once, by short fits of the full-order model on either floor and either mesh, in the
-company of effects (`physconvex.gap.conditions.company`): a mesh whose diagonals all run one way makes a cube tumble
+company of effects (`physconvex.gap.conditions.joint_fits`): a mesh whose diagonals all run one way makes a cube tumble
 after it has struck the floor, which hides what the floor does, and the other way round.
 """
 
@@ -15,10 +15,10 @@ import numpy as np
 from physconvex.errors import ConvergenceError
 from physconvex.gap.base.base_fit import run_base
 from physconvex.gap.base.baseline import FLOOR_LAW, Baseline
-from physconvex.gap.conditions.company import Company
+from physconvex.gap.conditions.capture_elements import own_elements
 from physconvex.gap.conditions.dissipation import damped_fit
 from physconvex.gap.conditions.giving_floor import on_giving_floor, sinks_in, softness
-from physconvex.gap.conditions.own_elements import own_elements
+from physconvex.gap.conditions.joint_fits import Company
 from physconvex.gap.options import GapOptions
 from physconvex.identify import Fit
 

@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.camera import Camera
 from physconvex.errors import InputError
 from physconvex.fem import Scene
 from physconvex.gap.effects.motion import Motion
+from physconvex.io import Camera
 from physconvex.reduced import ReducedScene
 
 __all__ = ["IN_FLIGHT", "SOURCES", "AnyScene", "Dose", "Effect", "Patches", "Situation", "Source"]

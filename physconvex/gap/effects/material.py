@@ -7,12 +7,18 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.elastic_terms import combined, with_fibres, with_strain_stiffening
 from physconvex.gap.effects.effect import AnyScene, Dose, Effect, Situation
 from physconvex.gap.effects.scenes import with_fields, with_material
-from physconvex.inelastic import Plasticine, StandardLinearSolid
-from physconvex.materials import Law, get_law
-from physconvex.volumetric_laws import is_volumetric
+from physconvex.materials import (
+    Law,
+    Plasticine,
+    StandardLinearSolid,
+    combined,
+    get_law,
+    is_volumetric,
+    with_fibres,
+    with_strain_stiffening,
+)
 
 __all__ = ["MATERIAL_EFFECTS"]
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
-from physconvex.camera import Camera
+from physconvex.io import Camera
 
 __all__ = ["Correction", "Motion", "by_steps"]
 

@@ -9,13 +9,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.elastic_terms import less_ground
 from physconvex.errors import InputError
 from physconvex.fem import ElasticBody
-from physconvex.flows import Flows
 from physconvex.gap.effects.effect import AnyScene
-from physconvex.inelastic import FlowRule, Plasticine
-from physconvex.materials import LAWS, Law
+from physconvex.materials import LAWS, FlowRule, Flows, Law, Plasticine, less_ground
 from physconvex.reduced import Cubature, ReducedBody, ReducedScene
 
 __all__ = ["cell_masses", "scaled_coordinates", "with_fields", "with_material"]

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from physconvex.dynamics import Wind
 from physconvex.gap.effects.effect import AnyScene, Dose, Effect, Situation
 from physconvex.gap.effects.scenes import with_fields
-from physconvex.wind import Wind
 
 __all__ = ["WORLD_EFFECTS", "rotation_vector_matrix"]
 

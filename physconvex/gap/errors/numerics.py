@@ -13,16 +13,17 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import TetMesh, refine, simulate, tetrahedralize
+from physconvex.fem import simulate
 from physconvex.gap.base.baseline import Baseline, Report, derivatives_of_residuals
-from physconvex.gap.base.boxes import box_of_body
+from physconvex.gap.base.box_mesh import box_of_body
 from physconvex.gap.base.model import ACCURACY, EffectModel
-from physconvex.gap.effects import Correction, Motion
+from physconvex.gap.effects.motion import Correction, Motion
 from physconvex.gap.errors.rebound import path_since_contact
-from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.options import GapOptions
 from physconvex.identify import mesh_of_capture
-from physconvex.kabsch import beyond_rigid
+from physconvex.mesh import TetMesh, refine, tetrahedralize
+from physconvex.numerics import beyond_rigid
 
 __all__ = [
     "Numerics",
@@ -40,7 +41,7 @@ _EXACT_WORK = 1_000_000  # the same of the finest mesh: runs with a quarter of t
 _ORDER = 1.75  # of convergence by edge length
 _FINEST = 2.5  # times the nodes of the finer mesh: of the one that it is compared with
 _LESS = _FINEST ** (_ORDER / 3)  # error of the finer mesh over that of this one
-# as a whole, even strain and the rest, measured between this model and `physconvex.gap.blind.engine`, and MuJoCo's
+# as a whole, even strain and the rest, measured between this model and `data_gen.blind.engine`, and MuJoCo's
 _OUT_OF_STEP = (0.01, 0.1, 0.5)
 # of that as a whole, across the normal of a smooth floor, besides its friction: nine bodies without effect parted from
 # that engine by .2 to 4 % of their way along the normal, and by .01 to .3 % across it
@@ -63,7 +64,7 @@ class Numerics:
         fine: the finer mesh, and the motion on it; None where it could not be run, or not often.
         nodes: of the model's mesh and of the finer one.
         failed: names of runs that did not converge (their differences are zero).
-        absorbed_mesh: `mesh` after E and ν were fitted (`physconvex.gap.errors.absorbing`); None where they were not.
+        absorbed_mesh: `mesh` after E and ν were fitted (`absorbed_errors`); None where they were not.
         finest: of a free body, with a mesh finer still, to the run on the finer one; None where it was not run.
         exact: that mesh, and the same with a quarter of the time step as well.
     """
@@ -209,7 +210,7 @@ def correction_of(numerics: Numerics) -> Correction:
 def error_model(
     base: Baseline, numerics: Numerics, options: GapOptions, *, scale: float | Float[np.ndarray, " N"] = 1.0
 ) -> ErrorModel:
-    """V of `physconvex.gap.errors.score`: noise, and by frame and kind size and shapes of numerical differences.
+    """V of `physconvex.gap.errors.score_test`: noise, and by frame and kind size and shapes of numerical differences.
 
     Such errors are smooth fields that last: few numbers (`BodyModes.freedom`), and the same ones for some frames, so
     that n residuals hold no more than about freedom/_LASTING independent ones. Widening their variance by the ratio
@@ -227,7 +228,7 @@ def error_model(
         base: the base fit.
         numerics: the differences.
         options: settings.
-        scale: factor on the differences, one or one per residual, see `physconvex.gap.errors.trust`.
+        scale: factor on the differences, one or one per residual, see `physconvex.gap.errors.error_scale`.
     """
     here, frames = base.positions, base.observations.frames
     directions = options.error_scale * scale * np.stack([base.change(here + d) for d in numerics.null])

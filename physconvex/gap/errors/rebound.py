@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.gap.base.body_modes import BodyModes
-from physconvex.gap.effects import Motion
-from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.effects.motion import Motion
+from physconvex.gap.errors.score_test import ErrorModel
 
 __all__ = ["forgiving", "path_since_contact"]
 

@@ -11,9 +11,10 @@ from jaxtyping import Float
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.base.baseline import Baseline, Report, derivatives_of_residuals
 from physconvex.gap.base.model import EffectModel
-from physconvex.gap.effects import Effect, applicable
+from physconvex.gap.effects.catalogue import applicable
+from physconvex.gap.effects.effect import Effect
 from physconvex.gap.errors.numerics import Numerics
-from physconvex.gap.errors.score import ErrorModel, Projector, Score, least_squares, score
+from physconvex.gap.errors.score_test import ErrorModel, Projector, Score, least_squares, score
 
 __all__ = ["Pair", "Screened", "Screening", "best_pairs", "screen"]
 

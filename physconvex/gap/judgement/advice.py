@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from physconvex.gap.effects import Situation
-from physconvex.gap.judgement.verdict import Verdict
+from physconvex.gap.effects.effect import Situation
+from physconvex.gap.judgement.verdict_input import Verdict
 
 __all__ = ["next_experiment"]
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from physconvex.gap.base.baseline import Baseline
-from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.search.evidence import information_by_kind, squares_by_kind
 from physconvex.gap.search.hypothesis import Hypothesis
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from physconvex.gap.effects import Effect
+from physconvex.gap.effects.effect import Effect
 from physconvex.gap.errors.screening import Screening
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis

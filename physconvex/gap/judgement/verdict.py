@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from physconvex.gap.effects import IN_FLIGHT
+from physconvex.gap.effects.effect import IN_FLIGHT
 from physconvex.gap.errors.screening import Screening
-from physconvex.gap.judgement.case import (
+from physconvex.gap.judgement.naming import SOMETHING_ELSE, WEAK, beside_something_else, favoured, probabilities
+from physconvex.gap.judgement.residual_measures import Measured
+from physconvex.gap.judgement.verdict_input import (
     FORETOLD,
     LESS,
     OPEN,
@@ -17,8 +19,6 @@ from physconvex.gap.judgement.case import (
     Verdict,
     VerdictName,
 )
-from physconvex.gap.judgement.measured import Measured
-from physconvex.gap.judgement.naming import SOMETHING_ELSE, WEAK, beside_something_else, favoured, probabilities
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
 

@@ -19,13 +19,12 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
 from physconvex.gap.base.baseline import Baseline
-from physconvex.gap.effects import Effect, Patches, Situation
-from physconvex.gap.judgement.case import TRUSTED, Verdict
+from physconvex.gap.effects.effect import Effect, Patches, Situation
 from physconvex.gap.judgement.naming import NamedDose, NamedEffect
+from physconvex.gap.judgement.verdict_input import TRUSTED, Verdict
 from physconvex.gap.light.patches import HALF, Compared, body_patches, light_of, still_patches
 from physconvex.gap.options import GapOptions
-from physconvex.identify import PixelObservations
-from physconvex.identify.raster import cast_camera_rays
+from physconvex.identify import PixelObservations, cast_camera_rays
 
 __all__ = [
     "BRIGHTNESS",

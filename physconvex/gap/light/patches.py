@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from physconvex.gap.effects import Patches
+from physconvex.gap.effects.effect import Patches
 from physconvex.identify import PixelObservations
 
 __all__ = ["HALF", "Compared", "body_patches", "light_of", "still_patches"]

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from physconvex.gap.base.baseline import Baseline
-from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.search.hypothesis import Hypothesis
 
 __all__ = ["Budget", "budget_of", "reduction_by_frame", "squares_by_frame"]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from physconvex.gap.base.baseline import Baseline
+from physconvex.gap.search.damped_sine import deformation, ringing
 from physconvex.gap.search.hypothesis import Hypothesis
-from physconvex.gap.search.ringing import deformation, ringing
 from physconvex.identify import MarkerObservations
 
 __all__ = ["Mode", "vibrations"]

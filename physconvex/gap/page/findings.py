@@ -9,7 +9,7 @@ import numpy as np
 
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.errors.screening import Screening
-from physconvex.gap.judgement.verdict import Verdict
+from physconvex.gap.judgement.verdict_input import Verdict
 from physconvex.gap.light.image_formation import ImageFinding
 from physconvex.gap.location.vibration import Mode
 from physconvex.gap.location.where import Part, Where

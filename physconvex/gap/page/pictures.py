@@ -16,7 +16,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from physconvex.gap.location.where import Where
 from physconvex.gap.page.findings import GapFindings
-from physconvex.identify.raster import unit_normals
+from physconvex.identify import unit_normals
 
 __all__ = [
     "body_map", "budget", "confusion", "forest", "image_series", "parameter_arrows", "png_of", "shrinkage_bars",

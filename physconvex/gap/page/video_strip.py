@@ -15,9 +15,7 @@ from matplotlib.figure import Figure
 from physconvex.errors import ConvergenceError
 from physconvex.gap.page.findings import GapFindings
 from physconvex.gap.search.hypothesis import Hypothesis
-from physconvex.identify import PixelObservations
-from physconvex.identify.raster import cast_camera_rays
-from physconvex.identify.video_tracks import appearance_map
+from physconvex.identify import PixelObservations, appearance_map, cast_camera_rays
 
 __all__ = ["video_strip"]
 

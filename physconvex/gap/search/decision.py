@@ -1,4 +1,4 @@
-"""The full-order model decides between the best fits of the search (`physconvex.gap.search.mapping`)."""
+"""The full-order model decides between the best fits of the search (`physconvex.gap.search.space_mapping`)."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 from physconvex.gap.base.baseline import Baseline, Report
 from physconvex.gap.errors.numerics import Numerics
-from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.exactness import with_own_correction
+from physconvex.gap.search.exact_corrections import with_own_correction
 from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis
-from physconvex.gap.search.mapping import confirmed, improved
 from physconvex.gap.search.ranking import judged
-from physconvex.gap.search.state import FAILURES
+from physconvex.gap.search.search_state import FAILURES
+from physconvex.gap.search.space_mapping import confirmed, improved
 
 __all__ = ["decided"]
 

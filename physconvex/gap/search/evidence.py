@@ -11,9 +11,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from physconvex.gap.base.baseline import Baseline
-from physconvex.gap.base.independence import temperature
-from physconvex.gap.effects import IN_FLIGHT, Effect
-from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.base.independent_residuals import temperature
+from physconvex.gap.effects.effect import IN_FLIGHT, Effect
+from physconvex.gap.errors.score_test import ErrorModel
 
 __all__ = [
     "evidence_of",
@@ -67,7 +67,7 @@ def squares_by_kind(
 def _alike(
     base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray
 ) -> Float[np.ndarray, " D"]:  # fmt: skip
-    """Residuals per independent one, by kind, see `physconvex.gap.base.independence`."""
+    """Residuals per independent one, by kind, see `physconvex.gap.base.independent_residuals`."""
     rows, out = base.rows(frames), np.ones(base.modes.count)
     whitened = base.residual(positions)[rows] / np.sqrt(errors.expected[rows])
     for kind in range(base.modes.count):

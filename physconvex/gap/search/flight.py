@@ -16,14 +16,14 @@ import numpy as np
 from physconvex.errors import ConvergenceError
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.model import MODULUS, EffectModel
-from physconvex.gap.effects import IN_FLIGHT, Effect
+from physconvex.gap.effects.effect import IN_FLIGHT, Effect
 from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.errors.screening import Screened, best_pairs, screen
+from physconvex.gap.search.effect_fits import fit_effects
 from physconvex.gap.search.evidence import mean_square, misfit_of
-from physconvex.gap.search.fitting import fit_effects
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.search.rounds import fitted_there
-from physconvex.gap.search.state import FAILURES, Selection
+from physconvex.gap.search.search_state import FAILURES, Selection
 
 __all__ = ["from_flight"]
 

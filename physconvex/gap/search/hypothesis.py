@@ -9,8 +9,10 @@ from jaxtyping import Bool, Float
 
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.model import EffectModel
-from physconvex.gap.effects import Effect, Motion
-from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.effects.effect import Effect
+from physconvex.gap.effects.motion import Motion
+from physconvex.gap.errors.score_test import ErrorModel
+from physconvex.gap.search.damped_sine import ringing_likelihood
 from physconvex.gap.search.evidence import (
     evidence_of,
     information_by_kind,
@@ -20,7 +22,6 @@ from physconvex.gap.search.evidence import (
     residuals_per_one,
     squares_by_kind,
 )
-from physconvex.gap.search.ringing import ringing_likelihood
 from physconvex.identify import Fit, marginal_deviations
 
 __all__ = [

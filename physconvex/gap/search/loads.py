@@ -16,10 +16,10 @@ from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.lowest_mode import lowest_frequency
 from physconvex.gap.base.model import MODULUS, EffectModel
-from physconvex.gap.effects import Effect
-from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.effects.effect import Effect
+from physconvex.gap.errors.score_test import ErrorModel
+from physconvex.gap.search.damped_sine import recorded_ringing
 from physconvex.gap.search.evidence import misfit_of
-from physconvex.gap.search.ringing import recorded_ringing
 
 __all__ = ["loaded_starts"]
 

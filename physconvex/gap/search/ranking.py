@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from physconvex.gap.base.baseline import Baseline
-from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.search.evidence import information_per_one
 from physconvex.gap.search.hypothesis import Hypothesis, doses_at_bounds
 

@@ -9,17 +9,18 @@ import numpy as np
 
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.model import EffectModel, reduced_like
-from physconvex.gap.effects import Effect, applicable
+from physconvex.gap.effects.catalogue import applicable
+from physconvex.gap.effects.effect import Effect
 from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.errors.screening import Pair, Screened, Screening, best_pairs, screen
-from physconvex.gap.search.anchoring import early_point
+from physconvex.gap.search.effect_fits import derivatives_at, refit
 from physconvex.gap.search.evidence import squares_by_kind
-from physconvex.gap.search.fitting import derivatives_at, refit
+from physconvex.gap.search.first_frames import early_point
 from physconvex.gap.search.hypothesis import Hypothesis, continued, hypothesis_at, weighed_anew
 from physconvex.gap.search.loads import loaded_starts
-from physconvex.gap.search.mapping import as_reduced, confirmed, improved
 from physconvex.gap.search.ranking import finalists
-from physconvex.gap.search.state import FAILURES, Selection
+from physconvex.gap.search.search_state import FAILURES, Selection
+from physconvex.gap.search.space_mapping import as_reduced, confirmed, improved
 
 __all__ = [
     "TIED",

@@ -1,13 +1,13 @@
 """Which effects, one or several: forward selection from screenings, pairs that help only together, and leaving out.
 
 1. Fit the effects that screening ranks first, each alone, and the pairs whose signatures explain most together; do
-   so again from where the first frames alone put the base model (`physconvex.gap.search.anchoring`). Begin with
+   so again from where the first frames alone put the base model (`physconvex.gap.search.first_frames`). Begin with
    damping where E was found together with it, and with a load at the end of a held body
    (`physconvex.gap.search.loads`). Where that led far from the base fit, numerical errors are told anew
-   (`physconvex.gap.search.expecting`).
+   (`physconvex.gap.search.expected_errors`).
 2. While something is left of the best fit, screen all other effects at that fit and add those that rank first.
 3. Fit the best combination without each of its effects.
-4. Carry the best few over to the full-order model (`physconvex.gap.search.mapping`), which decides.
+4. Carry the best few over to the full-order model (`physconvex.gap.search.space_mapping`), which decides.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from physconvex.gap.base.baseline import Baseline, Report
-from physconvex.gap.effects import Effect, applicable
+from physconvex.gap.effects.catalogue import applicable
+from physconvex.gap.effects.effect import Effect
 from physconvex.gap.errors.numerics import Numerics
-from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.errors.screening import Screening, screen
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.decision import decided
 from physconvex.gap.search.evidence import residuals_per_one
-from physconvex.gap.search.expecting import expect_anew
+from physconvex.gap.search.expected_errors import expect_anew
 from physconvex.gap.search.flight import from_flight
 from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis, continued
 from physconvex.gap.search.loads import loaded_starts
-from physconvex.gap.search.mapping import as_reduced
 from physconvex.gap.search.ranking import finalists, judged
 from physconvex.gap.search.rounds import (
     TIED,
@@ -42,7 +42,8 @@ from physconvex.gap.search.rounds import (
     polish,
     together,
 )
-from physconvex.gap.search.state import LATE_GAP, Selection
+from physconvex.gap.search.search_state import LATE_GAP, Selection
+from physconvex.gap.search.space_mapping import as_reduced
 
 __all__ = ["Selected", "select_effects"]
 

@@ -10,9 +10,10 @@ import numpy as np
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.body_modes import undivided
-from physconvex.gap.base.observing import followed
-from physconvex.gap.effects import Effect, Motion
-from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.base.observed_points import followed
+from physconvex.gap.effects.effect import Effect
+from physconvex.gap.effects.motion import Motion
+from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.shrinkage.how_far import HowFar, Positions, shrinkage_on

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.gap.base.baseline import Baseline
-from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.location.where import block_bootstrap
 from physconvex.gap.options import GapOptions
 

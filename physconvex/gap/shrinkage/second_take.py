@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from physconvex.capture import Capture
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.base.base_fit import rough_baseline
 from physconvex.gap.base.baseline import FLOOR_LAW, Baseline, Report
 from physconvex.gap.conditions.setting import find_setting
 from physconvex.gap.errors.numerics import other_mesh
-from physconvex.gap.errors.score import ErrorModel
+from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.shrinkage.how_far import HowFar, shrinkage_on
+from physconvex.io import Capture
 
 __all__ = ["second_take_shrinkage"]
 

@@ -2,7 +2,7 @@
 #include "emulation.h"
 #include "kernel.cu"
 
-#include "../cpu/hulls.h"
+#include "../render/hulls.h"
 #include "hulls.cu"
 
 #include <thread>

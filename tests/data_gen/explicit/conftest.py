@@ -5,11 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from data_gen.explicit import FallingBody, falling_body
-from data_gen.objects import ObjectMesh
-from data_gen.scene import Drop
-from physconvex.fem import TetMesh
-from physconvex.fem.mesh import box_mesh
+from data_gen import Drop, FallingBody, ObjectMesh, falling_body
+from physconvex.mesh import TetMesh, box_mesh
 
 EDGE = 0.5
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from data_gen.explicit import draw
-from data_gen.explicit.kernels import LOOK
-from physconvex.fem.mesh import box_mesh
+from data_gen import LOOK, draw
+from physconvex.mesh import box_mesh
 
 SIDE, FOCAL, DISTANCE = 64, 64.0, 4.0
 

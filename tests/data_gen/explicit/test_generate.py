@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from data_gen import draw_falls, generate_falls, load_config, read_falls
 from data_gen.commands import app
-from data_gen.config import load_config
-from data_gen.explicit import draw_falls, generate_falls, read_falls
 from data_gen.explicit.store import load_bodies, save_bodies
-from physconvex.errors import ConvergenceError, InputError
+from physconvex import ConvergenceError, InputError
 
 CONFIG = load_config("training", overrides=["objects.simulations_per_object=2"])
 

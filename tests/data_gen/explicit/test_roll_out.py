@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from data_gen.explicit import falling_body, lay_out, roll_out
-from physconvex.contact import Plane
-from physconvex.fem import ElasticBody, Scene, TetMesh, simulate
+from data_gen import falling_body, lay_out, roll_out
+from physconvex.dynamics import Plane
+from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.mesh import TetMesh
 
 FRAMES = 11
 

@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from data_gen.explicit import FallingBody, falling_body
-from data_gen.objects import ObjectMesh
-from data_gen.scene import Drop
-from physconvex.fem import TetMesh
-from physconvex.fem.mesh import box_mesh
-from train.falls import Falls, simulate_falls
+from data_gen import Drop, FallingBody, ObjectMesh, falling_body
+from physconvex.mesh import TetMesh, box_mesh
+from train import Falls, simulate_falls
 
 FRAMES = 16
 

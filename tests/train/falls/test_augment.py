@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from models.mirror import mirrored_moments
+from models import mirrored_moments
 from train.augment import Sample, flipped, reindexed
 from train.config import AugmentConfig
 from train.falls.augment import Shown, augment_at_once

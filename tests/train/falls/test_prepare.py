@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from data_gen.config import CameraConfig
-from models.checkpoint import ClipSettings
-from models.clip import prepare_clip
+from data_gen import CameraConfig
+from models import ClipSettings, prepare_clip
 from train.falls.prepare import prepare_clips_at_once
 from train.falls.views import draw_views
 

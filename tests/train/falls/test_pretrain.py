@@ -12,15 +12,10 @@ from typer.testing import CliRunner
 
 import train.commands
 from data_gen.explicit.store import save_bodies
-from models.estimator import PhysicsPredictor
-from models.network import PhysicsNetwork
-from physconvex.errors import InputError
-from train.cache import prepare_clips
-from train.data import TrainingClips
-from train.falls import Pretraining, pretrain, train_on_falls
-from train.falls.real import RealClips
+from models import PhysicsNetwork, PhysicsPredictor
+from physconvex import InputError
+from train import Pretraining, RealClips, TrainingClips, prepare_clips, pretrain, read_clips, train_on_falls
 from train.falls.skinning import HeadTraining, fit_skinning_head
-from train.records import read_clips
 
 PLAN = Pretraining(steps=24, drawn=4, real=4, report_steps=6)
 

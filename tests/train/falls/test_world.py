@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from data_gen.explicit import lay_out, roll_out
-from models.motion import STATE_NAMES, STATE_SCALE
-from models.scaling import dimensionless_interval, log10_dimensionless_stiffness
-from physconvex.errors import ConvergenceError
-from physconvex.fem.embedding import Embedding, sample_interior
-from train.falls import simulate_falls
+from data_gen import lay_out, roll_out
+from models import STATE_NAMES, STATE_SCALE, dimensionless_interval, log10_dimensionless_stiffness
+from physconvex import ConvergenceError
+from physconvex.mesh import Embedding, sample_interior
+from train import simulate_falls
 from train.falls.world import joined, turned
 from train.states import states_of_motion
 

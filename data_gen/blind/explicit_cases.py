@@ -1,0 +1,336 @@
+"""Blind captures by the explicit engine, with doses that are scaled until the effect is as visible as asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import trimesh
+from jaxtyping import Float
+
+from data_gen.blind.cases import Case, HiddenEffect, floor_height
+from data_gen.blind.engine import World, run_explicit
+from physconvex import ConvergenceError
+from physconvex.gap import Motion, rotation_vector_matrix, with_plane
+from physconvex.mesh import TetMesh, tetrahedralize
+
+__all__ = ["EXPLICIT_EFFECTS", "HELD_EFFECTS", "OUTSIDE", "simulate_explicit"]
+
+Positions = Float[np.ndarray, "T P 3"]
+Observe = Callable[[Motion], Positions]
+_MARKERS, _ROUNDS, _NEAR = 40, 5, 0.4
+_LEAST, _MOST = 0.5, 3.0  # of the visibility asked for
+_STIFFER, _WIDER, _FASTER = 1.05, 0.02, 0.02  # E times, ν more, velocity over that of a fall through the size more
+_HARDER = 2.0  # times the contact's stiffness: what is left of the floor's give is as much as that changes
+_ORDER = 1.5  # of convergence by edge length: linear elements, smoothed, and contact
+_WEAKEST, _STRONGEST = 0.02, 8.0  # multiples of a moderate dose
+_SOFT_CONTACT = 12.0  # over E/size, of runs that are to have a numerical error
+_NODES = (250, 2000)  # of the meshes for the search of the dose, and of the capture
+OUTSIDE = ("tether",)  # in no dictionary
+HELD_EFFECTS = ("attached_mass",)  # of held bodies only
+EXPLICIT_EFFECTS: tuple[str, ...] = (
+    "damping", "viscoelasticity", "plasticity", "heterogeneity", "anisotropy", "nonlinear_elasticity", "friction",
+    "restitution", "gravity_tilt", "air_drag", "wind", "attached_mass", "initial_velocity", "initial_spin",
+    "time_offset", "time_scale", "camera_pose",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Dosed:
+    """An effect at one strength: what changes in the world, how it is seen, what to call it, and what the clock does.
+
+    The clock's arguments are those of `run_explicit`.
+    """
+
+    world: Callable[[World], World] | None
+    observe: Observe | None
+    doses: tuple[float, ...]
+    units: tuple[str, ...]
+    late: float = 0.0
+    fast: float = 0.0
+
+
+def _direction(rng: np.random.Generator, size: int = 3) -> np.ndarray:
+    vector = rng.normal(size=size)
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def _world_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> Dosed:
+    """Effects of the dynamics; `s` = 1 is moderate."""
+    size, modulus = case.size, case.youngs_modulus
+    wave, speed = size * np.sqrt(case.density / modulus), np.sqrt(9.81 * size)
+    fields: dict[str, Any] = {}
+    doses: tuple[float, ...] = ()
+    units: tuple[str, ...] = ("",)
+    if name == "damping":
+        doses, units = (0.1 * wave * s,), ("s",)
+        fields = {"damping_time": doses[0]}
+    elif name == "viscoelasticity":
+        doses, units = (0.4 * s, wave * float(np.exp(rng.uniform(-2, 0)))), ("", "s")
+        fields = {"branch": doses}
+    elif name == "plasticity":
+        doses, units = (case.density * 9.81 * size * (3.0 if case.clamped is None else 6.0) / s,), ("Pa",)
+        fields = {"yield_stress": doses[0]}
+    elif name == "nonlinear_elasticity":
+        doses = (1.0 * s,)
+        fields = {"stiffening": doses[0]}
+    elif name == "anisotropy":
+        along = _direction(rng)
+        doses, units = (0.5 * s, *along), ("", "", "", "")
+        fields = {"fibre": (doses[0], along)}
+    elif name == "friction":
+        doses = (0.15 * s,)
+        fields = {"friction": doses[0]}
+    elif name == "restitution":
+        doses, units = (0.2 * wave * s,), ("s",)
+        fields = {"contact_damping": doses[0]}
+    elif name == "air_drag":
+        doses, units = (0.05 * s / size,), ("1/m",)
+        fields = {"drag_rate": doses[0]}
+    elif name == "wind":
+        along = _direction(rng, 2)
+        air = float(np.sqrt(0.03 * s * 9.81 * case.density * size / 2 / 0.9))
+        doses, units = (air * along[0], air * along[1]), ("m/s", "m/s")
+        fields = {"wind": (0.15, (doses[0], doses[1], 0.0))}
+    elif name == "gravity_tilt":
+        along = np.radians(2.0 * s) * _direction(rng, 2)
+        turned = rotation_vector_matrix(np.array([*along, 0.0])) @ np.array([0, 0, -9.81])
+        doses, units = tuple(np.degrees(along)), ("deg", "deg")
+        fields = {"gravity": tuple(turned)}
+    elif name == "initial_velocity":
+        doses, units = tuple(0.05 * s * speed * _direction(rng)), ("m/s",) * 3
+        fields = {"velocity": tuple(np.array(case.velocity) + doses)}
+    elif name == "initial_spin":
+        doses, units = tuple(0.2 * s * speed / size * _direction(rng)), ("rad/s",) * 3
+        fields = {"spin": tuple(np.array(case.spin) + doses)}
+    else:
+        return _field_effect(name, s, case, rng)
+    return Dosed(lambda world: replace(world, **fields), None, tuple(float(d) for d in doses), units)
+
+
+def _field_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> Dosed:
+    """Effects that need the mesh: an inclusion, a load at the free end, a tether; and one that needs time."""
+    low, high, size = case.surface.vertices.min(0), case.surface.vertices.max(0), case.size
+    if name == "heterogeneity":
+        centre = low + (high - low) * rng.uniform(0.15, 0.85, 3)
+        decades = float(rng.choice([-1.0, 1.0])) * min(0.4 * s, 1.5)
+        radius = 0.4 * (high - low)
+
+        def stiffer(world: World) -> World:
+            cells = world.mesh.vertices[world.mesh.tets[:, :4]].mean(1)
+            inside = (((cells - centre) / radius) ** 2).sum(1) < 1
+            return replace(world, youngs_modulus=np.asarray(world.youngs_modulus) * np.where(inside, 10**decades, 1.0))
+
+        return Dosed(stiffer, None, (decades, *centre), ("decades", "m", "m", "m"))
+    if name == "attached_mass":
+        ratio = 0.3 * s
+
+        def loaded(world: World) -> World:
+            x = world.mesh.vertices[:, 0]
+            end = x > x.max() - 0.12 * np.ptp(x)
+            mass = world.density * float(np.abs(world.mesh.element_volumes).sum())
+            return replace(world, extra_mass=np.where(end, ratio * mass / end.sum(), 0.0))
+
+        return Dosed(loaded, None, (ratio,), ("",))
+    if name == "tether":  # a soft spring between one side of the body and where it started
+        side = _direction(rng)
+
+        def tied(world: World) -> World:
+            x = world.mesh.vertices @ side
+            end = x > np.quantile(x, 0.8)
+            mass = world.density * float(np.abs(world.mesh.element_volumes).sum())
+            return replace(world, tied=np.where(end, 0.3 * s * mass * 9.81 / size / end.sum(), 0.0))
+
+        return Dosed(tied, None, (0.3 * s, *side), ("m g / size", "", "", ""))
+    raise AssertionError(name)
+
+
+def _seen_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> Dosed:
+    """Effects of the observation of markers."""
+    if name == "time_offset":
+        late = 0.25 * s / case.fps
+        return Dosed(None, None, (late,), ("s",), late=late)
+    if name == "time_scale":
+        change = 0.03 * s * float(rng.choice([-1.0, 1.0]))
+        return Dosed(None, None, (change,), ("",), fast=change)
+    turn, shift = np.radians(1.0 * s) * _direction(rng), 0.01 * s * case.size * _direction(rng)
+    matrix = rotation_vector_matrix(turn)
+
+    def moved(motion: Motion) -> Positions:  # about the markers' mean, as the dictionary has it
+        pivot = motion.rest.mean(0)
+        return np.asarray((motion.positions - pivot) @ matrix.T + pivot + shift)
+
+    return Dosed(None, moved, (*np.degrees(turn), *shift), ("deg",) * 3 + ("m",) * 3)
+
+
+def _dosed(name: str, s: float, case: Case, seed: int) -> Dosed:
+    rng = np.random.default_rng([case.seed, seed])
+    if name in ("time_offset", "time_scale", "camera_pose"):
+        return _seen_effect(name, s, case, rng)
+    return _world_effect(name, s, case, rng)
+
+
+def _mesh(case: Case, nodes: int) -> TetMesh:
+    if case.clamped is not None:  # a bar along x, of which no more and no less is to be held than what lies in the box
+        low, high = case.surface.vertices.min(0), case.surface.vertices.max(0)
+        edge = float(np.cbrt(np.prod(high - low) / nodes))
+        cells = tuple(int(np.ceil(e / edge)) for e in high - low)
+        return with_plane(low, high, (cells[0], cells[1], cells[2]), 0, float(case.clamped[1, 0]), order=1)
+    pair = (np.asarray(case.surface.vertices, dtype=np.float64), np.asarray(case.surface.faces))
+    mesh = tetrahedralize(pair, max_nodes=7 * nodes, order=2, method="auto")
+    used, tets = np.unique(mesh.corner_tets, return_inverse=True)
+    return TetMesh(mesh.vertices[used], tets.reshape(-1, 4))
+
+
+def _world(case: Case, mesh: TetMesh) -> World:
+    held = None
+    if case.clamped is not None:
+        held = np.flatnonzero(((mesh.vertices >= case.clamped[0]) & (mesh.vertices <= case.clamped[1])).all(1))
+    return World(
+        mesh, case.youngs_modulus, case.poisson_ratio, case.density, velocity=case.velocity, spin=case.spin,
+        floor=None if case.height is None else floor_height(case), held=held,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Runner:
+    case: Case
+    mesh: TetMesh
+    points: np.ndarray
+
+    def __call__(self, *effects: Dosed, **changes: Any) -> tuple[Motion, Positions]:
+        world = replace(_world(self.case, self.mesh), **changes)
+        for effect in effects:
+            world = world if effect.world is None else effect.world(world)
+        motion = run_explicit(
+            world, self.points, frames=self.case.frames, fps=self.case.fps,
+            late=sum(effect.late for effect in effects), fast=sum(effect.fast for effect in effects),
+        )  # fmt: skip
+        positions = motion.positions
+        for effect in effects:
+            if effect.observe is not None:
+                positions = effect.observe(replace(motion, positions=positions))
+        return motion, positions
+
+
+def simulate_explicit(
+    case: Case, names: tuple[str, ...], visibility: float, *, rough: bool = False
+) -> tuple[Motion, Positions, Case, float]:
+    """Simulate with effects that are each visible by a factor.
+
+    Args:
+        case: without effects.
+        names: of the effects.
+        visibility: mean square of what each effect changes over that of noise and numerical error, see `_Yardstick`.
+        rough: on the coarse mesh, with a contact five times as soft: numerical error for an effect.
+
+    Returns:
+        Motion and observed positions of 40 surface points on the fine mesh, the case with its hidden effects, and the
+        visibility reached.
+
+    Raises:
+        ConvergenceError: a run blew up, or no dose is as visible.
+    """
+    rng = np.random.default_rng([case.seed, 1])
+    points, _ = trimesh.sample.sample_surface_even(case.surface, _MARKERS, seed=int(rng.integers(2**31)))
+    points = np.asarray(points)
+    coarse, fine = (_Runner(case, _mesh(case, nodes), points) for nodes in _NODES)
+    if rough:
+        return *coarse(contact_modulus=_SOFT_CONTACT), case, 0.0
+    if not names:
+        return *fine(), case, 0.0
+    yardstick = _Yardstick.of(case, coarse, fine)
+    chosen, reached = [], []
+    for number, name in enumerate(names):
+        found, dose = _scaled(name, case, coarse, yardstick, visibility, number)
+        chosen.append((name, dose))
+        reached.append(found)
+    motion, positions = fine(*(dose for _, dose in chosen))
+    hidden = tuple(HiddenEffect(name, name, dose.doses, dose.units) for name, dose in chosen)
+    return motion, positions, replace(case, hidden=hidden), float(min(reached))
+
+
+@dataclass(frozen=True, eq=False)
+class _Yardstick:
+    """How visible a change of the observed positions is.
+
+    What E, ν and the initial motion (where the capture does not state it) can absorb of it does not count, since they
+    are fitted. The rest is compared, in mean square, with noise and with what such runs err by themselves, likewise
+    after these have absorbed what they can: a finer mesh, extrapolated, and a contact twice as stiff.
+
+    Attributes:
+        start: observed positions without effects [m], shape [T, P, 3].
+        absorbing: orthonormal changes by what is fitted, shape [T P 3, K].
+        floor: mean square of noise and numerical error [m²].
+    """
+
+    start: Positions
+    absorbing: Float[np.ndarray, "N K"]
+    floor: float
+
+    @classmethod
+    def of(cls, case: Case, coarse: _Runner, fine: _Runner) -> _Yardstick:
+        """From runs without effects.
+
+        Raises:
+            ConvergenceError: one of them blew up.
+        """
+        start = coarse()[1]
+        free: list[dict[str, Any]] = [
+            {"youngs_modulus": _STIFFER * case.youngs_modulus}, {"poisson_ratio": case.poisson_ratio + _WIDER}
+        ]  # fmt: skip
+        if not case.states_motion:
+            speed = _FASTER * float(np.sqrt(9.81 * case.size))
+            free += [{"velocity": tuple(np.array(case.velocity) + speed * axis)} for axis in np.eye(3)]
+            free += [{"spin": tuple(np.array(case.spin) + speed / case.size * axis)} for axis in np.eye(3)]
+        changes = np.stack([(coarse(**fields)[1] - start).ravel() for fields in free], axis=1)
+        still = cls(start, np.linalg.qr(changes / np.linalg.norm(changes, axis=0))[0], 0.0)
+        ratio = (len(fine.mesh.vertices) / len(coarse.mesh.vertices)) ** (_ORDER / 3)
+        errors = [(fine()[1] - start) / (ratio - 1)]
+        if case.height is not None:
+            errors.append(coarse(contact_modulus=_HARDER * World.contact_modulus)[1] - start)
+        return replace(still, floor=3 * case.noise**2 + sum(still.left(error) for error in errors))
+
+    def left(self, change: Positions) -> float:
+        """Mean square of what is not absorbed [m²]."""
+        flat = change.ravel()
+        flat = flat - self.absorbing @ (self.absorbing.T @ flat)
+        return float((flat**2).sum()) / (flat.size / 3)
+
+    def visibility(self, positions: Positions) -> float:
+        """Of what moves the observed positions there."""
+        return self.left(positions - self.start) / self.floor
+
+
+def _scaled(
+    name: str, case: Case, runner: _Runner, yardstick: _Yardstick, visibility: float, number: int
+) -> tuple[float, Dosed]:
+    """The dose at which an effect is as visible as asked for, and how visible it then is.
+
+    The strength follows the square root of what is missing, or goes to the middle of a weaker and a stronger one that
+    were tried: below its threshold a yield stress changes nothing.
+    """
+    strength, weaker, stronger = 1.0, 0.5 * _WEAKEST, 2 * _STRONGEST
+    tried: list[tuple[float, Dosed]] = []
+    for _ in range(_ROUNDS):
+        dose = _dosed(name, strength, case, number + 7)
+        seen = max(yardstick.visibility(runner(dose)[1]), 1e-9)
+        tried.append((seen, dose))
+        if abs(np.log(seen / visibility)) < _NEAR:
+            break
+        weaker, stronger = (strength, stronger) if seen < visibility else (weaker, strength)
+        following = strength * float(np.clip(np.sqrt(visibility / seen), 0.2, 5.0))
+        if not weaker < following < stronger:
+            following = float(np.sqrt(weaker * stronger))
+        following = float(np.clip(following, _WEAKEST, _STRONGEST))
+        if following == strength:  # as weak or as strong as may be
+            break
+        strength = following
+    best = min(tried, key=lambda t: abs(np.log(t[0] / visibility)))
+    if not _LEAST <= best[0] / visibility <= _MOST:
+        raise ConvergenceError(
+            f"{name}: {best[0]:.1f} times as large as noise and numerical error, in mean square; {visibility:g} wanted"
+        )
+    return best

@@ -1,0 +1,99 @@
+"""What each capture of a blind bank is to hide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_gen.blind.cases import kinds_for
+from data_gen.blind.classes import class_of, same_class
+from data_gen.blind.controls import CONTROLS, Control
+from data_gen.blind.explicit_cases import OUTSIDE
+from physconvex import InputError
+
+__all__ = ["Planned", "Shares", "plan_bank"]
+
+
+@dataclass(frozen=True)
+class Planned:
+    """One capture.
+
+    Attributes:
+        effects: that it hides.
+        visibility: that their doses are scaled to.
+        without: names that are taken out of the dictionary it is diagnosed with.
+        control: what else is done to it, or that it repeats an earlier one.
+    """
+
+    effects: tuple[str, ...]
+    visibility: float
+    without: tuple[str, ...] = ()
+    control: Control | None = None
+
+    @property
+    def repeats(self) -> bool:
+        """Whether it shows an earlier capture with new noise."""
+        return self.control is not None and self.control.repeats
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Shares of the captures: without effect, with two, with one that no dictionary has, with one that is taken out."""
+
+    free: float = 0.25
+    two: float = 0.0
+    outside: float = 0.0
+    deleted: float = 0.0
+
+
+def plan_bank(
+    seed: int, count: int, effects: Sequence[str], visibilities: Sequence[float], shares: Shares,
+    controls: Sequence[str] = (),
+) -> list[Planned]:  # fmt: skip
+    """The captures of a bank, in random order, the controls last.
+
+    Single effects come in turn, and each of them at one visibility after the other. The class of an effect is taken out
+    of the dictionary for a `deleted` share that hides it; as many captures without effect have one taken out that they
+    do not hide, so that what is taken out does not tell what is hidden.
+
+    Raises:
+        InputError: no pair of the effects can be shown by one motion, for `two`, or unknown controls.
+    """
+    if set(controls) - set(CONTROLS) or ("noise" in controls and not count):
+        raise InputError(
+            f"controls: got {', '.join(controls)}; expected names among {', '.join(CONTROLS)}, `noise` beside a capture"
+        )
+    rng = np.random.default_rng([seed, 0])
+    order = [effects[i] for i in rng.permutation(len(effects))]
+    free, two, outside, deleted = (round(s * count) for s in (shares.free, shares.two, shares.outside, shares.deleted))
+    if free + two + outside + deleted > count:
+        raise InputError(f"shares: got {shares}; expected at most one in all")
+
+    def visibility(turn: int) -> float:
+        return float(visibilities[turn % len(visibilities)])
+
+    def in_turn(number: int) -> tuple[tuple[str, ...], float]:
+        return (order[number % len(order)],), visibility(number // len(order))
+
+    plan = [Planned(*in_turn(number)) for number in range(count - free - two - outside - deleted)]
+    plan += [Planned(names, seen, class_of(names[0])) for names, seen in map(in_turn, range(deleted))]
+    decoys = [class_of(order[number % len(order)]) for number in range(min(deleted, free))]
+    plan += [Planned((), visibility(0), decoys[i] if i < len(decoys) else ()) for i in range(free)]
+    plan += [Planned((OUTSIDE[i % len(OUTSIDE)],), visibility(i)) for i in range(outside)]
+    plan += [Planned(pair, visibility(i)) for i, pair in enumerate(_pairs(rng, order, two))]
+    plan = [plan[i] for i in rng.permutation(len(plan))]
+    return plan + [Planned(CONTROLS[name].effects, visibility(0), control=CONTROLS[name]) for name in controls]
+
+
+def _pairs(rng: np.random.Generator, order: Sequence[str], count: int) -> list[tuple[str, str]]:
+    """Two effects of different classes that one motion can show, the first ones in turn."""
+    together = [(a, b) for a in order for b in order if a != b and not same_class(a, b) and kinds_for((a, b))]
+    if count and not together:
+        raise InputError(f"effects: got {', '.join(order)}; expected two that one motion can show, for `two`")
+    out = []
+    for number in range(count):
+        here = [pair for pair in together if pair[0] == order[number % len(order)]] or together
+        out.append(here[int(rng.integers(len(here)))])
+    return out

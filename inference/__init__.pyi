@@ -1,0 +1,25 @@
+from .batch import predict_batch as predict_batch
+from .loading import ClipSettings as ClipSettings, load_clip as load_clip
+from .pictures import ClipPictures as ClipPictures, frame_strip as frame_strip
+from .prediction import Prediction as Prediction
+from .predictor import predict as predict
+from .preparation import ready_source as ready_source, to_prediction as to_prediction
+from .reconstruction import Reconstruction as Reconstruction, reconstruct as reconstruct
+from .reconstruction_views import CaptureViews as CaptureViews, capture_views as capture_views
+from .refinement.observations import observe as observe
+from .refinement.options import RefineOptions as RefineOptions
+from .refinement.pipeline import refine as refine
+from .refinement.result import (
+    Estimate as Estimate,
+    RefinedMotion as RefinedMotion,
+    Refinement as Refinement,
+    interval_of as interval_of,
+)
+from .refinement.result_files import write_refinement as write_refinement
+from .refinement.stages import Stages as Stages
+from .results import ResultsFolder as ResultsFolder
+from .sources import ClipSource as ClipSource, find_sources as find_sources
+from .streaming import ClipResult as ClipResult, iter_predictions as iter_predictions
+from .summary import BatchSummary as BatchSummary
+from .units import format_pascals as format_pascals, format_pascals_range as format_pascals_range
+from .weight_pictures import weight_maps as weight_maps

@@ -1,0 +1,111 @@
+"""From a source to the network's input, and from the estimate back to a `Prediction`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, runtime_checkable
+
+from inference.loading import ClipSettings, Conditions, LoadedClip, load_clip, resolve_conditions, retimed
+from inference.pictures import frame_strip
+from inference.prediction import Estimated, Prediction
+from inference.sources import ClipSource, displayed_path
+from models import ClipConfig, PreparedClip
+
+__all__ = ["Predictor", "Prepare", "ReadyClip", "ready_clip", "ready_source", "to_prediction"]
+
+Prepare = Callable[..., PreparedClip]
+"""Called as `prepare(frames, fps=, timestamps=, mask=, alpha=)`."""
+
+
+@runtime_checkable
+class Predictor(Protocol):
+    """What inference needs of a predictor (`models.estimator.PhysicsPredictor`)."""
+
+    @property
+    def network(self) -> Any:
+        """The torch module with the weights."""
+        ...
+
+    @property
+    def config(self) -> Any:
+        """Everything beside the weights that decides an estimate; its `repr` tells two apart."""
+        ...
+
+    @property
+    def clip_config(self) -> ClipConfig:
+        """What the network's input looks like."""
+        ...
+
+    def prepare(self, frames: Any, **options: Any) -> PreparedClip:
+        """Return the network's input for one clip."""
+        ...
+
+    def estimate(
+        self, clips: Sequence[Any], *, density: Sequence[float], object_size: Sequence[float]
+    ) -> Sequence[Estimated]:
+        """Return one estimate per prepared clip."""
+        ...
+
+
+@dataclass(frozen=True)
+class ReadyClip:
+    """One clip as the network reads it, with all that its prediction will say beside the estimate."""
+
+    source: ClipSource | None
+    prepared: PreparedClip
+    conditions: Conditions
+    warnings: tuple[str, ...]
+    picture: bytes = b""
+    """JPEG of the frames used, with the outline of the object; empty unless asked for."""
+    truncated: str = ""
+    """Names a file that is cut short and says what is missing; else empty."""
+
+
+def ready_clip(loaded: LoadedClip, settings: ClipSettings, prepare: Prepare, *, picture: bool = False) -> ReadyClip:
+    """Prepare a loaded clip for the network."""
+    conditions = resolve_conditions(loaded, settings)
+    timed = retimed(loaded, conditions.fps)
+    mask = None if timed.mask is None else timed.mask.astype("uint8") * 255
+    prepared = prepare(timed.frames, fps=conditions.fps, timestamps=timed.timestamps, mask=mask, alpha=timed.alpha)
+    strip = frame_strip(timed, prepared) if picture else b""
+    return ReadyClip(None, prepared, conditions, loaded.warnings, strip, loaded.truncated)
+
+
+def ready_source(source: ClipSource, settings: ClipSettings, prepare: Prepare, *, picture: bool = False) -> ReadyClip:
+    """Read a source and prepare it for the network.
+
+    Raises:
+        InputError: it cannot be read, or holds too little to predict from.
+    """
+    return replace(ready_clip(load_clip(source), settings, prepare, picture=picture), source=source)
+
+
+def to_prediction(ready: ReadyClip, estimate: Estimated) -> Prediction:
+    """Join a clip's estimate with what it rests on."""
+    prepared = ready.prepared
+    warnings = dict.fromkeys((*ready.warnings, *prepared.warnings, *estimate.warnings))
+    return Prediction(
+        path=None if ready.source is None else displayed_path(ready.source.path),
+        youngs_modulus=float(estimate.youngs_modulus),
+        poisson_ratio=float(estimate.poisson_ratio),
+        log10_youngs_modulus_std=float(estimate.log10_youngs_modulus_std),
+        poisson_ratio_std=float(estimate.poisson_ratio_std),
+        youngs_modulus_interval=_pair(estimate.youngs_modulus_interval),
+        poisson_ratio_interval=_pair(estimate.poisson_ratio_interval),
+        skinning_field=estimate.skinning_field,
+        fps=ready.conditions.fps,
+        density=ready.conditions.density,
+        object_size=ready.conditions.object_size,
+        assumed=ready.conditions.assumed,
+        foreground=prepared.foreground,
+        foreground_confidence=float(prepared.confidence),
+        frames_used=int(prepared.valid.sum()),
+        warnings=tuple(warnings),
+        truncated=ready.truncated,
+    )
+
+
+def _pair(interval: tuple[float, float]) -> tuple[float, float]:
+    low, high = interval
+    return float(low), float(high)

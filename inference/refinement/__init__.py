@@ -1,0 +1,1 @@
+"""Test-time refinement: a capture → material, motion and their uncertainty."""

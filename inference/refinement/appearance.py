@@ -1,0 +1,144 @@
+"""The object of a refinement as a convex field, bound to the body, so that it moves as the fitted model does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import trimesh
+from jaxtyping import UInt8
+from scipy.spatial.transform import Rotation
+
+from inference.reconstruction_views import capture_views
+from inference.refinement.options import RefineOptions
+from inference.refinement.result import RefinedMotion
+from inference.refinement.stages import Arrays, Stages
+from physconvex import InputError
+from physconvex.convex import BoundField, ConvexField, bind_to_tets, read_ply
+from physconvex.identify import cast_camera_rays
+from physconvex.io import Camera, Capture, Workers
+from physconvex.numerics import device_named
+from physconvex.reconstruction import Observation, ReconstructionConfig, begin, fit, observe, score, start_field
+from physconvex.render import render
+
+__all__ = ["Appearance", "appearance_of", "begun_field", "fitted_field"]
+
+_PARTS = ("points", "smoothness", "sharpness", "opacity", "harmonics")
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """A convex field at rest and the motion that carries it.
+
+    Attributes:
+        field: at rest, world frame.
+        motion: of the fitted model.
+        source: where the field comes from, in words.
+        first_frame_psnr: of each camera's first image, over the pixels of the object [dB].
+    """
+
+    field: ConvexField
+    motion: RefinedMotion
+    source: str
+    first_frame_psnr: dict[str, float]
+
+    @cached_property
+    def bound(self) -> BoundField:
+        """Bound to the nodes of the model's mesh."""
+        return bind_to_tets(self.field, self.motion.mesh)
+
+    def to_json(self) -> dict[str, Any]:
+        """Number of convexes, source, PSNR of the first images [dB]."""
+        scores = {"first_frame_psnr_object": self.first_frame_psnr}
+        return {"convexes": len(self.field), "source": self.source, **scores}
+
+    def at(self, frame: int) -> ConvexField:
+        """The field in a frame."""
+        return self.bound.at(self.motion.nodes[frame])
+
+    @torch.no_grad()
+    def image(self, frame: int, camera: Camera) -> tuple[UInt8[np.ndarray, "H W 3"], np.ndarray]:
+        """What a camera sees of it in a frame, before white, and its alpha [H, W]."""
+        found = render(self.at(frame), camera, background=torch.ones(3))
+        colour = (255 * found.colour.clamp(0, 1)).round().to(torch.uint8).numpy()
+        return colour, found.alpha.numpy()
+
+
+def begun_field(
+    capture: Capture, options: RefineOptions, stages: Stages, workers: Workers
+) -> Callable[[], Arrays] | None:
+    """Begin to fit a field to the first images of the cameras, beside other work; None where none is wanted or there.
+
+    A field is fitted from the capture's mesh, if there is one: one camera will then do.
+    """
+    if options.field_file is not None or not options.field or not capture.filmed:
+        return None
+    call = partial(fitted_field, capture, options)
+    return call if stages.known("field") else workers.start(call)
+
+
+def fitted_field(capture: Capture, options: RefineOptions) -> Arrays:
+    """Parts of a field fitted to the first images on `options.device`, and how well each camera's is drawn [dB]."""
+    mesh = capture.mesh()
+    views = capture_views(replace(capture, cameras=capture.filmed), least=2 if mesh is None else 1).training
+    config = ReconstructionConfig(budget=options.field_budget, steps=options.field_steps)
+    around = [*views]
+    if mesh is not None and len(views) == 1:  # the other sides are given the mean colour, and then not fitted
+        around += [_unseen(views[0], mesh, degrees) for degrees in (100.0, 180.0, 260.0)]
+    start = start_field(around, config, mesh=mesh)
+    state = fit(begin(start).to(device_named(options.device)), views, config)
+    field = state.field()
+    scores = [one for one, _ in score(field, views)]
+    arrays = {name: getattr(field, name).detach().cpu().numpy() for name in _PARTS}
+    return arrays | {
+        "cameras": np.array([one.camera for one in scores]),
+        "psnr": np.array([one.psnr_object for one in scores]),
+        "kind": np.array(start.kind),
+    }
+
+
+def appearance_of(
+    motion: RefinedMotion,
+    options: RefineOptions,
+    stages: Stages,
+    begun: Callable[[], Arrays] | None,
+    warn: Callable[[str], None],
+) -> Appearance | None:
+    """The field that was begun, or is given.
+
+    None where it is not wanted, or where the first images do not say which pixels the object covers (told to `warn`).
+
+    Raises:
+        InputError: `options.field_file` is no field.
+    """
+    if options.field_file is not None:
+        return Appearance(read_ply(Path(options.field_file)), motion, "field given", {})
+    if begun is None:
+        return None
+    try:
+        arrays = stages.run("field", begun)
+    except InputError as error:
+        warn(f"No convex field: {error}")
+        return None
+    field = ConvexField(*(torch.as_tensor(arrays[name]) for name in _PARTS))
+    scores = dict(zip(map(str, arrays["cameras"]), map(float, arrays["psnr"]), strict=True))
+    return Appearance(field, motion, f"first images of {len(scores)} cameras, from {arrays['kind']}", scores)
+
+
+def _unseen(seen: Observation, mesh: trimesh.Trimesh, degrees: float) -> Observation:
+    """The object from another side, in the mean colour seen: the camera turned about the vertical through it."""
+    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
+    centre = 0.5 * (vertices.min(0) + vertices.max(0))
+    turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    matrix = np.array(seen.camera.transform_matrix, dtype=np.float64)
+    matrix[:3, :3], matrix[:3, 3] = turn @ matrix[:3, :3], centre + turn @ (matrix[:3, 3] - centre)
+    camera = replace(seen.camera, name=f"{seen.camera.name}+{degrees:g}", transform_matrix=matrix)
+    inside = cast_camera_rays(camera, vertices, faces).faces >= 0
+    mean = seen.image[seen.coverage > 0.99].mean(0).numpy()
+    frame = np.where(inside[..., None], 255 * mean, 255.0).round().astype(np.uint8)
+    return observe(camera, frame, np.where(inside, np.uint8(255), np.uint8(0)), fractional=True)

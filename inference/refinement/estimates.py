@@ -1,0 +1,183 @@
+"""From a fit to estimates with intervals; the error that a finer model would remove."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from inference.refinement.fits import arrays_of_fit, fit_of
+from inference.refinement.meshes import finer_mesh, is_of_capture
+from inference.refinement.options import RefineOptions
+from inference.refinement.result import Estimate, interval_of
+from inference.refinement.stages import Stages
+from physconvex import ConvergenceError
+from physconvex.identify import (
+    LEFT_BY_FITTED,
+    FinerFit,
+    Fit,
+    FullModel,
+    Identifiability,
+    Observations,
+    ReducedModel,
+    clustered_deviations,
+    fit_finer,
+    frame_errors,
+    marginal_deviations,
+    parameter_shift,
+)
+from physconvex.mesh import TetMesh
+
+__all__ = ["Judged", "estimates_of", "judge"]
+
+# standard deviation by the choice of a mesh that is made of a surface, of bodies that strike something: what E
+# [decades] and ν are off by if fitted, to first order, to motions of other meshes (benchmarks/twin_meshes.py)
+_BY_MESH = {"log10_youngs_modulus": 0.012, "poisson_ratio": 0.03}
+
+
+def estimates_of(
+    found: Fit,
+    left: Float[np.ndarray, " K"],
+    told: Identifiability,
+    frames: Int[np.ndarray, " N"],
+    sources: Sequence[slice],
+    *,
+    stated: Sequence[bool],
+    followed: bool = True,
+) -> tuple[Estimate, ...]:
+    """Each parameter with its deviations.
+
+    Args:
+        found: the fit.
+        left: deviation by model error, NaN where unknown.
+        told: which parameters are at a bound.
+        frames: frame of each residual.
+        sources: the residuals of each source: one that is not followed is not hidden by many of another.
+        stated: whether the recording states the noise of each source; that of images is what their residuals are.
+        followed: whether the model follows the recording; if not, no interval around it says where the truth is.
+    """
+    sigmas = marginal_deviations(found, _variances(found, sources, stated))
+    sigmas = np.maximum(sigmas, clustered_deviations(found, frames))
+    out = []
+    for i, parameter in enumerate(found.parameters):
+        bound = parameter.name in told.at_bounds
+        total = float(np.hypot(sigmas[i], np.nan_to_num(left[i])))
+        value = float(found.values[i])
+        interval = None if bound or not followed else interval_of(value, total, parameter.lower, parameter.upper)
+        prior = None
+        if np.isfinite(parameter.prior_sigma):
+            prior = (parameter.prior_mean, parameter.prior_sigma)
+        out.append(
+            Estimate(
+                parameter.name, value, float(sigmas[i]), float(left[i]), interval,
+                parameter.lower, parameter.upper, prior,
+            )
+        )  # fmt: skip
+    return tuple(out)
+
+
+def _variances(found: Fit, sources: Sequence[slice], stated: Sequence[bool]) -> Float[np.ndarray, " N"]:
+    """Of the residuals: each source's own, at least one where it is stated; the worst one for all if above one."""
+    squares = [float(np.mean(found.residuals[where] ** 2)) for where in sources]
+    worst = max(found.reduced_chi_square, *squares)
+    out = np.full(len(found.residuals), max(worst, 1.0))
+    if worst <= 1.0:
+        for where, square, known in zip(sources, squares, stated, strict=True):
+            out[where] = 1.0 if known else square
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A fit judged by a finer model.
+
+    Attributes:
+        fit: the last one; with the correction on, of the finer model.
+        left: standard deviation of each value by the model error that is left, shape [K]; NaN where unknown.
+        frame_errors: rms model error that is left in each frame, in standard deviations of the noise, [T].
+        mesh: the finer mesh; None where there is none.
+    """
+
+    fit: Fit
+    left: Float[np.ndarray, " K"]
+    frame_errors: Float[np.ndarray, " T"]
+    mesh: TetMesh | None = None
+
+
+def judge(
+    full: FullModel,
+    found: Fit,
+    seen: Observations,
+    options: RefineOptions,
+    stages: Stages,
+    warnings: list[str],
+    *,
+    before: Fit | None = None,
+) -> Judged:
+    """Compare with a finer model, let frames count by what that changes, and fit once more.
+
+    With the correction the full model is compared with one of a finer mesh (the other way round, where it is that of
+    the finer mesh itself) and with one of half the time step, and the last fit takes its residuals from what both say
+    together; without it, the reduced model with the full one, and nothing is fitted again.
+
+    Args:
+        full: that was fitted.
+        found: the fit.
+        seen: what was seen.
+        options, stages, warnings: of the refinement.
+        before: the fit on the twin's mesh, where `full` is on a finer one.
+    """
+    twin, frames = full.twin, full.frames
+    unknown = Judged(found, np.full(len(found.values), np.nan), np.zeros(frames), full.mesh)
+    if not options.model_error:
+        return unknown
+    mesh = full.mesh
+    if mesh is None and options.correction:
+        mesh = finer_mesh(twin)
+
+    def compute() -> dict[str, np.ndarray]:
+        own = replace(full, points=seen.points)
+        coarse = replace(own, mesh=None)
+        if not options.correction:
+            exact = coarse.positions(found.values)
+            change = seen.residuals(exact) - found.residuals
+            errors = frame_errors(seen, exact, found.positions)
+            return {"left": np.abs(parameter_shift(found, change)), "errors": errors}
+        cheap = own if options.jacobian == "full" else ReducedModel(twin, found.names, seen.points, frames)
+        return arrays_of_finer(fit_finer(cheap, coarse, mesh, seen, found))
+
+    try:
+        arrays = stages.run("model_error", compute)
+    except ConvergenceError as error:
+        warnings.append(f"The model error is unknown: the finer model failed ({error}).")
+        return unknown
+    if options.correction and mesh is None:
+        warnings.append(
+            "No finer mesh was tried (too many nodes, or none found): the model error is that of the time step alone."
+        )
+    last = fit_of(arrays, found.parameters) if "values" in arrays else found
+    left = arrays["left"]
+    runs_away = bool(arrays.get("runs_away", False))
+    if before is not None:
+        left = np.hypot(left, LEFT_BY_FITTED * np.abs(found.values - before.values))
+    if twin.may_strike or runs_away:  # after an impact meshes do not converge: all that a finer one moved
+        left = np.hypot(left, np.abs(last.values - found.values))
+    if twin.may_strike and not is_of_capture(twin):
+        left = np.hypot(left, [_BY_MESH.get(p.name, 0.0) for p in found.parameters])
+    if runs_away:
+        last = found
+        warnings.append(
+            "A finer mesh, or half the time step, moves the estimates further at every turn: models of this body part "
+            "ever further. The estimates are those of the coarser model; their intervals take in what the finer one "
+            "moved."
+        )
+    return Judged(last, left, arrays["errors"], mesh)
+
+
+def arrays_of_finer(found: FinerFit) -> dict[str, np.ndarray]:
+    """What the stage keeps."""
+    return arrays_of_fit(found.fit) | {
+        "left": found.left, "errors": found.frame_errors, "runs_away": np.array(found.runs_away),
+    }  # fmt: skip

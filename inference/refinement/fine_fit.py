@@ -1,0 +1,129 @@
+"""The search goes on on a mesh of more nodes: how a body rebounds hangs on its shape where it lands.
+
+Of few nodes, thin legs are too thick or missing, and the twin's motion parts from the body's by a centimetre per frame
+from the landing on, which E and ν then make up for. Meshes of two to five times the nodes, the best of several
+meshers, come two to five times as near. The few nodes may have led to another rebound, so that materials about are
+tried first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from inference.refinement.coarse_start import START_OPTIONS, misfits_of
+from inference.refinement.colour_observations import in_pixels
+from inference.refinement.fits import arrays_of_fit, fit_of
+from inference.refinement.meshes import fine_mesh
+from inference.refinement.options import RefineOptions
+from inference.refinement.problem import Problem
+from inference.refinement.reduced_search import started_from
+from inference.refinement.stages import Arrays, Stages
+from physconvex.identify import (
+    FULL_OPTIONS,
+    LEFT_BY_FITTED,
+    Fit,
+    FullModel,
+    RollOuts,
+    fit,
+    frame_errors,
+    roll_out_together,
+)
+
+__all__ = ["Refitting"]
+
+# decades of E beside the start, then further on the side that is better, and ν with them
+_BESIDE, _FURTHER, _RATIO = 0.15, (0.3, 0.45), 0.35
+_RATIOS = (0.25, 0.45)  # beside the best of these
+_ALIKE = 2.0  # pixels between the motions of both meshes, below which videos hardly tell them apart
+
+
+@dataclass(frozen=True, eq=False)
+class Refitting:
+    """The fit on more nodes of one refinement.
+
+    Attributes:
+        options, stages: of the refinement.
+        memory: of roll-outs.
+        with_drift: the problem with the rigid drift that is likely at a fit; the name is of the stage.
+    """
+
+    options: RefineOptions
+    stages: Stages
+    memory: RollOuts
+    with_drift: Callable[[Problem, Fit, str], Problem]
+
+    def run(self, problem: Problem, found: Fit, *, last: bool) -> tuple[Problem, Fit]:
+        """The problem on a mesh of more nodes, and its fit, begun at `found`; both as they are if there is no mesh.
+
+        Or if videos hardly tell it from the twin's.
+        Where the recording likes no modulus beside `found` better, the fit is left to the search that follows.
+
+        Args:
+            problem, found: on the twin's mesh.
+            last: no search follows, to which this one may leave the last digits.
+
+        Raises:
+            ConvergenceError: the body cannot be simulated on it.
+        """
+        mesh = fine_mesh(problem.twin, found, self.options, self.stages) if self.options.own_derivatives else None
+        if mesh is None:
+            return problem, found
+        few, fine = problem.full(self.memory), replace(problem, mesh=mesh)
+        more = fine.full(self.memory)
+
+        def part() -> Arrays:
+            roll_out_together((model, found.values) for model in (few, more))
+            return {"apart": np.array(_apart(*(model.positions(found.values) for model in (few, more))))}
+
+        apart = float(self.stages.run("fine_apart", part)["apart"])
+        if problem.observed.cameras and in_pixels(problem, apart) < _ALIKE:
+            return problem, found
+        values = self.stages.run("fine_start", lambda: {"values": _material(problem, more, found.values)})["values"]
+        start = replace(found, values=values)
+
+        def compare() -> Arrays:
+            roll_out_together((model, start.values) for model in (few, more))
+            here, there = (model.positions(start.values) for model in (few, more))
+            errors = LEFT_BY_FITTED * frame_errors(problem.seen, there, here)
+            return {"errors": errors, "astray": np.array(LEFT_BY_FITTED * _apart(here, there))}
+
+        def compute() -> Arrays:
+            settings = replace(FULL_OPTIONS if last else START_OPTIONS, max_iterations=self.options.full_runs)
+            return arrays_of_fit(fit(more, fine.weighted, started_from(problem.parameters, start), options=settings))
+
+        compared = self.stages.run("fine_errors", compare)
+        fine = replace(fine, errors=compared["errors"], astray=float(compared["astray"]))
+        if not last and np.array_equal(values, found.values):
+            return fine, found
+        fine = self.with_drift(fine, start, "drift_fine")
+        return fine, fit_of(self.stages.run("fine", compute), problem.parameters)
+
+
+def _apart(here: Float[np.ndarray, "T P 3"], there: Float[np.ndarray, "T P 3"]) -> float:
+    return float(np.sqrt(np.square(there - here).sum(-1).mean()))
+
+
+def _material(problem: Problem, model: FullModel, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
+    """Of a fit's values and those of materials about, what the recording likes best."""
+    beside = [_moved(problem, values, change, _RATIO) for change in (-_BESIDE, _BESIDE)]
+    best = _best(problem, model, [values, *beside])
+    if best is values:
+        return values
+    side = -1.0 if best is beside[0] else 1.0
+    best = _best(problem, model, [best, *(_moved(problem, values, side * change, _RATIO) for change in _FURTHER)])
+    return _best(problem, model, [best, *(_moved(problem, best, 0.0, ratio) for ratio in _RATIOS)])
+
+
+def _moved(problem: Problem, values: np.ndarray, change: float, ratio: float) -> Float[np.ndarray, " K"]:
+    """Values with E changed by so many decades and that ν, as far as these are free and within their bounds."""
+    wanted = {"log10_youngs_modulus": lambda value: value + change, "poisson_ratio": lambda value: ratio}
+    pairs = zip(problem.parameters, map(float, values), strict=True)
+    return np.array([p.at(wanted[p.name](value)).start if p.name in wanted else value for p, value in pairs])
+
+
+def _best(problem: Problem, model: FullModel, candidates: Sequence[np.ndarray]) -> np.ndarray:
+    return candidates[int(np.argmin(misfits_of(problem, model, candidates)))]

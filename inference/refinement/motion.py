@@ -1,0 +1,93 @@
+"""The fitted model in all frames: surface, markers, handles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from inference.refinement.options import RefineOptions
+from inference.refinement.result import RefinedMotion
+from inference.refinement.stages import Stages
+from physconvex.identify import Fit, FullModel, Twin, enriched, extrapolated_nodes
+from physconvex.io import Capture
+from physconvex.mesh import Embedding, TetMesh
+from physconvex.reduced import simulate
+
+__all__ = ["future_rms", "motion_of"]
+
+
+def motion_of(
+    capture: Capture,
+    full: FullModel,
+    found: Fit,
+    options: RefineOptions,
+    stages: Stages,
+    *,
+    mesh: TetMesh | None = None,
+) -> RefinedMotion:
+    """Roll the fitted model out over all frames: the full one where the correction is on, else the reduced one.
+
+    Args:
+        capture, full, found, options, stages: of the refinement.
+        mesh: of the full model, if it is not the twin's.
+    """
+    twin = full.twin
+    vertices, faces = twin.surface
+    tracks = capture.tracks()
+    markers = np.zeros((0, 3)) if tracks is None else tracks.rest
+    body = mesh if options.correction and mesh is not None else twin.mesh
+
+    fitted, nodes = twin.with_values(found.names, found.values), twin.mesh.vertices
+
+    def compute() -> dict[str, np.ndarray]:
+        run = simulate(fitted.scene, **twin.timing())
+        if not options.correction:
+            return {
+                "nodes": run.positions(nodes),
+                "handles": run.handles(),
+                "weights": _weights(twin),
+                "gap": np.zeros(0),
+            }
+        coarse = replace(full, frames=capture.frames)
+        moved = extrapolated_nodes(coarse, replace(coarse, mesh=mesh), found.values)
+        carried = Embedding.of_points(body, nodes).apply(moved)
+        better = enriched(fitted, carried)
+        again = simulate(better.scene, **twin.timing())
+        gap = np.array([_rms(r.positions(nodes) - carried) for r in (run, again)])
+        nearer, moving = (better, again) if gap[1] < gap[0] else (fitted, run)
+        return {"nodes": moved, "handles": moving.handles(), "weights": _weights(nearer), "gap": gap}
+
+    arrays = stages.run("motion", compute)
+    moved = Embedding.of_points(body, np.concatenate([vertices, markers])).apply(arrays["nodes"])
+    return RefinedMotion(
+        times=capture.times,
+        vertices=moved[:, : len(vertices)],
+        faces=faces,
+        markers=moved[:, len(vertices) :],
+        handles=arrays["handles"],
+        weight_points=nodes,
+        weights=arrays["weights"],
+        model="full" if options.correction else "reduced",
+        mesh=body,
+        nodes=arrays["nodes"],
+        reduced_gap=tuple(map(float, arrays["gap"])),
+    )
+
+
+def _weights(twin: Twin) -> np.ndarray:
+    return twin.scene.body.space.field.at(twin.mesh.vertices)[0]
+
+
+def _rms(difference: np.ndarray) -> float:
+    return float(np.sqrt(np.square(difference).sum(-1).mean()))
+
+
+def future_rms(capture: Capture, motion: RefinedMotion) -> float:
+    """Root mean square distance of the markers in the frames that were not fitted [m]; NaN without any."""
+    tracks = capture.tracks()
+    if tracks is None or capture.observed_frames >= capture.frames:
+        return float("nan")
+    ahead = slice(capture.observed_frames, None)
+    distance = np.linalg.norm(motion.markers[ahead] - tracks.positions[ahead], axis=-1)
+    return float(np.sqrt(np.nanmean(distance**2))) if np.isfinite(distance).any() else float("nan")

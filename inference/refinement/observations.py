@@ -1,0 +1,195 @@
+"""What is fitted of a capture: its marker tracks, points followed in its videos, outlines of its masks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from inference.refinement.options import RefineOptions
+from inference.refinement.stages import Stages
+from physconvex import InputError
+from physconvex.identify import (
+    FollowOptions,
+    Observations,
+    OutlineObservations,
+    PixelObservations,
+    StackedObservations,
+    Twin,
+    follow,
+    follow_from_model,
+    marker_observations,
+    seed_points,
+    start_motion,
+)
+from physconvex.io import Camera, Capture
+
+__all__ = ["Observed", "observe"]
+
+Arrays = dict[str, np.ndarray]
+_UNFOLLOWED = (
+    "Camera {}: no point of the object can be followed, so outlines alone are fitted; they do not tell how a surface "
+    "turns within them. Paint a texture on, or give marker tracks."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """The stack of observations, a line about each of its parts, the cameras among them, and notes for the user."""
+
+    observations: StackedObservations
+    sources: tuple[str, ...]
+    cameras: tuple[Camera, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def follows_points(self) -> bool:
+        """Whether points were followed in videos, which a fitted model helps to follow better."""
+        return any(isinstance(part, PixelObservations) for part in self.observations.parts)
+
+    def rms(self, residuals: np.ndarray) -> dict[str, float]:
+        """Root mean square residual by part, in standard deviations of its stated noise."""
+        pairs = zip(self.sources, self.observations.residual_slices, strict=True)
+        return {source: float(np.sqrt(np.mean(residuals[where] ** 2))) for source, where in pairs}
+
+    def anchored(
+        self, capture: Capture, twin: Twin, move: Callable[[np.ndarray], np.ndarray], stages: Stages
+    ) -> Observed:
+        """The same, with the points of the videos followed again from where a model moves them: [P, 3] → [T, P, 3]."""
+        arrays = stages.run("anchored", lambda: self._follow_again(capture, twin, move))
+        parts: list[Observations] = []
+        sources = list(self.sources)
+        for number, part in enumerate(self.observations.parts):
+            if isinstance(part, PixelObservations):
+                part = replace(part, pixels=arrays[part.camera.name])
+                sources[number] = _line(part)
+            parts.append(part)
+        return replace(self, observations=StackedObservations.of(parts), sources=tuple(sources))
+
+    def _follow_again(self, capture: Capture, twin: Twin, move: Callable[[np.ndarray], np.ndarray]) -> Arrays:
+        vertices, triangles = twin.surface
+        parts = [part for part in self.observations.parts if isinstance(part, PixelObservations)]
+        everything = move(np.concatenate([vertices, *(part.points for part in parts)]))
+        moved, places = everything[:, : len(vertices)], len(vertices)
+        out = {}
+        for part in parts:
+            frames = capture.video(part.camera.name).frames[: len(moved)]
+            predicted = everything[:, places : places + len(part.points)]
+            out[part.camera.name] = follow_from_model(frames, part.camera, moved, triangles, predicted)
+            places += len(part.points)
+        return out
+
+
+def observe(capture: Capture, twin: Twin, options: RefineOptions, stages: Stages) -> tuple[Observed, Twin]:
+    """What the options take of a capture, and the twin with the initial motion that the tracks show.
+
+    Raises:
+        InputError: there is nothing of that kind.
+    """
+    if capture.observed_frames < 2:
+        raise InputError(
+            f"{capture.folder}: observed_frames is {capture.observed_frames}; expected at least 2, since frame 0 is "
+            "the known state at t = 0"
+        )
+    tracked, filmed = _kinds(capture, options)
+    parts: list[Observations] = []
+    sources: list[str] = []
+    cameras: tuple[Camera, ...] = ()
+    notes: tuple[str, ...] = ()
+    if tracked:
+        markers = marker_observations(capture)
+        parts.append(markers)
+        sources.append(f"{len(markers.points)} markers")
+        twin = start_motion(twin, markers)
+    if filmed:
+        cameras = _cameras(capture, options)
+        seen = _video_parts(capture, twin, cameras, options, stages)
+        notes = tuple(_UNFOLLOWED.format(camera.name) for camera in cameras if _is_unfollowed(camera, capture, seen))
+        parts.extend(seen)
+        sources.extend(_line(part) for part in seen)
+    return Observed(StackedObservations.of(parts), tuple(sources), cameras, notes), twin
+
+
+def _kinds(capture: Capture, options: RefineOptions) -> tuple[bool, bool]:
+    """Whether to take tracks, and videos."""
+    tracked, filmed = capture.tracks() is not None, bool(capture.cameras)
+    wanted = options.observations
+    if (wanted in ("tracks", "both") and not tracked) or (wanted in ("video", "both") and not filmed):
+        missing = "tracks.npz" if not tracked and wanted != "video" else "cameras in capture.json"
+        raise InputError(f"{capture.folder}: observations is {wanted!r}, but there is no {missing}")
+    if not tracked and not filmed:
+        raise InputError(
+            f"{capture.folder}: nothing was observed; expected tracks.npz (rest, positions, sigma) or cameras with "
+            "videos in capture.json"
+        )
+    return tracked and wanted != "video", filmed and (wanted in ("video", "both") or not tracked)
+
+
+def _cameras(capture: Capture, options: RefineOptions) -> tuple[Camera, ...]:
+    if options.cameras is None:
+        return capture.cameras
+    return tuple(capture.camera(name) for name in options.cameras)
+
+
+def _video_parts(
+    capture: Capture, twin: Twin, cameras: Sequence[Camera], options: RefineOptions, stages: Stages
+) -> list[Observations]:
+    """Points and outlines of each camera; of one without images, or where no point can be followed, outlines alone."""
+    vertices, triangles = twin.surface
+    masks = {camera.name: capture.mask(camera.name) for camera in cameras}
+    arrays = stages.run("points", lambda: _followed(capture, cameras, masks, vertices, triangles, options))
+    parts: list[Observations] = []
+    sigma = FollowOptions().sigma
+    for camera in cameras:
+        if f"{camera.name}/points" in arrays:
+            pixels = arrays[f"{camera.name}/pixels"]
+            parts.append(PixelObservations(camera, arrays[f"{camera.name}/points"], pixels, _full(pixels, sigma)))
+        mask = masks[camera.name]
+        if options.outlines and mask is not None:
+            parts.append(OutlineObservations.of_masks(camera, mask[: capture.observed_frames], vertices, triangles))
+    return parts
+
+
+def _is_unfollowed(camera: Camera, capture: Capture, parts: Sequence[Observations]) -> bool:
+    """Whether there are images of a camera, and yet no point that is followed in them."""
+    followed = any(isinstance(part, PixelObservations) and part.camera is camera for part in parts)
+    return camera in capture.filmed and not followed
+
+
+def _followed(
+    capture: Capture,
+    cameras: Sequence[Camera],
+    masks: Mapping[str, np.ndarray | None],
+    vertices: np.ndarray,
+    triangles: np.ndarray,
+    options: RefineOptions,
+) -> Arrays:
+    out = {}
+    for camera in cameras:
+        mask = masks[camera.name]
+        outlined = options.outlines and mask is not None
+        if outlined and camera not in capture.filmed:
+            continue
+        frames = capture.video(camera.name).frames[: capture.observed_frames]
+        try:
+            seeds = seed_points(camera, frames[0], vertices, triangles, mask=None if mask is None else mask[0] > 0)
+        except InputError:
+            if not outlined:
+                raise
+            continue
+        out[f"{camera.name}/points"] = seeds.points
+        out[f"{camera.name}/pixels"] = follow(frames, seeds.pixels)
+    return out
+
+
+def _full(pixels: np.ndarray, sigma: float) -> np.ndarray:
+    return np.full(pixels.shape[:2], sigma)
+
+
+def _line(part: Observations) -> str:
+    if isinstance(part, PixelObservations):
+        lasting = int(np.isfinite(part.pixels[-1]).all(-1).sum())
+        return f"camera {part.camera.name}: {len(part.points)} points, {lasting} of them in the last observed frame"
+    assert isinstance(part, OutlineObservations)
+    return f"camera {part.camera.name}: {len(part.pixels)} outline points"

@@ -1,0 +1,118 @@
+"""What a refinement fits: the twin that holds the fixed values, the unknowns, what was seen of the observed frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from inference.refinement.observations import Observed
+from physconvex.fem import SurfacePoints
+from physconvex.identify import (
+    DriftingObservations,
+    FullModel,
+    MarginalObservations,
+    Nuisance,
+    Observations,
+    Parameter,
+    ReducedModel,
+    RollOuts,
+    Twin,
+    WeightedObservations,
+)
+from physconvex.mesh import TetMesh
+
+__all__ = ["Problem"]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is fitted.
+
+    Attributes:
+        twin: body and world, with the fixed values.
+        parameters: the unknowns.
+        observed: what was seen.
+        nuisance: priors of camera and clock.
+        surface: points at which obstacles act, in the place of the mesh's nodes.
+        mesh: that the full model is rolled out on; None: the twin's.
+        astray: rms distance at which the body may be from where that puts it [m].
+        errors: of the model by frame, in standard deviations of the noise, shape [T].
+        drift: standard deviation of the rigid drift after a contact [m/s].
+        drift_limit: the frame from which there is drift, and the greatest deviation that may be thought of [m/s]; None
+            where nothing is struck.
+    """
+
+    twin: Twin
+    parameters: tuple[Parameter, ...]
+    observed: Observed
+    nuisance: Nuisance = field(default_factory=Nuisance)
+    surface: SurfacePoints | None = None
+    mesh: TetMesh | None = None
+    astray: float = 0.0
+    errors: np.ndarray | None = None
+    drift: float = 0.0
+    drift_limit: tuple[int, float] | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns."""
+        return tuple(p.name for p in self.parameters)
+
+    @property
+    def undrifted(self) -> Observations:
+        """What was seen, nuisances of camera and clock eliminated."""
+        seen = self.observed.observations
+        return MarginalObservations(seen, self.nuisance, 1 / self.twin.fps) if self.nuisance.any else seen
+
+    @property
+    def seen(self) -> Observations:
+        """What was seen, all nuisances eliminated."""
+        return self.drifting(self.drift) if self.drift else self.undrifted
+
+    def drifting(self, sigma: float) -> DriftingObservations:
+        """What was seen, with rigid drift of that deviation [m/s] eliminated too."""
+        assert self.drift_limit is not None
+        return DriftingObservations(self.undrifted, self.drift_limit[0], 1 / self.twin.fps, sigma)
+
+    @property
+    def weighted(self) -> Observations:
+        """What was seen, frames counting by how well the model knows them."""
+        return self.seen if self.errors is None else WeightedObservations.by_errors(self.seen, self.errors)
+
+    def reduced(self) -> ReducedModel:
+        """The reduced model of the observed points."""
+        return ReducedModel(self.twin, self.names, self.seen.points, self.frames)
+
+    def full(self, memory: RollOuts) -> FullModel:
+        """The full model of the observed points."""
+        return FullModel(
+            self.twin,
+            self.names,
+            self.seen.points,
+            self.frames,
+            mesh=self.mesh,
+            surface=self.surface,
+            memory=memory,
+        )
+
+    @property
+    def frames(self) -> int:
+        """Number of frames that are fitted."""
+        return int(self.seen.frames.max()) + 1
+
+    @property
+    def windows(self) -> tuple[int, ...]:
+        """Numbers of frames to be fitted one after the other.
+
+        A held body swings: over many periods the misfit has a minimum per period, over one it has one.
+        """
+        count = self.frames
+        if self.twin.clamp is None:
+            return (count,)
+        return tuple(dict.fromkeys(max(2, round(count * share)) for share in (0.25, 0.5, 1.0)))
+
+    def first(self, frames: int) -> Problem:
+        """The first frames alone."""
+        part = replace(self.observed, observations=self.observed.observations.in_frames(frames))
+        return replace(self, observed=part)

@@ -1,0 +1,301 @@
+"""What a refinement returns: `Refinement`, its parts, its JSON form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from physconvex.convex import ConvexField
+from physconvex.identify import FullRun, Identifiability, Iteration
+from physconvex.io import Camera
+from physconvex.mesh import TetMesh
+
+__all__ = ["REFINEMENT_SCHEMA", "UNITS", "Estimate", "MovingField", "RefinedMotion", "Refinement", "RigidDrift"]
+
+REFINEMENT_SCHEMA = "physconvex/refinement/1"
+_DRIFT_TOLD = 0.01  # of the size: from here on the user is told
+_NINETY = 1.6448536269514722  # of a normal distribution, both sides
+UNITS = {
+    "log10_youngs_modulus": "log10(Pa)",
+    "poisson_ratio": "1",
+    "density": "kg/m^3",
+    "damping_time": "s",
+    "air_drag": "1/s",
+    "friction": "1",
+    "contact_damping": "s",
+    "log10_contact_stiffness": "log10(Pa/m)",
+    "gravity": "m/s^2",
+    "wind": "m/s",
+    "initial_velocity": "m/s",
+    "initial_angular_velocity": "rad/s",
+    "initial_position": "m",
+    "initial_orientation": "rad",
+}
+
+
+def unit_of(name: str) -> str:
+    """Unit of a parameter."""
+    return UNITS[name] if name in UNITS else UNITS[name.rpartition("_")[0]]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """One parameter.
+
+    Attributes:
+        name: of `physconvex.reduced.PARAMETERS`.
+        value: [unit].
+        noise_sigma: standard deviation from the noise of the data; enlarged by the root of the reduced χ² where the
+            residual is larger than the stated noise, and at least what residuals say that err together frame by frame.
+        model_error: standard deviation by the model error that is left; NaN where no finer model was tried.
+        interval: 90 %, of noise and model error together; None at a bound, and where the model does not follow the
+            recording.
+        lower, upper: bounds.
+        prior: mean and standard deviation, or None.
+    """
+
+    name: str
+    value: float
+    noise_sigma: float
+    model_error: float
+    interval: tuple[float, float] | None
+    lower: float
+    upper: float
+    prior: tuple[float, float] | None = None
+
+    @property
+    def sigma(self) -> float:
+        """Noise and model error together."""
+        return float(np.hypot(self.noise_sigma, np.nan_to_num(self.model_error)))
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; NaN and infinities become null."""
+        interval = None if self.interval is None else [float(v) for v in self.interval]
+        return {
+            "value": self.value,
+            "unit": unit_of(self.name),
+            "noise_sigma": _plain(self.noise_sigma),
+            "model_error": _plain(self.model_error),
+            "interval_90": interval,
+            "bounds": [_plain(self.lower), _plain(self.upper)],
+            "prior": None if self.prior is None else list(self.prior),
+        }
+
+
+def interval_of(value: float, sigma: float, lower: float, upper: float) -> tuple[float, float]:
+    """90 % of a normal distribution, cut at the bounds."""
+    return max(value - _NINETY * sigma, lower), min(value + _NINETY * sigma, upper)
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+@runtime_checkable
+class MovingField(Protocol):
+    """A convex field bound to the motion, see `inference.refinement.appearance`."""
+
+    @property
+    def field(self) -> ConvexField:
+        """At rest, world frame."""
+
+    def at(self, frame: int) -> ConvexField:
+        """The field in a frame."""
+
+    def image(self, frame: int, camera: Camera) -> tuple[UInt8[np.ndarray, "H W 3"], np.ndarray]:
+        """What a camera sees of it in a frame, before white, and its alpha [H, W]."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Number of convexes, source, PSNR of the first images [dB]."""
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedMotion:
+    """The motion of the fitted model in all frames, the future ones too.
+
+    Attributes:
+        times: [s], shape [T].
+        vertices: of the surface [m], shape [T, V, 3].
+        faces: of the surface, shape [F, 3].
+        markers: of the tracked points [m], shape [T, P, 3]; P = 0 without tracks.
+        handles: Z_m(t) of the reduced model, φ = X + Σ W_m Z_m [X; 1], shape [T, M + 1, 3, 4].
+        weight_points, weights: rest positions [m] [N, 3] and skinning weights [N, M] of the mesh nodes.
+        model: "full" or "reduced": where vertices and markers come from.
+        mesh, nodes: the mesh of that model at rest, and its nodes [m], shape [T, K, 3].
+        reduced_gap: rms distance to it [m] of the reduced model with its first weights, and with those that were
+            refined by the full model's motion, whose handles these are; empty without the full model.
+    """
+
+    times: Float[np.ndarray, " T"]
+    vertices: Float[np.ndarray, "T V 3"]
+    faces: Int[np.ndarray, "F 3"]
+    markers: Float[np.ndarray, "T P 3"]
+    handles: Float[np.ndarray, "T K 3 4"]
+    weight_points: Float[np.ndarray, "N 3"]
+    weights: Float[np.ndarray, "N M"]
+    model: str
+    mesh: TetMesh
+    nodes: Float[np.ndarray, "T K 3"]
+    reduced_gap: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class RigidDrift:
+    """How the recording parts from the model as a rigid body.
+
+    Attributes:
+        first_frame: of the first contact.
+        sigma: standard deviation of the change of velocity in each frame [m/s].
+        rms: distance by frame [m], shape [T].
+        size: of the body [m].
+    """
+
+    first_frame: int
+    sigma: float
+    rms: Float[np.ndarray, " T"]
+    size: float
+
+    def to_json(self) -> dict[str, object]:
+        """For `refinement.json`."""
+        return {"first_frame": self.first_frame, "sigma_m_per_s": self.sigma, "rms_m": [float(r) for r in self.rms]}
+
+    def sentences(self) -> tuple[str, ...]:
+        """What the user should know."""
+        share = float(self.rms.max()) / self.size
+        if share < _DRIFT_TOLD:
+            return ()
+        return (
+            f"From the contact by frame {self.first_frame} on the recording drifts from the model as a rigid body, by "
+            f"{100 * share:.0f} % of its size at most; the estimates rest on what is left. Contact points, friction "
+            "or the initial motion may be other than stated.",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """Parameters with uncertainty, motion and history of one capture.
+
+    Attributes:
+        path: the capture folder.
+        estimates: the free parameters.
+        fixed: values that were held.
+        covariance: of the noise, in the parameters' units, shape [K, K], in the order of `estimates`.
+        reduced_chi_square: squares of the whitened residuals over degrees of freedom.
+        residual_rms: root mean square of the residuals by source, in standard deviations of its stated noise.
+        frame_errors: rms difference between the full and a finer model by frame, in standard deviations of the noise;
+            residuals of a frame were divided by √(1 + its square).
+        future_rms: the same of the markers in the frames that were not fitted [m]; NaN without.
+        identifiability: what the data can tell.
+        history: of the last search.
+        reduced_values: what the reduced model alone gave, shape [K].
+        full_runs: runs of the full model.
+        converged: whether search and correction met their tolerances.
+        motion: of the fitted model.
+        observed_frames: frames that were fitted.
+        sources: what was fitted, such as "12 markers" or "camera front: 80 points".
+        warnings: what the user should know.
+        nuisances: camera pose and time offset, where they were free, by name and unit.
+        appearance: the object as a convex field that moves with the body; None without one.
+        drift: of the recording from the model as a rigid body, after a contact; None where none is likely.
+        followed: the motion with that drift: where the recording has the body (its handles are the model's).
+    """
+
+    path: str
+    estimates: tuple[Estimate, ...]
+    fixed: dict[str, float]
+    covariance: Float[np.ndarray, "K K"]
+    reduced_chi_square: float
+    residual_rms: dict[str, float]
+    frame_errors: Float[np.ndarray, " T"]
+    future_rms: float
+    identifiability: Identifiability
+    history: tuple[Iteration, ...]
+    reduced_values: Float[np.ndarray, " K"]
+    full_runs: tuple[FullRun, ...]
+    converged: bool
+    motion: RefinedMotion
+    observed_frames: int
+    sources: tuple[str, ...]
+    warnings: tuple[str, ...]
+    nuisances: dict[str, float]
+    appearance: MovingField | None = None
+    drift: RigidDrift | None = None
+    followed: RefinedMotion | None = None
+
+    def __getitem__(self, name: str) -> Estimate:
+        """The estimate of a free parameter."""
+        for estimate in self.estimates:
+            if estimate.name == name:
+                return estimate
+        raise KeyError(name)
+
+    def _value(self, name: str) -> float:
+        return self.fixed[name] if name in self.fixed else self[name].value
+
+    @property
+    def youngs_modulus(self) -> float:
+        """E [Pa]."""
+        return float(10.0 ** self._value("log10_youngs_modulus"))
+
+    @property
+    def poisson_ratio(self) -> float:
+        """ν."""
+        return self._value("poisson_ratio")
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the arrays of the motion; `docs/refine.md` describes each entry."""
+        names = [e.name for e in self.estimates]
+        told = self.identifiability
+        interval = None
+        if "log10_youngs_modulus" in names and (log := self["log10_youngs_modulus"].interval):
+            interval = [10.0 ** log[0], 10.0 ** log[1]]
+        return {
+            "schema": REFINEMENT_SCHEMA,
+            "path": self.path,
+            "youngs_modulus": {"value": self.youngs_modulus, "unit": "Pa", "interval_90": interval},
+            "parameters": {e.name: e.to_json() for e in self.estimates},
+            "fixed": {name: {"value": value, "unit": unit_of(name)} for name, value in self.fixed.items()},
+            "noise_covariance": {"order": names, "matrix": self.covariance.tolist()},
+            "reduced_chi_square": self.reduced_chi_square,
+            "residual_rms": self.residual_rms,
+            "model_error_by_frame": [float(e) for e in self.frame_errors],
+            "future_rms_m": _plain(self.future_rms),
+            "identifiability": {
+                "condition": _plain(told.condition),
+                "undetermined": [{"shares": dict(d.shares), "sigma_in_steps": d.sigma} for d in told.null_directions],
+                "at_bounds": list(told.at_bounds),
+                "in_words": list(told.sentences),
+            },
+            "reduced_model_alone": dict(zip(names, map(float, self.reduced_values), strict=True)),
+            "full_model_runs": [
+                {
+                    "values": dict(zip(names, map(float, run.values), strict=True)),
+                    "misfit": _plain(run.misfit),
+                    "rms_to_start_m": _plain(run.distance),
+                }
+                for run in self.full_runs
+            ],
+            "history": [
+                {
+                    "values": dict(zip(names, map(float, i.values), strict=True)),
+                    "misfit": i.misfit,
+                    "damping": i.damping,
+                }
+                for i in self.history
+            ],
+            "converged": self.converged,
+            "motion_model": self.motion.model,
+            "reduced_model_rms_m": dict(
+                zip(("smooth_weights", "refined_weights"), self.motion.reduced_gap, strict=False)
+            ),
+            "convex_field": self.appearance.to_json() if self.appearance else None,
+            "frames": len(self.motion.times),
+            "observed_frames": self.observed_frames,
+            "sources": list(self.sources),
+            "warnings": list(self.warnings),
+            "nuisances": self.nuisances,
+            "rigid_drift": self.drift.to_json() if self.drift else None,
+        }

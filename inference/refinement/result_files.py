@@ -1,0 +1,77 @@
+"""The files of a refinement: JSON, arrays, plots, the video beside the observed one."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from inference.refinement.options import RefineOptions
+from inference.refinement.plots import write_plots
+from inference.refinement.result import Refinement
+from inference.refinement.side_by_side import write_side_by_side
+from physconvex import __version__
+from physconvex.convex import write_ply
+from physconvex.io import load_capture
+
+__all__ = ["write_refinement"]
+
+
+def write_refinement(
+    found: Refinement,
+    out: str | os.PathLike[str],
+    *,
+    options: RefineOptions | None = None,
+    command: Sequence[str] | None = None,
+    pictures: bool = True,
+) -> None:
+    """Write `refinement.json`, `trajectory.npz`, `field.ply`, `fit.png`, `side_by_side.mp4` and `run.json`.
+
+    Args:
+        found: the refinement.
+        out: the folder; it is made.
+        options: the settings, for `run.json`.
+        command: the command line, for `run.json`; this process's unless given.
+        pictures: plots and video also.
+    """
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    motion = found.motion
+    np.savez_compressed(
+        folder / "trajectory.npz",
+        times=motion.times,
+        vertices=motion.vertices.astype(np.float32),
+        faces=motion.faces,
+        markers=motion.markers,
+        handles=motion.handles,
+        weight_points=motion.weight_points,
+        weights=motion.weights.astype(np.float32),
+        followed_vertices=(found.followed or motion).vertices.astype(np.float32),
+    )
+    if found.appearance is not None:
+        write_ply(found.appearance.field, folder / "field.ply")
+    if pictures:
+        capture = load_capture(found.path)
+        write_plots(found, capture, folder / "fit.png")
+        write_side_by_side(found, capture, folder / "side_by_side.mp4")
+    run: dict[str, Any] = {
+        "command": shlex.join(sys.argv if command is None else command),
+        "physconvex": __version__,
+        "python": platform.python_version(),
+        "options": (options or RefineOptions()).as_json(),
+    }
+    _write_json(folder / "run.json", run)
+    _write_json(folder / "refinement.json", found.to_json())
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    partial.write_text(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+    os.replace(partial, path)

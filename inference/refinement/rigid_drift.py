@@ -1,0 +1,109 @@
+"""Rigid drift after a contact: how much of it there is likely to be, and what is told of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from inference.refinement.problem import Problem
+from inference.refinement.result import RefinedMotion, RigidDrift
+from inference.refinement.stages import Stages
+from physconvex.identify import (
+    DriftingObservations,
+    Fit,
+    FullModel,
+    first_contact,
+    likely_drift,
+    model_drift,
+    roll_out_together,
+)
+from physconvex.mesh import Embedding
+
+__all__ = ["drift_of", "drifted", "followed_motion", "with_drift", "with_drift_limit"]
+
+_LIMIT = 2.0  # times what two meshes differ by
+
+
+def with_drift_limit(problem: Problem, model: FullModel, other: FullModel, found: Fit, stages: Stages) -> Problem:
+    """The problem with the drift that two meshes of a body that strikes something differ by, as its greatest.
+
+    Args:
+        problem: what is fitted.
+        model, other: on different meshes; both are run at a fit's values.
+        found: the fit.
+        stages: the answer is kept there.
+    """
+    if not problem.twin.may_strike:
+        return problem
+    points = problem.twin.mesh.vertices if problem.surface is None else problem.surface.points
+
+    def compute() -> dict[str, np.ndarray]:
+        roll_out_together((m, found.values) for m in (model, other))
+        one, another = (replace(m, points=points).positions(found.values) for m in (model, other))
+        scene, interval = problem.twin.scene, 1 / problem.twin.fps
+        begin = first_contact(one, scene.obstacles, interval * np.arange(len(one)), scene.gravity)
+        if begin is None or begin >= len(one):
+            return {"limit": np.zeros(0)}
+        return {"limit": np.array([begin, _LIMIT * model_drift(one, another, begin, interval)])}
+
+    limit = stages.run("drift_limit", compute)["limit"]
+    return replace(problem, drift_limit=(int(limit[0]), float(limit[1])) if len(limit) else None)
+
+
+def with_drift(problem: Problem, model: FullModel, found: Fit, stages: Stages, name: str) -> Problem:
+    """The problem with the drift that is likely where a model puts the points at a fit's values.
+
+    Args:
+        problem: a drift that it has is forgotten.
+        model: of the observed points.
+        found: the fit.
+        stages: the answer is kept there.
+        name: of the stage.
+    """
+    plain = replace(problem, drift=0.0)
+    if problem.drift_limit is None:
+        return plain
+    begin, most = problem.drift_limit
+
+    def compute() -> dict[str, np.ndarray]:
+        at = model.begun(found.values)
+        likely = likely_drift(plain.undrifted, at, begin, 1 / plain.twin.fps, most=most, workers=model.memory.workers)
+        return {"sigma": np.array(0.0 if likely is None else likely.sigma)}
+
+    return replace(plain, drift=float(stages.run(name, compute)["sigma"]))
+
+
+def drift_of(problem: Problem, found: Fit) -> RigidDrift | None:
+    """The drift of a fit; None where there is none."""
+    seen = problem.seen
+    if not isinstance(seen, DriftingObservations):
+        return None
+    moved = np.linalg.norm(seen.drift(found.positions), axis=-1)
+    return RigidDrift(seen.begin, seen.sigma, np.sqrt(np.square(moved).mean(axis=1)), problem.twin.mesh.size)
+
+
+def drifted(problem: Problem, found: Fit) -> Float[np.ndarray, "T P 3"]:
+    """Where the points were by the fit, the rigid drift with them [m]."""
+    seen = problem.seen
+    drift = seen.drift(found.positions) if isinstance(seen, DriftingObservations) else 0.0
+    return np.asarray(found.positions + drift)
+
+
+def followed_motion(problem: Problem, motion: RefinedMotion) -> RefinedMotion:
+    """The motion with the rigid drift added: where the recording has the body; beyond its end the drift goes on."""
+    seen = problem.seen
+    if not isinstance(seen, DriftingObservations):
+        return motion
+    points = Embedding.of_points(motion.mesh, seen.points).apply(motion.nodes)
+
+    def carried(others: np.ndarray) -> np.ndarray:
+        return seen.carried(points, others) if others.shape[1] else others
+
+    return replace(
+        motion,
+        nodes=carried(motion.nodes),
+        vertices=carried(motion.vertices),
+        markers=carried(motion.markers),
+    )

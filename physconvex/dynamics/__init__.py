@@ -1,0 +1,5 @@
+"""What acts on a body and how time advances: contact, friction, wind, integrators, stepping."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,289 @@
+"""Contact of nodes with planes and spheres: area-weighted C² hinge and smoothed, lagged Coulomb friction.
+
+A node that carries the boundary area A and lies p = −gap deep in an obstacle has the energy A ψ(p), with
+
+    ψ(p) = kc p³ / (6 ε)                    0 < p < ε
+         = kc (p²/2 − p ε/2 + ε²/6)         p ≥ ε
+
+so that pressure kc·p [Pa] is reached smoothly; kc [Pa/m] is a stiffness per area and does not change with the mesh.
+Friction follows the smoothed Coulomb law of Li et al. 2020 (IPC), eq. 14: force μ N f₁(|v_t|) with f₁ = 1 above the
+velocity `v_s` and a smooth ramp below. During one solve it is frozen to a linear drag, see `Contact.freeze_friction`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.dynamics.motion_path import Travel, Velocity
+from physconvex.errors import InputError
+
+__all__ = ["Contact", "Friction", "Obstacle", "Plane", "Sphere"]
+
+Vector = Sequence[float] | Float[np.ndarray, " 3"]
+
+
+def _vector(name: str, value: Vector) -> np.ndarray:
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise InputError(f"{name}: got {value!r}; expected three finite numbers")
+    return array
+
+
+def _check_friction(friction: float) -> None:
+    if not (np.isfinite(friction) and friction >= 0):
+        raise InputError(f"friction: got {friction}; expected a finite coefficient ≥ 0")
+
+
+def _travel(obstacle: Plane | Sphere) -> Travel:
+    """Its motion; a constant velocity becomes an array in place."""
+    travel = Travel(obstacle.velocity)
+    if not callable(obstacle.velocity):
+        object.__setattr__(obstacle, "velocity", travel.velocity(0.0))
+    return travel
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Half-space {x : (x − point(t))·normal < 0} that bodies may not enter.
+
+    Attributes:
+        point: a point on the plane at t = 0 [m].
+        normal: outward direction, any length.
+        friction: Coulomb coefficient [-].
+        velocity: velocity of the plane [m/s], or a function of time [s] that gives it; a tangential part is a
+            conveyor belt.
+    """
+
+    point: Vector = (0.0, 0.0, 0.0)
+    normal: Vector = (0.0, 0.0, 1.0)
+    friction: float = 0.0
+    velocity: Velocity = (0.0, 0.0, 0.0)
+    _travel: Travel = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_travel", _travel(self))
+        for name in ("point", "normal"):
+            object.__setattr__(self, name, _vector(name, getattr(self, name)))
+        length = np.linalg.norm(self.normal)
+        if length == 0:
+            raise InputError("normal: got the zero vector; expected a direction")
+        object.__setattr__(self, "normal", np.asarray(self.normal) / length)
+        _check_friction(self.friction)
+
+    def gap(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, " V"]:
+        """Signed distance [m], negative inside."""
+        return (x - (np.asarray(self.point) + self._travel.displacement(time))) @ np.asarray(self.normal)
+
+    def velocity_at(self, time: float) -> Float[np.ndarray, " 3"]:
+        """Velocity at a time [m/s]."""
+        return self._travel.velocity(time)
+
+    def normals(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, "V 3"]:
+        """Gradient of the gap."""
+        return np.broadcast_to(np.asarray(self.normal), x.shape)
+
+    def curvature(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, " V"]:
+        """Curvature of the level set [1/m]: the gap's Hessian is curvature × (I − n nᵀ)."""
+        return np.zeros(len(x))
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """Solid sphere that bodies may not enter: `center` [m] at t = 0, `radius` [m], `velocity` [m/s] or a function."""
+
+    center: Vector
+    radius: float
+    friction: float = 0.0
+    velocity: Velocity = (0.0, 0.0, 0.0)
+    _travel: Travel = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_travel", _travel(self))
+        object.__setattr__(self, "center", _vector("center", self.center))
+        if not (np.isfinite(self.radius) and self.radius > 0):
+            raise InputError(f"radius: got {self.radius}; expected a length > 0 in metres")
+        _check_friction(self.friction)
+
+    def center_at(self, time: float) -> Float[np.ndarray, " 3"]:
+        """Where the centre is at a time [m]."""
+        return np.asarray(self.center) + self._travel.displacement(time)
+
+    def _offset(self, x: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
+        offset = x - self.center_at(time)
+        return offset, np.maximum(np.linalg.norm(offset, axis=1), 1e-12)
+
+    def gap(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, " V"]:
+        """Signed distance [m], negative inside."""
+        return self._offset(x, time)[1] - self.radius
+
+    def velocity_at(self, time: float) -> Float[np.ndarray, " 3"]:
+        """Velocity at a time [m/s]."""
+        return self._travel.velocity(time)
+
+    def normals(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, "V 3"]:
+        """Gradient of the gap."""
+        offset, distance = self._offset(x, time)
+        return offset / distance[:, None]
+
+    def curvature(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, " V"]:
+        """Curvature of the level set [1/m]."""
+        return 1.0 / self._offset(x, time)[1]
+
+
+Obstacle = Plane | Sphere
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Friction on the nodes that touch one obstacle, frozen to a linear drag for one solve.
+
+    Attributes:
+        nodes: node indices, shape [C].
+        weights: force over slip velocity [N·s/m], shape [C].
+        normals: shape [C, 3].
+        velocity: velocity of the obstacle [m/s], shape [3].
+        along_normal: a dashpot across the contact instead, which resists the normal velocity.
+    """
+
+    nodes: np.ndarray
+    weights: np.ndarray
+    normals: np.ndarray
+    velocity: np.ndarray
+    along_normal: bool = False
+
+    def slip(self, velocity: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "C 3"]:
+        """Tangential (or normal) velocity relative to the obstacle [m/s]."""
+        relative = velocity[self.nodes] - self.velocity
+        normal = (relative * self.normals).sum(1, keepdims=True) * self.normals
+        return normal if self.along_normal else relative - normal
+
+    @property
+    def projections(self) -> Float[np.ndarray, "C 3 3"]:
+        """What takes a velocity to `slip`."""
+        normal = self.normals[:, :, None] * self.normals[:, None, :]
+        return normal if self.along_normal else np.eye(3) - normal
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Contact law of one body with a list of obstacles.
+
+    Attributes:
+        obstacles: planes and spheres.
+        areas: boundary area of each node [m²], zero for inner nodes, shape [V].
+        stiffness: kc [Pa/m].
+        smoothing: ε [m].
+        slip_velocity: v_s [m/s], below which friction ramps to zero.
+        damping: τ [s] of a dashpot kc ψ'' A τ beside the spring, both together never pulling; it costs bounce.
+    """
+
+    obstacles: tuple[Obstacle, ...]
+    areas: Float[np.ndarray, " V"]
+    stiffness: float
+    smoothing: float
+    slip_velocity: float
+    damping: float = 0.0
+    nodes: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness", "smoothing", "slip_velocity"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"{name}: got {value}; expected a finite number > 0")
+        object.__setattr__(self, "nodes", np.flatnonzero(self.areas > 0))
+
+    def hinge(self, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """ψ [N/m], ψ' [N/m²] and ψ'' [N/m³] at depths p > 0 [m], per area of contact."""
+        k, e = self.stiffness, self.smoothing
+        soft = depth < e
+        energy = np.where(soft, depth**3 / (6 * e), depth**2 / 2 - depth * e / 2 + e * e / 6)
+        slope = np.where(soft, depth**2 / (2 * e), depth - e / 2)
+        return k * energy, k * slope, k * np.where(soft, depth / e, 1.0)
+
+    def touching(self, obstacle: Obstacle, x: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes inside an obstacle, and how deep they are [m]."""
+        depth = -obstacle.gap(x[self.nodes], time)
+        inside = depth > 0
+        return self.nodes[inside], depth[inside]
+
+    def energy_and_gradient(self, x: Float[np.ndarray, "V 3"], time: float) -> tuple[float, Float[np.ndarray, "V 3"]]:
+        """Contact energy [J] and its derivative [N]."""
+        total, gradient = 0.0, np.zeros_like(x)
+        for obstacle in self.obstacles:
+            nodes, depth = self.touching(obstacle, x, time)
+            if len(nodes):
+                energy, slope, _ = self.hinge(depth)
+                total += float(self.areas[nodes] @ energy)
+                gradient[nodes] -= (self.areas[nodes] * slope)[:, None] * obstacle.normals(x[nodes], time)
+        return total, gradient
+
+    def hessian_blocks(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, "V 3 3"]:
+        """Diagonal blocks of the Hessian [N/m]; the negative curvature term of spheres is left out (stays definite)."""
+        blocks = np.zeros((len(x), 3, 3))
+        for obstacle in self.obstacles:
+            nodes, depth = self.touching(obstacle, x, time)
+            if len(nodes):
+                normals = obstacle.normals(x[nodes], time)
+                stiffness = self.areas[nodes] * self.hinge(depth)[2]
+                blocks[nodes] += stiffness[:, None, None] * normals[:, :, None] * normals[:, None, :]
+        return blocks
+
+    def freeze_friction(
+        self, x: Float[np.ndarray, "V 3"], velocity: Float[np.ndarray, "V 3"], time: float
+    ) -> tuple[Friction, ...]:
+        """Friction linearised at positions x [m] and velocities [m/s], one entry per rough obstacle that is touched.
+
+        The weight μ N f₁(|v_t|)/|v_t| makes the drag exact at the state where it is frozen, and its energy bounds the
+        dissipation from above (f₀ is concave in |v_t|²), so re-freezing and solving again converges to Coulomb's law.
+        """
+        frozen = []
+        for obstacle in self.obstacles:
+            if not obstacle.friction and not self.damping:
+                continue
+            nodes, depth = self.touching(obstacle, x, time)
+            if len(nodes) and self.damping:
+                frozen.append(self._dashpot(obstacle, nodes, depth, x, velocity, time))
+            if len(nodes) and obstacle.friction:
+                speed = obstacle.velocity_at(time)
+                part = Friction(nodes, np.zeros(len(nodes)), obstacle.normals(x[nodes], time), speed)
+                relative = np.linalg.norm(part.slip(velocity), axis=1) / self.slip_velocity
+                # f₁(y)/y with f₁ = 2y − y² below one, 1 above
+                ratio = np.where(relative < 1, 2 - relative, 1 / np.maximum(relative, 1.0))
+                limits = obstacle.friction * self.areas[nodes] * self.hinge(depth)[1]
+                frozen.append(Friction(nodes, limits * ratio / self.slip_velocity, part.normals, speed))
+        return tuple(frozen)
+
+    def _dashpot(
+        self, obstacle: Obstacle, nodes: np.ndarray, depth: np.ndarray, x: np.ndarray, v: np.ndarray, time: float
+    ) -> Friction:
+        """Normal damping, frozen like friction; it does not pull: of nodes that leave it undoes the spring at most."""
+        speed, normals = obstacle.velocity_at(time), obstacle.normals(x[nodes], time)
+        outwards = ((v[nodes] - speed) * normals).sum(1)
+        _, slope, curvature = self.hinge(depth)
+        weights = self.damping * curvature
+        leaving = outwards > 0
+        weights[leaving] = np.minimum(weights[leaving], slope[leaving] / outwards[leaving])
+        weights *= self.areas[nodes]
+        return Friction(nodes, weights, normals, speed, along_normal=True)
+
+    def friction_energy_and_gradient(
+        self, frozen: tuple[Friction, ...], velocity: Float[np.ndarray, "V 3"]
+    ) -> tuple[float, Float[np.ndarray, "V 3"]]:
+        """Rate potential ½ Σ w |v_t|² [W] and its derivative with respect to the node velocities [N]."""
+        total, gradient = 0.0, np.zeros_like(velocity)
+        for part in frozen:
+            force = part.weights[:, None] * part.slip(velocity)
+            total += 0.5 * float((force * part.slip(velocity)).sum())
+            gradient[part.nodes] += force
+        return total, gradient
+
+    def friction_blocks(self, frozen: tuple[Friction, ...]) -> Float[np.ndarray, "V 3 3"]:
+        """Second derivative of the rate potential, diagonal blocks [N·s/m]."""
+        blocks = np.zeros((len(self.areas), 3, 3))
+        for part in frozen:
+            blocks[part.nodes] += part.weights[:, None, None] * part.projections
+        return blocks

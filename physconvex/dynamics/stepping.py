@@ -1,0 +1,273 @@
+"""Time steps one after the other, for every simulator that minimises an incremental potential."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+from torch import Tensor
+
+from physconvex.dynamics.contact import Friction
+from physconvex.dynamics.first_guesses import Guide
+from physconvex.dynamics.integrators import (
+    IntegratorName,
+    Minimum,
+    Objective,
+    State,
+    StepCoefficients,
+    bdf2,
+    extrapolate,
+    implicit_euler,
+    minimise,
+)
+from physconvex.errors import ConvergenceError
+
+__all__ = ["MAX_HALVINGS", "SolveStatistics", "SolvedPass", "StepObjective", "StepRecord", "Stepper"]
+
+MAX_HALVINGS = 8
+_REMEMBERED = 64  # states: steps may grow so many times at once
+_ENERGY_HALVINGS = 4  # for the energy's sake a step is cut no further
+
+
+@dataclass(frozen=True)
+class SolveStatistics:
+    """What a roll-out cost.
+
+    Attributes:
+        steps: time steps.
+        newton_iterations: of all steps.
+        factorisations: of Newton's matrix.
+        halved_steps: steps that did not converge, or gained energy, and were cut in two.
+        projections: matrices that were not positive definite and were projected: the body is near buckling.
+    """
+
+    steps: int = 0
+    newton_iterations: int = 0
+    factorisations: int = 0
+    halved_steps: int = 0
+    projections: int = 0
+
+
+@dataclass(frozen=True)
+class SolvedPass:
+    """One solve of a time step: its solution `x` [m], shape [R, 3], and the friction that was frozen during it."""
+
+    x: np.ndarray
+    friction: tuple[Friction, ...]
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """Everything a converged time step was made of.
+
+    Attributes:
+        before: state at its start.
+        history: the state one equal step before that, if there is one; it enters the first guess.
+        two_step: whether the step was BDF2 (which needs a history), else implicit Euler.
+        step: h [s].
+        coefficients: of the incremental potential.
+        viscous: F* the viscosity was frozen at.
+        passes: one solve per linearisation of friction.
+        after: state at its end.
+    """
+
+    before: State
+    history: State | None
+    two_step: bool
+    step: float
+    coefficients: StepCoefficients
+    viscous: Tensor | None
+    passes: tuple[SolvedPass, ...]
+    after: State
+
+
+@runtime_checkable
+class StepObjective(Objective, Protocol):
+    """The incremental potential of one time step, and what is fixed during it."""
+
+    friction: tuple[Friction, ...]
+    viscous: Tensor | None
+
+    @property
+    def factorisations(self) -> int:
+        """Of Newton's matrix, so far."""
+
+    def first_guess(self, guess: np.ndarray, time: float) -> np.ndarray:
+        """Where Newton's method starts [m], from what was extrapolated to the time [s] at the step's end."""
+
+    def set_step(self, coefficients: StepCoefficients, time: float, guess: np.ndarray, last: State) -> None:
+        """Fix everything that is constant during one time step that ends at `time` [s]."""
+
+    def freeze_friction(self, x: np.ndarray) -> bool:
+        """Take anew at x what a solve holds fixed; tells if there is any."""
+
+    def settled(self, change: np.ndarray, step: float) -> bool:
+        """Whether a change [m] between two solves of a step of so many seconds is too small for another one."""
+
+    def commit(self, x: np.ndarray) -> None:
+        """Store what has flowed by the end of a step at x."""
+
+
+def _between(first: State, second: State, time: float) -> State:
+    """The state at a time [s] between two states."""
+    span = second.time - first.time
+    t, rise = (time - first.time) / span, (second.positions - first.positions) / span
+    bend, twist = rise - first.velocities, first.velocities + second.velocities - 2 * rise
+    positions = first.positions + span * t * (first.velocities + t * (bend + (t - 1) * twist))
+    return State(time, positions, first.velocities + t * (2 * bend + (3 * t - 2) * twist))
+
+
+Equations = TypeVar("Equations", bound=StepObjective)
+
+
+class Stepper(Generic[Equations]):
+    """Advances a state; a step that does not converge is cut in two.
+
+    Args:
+        equations: of the steps.
+        integrator: "bdf2" (first step and the first after a cut implicit Euler) or "implicit_euler".
+        tolerance: Newton's last step [m].
+        friction_passes: how often friction is linearised and solved in each step at most.
+        stale_rate: contraction of Newton's steps above which a reused factorisation is renewed.
+        observer: called with the equations and the record of every converged step.
+        solve: finds the positions at the end of a step from a first guess, in the place of passes.
+        energy: total energy [J] of a state, of a scene in which nothing does work from outside.
+        energy_tolerance: a step that raises it by more [J] is cut in two as well, four times at most. BDF2 overshoots
+            where an impact takes less than a step.
+        guide: of a roll-out that is much like this one; Newton's method begins where it says.
+        noted: told what each step's first guess missed by.
+    """
+
+    def __init__(
+        self,
+        equations: Equations,
+        integrator: IntegratorName,
+        tolerance: float,
+        friction_passes: int,
+        *,
+        stale_rate: float,
+        observer: Callable[[Equations, StepRecord], None] | None = None,
+        solve: Callable[[np.ndarray], Minimum] | None = None,
+        energy: Callable[[State], float] | None = None,
+        energy_tolerance: float = math.inf,
+        guide: Guide | None = None,
+        noted: Guide | None = None,
+    ) -> None:
+        self.guide, self.noted = guide, noted
+        self.energy, self.energy_tolerance = energy, energy_tolerance
+        self._known_energy: tuple[State, float] | None = None
+        self.equations, self.integrator = equations, integrator
+        self.tolerance, self.friction_passes, self.stale_rate = tolerance, friction_passes, stale_rate
+        self.observer, self.solve = observer, solve
+        self.recent: deque[State] = deque(maxlen=_REMEMBERED)  # at the starts of the last steps
+        self.steps = self.iterations = self.halved = self.projections = 0
+
+    def advance(self, state: State, step: float, depth: int = 0) -> State:
+        """The state one step [s] later.
+
+        Raises:
+            ConvergenceError: it failed even after eight halvings.
+        """
+        try:
+            record = self._try(state, step)
+            if self.energy is not None and depth < _ENERGY_HALVINGS:
+                self._check_energy(self.energy, record)
+        except ConvergenceError as error:
+            if depth == MAX_HALVINGS:
+                raise ConvergenceError(
+                    f"time step at t = {state.time:.6g} s failed even at h = {step:.3e} s: {error}"
+                ) from error
+            self.halved += 1
+            self.recent.clear()
+            self.equations.factorised = False
+            middle = self.advance(state, step / 2, depth + 1)
+            return self.advance(middle, step / 2, depth + 1)
+        self.steps += 1
+        self.recent.append(state)
+        self.equations.commit(record.after.positions)
+        if self.observer is not None:
+            self.observer(self.equations, record)
+        return record.after
+
+    def _try(self, state: State, step: float) -> StepRecord:
+        time = state.time + step
+        history = self._history(state, step)
+        guess = self.equations.first_guess(extrapolate(state, history, step), time)
+        two_step = self.integrator == "bdf2" and history is not None
+        coefficients = bdf2(state, history, step) if two_step and history else implicit_euler(state, step)
+        self.equations.set_step(coefficients, time, guess, state)
+        begin = guess if self.guide is None else self.guide.corrected(guess, time, step)
+        if self.solve is None:
+            passes = self._passes(begin, lambda: self.equations.first_guess(state.positions.copy(), time), step)
+        else:
+            passes = self._solved_at_once(self.solve, begin)
+        x = passes[-1].x
+        if not np.isfinite(x).all():
+            raise ConvergenceError("the new state is not finite")
+        if self.noted is not None:
+            self.noted.note(time, step, x - guess)
+        after = State(time, x, coefficients.velocity(x))
+        return StepRecord(state, history, two_step, step, coefficients, self.equations.viscous, tuple(passes), after)
+
+    def _history(self, state: State, step: float) -> State | None:
+        """The state one step [s] earlier; between two that are known by Hermite's cubic. None if none is so old.
+
+        An observer follows the last two states alone: for it nothing lies between them.
+        """
+        time, later = state.time - step, state
+        for earlier in reversed(self.recent):
+            if math.isclose(earlier.time, time, rel_tol=0.0, abs_tol=1e-6 * step):
+                return earlier
+            if self.observer is not None:
+                break
+            if earlier.time < time:
+                return _between(earlier, later, time)
+            later = earlier
+        return None
+
+    def _passes(self, guess: np.ndarray, last: Callable[[], np.ndarray], step: float) -> list[SolvedPass]:
+        passes = [self._minimise(guess, fallback=last)]
+        while len(passes) < self.friction_passes and self.equations.freeze_friction(passes[-1].x):
+            passes.append(self._minimise(passes[-1].x))
+            if self.equations.settled(passes[-1].x - passes[-2].x, step):
+                break
+        return passes
+
+    def _solved_at_once(self, solve: Callable[[np.ndarray], Minimum], guess: np.ndarray) -> list[SolvedPass]:
+        """The solution; for an observer with the friction that belongs to it."""
+        found = solve(guess)
+        self.iterations += found.iterations
+        self.projections += found.projections
+        if self.observer is not None:
+            self.equations.freeze_friction(found.x)
+        return [SolvedPass(found.x, self.equations.friction)]
+
+    def _check_energy(self, energy: Callable[[State], float], record: StepRecord) -> None:
+        known = self._known_energy
+        before = known[1] if known is not None and known[0] is record.before else energy(record.before)
+        after = energy(record.after)
+        if after > before + self.energy_tolerance:
+            raise ConvergenceError(f"the energy rose by {after - before:.3g} J")
+        self._known_energy = record.after, after
+
+    def _minimise(self, start: np.ndarray, fallback: Callable[[], np.ndarray] | None = None) -> SolvedPass:
+        found: Minimum = minimise(
+            self.equations, start, tolerance=self.tolerance, stale_rate=self.stale_rate, fallback=fallback
+        )
+        self.iterations += found.iterations
+        self.projections += found.projections
+        return SolvedPass(found.x, self.equations.friction)
+
+    def statistics(self) -> SolveStatistics:
+        """What the steps so far cost."""
+        return SolveStatistics(
+            steps=self.steps,
+            newton_iterations=self.iterations,
+            factorisations=self.equations.factorisations,
+            halved_steps=self.halved,
+            projections=self.projections,
+        )

@@ -1,0 +1,31 @@
+from .body import ElasticBody as ElasticBody
+from .carried_contact import CarriedContact as CarriedContact, SurfacePoints as SurfacePoints
+from .compiled_elements import load_library as load_library
+from .hanging_load import HangingLoad as HangingLoad
+from .modes import (
+    elastic_responses as elastic_responses,
+    rigid_motions as rigid_motions,
+    skinning_eigenmodes as skinning_eigenmodes,
+    skinning_responses as skinning_responses,
+    skinning_stiffness as skinning_stiffness,
+    tangent_stiffness as tangent_stiffness,
+    vibration_modes as vibration_modes,
+)
+from .scene import (
+    CONTACT_STIFFNESS_RATIO as CONTACT_STIFFNESS_RATIO,
+    Pins as Pins,
+    Scene as Scene,
+    contact_defaults as contact_defaults,
+)
+from .sensitivity import (
+    SensitiveTrajectory as SensitiveTrajectory,
+    simulate_with_sensitivities as simulate_with_sensitivities,
+)
+from .simulation import (
+    ContactSolver as ContactSolver,
+    Trajectory as Trajectory,
+    simulate as simulate,
+    solve_static as solve_static,
+)
+from .step_equations import StepEquations as StepEquations
+from .surface_loads import surface_load as surface_load

@@ -1,0 +1,149 @@
+"""The compiled arithmetic of `VolumetricElements`, and of sums of element matrices."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from physconvex.fem.volumetric import VolumetricElements
+from physconvex.kernels import POINTER, SOURCES, Functions, address, aligned, available, doubles, loaded
+from physconvex.materials import KERNEL_LAWS, NEARLY_FLAT, Law
+
+__all__ = ["CompiledElements", "load_library", "sum_into", "volumetric_elements"]
+
+Array = np.ndarray
+_MOST_NODES, _MOST_POINTS = 10, 4  # of an element there
+
+
+def volumetric_elements(
+    law: Law, tets: Int[Array, "E n"], count: int, gradients: Array, weights: Array, mu: Array, lam: Array
+) -> VolumetricElements:
+    """The quadrature points of a body, see `VolumetricElements`; those of plain numpy where nothing can be compiled."""
+    known = law.name in KERNEL_LAWS and gradients.shape[1] <= _MOST_POINTS and gradients.shape[2] <= _MOST_NODES
+    kind = CompiledElements if known and available(load_library) else VolumetricElements
+    return kind(law, tets, count, gradients, weights, mu, lam)
+
+
+def sum_into(
+    slots: Int[Array, " K"], entries: Int[Array, " K"], values: Float[Array, ...], count: int
+) -> Float[Array, " count"]:
+    """Sums of entries of an array by the slot that each goes to; both int32 and in range."""
+    if not available(load_library):
+        return np.bincount(slots, weights=values.reshape(-1)[entries], minlength=count)
+    values, out = doubles(values), np.zeros(count)
+    load_library().pc_assemble(len(slots), *map(address, (entries, slots, values, out)))
+    return out
+
+
+class CompiledElements(VolumetricElements):
+    """The same numbers, by some elements at once.
+
+    Raises:
+        KernelUnavailable: the kernel cannot be compiled here.
+    """
+
+    def __init__(
+        self, law: Law, tets: Int[Array, "E n"], count: int, gradients: Array, weights: Array, mu: Array, lam: Array
+    ) -> None:
+        super().__init__(law, tets, count, gradients, weights, mu, lam)
+        self._law, self._lanes = KERNEL_LAWS.index(law.name), load_library().pc_lanes()
+        self._blocks = self._by_block(self._gradients)  # [blocks, Q, n, 3, lanes]
+        self._tets_by_block = self._by_block(np.asarray(tets, dtype=np.int32))
+        per_point = (self._weights, self._mu, self._lam)
+        self._constants = [self._by_block(array.reshape(weights.shape)) for array in per_point]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without addresses, which another process cannot use."""
+        return {name: value for name, value in self.__dict__.items() if name != "_elements"}
+
+    def _by_block(self, array: Array) -> Array:
+        """The elements' entries [E, …] as [blocks, …, lanes], the last one repeated."""
+        blocks = -(-len(array) // self._lanes)
+        places = np.minimum(np.arange(blocks * self._lanes), len(array) - 1)
+        return aligned(np.moveaxis(array[places].reshape(blocks, self._lanes, *array.shape[1:]), 1, -1))
+
+    def energy_and_gradient(self, x: Float[Array, "V 3"]) -> tuple[float, Float[Array, "V 3"]]:
+        """Elastic energy [J] and its derivative by the positions of the nodes [N]."""
+        x, forces = doubles(x), np.zeros(x.shape)
+        energy = load_library().pc_energy_and_forces(self._elements, address(x), None, None, 0.0, 0.0, address(forces))
+        return energy, forces
+
+    def moving_energy_and_gradient(
+        self,
+        x: Float[Array, "V 3"],
+        velocity: Float[Array, "V 3"],
+        state: Float[Array, "E Q 3 3"],
+        *,
+        damping_time: float,
+        step: float,
+        with_energy: bool,
+    ) -> tuple[float, Float[Array, "V 3"]]:
+        """The same with the viscosity of a step, as `ElasticBody.moving_energy_and_gradient`."""
+        given = [doubles(array) for array in (x, velocity, state)]
+        forces = np.zeros(x.shape)
+        energy = load_library().pc_energy_and_forces(
+            self._elements, *map(address, given), damping_time, step, address(forces)
+        )
+        return energy if with_energy else float("nan"), forces
+
+    def stiffness(
+        self,
+        x: Float[Array, "V 3"],
+        *,
+        viscous_state: Float[Array, "E Q 3 3"] | None = None,
+        damping_ratio: float = 0.0,
+        out: Float[Array, "E m m"] | None = None,
+    ) -> Float[Array, "E m m"] | None:
+        """Element matrices as `ElasticBody.element_hessians`; None where the body is nearly flat at a point."""
+        x, width = doubles(x), 3 * self._shape[2]
+        state = None if viscous_state is None else doubles(viscous_state)
+        out = np.empty((self._shape[0], width, width)) if out is None else out
+        given = self._elements, address(x), None if state is None else address(state)
+        return out if load_library().pc_stiffness(*given, damping_ratio, address(out)) else None
+
+    @cached_property
+    def _elements(self) -> _Elements:
+        count, points, nodes, _ = self._shape
+        arrays = (self._tets_by_block, self._blocks, *self._constants)
+        return _Elements(count, points, nodes, self._law, NEARLY_FLAT, *map(address, arrays))
+
+
+class _Elements(ctypes.Structure):
+    """`struct Elements` of cpu/kernel.cpp."""
+
+    _fields_ = (
+        *((name, ctypes.c_int32) for name in ("count", "points", "nodes", "law")),
+        ("flat", ctypes.c_double),
+        *((name, POINTER) for name in ("tets", "gradients", "weights", "mu", "lam")),
+    )
+
+
+@cache
+def load_library() -> ctypes.CDLL:
+    """The library with its functions' types declared.
+
+    Raises:
+        KernelUnavailable: no compiler, or it failed.
+    """
+    elements: Any = ctypes.POINTER(_Elements)
+    number: Any = ctypes.c_double
+    functions: Functions = (
+        ("pc_lanes", ctypes.c_int32, []),
+        ("pc_energy_and_forces", number, [elements, *[POINTER] * 3, number, number, POINTER]),
+        ("pc_stiffness", ctypes.c_int32, [elements, POINTER, POINTER, number, POINTER]),
+        ("pc_assemble", None, [ctypes.c_int64, *[POINTER] * 4]),
+        ("pc_carry", None, [ctypes.c_int32, *[POINTER] * 5]),
+        ("pc_contact_near", None, [*(ctypes.c_int32, POINTER) * 2, POINTER, ctypes.c_int32, *[POINTER] * 2]),
+        ("pc_contact_own_compliance", None, [POINTER] * 2),
+        ("pc_contact_residual", None, [POINTER] * 4),
+        ("pc_contact_alone", None, [POINTER] * 8),
+        ("pc_contact_on_points", None, [POINTER, ctypes.c_int32, *[POINTER] * 5]),
+        ("pc_contact_on_nodes", None, [POINTER, *(ctypes.c_int32, POINTER) * 2, *[POINTER] * 4]),
+        ("pc_contact_expand", None, [POINTER, ctypes.c_int32, *[POINTER] * 4]),
+        ("pc_turned_blocks", None, [*(ctypes.c_int32, POINTER) * 2, *[POINTER] * 3]),
+    )
+    return loaded(SOURCES / "fem", functions, include=[SOURCES / "shared"])

@@ -1,0 +1,52 @@
+"""How many time steps a frame needs: fewer while a body flies that has touched nothing yet.
+
+Until it lands a body falls and turns, and nothing fast happens in it; impact and what rings after it ask for short
+steps.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from physconvex.dynamics import State
+from physconvex.fem.carried_contact import CarriedContact
+from physconvex.fem.scene import Scene
+
+__all__ = ["Flight"]
+
+_MARGIN = 0.03  # of the size: nearer than that to an obstacle may be touching
+_LOOKS = 8  # times within a frame
+
+
+class Flight:
+    """Steps per frame of a roll-out, to be asked frame by frame.
+
+    Args:
+        scene: what is rolled out.
+        duration: of a frame [s].
+        usual: steps per frame.
+        in_flight: the same where the body flies; in the first frame, which starts the integrator, the usual ones.
+    """
+
+    def __init__(self, scene: Scene, duration: float, usual: int, in_flight: int) -> None:
+        self.scene, self.duration, self.usual, self.in_flight = scene, duration, usual, in_flight
+        contact = scene.contact()
+        self._matrix = contact.carried.matrix if isinstance(contact, CarriedContact) else None
+        law = contact.law if isinstance(contact, CarriedContact) else contact
+        self._nodes = law.nodes
+        self._flying = in_flight != usual and scene.pins is None and scene.loads is None
+
+    def steps(self, state: State) -> int:
+        """Steps of the frame that begins with a state."""
+        self._flying = self._flying and self._is_clear(state)
+        return self.in_flight if self._flying and state.time > 0 else self.usual
+
+    def _is_clear(self, state: State) -> bool:
+        """Whether a ballistic flight through the frame stays clear of all obstacles."""
+        gravity, margin = np.asarray(self.scene.gravity, dtype=np.float64), _MARGIN * self.scene.body.mesh.size
+        for part in np.linspace(0.0, self.duration, _LOOKS + 1):
+            x = state.positions + part * state.velocities + 0.5 * part**2 * gravity
+            x = (x if self._matrix is None else self._matrix @ x)[self._nodes]
+            if any(o.gap(x, state.time + part).min() <= margin for o in self.scene.obstacles):
+                return False
+        return True

@@ -1,0 +1,34 @@
+from .base.base_fit import fit_baseline as fit_baseline, rough_baseline as rough_baseline
+from .base.box_mesh import with_plane as with_plane
+from .base.model import EffectModel as EffectModel
+from .conditions.setting import find_setting as find_setting
+from .diagnosis import diagnose as diagnose
+from .effects.catalogue import (
+    DEFAULT_EFFECTS as DEFAULT_EFFECTS,
+    EFFECT_NAMES as EFFECT_NAMES,
+    applicable as applicable,
+    choose as choose,
+)
+from .effects.effect import (
+    IN_FLIGHT as IN_FLIGHT,
+    Dose as Dose,
+    Effect as Effect,
+    Patches as Patches,
+    Situation as Situation,
+    Source as Source,
+)
+from .effects.motion import Correction as Correction, Motion as Motion, by_steps as by_steps
+from .effects.world import rotation_vector_matrix as rotation_vector_matrix
+from .errors.numerics import (
+    correction_of as correction_of,
+    error_model as error_model,
+    numerical_differences as numerical_differences,
+)
+from .errors.score_test import ErrorModel as ErrorModel, Projector as Projector, Score as Score, score as score
+from .judgement.naming import NamedDose as NamedDose, NamedEffect as NamedEffect
+from .judgement.verdict_input import TRUSTED as TRUSTED, Verdict as Verdict
+from .location.where import Part as Part, Where as Where
+from .options import GapOptions as GapOptions
+from .page.report import GapReport as GapReport, ImprovedTwin as ImprovedTwin
+from .search.hypothesis import Hypothesis as Hypothesis
+from .shrinkage.how_far import HowFar as HowFar

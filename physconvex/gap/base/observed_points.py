@@ -1,0 +1,154 @@
+"""What a diagnosis compares: marker tracks, or points followed in the video of one camera, in all frames."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.errors import InputError
+from physconvex.gap.effects.motion import Motion
+from physconvex.identify import MarkerObservations, PixelObservations, Twin, follow, marker_observations, seed_points
+from physconvex.io import Camera, Capture
+from physconvex.mesh import TetMesh
+
+__all__ = [
+    "Seen",
+    "followed",
+    "in_metres",
+    "lost_points",
+    "observe",
+    "starts_elsewhere",
+    "widened",
+    "with_honest_noise",
+]
+
+Seen = MarkerObservations | PixelObservations
+# of a followed point [pixels]: the flow drifts by more than a single step's error, and by the same amount for a while
+PIXEL_SIGMA = 1.0
+_FOLLOWED = 6  # points in a frame below which it tells little
+_AWAY = 0.3  # of the body's size: markers further from its bounding box are not on it
+
+
+def observe(capture: Capture, twin: Twin) -> Seen:
+    """Marker tracks if there are some, else points of the first camera's video.
+
+    Raises:
+        InputError: nothing was seen that can be compared.
+    """
+    if capture.tracks() is not None:
+        seen = marker_observations(capture, frames=capture.frames)
+        _check_on_body(capture, seen.points, twin.mesh)
+        return seen
+    if not capture.cameras:
+        raise InputError(
+            f"{capture.folder}: no tracks.npz and no cameras; expected marker tracks (rest, positions, sigma) or a "
+            "camera in capture.json with its video"
+        )
+    return followed(capture, capture.cameras[0], twin)
+
+
+def followed(capture: Capture, camera: Camera, twin: Twin) -> PixelObservations:
+    """Points of the surface followed in the video of a camera.
+
+    Raises:
+        InputError: no video, or too few points can be followed in it.
+    """
+    frames = capture.video(camera.name).frames[: capture.frames]
+    masks = capture.mask(camera.name)
+    vertices, triangles = twin.surface
+    seeds = seed_points(camera, frames[0], vertices, triangles, mask=None if masks is None else masks[0] > 0)
+    if len(seeds.points) < _FOLLOWED:
+        raise InputError(
+            f"{capture.folder}: camera {camera.name!r}: {len(seeds.points)} points to follow in its first image; "
+            f"expected at least {_FOLLOWED}: a textured body, sharp and well lit"
+        )
+    pixels = follow(frames, seeds.pixels)
+    return PixelObservations(camera, seeds.points, pixels, np.full(pixels.shape[:2], PIXEL_SIGMA))
+
+
+def _check_on_body(capture: Capture, points: Float[np.ndarray, "P 3"], mesh: TetMesh) -> None:
+    low, high = mesh.vertices.min(0), mesh.vertices.max(0)
+    away = np.linalg.norm(points - np.clip(points, low, high), axis=1)
+    worst = int(away.argmax())
+    if away[worst] > _AWAY * mesh.size:
+        raise InputError(
+            f"{capture.folder}: tracks.npz: rest[{worst}] lies {away[worst]:.3g} m outside the box of the body "
+            f"({mesh.size:.3g} m long); expected rest positions on the body, in the frame of the geometry at t = 0, in "
+            "metres"
+        )
+
+
+def with_honest_noise(seen: Seen) -> Seen:
+    """Noise no smaller than what markers miss their rest positions by in the first frame, turns and strains left out.
+
+    Frame 0 is the rest state, so that what it differs by is noise whatever moves later.
+    """
+    if not isinstance(seen, MarkerObservations):
+        return seen
+    known = np.flatnonzero(np.isfinite(seen.positions[0]).all(-1))
+    if len(known) < 8:
+        return seen
+    rest = seen.points[known]
+    basis = np.hstack([np.ones((len(rest), 1)), rest - rest.mean(0)])
+    missed = seen.positions[0][known] - rest
+    left = missed - basis @ np.linalg.lstsq(basis, missed, rcond=None)[0]
+    found = float(np.sqrt((left**2).sum() / (3 * (len(rest) - 4))))
+    stated = float(np.median(seen.sigma[0][known]))
+    return replace(seen, sigma=seen.sigma * max(found / stated, 1.0)) if found > 1.5 * stated else seen
+
+
+def starts_elsewhere(seen: Seen) -> bool:
+    """Whether markers lie off their rest positions in the first frame, where only the recording can have moved them.
+
+    Points of a picture are taken from its first image: there it is always possible that the camera is not where it is
+    said to be.
+    """
+    if not isinstance(seen, MarkerObservations):
+        return True
+    first = seen.frames == 0
+    residual = seen.residuals(np.repeat(seen.points[None], len(seen.positions), axis=0))[first]
+    if not len(residual):
+        return True
+    count = len(residual) / 3
+    shift = residual.reshape(-1, 3).mean(0) * np.sqrt(count)  # unit variance each, where there is noise alone
+    return bool((residual**2).mean() > 1 + 3 * np.sqrt(2 / len(residual)) or np.abs(shift).max() > 4)
+
+
+def lost_points(seen: Seen) -> tuple[str, ...]:
+    """A caveat if most of the points followed in a video are lost on the way: what came later was not compared."""
+    if isinstance(seen, MarkerObservations):
+        return ()
+    alive = np.isfinite(seen.pixels).all(-1).sum(1)
+    gone = np.flatnonzero(alive < max(_FOLLOWED, alive[0] // 4))
+    if not len(gone):
+        return ()
+    return (
+        f"Of {alive[0]} points followed in the video, {alive[gone[0]]} are left in frame {gone[0]} of {len(alive)}: "
+        "little is known of what came later. A smoother motion, a faster camera or markers would tell more.",
+    )
+
+
+def components(seen: Seen) -> int:
+    """Residuals per point and frame."""
+    return 3 if isinstance(seen, MarkerObservations) else 2
+
+
+def widened(seen: Seen, variance: Float[np.ndarray, " N"]) -> Seen:
+    """The observations with their noise widened, residual by residual (the same for the coordinates of a point)."""
+    width = components(seen)
+    sigma = np.array(seen.sigma)
+    factor = np.sqrt(np.asarray(variance).reshape(-1, width).mean(1))
+    sigma[seen.frames[::width], seen.point_indices[::width]] *= factor
+    return replace(seen, sigma=sigma)
+
+
+def in_metres(seen: Seen, motion: Motion) -> Float[np.ndarray, " N"]:
+    """Length that one standard deviation of each residual stands for [m]; of pixels, at the depth of the point."""
+    sigma = np.asarray(seen.sigma)[seen.frames, seen.point_indices]
+    if isinstance(seen, MarkerObservations):
+        return sigma
+    camera = seen.camera
+    local = (motion.positions[seen.frames, seen.point_indices] - camera.position) @ camera.rotation
+    return np.asarray(sigma * np.abs(local[:, 2]) / np.sqrt(camera.fl_x * camera.fl_y))

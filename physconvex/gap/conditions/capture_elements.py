@@ -1,0 +1,181 @@
+"""The recording's own elements: where linear tetrahedra on the capture's mesh fit better, they are the model.
+
+A program that made a recording often leaves its mesh in `tets.npz`. Its linear tetrahedra lock, and bend sideways where
+their diagonals all run one way; a model on other elements errs by that, which may hide or mimic an effect. The same
+elements make the same error. Which of the two is the model, the fitted frames decide, before any effect is tried.
+
+Some of these programs move particles (MuJoCo's flex): each node has the same mass, whatever the elements about it. The
+end of a beam is then heavier than its volume, which is no load that hangs there. So the masses are asked for as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.gap.base.base_fit import fit_baseline, misfit_of_base
+from physconvex.gap.base.baseline import Baseline
+from physconvex.gap.base.lowest_mode import decades_between
+from physconvex.gap.base.model import MODULUS, EffectModel, searches_itself
+from physconvex.gap.effects.catalogue import DEFAULT_EFFECTS, applicable
+from physconvex.gap.effects.motion import Correction
+from physconvex.gap.errors.numerics import Numerics
+from physconvex.gap.options import GapOptions
+from physconvex.mesh import TetMesh
+
+__all__ = ["own_elements", "with_own_elements"]
+
+_WORK = 600_000  # nodes times steps that can be afforded
+_BETTER = 0.5  # share of the squares that the own elements may leave to be the model
+_COMPANY = ("gravity_tilt", "damping")  # beside which the masses are asked for
+_EQUAL = 0.8  # share of the squares that equal masses of the nodes may leave to be the recording's
+_DECADES = (0.0, 0.04, -0.04, 0.1, -0.1)  # of E about that at which the lowest vibration keeps its frequency
+_FINER = (-0.04, -0.02, 0.0, 0.02, 0.04)
+_HOPELESS = 4.0  # times the squares of the fit, by the best E of a coarse scan: then no fit is begun
+_RATIO, _RATIOS = "poisson_ratio", (0.25, 0.45)
+
+
+def own_elements(base: Baseline) -> TetMesh | None:
+    """The capture's linear tetrahedra, if it has some and they can be afforded."""
+    mesh = base.capture.tets()
+    steps = base.model.frames * base.model.twin.steps_per_frame
+    if mesh is None or mesh.order != 1 or len(mesh.vertices) * steps > _WORK or MODULUS not in base.model.base:
+        return None
+    return mesh
+
+
+def with_own_elements(
+    base: Baseline,
+    rough: Baseline,
+    numerics: Numerics,
+    variance: Float[np.ndarray, " N"],
+    options: GapOptions,
+    report: Callable[[str], None],
+    *,
+    known: bool | None = None,
+) -> tuple[Baseline, Numerics]:
+    """The base fit on the capture's own linear elements, if they are the recording's; else as it is.
+
+    Args:
+        base: the base fit on elements of the diagnosis.
+        rough: where the fits begin.
+        numerics: differences of runs; of a held body on its own elements, the mesh is no error any more.
+        variance: of the residuals of a free body, all frames; those of a held one weigh alike.
+        options: settings.
+        report: told what is done.
+        known: whether they are, where that has been asked (`physconvex.gap.conditions.setting`); else they are
+            if they halve the squares.
+    """
+    mesh = own_elements(base)
+    if mesh is None or not base.tangents.any() or known is False:
+        return base, numerics
+    if base.situation.clamped:  # the error of the other mesh, which widens the variance, is what is on trial
+        variance = np.ones_like(variance)
+    before = misfit_of_base(base, variance)
+
+    def fitted(mesh: TetMesh, near: Baseline, most: float) -> Baseline | None:
+        try:
+            return _fitted_on(mesh, near, rough, numerics, variance, options, report, most=most)
+        except (ConvergenceError, InputError):
+            return None
+
+    report("base model on the capture's own elements")
+    own = fitted(mesh, base, np.inf if known else _HOPELESS * before)
+    if own is None:
+        return base, numerics
+    report("base model with equal masses at the capture's own nodes")
+    particles = fitted(mesh.with_equal_masses(), own, _HOPELESS * misfit_of_base(own, variance))
+    if particles is not None and _left_beside(particles, variance) < _EQUAL * _left_beside(own, variance):
+        own = particles
+    if not known and misfit_of_base(own, variance) > _BETTER * before:
+        return base, numerics
+    numerics = replace(numerics, exact=None)  # which is of other elements
+    still = np.zeros_like(numerics.mesh)
+    return own, replace(numerics, mesh=still) if base.situation.clamped else numerics
+
+
+def _left_beside(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
+    """Mean square that is left in the fitted frames once E, ν and, to first order, some effects have done their best.
+
+    Else a tilt of gravity, whose share of the squares is larger, would hide what the masses do.
+    """
+    rows, values = base.rows(base.split.fitted), np.asarray(base.fit.values)
+    steps = [0.1 * p.step for p in base.model.parameters(values)]
+    moved = [step * tangent for step, tangent in zip(steps, np.moveaxis(base.tangents, 1, 0), strict=True)]
+    for effect in applicable(DEFAULT_EFFECTS, base.situation):
+        if effect.label not in _COMPANY:
+            continue
+        model, nothing = replace(base.model, effects=(effect,)), np.concatenate([values, effect.null])
+        for at, dose in enumerate(effect.doses, len(values)):
+            tried = nothing.copy()
+            tried[at] += dose.trial(base.situation)
+            try:
+                moved.append(model.signature(tried, nothing, base.motion))
+            except ConvergenceError:
+                continue
+    deviations = np.sqrt(variance[rows])
+    columns = np.stack([base.change(base.positions[: len(m)] + m)[rows] / deviations for m in moved], axis=1)
+    residual = base.residual(base.positions)[rows] / deviations
+    columns /= np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
+    return float(np.mean((residual - columns @ np.linalg.lstsq(columns, residual)[0]) ** 2))
+
+
+def _fitted_on(
+    mesh: TetMesh,
+    near: Baseline,
+    rough: Baseline,
+    numerics: Numerics,
+    variance: Float[np.ndarray, " N"],
+    options: GapOptions,
+    report: Callable[[str], None],
+    *,
+    most: float,
+) -> Baseline | None:
+    """The base fit on other elements, begun where they vibrate alike; None if E alone leaves more than `most`."""
+    index, model = near.model.base.index(MODULUS), replace(near.model, mesh=mesh)
+    model.embedding  # noqa: B018 markers may lie off that mesh
+    values = near.fit.values.copy()
+    if _RATIO in near.model.base and near.model.mesh is None:
+        at = near.model.base.index(_RATIO)
+        values[at] = np.clip(values[at], *_RATIOS)
+    values[index] += decades_between(near.model, model, values)
+    least, values[index] = _best_modulus(near, model, values, variance)
+    if least > most:
+        return None
+    motion = model.motion(values)
+    another = near.situation.clamped and not searches_itself(model)  # mesh searches in its place
+    stiffer = _surrogate(near, mesh, values, motion.positions) if another else 0.0
+    start = replace(rough, fit=replace(rough.fit, values=values), model=replace(rough.model, surrogate_stiffer=stiffer))
+    return fit_baseline(start, Correction(numerics.steps), (mesh, motion), variance, options, report)
+
+
+def _best_modulus(
+    base: Baseline, model: EffectModel, start: np.ndarray, variance: Float[np.ndarray, " N"]
+) -> tuple[float, float]:
+    """Least misfit in the fitted frames, and the log10 E, near the start, at which it is reached."""
+    index, count = base.model.base.index(MODULUS), base.split.end
+    shorter, tried = replace(model, frames=count), []
+    for decades in _DECADES:
+        values = start.copy()
+        values[index] += decades
+        positions = np.concatenate([shorter.positions(values), base.positions[count:]])
+        rows = base.rows(base.split.fitted)
+        tried.append((float(np.mean(base.residual(positions)[rows] ** 2 / variance[rows])), values[index]))
+    return min(tried)
+
+
+def _surrogate(base: Baseline, mesh: TetMesh, values: np.ndarray, target: Float[np.ndarray, "T P 3"]) -> float:
+    """Decades of E by which the cheaper model must be stiffer to vibrate as the own elements do."""
+    count = base.split.end
+    coarse = replace(base.model, mesh=None, correction=None, frames=count)
+
+    def missed(decades: float) -> float:
+        moved = replace(coarse, stiffer=decades).motion(values).positions
+        return float(np.linalg.norm(moved - target[:count]))
+
+    first = decades_between(replace(base.model, mesh=mesh), coarse, values)
+    return first + min(_FINER, key=lambda more: missed(first + more))

@@ -1,0 +1,244 @@
+"""The whole diagnosis of one capture."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import physconvex
+from physconvex.errors import ConvergenceError
+from physconvex.gap.base.base_fit import fit_baseline, rough_baseline
+from physconvex.gap.base.baseline import Baseline
+from physconvex.gap.base.cost import Cost
+from physconvex.gap.base.observed_points import lost_points
+from physconvex.gap.base.shortening import MOST_FRAMES, shortened
+from physconvex.gap.conditions.capture_elements import with_own_elements
+from physconvex.gap.conditions.setting import find_setting
+from physconvex.gap.effects.catalogue import choose
+from physconvex.gap.effects.effect import Effect
+from physconvex.gap.effects.motion import Motion
+from physconvex.gap.errors.absorbed_errors import with_absorbed_mesh
+from physconvex.gap.errors.error_scale import error_scale
+from physconvex.gap.errors.numerics import Numerics, correction_of, detail_errors, error_model, numerical_differences
+from physconvex.gap.errors.score_test import ErrorModel
+from physconvex.gap.errors.screening import Screening, screen
+from physconvex.gap.judgement.advice import next_experiment
+from physconvex.gap.judgement.naming import favoured
+from physconvex.gap.judgement.residual_measures import measure, relative_gap
+from physconvex.gap.judgement.verdict import decide
+from physconvex.gap.light.image_formation import image_findings, with_pictures
+from physconvex.gap.location.where import locate_gap
+from physconvex.gap.options import GapOptions
+from physconvex.gap.page.findings import Provenance
+from physconvex.gap.page.report import GapReport
+from physconvex.gap.search.effect_fits import fit_effects
+from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis
+from physconvex.gap.search.search_state import FAILURES
+from physconvex.gap.search.selection import select_effects
+from physconvex.gap.search.space_mapping import as_reduced
+from physconvex.gap.shrinkage.held_out_views import held_out_views
+from physconvex.gap.shrinkage.how_far import HowFar, gap_squares, shrinkage_on
+from physconvex.gap.shrinkage.second_take import second_take_shrinkage
+from physconvex.io import Capture, load_capture
+from physconvex.mesh import TetMesh
+
+__all__ = ["diagnose"]
+
+Report = Callable[[str], None]
+_BASE, _LAST = 0.45, 0.95  # of the deadline: for the base fit, for the placebo
+_PLACEBO_COST = 30.0  # of model runs
+_CUT = (
+    "The search was cut short after the {:.0f} seconds that it is given: this is the best of what had been found. A "
+    "faster machine, or one with less else to do, might find more."
+)
+_WORTH = 0.8  # factor on the numerical error from which on down the base fit is made anew
+
+
+def diagnose(
+    capture: Capture | Path | str,
+    *,
+    second_take: Capture | Path | str | None = None,
+    effects: Sequence[str] | None = None,
+    without: Iterable[str] = (),
+    extra: Iterable[Effect] = (),
+    options: GapOptions | None = None,
+    on_progress: Report | None = None,
+) -> GapReport:
+    """Where the gap between a capture and its base model lies, which effect causes it, and how far it shrinks.
+
+    The base model is what `capture.json` states, with E, ν and the unstated initial motion fitted. Of a long capture,
+    the first 100 frames are used.
+
+    Args:
+        capture: a capture folder with marker tracks and rest geometry.
+        second_take: another capture of the same body, on which the shrinkage is reported as well.
+        effects: names of the effects to try; all unless given.
+        without: names to leave out.
+        extra: effects of one's own.
+        options: settings; the defaults are those that blind tests run with.
+        on_progress: told what is done.
+
+    Raises:
+        InputError: the capture lacks something, or an effect's name is unknown; the message says what.
+        ConvergenceError: the base model cannot be simulated.
+    """
+    begun, options = time.monotonic(), options or GapOptions()
+    capture = shortened(capture if isinstance(capture, Capture) else load_capture(capture))
+    dictionary = choose(effects, without=without, extra=extra)
+    report: Report = on_progress or (lambda _: None)
+    cost = Cost(options.deadline)
+    cost.allow(np.inf, _BASE)
+    setting = find_setting(rough_baseline(capture, options, report, cost=cost), options, report)
+    rough = setting.base
+    near = setting.damped or rough  # the recording: errors count where it is
+    numerics = numerical_differences(near, options, report)
+    rough_errors = error_model(near, numerics, options)
+    fine = numerics.fine if near is rough else _motion_on_fine_mesh(rough, numerics)
+    base = fit_baseline(rough, correction_of(numerics), fine, rough_errors.variance, options, report)
+    base, numerics = with_own_elements(base, rough, numerics, rough_errors.variance, options, report, known=setting.own)
+    base = _with_directions(base, numerics)
+    numerics = with_absorbed_mesh(base, numerics, options)
+    base, errors, screening = _trusted(base, numerics, dictionary, options, report)
+    weights = detail_errors(base, errors, options.detail)
+    found = select_effects(
+        base, weights, numerics, dictionary, options, report, screening=screening, near=setting.damped
+    )
+    base, hypotheses, screening, numerics = found.base, found.hypotheses, found.screening, found.numerics
+    if found.errors is not weights:  # anew, far from the base fit
+        errors = weights = found.errors
+    best = favoured(hypotheses) or hypotheses[0]
+    cost.allow(_PLACEBO_COST, _LAST)
+    report("placebo")
+    placebo = _placebo(base, weights, screening, best, options)
+    shrinkage = _shrinkages(base, errors, best, placebo, options)
+    verdict = decide(hypotheses, screening, measure(base, errors, weights, best, hypotheses, shrinkage), options)
+    shrinkage = (*shrinkage, *held_out_views(base, best, placebo, options))
+    if second_take is not None:
+        other = second_take if isinstance(second_take, Capture) else load_capture(second_take)
+        again = second_take_shrinkage(base, best, other, options, report)
+        shrinkage = (*shrinkage, *(() if again is None else (again,)))
+    verdict = replace(verdict, caveats=(*verdict.caveats, *lost_points(base.observations)))
+    report("pictures")
+    pictures = image_findings(base, dictionary, options)
+    verdict = with_pictures(verdict, pictures)
+    if cost.cut:
+        verdict = replace(verdict, caveats=(*verdict.caveats, _CUT.format(options.deadline)))
+    if capture.frames == MOST_FRAMES:
+        verdict = replace(verdict, caveats=(*verdict.caveats, f"At most the first {MOST_FRAMES} frames were used."))
+    report("report")
+    return GapReport(
+        where=locate_gap(base, errors, best, options),
+        verdict=verdict,
+        how_far=shrinkage,
+        pictures=pictures,
+        base=base,
+        best=best,
+        hypotheses=tuple(hypotheses),
+        screening=screening,
+        next_experiment=next_experiment(verdict, base.situation),
+        provenance=_provenance(base, numerics, screening, time.monotonic() - begun),
+        options=options,
+    )
+
+
+def _motion_on_fine_mesh(rough: Baseline, numerics: Numerics) -> tuple[TetMesh, Motion] | None:
+    """That of the base model itself, where the numerical differences are those of another; None where it has none."""
+    if numerics.fine is None:
+        return None
+    mesh = numerics.fine[0]
+    try:
+        return mesh, replace(rough.model, mesh=mesh).motion(rough.fit.values)
+    except ConvergenceError:
+        return None
+
+
+def _trusted(
+    base: Baseline, numerics: Numerics, dictionary: Sequence[Effect], options: GapOptions, report: Report
+) -> tuple[Baseline, ErrorModel, Screening | None]:
+    """The base fit and the weights of its residuals, both anew where numerical error is less than was expected.
+
+    And the screening at that fit, if there was no need to make it anew.
+    """
+    errors = error_model(base, numerics, options)
+    correction = base.model.correction
+    swamped = relative_gap(base, errors, base_hypothesis(base, errors)) < 1.0
+    if correction is None or (base.situation.clamped and not swamped):
+        return base, errors, None
+    screening = screen(as_reduced(base), errors, numerics, dictionary, report)
+    scale = error_scale(base, errors, screening)
+    if scale.min() > _WORTH:
+        return base, errors, None if base.situation.clamped else screening  # of a held body details count less
+    errors = error_model(base, numerics, options, scale=scale)
+    if scale.max() > _WORTH:  # of the frames that nothing is fitted to alone
+        return base, errors, None if base.situation.clamped else screening
+    fine = None if base.model.mesh is None else (base.model.mesh, base.motion)
+    base = _with_directions(fit_baseline(base, correction, fine, errors.variance, options, report), numerics)
+    return base, error_model(base, numerics, options, scale=scale), None
+
+
+def _with_directions(base: Baseline, numerics: Numerics) -> Baseline:
+    """With the numerical effects' motions."""
+    directions = {
+        "time_step": numerics.implicit_euler,
+        "mesh_resolution": numerics.mesh,
+        "reduction": numerics.reduction,
+    }
+    return replace(base, model=replace(base.model, directions=directions))
+
+
+def _placebo(
+    base: Baseline, errors: ErrorModel, screening: Screening, best: Hypothesis, options: GapOptions
+) -> Hypothesis | None:
+    """A fit of the effect that the residual asks for least, of those that can be seen at all."""
+    others = [
+        entry
+        for entry in reversed(screening.one_per_name)
+        if entry.effect.name not in best.names
+        and entry.effect.source != "numerical"
+        and max(
+            (screening.similarity(entry, own) for own in screening.ranked if own.effect in best.effects), default=0.0
+        )
+        < 0.7
+    ]
+    if not others:
+        return None
+    try:
+        return fit_effects(as_reduced(base), errors, others[:1], options)
+    except FAILURES:
+        return None
+
+
+def _shrinkages(
+    base: Baseline, errors: ErrorModel, best: Hypothesis, placebo: Hypothesis | None, options: GapOptions
+) -> tuple[HowFar, ...]:
+    """On the frames that served nothing else, then on all held-out frames."""
+    split = base.split
+    pairs = [(split.reporting, "held-out frames that chose nothing"), (split.held_out, "all held-out frames")]
+    other = None if placebo is None else (placebo.label, placebo.positions)
+    return tuple(
+        shrinkage_on(
+            base, errors, best.positions, other, np.unique(frames), f"{data}, {frames.min()} to {frames.max()}", options
+        )
+        for frames, data in pairs
+        if len(gap_squares(base, base.positions, frames))
+    )
+
+
+def _provenance(base: Baseline, numerics: Numerics, screening: Screening, seconds: float) -> Provenance:
+    split, steps = base.split, base.model.twin.steps_per_frame
+    return Provenance(
+        capture=base.capture.folder.resolve().name,
+        version=physconvex.__version__,
+        nodes=numerics.nodes[1],
+        steps_per_frame=steps,
+        numerical_viscosity=base.situation.youngs_modulus / (base.capture.fps * steps),
+        fitted=tuple(int(f) for f in split.fitted),
+        selecting=tuple(int(f) for f in split.selecting),
+        reporting=tuple(int(f) for f in split.reporting),
+        simulations_failed=(*numerics.failed, *screening.failed),
+        seconds=seconds,
+    )

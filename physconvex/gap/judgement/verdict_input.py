@@ -1,0 +1,197 @@
+"""What a verdict is read from: the fits, what held-out frames say of them, and what follows from both.
+
+`physconvex.gap.judgement.verdict` has the rules.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from physconvex.gap.effects.effect import IN_FLIGHT
+from physconvex.gap.errors.screening import Screening
+from physconvex.gap.judgement.caveats import caveats_of, doses_in_sight
+from physconvex.gap.judgement.naming import WEAK, NamedEffect, by_weight, named_effects
+from physconvex.gap.judgement.residual_measures import Measured
+from physconvex.gap.options import GapOptions
+from physconvex.gap.search.hypothesis import Hypothesis
+
+__all__ = ["FORETOLD", "LESS", "OPEN", "SEEN", "TELLING", "TRUSTED", "Case", "Verdict", "VerdictName"]
+
+VerdictName = Literal["none", "effect", "unknown", "inconclusive"]
+TRUSTED = 0.94  # share of calls that are right: 59 of 63 in the blind banks before, nearly all with 1.00 by evidence
+_CLEAR = 4.0  # gain of log-evidence over the base model that makes a call; below `WEAK` it is open
+_LISTED = 0.02  # probability
+FORETOLD = 0.9  # share of the gap on frames that were not fitted, of which a placebo removes no tenth
+LESS = 0.25  # share of what a placebo leaves that a sure effect may leave at most, if the placebo does much
+TELLING = 10.0  # gain that makes a call although the base model errs as expected, if half of the held-out gap goes
+_ABUNDANT = 0.8  # of the share of the gap that must go, at twice the gain that is enough
+OPEN = 4.0  # times the expected square: a gap, whether or not an effect explains it
+SEEN = 1.5  # gap over the error expected on held-out frames from which on a body that is not struck has one
+_WIDE = 4.0  # times the expected error of held-out frames, rms: a gap that no screening and no fit argues away
+_LATER = (
+    "The flight before the first contact shows it beyond doubt. Of the held-out gap after it, it removes {:.0%}: the "
+    "rest has another cause, of which a contact that works otherwise is the likeliest."
+)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The answer.
+
+    Attributes:
+        name: none, effect, unknown or inconclusive.
+        sentence: for people.
+        effects: the named effects and those that remain possible, most probable first.
+        none_probability: of the base model.
+        share: of the held-out gap above the floor that the best effect removes.
+        caveats: what limits the answer.
+    """
+
+    name: VerdictName
+    sentence: str
+    effects: tuple[NamedEffect, ...]
+    none_probability: float
+    share: float
+    caveats: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What the rules read.
+
+    Attributes:
+        base, best: the base model, and the fit with effects that is reported.
+        hypotheses: all fits, best evidence first.
+        screening: for what is alike.
+        probability: by label.
+        measured: what residuals say of both.
+        options: settings.
+        flies: whether effects that need no contact show beyond doubt before the first one.
+    """
+
+    base: Hypothesis
+    best: Hypothesis
+    hypotheses: tuple[Hypothesis, ...]
+    screening: Screening
+    probability: dict[str, float]
+    measured: Measured
+    options: GapOptions
+    flies: bool
+
+    @property
+    def in_flight_alone(self) -> bool:
+        """Whether the effects show beyond doubt before the first contact, and explain little of what follows it."""
+        return self.flies and self.measured.share < self.options.explained
+
+    @property
+    def gain(self) -> float:
+        """Of log-evidence."""
+        return self.best.evidence - self.base.evidence
+
+    @property
+    def foretold(self) -> bool:
+        """Whether held-out frames leave no doubt, although the evidence counts too few residuals as independent."""
+        return self.gain >= WEAK and self.measured.share >= FORETOLD and self._beyond_placebo
+
+    @property
+    def clear(self) -> bool:
+        """Whether fitted and held-out frames together make a call: the less sure the ones, the more the others do."""
+        return self.gain >= _CLEAR or self._kept(_CLEAR)
+
+    @property
+    def telling(self) -> bool:
+        """Whether the effect counts although the base model errs by no more than is expected of it.
+
+        The error of a body that strikes nothing is well known: what lies within it on held-out frames too is no gap,
+        however well some effect of many doses, an inclusion say, can follow it.
+        """
+        return self._kept(TELLING) and (self.measured.struck or self.measured.seen >= SEEN)
+
+    def _kept(self, enough: float) -> bool:
+        """Whether held-out frames make up for a gain below `enough`: the smaller it is, the more of the gap must go."""
+        shares = (FORETOLD, self.options.explained, _ABUNDANT * self.options.explained)
+        asked = float(np.interp(self.gain, (WEAK, enough, 2 * enough), shares))
+        return self.gain >= WEAK and self.measured.share >= asked and self._beyond_placebo
+
+    @property
+    def _beyond_placebo(self) -> bool:
+        """Whether a placebo does next to nothing, or leaves four times as much and there is much evidence.
+
+        Of a struck body ten times as much will do: held ones have one or two vibrations, which much else follows.
+        """
+        m, little = self.measured, 1.0 - FORETOLD
+        less = LESS if self.gain >= TELLING else little if m.struck else 0.0
+        return m.placebo < little or 1.0 - m.share <= less * (1.0 - m.placebo)
+
+    @property
+    def open(self) -> bool:
+        """Whether a gap is there, of the base model and on held-out frames with the best effects too."""
+        return min(self.measured.before, self.measured.after) >= OPEN
+
+    @property
+    def left_wide_open(self) -> bool:
+        """Whether held-out frames have a gap far beyond what is expected, which the best effects leave."""
+        m = self.measured
+        return m.seen >= _WIDE and m.share < self.options.explained and bool(np.isfinite(m.seen))
+
+    @property
+    def flight_is_open(self) -> bool:
+        """Whether each effect that is known was tried, and leaves a gap before the first contact."""
+        return self.measured.flight_left >= OPEN and not self.measured.hurried
+
+    @property
+    def none(self) -> float:
+        """Probability of the base model."""
+        return self.probability.get("base model", 0.0)
+
+    @property
+    def named(self) -> tuple[NamedEffect, ...]:
+        """Effects of the best fit, without those whose doses are smaller than is of interest beside others."""
+        slight = {effect.name for effect in self.best.effects if self.best.is_slight(effect)}
+        found = named_effects(self.best, self.hypotheses, self.probability, self.screening, self.options)
+        kept = [effect for effect in found if effect.name not in slight] or found
+        if self.in_flight_alone:
+            kept = [effect for effect in kept if effect.source in IN_FLIGHT] or kept
+        return tuple(by_weight(kept, self.hypotheses))
+
+    @property
+    def possible(self) -> tuple[NamedEffect, ...]:
+        """Those of the best fit, and the single ones that remain possible."""
+        others = [
+            effect
+            for h in self.hypotheses
+            if len(h.effects) == 1
+            and h is not self.best
+            and h.names[0] not in self.best.names
+            and self.probability.get(h.label, 0.0) > _LISTED
+            for effect in named_effects(h, self.hypotheses, self.probability, self.screening, self.options)
+        ]
+        return (*self.named, *others)
+
+    @property
+    def further(self) -> tuple[NamedEffect, ...]:
+        """Effects that the best fit gains too little by to have them, and that are possible all the same.
+
+        Not those which gain much in the fitted frames and lose in later ones.
+        """
+        found: dict[str, NamedEffect] = {}
+        for h in self.hypotheses:
+            if set(h.names) > set(self.best.names) and h.foretells_more_than(self.best):
+                for effect in named_effects(h, self.hypotheses, self.probability, self.screening, self.options):
+                    if effect.name not in self.best.names and effect.probability > _LISTED:
+                        found.setdefault(effect.name, effect)
+        return tuple(found.values())
+
+    def verdict(
+        self, name: VerdictName, sentence: str, effects: tuple[NamedEffect, ...] = (), *, power: bool = False
+    ) -> Verdict:
+        """With the caveats, and with what would have been seen; probabilities as calls have turned out to be right."""
+        effects = tuple(replace(effect, probability=TRUSTED * effect.probability) for effect in effects)
+        caveats = caveats_of(self.base, self.best, self.measured.after)
+        if name == "effect" and self.in_flight_alone:
+            caveats = (_LATER.format(max(self.measured.share, 0.0)), *caveats)
+        more = doses_in_sight(self.screening) if power else ()
+        return Verdict(name, sentence, effects, self.none, self.measured.share, (*caveats, *more))

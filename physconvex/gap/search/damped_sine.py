@@ -1,0 +1,137 @@
+"""How a signal rings: a damped sine, and what it says of a model that its deformation rings otherwise.
+
+Frequency and damping ratio of the shape that moves most tell a held body's stiffness, mass and damping, whatever began
+its motion and when: an explanation must reproduce them. Evidence that is tempered, for residuals which are alike, has
+lost most of that, so that it enters once more, as two observations with what a good model may miss them by.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.optimize import least_squares
+
+from physconvex.gap.base.baseline import Baseline
+from physconvex.identify import MarkerObservations
+from physconvex.numerics import beyond_rigid
+
+__all__ = ["Recorded", "deformation", "recorded_ringing", "ringing", "ringing_likelihood"]
+
+_FEWEST = 8  # frames that a damped sine is fitted to
+_FIT = 0.5  # share of a signal that a damped sine must explain to be one
+_MAIN = 0.5  # share of the squares of the deformation that the first shape must have
+_TOLD = 0.05  # relative error of the frequency above which the recording does not tell it
+_FREQUENCY, _DAMPING, _LEAST = 0.05, 0.5, 0.02  # what a model may miss: shares, and damping ratio at least
+_FARTHEST = 6.0  # standard deviations that count
+
+
+def _damped(p: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """a e^(−δt) cos ωt + b e^(−δt) sin ωt + c."""
+    decay = np.exp(-p[1] * t)
+    return np.asarray(decay * (p[2] * np.cos(p[0] * t) + p[3] * np.sin(p[0] * t)) + p[4])
+
+
+def ringing(signal: Float[np.ndarray, " T"], fps: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Frequency [Hz] and damping ratio of a signal, and their standard errors; NaN where no damped sine fits it.
+
+    Raises nothing: a signal that does not ring has no frequency.
+    """
+    nothing = (float("nan"), float("nan"))
+    times, total = np.arange(len(signal)) / fps, float(((signal - signal.mean()) ** 2).sum())
+    if len(signal) < _FEWEST or total <= 0:
+        return nothing, nothing
+    best = None
+    span = times[-1]
+    for cycles in np.geomspace(0.4, 0.4 * len(signal), 14):  # starts; up to 0.8 of the Nyquist frequency
+        start = np.array([2 * np.pi * cycles / span, 0.5 / span, *np.linalg.lstsq(
+            np.stack([np.cos(2 * np.pi * cycles / span * times), np.sin(2 * np.pi * cycles / span * times),
+                      np.ones_like(times)], axis=1), signal, rcond=None)[0]])  # fmt: skip
+        found = least_squares(
+            lambda p: _damped(p, times) - signal, start, x_scale=np.maximum(np.abs(start), 1e-9), max_nfev=40
+        )
+        if best is None or found.cost < best.cost:
+            best = found
+    assert best is not None
+    if 2 * best.cost > (1 - _FIT) * total or best.x[0] * span < np.pi / 2:
+        return nothing, nothing
+    omega, delta = abs(best.x[0]), best.x[1]
+    spread = 2 * best.cost / max(len(signal) - 5, 1)
+    covariance = np.linalg.pinv(best.jac.T @ best.jac) * spread
+    errors = np.sqrt(np.maximum(np.diag(covariance)[:2], 0.0))
+    return (omega / 2 / np.pi, delta / omega), (errors[0] / 2 / np.pi, errors[1] / omega)
+
+
+def deformation(positions: Float[np.ndarray, "T P 3"], rest: Float[np.ndarray, "P 3"], held: bool) -> np.ndarray:
+    """Displacements, of a free body in the frame that turns and moves with it (Kabsch), shape [T, P, 3]."""
+    if held:
+        return np.asarray(positions - rest)
+    moved, turns = beyond_rigid(rest, positions)
+    return moved @ turns
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """How the shape that moves most in a recording of a held body rings.
+
+    Attributes:
+        frequency, ratio: [Hz], and the damping ratio.
+        errors: standard errors of the two.
+        shape: of the observed coordinates, shape [3 P], of unit length.
+        mean: that the shape is about [m], shape [3 P].
+        points: that are seen in every frame.
+        frames: number of frames that were looked at; those that only report were not.
+    """
+
+    frequency: float
+    ratio: float
+    errors: tuple[float, float]
+    shape: Float[np.ndarray, " N"]
+    mean: Float[np.ndarray, " N"]
+    points: Int[np.ndarray, " P"]
+    frames: int
+
+
+def _displacements(base: Baseline, positions: Float[np.ndarray, "T P 3"], points: np.ndarray, count: int) -> np.ndarray:
+    return deformation(positions[:count, points], base.motion.rest[points], held=True).reshape(count, -1)
+
+
+def recorded_ringing(base: Baseline) -> Recorded | None:
+    """How the recording of a held body rings; None where it does not, or is none of markers."""
+    seen = base.observations
+    if not base.situation.clamped or not isinstance(seen, MarkerObservations):
+        return None
+    points = np.flatnonzero(np.isfinite(seen.positions).all((0, 2)))
+    count = int(max(base.split.fitted.max(), base.split.selecting.max(initial=0))) + 1
+    if not len(points) or count < _FEWEST:
+        return None
+    shown = _displacements(base, seen.positions, points, count)
+    mean = shown.mean(0)
+    _, strengths, shapes = np.linalg.svd(shown - mean, full_matrices=False)
+    if strengths[0] ** 2 < _MAIN * float((strengths**2).sum()):
+        return None
+    (frequency, ratio), errors = ringing((shown - mean) @ shapes[0], base.capture.fps)
+    if not np.isfinite(frequency) or not errors[0] < _TOLD * frequency:
+        return None
+    return Recorded(frequency, ratio, errors, shapes[0], mean, points, count)
+
+
+def ringing_likelihood(base: Baseline, positions: Float[np.ndarray, "T P 3"]) -> float:
+    """Log-likelihood of the recorded frequency and damping ratio if a model rings as `positions` do; of held bodies.
+
+    Zero where the recording does not ring, or is none of markers. Frames that only report are left out.
+    """
+    recorded = recorded_ringing(base)
+    if recorded is None:
+        return 0.0
+    modelled = _displacements(base, positions, recorded.points, recorded.frames)
+    own_frequency, own_ratio = ringing((modelled - recorded.mean) @ recorded.shape, base.capture.fps)[0]
+    if not np.isfinite(own_frequency):
+        return -0.5 * _FARTHEST**2
+    (error, ratio_error), frequency, ratio = recorded.errors, recorded.frequency, recorded.ratio
+    missed = np.array([
+        (own_frequency - frequency) / np.hypot(error, _FREQUENCY * frequency),
+        (own_ratio - ratio) / np.hypot(ratio_error, max(_DAMPING * abs(ratio), _LEAST)),
+    ])  # fmt: skip
+    return -0.5 * float((np.minimum(np.abs(missed), _FARTHEST) ** 2).sum())

@@ -1,0 +1,258 @@
+"""Effects fitted to the fitted frames, together with the base model's values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from physconvex.errors import ConvergenceError
+from physconvex.gap.base.baseline import Baseline, derivatives_of_residuals
+from physconvex.gap.base.model import EffectModel, SecantModel
+from physconvex.gap.effects.motion import Motion
+from physconvex.gap.errors.score_test import ErrorModel
+from physconvex.gap.errors.screening import Screened
+from physconvex.gap.options import GapOptions
+from physconvex.gap.search.evidence import mean_square, misfit_of, residuals_per_one
+from physconvex.gap.search.hypothesis import Hypothesis, deviations_of, hypothesis_at
+from physconvex.identify import Fit, FitOptions, fit
+
+__all__ = ["derivatives_at", "fit_effects", "refit"]
+
+_ROUNDS, _PLACED = 6, 3  # of the fit of a held body, and of what lies somewhere in another, or along something
+_STILL, _SETTLED = 0.98, 0.7  # shares of misfit and doubt above which another one is not worth it
+_SLIGHT = 0.5  # gain of log-likelihood below which it is not of a body that is not held
+_SURE = 2.0  # doubt below which priors weigh as they are
+_FAR, _MOVED = 5.0, 0.3  # typical steps: most that other values are moved by, and from which on it is tried
+
+
+def fit_effects(
+    base: Baseline,
+    errors: ErrorModel,
+    chosen: Sequence[Screened],
+    options: GapOptions,
+    *,
+    starts: Baseline | None = None,
+) -> Hypothesis:
+    """Fit base parameters and doses together, to the fitted frames.
+
+    Args:
+        base: base fit.
+        errors: weights of the residuals.
+        chosen: the effects, as screened: their signatures are the first derivatives.
+        options: settings.
+        starts: where the effects were screened, if elsewhere than at the base fit; effects it has are kept.
+
+    Raises:
+        ConvergenceError: the body cannot be simulated at the start.
+    """
+    point = base if starts is None else starts
+    model = replace(point.model, effects=(*point.model.effects, *(entry.effect for entry in chosen)))
+    values = _best_start(base, errors, model, _starts(base, errors, point, chosen, options))
+    count = base.split.end
+    tangents = np.concatenate([point.tangents[:count], *(_tangents(entry) for entry in chosen)], axis=1)
+    return refit(base, errors, model, values, tangents, options)
+
+
+def derivatives_at(base: Baseline, model: EffectModel, values: np.ndarray, motion: Motion) -> np.ndarray:
+    """Derivatives of what a model says by all its values, in the frames up to the last fitted one.
+
+    Args:
+        base: for the frames.
+        model: the model, all frames.
+        values: where.
+        motion: the model's there.
+
+    Raises:
+        ConvergenceError: the body cannot be simulated near there.
+    """
+    return replace(model, frames=base.split.end).tangents(values, motion.first(base.split.end))
+
+
+def _beside(base: Baseline, errors: ErrorModel, point: Baseline, chosen: Sequence[Screened]) -> np.ndarray:
+    """Where the other values go if the effects have their screened doses: what screening projects away, to first order.
+
+    An inclusion that is three times as stiff asks for another E of the whole; with the old one the search ran back to
+    none.
+    """
+    count, rows = base.split.end, base.rows(base.split.fitted)
+    here = point.positions[:count]
+    explained = sum(np.tensordot(entry.score.amounts, entry.signature[:, :count], 1) for entry in chosen)
+    columns = derivatives_of_residuals(base, here, point.tangents[:count])[:, rows]
+    left = (base.residual(point.positions) - base.change(here + explained))[rows]
+    whitened = errors.restricted(rows)
+    found = np.linalg.lstsq(whitened.whiten(columns).T, whitened.whiten(left), rcond=1e-8)[0]
+    parameters = point.model.parameters(point.fit.values)
+    steps = np.array([p.step for p in parameters])
+    values = point.fit.values + np.clip(found, -_FAR * steps, _FAR * steps)
+    return np.clip(values, [p.lower for p in parameters], [p.upper for p in parameters])
+
+
+def _starts(
+    base: Baseline, errors: ErrorModel, point: Baseline, chosen: Sequence[Screened], options: GapOptions
+) -> list[np.ndarray]:  # fmt: skip
+    """Values to begin at: the screened doses and shares of them, with the other values as they are or beside.
+
+    Screening is linear. Of a strong effect its doses may be twice what they should, and the motion then so far from the
+    recording's that a search goes back to none.
+    """
+    null = np.concatenate([entry.effect.null for entry in chosen])
+    shapes = np.array([dose.shape or dose.threshold for entry in chosen for dose in entry.effect.doses])
+    doses = np.concatenate([_start(entry) for entry in chosen])
+    values, beside = point.fit.values, _beside(base, errors, point, chosen)
+    starts = [np.concatenate([values, doses])]
+    for share in options.starts:
+        lesser = np.where(shapes, doses, null + share * (doses - null))
+        starts.append(np.concatenate([values + share * (beside - values), lesser]))
+    return starts
+
+
+def _best_start(base: Baseline, errors: ErrorModel, model: EffectModel, starts: Sequence[np.ndarray]) -> np.ndarray:
+    """The values that fit the fitted frames best; those that hardly differ from ones before are not tried."""
+    steps = np.array([p.step for p in model.parameters(starts[0])])
+    apart: list[np.ndarray] = []
+    for values in starts:
+        if all(np.abs((values - other) / steps).max() >= _MOVED for other in apart):
+            apart.append(values)
+    if len(apart) == 1:
+        return apart[0]
+    count = base.split.end
+    shorter = replace(model, frames=count)
+
+    def misfit(values: np.ndarray) -> float:
+        try:
+            return misfit_of(base, errors, shorter.positions(values))
+        except ConvergenceError:
+            return float("inf")
+
+    return min(apart, key=misfit)
+
+
+def refit(
+    base: Baseline,
+    errors: ErrorModel,
+    model: EffectModel,
+    values: np.ndarray,
+    tangents: np.ndarray,
+    options: GapOptions,
+) -> Hypothesis:
+    """Fit a model with effects from given values and derivatives.
+
+    Priors weigh the more the worse the fit (`EffectModel.doubt`), which may begin a hundred times as bad as it ends. A
+    held body, the only one that has priors, is fitted anew by what is left, with derivatives taken where it is, until
+    both stay. So are fibres and inclusions of another body, while that makes the fitted frames likelier: derivatives
+    by their direction or place, taken where there is hardly any dose of them, say next to nothing.
+
+    Of a held body two places may both stay: with strong priors what is left is smooth, counts as few residuals, and so
+    keeps them strong; with weak ones it may be noise, which keeps them weak. So it is fitted from the other side too,
+    from priors as they are, and the likelier fit taken: the loads of held bars came out a quarter too light, since they
+    could not have their ν, and a wrong frame rate was called in their place.
+
+    Raises:
+        ConvergenceError: the body cannot be simulated at the start.
+    """
+    count = base.split.end
+    shorter, own = replace(model, frames=count), len(base.fit.values)
+    try:
+        here = shorter.positions(values)
+    except ConvergenceError:
+        values = np.concatenate([values[:own], 0.5 * (values + model.null_values())[own:]])
+        here = shorter.positions(values)
+    tangents = tangents[:count].copy()
+    _add_shapes(shorter, values, here, tangents)
+    first = _settled(base, errors, shorter, _Point(values, here, tangents), _doubt(base, errors, here), options)
+    best = _stated(base, errors, model, first)
+    if not base.situation.clamped or _doubt(base, errors, first.here) < _SURE or base.model.cost.over:
+        return best
+    with suppress(ConvergenceError):
+        other = _stated(base, errors, model, _settled(base, errors, shorter, first, 1.0, options))
+        best = max(best, other, key=lambda h: h.evidence)
+    return best
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Where a fit is: values, positions in the first frames, derivatives, and the fit that led there."""
+
+    values: np.ndarray
+    here: np.ndarray
+    tangents: np.ndarray
+    found: Fit | None = None
+
+
+def _settled(
+    base: Baseline, errors: ErrorModel, shorter: EffectModel, start: _Point, doubt: float, options: GapOptions
+) -> _Point:  # fmt: skip
+    """Rounds of fitting from some values, the first with priors that weigh so much, until both stay."""
+    weighted = base.weighted(errors.variance, base.split.end)
+    stop = FitOptions(max_iterations=options.iterations + 1, relative_tolerance=2e-3, absolute_tolerance=0.1)
+    point, left, settled, held = start, np.inf, False, base.situation.clamped
+    placed = any(dose.shape for effect in shorter.effects for dose in effect.doses)
+    rounds = _ROUNDS if held else _PLACED if placed else 1
+    for number in range(rounds):
+        if number:
+            before, doubt = doubt, _doubt(base, errors, point.here)
+            if (settled and doubt > _SETTLED * before) or base.model.cost.over:
+                break
+        model, tangents = replace(shorter, doubt=doubt), point.tangents
+        if number:
+            tangents = model.tangents(point.values, model.motion(point.values))
+        secant = SecantModel(model, point.values, point.here, tangents)
+        found = fit(secant, weighted, model.parameters(point.values), options=stop)
+        point = _Point(found.values, found.positions, secant.tangents, found)
+        misfit = found.reduced_chi_square if held else misfit_of(base, errors, point.here)
+        settled, left = misfit > (_STILL * left if held else left - _SLIGHT), misfit
+    return point
+
+
+def _stated(base: Baseline, errors: ErrorModel, model: EffectModel, point: _Point) -> Hypothesis:
+    """What a model says of all frames where a fit has led."""
+    assert point.found is not None
+    motion = model.motion(point.values)
+    deviations = deviations_of(base, errors, point.found, model.observed(motion, point.values))
+    return hypothesis_at(base, errors, model, point.values, deviations, motion, point.tangents)
+
+
+def _doubt(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> float:
+    """Square of what the fitted frames leave over what is expected, times the residuals that count for one."""
+    whole, fitted = np.concatenate([positions, base.positions[len(positions) :]]), base.split.fitted
+    return max(mean_square(base, errors, whole, fitted), 1.0) * residuals_per_one(base, errors, whole, fitted)
+
+
+def _start(entry: Screened) -> np.ndarray:
+    """Screened doses, at least a fifth of the trial dose so that the effect is there at all."""
+    null, doses = entry.effect.null, entry.doses.copy()
+    for index, dose in enumerate(entry.effect.doses):
+        if dose.shape or dose.threshold:
+            continue
+        trial = max(abs(t[index] - null[index]) for t in entry.trials)
+        change = doses[index] - null[index]
+        if dose.sign and abs(change) < 0.2 * trial:
+            change = 0.2 * trial * dose.sign
+        doses[index] = np.clip(null[index] + np.clip(change, -8 * trial, 8 * trial), dose.lower, dose.upper)
+    return np.asarray(doses)
+
+
+def _tangents(entry: Screened) -> np.ndarray:
+    """Derivatives by all doses; those that only shape the effect start without one."""
+    null = entry.effect.null
+    out = np.zeros((entry.signature.shape[1], len(null), *entry.signature.shape[2:]))
+    screened = [i for i, dose in enumerate(entry.effect.doses) if not dose.shape]
+    for index, trial, signature in zip(screened, entry.trials, entry.signature, strict=True):
+        out[:, index] = signature / entry.effect.doses[index].slope(float(trial[index]))
+    return out
+
+
+def _add_shapes(model: EffectModel, values: np.ndarray, here: np.ndarray, tangents: np.ndarray) -> None:
+    """Derivatives by the doses that only shape an effect, which screening does not have, by differences."""
+    for effect, where in zip(model.effects, model.slices, strict=True):
+        for index, dose in enumerate(effect.doses):
+            if dose.shape and not tangents[:, where.start + index].any():
+                changed = values.copy()
+                at, step = where.start + index, 2 * dose.smallest
+                if values[at] + step > dose.upper:
+                    step = -step
+                changed[at] += step
+                tangents[:, at] = (model.positions(changed) - here) / step

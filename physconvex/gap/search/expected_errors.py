@@ -1,0 +1,48 @@
+"""What noise and numerical error lead one to expect, anew where a fit has led far from the base fit.
+
+Meshes, steps and contacts part by what they do to the body that is simulated. Where an effect had moved E of the base
+fit by a decade, they part there by four times what they do at the body's own E, and so hide a second effect.
+"""
+
+from __future__ import annotations
+
+from physconvex.gap.base.model import MODULUS
+from physconvex.gap.errors.numerics import Numerics, error_model, numerical_differences
+from physconvex.gap.search.hypothesis import continued, weighed_anew
+from physconvex.gap.search.search_state import FAILURES, Selection
+from physconvex.gap.search.space_mapping import confirmed
+
+__all__ = ["expect_anew"]
+
+_FAR = 0.5  # decades of E
+_AGAIN = 0.5  # of the cost of a search: what it may cost more, since what is beside the best fit shows only now
+
+
+def expect_anew(search: Selection) -> Numerics | None:
+    """Weigh the fits of a free body by the differences at the best one, if its E is far from the base fit's.
+
+    Args:
+        search: its errors and fits are changed, and what it may cost.
+
+    Returns:
+        Those at the best fit; None, and nothing is changed, where E has not moved or no model can be run there.
+    """
+    base, best = search.full, search.best
+    names = base.model.base
+    if base.situation.clamped or MODULUS not in names or not best.effects or search.late:
+        return None
+    place = names.index(MODULUS)
+    if abs(best.values[place] - base.fit.values[place]) <= _FAR:
+        return None
+    search.report(f"what is expected, at {best.label}")
+    cost = base.model.cost
+    before = cost.spent
+    try:
+        point = continued(base, confirmed(base, search.errors, best))
+    except FAILURES:
+        return None
+    numerics = numerical_differences(point, search.options, search.report)
+    search.errors = error_model(point, numerics, search.options)
+    search.found = [weighed_anew(search.base, search.errors, h) for h in search.found]
+    cost.limit += cost.spent - before + _AGAIN * search.options.search_cost
+    return numerics

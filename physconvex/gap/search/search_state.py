@@ -1,0 +1,110 @@
+"""A search in progress: what was found so far, what it has cost, and whether something is left to look for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.gap.base.baseline import Baseline, Report
+from physconvex.gap.errors.score_test import ErrorModel
+from physconvex.gap.errors.screening import Screened
+from physconvex.gap.options import GapOptions
+from physconvex.gap.search.effect_fits import fit_effects
+from physconvex.gap.search.hypothesis import Hypothesis
+from physconvex.gap.search.ranking import judged
+
+__all__ = ["FAILURES", "LATE_GAP", "Selection"]
+
+# of a run with doses that no body can bear: such a fit is left out, and the report says so
+FAILURES = (ConvergenceError, InputError, np.linalg.LinAlgError)
+# mean square over the expected one of the frames that choose: an impact near the end of the fitted ones shows there
+LATE_GAP = 5.0
+_WIDE = 3.0  # the same of the fitted ones, from which on a further effect is looked for in any case
+_LEFT = 6.0  # log-likelihood that is left to gain, above which a further effect is looked for
+_LONGEST = 0.15  # of the cost of the search that a single fit may take
+_TELLING = 4  # observed points, fewer of which tell no strain from a motion of the body as a whole
+
+
+@dataclass(eq=False)
+class Selection:
+    """A search in progress.
+
+    Attributes:
+        full: base fit, of the full-order model.
+        base: the same of the reduced one.
+        errors: weights of the residuals.
+        options: settings.
+        report: told what is done.
+        found: fits so far, the base model first.
+        polished: ids of the motions of fits that need not be fitted again.
+        independent: number of independent residuals in what the base model leaves.
+    """
+
+    full: Baseline
+    base: Baseline
+    errors: ErrorModel
+    options: GapOptions
+    report: Report
+    found: list[Hypothesis] = field(default_factory=list)
+    polished: set[int] = field(default_factory=set)
+    independent: float = 1.0
+
+    @property
+    def best(self) -> Hypothesis:
+        """By tempered evidence."""
+        return self.ranked[0]
+
+    @property
+    def ranked(self) -> list[Hypothesis]:
+        """Fits so far by tempered evidence, best first."""
+        return judged(self.base, self.errors, self.found)
+
+    @property
+    def placed(self) -> bool:
+        """Whether several places and directions of an effect within the body are tried: of one that is struck, where
+        the recording tells how it deforms.
+        """  # fmt: skip
+        return not self.base.situation.clamped and self.base.positions.shape[1] >= _TELLING
+
+    @property
+    def late(self) -> bool:
+        """Whether the runs so far have cost what they may."""
+        return self.base.model.cost.over
+
+    def wanting(self, fit: Hypothesis) -> bool:
+        """Whether a further effect is worth looking for beside those of a fit."""
+        room = len(fit.effects) < self.options.most_effects
+        return room and not self.late and self.open(fit)
+
+    def open(self, fit: Hypothesis) -> bool:
+        """Whether a fit leaves something to explain.
+
+        What is left of a wide gap is smooth, and counts as few independent residuals: it is open all the same. So is
+        one that opens in the frames that choose.
+        """
+        return fit.left_to_explain >= _LEFT or fit.fitted > _WIDE or fit.selecting > LATE_GAP
+
+    def attempt(self, text: str, run: Callable[[], Hypothesis]) -> Hypothesis | None:
+        """Fit and keep, unless it fails or the runs have cost too much; the first one is begun all the same."""
+        if self.late and len(self.found) > 1:
+            return None
+        self.report(f"fit: {text}")
+        try:
+            with self.base.model.cost.at_most(_LONGEST * self.options.search_cost):
+                hypothesis = run()
+        except FAILURES:
+            self.report(f"fit: {text} failed")
+            return None
+        if not np.isfinite(hypothesis.positions).all():
+            return None
+        self.found.append(hypothesis)
+        return hypothesis
+
+    def fit(self, chosen: Sequence[Screened], starts: Baseline | None = None) -> Hypothesis | None:
+        """Fit screened effects, beside those of `starts`."""
+        kept = () if starts is None else tuple(e.label for e in starts.model.effects)
+        text = " + ".join([*kept, *(entry.effect.label for entry in chosen)])
+        return self.attempt(text, lambda: fit_effects(self.base, self.errors, chosen, self.options, starts=starts))

@@ -1,0 +1,130 @@
+"""What is free and what was seen, as a capture states it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from physconvex.errors import InputError
+from physconvex.identify.observations import MarkerObservations
+from physconvex.identify.parameters import Parameter, default_parameter
+from physconvex.identify.twin import Twin
+from physconvex.io import Capture
+from physconvex.reduced import parameter_values
+
+__all__ = ["default_parameters", "marker_observations", "start_motion", "with_free_friction"]
+
+MATERIAL = ("log10_youngs_modulus", "poisson_ratio")
+VELOCITY = tuple(f"initial_velocity_{axis}" for axis in "xyz")
+SPIN = tuple(f"initial_angular_velocity_{axis}" for axis in "xyz")
+_FRICTION_START = 0.3
+
+
+def marker_observations(capture: Capture, *, frames: int | None = None) -> MarkerObservations:
+    """The marker tracks of a capture in its first `frames` frames (the observed ones unless given).
+
+    Raises:
+        InputError: there are no tracks, or none is seen in those frames.
+    """
+    tracks = capture.tracks()
+    if tracks is None:
+        raise InputError(f"{capture.folder}: no tracks.npz; expected marker tracks (rest, positions, sigma)")
+    count = capture.observed_frames if frames is None else frames
+    return MarkerObservations(tracks.rest, tracks.positions[:count], tracks.sigma[:count])
+
+
+def default_parameters(
+    twin: Twin,
+    *,
+    damping: bool = False,
+    free: Sequence[str] = (),
+    fixed: Sequence[str] = (),
+    priors: Mapping[str, tuple[float, float]] | None = None,
+) -> tuple[Parameter, ...]:
+    """The unknowns of a capture: E and ν, and what it does not state of the initial motion of a free body.
+
+    Args:
+        twin: start values are those of its scene.
+        damping: free the damping time also (a capture never states it).
+        free: further names.
+        fixed: names to be left at the twin's values.
+        priors: mean and standard deviation by name.
+
+    Raises:
+        InputError: an unknown name, or one that is both free and fixed.
+    """
+    both = sorted(set(free) & set(fixed))
+    if both:
+        raise InputError(f"parameters: {both} are both free and fixed; name each once")
+    names = [*MATERIAL, *(("damping_time",) if damping else ())]
+    if twin.clamp is None:
+        names += VELOCITY if twin.capture.initial_velocity is None else ()
+        names += SPIN if twin.capture.initial_angular_velocity is None else ()
+    names = [name for name in dict.fromkeys([*names, *free]) if name not in fixed]
+    if not names:
+        raise InputError("parameters: all are fixed; leave at least one free")
+    values = parameter_values(twin.scene, names)
+    chosen = [default_parameter(name, start=float(v)) for name, v in zip(names, values, strict=True)]
+    for name in priors or {}:
+        if name not in names:
+            raise InputError(f"priors: {name!r} is not free; free are {', '.join(names)}")
+    return tuple(_with_prior(p, priors or {}) for p in chosen)
+
+
+def _with_prior(parameter: Parameter, priors: Mapping[str, tuple[float, float]]) -> Parameter:
+    if parameter.name not in priors:
+        return parameter
+    mean, sigma = priors[parameter.name]
+    if not sigma > 0:
+        raise InputError(f"priors: {parameter.name}: got sigma {sigma}; expected a positive number")
+    return replace(parameter, prior_mean=float(mean), prior_sigma=float(sigma))
+
+
+def with_free_friction(twin: Twin) -> Twin:
+    """The twin with a rough floor, where its own is frictionless: a start from which friction can be fitted."""
+    obstacles = tuple(o if o.friction else replace(o, friction=_FRICTION_START) for o in twin.scene.obstacles)
+    if not obstacles:
+        raise InputError("free: got 'friction', but the capture has no floor; give it one in capture.json")
+    return twin.with_scene(obstacles=obstacles)
+
+
+def start_motion(twin: Twin, observations: MarkerObservations, *, frames: int = 4) -> Twin:
+    """The twin with the initial velocity and spin that the first frames show, where the capture states none.
+
+    Rigid motion about the centre of mass, least squares over marker displacements less ½ g t².
+    """
+    capture, scene = twin.capture, twin.scene
+    if twin.clamp is not None or (
+        capture.initial_velocity is not None and capture.initial_angular_velocity is not None
+    ):
+        return twin
+    body = scene.body
+    center = body.first_moments @ scene.start / body.total_mass
+    count = min(frames, len(observations.positions))
+    rows, target = [], []
+    gravity = np.asarray(scene.gravity, dtype=np.float64)
+    for frame in range(1, count):
+        seen = np.isfinite(observations.positions[frame]).all(-1)
+        time = frame / twin.fps
+        for point, now in zip(observations.points[seen], observations.positions[frame][seen], strict=True):
+            rows.append(time * np.hstack([np.eye(3), _cross(point - center)]))
+            target.append(now - point - 0.5 * gravity * time**2)
+    if len(rows) < 3:
+        return twin
+    weight = 1e-3 * np.hstack([np.zeros(3), np.full(3, np.ptp(observations.points) / twin.fps)])
+    matrix = np.vstack([*rows, np.diag(weight)])
+    motion = np.linalg.lstsq(matrix, np.concatenate([*target, np.zeros(6)]), rcond=None)[0]
+    changes = {}
+    if capture.initial_velocity is None:
+        changes["initial_velocity"] = tuple(motion[:3])
+    if capture.initial_angular_velocity is None:
+        changes["initial_angular_velocity"] = tuple(motion[3:])
+    return twin.with_scene(**changes)
+
+
+def _cross(arm: np.ndarray) -> np.ndarray:
+    """The matrix that maps ω to ω × arm."""
+    x, y, z = arm
+    return np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])

@@ -1,0 +1,203 @@
+"""What a finer mesh and a shorter step say: their differences are added, and the error that is left is estimated.
+
+    x(p) ≈ x_coarse(p) + (1 + a) [x_fine(p₀) − x_coarse(p₀)] + 4/3 [x_half(p₀) − x_coarse(p₀)],
+
+fitted from p₀ and again from where that ends, with the derivatives at p₀. The time step is extrapolated (BDF2 is of
+second order). The mesh is, by a = 0.42 or the order 1.75, where all edges are halved and nothing is struck: corners of
+a clamp make the order lower than the third of smooth displacements. What is left is taken as a third of the step's
+difference and half of the mesh's; where a is added, 0.3, since the difference does not shrink by one number everywhere,
+but 0.12 of what it does to the modulus: coarse elements are too stiff everywhere, which one number follows well.
+A fit that was made on the finer mesh already is told by the same differences, of which a quarter counts as left, and
+the step's is that of its own mesh: after an impact what half the step changes on one mesh says little of another.
+Its effect on a parameter is Σ_t g_t with g_t the first-order shift by frame t; as the error of one frame says little of
+the next one's after an impact, √Σ g_t² is taken where it is larger.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.identify.correction import parameter_shifts
+from physconvex.identify.frame_weights import WeightedObservations, frame_errors
+from physconvex.identify.full_fit import FULL_OPTIONS
+from physconvex.identify.levenberg_marquardt import Fit, fit
+from physconvex.identify.model import FullModel, LinearModel, Model, roll_out_together
+from physconvex.identify.observations import Observations
+from physconvex.identify.parameters import Parameter
+from physconvex.identify.uncertainty import noise_covariance
+from physconvex.mesh import Embedding, TetMesh
+
+__all__ = ["LEFT_BY_FITTED", "FinerFit", "extrapolated_nodes", "fit_finer"]
+
+_EXTRAPOLATED = 4.0 / 3.0
+_STEP_LEFT = 1.0 / 3.0
+_SETTLED = 0.3  # of a standard deviation
+_FAR = 0.2  # typical steps
+_BELIEVED = 1.0  # typical steps
+_RUNS_AWAY = 0.5  # typical steps, in the last turn
+_LINEAR_OPTIONS = replace(FULL_OPTIONS, max_iterations=30)  # a straight line costs nothing
+
+
+@dataclass(frozen=True)
+class _Share:
+    """Of the mesh's difference: what is added beyond the finer mesh, what counts as left; the latter for log10 E."""
+
+    added: float
+    left: float
+    left_of_modulus: float
+
+    def left_of(self, parameters: Sequence[Parameter]) -> np.ndarray:
+        """What counts as left of the effect on each parameter, shape [K]."""
+        return np.array([self.left_of_modulus if p.name == "log10_youngs_modulus" else self.left for p in parameters])
+
+
+# bars of quadratic elements, halved twice, leave .37 to .54 of a halving's difference (benchmarks/mesh_order.py): of
+# the modulus at most .54 − .42 is left
+_HALVED, _OTHERWISE = _Share(0.42, 0.3, 0.12), _Share(0.0, 0.5, 0.5)
+# of meshes with two to three times the nodes, and the best of several meshers
+LEFT_BY_FITTED = 0.25
+_FITTED = _Share(0.0, LEFT_BY_FITTED, LEFT_BY_FITTED)
+
+
+@dataclass(frozen=True, eq=False)
+class FinerFit:
+    """A fit with the differences added.
+
+    Attributes:
+        fit: of the cheap model, shifted.
+        left: standard deviation of each value by the error that is left, shape [K].
+        frame_errors: e_t, the error that is left by frame, in standard deviations of the noise, shape [T].
+        runs_away: whether the last turn still moved a value by half a typical step: meshes that part ever further, as
+            of a body that has landed on thin legs, do not say where the values are.
+    """
+
+    fit: Fit
+    left: Float[np.ndarray, " K"]
+    frame_errors: Float[np.ndarray, " T"]
+    runs_away: bool = False
+
+
+def fit_finer(
+    cheap: Model,
+    coarse: FullModel,
+    mesh: TetMesh | None,
+    observations: Observations,
+    found: Fit,
+    *,
+    turns: int = 3,
+) -> FinerFit:
+    """Fit again with what a finer mesh and half the time step change.
+
+    Every turn runs the finest model where the last one has ended. The derivatives, the step's difference and the errors
+    are kept until the values have moved far from where they were taken.
+
+    Args:
+        cheap: gives the derivatives: the full model itself, or the reduced one; on the finer mesh, if `found` is.
+        coarse: the full model.
+        mesh: the finer mesh; None: the time step alone.
+        observations: what was seen.
+        found: the fit of the full model, on either mesh.
+        turns: how many at most.
+
+    Raises:
+        ConvergenceError: a finer model fails.
+    """
+    finest = replace(coarse, mesh=coarse.mesh if mesh is None else mesh)
+    scales = np.array([p.step for p in found.parameters])
+    values, last, there, runs_away = found.values, found, None, False
+    for _ in range(turns):
+        if there is None or (np.abs(values - there.anchor) > _FAR * scales).any():
+            there = _differences(cheap, coarse, finest, observations, values)
+            best = there.finest
+        else:
+            best = finest.positions(values)
+        start = tuple(p.at(float(v)) for p, v in zip(found.parameters, values, strict=True))
+        model = LinearModel(cheap.names, values, best + there.beyond, there.tangents)
+        last = fit(model, there.weighted, [_near(p) for p in start], options=_LINEAR_OPTIONS)
+        last = replace(last, parameters=start)
+        moved, values = np.abs(last.values - values), last.values
+        settled = bool((moved <= _SETTLED * np.sqrt(np.diag(noise_covariance(last)))).all())
+        runs_away = not settled and bool((moved > _RUNS_AWAY * scales).any())
+        if settled:
+            break
+    assert there is not None
+    left = np.hypot(
+        there.share.left_of(last.parameters) * there.effect(last, there.by_mesh),
+        _STEP_LEFT * there.effect(last, there.by_step),
+    )
+    return FinerFit(last, left, there.errors, runs_away)
+
+
+@dataclass(frozen=True, eq=False)
+class _Differences:
+    """At `anchor` [K]: positions [T, P, 3] m of the coarse model, what mesh and step add, tangents, errors by frame."""
+
+    anchor: np.ndarray
+    coarse: np.ndarray
+    by_mesh: np.ndarray
+    by_step: np.ndarray
+    share: _Share
+    tangents: np.ndarray
+    errors: np.ndarray
+    weighted: WeightedObservations
+
+    @property
+    def finest(self) -> np.ndarray:
+        return np.asarray(self.coarse + self.by_mesh)
+
+    @property
+    def beyond(self) -> np.ndarray:
+        """What is added to the finer mesh's positions [m]."""
+        return np.asarray(self.share.added * self.by_mesh + _EXTRAPOLATED * self.by_step)
+
+    def effect(self, found: Fit, difference: np.ndarray) -> np.ndarray:
+        """How far a difference of the positions [m] moves each value: |Σ_t g_t|, or √Σ g_t² if that is more."""
+        change = self.weighted.residuals(self.coarse + difference) - self.weighted.residuals(self.coarse)
+        by_frame = parameter_shifts(found, change, np.asarray(self.weighted.frames))
+        return np.maximum(np.abs(by_frame.sum(0)), np.sqrt(np.square(by_frame).sum(0)))
+
+
+def _near(parameter: Parameter) -> Parameter:
+    """The same, bounded to where straight lines from its start are believed."""
+    lower, upper = parameter.start - _BELIEVED * parameter.step, parameter.start + _BELIEVED * parameter.step
+    return replace(parameter, lower=max(parameter.lower, lower), upper=min(parameter.upper, upper))
+
+
+def _differences(
+    cheap: Model, coarse: FullModel, finest: FullModel, observations: Observations, values: np.ndarray
+) -> _Differences:
+    fitted = isinstance(cheap, FullModel) and cheap.rolled_mesh is not coarse.rolled_mesh
+    stepped = finest if fitted else coarse  # after an impact another mesh's difference is another one
+    half = replace(stepped, refinement=2 * stepped.refinement)
+    roll_out_together(
+        [(half, values), (finest, values), (coarse, values)],
+        beside=[(cheap, values)] if isinstance(cheap, FullModel) else [],
+    )
+    tangents = cheap.linearise(values)[1]
+    x, fine, long, short = (model.positions(values) for model in (coarse, finest, stepped, half))
+    share = _FITTED if fitted else _share(coarse, finest)
+    errors = np.hypot(
+        share.left * frame_errors(observations, fine, x), _STEP_LEFT * frame_errors(observations, short, long)
+    )
+    weighted = WeightedObservations.by_errors(observations, errors)
+    return _Differences(values, x, fine - x, short - long, share, tangents, errors, weighted)
+
+
+def _share(coarse: FullModel, finest: FullModel) -> _Share:
+    halved = len(finest.rolled_mesh.tets) == 8 * len(coarse.rolled_mesh.tets)
+    return _HALVED if halved and not coarse.twin.may_strike else _OTHERWISE
+
+
+def extrapolated_nodes(
+    coarse: FullModel, finest: FullModel, values: Float[np.ndarray, " K"]
+) -> Float[np.ndarray, "T V 3"]:
+    """The finest mesh's nodes at the frames [m], with the share of the meshes' difference that the fit adds."""
+    nodes, share = finest.node_positions(values), _share(coarse, finest)
+    if not share.added:
+        return nodes
+    carried = Embedding.of_points(coarse.rolled_mesh, finest.rolled_mesh.vertices).apply(coarse.node_positions(values))
+    return np.asarray(nodes + share.added * (nodes - carried))

@@ -1,0 +1,254 @@
+"""How a body flies on after it has struck something hangs on details that no model has: rigid drift, eliminated.
+
+A mesh that is off by a hundredth of the size where a body lands turns the rebound by degrees, and a fit that may not
+move the body as a whole bends its material until the rebound is right. So from the first contact on the recording may
+part from the model by a rigid motion that grows: every frame k after it adds a change of velocity δv_k, of spin δω_k,
+
+    x_t → x_t + Σ_{k ≤ t} (t − k + ½) Δt [δv_k + δω_k × (x_t − c_t)],     δv_k, r δω_k ~ N(0, q²) in each axis,
+
+with c_t the points' centre and r their radius of gyration: an integrated random walk, as process noise is in a Kalman
+smoother. The kicks are fitted (a few Gauss–Newton steps, since drift may exceed what images are linear in) and the
+residuals whitened by (I + N Nᵀ)^(−½) about the fitted drift, N their derivatives by the kicks in units of q: estimates
+and intervals hold whatever the drift was. q is where the marginal likelihood is largest, ½ log det(I + N Nᵀ) its price;
+it is zero where the model follows, and at most a few times what two meshes of the body differ by (`model_drift`): else
+a wrong material would pass for drift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from physconvex.dynamics import Plane, Sphere
+from physconvex.identify.elimination import Elimination
+from physconvex.identify.nuisance import MarginalObservations
+from physconvex.identify.observations import Observations, WrappedObservations
+from physconvex.identify.outlines import with_drawn_outlines
+from physconvex.io import Workers
+from physconvex.numerics import best_rotation, huber_loss, huber_weights
+
+__all__ = ["DriftingObservations", "first_contact", "likely_drift", "model_drift"]
+
+_TURNS, _SETTLED = 6, 1e-3  # Gauss–Newton steps of the kicks, and the last of them in standard deviations
+_DRAWN = 2  # of these, in which a model's outline is sought anew
+_SHARES = (0.03, 0.1, 0.3, 1.0)  # of the most, tried as q
+_TOUCH = 2e-3  # of the body's size
+
+
+def first_contact(
+    positions: Float[np.ndarray, "T P 3"],
+    obstacles: Sequence[Plane | Sphere],
+    times: Float[np.ndarray, " T"],
+    gravity: Sequence[float] | Float[np.ndarray, " 3"],
+) -> int | None:
+    """The first frame by which one of the points has touched an obstacle, at least 1; None where none does.
+
+    A touch between two frames shows in where free flight from the frames before would have ended.
+
+    Args:
+        positions: of points of the surface [m].
+        obstacles: planes and spheres.
+        times: of the frames, equally spaced [s].
+        gravity: [m/s²].
+    """
+    reach = _TOUCH * float(np.ptp(positions[0], axis=0).max())
+    fall = np.asarray(gravity) * (times[1] - times[0]) ** 2 if len(times) > 1 else np.zeros(3)
+    for frame, (points, time) in enumerate(zip(positions, times, strict=True)):
+        free = 2 * positions[frame - 1] - positions[frame - 2] + fall if frame > 1 else points
+        if any((obstacle.gap(x, float(time)) < reach).any() for obstacle in obstacles for x in (points, free)):
+            return max(frame, 1)
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class DriftingObservations(WrappedObservations):
+    """Observations with rigid drift since the first contact eliminated.
+
+    Attributes:
+        seen: the observations.
+        begin: frame of the first contact, at least 1.
+        interval: time between frames Δt [s].
+        sigma: standard deviation q of each frame's change of velocity, and of spin times r [m/s].
+    """
+
+    seen: Observations
+    begin: int
+    interval: float
+    sigma: float
+
+    def in_frames(self, count: int) -> DriftingObservations:
+        """The first `count` frames alone."""
+        return replace(self, seen=self.seen.in_frames(count))
+
+    def residuals(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
+        """Whitened residuals."""
+        return self.linearise(positions, np.zeros((len(positions), 0, *positions.shape[1:])))[0]
+
+    def linearise(
+        self, positions: Float[np.ndarray, "T P 3"], tangents: Float[np.ndarray, "T K P 3"]
+    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+        """Whitened residuals and their derivatives (those of the kicks held fixed)."""
+        kicks = self._kicks(positions)
+        fitted = self._fitted(positions, kicks)
+        residuals, jacobian, slopes = self._by_kicks(self.seen, kicks.moved(positions, fitted), kicks, tangents)
+        columns = np.hstack([(residuals - slopes @ fitted)[:, None], jacobian])
+        columns = Elimination.of(slopes).whitened(columns)
+        return columns[:, 0], columns[:, 1:]
+
+    def drift(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, "T P 3"]:
+        """How far the recording has drifted from the model [m]."""
+        kicks = self._kicks(positions)
+        return kicks.moved(positions, self._fitted(positions, kicks)) - positions
+
+    def carried(
+        self, positions: Float[np.ndarray, "F P 3"], others: Float[np.ndarray, "F V 3"]
+    ) -> Float[np.ndarray, "F V 3"]:
+        """Other points of the body where the recording has them, drift and all [m].
+
+        Frames beyond those that were seen drift on at the last velocity and spin.
+
+        Args:
+            positions: of the observed points by the model, in at least all frames that were seen [m].
+            others: of the others by the model, in the same frames [m].
+        """
+        count = int(self.frames.max()) + 1
+        seen = positions[:count]
+        fitted = self._fitted(seen, self._kicks(seen))
+        return self._kicks(positions, others, kicked=count).moved(others, fitted)
+
+    def log_likelihood(self, positions: Float[np.ndarray, "T P 3"]) -> float:
+        """Of the residuals, the kicks integrated out, up to a constant; Huber's loss."""
+        kicks = self._kicks(positions)
+        fitted = self._fitted(positions, kicks)
+        residuals, _, slopes = self._by_kicks(self.seen, kicks.moved(positions, fitted), kicks)
+        loss = huber_loss(residuals, self.robust_scales)
+        return -loss - 0.5 * float(fitted @ fitted) - 0.5 * Elimination.of(slopes).log_determinant
+
+    def _kicks(self, positions: np.ndarray, others: np.ndarray | None = None, kicked: int | None = None) -> _Kicks:
+        """What the kicks of the first `kicked` frames, each of size q, do to the points, or to others."""
+        count, centre = len(positions), positions.mean(axis=1, keepdims=True)
+        radius = float(np.sqrt(np.square(positions[0] - centre[0]).sum(-1).mean()))
+        arms = (positions if others is None else others) - centre
+        ahead = np.arange(count)[:, None] - np.arange(self.begin, kicked or count) + 0.5
+        moves = [np.broadcast_to(axis, arms.shape) for axis in np.eye(3)]
+        moves += [np.cross(axis, arms) / radius for axis in np.eye(3)]
+        return _Kicks(np.where(ahead > 0, ahead, 0.0) * self.interval * self.sigma, np.stack(moves, axis=1))
+
+    def _by_kicks(
+        self, seen: Observations, moved: np.ndarray, kicks: _Kicks, tangents: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residuals [N], derivatives by the parameters [N, K] and by the kicks [N, C], at the moved points.
+
+        A residual of one frame feels kicks by what the six rigid motions do to that frame alone; nuisances mix frames.
+        """
+        alone = not isinstance(seen, MarginalObservations)
+        fields = kicks.moves if alone else kicks.fields()
+        both = fields if tangents is None else np.concatenate([tangents, fields], axis=1)
+        residuals, jacobian = seen.linearise(moved, both)
+        by_parameters, by_fields = np.split(jacobian, [both.shape[1] - fields.shape[1]], axis=1)
+        if not alone:
+            return residuals, by_parameters, by_fields
+        slopes = kicks.times[seen.frames][:, :, None] * by_fields[:, None, :]
+        return residuals, by_parameters, slopes.reshape(len(residuals), -1)
+
+    def _fitted(self, positions: np.ndarray, kicks: _Kicks) -> np.ndarray:
+        """The most likely kicks, in units of q; outlines are drawn anew in the first turns only."""
+        found, seen, limits = np.zeros(kicks.count), self.seen, self.robust_scales
+        for turn in range(_TURNS if kicks.count else 0):
+            moved = kicks.moved(positions, found)
+            if turn < _DRAWN:
+                seen = with_drawn_outlines(self.seen, moved)
+            residuals, _, slopes = self._by_kicks(seen, moved, kicks)
+            weighted = slopes * huber_weights(residuals, limits)[:, None]
+            change = np.linalg.solve(weighted.T @ slopes + np.eye(len(found)), weighted.T @ residuals + found)
+            found = found - change
+            if np.abs(change).max() < _SETTLED:
+                break
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Kicks:
+    """Rigid displacements by kicks.
+
+    Attributes:
+        times: what a kick of each frame does to the six rigid motions in each frame, shape [T, C/6].
+        moves: displacements of the points by the six, shape [T, 6, P, 3].
+    """
+
+    times: np.ndarray
+    moves: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """C, of kicks: six in each frame."""
+        return 6 * self.times.shape[1]
+
+    def fields(self) -> Float[np.ndarray, "T C P 3"]:
+        """Displacements by each kick [m]."""
+        fields = self.times[:, :, None, None, None] * self.moves[:, None]
+        return fields.reshape(len(fields), -1, *self.moves.shape[2:])
+
+    def moved(self, points: np.ndarray, kicks: np.ndarray) -> np.ndarray:
+        """The points [T, P, 3] after kicks [C]."""
+        amounts = self.times @ kicks.reshape(-1, 6)  # [T, 6]
+        return np.asarray(points + np.einsum("ta,tapi->tpi", amounts, self.moves))
+
+
+def likely_drift(
+    seen: Observations,
+    positions: Float[np.ndarray, "T P 3"],
+    begin: int,
+    interval: float,
+    *,
+    most: float,
+    workers: Workers | None = None,
+) -> DriftingObservations | None:
+    """The observations with the drift that is likeliest where the model puts the points; None where none is.
+
+    Args:
+        seen: the observations, without drift.
+        positions: of the points by the model [m].
+        begin: frame of the first contact.
+        interval: time between frames [s].
+        most: greatest q that is tried [m/s].
+        workers: try several at once.
+    """
+    if begin >= len(positions):
+        return None
+    trials = [DriftingObservations(seen, begin, interval, share * most) for share in (0.0, *_SHARES)]
+    likelihoods = (workers or Workers()).map(partial(_log_likelihood, positions), trials)
+    best = int(np.argmax(likelihoods))
+    return trials[best] if best else None
+
+
+def _log_likelihood(positions: np.ndarray, seen: DriftingObservations) -> float:
+    return seen.log_likelihood(positions)
+
+
+def model_drift(
+    one: Float[np.ndarray, "T P 3"], other: Float[np.ndarray, "T P 3"], begin: int, interval: float
+) -> float:
+    """The kicks by which one model's body drifts from another's as a rigid one: their rms in each axis [m/s].
+
+    Args:
+        one, other: positions of the same points [m].
+        begin: frame of the first contact.
+        interval: time between frames [s].
+    """
+    gaps = np.array([_rigid_gap(a, b) for a, b in zip(one, other, strict=True)])
+    kicks = np.diff(gaps, n=2, axis=0, prepend=np.zeros((1, 6)))[max(begin - 1, 0) :] / interval
+    return float(np.sqrt(np.square(kicks).mean())) if kicks.size else 0.0
+
+
+def _rigid_gap(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, " 6"]:
+    """Displacement, and rotation vector times the radius of gyration, that lay `one` best on `other` [m]."""
+    centres = one.mean(axis=0), other.mean(axis=0)
+    arms = one - centres[0]
+    turn = Rotation.from_matrix(best_rotation(one, other))
+    return np.concatenate([centres[1] - centres[0], np.sqrt(np.square(arms).sum(-1).mean()) * turn.as_rotvec()])

@@ -1,0 +1,18 @@
+from .camera import UNDISTORT_ITERATIONS as UNDISTORT_ITERATIONS, Camera as Camera, look_at as look_at
+from .capture.fields import read_json_object as read_json_object
+from .capture.folder import (
+    CAPTURE_FILE as CAPTURE_FILE,
+    Capture as Capture,
+    Floor as Floor,
+    load_capture as load_capture,
+)
+from .capture.parts import Boundary as Boundary, Tracks as Tracks
+from .capture.saving import save_capture as save_capture
+from .configuration import read_tree as read_tree, set_value as set_value, validated as validated
+from .processes import ONE_THREAD as ONE_THREAD, end_with_parent as end_with_parent, one_thread_each as one_thread_each
+from .video.errors import VideoCause as VideoCause, VideoError as VideoError
+from .video.frames import Video as Video
+from .video.images import read_image_sequence as read_image_sequence
+from .video.reading import read_video as read_video
+from .video.writing import write_video as write_video
+from .workers import Workers as Workers

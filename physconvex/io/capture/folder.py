@@ -1,0 +1,258 @@
+"""The capture folder: metadata in `capture.json`, everything else read when asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from physconvex.errors import InputError
+from physconvex.io.camera import Camera
+from physconvex.io.capture.fields import JsonFields, read_json_object
+from physconvex.io.capture.parts import Boundary, Tracks, read_arrays, read_boundary, read_tracks
+from physconvex.io.video.frames import Video
+from physconvex.io.video.images import read_image_sequence
+from physconvex.io.video.reading import read_video
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from physconvex.mesh import TetMesh
+
+__all__ = ["CAPTURE_FILE", "GRAVITY", "Capture", "Floor", "load_capture"]
+
+CAPTURE_FILE = "capture.json"
+GRAVITY = (0.0, 0.0, -9.81)  # [m/s²]
+DENSITY = 1000.0  # [kg/m³]
+MESH_SUFFIXES = (".obj", ".ply", ".glb")
+FIELDS = (
+    "fps", "frames", "observed_frames", "gravity", "density", "floor", "initial_velocity",
+    "initial_angular_velocity", "cameras",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Floor:
+    """A half-space that the body cannot enter."""
+
+    point: Float64[np.ndarray, " 3"]  # [m]
+    normal: Float64[np.ndarray, " 3"]  # unit vector, away from the floor
+    friction: float = 0.0  # Coulomb's coefficient
+
+    def __post_init__(self) -> None:
+        length = float(np.linalg.norm(self.normal))
+        if not length > 0:
+            raise InputError(f"floor.normal: got {list(self.normal)}, expected a vector that is not zero")
+        if not self.friction >= 0:
+            raise InputError(f"floor.friction: got {self.friction}, expected a number of at least 0")
+        object.__setattr__(self, "normal", np.asarray(self.normal, dtype=np.float64) / length)
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """What was recorded of one motion of one object, in SI units, world frame with z up.
+
+    Frame 0 is the state at t = 0. The first `observed_frames` may be fitted; the others are there to be
+    predicted. Initial velocities are None where the capture does not state them.
+    """
+
+    folder: Path
+    fps: float  # [1/s]
+    frames: int
+    observed_frames: int
+    cameras: tuple[Camera, ...] = ()
+    gravity: Float64[np.ndarray, " 3"] = field(default_factory=lambda: np.array(GRAVITY))  # [m/s²]
+    density: float = DENSITY  # [kg/m³]
+    floor: Floor | None = None
+    initial_velocity: Float64[np.ndarray, " 3"] | None = None  # [m/s] of the centre of mass
+    initial_angular_velocity: Float64[np.ndarray, " 3"] | None = None  # [rad/s]
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.observed_frames <= self.frames:
+            raise InputError(f"observed_frames: got {self.observed_frames}, expected 1 to frames = {self.frames}")
+        names = [camera.name for camera in self.cameras]
+        if len(set(names)) != len(names):
+            raise InputError(f"cameras: got the names {names}, expected each once")
+        for name in names:
+            if not name or name in (".", "..") or Path(name).name != name or name.endswith("_mask"):
+                raise InputError(f"cameras: name {name!r} cannot name a file; use letters, digits, - and _")
+
+    @property
+    def times(self) -> Float64[np.ndarray, " T"]:
+        """Time of each frame [s]."""
+        return np.arange(self.frames) / self.fps
+
+    @property
+    def object_size(self) -> float | None:
+        """Largest edge of the rest bounding box [m]; None where neither mesh nor tetrahedra are given."""
+        mesh = self.mesh()
+        if mesh is not None:
+            return float(np.ptp(np.asarray(mesh.vertices), axis=0).max())
+        tets = self.tets()
+        return None if tets is None else float(np.ptp(tets.vertices, axis=0).max())
+
+    def camera(self, name: str) -> Camera:
+        """The camera of that name."""
+        for camera in self.cameras:
+            if camera.name == name:
+                return camera
+        raise InputError(f"camera: got {name!r}, expected one of {[camera.name for camera in self.cameras]}")
+
+    @property
+    def filmed(self) -> tuple[Camera, ...]:
+        """The cameras of which there are images; of the others there may be masks alone."""
+        return tuple(camera for camera in self.cameras if any(map(_is_there, self._pictures(camera.name))))
+
+    def _pictures(self, camera: str) -> tuple[Path, Path]:
+        """Where its images may be: a video, a folder."""
+        return self.folder / f"{camera}.mp4", self.folder / camera
+
+    def video(self, camera: str) -> Video:
+        """All frames of one camera, timed by the capture's rate (not the file's).
+
+        Raises:
+            InputError: no video of that camera; another size than the camera's; fewer frames than stated.
+        """
+        size = self.camera(camera)
+        movie, images = self._pictures(camera)
+        if images.is_dir():
+            video, path = read_image_sequence(images, fps=self.fps), images
+        elif _is_there(movie):
+            video, path = read_video(movie, max_frames=max(2, self.frames)), movie
+        else:
+            raise InputError(
+                f"{movie}: no such file, nor a folder {images.name}/ of images; record or remove the camera"
+            )
+        _check_frames(path, video.frames.shape, (self.frames, size.h, size.w))
+        alpha = None if video.alpha is None else video.alpha[: self.frames]
+        return replace(video, frames=video.frames[: self.frames], alpha=alpha, fps=self.fps, timestamps=self.times)
+
+    def mask(self, camera: str) -> UInt8[np.ndarray, "T H W"] | None:
+        """Silhouettes (0 or 255) from `<camera>_mask.mp4` or the images' alpha; None where there are none."""
+        size, path = self.camera(camera), self.folder / f"{camera}_mask.mp4"
+        if path.exists():
+            frames = read_video(path, max_frames=max(2, self.frames)).frames[..., 0]
+            _check_frames(path, frames.shape, (self.frames, size.h, size.w))
+            coverage: np.ndarray | None = frames[: self.frames]
+        else:
+            coverage = self.video(camera).alpha
+        return None if coverage is None else np.where(coverage > 127, np.uint8(255), np.uint8(0))
+
+    def tracks(self) -> Tracks | None:
+        """Marker tracks, or None."""
+        path = self.folder / "tracks.npz"
+        if not path.exists():
+            return None
+        tracks = read_tracks(path)
+        if len(tracks.positions) != self.frames:
+            raise InputError(f"{path}: positions has {len(tracks.positions)} frames, {CAPTURE_FILE} has {self.frames}")
+        return tracks
+
+    def mesh(self) -> trimesh.Trimesh | None:
+        """Rest geometry in the world frame at t = 0, vertices as in the file; None where there is none."""
+        paths = [self.folder / f"mesh{suffix}" for suffix in MESH_SUFFIXES]
+        found = [path for path in paths if path.exists()]
+        if len(found) > 1:
+            raise InputError(f"{self.folder}: holds {[path.name for path in found]}, expected one mesh")
+        return _load_mesh(found[0]) if found else None
+
+    def tets(self) -> TetMesh | None:
+        """Tetrahedra of the rest geometry, or None."""
+        path = self.folder / "tets.npz"
+        if not path.exists():
+            return None
+        from physconvex.mesh import TetMesh  # loads torch, which a reader of videos does not need
+
+        arrays = read_arrays(path, needed=("vertices", "tets"))
+        try:
+            return TetMesh(arrays["vertices"], arrays["tets"])
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+
+    def boundary(self) -> Boundary | None:
+        """What is held, or None."""
+        path = self.folder / "boundary.npz"
+        if not path.exists():
+            return None
+        boundary = read_boundary(path)
+        if boundary.motion is not None and len(boundary.motion) != self.frames:
+            raise InputError(f"{path}: motion has {len(boundary.motion)} frames, {CAPTURE_FILE} has {self.frames}")
+        return boundary
+
+
+def load_capture(path: Path | str) -> Capture:
+    """Read `capture.json` of a folder; videos, meshes and arrays are read when asked for.
+
+    Raises:
+        InputError: no such folder or file, or a field that is missing or wrong.
+    """
+    folder = Path(path)
+    if folder.name == CAPTURE_FILE:
+        folder = folder.parent
+    fields = read_json_object(folder / CAPTURE_FILE)
+    fields.check_names(FIELDS)
+    frames = fields.count("frames")
+    gravity = fields.vector("gravity")
+    try:
+        return Capture(
+            folder=folder,
+            fps=fields.number("fps", positive=True),
+            frames=frames,
+            observed_frames=fields.count("observed_frames", default=frames),
+            cameras=_cameras(fields),
+            gravity=np.array(GRAVITY) if gravity is None else gravity,
+            density=fields.number("density", default=DENSITY, positive=True),
+            floor=_floor(fields.object("floor")),
+            initial_velocity=fields.vector("initial_velocity"),
+            initial_angular_velocity=fields.vector("initial_angular_velocity"),
+        )
+    except InputError as error:
+        located = str(error).startswith(str(fields.path))
+        raise InputError(str(error) if located else f"{fields.path}: {error}") from None
+
+
+def _floor(fields: JsonFields | None) -> Floor | None:
+    if fields is None:
+        return None
+    fields.check_names(("point", "normal", "friction"))
+    point, normal = fields.vector("point"), fields.vector("normal")
+    if point is None or normal is None:
+        raise fields.error("point" if point is None else "normal", "three numbers")
+    return Floor(point=point, normal=normal, friction=fields.number("friction", default=0.0))
+
+
+def _cameras(fields: JsonFields) -> tuple[Camera, ...]:
+    entries = fields.values.get("cameras", [])
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise fields.error("cameras", "a list of objects")
+    return tuple(Camera.from_json(entry) for entry in entries)
+
+
+def _is_there(path: Path) -> bool:
+    """Whether there is a file, a folder, or a link (which may lead nowhere, and then be named)."""
+    return path.exists() or path.is_symlink()
+
+
+def _check_frames(path: Path, got: tuple[int, ...], expected: tuple[int, int, int]) -> None:
+    if got[1:3] != expected[1:]:
+        raise InputError(
+            f"{path}: {got[2]}x{got[1]} pixels, {CAPTURE_FILE} says {expected[2]}x{expected[1]}; "
+            "correct the camera's w and h (and fl_x, fl_y, cx, cy with them)"
+        )
+    if got[0] < expected[0]:
+        raise InputError(f"{path}: {got[0]} frames, {CAPTURE_FILE} says {expected[0]}; correct `frames`")
+
+
+def _load_mesh(path: Path) -> trimesh.Trimesh:
+    import trimesh  # slow to load
+
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False)
+    except Exception as error:  # trimesh's readers raise whatever the broken file makes them
+        raise InputError(f"{path}: not a readable mesh ({type(error).__name__}: {error})") from error
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise InputError(f"{path}: holds no triangles")
+    return mesh

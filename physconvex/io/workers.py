@@ -1,0 +1,103 @@
+"""Independent calls made in other processes, for programs that work on one thing at a time."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import warnings
+from collections.abc import Callable, Iterable
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from multiprocessing import get_context
+from types import TracebackType
+from typing import Any, TypeVar
+
+import torch
+
+from physconvex.io.processes import end_with_parent, one_thread_each
+
+__all__ = ["Workers"]
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class Workers:
+    """Processes that are started with the first call for which more than one is allowed, and end with the block.
+
+    Functions, arguments and results must be picklable. A worker computes with one thread; it imports the
+    program's main module, as all of Python's do. Where a worker dies, its calls are made in this process instead.
+
+    Args:
+        processes: how many; 1: every call is made in this process.
+    """
+
+    def __init__(self, processes: int = 1) -> None:
+        self.processes = processes
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+            self._pool = None
+
+    @property
+    def running(self) -> bool:
+        """Whether processes have been started."""
+        return self._pool is not None
+
+    def begin(self, calls: int) -> None:
+        """Start processes for so many calls now, beside other work: they take seconds to import what they need."""
+        for _ in range(min(self.processes, calls) if self.processes > 1 else 0):
+            self.start(os.getpid)
+
+    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
+        """The results of a function, in order; several at once where there are several items."""
+        items = list(items)
+        if self.processes == 1 or len(items) < 2:
+            return [function(item) for item in items]
+        return [wait() for wait in [self.start(partial(function, item)) for item in items]]
+
+    def start(self, function: Callable[[], Result]) -> Callable[[], Result]:
+        """Begin a call; what is returned waits for its result. With one process, the call is made then."""
+        if self.processes == 1:
+            return function
+        try:
+            # as bytes, since torch would share its tensors' memory with the other process
+            with one_thread_each():  # a process is started when there is something to do for it
+                future = self._started().submit(_from_bytes, pickle.dumps(function))
+        except BrokenProcessPool:
+            return partial(self._here, function)
+        return partial(self._awaited, future, function)
+
+    def _started(self) -> ProcessPoolExecutor:
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(self.processes, mp_context=get_context("spawn"), initializer=_prepared)
+        return self._pool
+
+    def _awaited(self, future: Future[Any], function: Callable[[], Result]) -> Result:
+        try:
+            return pickle.loads(future.result())
+        except BrokenProcessPool:
+            return self._here(function)
+
+    def _here(self, function: Callable[[], Result]) -> Result:
+        if self.processes > 1:
+            warnings.warn("a worker process died: what it did is done one after the other", RuntimeWarning, 3)
+            self.processes = 1
+        return function()
+
+
+def _prepared() -> None:
+    end_with_parent()
+    torch.set_num_threads(1)
+
+
+def _from_bytes(call: bytes) -> bytes:
+    return pickle.dumps(pickle.loads(call)())

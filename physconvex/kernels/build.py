@@ -1,0 +1,160 @@
+"""C++ sources as loaded libraries: compiled on first use with the system's compiler, then kept."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+__all__ = [
+    "FLAGS",
+    "POINTER",
+    "SOURCES",
+    "Functions",
+    "KernelUnavailable",
+    "address",
+    "aligned",
+    "available",
+    "cache_folder",
+    "compiled",
+    "doubles",
+    "loaded",
+]
+
+SOURCES = Path(__file__).with_name("sources")
+COMPILERS = ("c++", "g++", "clang++")
+FLAGS = ("-std=c++17", "-O3", "-march=native", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math")
+COMPILE_SECONDS = 300
+POINTER: Any = ctypes.c_void_p
+Functions = Sequence[tuple[str, Any, Sequence[Any]]]
+"""Names of a library's functions, types of what they return and take."""
+_LINE = 64  # bytes
+
+
+class KernelUnavailable(RuntimeError):
+    """The kernel cannot be compiled or loaded here; the message says why."""
+
+
+def cache_folder() -> Path:
+    """Where compiled kernels are kept: $PHYSCONVEX_CACHE, else `physconvex` in the user's cache folder."""
+    given = os.environ.get("PHYSCONVEX_CACHE")
+    if given:
+        return Path(given)
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "physconvex"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "physconvex"
+
+
+def compiled(folder: Path, *, include: Sequence[Path] = (), flags: Sequence[str] = FLAGS) -> Path:
+    """Path of the library of a folder's `kernel.cpp`, for these flags, this compiler and this processor.
+
+    Args:
+        folder: of the sources; its headers and `kernel.cpp` lie there.
+        include: further folders of headers.
+        flags: of the compiler.
+
+    Raises:
+        KernelUnavailable: no compiler, it failed, or the cache cannot be written.
+    """
+    compiler = _compiler()
+    folders = (folder, *include)
+    sources = [path.read_bytes() for one in folders for path in sorted(one.iterdir()) if path.suffix in (".cpp", ".h")]
+    key = [*sources, " ".join(flags).encode(), compiler.encode(), _processor()]
+    name = hashlib.sha256(b"\0".join(key)).hexdigest()[:24]
+    library = cache_folder() / f"kernel-{name}.so"
+    if library.is_file():
+        return library
+    try:
+        library.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=library.parent) as scratch:
+            made = Path(scratch) / library.name
+            headers = [f"-I{one}" for one in include]
+            _run([compiler, *flags, *headers, str(folder / "kernel.cpp"), "-o", str(made)])
+            made.replace(library)  # in one step, so that two processes may do this at once
+    except OSError as error:
+        raise KernelUnavailable(f"{library.parent}: cannot be written: {error.strerror}") from None
+    return library
+
+
+def loaded(
+    folder: Path, functions: Functions, *, include: Sequence[Path] = (), flags: Sequence[str] = FLAGS
+) -> ctypes.CDLL:
+    """The library of a folder, see `compiled`, with its functions' types declared.
+
+    Raises:
+        KernelUnavailable: it cannot be compiled.
+    """
+    library = ctypes.CDLL(str(compiled(folder, include=include, flags=flags)))
+    for name, result, arguments in functions:
+        function = getattr(library, name)
+        function.argtypes, function.restype = list(arguments), result
+    return library
+
+
+@cache
+def available(load: Callable[[], ctypes.CDLL]) -> bool:
+    """Whether a library can be loaded; a compiler that is missing or fails is tried once."""
+    try:
+        load()
+    except KernelUnavailable:
+        return False
+    return True
+
+
+def doubles(array: np.ndarray) -> np.ndarray:
+    """An array as kernels read it: float64, contiguous; itself where it is that."""
+    return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def aligned(array: np.ndarray) -> np.ndarray:
+    """A contiguous copy that begins where a line of the processor's cache does: wide loads then take one line each."""
+    room = np.empty(array.nbytes + _LINE, dtype=np.uint8)
+    begin = -address(room) % _LINE
+    out = room[begin : begin + array.nbytes].view(array.dtype).reshape(array.shape)
+    out[...] = array
+    return out
+
+
+def address(array: np.ndarray) -> int:
+    """Where an array lies in memory."""
+    return array.__array_interface__["data"][0]
+
+
+def _compiler() -> str:
+    """Path of the first compiler found; $CXX goes before the usual names."""
+    for name in (os.environ.get("CXX"), *COMPILERS):
+        found = shutil.which(name) if name else None
+        if found:
+            return found
+    raise KernelUnavailable(f"no C++ compiler found (looked for $CXX, {', '.join(COMPILERS)})")
+
+
+def _run(command: list[str]) -> None:
+    """Run a compiler."""
+    try:
+        result = subprocess.run(command, capture_output=True, text=True, timeout=COMPILE_SECONDS, check=False)
+    except subprocess.TimeoutExpired:
+        raise KernelUnavailable(f"{command[0]} did not end within {COMPILE_SECONDS} s") from None
+    if result.returncode:
+        raise KernelUnavailable(f"{command[0]} failed:\n{result.stderr.strip()[-2000:]}")
+
+
+def _processor() -> bytes:
+    """What the compiler's -march=native depends on: a home folder may be shared by unlike machines."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    told = [line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))]
+    return "\n".join([platform.machine(), platform.processor(), *dict.fromkeys(told)]).encode()

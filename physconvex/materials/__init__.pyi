@@ -1,0 +1,32 @@
+from .combined_flows import Flows as Flows, stored_flows as stored_flows
+from .inelastic import (
+    FlowRule as FlowRule,
+    FlowStep as FlowStep,
+    Plasticine as Plasticine,
+    Sand as Sand,
+    StandardLinearSolid as StandardLinearSolid,
+)
+from .laws import (
+    LAWS as LAWS,
+    Law as Law,
+    LawName as LawName,
+    get_law as get_law,
+    lame_parameters as lame_parameters,
+    project_to_positive as project_to_positive,
+    strain_stiffness as strain_stiffness,
+)
+from .strain_terms import (
+    combined as combined,
+    less_ground as less_ground,
+    with_fibres as with_fibres,
+    with_strain_stiffening as with_strain_stiffening,
+)
+from .volumetric import (
+    KERNEL_LAWS as KERNEL_LAWS,
+    NEARLY_FLAT as NEARLY_FLAT,
+    cofactor_and_determinant as cofactor_and_determinant,
+    energy_and_stress as energy_and_stress,
+    is_volumetric as is_volumetric,
+    nearly_flat as nearly_flat,
+    volumetric_term as volumetric_term,
+)

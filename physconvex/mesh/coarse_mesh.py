@@ -1,0 +1,61 @@
+"""Few tetrahedra that still are the body: meshes of a surface judged by what they share with it."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from physconvex.errors import ConvergenceError
+from physconvex.mesh.embedding import locate
+from physconvex.mesh.meshing import tetrahedralize
+from physconvex.mesh.signed_distance import overlap
+from physconvex.mesh.tet_mesh import TetMesh
+from physconvex.mesh.volume import enclosed_volume
+
+__all__ = ["faithful_mesh", "unfaithfulness"]
+
+_GROWTH = (1.0, 2.0)  # of the number of nodes asked for
+_GOOD, _GOOD_OPEN = 0.25, 0.03  # of the volume; of the size, where the surface is open
+_SAMPLES = 600
+
+
+def faithful_mesh(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"], *, max_nodes: int) -> TetMesh:
+    """Quadratic tetrahedra of a surface with at most `max_nodes` nodes, or more where so few lose parts of the body.
+
+    Thin parts vanish from meshes that are too coarse for them. Up to twice the nodes are tried then, and the
+    first mesh is taken that is faithful enough, else the most faithful one.
+
+    Raises:
+        InputError: the surface encloses no volume.
+        ConvergenceError: no mesh was found.
+    """
+    best: tuple[float, TetMesh] | None = None
+    failure: ConvergenceError | None = None
+    good = _GOOD if enclosed_volume(vertices, triangles) is not None else _GOOD_OPEN
+    for growth in _GROWTH:
+        try:
+            mesh = tetrahedralize((vertices, triangles), max_nodes=round(growth * max_nodes), order=2, method="auto")
+        except ConvergenceError as error:
+            failure = error
+            continue
+        wrong = unfaithfulness(mesh, vertices, triangles)
+        if best is None or wrong < best[0]:
+            best = (wrong, mesh)
+        if wrong < good:
+            break
+    if best is None:
+        assert failure is not None
+        raise failure
+    return best[1]
+
+
+def unfaithfulness(mesh: TetMesh, vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> float:
+    """Share of the volume of body and mesh together that only one of them has.
+
+    Of a surface that is open: the rms distance of its vertices from the mesh, in its size.
+    """
+    if enclosed_volume(vertices, triangles) is not None:
+        return 1.0 - overlap(mesh, vertices, triangles)
+    stride = max(1, len(vertices) // _SAMPLES)
+    away = locate(mesh, vertices[np.unique(triangles)][::stride])[3]
+    return float(np.sqrt(np.square(away).mean())) / float(np.ptp(vertices, axis=0).max())

@@ -1,0 +1,235 @@
+"""Points and surfaces carried by a tetrahedral mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
+
+from physconvex.errors import InputError
+from physconvex.mesh.elements import shape_gradients, shape_values
+from physconvex.mesh.tet_mesh import FACE_CORNERS, TetMesh
+
+__all__ = ["Embedding", "contains", "continued_shape_values", "locate", "nearest_on_triangles", "sample_interior"]
+
+# Faces tried per point (nearest centres first), pairs of both handled at once, and how far outside (in barycentric
+# coordinates) still counts as inside.
+CANDIDATES, BLOCK, TOLERANCE = 32, 2_000_000, -1e-9
+
+
+@dataclass(frozen=True)
+class Embedding:
+    """Points written as combinations of the nodes of one element each.
+
+    Attributes:
+        elements: element that carries each point, shape [P].
+        weights: shape functions of that element at the point, shape [P, 4] or [P, 10]; each row sums to one.
+        nodes: the nodes the weights belong to, shape [P, 4] or [P, 10].
+        node_count: nodes of the mesh.
+        max_distance: how far the outermost point lies outside the mesh [m] (0 if all are inside). Such points
+            move with the nearest point of the mesh, and with the mean deformation gradient of its element about it.
+    """
+
+    elements: Int[np.ndarray, " P"]
+    weights: Float[np.ndarray, "P n"]
+    nodes: Int[np.ndarray, "P n"]
+    node_count: int
+    max_distance: float = 0.0
+
+    @classmethod
+    def of_points(cls, mesh: TetMesh, points: Float[np.ndarray, "P 3"]) -> Embedding:
+        """Find the containing (else the nearest) element of every point.
+
+        Args:
+            mesh: the mesh at rest.
+            points: rest positions [m], shape [P, 3].
+
+        Raises:
+            InputError: `points` is not a finite [P, 3] array.
+        """
+        points = np.asarray(points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+            raise InputError(f"points: got shape {points.shape}; expected finite [P, 3] in metres")
+        elements, barycentric, anchors, distance = locate(mesh, points)
+        return cls(
+            elements=elements,
+            weights=continued_shape_values(barycentric, anchors, distance > 0, mesh.order),
+            nodes=mesh.tets[elements],
+            node_count=len(mesh.vertices),
+            max_distance=float(distance.max(initial=0.0)),
+        )
+
+    @cached_property
+    def matrix(self) -> csr_matrix:
+        """Sparse interpolation matrix, shape [P, V]."""
+        count, width = self.weights.shape
+        rows = np.arange(0, count * width + 1, width)
+        return csr_matrix((self.weights.ravel(), self.nodes.ravel(), rows), shape=(count, self.node_count))
+
+    def apply(self, positions: Float[np.ndarray, "*B V c"]) -> Float[np.ndarray, "*B P c"]:
+        """Positions (or any nodal field) of the points for given nodal values.
+
+        Args:
+            positions: nodal values, shape [..., V, C], for example positions [T, V, 3] in metres.
+
+        Raises:
+            InputError: the number of nodes is not that of the mesh.
+        """
+        values = np.asarray(positions)
+        if values.ndim < 2 or values.shape[-2] != self.node_count:
+            raise InputError(f"positions: got shape {values.shape}; expected [..., {self.node_count}, C]")
+        columns = np.moveaxis(values, -2, 0).reshape(self.node_count, -1)
+        result = self.matrix @ columns
+        return np.moveaxis(result.reshape(-1, *values.shape[:-2], values.shape[-1]), 0, -2)
+
+
+def sample_interior(
+    mesh: TetMesh, count: int, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "P 3"], Float[np.ndarray, " P"]]:
+    """Points spread uniformly over the volume, and the volume each stands for.
+
+    Systematic sampling: every element gets its share of the points up to one, so the spread over the body is
+    more even than that of independent draws.
+
+    Args:
+        mesh: the body.
+        count: number of points P.
+        rng: source of randomness.
+
+    Returns:
+        Points [m], shape [P, 3], and volume weights [m³], shape [P], whose sum is the volume of the mesh.
+
+    Raises:
+        InputError: `count` is not positive.
+    """
+    if count < 1:
+        raise InputError(f"count: got {count}; expected at least one point")
+    cumulative = np.cumsum(mesh.element_volumes)
+    levels = (np.arange(count) + rng.random(count)) / count * cumulative[-1]
+    elements = np.minimum(np.searchsorted(cumulative, levels, side="right"), len(cumulative) - 1)
+    barycentric = rng.exponential(size=(count, 4))
+    barycentric /= barycentric.sum(axis=1, keepdims=True)
+    points = np.einsum("pk,pka->pa", barycentric, mesh.vertices[mesh.corner_tets[elements]])
+    return points, np.full(count, mesh.volume / count)
+
+
+def continued_shape_values(barycentric: np.ndarray, anchors: np.ndarray, outside: np.ndarray, order: int) -> np.ndarray:
+    """Shape functions [P, n] at points inside; outside continued about the anchors by the element's mean gradient.
+
+    A quadratic element continued as it is would throw far points away: its shape functions grow with the square
+    of the distance, and its gradient varies most at its surface. Its mean gradient, which is that at its centre, still
+    reproduces every affine map, and the result joins the element's own map at its surface.
+    """
+    values = shape_values(anchors, order)
+    away = (barycentric - anchors)[outside]
+    centre = np.full((1, barycentric.shape[1]), 1 / barycentric.shape[1])
+    values[outside] += away @ shape_gradients(centre, order)[0].T
+    return values
+
+
+def locate(mesh: TetMesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Where every point lies.
+
+    Returns:
+        Its element [P], its barycentric coordinates there [P, 4], those of the nearest point of the mesh [P, 4], and
+        the distance between the two [m], shape [P].
+    """
+    corners = mesh.vertices[mesh.corner_tets]
+    inverse = _inverse_edges(corners)
+    elements, depth = _deepest(corners, inverse, points)
+    outside = np.flatnonzero(depth < TOLERANCE)
+    nearest, distance = points.copy(), np.zeros(len(points))
+    for block in np.array_split(outside, 1 + len(outside) * 2 * CANDIDATES // BLOCK):
+        if len(block):
+            found = _nearest_element(mesh, corners, inverse, points[block])
+            elements[block], nearest[block], distance[block] = found
+    barycentric = _barycentric(corners, inverse, elements, points)
+    anchors = barycentric.copy()
+    anchors[outside] = _barycentric(corners, inverse, elements[outside], nearest[outside])
+    return elements, barycentric, anchors, distance
+
+
+def contains(mesh: TetMesh, points: Float[np.ndarray, "P 3"]) -> Bool[np.ndarray, " P"]:
+    """Which points [m] lie in the mesh."""
+    corners = mesh.vertices[mesh.corner_tets]
+    return _deepest(corners, _inverse_edges(corners), points)[1] >= TOLERANCE
+
+
+def _inverse_edges(corners: np.ndarray) -> np.ndarray:
+    return np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
+
+
+def _deepest(corners: np.ndarray, inverse: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of the elements in whose sphere a point lies, that in which it lies deepest [P], and how deep [P], else -inf."""
+    centres, every = corners.mean(axis=1), np.arange(len(corners))
+    reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1) * (1 + 1e-9)
+    elements, depth = np.zeros(len(points), dtype=np.int64), np.full(len(points), -np.inf)
+    for block in np.array_split(np.arange(len(points)), 1 + len(points) * CANDIDATES // BLOCK):
+        near = cKDTree(points[block]).query_ball_point(centres, reach)
+        if not any(near):
+            continue
+        cells = np.repeat(every, [len(rows) for rows in near])
+        rows = block[np.concatenate([rows for rows in near if rows])]
+        smallest = _barycentric(corners, inverse, cells, points[rows]).min(axis=1)
+        order = np.lexsort((smallest, rows))
+        last = order[np.flatnonzero(np.diff(rows[order], append=-1))]
+        elements[rows[last]], depth[rows[last]] = cells[last], smallest[last]
+    return elements, depth
+
+
+def _barycentric(corners: np.ndarray, inverse: np.ndarray, elements: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Barycentric coordinates [..., 4] of `points` [..., 3] in `elements` [...]."""
+    inner = np.einsum("...ij,...j->...i", inverse[elements], points - corners[elements, 0])
+    return np.concatenate([1.0 - inner.sum(axis=-1, keepdims=True), inner], axis=-1)
+
+
+def _nearest_element(
+    mesh: TetMesh, corners: np.ndarray, inverse: np.ndarray, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Element nearest to points outside the mesh, its nearest point and the distance.
+
+    The nearest of the boundary faces whose centres are close; where several are equally near (the point sees an
+    edge or a corner), the one whose element has to be continued least.
+    """
+    owner, faces = _boundary_faces_with_owner(mesh)
+    triangles = mesh.vertices[faces]
+    count = min(CANDIDATES, len(faces))
+    near = cKDTree(triangles.mean(axis=1)).query(points, k=[*range(1, count + 1)])[1]
+    feet = nearest_on_triangles(triangles[near], points[:, None])
+    gaps = np.linalg.norm(points[:, None] - feet, axis=-1)
+    row, closest = np.arange(len(points)), gaps.argmin(axis=1)
+    depth = _barycentric(corners, inverse, owner[near], points[:, None]).min(axis=2)
+    tied = np.linalg.norm(feet - feet[row, closest][:, None], axis=-1) <= 1e-9 * mesh.size
+    best = np.where(tied, depth, -np.inf).argmax(axis=1)
+    return owner[near[row, best]], feet[row, best], gaps[row, closest]
+
+
+def _boundary_faces_with_owner(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Element [F] and corners [F, 3] of every boundary face."""
+    faces = mesh.corner_tets[:, FACE_CORNERS].reshape(-1, 3)
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    single = first[count == 1]
+    return single // 4, faces[single]
+
+
+def nearest_on_triangles(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points of `triangles` [..., 3, 3] nearest to `points` [..., 3]."""
+    normal = np.cross(triangles[..., 1, :] - triangles[..., 0, :], triangles[..., 2, :] - triangles[..., 0, :])
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    height = np.einsum("...a,...a->...", normal, points - triangles[..., 0, :])
+    inside = np.ones(height.shape, dtype=bool)
+    nearest, gap = np.zeros((*height.shape, 3)), np.full(height.shape, np.inf)
+    for i in range(3):
+        start, along = triangles[..., i, :], triangles[..., (i + 1) % 3, :] - triangles[..., i, :]
+        offset = points - start
+        inside &= np.einsum("...a,...a->...", np.cross(along, offset), normal) >= 0
+        t = np.einsum("...a,...a->...", offset, along) / np.einsum("...a,...a->...", along, along)
+        foot = start + np.clip(t, 0, 1)[..., None] * along
+        away = np.linalg.norm(points - foot, axis=-1)
+        nearest = np.where((away < gap)[..., None], foot, nearest)
+        gap = np.minimum(gap, away)
+    return np.where(inside[..., None], points - height[..., None] * normal, nearest)

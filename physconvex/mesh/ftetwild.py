@@ -1,0 +1,170 @@
+"""fTetWild (Hu et al. 2020), which fills anything: one run, checked; and runs that grow coarser until nodes are few."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.mesh.quality import mean_ratios
+from physconvex.mesh.tet_mesh import TetMesh, compact, to_quadratic
+from physconvex.mesh.volume import enclosed_volume, with_volume
+
+__all__ = ["diagonal_of", "fill", "fill_within"]
+
+# Elements flatter than this would ruin the conditioning of the stiffness matrix.
+MIN_MEAN_RATIO = 0.02
+# How often the resolution is made coarser to respect `max_nodes`, and by how much.
+COARSENINGS, COARSENING_FACTOR = 6, 1.35
+# The share of `max_nodes` below which a mesh does not come near it, and how often it is then made finer again.
+NEAR, REFINEMENTS = 0.75, 3
+# What fTetWild writes into the current folder, whatever it is told.
+LEFT_BEHIND = "__tracked_surface.stl"
+# Volume per area of the surface, in units of fTetWild's tolerance, below which nothing was enclosed: a single sliver
+# may be left of an open sheet.
+LEAST_THICKNESS = 0.1
+
+
+class _NothingEnclosedError(InputError):
+    """A mesh without the volume of its surface."""
+
+
+def fill_within(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    *,
+    length: float,
+    epsilon: float,
+    max_nodes: int | None,
+    order: Literal[1, 2],
+    match_volume: bool,
+    iterations: int,
+    threads: int,
+    near: bool = False,
+) -> TetMesh:
+    """A mesh of at most `max_nodes` nodes: edge length and tolerance grow until that is met.
+
+    With `near` they shrink again, thrice at most, where that mesh has less than three quarters of these.
+
+    Raises:
+        InputError: the surface encloses no volume.
+        ConvergenceError: no mesh with sound elements, or none within `max_nodes`, was found.
+    """
+    volume = enclosed_volume(vertices, faces) if match_volume else None
+
+    def meshed(factor: float) -> TetMesh:
+        mesh = fill(vertices, faces, length * factor, epsilon * factor, iterations, threads)
+        return to_quadratic(mesh) if order == 2 else mesh
+
+    factor, sound, lost, nodes = 1.0, 1.0, np.inf, 0
+    for _ in range(COARSENINGS):
+        try:
+            mesh = meshed(factor)
+        except _NothingEnclosedError:
+            if nodes == 0:
+                raise
+            factor, lost = float(np.sqrt(factor * sound)), factor  # thin walls: as coarse as they stand
+            continue
+        if max_nodes is None or len(mesh.vertices) <= max_nodes:
+            if near and max_nodes is not None:
+                mesh = _finer(mesh, factor, sound if nodes else None, max_nodes, meshed)
+            return mesh if volume is None else with_volume(mesh, volume)
+        nodes, sound = len(mesh.vertices), factor
+        factor = min(factor * COARSENING_FACTOR, float(np.sqrt(factor * lost)))
+    thin = "" if np.isinf(lost) else f" (at {epsilon * lost:.3f} its walls are lost)"
+    raise ConvergenceError(
+        f"tetrahedralize: still {nodes} nodes at epsilon {epsilon * sound:.3f}{thin} after {COARSENINGS} attempts, "
+        f"max_nodes is {max_nodes}; allow more nodes or simplify the surface"
+    )
+
+
+def _finer(
+    mesh: TetMesh, factor: float, too_fine: float | None, max_nodes: int, meshed: Callable[[float], TetMesh]
+) -> TetMesh:
+    """A mesh that comes near `max_nodes`, or the one with most nodes of those that were made.
+
+    Args:
+        mesh: one of few nodes, which this factor on edge length and tolerance gave.
+        factor: on edge length and tolerance.
+        too_fine: a factor that gave too many nodes, if one is known.
+        max_nodes: of the result.
+        meshed: makes another.
+    """
+    for _ in range(REFINEMENTS):
+        if len(mesh.vertices) >= NEAR * max_nodes:
+            break
+        trial = factor / COARSENING_FACTOR if too_fine is None else float(np.sqrt(factor * too_fine))
+        try:
+            other = meshed(trial)
+        except (ConvergenceError, InputError):
+            break
+        if len(other.vertices) > max_nodes:
+            too_fine = trial
+        else:
+            factor, mesh = trial, max(mesh, other, key=lambda one: len(one.vertices))
+    return mesh
+
+
+def fill(
+    vertices: np.ndarray, faces: np.ndarray, length: float, epsilon: float, iterations: int, threads: int
+) -> TetMesh:
+    """One run of fTetWild, checked: edges of about `length` [m], at most `epsilon` diagonals from the surface."""
+    import pytetwild  # here: it loads VTK, which takes a while
+
+    centre, scale = vertices.mean(axis=0), float(np.ptp(vertices, axis=0).max())
+    left_behind = Path(LEFT_BEHIND).absolute()
+    was_there = left_behind.exists()
+    try:
+        nodes, tets = pytetwild.tetrahedralize(
+            (vertices - centre) / scale,
+            faces,
+            edge_length_abs=length / scale,
+            epsilon=epsilon,
+            coarsen=True,
+            num_opt_iter=iterations,
+            num_threads=threads,
+        )
+    except RuntimeError as error:
+        raise ConvergenceError(f"tetrahedralize: fTetWild failed: {error}; repair or simplify the surface") from error
+    finally:
+        if not was_there:
+            left_behind.unlink(missing_ok=True)
+    nodes = np.asarray(nodes, dtype=np.float64).reshape(-1, 3)
+    tets = _positive(nodes, np.asarray(tets, dtype=np.int64).reshape(-1, 4))
+    if _volume(nodes, tets) * scale**3 < LEAST_THICKNESS * epsilon * diagonal_of(vertices) * _area(vertices, faces):
+        raise _NothingEnclosedError(
+            "surface: it encloses no volume that a mesh of this resolution could fill; "
+            "close its holes, orient its faces outwards, or lower epsilon"
+        )
+    ratios = mean_ratios(nodes, tets)
+    if ratios.min() < MIN_MEAN_RATIO:
+        raise ConvergenceError(
+            f"tetrahedralize: {np.sum(ratios < MIN_MEAN_RATIO)} of {len(tets)} elements are flat (mean ratio "
+            f"{ratios.min():.1e}); try another target_edge_length or epsilon, or raise max_iterations"
+        )
+    return compact(nodes * scale + centre, tets)
+
+
+def _volume(vertices: np.ndarray, tets: np.ndarray) -> float:
+    x = vertices[tets]
+    return float(np.linalg.det(x[:, 1:] - x[:, :1]).sum()) / 6.0
+
+
+def diagonal_of(vertices: np.ndarray) -> float:
+    """Of the bounding box [m]."""
+    return float(np.linalg.norm(np.ptp(vertices, axis=0)))
+
+
+def _area(vertices: np.ndarray, faces: np.ndarray) -> float:
+    x = vertices[faces]
+    return 0.5 * float(np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum())
+
+
+def _positive(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """The tetrahedra with two corners swapped wherever the orientation is negative."""
+    x = vertices[tets]
+    negative = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
+    return np.where(negative[:, None], tets[:, [0, 2, 1, 3]], tets)

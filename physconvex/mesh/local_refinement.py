@@ -1,0 +1,70 @@
+"""Tetrahedral meshes made finer where they should be: longest edges bisected."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.errors import InputError
+from physconvex.mesh.tet_mesh import EDGE_CORNERS, TetMesh, linear_part, to_quadratic
+
+__all__ = ["refine_locally"]
+
+_EQUAL = 1.0 + 1e-9  # ratio of lengths up to which edges count as equally long
+
+
+def refine_locally(mesh: TetMesh, spacing: Float[np.ndarray, " V"], *, max_nodes: int) -> TetMesh:
+    """The same geometry with edges bisected, those first that are longest in units of the wanted spacing.
+
+    Every tetrahedron at a bisected edge is cut in two, so that elements fit face to face. The edge that is bisected is
+    the longest of all tetrahedra around it: from the one that is wanted, longer neighbours are followed until there is
+    none (longest-edge propagation path, Rivara 1997), which keeps elements from growing flat.
+
+    Args:
+        mesh: of either order.
+        spacing: wanted edge length at each node of `mesh`, in any unit; linear in between.
+        max_nodes: upper bound on the nodes of the result, which has the order of `mesh`.
+
+    Raises:
+        InputError: a spacing is missing or not positive.
+    """
+    if spacing.shape != (len(mesh.vertices),) or not (spacing > 0).all():
+        raise InputError(f"spacing: got shape {spacing.shape}; expected one positive length for each of the nodes")
+    best = linear_part(mesh)
+    spacing = spacing[np.unique(mesh.corner_tets)]  # in the order of `linear_part`
+    vertices, tets = best.vertices, best.tets
+    while _node_count(vertices, tets, mesh.order) <= max_nodes:
+        best = TetMesh(vertices, tets)
+        vertices, tets, spacing = _bisected(vertices, tets, spacing)
+    return to_quadratic(best) if mesh.order == 2 else best
+
+
+def _node_count(vertices: np.ndarray, tets: np.ndarray, order: int) -> int:
+    return len(vertices) if order == 1 else len(vertices) + len(_edges(tets)[0])
+
+
+def _edges(tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The edges [N, 2], and which of them the six of each tetrahedron are [E, 6]."""
+    all_edges = np.sort(tets[:, EDGE_CORNERS], axis=2).reshape(-1, 2)
+    edges, index = np.unique(all_edges, axis=0, return_inverse=True)
+    return edges, index.reshape(-1, 6)
+
+
+def _bisected(vertices: np.ndarray, tets: np.ndarray, spacing: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, tetrahedra and spacings after one bisection."""
+    edges, of_tet = _edges(tets)
+    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    edge = int(np.argmax(length / spacing[edges].mean(axis=1)))
+    while True:
+        around = np.flatnonzero((of_tet == edge).any(axis=1))
+        candidates = of_tet[around].ravel()
+        longest = int(candidates[np.argmax(length[candidates])])
+        if length[longest] <= _EQUAL * length[edge]:
+            break
+        edge = longest
+    first, second = edges[edge]
+    near, far = tets[around].copy(), tets[around].copy()
+    near[near == second] = far[far == first] = len(vertices)
+    tets = np.concatenate([np.delete(tets, around, axis=0), near, far])
+    middle = vertices[[first, second]].mean(axis=0)
+    return np.vstack([vertices, middle]), tets, np.append(spacing, spacing[[first, second]].mean())

@@ -1,0 +1,60 @@
+"""Signed distance from closed triangle surfaces, and how much a mesh has in common with what one encloses."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from physconvex.mesh.embedding import contains
+from physconvex.mesh.stuffing import SignedDistance
+from physconvex.mesh.tet_mesh import TetMesh
+
+__all__ = ["merged", "overlap", "surface_distance"]
+
+_SAMPLES = 20_000
+
+
+def merged(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "G 3"]]:
+    """The same surface with one vertex per place, without triangles that this makes flat: seams of a texture close."""
+    vertices, index = np.unique(vertices, axis=0, return_inverse=True)
+    faces = index.reshape(-1)[faces]
+    sound = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return vertices, faces[sound]
+
+
+def surface_distance(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> SignedDistance:
+    """Signed distance from a closed, outward oriented surface, negative inside."""
+    import vtk
+    from vtk.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
+
+    vertices, faces = merged(vertices, faces)
+    points, cells, data = vtk.vtkPoints(), vtk.vtkCellArray(), vtk.vtkPolyData()
+    points.SetData(numpy_to_vtk(vertices, deep=True))
+    cells.SetData(3, numpy_to_vtkIdTypeArray(faces.astype(np.int64).ravel(), deep=True))
+    data.SetPoints(points)
+    data.SetPolys(cells)
+    distance = vtk.vtkImplicitPolyDataDistance()
+    distance.SetInput(data)
+
+    def field(p: np.ndarray) -> np.ndarray:
+        result = vtk.vtkDoubleArray()
+        distance.FunctionValue(numpy_to_vtk(np.ascontiguousarray(p, dtype=np.float64), deep=True), result)
+        return vtk_to_numpy(result).copy()
+
+    return field
+
+
+def overlap(mesh: TetMesh, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> float:
+    """Volume that a mesh and the inside of a closed surface have in common, over the volume of both together.
+
+    By 20,000 points, always the same: the error is about .005.
+    """
+    low = np.minimum(vertices[np.unique(faces)].min(axis=0), mesh.vertices.min(axis=0))
+    high = np.maximum(vertices[np.unique(faces)].max(axis=0), mesh.vertices.max(axis=0))
+    points = np.random.default_rng(0).uniform(low, high, (_SAMPLES, 3))
+    wanted = surface_distance(vertices, faces)(points) < 0
+    meshed = contains(mesh, points)
+    both = float((wanted | meshed).sum())
+    return float((wanted & meshed).sum()) / both if both else 0.0

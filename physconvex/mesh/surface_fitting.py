@@ -1,0 +1,165 @@
+"""Coarse meshes drawn to a surface while their elements stay well shaped."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import minimize
+from scipy.spatial import cKDTree
+
+from physconvex.mesh.tet_mesh import TetMesh
+
+__all__ = ["fit_to_surface"]
+
+# Edges of a regular tetrahedron as columns, inverted: maps the edges of an element to a deformation gradient.
+REGULAR_INVERSE = np.linalg.inv(
+    np.array([[1.0, 0.5, 0.5], [0.0, np.sqrt(3) / 2, np.sqrt(3) / 6], [0.0, 0.0, np.sqrt(2 / 3)]])
+)
+# Weight of the squared distances (relative to the element size) against the mean element distortion.
+DISTANCE_WEIGHT = 40.0
+# Triangles tried for each surface point, nearest centres first.
+CANDIDATES = 16
+
+
+def fit_to_surface(
+    mesh: TetMesh,
+    points: Float[np.ndarray, "S 3"],
+    normals: Float[np.ndarray, "S 3"],
+    *,
+    rounds: int = 6,
+    iterations: int = 12,
+) -> TetMesh:
+    """Move all nodes so that the boundary follows a surface and the elements stay close to regular.
+
+    Alternates between pairing (boundary nodes with their nearest surface points, surface points with their nearest
+    boundary triangles) and L-BFGS on the point-to-plane distances of the pairs plus the distortion
+    tr(FᵀF) / (3 det(F)^(2/3)) of the elements (Knupp 2001), which is infinite for flat ones.
+
+    Args:
+        mesh: linear mesh near the surface, elements positive.
+        points: points of the surface [m].
+        normals: outward unit normals there.
+        rounds: number of pairings.
+        iterations: L-BFGS steps per pairing.
+    """
+    scale = float(np.cbrt(mesh.element_volumes.mean() * 6 * np.sqrt(2)))
+    tree, faces, x = cKDTree(points), mesh.boundary_faces, mesh.vertices.copy()
+    nodes = np.unique(faces)
+    for _ in range(rounds):
+        nearest = tree.query(x[nodes])[1]
+        triangle, weight = _nearest_on_boundary(x[faces], points)
+        terms = _PlaneTerms(
+            nodes=np.concatenate([np.column_stack([nodes] * 3), faces[triangle]]),
+            weights=np.concatenate([np.tile([1.0, 0.0, 0.0], (len(nodes), 1)), weight]),
+            targets=np.concatenate([points[nearest], points]),
+            normals=np.concatenate([normals[nearest], normals]),
+            factors=np.concatenate([np.full(len(nodes), 0.5 / len(nodes)), np.full(len(points), 0.5 / len(points))]),
+        )
+        result = minimize(
+            _objective,
+            x.ravel(),
+            args=(mesh.tets, terms, scale),
+            jac=True,
+            method="L-BFGS-B",
+            options={"maxiter": iterations, "maxcor": 20},
+        )
+        candidate = result.x.reshape(-1, 3)
+        if not np.isfinite(result.fun) or result.fun >= INVERTED:
+            break
+        x = candidate
+    return TetMesh(x, mesh.tets)
+
+
+INVERTED = 1e12
+
+
+class _PlaneTerms:
+    """Squared distances of weighted triples of nodes from planes."""
+
+    def __init__(
+        self,
+        nodes: np.ndarray,
+        weights: np.ndarray,
+        targets: np.ndarray,
+        normals: np.ndarray,
+        factors: np.ndarray,
+    ) -> None:
+        self.nodes, self.weights, self.normals, self.factors = nodes, weights, normals, factors
+        self.offsets = np.einsum("na,na->n", normals, targets)
+
+    def value(self, x: np.ndarray, scale: float, gradient: np.ndarray) -> float:
+        """Weighted mean of the squared distances; adds the derivative to `gradient`."""
+        place = np.einsum("nk,nka->na", self.weights, x[self.nodes])
+        distance = (np.einsum("na,na->n", self.normals, place) - self.offsets) / scale
+        slope = (2 * DISTANCE_WEIGHT / scale * self.factors * distance)[:, None] * self.normals
+        shares = self.weights[:, :, None] * slope[:, None]
+        for a in range(3):
+            gradient[:, a] += np.bincount(self.nodes.ravel(), shares[..., a].ravel(), minlength=len(x))
+        return float(DISTANCE_WEIGHT * (self.factors * distance**2).sum())
+
+
+def _objective(flat: np.ndarray, tets: np.ndarray, terms: _PlaneTerms, scale: float) -> tuple[float, np.ndarray]:
+    x = flat.reshape(-1, 3)
+    gradient = np.zeros_like(x)
+    value = _distortion(x, tets, gradient)
+    if value >= INVERTED:
+        return INVERTED, gradient.ravel()
+    return value + terms.value(x, scale, gradient), gradient.ravel()
+
+
+def _distortion(x: np.ndarray, tets: np.ndarray, gradient: np.ndarray) -> float:
+    """Mean of tr(FᵀF) / (3 det(F)^(2/3)) over the elements; adds the derivative to `gradient`."""
+    edges = np.swapaxes(x[tets[:, 1:]] - x[tets[:, :1]], 1, 2)  # columns
+    f = edges @ REGULAR_INVERSE
+    cofactor = np.stack(
+        [
+            np.cross(f[:, :, 1], f[:, :, 2]),
+            np.cross(f[:, :, 2], f[:, :, 0]),
+            np.cross(f[:, :, 0], f[:, :, 1]),
+        ],
+        axis=2,
+    )
+    determinant = np.einsum("ea,ea->e", f[:, :, 0], cofactor[:, :, 0])
+    if determinant.min() <= 0:
+        return INVERTED
+    trace, power = np.einsum("eab,eab->e", f, f), determinant ** (-2 / 3)
+    value = trace * power / 3
+    slope = (2 / 3) * (power[:, None, None] * f - (value / determinant)[:, None, None] * cofactor)
+    per_edge = np.swapaxes(slope @ REGULAR_INVERSE.T, 1, 2) / len(tets)  # [E, edge, axis]
+    corners = np.concatenate([-per_edge.sum(axis=1, keepdims=True), per_edge], axis=1)
+    for a in range(3):
+        gradient[:, a] += np.bincount(tets.ravel(), corners[..., a].ravel(), minlength=len(x))
+    return float(value.mean())
+
+
+def _nearest_on_boundary(triangles: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index [S] of the nearest triangle and barycentric coordinates [S, 3] of the nearest point in it."""
+    count = min(CANDIDATES, len(triangles))
+    near = cKDTree(triangles.mean(axis=1)).query(points, k=[*range(1, count + 1)])[1]
+    weights = closest_in_triangles(triangles[near], points[:, None])
+    gaps = np.linalg.norm(np.einsum("sck,scka->sca", weights, triangles[near]) - points[:, None], axis=2)
+    best, rows = gaps.argmin(axis=1), np.arange(len(points))
+    return near[rows, best], weights[rows, best]
+
+
+def closest_in_triangles(
+    triangles: Float[np.ndarray, "*#N 3 3"], points: Float[np.ndarray, "*#N 3"]
+) -> Float[np.ndarray, "*#N 3"]:
+    """Barycentric coordinates of the point of each triangle that is closest to each point."""
+    a, b, c = np.moveaxis(triangles, -2, 0)
+    u, v, w = b - a, c - a, points - a
+    uu, uv, vv = (u * u).sum(-1), (u * v).sum(-1), (v * v).sum(-1)
+    wu, wv = (w * u).sum(-1), (w * v).sum(-1)
+    square = np.maximum(uu * vv - uv * uv, 1e-300)
+    s, t = (vv * wu - uv * wv) / square, (uu * wv - uv * wu) / square
+    result = np.stack([1 - s - t, s, t], axis=-1)
+    gaps = np.where((result >= 0).all(axis=-1), 0.0, np.inf)
+    for i in range(3):
+        start, along = triangles[..., i, :], triangles[..., (i + 1) % 3, :] - triangles[..., i, :]
+        r = np.clip(((points - start) * along).sum(-1) / np.maximum((along * along).sum(-1), 1e-300), 0, 1)
+        gap = np.linalg.norm(points - start - r[..., None] * along, axis=-1)
+        better = gap < gaps
+        edge = np.zeros(result.shape)
+        edge[..., i], edge[..., (i + 1) % 3] = 1 - r, r
+        result, gaps = np.where(better[..., None], edge, result), np.where(better, gap, gaps)
+    return result

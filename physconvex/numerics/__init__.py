@@ -1,0 +1,5 @@
+"""Numerical methods that know nothing of physics: sparse solvers, secants, robust loss, rotations."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

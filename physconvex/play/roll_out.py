@@ -1,0 +1,258 @@
+"""From surfaces and configurations to their motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+
+from physconvex.convex import ConvexField, advect, affine_map, union_volume
+from physconvex.dynamics import Plane, Wind
+from physconvex.fem import ElasticBody
+from physconvex.materials import (
+    FlowRule,
+    Law,
+    Plasticine,
+    Sand,
+    StandardLinearSolid,
+    get_law,
+    with_fibres,
+    with_strain_stiffening,
+)
+from physconvex.mesh import TetMesh, enclosed_volume, tetrahedralize, with_volume
+from physconvex.play.assets import Asset
+from physconvex.play.config import FloorConfig, MaterialConfig, PlayConfig
+from physconvex.play.surface import RestSurface
+from physconvex.reduced import (
+    BodySamples,
+    ReducedBody,
+    ReducedScene,
+    ReducedSpace,
+    ReducedTrajectory,
+    ReducedWorld,
+    Shell,
+    WeightField,
+    eigenmode_weights,
+    elastic_weights,
+    even_loads,
+    simulate,
+    simulate_world,
+    train_neural_weights,
+    with_elastic_weights,
+)
+
+__all__ = ["PlayedObject", "play", "play_together"]
+
+
+@dataclass(frozen=True)
+class PlayedObject:
+    """One or several surfaces in motion.
+
+    Attributes:
+        config: what was played; that of the first object where there are several.
+        surface: the surfaces where they start, one after the other.
+        positions: of their vertices at the frames [m], shape [T, V, 3].
+        trajectories: of the reduced bodies.
+        owners: number of the object that each vertex belongs to, shape [V].
+        masses: of the bodies [kg].
+        volumes: of the bodies [m³].
+        convexes: the convex field of each object that has one, where it starts.
+    """
+
+    config: PlayConfig
+    surface: RestSurface
+    positions: Float[np.ndarray, "T V 3"]
+    trajectories: tuple[ReducedTrajectory, ...]
+    owners: Int[np.ndarray, " V"]
+    masses: tuple[float, ...]
+    volumes: tuple[float, ...]
+    convexes: tuple[ConvexField | None, ...]
+
+    @property
+    def trajectory(self) -> ReducedTrajectory:
+        """That of the first body."""
+        return self.trajectories[0]
+
+    @property
+    def mass(self) -> float:
+        """Of all bodies [kg]."""
+        return sum(self.masses)
+
+    @property
+    def volume(self) -> float:
+        """Of all bodies [m³]."""
+        return sum(self.volumes)
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """An object where it starts, and its scene."""
+
+    surface: RestSurface
+    convexes: ConvexField | None
+    scene: ReducedScene
+
+
+def play(
+    surface: RestSurface | Asset,
+    config: PlayConfig | None = None,
+    *,
+    on_frame: Callable[[int], None] | None = None,
+) -> PlayedObject:
+    """Simulate a surface, or a convex field, as a solid reduced body.
+
+    Args:
+        surface: closed surface as it comes from a file, or any asset; `config.object` sizes and places it.
+        config: everything else; the defaults drop an elastic body.
+        on_frame: called with the number of every finished frame.
+
+    Raises:
+        InputError: the surface has no inside, or too many modes for its mesh.
+        ConvergenceError: a time step failed.
+    """
+    return play_together([surface], [PlayConfig() if config is None else config], on_frame=on_frame)
+
+
+def play_together(
+    assets: Sequence[RestSurface | Asset],
+    configs: Sequence[PlayConfig],
+    *,
+    on_frame: Callable[[int], None] | None = None,
+) -> PlayedObject:
+    """Simulate several objects in one scene; each falls from its `drop_height` over the one before it.
+
+    Args:
+        assets: surfaces, or assets.
+        configs: one per asset; floor, forces, friction between objects and time are those of the first.
+        on_frame: called with the number of every finished frame.
+
+    Raises:
+        InputError, ConvergenceError: as `play`.
+    """
+    first, ground, prepared = configs[0], 0.0, []
+    for asset, config in zip(assets, configs, strict=True):
+        shared = config.model_copy(update={"floor": first.floor, "forces": first.forces})
+        asset = Asset(asset) if isinstance(asset, RestSurface) else asset
+        prepared.append(_prepare(asset, shared, ground, alone=len(assets) == 1))
+        ground = float(prepared[-1].surface.vertices[:, 2].max())
+    options = first.time.model_dump()
+    scenes = tuple(one.scene for one in prepared)
+    if len(prepared) == 1:
+        runs: tuple[ReducedTrajectory, ...] = (simulate(scenes[0], on_frame=on_frame, **options),)
+    else:
+        world = ReducedWorld(scenes, friction=first.contact.friction)
+        runs = simulate_world(world, on_frame=on_frame, **options).bodies
+    counts = [len(one.surface.vertices) for one in prepared]
+    starts = np.cumsum([0, *counts[:-1]])
+    return PlayedObject(
+        first,
+        RestSurface(
+            np.concatenate([one.surface.vertices for one in prepared]),
+            np.concatenate([one.surface.faces + start for one, start in zip(prepared, starts, strict=True)]),
+        ),
+        np.concatenate([run.positions(one.surface.vertices) for run, one in zip(runs, prepared, strict=True)], axis=1),
+        runs,
+        np.repeat(np.arange(len(counts)), counts),
+        tuple(one.scene.body.total_mass for one in prepared),
+        tuple(one.scene.body.volume for one in prepared),
+        tuple(one.convexes for one in prepared),
+    )
+
+
+def _prepare(asset: Asset, config: PlayConfig, ground: float, *, alone: bool) -> _Prepared:
+    """Place an object and make its body; `alone`: nothing but the floor can touch it."""
+    linear, shift = asset.surface.placement(config.object, ground=ground)
+    placed, convexes = asset.surface.moved(linear, shift), asset.convexes
+    if convexes is not None:
+        kind = convexes.points
+        convexes = advect(convexes, affine_map(torch.as_tensor(linear).to(kind), torch.as_tensor(shift).to(kind)))
+    mesh = tetrahedralize(
+        (placed.vertices, placed.faces),
+        order=2,
+        method="ftetwild" if convexes is not None and config.basis.mesher == "auto" else config.basis.mesher,
+        max_nodes=config.basis.max_nodes,
+        match_volume=convexes is None,  # hulls overlap: their volumes do not add up
+    )
+    mesh = mesh if convexes is None else with_volume(mesh, union_volume(convexes))
+    samples = BodySamples.of_mesh(mesh)
+    if convexes is None:  # the surface itself touches, not the nodes of the coarse mesh behind it
+        points, areas = placed.contact_points(config.basis.contact_points)
+        closed = enclosed_volume(placed.vertices, placed.faces) is not None
+        shell = Shell(placed.vertices, placed.faces) if closed else samples.shell
+        samples = replace(samples, surface_points=points, surface_areas=areas, shell=shell)
+    return _Prepared(placed, convexes, _scene(config, mesh, samples, alone=alone))
+
+
+def _scene(config: PlayConfig, mesh: TetMesh, samples: BodySamples, *, alone: bool) -> ReducedScene:
+    """The body with its skinning weights, and what acts on it."""
+    basis, material, forces = config.basis, config.material, config.forces
+    weights = _weights(config, mesh, samples, alone=alone)
+    body = ReducedBody(
+        ReducedSpace(weights, samples, interpolated=basis.kind == "elastic" and not alone),
+        law=_law(material),
+        flow=_flow(material),
+        youngs_modulus=material.youngs_modulus,
+        poisson_ratio=material.poisson_ratio,
+        density=material.density,
+    )
+    scene = ReducedScene(
+        body,
+        obstacles=() if config.floor is None else (_floor(config.floor),),
+        gravity=forces.gravity,
+        push=forces.push,
+        wind=None if forces.wind is None else Wind(forces.wind, forces.drag_coefficient),
+        damping_time=material.damping_time,
+        initial_velocity=config.object.velocity,
+        initial_angular_velocity=config.object.angular_velocity,
+    )
+    if basis.kind == "elastic" and alone:
+        return with_elastic_weights(scene, mesh, basis.modes, **config.time.model_dump())
+    return scene
+
+
+def _weights(config: PlayConfig, mesh: TetMesh, samples: BodySamples, *, alone: bool) -> WeightField:
+    """Skinning weights; of elastic ones that are yet to be found, the rough ones that they start from."""
+    basis, material = config.basis, config.material
+    body = ElasticBody(mesh, law=_law(material), poisson_ratio=material.poisson_ratio)
+    if basis.kind == "neural":
+        generator = torch.Generator().manual_seed(basis.seed)
+        return train_neural_weights(samples, basis.modes, generator=generator, poisson_ratio=material.poisson_ratio)
+    if basis.kind == "eigenmodes":
+        return eigenmode_weights(body, basis.modes)
+    if alone:
+        return eigenmode_weights(body, min(20, len(mesh.vertices) - 2))
+    return elastic_weights(body, basis.modes, even_loads(mesh, 20))  # another object may touch it anywhere
+
+
+def _law(material: MaterialConfig) -> Law:
+    law = get_law(material.law)
+    if material.stiffening > 0:
+        law = with_strain_stiffening(law, material.stiffening)
+    if material.fibre_ratio > 0:
+        assert material.fibre_direction is not None
+        law = with_fibres(law, material.fibre_direction, material.fibre_ratio)
+    return law
+
+
+def _flow(material: MaterialConfig) -> FlowRule | None:
+    match material.kind:
+        case "plasticine":
+            assert material.yield_stress is not None
+            return Plasticine(material.yield_stress)
+        case "sand":
+            assert material.friction_angle_deg is not None
+            return Sand(float(np.radians(material.friction_angle_deg)))
+        case "viscoelastic":
+            assert material.modulus_ratio is not None and material.relaxation_time is not None
+            return StandardLinearSolid(material.modulus_ratio, material.relaxation_time)
+    return None
+
+
+def _floor(config: FloorConfig) -> Plane:
+    velocity, period = np.asarray(config.velocity), config.period
+    if period is None:
+        return Plane(friction=config.friction, velocity=velocity)
+    return Plane(friction=config.friction, velocity=lambda t: velocity * np.sin(2 * np.pi * t / period))

@@ -1,0 +1,180 @@
+"""Fitting a field to views: the loss, the steps, the schedule."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from physconvex.convex import ConvexField, FreeParameters
+from physconvex.reconstruction.adam import RowAdam
+from physconvex.reconstruction.config import ReconstructionConfig
+from physconvex.reconstruction.field_refinement import hidden, refine
+from physconvex.reconstruction.observation import Observation
+from physconvex.reconstruction.similarity import structural_similarity
+from physconvex.reconstruction.start import Start
+from physconvex.render import RenderedImage, render
+
+__all__ = ["FitState", "Progress", "begin", "fit", "image_loss"]
+
+WARM_UP = 20  # steps over which the rates rise at the start
+WIDEST, NARROWEST = 10.0, 0.1  # edges that are allowed, times the first width
+SHARPEST = 20.0  # β and 1/β at most
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a fit is: steps done and in all, mean loss of late, convexes, scale of the images."""
+
+    step: int
+    steps: int
+    loss: float
+    convexes: int
+    scale: float
+
+
+@dataclass
+class FitState:
+    """Everything that a fit needs to go on.
+
+    Attributes:
+        parameters: of the field.
+        adam: moments of their gradients.
+        fixed: fillers, and what no view sees: they stay as they are, shape [N].
+        footprint: [m].
+        surface_known: whether the start was made from a mesh, so that what no view sees belongs to the body.
+        step: steps done.
+        seconds: time spent.
+        losses: of every step.
+    """
+
+    parameters: FreeParameters
+    adam: RowAdam
+    fixed: Tensor
+    footprint: float
+    surface_known: bool
+    step: int = 0
+    seconds: float = 0.0
+    losses: list[float] = field(default_factory=list)
+
+    def field(self) -> ConvexField:
+        """The field as it is now, without a graph."""
+        with torch.no_grad():
+            return self.parameters.field().map(torch.detach)
+
+    def to(self, device: torch.device | str) -> FitState:
+        """The state on another device."""
+        moved = FreeParameters(*(t.detach().to(device).requires_grad_() for t in self.parameters.tensors()))
+        return replace(self, parameters=moved, adam=self.adam.to(device), fixed=self.fixed.to(device))
+
+
+def begin(start: Start) -> FitState:
+    """The state before the first step."""
+    parameters = FreeParameters.of(start.field)
+    fixed = torch.arange(len(start.field), device=start.field.points.device) >= len(start.field) - start.fillers
+    return FitState(parameters, RowAdam.of(parameters.tensors()), fixed, start.footprint, start.kind == "mesh")
+
+
+def image_loss(image: RenderedImage, seen: Observation, config: ReconstructionConfig) -> Float[Tensor, ""]:
+    """(1 − λ) L1 + λ (1 − SSIM)/2 + μ mean |alpha − mask|."""
+    loss = (1 - config.dissimilarity) * (image.colour - seen.image).abs().mean()
+    if config.dissimilarity:
+        loss = loss + config.dissimilarity * 0.5 * (1 - structural_similarity(image.colour, seen.image))
+    return loss + config.mask_weight * (image.alpha - seen.coverage).abs().mean()
+
+
+def fit(
+    state: FitState,
+    observations: Sequence[Observation],
+    config: ReconstructionConfig,
+    *,
+    on_step: Callable[[Progress, FitState], None] | None = None,
+) -> FitState:
+    """Do the steps that are left, in place, on the device of the state.
+
+    Each step renders one view, in an order that depends on the seed and the step alone, so that a fit which was stopped
+    and went on gives what an uninterrupted one gives.
+
+    Args:
+        observations: on the CPU.
+        on_step: called after every step, for instance to show progress or to store the state.
+    """
+    device = state.fixed.device
+    levels = {
+        scale: [seen.resized(scale).cropped().to(device) for seen in observations] for scale in set(config.levels)
+    }
+    refinements = set(config.refinement_steps())
+    if state.step == 0 and state.surface_known:
+        finest = max(config.levels)
+        state.fixed = state.fixed | hidden(state.field(), levels[finest], footprint=state.footprint / finest)
+    while state.step < config.steps:
+        clock = time.perf_counter()
+        views = levels[config.scale_at(state.step)]
+        if state.step in refinements:
+            _refine(state, views, config)
+        epoch, place = divmod(state.step, len(views))
+        seen = views[np.random.default_rng([config.seed, epoch]).permutation(len(views))[place]]
+        loss = _step(state, seen, config)
+        state.step += 1
+        state.losses.append(loss)
+        state.seconds += time.perf_counter() - clock
+        if on_step is not None:
+            recent = float(np.mean(state.losses[-len(views) :]))
+            count = len(state.fixed)
+            on_step(Progress(state.step, config.steps, recent, count, config.scale_at(state.step - 1)), state)
+    return state
+
+
+def _step(state: FitState, seen: Observation, config: ReconstructionConfig) -> float:
+    """One step of Adam on one view; the loss before it."""
+    tensors = state.parameters.tensors()
+    for tensor in tensors:
+        tensor.grad = None
+    current = state.parameters.field()
+    loss = image_loss(render(current, seen.view, background=seen.background), seen, config)
+    loss.backward()
+    state.adam.step(tensors, _rates(state, config))
+    with torch.no_grad():
+        state.parameters.harmonics[:, 1:] *= 1 - config.view_decay
+        first = np.log(4 / (config.edge_width * state.footprint))
+        state.parameters.log_smoothness.clamp_(first - np.log(WIDEST), first - np.log(NARROWEST))
+        state.parameters.log_sharpness.clamp_(-np.log(SHARPEST), np.log(SHARPEST))
+        state.parameters.logit_opacity.clamp_(-8.0, 8.0)
+    return float(loss.detach())
+
+
+def _rates(state: FitState, config: ReconstructionConfig) -> tuple[Tensor | float, ...]:
+    """Rates of points, log α, log β, logit of the opacity, harmonics: fall geometrically after the warm-up."""
+    factor = config.final_rate ** (state.step / config.steps) * min(1.0, (state.step + 1) / WARM_UP)
+    free = (~state.fixed).float() * factor
+    colour = free.new_full((state.parameters.harmonics.shape[1], 1), config.colour_rate * config.view_rate)
+    colour[0] = config.colour_rate
+    return (
+        (config.point_rate * state.footprint * free)[:, None, None],
+        config.edge_rate * free,
+        config.edge_rate * free,
+        config.opacity_rate * free,
+        colour * free[:, None, None],
+    )
+
+
+def _refine(state: FitState, views: Sequence[Observation], config: ReconstructionConfig) -> None:
+    generator = torch.Generator("cpu").manual_seed(config.seed + state.step)
+    pixel = state.footprint / config.scale_at(state.step)
+    made = refine(
+        state.field(),
+        views,
+        budget=config.fit_budget,
+        footprint=pixel,
+        fixed=state.fixed,
+        generator=generator,
+        keep_hidden=state.surface_known,
+    )
+    state.parameters = FreeParameters.of(made.field)
+    state.adam = state.adam.select(made.sources, made.fresh)
+    state.fixed = made.fixed

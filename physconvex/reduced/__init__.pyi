@@ -1,0 +1,44 @@
+from .adjoint import LossGradient as LossGradient, simulate_with_adjoint as simulate_with_adjoint
+from .autograd import rollout_of_weights as rollout_of_weights, rollout_positions as rollout_positions
+from .basis import (
+    CallableWeights as CallableWeights,
+    NodalWeights as NodalWeights,
+    SkinningBasis as SkinningBasis,
+    WeightField as WeightField,
+    eigenmode_weights as eigenmode_weights,
+    sample_basis as sample_basis,
+)
+from .body import ReducedBody as ReducedBody
+from .cubature import BodySamples as BodySamples, Cubature as Cubature, tet_cubature as tet_cubature
+from .elastic_basis import elastic_weights as elastic_weights
+from .equations import StepEquations as StepEquations
+from .given_fields import (
+    ArrayWeights as ArrayWeights,
+    StackedWeights as StackedWeights,
+    predicted_weights as predicted_weights,
+    snapshot_weights as snapshot_weights,
+)
+from .load_cases import even_loads as even_loads, held_nodes as held_nodes, touched_loads as touched_loads
+from .neural_field import (
+    NeuralFieldOptions as NeuralFieldOptions,
+    NeuralWeights as NeuralWeights,
+    train_neural_weights as train_neural_weights,
+    untrained_neural_weights as untrained_neural_weights,
+)
+from .parameters import (
+    PARAMETERS as PARAMETERS,
+    parameter_values as parameter_values,
+    with_parameters as with_parameters,
+)
+from .pins import Pins as Pins
+from .scene import ReducedScene as ReducedScene
+from .scene_weights import with_elastic_weights as with_elastic_weights
+from .sensitivity import (
+    SensitiveTrajectory as SensitiveTrajectory,
+    simulate_with_sensitivities as simulate_with_sensitivities,
+)
+from .shell import Shell as Shell
+from .simulation import ReducedTrajectory as ReducedTrajectory, simulate as simulate
+from .space import ReducedSpace as ReducedSpace
+from .world import ReducedWorld as ReducedWorld
+from .world_simulation import WorldTrajectory as WorldTrajectory, simulate_world as simulate_world

@@ -1,0 +1,244 @@
+"""The compiled arithmetic of a reduced body: its elastic law, its viscosity, and contact of its surface."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg.blas import dsyrk
+
+from physconvex.dynamics import Contact, obstacle_rows
+from physconvex.kernels import POINTER, SOURCES, Functions, address, aligned, available, doubles, loaded
+from physconvex.materials import KERNEL_LAWS, NEARLY_FLAT, Law
+from physconvex.reduced.volumetric import VolumetricSamples
+
+__all__ = [
+    "CompiledSamples",
+    "CompiledSurface",
+    "CompiledViscosity",
+    "compiled_surface",
+    "compiled_viscosity",
+    "load_library",
+    "volumetric_samples",
+]
+
+Array = np.ndarray
+_BLOCK = 500_000  # numbers in the rows whose products are added at once: they stay in the second cache
+
+
+def volumetric_samples(law: Law, gradients: Array, weights: Array, mu: Array, lam: Array) -> VolumetricSamples:
+    """The samples of a body, see `VolumetricSamples`; those of plain numpy where nothing can be compiled."""
+    known = law.name in KERNEL_LAWS and available(load_library)
+    return (CompiledSamples if known else VolumetricSamples)(law, gradients, weights, mu, lam)
+
+
+def compiled_viscosity(gradients: Array, weights: Array, mu: Array, lam: Array) -> CompiledViscosity | None:
+    """The viscosity of a body, see `CompiledViscosity`; None where nothing can be compiled."""
+    return CompiledViscosity(gradients, weights, mu, lam) if available(load_library) else None
+
+
+def compiled_surface(contact: Contact, values: Array) -> CompiledSurface | None:
+    """A contact law on a surface, see `CompiledSurface`; None where nothing can be compiled."""
+    return CompiledSurface(contact, values) if available(load_library) else None
+
+
+class CompiledSamples(VolumetricSamples):
+    """The same numbers, the gradients read once for each energy with its forces.
+
+    Raises:
+        KernelUnavailable: the kernel cannot be compiled here.
+    """
+
+    def __init__(self, law: Law, gradients: Array, weights: Array, mu: Array, lam: Array) -> None:
+        super().__init__(law, gradients, weights, mu, lam)
+        arrays = self._gradients, self._weights, self._mu, self._lam
+        self._compiled = _Compiled(*arrays, law=KERNEL_LAWS.index(law.name))
+
+    def _energy_and_forces(self, body: _Body, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:
+        y, forces = doubles(y), np.empty(y.shape)
+        energy = load_library().pc_energy_and_forces(body, address(y), address(forces))
+        return energy, forces
+
+    def energy_and_gradient(self, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:
+        """Elastic energy [J] and its derivative by the coordinates [N]."""
+        return self._energy_and_forces(self._compiled.body, y)
+
+    def gradient_with(self, y: Float[Array, "R 3"], mu: Array, lam: Array) -> Float[Array, "R 3"]:
+        """The derivative [N] with other constants μ and λ [Pa], shape [Q]."""
+        mu, lam = doubles(mu), doubles(lam)
+        return self._energy_and_forces(self._compiled.with_constants(mu, lam), y)[1]
+
+    def hessian_blocks(self, y: Float[Array, "R 3"]) -> Float[Array, "3 R 3 R"] | None:
+        """Second derivative [N/m], components first; None where the body is nearly flat at a sample."""
+        count, body = len(self._weights), self._compiled.body
+        y, u, turned = doubles(y), np.empty((count, 3, self._size)), np.empty((count, 2, self._size))
+        if not load_library().pc_cofactor_gradients(body, *map(address, (y, u, turned))):
+            return super().hessian_blocks(y)
+        product = dsyrk(1.0, u.reshape(count, -1).T, lower=1).T  # the upper half
+        parts, last = u[:, 0].T @ turned.reshape(count, -1), u[:, 1].T @ turned[:, 1]
+        load_library().pc_assemble(self._size, *map(address, (self._constant, parts, last, product)))
+        return product.reshape(3, self._size, 3, self._size)
+
+
+class CompiledViscosity:
+    """Kelvin–Voigt viscosity frozen at F*, see `ReducedBody.viscous_energy_and_gradient`.
+
+    Args:
+        gradients: ∂N_a/∂X [1/m], shape [Q, 3, R].
+        weights: volumes [m³], shape [Q].
+        mu, lam: Lamé constants [Pa], shape [Q].
+
+    Raises:
+        KernelUnavailable: the kernel cannot be compiled here.
+    """
+
+    def __init__(self, gradients: Array, weights: Array, mu: Array, lam: Array) -> None:
+        self._compiled = _Compiled(gradients, weights, mu, lam)
+
+    def energy_and_gradient(
+        self, state: Float[Array, "Q 3 3"], velocity: Float[Array, "R 3"], damping_time: float
+    ) -> tuple[float, Float[Array, "R 3"]]:
+        """Rate potential [W] and its derivative by velocity [N] of viscosities damping_time × (μ, λ)."""
+        return self._power(self._compiled.body, state, velocity, damping_time)
+
+    def gradient_with(
+        self, state: Float[Array, "Q 3 3"], velocity: Float[Array, "R 3"], mu: Array, lam: Array
+    ) -> Float[Array, "R 3"]:
+        """The derivative [N] for viscosities μ and λ [Pa·s], shape [Q]."""
+        mu, lam = doubles(mu), doubles(lam)
+        return self._power(self._compiled.with_constants(mu, lam), state, velocity, 1.0)[1]
+
+    def tangent(
+        self,
+        state: Float[Array, "Q 3 3"],
+        velocity: Float[Array, "R 3"],
+        step: Float[Array, "R 3"],
+        speed_up: Float[Array, "R 3"],
+        damping_time: float,
+    ) -> Float[Array, "R 3"]:
+        """Derivative of the forces where F* moves as the coordinates do by `step`, and the velocity by `speed_up`."""
+        forces, given = np.empty(velocity.shape), [doubles(array) for array in (state, velocity, step, speed_up)]
+        first, *others = map(address, given)
+        load_library().pc_viscous_tangent(self._compiled.body, first, damping_time, *others, address(forces))
+        return forces
+
+    @staticmethod
+    def _power(body: _Body, state: Array, velocity: Array, time: float) -> tuple[float, Float[Array, "R 3"]]:
+        state, velocity, forces = doubles(state), doubles(velocity), np.empty(velocity.shape)
+        power = load_library().pc_viscous_power(body, address(state), time, address(velocity), address(forces))
+        return power, forces
+
+    def blocks(self, state: Float[Array, "Q 3 3"], ratio: float) -> Float[Array, "3 R 3 R"]:
+        """Stiffness [N/m] of viscosities whose time is `ratio` time steps, components first."""
+        state, width, count = doubles(state), 3 * self._compiled.size, len(state)
+        most = max(_BLOCK // (6 * width), 1)
+        rows, product = np.empty((min(most, count), 6, width)), np.zeros((width, width), order="F")
+        for first in range(0, count, most):
+            some = rows[: min(most, count - first)]
+            load_library().pc_viscous_rows(self._compiled.body, first, len(some), address(state), ratio, address(some))
+            product = dsyrk(1.0, some.reshape(-1, width).T, beta=1.0, c=product, lower=1, overwrite_c=1)
+        load_library().pc_mirror(width, address(product.T))
+        return product.T.reshape(3, width // 3, 3, width // 3)
+
+
+class CompiledSurface:
+    """A contact law on the samples x_s = Σ_a N_a(s) y_a of a surface, see `SurfaceContact`.
+
+    Args:
+        contact: the law, with the areas of the samples.
+        values: N_a at the samples, shape [S, R].
+
+    Raises:
+        KernelUnavailable: the kernel cannot be compiled here.
+    """
+
+    def __init__(self, contact: Contact, values: Float[Array, "S R"]) -> None:
+        self._obstacles, self._areas, self._blocks = contact.obstacles, doubles(contact.areas), _in_blocks(values)
+        sizes = *values.shape, len(contact.obstacles)
+        arrays = address(self._blocks), address(self._areas)
+        self._surface = _Surface(*sizes, *arrays, contact.stiffness, contact.smoothing)
+        self._time, self._rows = np.nan, np.zeros((0, 9))
+
+    def energy_and_gradient(self, y: Float[Array, "R 3"], time: float) -> tuple[float, Float[Array, "R 3"]]:
+        """Contact energy [J] and its derivative [N]."""
+        if time != self._time:
+            self._time, self._rows = time, obstacle_rows(self._obstacles, time)
+        y, forces = doubles(y), np.empty(y.shape)
+        energy = load_library().pc_surface_contact(self._surface, *map(address, (self._rows, y, forces)))
+        return energy, forces
+
+
+def _in_blocks(rows: Float[Array, "Q R ..."]) -> Array:
+    """Rows [Q, R, ...] as [⌈Q / lanes⌉, R, ..., lanes], filled up with zeros."""
+    lanes = load_library().pc_lanes()
+    padded = np.zeros((-(-len(rows) // lanes) * lanes, *rows.shape[1:]))
+    padded[: len(rows)] = rows
+    return aligned(np.moveaxis(padded.reshape(-1, lanes, *rows.shape[1:]), 1, -1))
+
+
+class _Compiled:
+    """What the kernel reads of a body's interior."""
+
+    def __init__(self, gradients: Float[Array, "Q 3 R"], weights: Array, mu: Array, lam: Array, law: int = 0) -> None:
+        self.size, self._law = gradients.shape[2], law
+        self._gradients, self._weights, self._mu, self._lam = map(doubles, (gradients, weights, mu, lam))
+        self._blocks = _in_blocks(self._gradients.transpose(0, 2, 1))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without addresses, which another process cannot use."""
+        return {name: value for name, value in self.__dict__.items() if name != "body"}
+
+    @cached_property
+    def body(self) -> _Body:
+        return self.with_constants(self._mu, self._lam)
+
+    def with_constants(self, mu: Float[Array, " Q"], lam: Float[Array, " Q"]) -> _Body:
+        """With other constants, which must live as long as it does."""
+        arrays = (self._blocks, self._gradients, self._weights, mu, lam)
+        return _Body(len(self._weights), self.size, self._law, NEARLY_FLAT, *map(address, arrays))
+
+
+class _Body(ctypes.Structure):
+    """`struct Body` of cpu/kernel.cpp."""
+
+    _fields_ = (
+        *((name, ctypes.c_int32) for name in ("samples", "functions", "law")),
+        ("flat", ctypes.c_double),
+        *((name, POINTER) for name in ("blocks", "gradients", "weights", "mu", "lam")),
+    )
+
+
+class _Surface(ctypes.Structure):
+    """`struct Surface` of cpu/kernel.cpp."""
+
+    _fields_ = (
+        *((name, ctypes.c_int32) for name in ("samples", "functions", "obstacles")),
+        *((name, POINTER) for name in ("blocks", "areas")),
+        *((name, ctypes.c_double) for name in ("stiffness", "smoothing")),
+    )
+
+
+@cache
+def load_library() -> ctypes.CDLL:
+    """The library with its functions' types declared.
+
+    Raises:
+        KernelUnavailable: no compiler, or it failed.
+    """
+    body: Any = ctypes.POINTER(_Body)
+    number: Any = ctypes.c_double
+    functions: Functions = (
+        ("pc_lanes", ctypes.c_int32, []),
+        ("pc_energy_and_forces", number, [body, *[POINTER] * 2]),
+        ("pc_viscous_power", number, [body, POINTER, number, *[POINTER] * 2]),
+        ("pc_viscous_tangent", None, [body, POINTER, number, *[POINTER] * 4]),
+        ("pc_viscous_rows", None, [body, *[ctypes.c_int32] * 2, POINTER, number, POINTER]),
+        ("pc_surface_contact", number, [ctypes.POINTER(_Surface), *[POINTER] * 3]),
+        ("pc_mirror", None, [ctypes.c_size_t, POINTER]),
+        ("pc_cofactor_gradients", ctypes.c_int32, [body, *[POINTER] * 3]),
+        ("pc_assemble", None, [ctypes.c_int32, *[POINTER] * 4]),
+    )
+    return loaded(SOURCES / "reduced", functions, include=[SOURCES / "shared"])

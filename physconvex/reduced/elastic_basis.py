@@ -1,0 +1,115 @@
+"""Skinning weights from what a body's own elasticity does: its vibrations, and its answers to forces where it touches.
+
+Skinning eigenmodes solve a scalar problem, which knows neither Poisson's ratio nor the way in which a thin limb bends.
+Here the displacements themselves are computed, by the linear theory at rest, and the weights are those scalar fields
+whose products W_m(X) [X; 1] come nearest to all of them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from physconvex.errors import InputError
+from physconvex.fem import ElasticBody, elastic_responses, rigid_motions, skinning_stiffness, vibration_modes
+from physconvex.numerics import best_rotation
+from physconvex.reduced.basis import MAX_WEIGHTS, NodalWeights
+from physconvex.reduced.proper_orthogonal_modes import principal_fields
+
+__all__ = ["elastic_weights"]
+
+_AT_ONCE = 10  # weights that are taken before what their products give is taken out of the rest
+_LOOSE = 1e-3  # of the highest vibration's frequency, below which one counts as a motion of loose parts
+
+
+def elastic_weights(
+    body: ElasticBody,
+    count: int,
+    loads: Float[np.ndarray, "V K"] | None = None,
+    *,
+    clamped: Bool[np.ndarray, " V"] | None = None,
+    vibrations: int = 30,
+    states: Float[np.ndarray, "S V 3"] | None = None,
+) -> NodalWeights:
+    """Weights whose products with [X; 1] span a body's first vibrations and its answers to forces.
+
+    Every vibration of a free body counts with the same elastic energy, as a blow excites them. Those of a clamped body
+    count as its own weight, let go, would: in proportion to 1/ω², the softest with ½ J. The energy of answers is in
+    proportion to the size of their loads, ½ J in the mean. The components of all these are scalar fields; the fields
+    that carry most of what the products of the weights so far leave, in the norm of ∫ E |∇w|², become the next weights:
+    proper orthogonal decomposition, ten at a time. Use them with `ReducedSpace(weights, samples, interpolated=True)`.
+
+    Args:
+        body: mesh, law, E, ν and density; with another ν the answers change little.
+        count: M, number of weights.
+        loads: where forces may act, each column in all three directions (`touched_loads`, `even_loads`).
+        clamped: nodes that are held.
+        vibrations: number of elastic vibrations, fewer on a small mesh.
+        states: positions of the nodes [m] in deformed states about which the body answers too, each turned back; it
+            also vibrates about the last one, the most deformed. A squashed limb gives way otherwise than at rest.
+
+    Raises:
+        InputError: loads, nodes or states of another shape, `count` not in 1..64 or more than vibrations and answers
+            can give.
+    """
+    if not 1 <= count <= MAX_WEIGHTS:
+        raise InputError(f"count: got {count}; expected 1 to {MAX_WEIGHTS} weights")
+    vertices = body.mesh.vertices
+    loads = np.zeros((len(vertices), 0)) if loads is None else loads
+    if np.ndim(loads) != 2 or len(loads) != len(vertices):
+        raise InputError(f"loads: got shape {np.shape(loads)}; expected [{len(vertices)}, K], one row for each node")
+    held = np.zeros(len(vertices), dtype=bool) if clamped is None else np.asarray(clamped)
+    if held.dtype != bool or held.shape != (len(vertices),) or held.all():
+        raise InputError(f"clamped: got {held.dtype} of shape {held.shape}; expected bool [{len(vertices)}], some free")
+    deformed = np.zeros((0, *vertices.shape)) if states is None else np.asarray(states)
+    if deformed.ndim != 3 or deformed.shape[1:] != vertices.shape or not np.isfinite(deformed).all():
+        raise InputError(f"states: got shape {deformed.shape}; expected finite [S, {len(vertices)}, 3]")
+    if not held.any():
+        deformed = np.array([x @ best_rotation(vertices, x, body.node_masses) for x in deformed])
+    moved = [_vibrations(body, vibrations, held, state) for state in (None, *deformed[-1:])]
+    if np.size(loads):
+        forces = np.einsum("vk,cd->kcvd", loads, np.eye(3)).reshape(-1, len(vertices), 3)
+        sizes = np.repeat(np.abs(loads).sum(0), 3)
+        shares = np.sqrt(sizes / sizes.mean())[:, None, None]
+        moved += [shares * elastic_responses(body, forces, state, clamped=held) for state in (None, *deformed)]
+    fields = np.moveaxis(np.concatenate(moved), 1, 0).reshape(len(vertices), -1)
+    weights = _covering_weights(fields, vertices, body, count)
+    square = np.einsum("vk,vk->k", weights, body.mass @ weights)
+    return NodalWeights(body.mesh, weights * np.sqrt(body.total_mass / square))
+
+
+def _vibrations(
+    body: ElasticBody, count: int, clamped: np.ndarray, state: np.ndarray | None
+) -> Float[np.ndarray, "K V 3"]:
+    """Elastic vibrations about a state, each with elastic energy ½ J; of a clamped body in proportion to 1/ω²."""
+    rigid = len(rigid_motions(body.mesh.vertices, clamped))
+    number = min(count, 3 * int((~clamped).sum()) - 2 - rigid)
+    frequencies, shapes = vibration_modes(body, number + rigid, clamped=clamped, positions=state)
+    frequencies = np.maximum(frequencies[rigid:], _LOOSE * frequencies[-1])  # loose parts move without any energy
+    amplitudes = 1 / (2 * np.pi * frequencies)
+    if clamped.any():
+        amplitudes *= frequencies[0] / frequencies
+    return shapes[rigid:] * amplitudes[:, None, None]
+
+
+def _covering_weights(fields: np.ndarray, vertices: np.ndarray, body: ElasticBody, count: int) -> np.ndarray:
+    """Weights at the nodes whose products with [X; 1] come nearest to scalar fields, best first, [V, M]."""
+    stiffness, mass = skinning_stiffness(body), body.mass
+    norm = stiffness + 1e-3 * stiffness.diagonal().sum() / mass.diagonal().sum() * mass  # the constant is a field too
+    homogeneous = np.column_stack([(vertices - vertices.mean(0)) / body.mesh.size, np.ones(len(vertices))])
+    weighted, given = norm @ fields, principal_fields(homogeneous, norm)
+    largest, weights = float(np.einsum("vk,vk->k", fields, weighted).max()), np.zeros((len(vertices), 0))
+    while weights.shape[1] < count:
+        left = fields - given @ (given.T @ weighted)
+        found = principal_fields(left, norm, largest=largest)[:, : min(_AT_ONCE, count - weights.shape[1])]
+        if not found.shape[1]:
+            raise InputError(
+                f"count: got {count}; vibrations and answers are spanned by {weights.shape[1]} weights already; give "
+                "fewer weights, or more loads or vibrations"
+            )
+        weights = np.hstack([weights, found])
+        products = (found[:, :, None] * homogeneous[:, None, :]).reshape(len(vertices), -1)
+        for _ in range(2):  # the second pass removes what rounding left
+            products = products - given @ (given.T @ (norm @ products))
+        given = np.hstack([given, principal_fields(products, norm)])
+    return weights

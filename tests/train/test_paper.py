@@ -1,0 +1,177 @@
+"""The tables of a benchmark: arithmetic of the means, and one object from its generation to its row."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from typer.testing import CliRunner
+
+from physconvex import InputError
+from physconvex.io import load_capture
+from train import PaperOptions, evaluate_paper
+from train.paper.tables import markdown, summary
+
+SMALL = PaperOptions(
+    max_nodes=120, fine_nodes=160, weights=3, full_runs=2, model_error=False, adam_steps=3, ablation=(),
+    field_budget=200, field_steps=4, steps_per_frame=4, ablation_points=(4,),
+)  # fmt: skip
+
+
+def row(name, error, covered, psnr):
+    picture = {"psnr": psnr, "ssim": 0.9, "psnr_object": psnr - 8, "fovvdp": None}
+    motion = {"pictures": {"observed": {"front": picture}, "future": {"front": picture}}}
+    return {
+        "object": name,
+        "truth": {"log10_youngs_modulus": 5.0, "poisson_ratio": 0.3},
+        "constant": {"errors": [0.5, 0.045], "process_seconds": 0.0},
+        "network": {"failure": "InputError: dark", "process_seconds": 0.1},
+        "refined": {
+            "errors": error,
+            "covered": covered,
+            "process_seconds": 30.0,
+            "changes": {"pushed": {"rms_m": 1e-3, "change_rms_m": 0.2}},
+            **motion,
+        },
+        "field": {"convexes": 200 * psnr, "psnr": 40.0, "process_seconds": 90.0},
+        "reduced_M8": {"errors": [-0.1, 0.0], "process_seconds": 3.0},
+        "truth_itself": {"nodes": 900, "pictures": {"future": {"front": {"psnr": psnr - 10, "ssim": 0.8}}}},
+    }
+
+
+def test_means_are_of_absolutes_and_failures_are_named():
+    rows = [row("mug", [0.02, -0.01], [True, None], 30.0), row("lion", [-0.04, 0.03], [False, True], 34.0)]
+    told = summary(rows)
+    assert told["identification"]["refined"]["log10_error"] == pytest.approx(0.03)
+    assert told["identification"]["refined"]["poisson_error"] == pytest.approx(0.02)
+    assert "network" not in told["identification"] and told["failures"][0] == "mug: network: InputError: dark"
+    assert (told["coverage_90"], told["intervals"]) == (pytest.approx(2 / 3), 3)
+    assert told["pictures"]["refined"]["future"]["front"]["psnr"] == pytest.approx(32.0)
+    assert told["changes"]["pushed"]["change_rms_m"] == pytest.approx(0.2)
+    page = markdown(rows, "two objects")
+    assert "| mug | 5.00, 0.30 | +0.500 / +0.045 | failed | +0.020 / -0.010 |" in page
+    assert "| truth of half the nodes | future | front | 22.00 | 0.8000 | – | – |" in page
+    assert "arXiv 2602.18886" in page
+    assert "fields of 6400 convexes in the mean" in page and "(40.0 dB) in 90 s" in page
+    assert "reduced model alone, M = 8" in page and "| pushed | 1.0 | 200.0 |" in page
+
+
+def test_an_object_that_is_not_finished_counts_where_it_can():
+    truth = {"log10_youngs_modulus": 6.0, "poisson_ratio": 0.4}
+    begun = {"object": "bus", "truth": truth, "constant": {"errors": [-0.5, 0.0], "process_seconds": 0.0}}
+    told = summary([row("mug", [0.02, -0.01], [True, None], 30.0), begun])
+    assert told["identification"]["constant"]["objects"] == 2 and told["identification"]["refined"]["objects"] == 1
+    assert "| bus | 6.00, 0.40 | -0.500 / +0.000 | – | – | – |" in markdown(
+        [row("mug", [0, 0], [True], 30.0), begun], ""
+    )
+
+
+@pytest.fixture(scope="module")
+def benchmark(tmp_path_factory):
+    """One painted ball, tiny."""
+    from data_gen.commands import app
+
+    root = tmp_path_factory.mktemp("paper")
+    (root / "objects" / "ball").mkdir(parents=True)
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.5)
+    waves = 127 + 120 * np.sin(12 * ball.vertices @ np.array([[1, 0.3, 0], [0, 1, 0.4], [0.5, 0, 1]]))
+    ball.visual = trimesh.visual.ColorVisuals(ball, vertex_colors=waves.astype(np.uint8))
+    ball.export(root / "objects" / "ball" / "ball.ply")
+    sizes = "--count 1 --size 96 --views 3 --frames 10 --observed-frames 9 --nodes 120 --steps-per-frame 8"
+    command = f"benchmark --objects {root / 'objects'} --out {root / 'made'} {sizes} --modulus 4.5 4.6 --no-progress"
+    result = CliRunner().invoke(app, command.split())
+    assert result.exit_code == 0, result.output
+    return root / "made"
+
+
+@pytest.mark.slow
+def test_a_benchmark_keeps_truth_apart(benchmark):
+    files = {path.name for path in (benchmark / "captures" / "ball").iterdir()}
+    assert files == {"capture.json", "mesh.obj", "view0.mp4", "view0_mask.mp4"}
+    truth = json.loads((benchmark / "truth" / "ball" / "truth.json").read_text())
+    assert 4.5 <= np.log10(truth["youngs_modulus"]) <= 4.6
+    for label in ("half_steps", "half_nodes"):
+        assert len(truth[f"psnr_to_{label}"]) == len(truth[f"ssim_to_{label}"]) == 10
+        assert truth[f"rms_to_{label}_m"][0] == pytest.approx(0, abs=5e-3) and max(truth[f"rms_to_{label}_m"]) > 1e-5
+    assert truth["psnr_to_half_nodes"][-1] < truth["psnr_to_half_nodes"][0]
+    with np.load(benchmark / "truth" / "ball" / "points.npz") as arrays:
+        assert arrays["positions"].shape == (10, len(arrays["rest"]), 3)
+        assert np.abs(arrays["positions_pushed"] - arrays["positions"]).max() > 0.05
+
+
+@pytest.mark.slow
+def test_a_capture_holds_as_many_views_as_are_observed(benchmark, tmp_path):
+    from data_gen import BenchmarkOptions
+    from data_gen.benchmark import generate_benchmark
+
+    sizes = BenchmarkOptions(
+        count=1, size=64, views=4, observed_views=2, frames=2, observed_frames=2, nodes=60, steps_per_frame=1,
+        checked=False,
+    )  # fmt: skip
+    generate_benchmark(benchmark.parent / "objects", tmp_path, sizes)
+    capture = load_capture(tmp_path / "captures" / "ball")
+    assert [camera.name for camera in capture.cameras] == ["view0", "view2"]
+    files = {path.name for path in capture.folder.iterdir()}
+    assert files >= {"view0.mp4", "view0_mask.mp4", "view2.mp4", "view2_mask.mp4"} and "view1.mp4" not in files
+    with pytest.raises(InputError, match="observed_views: got 5; expected at most views = 4"):
+        replace(sizes, observed_views=5)
+
+
+@pytest.mark.slow
+def test_what_is_not_made_yet_is_left_for_later_and_comparisons_come_last(benchmark, tmp_path):
+    shutil.copytree(benchmark, tmp_path / "made")
+    claim = json.loads((tmp_path / "made" / "benchmark.json").read_text())
+    claim["objects"] = ["egg", "ball"]
+    (tmp_path / "made" / "benchmark.json").write_text(json.dumps(claim))
+    truth = tmp_path / "made" / "truth" / "ball" / "truth.json"
+    truth.rename(tmp_path / "later.json")
+    assert evaluate_paper(tmp_path / "made", tmp_path / "out", SMALL) == []
+    (tmp_path / "later.json").rename(truth)
+    parts = []
+    (found,) = evaluate_paper(
+        tmp_path / "made", tmp_path / "out", SMALL, comparisons=False, on_part=lambda *names: parts.append(names)
+    )
+    assert parts == [("ball", part) for part in ("constant", "network", "field", "refined", "followed")]
+    assert found["truth_itself"]["nodes"] <= 120 and 0.5 < found["truth_itself"]["overlap"] <= 1
+
+
+@pytest.mark.slow
+def test_an_object_is_evaluated_part_by_part(benchmark, tmp_path):
+    options = SMALL
+    parts = []
+    (found,) = evaluate_paper(benchmark, tmp_path, options, on_part=lambda *names: parts.append(names[1]))
+    assert parts == ["constant", "network", "field", "refined", "followed", "published_way", "points_K4"]
+    assert "failure" not in found["refined"], found["refined"]
+    assert abs(found["refined"]["errors"][0]) < abs(found["constant"]["errors"][0])
+    assert len(found["refined"]["rms_m"]) == 10
+    assert set(found["refined"]["pictures"]) == {"observed", "future"}
+    assert set(found["followed"]["pictures"]) == {"observed", "future"} and "drift" in found["followed"]
+    assert set(found["refined"]["changes"]) == {"softer", "pushed", "moving_floor"}
+    assert found["published_way"]["steps"] == 3
+    assert set(found["points_K4"]["observed"]) == {"refined"} and found["points_K4"]["first_images"]["psnr"] > 10
+    assert "| 4 | " in markdown([found], "One object.")
+    again = []
+    evaluate_paper(benchmark, tmp_path, options, on_part=lambda *names: again.append(names))
+    assert not again
+    with pytest.raises(InputError, match=r"cube: not in .*expected some of ball"):
+        evaluate_paper(benchmark, tmp_path, options, names=["cube"])
+    with pytest.raises(InputError, match="other options"):
+        evaluate_paper(benchmark, tmp_path, PaperOptions())
+
+
+def test_other_parts_may_be_chosen_later_but_not_other_settings(tmp_path):
+    benchmark, out = tmp_path / "made", tmp_path / "out"
+    benchmark.mkdir()
+    (benchmark / "benchmark.json").write_text('{"objects": []}')
+    for choice in (SMALL, replace(SMALL, ablation=(3,), ablation_points=(5, 6)), replace(SMALL, adam_steps=0)):
+        assert evaluate_paper(benchmark, out, choice) == []
+    for change, name in (({"adam_steps": 4}, "adam_steps"), ({"fine_nodes": 200}, "fine_nodes")):
+        with pytest.raises(InputError, match=rf"other options \({name}\); choose another folder"):
+            evaluate_paper(benchmark, out, replace(SMALL, **change))
+
+
+def test_a_folder_without_a_benchmark_is_named(tmp_path):
+    with pytest.raises(InputError, match="physconvex generate benchmark"):
+        evaluate_paper(tmp_path, tmp_path / "out")

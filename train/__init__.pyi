@@ -1,0 +1,24 @@
+from .blind.answers import diagnose_bank as diagnose_bank
+from .blind.metrics import area_under_roc as area_under_roc
+from .blind.oracle import run_oracle as run_oracle
+from .blind.scoring import Bank as Bank, BankScore as BankScore, score_banks as score_banks
+from .cache import prepare_clips as prepare_clips
+from .config import TrainConfig as TrainConfig, load_train_config as load_train_config
+from .data import TrainingClips as TrainingClips
+from .falls.batches import FallBatch as FallBatch
+from .falls.pretrain import Pretraining as Pretraining, pretrain as pretrain
+from .falls.real import RealClips as RealClips
+from .falls.run import train_on_falls as train_on_falls
+from .falls.world import Falls as Falls, simulate_falls as simulate_falls
+from .loop import train_predictor as train_predictor
+from .losses import smoothed_target as smoothed_target
+from .metrics import constant_mae as constant_mae
+from .paper.evaluation import PaperOptions as PaperOptions, evaluate_paper as evaluate_paper
+from .reconstruction_coverage import Coverage as Coverage, measure_coverage as measure_coverage
+from .records import (
+    LabelledClip as LabelledClip,
+    Split as Split,
+    dataset_checksum as dataset_checksum,
+    read_clips as read_clips,
+)
+from .states import flipped_states as flipped_states

@@ -1,0 +1,1 @@
+"""Blind tests of the diagnosis: captures with sealed labels, answers, score."""

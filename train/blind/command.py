@@ -1,0 +1,154 @@
+"""The commands `physconvex evaluate gap`: captures with sealed labels, blind diagnosis, score."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from train.blind.scoring import BankScore
+
+__all__ = ["app"]
+
+app = typer.Typer(no_args_is_help=True, help=__doc__)
+
+
+@app.command()
+def generate(
+    out: Annotated[Path, typer.Option(help="New folder of the captures.")],
+    seal: Annotated[Path, typer.Option(help="New file of the labels; keep it from whoever diagnoses.")],
+    count: Annotated[int, typer.Option(help="Number of captures.")] = 16,
+    seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
+    effects: Annotated[str | None, typer.Option(help="Names to draw from, separated by commas.")] = None,
+    effect_free: Annotated[float, typer.Option(help="Share of captures without an effect.")] = 0.25,
+    two: Annotated[float, typer.Option(help="Share of captures with two effects.")] = 0.0,
+    outside: Annotated[float, typer.Option(help="Share of captures whose effect is in no dictionary.")] = 0.0,
+    deleted: Annotated[
+        float, typer.Option(help="Share of captures whose effect is taken out of the dictionary, with its class.")
+    ] = 0.0,
+    controls: Annotated[
+        str | None, typer.Option(help="Controls, one more capture each: density, numerics, camera, noise.")
+    ] = None,
+    visibilities: Annotated[
+        str, typer.Option(help="Gap over noise and numerical error, in mean squares; taken in turn.")
+    ] = "10",
+    engine: Annotated[
+        str, typer.Option(help="explicit (an engine of its own) or fem (the full-order model).")
+    ] = "explicit",
+    workers: Annotated[int, typer.Option(help="Processes.")] = 1,
+) -> None:
+    """Simulate marker captures with hidden effects; publish the labels' hash only. Goes on where it stopped."""
+    from tqdm import tqdm
+
+    from data_gen import Shares, generate_bank
+    from physconvex import InputError
+
+    names = None if effects is None else [n.strip() for n in effects.split(",")]
+    if engine not in ("explicit", "fem"):
+        raise InputError(f"engine: got {engine!r}; expected explicit or fem")
+    with tqdm(total=count, dynamic_ncols=True) as bar:
+        count = generate_bank(
+            out, seal, count=count, seed=seed, effects=names,
+            shares=Shares(effect_free, two, outside, deleted), engine="fem" if engine == "fem" else "explicit",
+            controls=[] if controls is None else [n.strip() for n in controls.split(",")],
+            visibilities=[float(v) for v in visibilities.split(",")], workers=workers,
+            report=lambda name: (bar.set_description(name), bar.update())[0],
+        )  # fmt: skip
+    typer.echo(f"{count} captures in {out}; labels in {seal}")
+
+
+@app.command()
+def diagnose(
+    captures: Annotated[Path, typer.Option(help="Folder of the captures.")],
+    out: Annotated[Path, typer.Option(help="Folder of the reports and of answers.json.")],
+    without: Annotated[
+        str | None, typer.Option(help="Effects that are taken out of the dictionary, separated by commas.")
+    ] = None,
+    workers: Annotated[int, typer.Option(help="Processes, of one capture each.")] = 1,
+) -> None:
+    """Diagnose every capture with the default settings; goes on where it stopped."""
+    from tqdm import tqdm
+
+    from train.blind.answers import diagnose_bank
+
+    names = [] if without is None else [n.strip() for n in without.split(",")]
+    with tqdm(dynamic_ncols=True) as bar:
+        path = diagnose_bank(
+            captures,
+            out,
+            without=names,
+            workers=workers,
+            report=lambda name: (bar.set_description(name), bar.update())[0],
+        )
+    typer.echo(f"answers and their hash in {path}")
+
+
+@app.command()
+def score(
+    captures: Annotated[list[Path], typer.Option(help="Folder of the captures; several banks are counted together.")],
+    seal: Annotated[list[Path], typer.Option(help="File of the labels, of each bank.")],
+    answers: Annotated[list[Path], typer.Option(help="answers.json, of each bank.")],
+    oracle: Annotated[list[Path] | None, typer.Option(help="Folder of `oracle`, of each bank.")] = None,
+    out: Annotated[Path, typer.Option(help="File of the result (JSON).")] = Path("gap_score.json"),
+    tables: Annotated[Path | None, typer.Option(help="File of the result to read (Markdown).")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Picture: confusion, reliability, visibility.")] = None,
+) -> None:
+    """Open the seals and score the answers."""
+    from physconvex import InputError
+    from train.blind.scoring import Bank, score_banks
+
+    oracles: list[Path | None] = list(oracle) if oracle else [None for _ in captures]
+    if not len(captures) == len(seal) == len(answers) == len(oracles):
+        raise InputError(
+            f"seal, answers, oracle: got {len(seal)}, {len(answers)} and {len(oracles)}; expected one for each of "
+            f"{len(captures)} banks"
+        )
+    _write(score_banks(*map(Bank, captures, seal, answers, oracles)), out, tables, figure)
+
+
+@app.command()
+def pool(
+    results: Annotated[list[Path], typer.Argument(help="Files that `score` wrote, one of each bank.")],
+    out: Annotated[Path, typer.Option(help="File of the result (JSON).")] = Path("gap_score.json"),
+    tables: Annotated[Path | None, typer.Option(help="File of the result to read (Markdown).")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Picture: confusion, reliability, visibility.")] = None,
+) -> None:
+    """Count the captures of banks that were scored before together."""
+    from train.blind.pooling import pool_scores
+
+    _write(pool_scores(results), out, tables, figure)
+
+
+def _write(result: BankScore, out: Path, tables: Path | None, figure: Path | None) -> None:
+    from train.blind.summary import draw_score, score_json, score_markdown
+
+    out.write_text(score_json(result), encoding="utf-8")
+    text = score_markdown(result)
+    if tables is not None:
+        tables.write_text(text, encoding="utf-8")
+    if figure is not None:
+        draw_score(result, figure)
+    typer.echo(text)
+
+
+@app.command()
+def oracle(
+    captures: Annotated[Path, typer.Option(help="Folder of the captures.")],
+    seal: Annotated[Path, typer.Option(help="File of the labels.")],
+    answers: Annotated[Path, typer.Option(help="answers.json, hashed before the seal is opened.")],
+    out: Annotated[Path, typer.Option(help="Folder of the results.")],
+    workers: Annotated[int, typer.Option(help="Processes, of one capture each.")] = 1,
+) -> None:
+    """Open the seal and diagnose each visible single effect with that effect alone; goes on where it stopped."""
+    from tqdm import tqdm
+
+    from train.blind.oracle import run_oracle
+    from train.blind.scoring import Bank
+
+    with tqdm(dynamic_ncols=True) as bar:
+        run_oracle(
+            Bank(captures, seal, answers), out, workers=workers,
+            report=lambda name: (bar.set_description(name), bar.update())[0],
+        )  # fmt: skip

@@ -1,0 +1,65 @@
+"""What the hidden effect would have removed, had it been known: the measure of how far a gap can shrink."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from data_gen import run_jobs
+from physconvex import PhysconvexError
+from physconvex.gap import GapOptions, diagnose
+from train.blind.scoring import VISIBLE, Bank, score_banks
+
+__all__ = ["run_oracle"]
+
+Report = Callable[[str], None]
+
+
+def run_oracle(
+    bank: Bank, out: Path, *, options: GapOptions | None = None, workers: int = 1, report: Report = lambda _: None
+) -> None:
+    """Diagnose captures that hide one visible effect with that effect alone; goes on where it stopped.
+
+    The seal is opened for this, so the answers are read first: they must have been hashed.
+
+    Args:
+        bank: what was answered.
+        out: folder of the results, one file per capture: the share of the held-out gap that the effect removes.
+        options: settings.
+        workers: processes, of one capture each.
+        report: told what is done.
+
+    Raises:
+        InputError: as `score_banks`.
+    """
+    jobs = [
+        _Job(bank.captures / name, out / f"{name}.json", row.truth, options)
+        for row in score_banks(bank).rows
+        for name in [row.capture.removeprefix(f"{bank.name}/")]
+        if row.single and row.visibility >= VISIBLE
+    ]
+    out.mkdir(parents=True, exist_ok=True)
+    run_jobs(_shrink, [job for job in jobs if not job.target.exists()], workers=workers, report=report)
+
+
+@dataclass(frozen=True)
+class _Job:
+    folder: Path
+    target: Path
+    effects: tuple[str, ...]
+    options: GapOptions | None
+
+    @property
+    def name(self) -> str:
+        return self.folder.name
+
+
+def _shrink(job: _Job) -> None:
+    value: float | None
+    try:
+        value = diagnose(job.folder, effects=job.effects, options=job.options).how_far[0].shrinkage
+    except PhysconvexError:
+        value = None
+    job.target.write_text(json.dumps({"effects": job.effects, "shrinkage": value}), encoding="utf-8")

@@ -1,0 +1,1 @@
+"""The tables of the paper on the benchmark of `physconvex generate benchmark`."""
