@@ -9,6 +9,13 @@ from .capture.folder import (
 from .capture.parts import Boundary as Boundary, Tracks as Tracks
 from .capture.saving import save_capture as save_capture
 from .configuration import read_tree as read_tree, set_value as set_value, validated as validated
+from .options import (
+    CommandLine as CommandLine,
+    Options as Options,
+    command as command,
+    error_in_words as error_in_words,
+    options_table as options_table,
+)
 from .processes import ONE_THREAD as ONE_THREAD, end_with_parent as end_with_parent, one_thread_each as one_thread_each
 from .video.errors import VideoCause as VideoCause, VideoError as VideoError
 from .video.frames import Video as Video

@@ -1,0 +1,203 @@
+"""Options written once: a typed model of a command makes its command line, its JSON and its table in the docs.
+
+class FitOptions(Options):
+    weights: Annotated[int, Field(ge=1), CommandLine(panel="Models")] = 20
+    \"""Number of skinning weights.\"""
+
+@command
+def fit(capture: Annotated[Path, typer.Argument()], options: FitOptions, out: Path = Path("fit")) -> None: ...
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import types
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union, get_args, get_origin, get_type_hints
+
+import typer
+from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
+from pydantic.fields import FieldInfo
+
+from physconvex.errors import InputError
+
+__all__ = ["CommandLine", "Options", "command", "error_in_words", "options_table"]
+
+
+@dataclass(frozen=True)
+class CommandLine:
+    """How a field looks on the command line, as metadata of its annotation.
+
+    Attributes:
+        flag: name of the option; `--` and the field's name unless given.
+        panel: heading in `--help` under which it stands.
+        parse: of a field that is a mapping: from NAME=VALUE, which may be given several times, to name and value.
+        hidden: the field is set from Python alone.
+    """
+
+    flag: str | None = None
+    panel: str | None = None
+    parse: Callable[[str], tuple[str, Any]] | None = None
+    hidden: bool = False
+
+
+class Options(BaseModel):
+    """Frozen settings. Field docstrings are their help; a field that is itself `Options` contributes its own fields.
+
+    Raises:
+        InputError: an unknown name or a value out of range.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+    if not TYPE_CHECKING:
+
+        def __init__(self, **values: Any) -> None:
+            try:
+                super().__init__(**values)
+            except ValidationError as error:
+                raise InputError(error_in_words(error)) from None
+
+    def replace(self, **changes: object) -> Self:
+        """The same options with some fields changed, checked anew."""
+        return type(self)(**(dict(self) | changes))
+
+    def to_json(self) -> dict[str, JsonValue]:
+        """All settings, for a result's file."""
+        return self.model_dump(mode="json")
+
+
+_EXPECTED = {
+    "greater_than_equal": "expected at least {ge}",
+    "greater_than": "expected more than {gt}",
+    "less_than_equal": "expected at most {le}",
+    "less_than": "expected less than {lt}",
+    "literal_error": "expected one of {expected}",
+    "finite_number": "expected a finite number",
+}
+
+
+def error_in_words(error: ValidationError) -> str:
+    """Every place that is wrong: the name, what came, what was expected."""
+    return "; ".join(map(_place_in_words, error.errors()))
+
+
+def _place_in_words(place: Any) -> str:
+    name, context = ".".join(map(str, place["loc"])), place.get("ctx", {})
+    if isinstance(context.get("error"), InputError):
+        return str(context["error"])
+    if place["type"] == "extra_forbidden":
+        return f"{name}: no such option"
+    expected = _EXPECTED.get(place["type"])
+    told = place["msg"] if expected is None else expected.format(**context).replace("'", "").replace(" or ", ", ")
+    return f"{name}: got {place['input']!r}; {told}"
+
+
+def command(function: Callable[..., None]) -> Callable[..., None]:
+    """A function for typer: each parameter that is annotated with `Options` becomes one option per field."""
+    hints = get_type_hints(function, include_extras=True)
+    parameters, models = [], {}
+    for parameter in inspect.signature(function).parameters.values():
+        hint = hints[parameter.name]
+        if isinstance(hint, type) and issubclass(hint, Options):
+            models[parameter.name] = hint
+            parameters += [_parameter(name, info) for name, info in _fields(hint)]
+        else:
+            parameters.append(parameter.replace(annotation=hint, kind=inspect.Parameter.KEYWORD_ONLY))
+
+    @functools.wraps(function)
+    def run(**given: Any) -> None:
+        made = {name: _built(model, given) for name, model in models.items()}
+        function(**given, **made)
+
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in parameters} | {"return": None}
+    del run.__wrapped__
+    return run
+
+
+def options_table(model: type[Options]) -> str:
+    """The options as a Markdown table: name, default, what it does."""
+    rows = ["| option | default | |", "|---|---|---|"]
+    for name, info in _fields(model):
+        default = _shown(info)
+        rows.append(f"| `{_flag(name, info)}` | {default} | {(info.description or '').strip().replace(chr(10), ' ')} |")
+    return "\n".join(rows)
+
+
+def _fields(model: type[Options]) -> Iterator[tuple[str, FieldInfo]]:
+    for name, info in model.model_fields.items():
+        kind = info.annotation
+        if isinstance(kind, type) and issubclass(kind, Options):
+            yield from _fields(kind)
+        elif not _command_line(info).hidden:
+            yield name, info
+
+
+def _built(model: type[Options], given: dict[str, Any]) -> Options:
+    values = {}
+    for name, info in model.model_fields.items():
+        kind = info.annotation
+        if isinstance(kind, type) and issubclass(kind, Options):
+            values[name] = _built(kind, given)
+        elif not _command_line(info).hidden:
+            values[name] = _value(info, given.pop(name))
+    return model(**values)
+
+
+def _value(info: FieldInfo, given: Any) -> Any:
+    parse = _command_line(info).parse
+    if parse is not None:
+        return dict(map(parse, given or ()))
+    if given is None:
+        return info.get_default(call_default_factory=True)
+    return tuple(given) if isinstance(given, list) else given
+
+
+def _parameter(name: str, info: FieldInfo) -> inspect.Parameter:
+    look, default = _command_line(info), info.get_default(call_default_factory=True)
+    kind, repeated = _kind(info.annotation)
+    option = typer.Option(*([look.flag] if look.flag else []), help=info.description, rich_help_panel=look.panel)
+    return inspect.Parameter(
+        name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=None if repeated else default,
+        annotation=Annotated[kind, option],
+    )
+
+
+def _kind(annotation: Any) -> tuple[Any, bool]:
+    """What typer is told of a field's type, and whether the option may be given several times."""
+    inner = _bare(annotation)
+    if get_origin(inner) in (Union, types.UnionType):
+        given = [_bare(part) for part in get_args(inner) if part is not type(None)]
+        kind, repeated = _kind(given[0])
+        return kind if repeated else kind | None, repeated
+    if get_origin(inner) is tuple and get_args(inner)[-1] is Ellipsis:
+        return list[_bare(get_args(inner)[0])] | None, True  # type: ignore[misc]
+    if isinstance(get_origin(inner), type) and issubclass(get_origin(inner), Mapping):
+        return list[str] | None, True
+    return inner, False
+
+
+def _bare(annotation: Any) -> Any:
+    return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
+
+
+def _command_line(info: FieldInfo) -> CommandLine:
+    return next((entry for entry in info.metadata if isinstance(entry, CommandLine)), CommandLine())
+
+
+def _flag(name: str, info: FieldInfo) -> str:
+    return _command_line(info).flag or "--" + name.replace("_", "-")
+
+
+def _shown(info: FieldInfo) -> str:
+    value = info.get_default(call_default_factory=True)
+    if get_origin(_bare(info.annotation)) is Literal:
+        return " \\| ".join(f"**{v}**" if v == value else str(v) for v in get_args(_bare(info.annotation)))
+    if value in (None, (), {}):
+        return ""
+    return "yes" if value is True else "no" if value is False else str(value)
