@@ -159,7 +159,7 @@ def test_reading_does_not_touch_the_truth(tmp_path: Path) -> None:
 def test_reading_loads_no_torch(tmp_path: Path) -> None:
     (tmp_path / "capture.json").write_text('{"fps": 24, "frames": 10}')
     code = (
-        "import sys; from physconvex.io.capture import load_capture; "
+        "import sys; from physconvex.io import load_capture; "
         f"load_capture({str(tmp_path)!r}).object_size; sys.exit('torch' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -5,7 +5,7 @@ import os
 import pytest
 import torch
 
-from physconvex import InputError, cli, fem, reduced
+from physconvex import InputError, cli, fem, mesh, reduced
 from physconvex.numerics import one_torch_thread
 
 
@@ -26,7 +26,7 @@ def test_the_number_comes_back_after_an_error():
 
 def test_a_roll_out_uses_one():
     seen = []
-    scene = fem.Scene(fem.ElasticBody(fem.box_mesh((0.1, 0.1, 0.1), (1, 1, 1), order=1)))
+    scene = fem.Scene(fem.ElasticBody(mesh.box_mesh((0.1, 0.1, 0.1), (1, 1, 1), order=1)))
     fem.simulate(scene, frames=2, steps_per_frame=1, on_frame=lambda state: seen.append(torch.get_num_threads()))
     assert seen == [1] and torch.get_num_threads() == 2
 

@@ -555,7 +555,8 @@ def test_doses_follow_visibility(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["camera_pose", "time_offset", "time_scale"])
-def test_doses_of_what_is_seen_mean_what_they_mean_in_the_dictionary(name, rng):
+def test_doses_of_what_is_seen_mean_what_they_mean_in_the_dictionary(name):
+    rng = np.random.default_rng(3)
     case = draw_case(3, (name,), dosed=False)
     runner = explicit_cases._Runner(case, explicit_cases._mesh(case, 40), case.surface.vertices[:12])
     dosed = _seen_effect(name, 1.0, case, rng)
