@@ -1,9 +1,11 @@
 # Everything a developer runs. Each target makes the environment if needed (scripts/setup-env).
+export NO_MKDOCS_2_WARNING := 1
 export PHYSCONVEX_VENV ?= $(CURDIR)/.venv
 BIN := $(PHYSCONVEX_VENV)/bin
 PACKAGES := physconvex models data_gen train inference
 
-.PHONY: check quick static format test typecheck lock bench bench-data bench-objects checkpoint demo clean env
+.PHONY: check quick static format test typecheck lock docs docs-serve bench bench-data bench-objects \
+    checkpoint demo clean env
 
 ## check: format, lint, import contract, types, then every test and doctest
 check: static
@@ -29,6 +31,14 @@ env:
 ## typecheck: the quick tests with shapes and annotations checked at run time
 typecheck:
 	./run-tests quick --typecheck
+
+## docs: the site, in build/site; every link and every reference is checked
+docs: env
+	$(BIN)/python -m mkdocs build --quiet --strict
+
+## docs-serve: the site at http://localhost:8000, made anew when a page changes
+docs-serve: env
+	$(BIN)/python -m mkdocs serve
 
 ## lock: pin the dependencies of pyproject.toml anew, with hashes, for every supported Python and platform
 lock:

@@ -32,7 +32,9 @@ def test_commands_exist(page: Path) -> None:
     named = {words[1] for words in lines if words[0] == "physconvex" and not words[1].startswith("-")}
     assert named <= set(cli._commands())
     targets = {words[1] for words in lines if words[0] == "make" and len(words) > 1}
-    assert targets <= set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), flags=re.MULTILINE))
+    assert targets <= set(
+        re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    )
 
 
 @pytest.mark.parametrize("page", PAGES, ids=_name)

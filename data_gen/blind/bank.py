@@ -22,7 +22,8 @@ from physconvex.io import load_capture, save_capture
 
 __all__ = ["COMMITMENT", "DICTIONARY", "EngineName", "digest", "generate_bank"]
 
-COMMITMENT, DICTIONARY = "commitment.json", "dictionary.json"
+COMMITMENT = "commitment.json"
+DICTIONARY = "dictionary.json"
 Report = Callable[[str], None]
 EngineName = Literal["explicit", "fem"]
 _DRAWS = 8  # until a capture is given up

@@ -16,7 +16,8 @@ from physconvex.kernels import POINTER, launch, loaded
 
 __all__ = ["LOOK", "VIEW", "draw", "roll_out"]
 
-VIEW, LOOK = 16, 40  # numbers of a view and a look, as in gpu/draw.h
+VIEW = 16  # numbers of a view, as in gpu/draw.h
+LOOK = 40  # numbers of a look
 _HERE = Path(__file__).parent / "gpu"
 _HEADERS = {"roll_out": "body.h", "nearest": "draw.h", "resolve": "draw.h"}
 _SOURCES = {"roll_out": "kernel.cu", "nearest": "draw.cu", "resolve": "draw.cu"}

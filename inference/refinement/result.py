@@ -122,7 +122,7 @@ class RefinedMotion:
         faces: of the surface, shape [F, 3].
         markers: of the tracked points [m], shape [T, P, 3]; P = 0 without tracks.
         handles: Z_m(t) of the reduced model, φ = X + Σ W_m Z_m [X; 1], shape [T, M + 1, 3, 4].
-        weight_points, weights: rest positions [m] [N, 3] and skinning weights [N, M] of the mesh nodes.
+        weight_points, weights: rest positions [m], shape [N, 3], and skinning weights, shape [N, M], of the mesh nodes.
         model: "full" or "reduced": where vertices and markers come from.
         mesh, nodes: the mesh of that model at rest, and its nodes [m], shape [T, K, 3].
         reduced_gap: rms distance to it [m] of the reduced model with its first weights, and with those that were

@@ -1,0 +1,184 @@
+"""What `mkdocs build` makes itself: pages of the API and the command line, and links to files outside `docs/`."""
+
+from __future__ import annotations
+
+import ast
+import posixpath
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import typer
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+from physconvex import cli
+
+ROOT = Path(__file__).resolve().parent.parent
+FACES = (
+    "physconvex",
+    "inference",
+    "physconvex.identify",
+    "physconvex.gap",
+    "physconvex.reduced",
+    "physconvex.fem",
+    "physconvex.mesh",
+    "physconvex.materials",
+    "physconvex.dynamics",
+    "physconvex.convex",
+    "physconvex.render",
+    "physconvex.reconstruction",
+    "physconvex.play",
+    "physconvex.io",
+    "physconvex.numerics",
+    "physconvex.kernels",
+    "models",
+    "data_gen",
+    "train",
+)
+OUTSIDE = {
+    "contributing.md": "CONTRIBUTING.md",
+    "changelog.md": "CHANGELOG.md",
+    "examples/captures.md": "examples/captures/README.md",
+    "examples/clips.md": "examples/clips/README.md",
+}
+_LINK = re.compile(r"(!?\[[^\]]*\]\()([^)#\s]+)")
+
+
+def on_files(files: Files, *, config: MkDocsConfig) -> Files:
+    """Adds the generated pages, the pages that lie elsewhere, and the files that pages link to."""
+    for face in FACES:
+        files.append(File.generated(config, f"reference/api/{face}.md", content=api_page(face)))
+    files.append(File.generated(config, "reference/command_line.md", content=command_line_page()))
+    for uri, source in OUTSIDE.items():
+        files.append(File.generated(config, uri, abs_src_path=str(ROOT / source)))
+    for target in sorted(_linked_files(files)):
+        files.append(File.generated(config, f"repository/{target}", abs_src_path=str(ROOT / target)))
+    return files
+
+
+def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Links are written for a reader of the repository; in the site they lead to the same files."""
+    source = _in_repository(page.file.src_uri)
+
+    def moved(match: re.Match[str]) -> str:
+        target = _target(source, match[2])
+        if target is None:
+            return match[0]
+        return match[1] + posixpath.relpath(_in_site(target), posixpath.dirname(page.file.src_uri) or ".")
+
+    return _LINK.sub(moved, markdown)
+
+
+def _linked_files(files: Files) -> Iterator[str]:
+    for file in files.documentation_pages():
+        if file.generated_by and file.src_uri not in OUTSIDE:
+            continue
+        source = _in_repository(file.src_uri)
+        for match in _LINK.finditer((ROOT / source).read_text(encoding="utf-8")):
+            target = _target(source, match[2])
+            if target and _in_site(target).startswith("repository/"):
+                yield target
+
+
+def _target(source: str, link: str) -> str | None:
+    """The file of the repository that a link leads to; `None` for links to elsewhere."""
+    target = posixpath.normpath(posixpath.join(posixpath.dirname(source), link))
+    return None if ":" in link or target.startswith("..") or not (ROOT / target).is_file() else target
+
+
+def _in_repository(uri: str) -> str:
+    return OUTSIDE.get(uri, f"docs/{uri}")
+
+
+def _in_site(target: str) -> str:
+    elsewhere = {source: uri for uri, source in OUTSIDE.items()}
+    if target.startswith("docs/") and not target.startswith("docs/figures/"):
+        return target.removeprefix("docs/")
+    return elsewhere.get(target, f"repository/{target}")
+
+
+def api_page(face: str) -> str:
+    """The public names of a package, under the modules that define them."""
+    folder = ROOT / face.replace(".", "/")
+    lines = [f"# `{face}`", "", _docstring(folder / "__init__.py"), ""]
+    for module, names in public_names(folder).items():
+        path = folder / f"{module.replace('.', '/')}.py"
+        title = _docstring(path if path.exists() else path.with_suffix("") / "__init__.py").split("\n\n")[0]
+        lines += [f"## {module}", "", title, ""]
+        lines += [f"::: {face}.{name}\n" for name in names]
+    return "\n".join(lines)
+
+
+def public_names(folder: Path) -> dict[str, list[str]]:
+    """Names that the stub of a package lists, by the module that each comes from."""
+    stub = folder / "__init__.pyi"
+    found: dict[str, list[str]] = {}
+    for node in ast.parse(stub.read_text(encoding="utf-8")).body if stub.exists() else ():
+        if isinstance(node, ast.ImportFrom):
+            found.setdefault(node.module or "", []).extend(alias.asname or alias.name for alias in node.names)
+    return found
+
+
+def _docstring(path: Path) -> str:
+    return ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+
+
+def command_line_page() -> str:
+    """Every command with its arguments and options, as typer knows them."""
+    lines = [
+        "# Command line",
+        "",
+        "`physconvex COMMAND --help` shows the same. Exit code 0: everything is done. 1: some inputs fail, each is",
+        "named, the rest is done. 2: wrong usage or unusable input.",
+        "",
+    ]
+    for name, point in cli._commands().items():
+        lines += _command(f"physconvex {name}", cli._load(point))
+    return "\n".join(lines)
+
+
+def _command(path: str, command: Any, level: int = 2) -> Iterator[str]:
+    yield f"{'#' * level} {path}\n\n{_text(command.help)}\n"
+    inner = getattr(command, "commands", {})
+    for name, each in inner.items():
+        yield from _command(f"{path} {name}", each, level + 1)
+    if inner:
+        return
+    context = typer.Context(command)
+    arguments = [p for p in command.params if p.param_type_name == "argument"]
+    options = [p for p in command.params if p.param_type_name == "option" and "--help" not in p.opts]
+    yield f"```text\n{path} {' '.join(command.collect_usage_pieces(context))}\n```\n"
+    if arguments:
+        yield "| argument | |\n|---|---|"
+        yield from (f"| `{p.name}` | {_text(p.help)} |" for p in arguments)
+        yield ""
+    yield "| option | value | default | |\n|---|---|---|---|"
+    yield from (f"| {_flags(p)} | {_value(p, context)} | {_default(p)} | {_text(p.help)} |" for p in options)
+    yield ""
+
+
+def _flags(option: Any) -> str:
+    return ", ".join(f"`{name}`" for name in [*option.opts, *option.secondary_opts])
+
+
+def _value(option: Any, context: typer.Context) -> str:
+    if option.is_flag:
+        return ""
+    return _text(option.display_type(context)) + (" …" if option.multiple else "")
+
+
+def _default(option: Any) -> str:
+    value = option.default
+    if option.is_flag:
+        return "yes" if value else "no"
+    if value is None or callable(value) or value in ((), []):
+        return "required" if option.required else ""
+    value = getattr(value, "value", value)
+    return "`" + (" ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)) + "`"
+
+
+def _text(text: str | None) -> str:
+    return re.sub(r"\s+", " ", (text or "").replace("\\[", "[")).replace("|", "\\|").strip()
