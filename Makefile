@@ -7,19 +7,16 @@ PACKAGES := physconvex models data_gen train inference
 .PHONY: check quick static format test typecheck lock docs docs-serve bench bench-data bench-objects \
     checkpoint demo clean env
 
-## check: format, lint, import contract, types, then every test and doctest
-check: static
-	./run-tests
+## check: format, lint, import contracts, types, documentation, then every test and doctest
+check:
+	scripts/check
 
 ## quick: the same with the quick tests only
-quick: static
-	./run-tests quick
+quick:
+	scripts/check quick
 
-static: env
-	$(BIN)/ruff format --check .
-	$(BIN)/ruff check .
-	$(BIN)/lint-imports
-	$(BIN)/mypy
+static:
+	scripts/check static
 
 format: env
 	$(BIN)/ruff format .
