@@ -4,7 +4,7 @@ export PHYSCONVEX_VENV ?= $(CURDIR)/.venv
 BIN := $(PHYSCONVEX_VENV)/bin
 PACKAGES := physconvex models data_gen train inference
 
-.PHONY: check quick static format test typecheck lock docs docs-serve bench bench-data bench-objects \
+.PHONY: check quick static format test typecheck regression lock docs docs-serve bench bench-data bench-objects \
     checkpoint demo clean env
 
 ## check: format, lint, import contracts, types, documentation, then every test and doctest
@@ -57,6 +57,10 @@ bench-data: env
 bench-objects: env
 	@for name in reconstruction gaussian_comparison moving_field; do \
 	    echo "== $$name"; $(BIN)/python benchmarks/$$name.py --objects $(OBJECTS) || exit 1; done
+
+## regression: results of the whole product compared with the stored ones (tests/regression/run.py)
+regression: env
+	$(BIN)/python tests/regression/run.py
 
 ## checkpoint: the recipe of the bundled checkpoint (docs/training.md); stop and start again as you like; needs a GPU
 checkpoint: env
