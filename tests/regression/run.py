@@ -264,6 +264,8 @@ def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
         for key, part in value.items():
             if not IGNORED_NAMES.search(key):
                 yield from leaves(part, f"{name}.{key}" if name else key)
+    elif isinstance(value, np.ndarray) and numbers_in(value) is None:
+        yield from leaves(value.tolist(), name)
     elif isinstance(value, list | np.ndarray):
         array = numbers_in(value)
         if array is not None and (array.size > LARGE or isinstance(value, np.ndarray)):
