@@ -26,9 +26,9 @@ from scipy.interpolate import CubicSpline
 from data_gen import (
     FLAT,
     BenchmarkOptions,
+    DrawnSurface,
     ObjectMesh,
     StillViews,
-    Surface,
     drop_object,
     load_user_mesh,
     placed,
@@ -102,7 +102,7 @@ def filmed(folder: Path, objects: Path, film: Film) -> Path:
 
 def filmed_by(camera: Camera, body: ObjectMesh, moved: np.ndarray, share: float) -> np.ndarray:
     """The pictures before white, each the mean light of that share of a frame around its time."""
-    surface = Surface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
+    surface = DrawnSurface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
     motion, parts = CubicSpline(np.arange(len(moved)), moved), np.linspace(-0.5, 0.5, 17 if share else 1) * share
     frames = []
     for t in range(len(moved)):

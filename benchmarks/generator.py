@@ -37,9 +37,9 @@ from data_gen import (
     load_config,
     make_mesh,
     prepare_surface,
+    random_stream,
     render_view,
     simulate_drop,
-    stream,
 )
 from physconvex import ConvergenceError, __version__
 from physconvex.io import write_video
@@ -69,7 +69,7 @@ class Clock:
 
 def timed_simulation(config: GeneratorConfig, seed: int, number: int) -> dict[str, float] | None:
     """Seconds by stage of one simulation with all its views, and its nodes; None if it failed."""
-    clock, rng, video = Clock(), stream(seed, 7, number), config.video
+    clock, rng, video = Clock(), random_stream(seed, 7, number), config.video
     try:
         with clock.stage("object"):
             drop = draw_drop(config, seed, number, 0)

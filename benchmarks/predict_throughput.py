@@ -35,9 +35,9 @@ from torch.nn.modules.module import register_module_forward_hook, register_modul
 
 from inference import (
     ClipPictures,
-    ClipSettings,
     ClipSource,
     ResultsFolder,
+    StatedConditions,
     frame_strip,
     load_clip,
     predict_batch,
@@ -251,7 +251,7 @@ def _host_steps(
     predictor: PhysicsPredictor, sources: Sequence[ClipSource], folder: Path
 ) -> tuple[dict[str, float], float]:
     """Processor time of each step of the host, and wall time of writing, means over a sample of clips."""
-    sample, settings = sources[: min(16, len(sources))], ClipSettings()
+    sample, settings = sources[: min(16, len(sources))], StatedConditions()
     cv2.setNumThreads(1)
     loaded = [load_clip(source) for source in sample]
     decode = _processor_seconds(lambda: [load_clip(source) for source in sample])

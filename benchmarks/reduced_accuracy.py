@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from data_gen import FLAT, Surface, rendered_frames
+from data_gen import FLAT, DrawnSurface, rendered_frames
 from inference import predict
 from physconvex import ConvergenceError, InputError
 from physconvex.dynamics import Plane
@@ -265,7 +265,7 @@ def weights_from_film(mesh: TetMesh, motion: np.ndarray) -> WeightField:
     """What the bundled checkpoint predicts from a film of a motion: from the front, 224², coloured by chance."""
     nodes, faces = np.unique(mesh.boundary_faces[:, :3], return_inverse=True)
     colours = np.random.default_rng(0).integers(40, 220, (len(nodes), 3)).astype(np.uint8)
-    surface = Surface(mesh.vertices[nodes], faces.reshape(-1, 3), colors=colours)
+    surface = DrawnSurface(mesh.vertices[nodes], faces.reshape(-1, 3), colors=colours)
     low, high = motion.min((0, 1)), motion.max((0, 1))
     centre = (low + high) / 2
     camera = look_at(centre - [0, 5 * SIZE, 0], centre, width=224, height=224, vertical_field_of_view=0.45)

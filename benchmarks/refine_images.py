@@ -24,7 +24,7 @@ import torch
 import trimesh
 from refine_accuracy import CELLS, COARSE, OPTIONS, RESULTS, Row, row_of, simulated, summary
 
-from data_gen import FLAT, StillViews, Surface, rendered_frames, still_cameras, vertex_colors
+from data_gen import FLAT, DrawnSurface, StillViews, rendered_frames, still_cameras, vertex_colors
 from inference import refine
 from physconvex.io import save_capture
 from physconvex.mesh import Embedding
@@ -39,7 +39,7 @@ def film(folder: Path, case: int) -> None:
     moved = Embedding.of_points(made.mesh, vertices).apply(made.positions)
     turn, rise = made.rng.uniform(-25, 25) / 360 - 0.25, made.rng.uniform(5, 20)
     (camera,) = still_cameras(moved.reshape(-1, 3), StillViews(1, (rise,), turn, "front"), SIZE)
-    surface = Surface(vertices, faces, colors=vertex_colors(vertices, made.rng))
+    surface = DrawnSurface(vertices, faces, colors=vertex_colors(vertices, made.rng))
     frames = np.stack(rendered_frames(surface, camera, FLAT, moved)).astype(np.float64)
     alpha = frames[..., 3:] / 255
     seen = frames[..., :3] * alpha + 255 * (1 - alpha)

@@ -33,7 +33,7 @@ from .explicit.bodies import (
     lay_out as lay_out,
 )
 from .explicit.generate import draw_falls as draw_falls, generate_falls as generate_falls, read_falls as read_falls
-from .explicit.kernels import LOOK as LOOK, VIEW as VIEW, draw as draw, roll_out as roll_out
+from .explicit.kernels import LOOK as LOOK, VIEW as VIEW, render_falls as render_falls, roll_out as roll_out
 from .generate import (
     GenerationSummary as GenerationSummary,
     generate_dataset as generate_dataset,
@@ -45,7 +45,7 @@ from .lighting import Backdrop as Backdrop, Lighting as Lighting
 from .objects.library import FAMILIES as FAMILIES, ObjectMesh as ObjectMesh, random_object as random_object
 from .objects.user_meshes import load_user_mesh as load_user_mesh, objects_from_folder as objects_from_folder
 from .render import Renderer as Renderer
-from .scene import Drop as Drop, draw_drop as draw_drop, draw_look as draw_look, stream as stream
+from .scene import Drop as Drop, draw_drop as draw_drop, draw_look as draw_look, random_stream as random_stream
 from .simulate import make_mesh as make_mesh, simulate_drop as simulate_drop
 from .still_captures import (
     FLAT as FLAT,
@@ -54,5 +54,5 @@ from .still_captures import (
     still_cameras as still_cameras,
     write_still_capture as write_still_capture,
 )
-from .surface import Surface as Surface
+from .surface import DrawnSurface as DrawnSurface
 from .textures import floor_texture as floor_texture, vertex_colors as vertex_colors

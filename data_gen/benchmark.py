@@ -38,7 +38,7 @@ from data_gen.changed_conditions import changed, changes_of
 from data_gen.objects.library import ObjectMesh
 from data_gen.objects.user_meshes import load_user_mesh, objects_from_folder
 from data_gen.still_captures import FLAT, StillViews, rendered_frames, still_cameras, write_still_capture
-from data_gen.surface import Surface
+from data_gen.surface import DrawnSurface
 from physconvex import InputError, __version__
 from physconvex.fem import Scene
 from physconvex.io import Camera, Capture, Floor, save_capture, write_video
@@ -261,7 +261,7 @@ class _Take:
     def filmed(self, moved: Float[np.ndarray, "T V 3"], camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """The object before white [T, H, W, 3], and where it is seen [T, H, W]."""
         body = self.body
-        surface = Surface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
+        surface = DrawnSurface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
         frames = np.stack(rendered_frames(surface, camera, FLAT, moved))
         alpha = frames[..., 3:].astype(np.float32) / 255
         white = (frames[..., :3] * alpha + 255 * (1 - alpha)).round().astype(np.uint8)

@@ -29,7 +29,7 @@ from data_gen.generate import (
     render_view,
     simulate_with_replacements,
 )
-from data_gen.scene import LOOK, Drop, Look, draw_look, stream, surface_of
+from data_gen.scene import LOOK, Drop, Look, draw_look, random_stream, surface_of
 from physconvex import InputError, __version__
 from physconvex.io import Capture, Floor, Tracks, save_capture
 from physconvex.mesh import TetMesh, compact
@@ -105,7 +105,7 @@ def make_capture(task: CaptureTask) -> TaskReport:
     if success is None:
         return TaskReport(task.simulation, result.failures, True, simulate_seconds, 0.0, 0.0)
     clock = time.perf_counter()
-    rng = stream(task.seed, LOOK, task.simulation, success.attempt, _RING)
+    rng = random_stream(task.seed, LOOK, task.simulation, success.attempt, _RING)
     drop, simulated = success.drop, success.simulated
     prepare_surface(drop, task.config, rng)
     looks = ring_of_looks(task.config, rng, simulated.surface)
@@ -120,7 +120,7 @@ def make_capture(task: CaptureTask) -> TaskReport:
         _capture(task, drop, looks),
         videos=videos,
         masks=masks,
-        mesh=_rest_mesh(drop, stream(task.seed, LOOK, task.simulation, success.attempt, _RING)),
+        mesh=_rest_mesh(drop, random_stream(task.seed, LOOK, task.simulation, success.attempt, _RING)),
         tets=_corners(simulated.mesh),
         tracks=_tracks(task, success) if task.options.markers else None,
         truth=_truth(task, success) | {"degradations": degradations},
@@ -162,7 +162,7 @@ def _corners(mesh: TetMesh) -> TetMesh:
 
 
 def _tracks(task: CaptureTask, success: SuccessfulDrop) -> Tracks:
-    rng = stream(task.seed, LOOK, task.simulation, success.attempt, _TRACKS)
+    rng = random_stream(task.seed, LOOK, task.simulation, success.attempt, _TRACKS)
     surface, options = success.simulated.surface, task.options
     chosen = np.sort(rng.choice(surface.shape[1], min(options.markers, surface.shape[1]), replace=False))
     positions = surface[:, chosen] + rng.normal(scale=options.marker_noise, size=(len(surface), len(chosen), 3))

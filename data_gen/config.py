@@ -11,19 +11,19 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from physconvex.fem import ContactSolver
-from physconvex.io import read_tree, set_value, validated
+from physconvex.io import FrozenConfig, read_tree, set_value, validated
 
 __all__ = [
     "AppearanceConfig",
     "CameraConfig",
     "DegradationConfig",
     "GeneratorConfig",
-    "MaterialConfig",
+    "MaterialRanges",
     "MotionConfig",
-    "ObjectConfig",
+    "ObjectSource",
     "Range",
     "SampleConfig",
     "SolverConfig",
@@ -32,13 +32,7 @@ __all__ = [
 ]
 
 
-class Frozen(BaseModel):
-    """Immutable, and strict about unknown names."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class Interval(Frozen):
+class Interval(FrozenConfig):
     """Closed interval with a uniform or log-uniform distribution."""
 
     low: float
@@ -81,7 +75,7 @@ def log_uniform(low: float, high: float) -> Interval:
     return Interval(low=low, high=high, scale="log")
 
 
-class ObjectConfig(Frozen):
+class ObjectSource(FrozenConfig):
     """What is dropped.
 
     `folder` replaces the procedural bodies by the meshes below it. `shares` of train, validation and test
@@ -94,7 +88,7 @@ class ObjectConfig(Frozen):
     validation_share: Share = 0.08
 
 
-class MotionConfig(Frozen):
+class MotionConfig(FrozenConfig):
     """How it is dropped: size [m], height of the lowest point over the floor in sizes, speed [m/s], spin [rad/s]."""
 
     size: Range = log_uniform(0.5, 1.5)
@@ -106,7 +100,7 @@ class MotionConfig(Frozen):
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
 
 
-class MaterialConfig(Frozen):
+class MaterialRanges(FrozenConfig):
     """What it is made of: E [Pa], ν, density [kg/m³], time constant of Kelvin–Voigt damping [s]."""
 
     law: str = "neo_hookean"
@@ -116,7 +110,7 @@ class MaterialConfig(Frozen):
     damping_time: Range = log_uniform(5e-4, 2e-3)
 
     @model_validator(mode="after")
-    def check(self) -> MaterialConfig:
+    def check(self) -> MaterialRanges:
         if self.poisson_ratio.low <= -1 or self.poisson_ratio.high >= 0.5:
             raise ValueError("poisson_ratio must lie inside (-1, 0.5)")
         if self.youngs_modulus.low <= 0 or self.density.low <= 0:
@@ -124,7 +118,7 @@ class MaterialConfig(Frozen):
         return self
 
 
-class SolverConfig(Frozen):
+class SolverConfig(FrozenConfig):
     """Discretisation: most nodes of the quadratic mesh, most nodes added where the body lands, time steps per video
     frame, the same at most while it flies before it lands, what touches the floor (the mesh's nodes, or points all over
     the shown surface that the mesh carries), how contact is solved for (`physconvex.fem.simulate`), most friction
@@ -141,7 +135,7 @@ class SolverConfig(Frozen):
     max_attempts: int = Field(default=6, ge=1)
 
 
-class VideoConfig(Frozen):
+class VideoConfig(FrozenConfig):
     """Frames, rate [1/s], image size [pixels] (even, as H.264 wants), super-sampling factor per axis, x264 quality."""
 
     frames: int = Field(default=24, ge=2)
@@ -152,7 +146,7 @@ class VideoConfig(Frozen):
     crf: int = Field(default=18, ge=0, le=51)
 
 
-class CameraConfig(Frozen):
+class CameraConfig(FrozenConfig):
     """Where the camera stands. Azimuth 0 looks along +y; `margin` is free space around the expected path."""
 
     views: int = Field(default=3, ge=1)
@@ -163,7 +157,7 @@ class CameraConfig(Frozen):
     aim_jitter: float = Field(default=0.05, ge=0)
 
 
-class AppearanceConfig(Frozen):
+class AppearanceConfig(FrozenConfig):
     """Light, floor and background. Intensities are factors on the texture colour."""
 
     key_azimuth_deg: Range = uniform(-75.0, 75.0)
@@ -178,7 +172,7 @@ class AppearanceConfig(Frozen):
     background_kinds: tuple[Literal["plain", "gradient", "texture"], ...] = ("plain", "gradient", "texture")
 
 
-class DegradationConfig(Frozen):
+class DegradationConfig(FrozenConfig):
     """What real clips suffer; each is applied to the given share of the views."""
 
     noise_share: Share = 0.5
@@ -196,19 +190,19 @@ class DegradationConfig(Frozen):
     shake: Range = log_uniform(0.001, 0.006)
 
 
-class SampleConfig(Frozen):
+class SampleConfig(FrozenConfig):
     """Interior points and skinning eigenmodes stored with each simulation."""
 
     points: int = Field(default=384, ge=4)
     modes: int = Field(default=16, ge=1)
 
 
-class GeneratorConfig(Frozen):
+class GeneratorConfig(FrozenConfig):
     """The whole configuration of a generated data set."""
 
-    objects: ObjectConfig = ObjectConfig()
+    objects: ObjectSource = ObjectSource()
     motion: MotionConfig = MotionConfig()
-    material: MaterialConfig = MaterialConfig()
+    material: MaterialRanges = MaterialRanges()
     solver: SolverConfig = SolverConfig()
     video: VideoConfig = VideoConfig()
     camera: CameraConfig = CameraConfig()

@@ -18,7 +18,7 @@ from data_gen.dataset import RenderedView, finish_dataset, is_settled, write_cla
 from data_gen.degrade import Degradation, draw_degradation, expose, shake, sub_positions
 from data_gen.engines import EngineName, run_tasks
 from data_gen.render import Renderer
-from data_gen.scene import LOOK, Drop, Look, draw_drop, draw_look, split_of, stream, surface_of
+from data_gen.scene import LOOK, Drop, Look, draw_drop, draw_look, random_stream, split_of, surface_of
 from data_gen.simulate import SimulatedDrop, simulate_drop
 from physconvex import ConvergenceError, InputError, __version__
 from physconvex.io import write_video
@@ -139,7 +139,7 @@ def simulate_with_replacements(config: GeneratorConfig, seed: int, simulation: i
         try:
             with one_torch_thread():
                 drop = draw_drop(config, seed, simulation, attempt)
-                simulated = simulate_drop(drop, config, stream(seed, LOOK, simulation, attempt, _SAMPLING))
+                simulated = simulate_drop(drop, config, random_stream(seed, LOOK, simulation, attempt, _SAMPLING))
         except ConvergenceError as error:
             failures.append(f"attempt {attempt}: {error}")
         else:
@@ -172,10 +172,10 @@ def make_simulation(task: SimulationTask) -> TaskReport:
 def _views(task: SimulationTask, attempt: int, drop: Drop, simulated: SimulatedDrop) -> list[RenderedView]:
     config = task.config
     video = config.video
-    prepare_surface(drop, config, stream(task.seed, LOOK, task.simulation, attempt, _COLORS))
+    prepare_surface(drop, config, random_stream(task.seed, LOOK, task.simulation, attempt, _COLORS))
     views = []
     for number in range(config.camera.views):
-        rng = stream(task.seed, LOOK, task.simulation, attempt, number)
+        rng = random_stream(task.seed, LOOK, task.simulation, attempt, number)
         look = draw_look(config, rng, simulated.surface, name="front")
         degradation = draw_degradation(config.degradation, rng, video.crf)
         images, mask = render_view(simulated, look, degradation, config, rng)

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from data_gen.lighting import Backdrop, Lighting
-from data_gen.surface import Surface, corner_normals
+from data_gen.surface import DrawnSurface, corner_normals
 from data_gen.vtk_passes import (
     RenderError,
     light_object,
@@ -43,10 +43,10 @@ class Renderer:
         self.width, self.height, self.factor = width, height, supersampling
         self.window = open_window(width * supersampling, height * supersampling)
         self.passes: dict[str, Any] = {}
-        self.surface: Surface | None = None
+        self.surface: DrawnSurface | None = None
         self.plate: np.ndarray | None = None
 
-    def set_surface(self, surface: Surface) -> None:
+    def set_surface(self, surface: DrawnSurface) -> None:
         """Choose the object that is drawn from now on."""
         import pyvista as pv
 

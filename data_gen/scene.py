@@ -13,7 +13,7 @@ from data_gen.config import CameraConfig, GeneratorConfig, MotionConfig
 from data_gen.lighting import Backdrop, Lighting
 from data_gen.objects.library import ObjectMesh, random_object
 from data_gen.objects.user_meshes import load_user_mesh, objects_from_folder
-from data_gen.surface import Surface
+from data_gen.surface import DrawnSurface
 from data_gen.textures import background_texture, floor_texture, vertex_colors
 from physconvex.io import Camera, look_at
 
@@ -23,7 +23,7 @@ __all__ = ["Drop", "Look", "draw_drop", "draw_look", "draw_object", "split_of"]
 _OBJECT, _MOTION, LOOK = 0, 1, 2
 
 
-def stream(seed: int, *key: int) -> np.random.Generator:
+def random_stream(seed: int, *key: int) -> np.random.Generator:
     """Independent random stream for one purpose; depends on nothing but its arguments."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
@@ -76,7 +76,7 @@ def draw_drop(
 ) -> Drop:
     """The drop with that number; `attempt` counts replacements of failed ones, `body` is its object if known."""
     body = draw_object(config, seed, simulation, attempt) if body is None else body
-    rng = stream(seed, _MOTION, simulation, attempt)
+    rng = random_stream(seed, _MOTION, simulation, attempt)
     motion, material = config.motion, config.material
     size = motion.size.sample(rng)
     rotation = _orientation(motion, rng)
@@ -108,7 +108,7 @@ def draw_object(config: GeneratorConfig, seed: int, simulation: int, attempt: in
         paths = objects_from_folder(config.objects.folder)
         return load_user_mesh(paths[number % len(paths)])
     # A failed simulation is replaced by one of another object: most failures are meshes, which would fail again.
-    return random_object(stream(seed, _OBJECT, number, *([attempt] if attempt else [])))
+    return random_object(random_stream(seed, _OBJECT, number, *([attempt] if attempt else [])))
 
 
 def _unit(rng: np.random.Generator) -> np.ndarray:
@@ -125,16 +125,16 @@ def _orientation(motion: MotionConfig, rng: np.random.Generator) -> np.ndarray:
     return Rotation.from_quat(quaternion).as_matrix()
 
 
-def surface_of(drop: Drop, rng: np.random.Generator) -> Surface:
+def surface_of(drop: Drop, rng: np.random.Generator) -> DrawnSurface:
     """The body's surface where it starts, coloured by its texture or procedurally."""
     body = drop.body
     placed = drop.placed(body.vertices)
     if body.uv is not None and body.texture is not None:
-        return Surface(placed, body.faces, uv=body.uv, texture=body.texture)
+        return DrawnSurface(placed, body.faces, uv=body.uv, texture=body.texture)
     colors = body.vertex_colors
     if colors is None:
         colors = vertex_colors(body.vertices / body.size, rng)
-    return Surface(placed, body.faces, colors=colors)
+    return DrawnSurface(placed, body.faces, colors=colors)
 
 
 def draw_look(

@@ -17,7 +17,7 @@ from PIL import Image
 from data_gen.lighting import Backdrop, Lighting
 from data_gen.objects.library import ObjectMesh
 from data_gen.render import Renderer
-from data_gen.surface import Surface
+from data_gen.surface import DrawnSurface
 from physconvex import InputError
 from physconvex.io import Camera, look_at
 
@@ -62,7 +62,7 @@ def still_cameras(vertices: Float[np.ndarray, "V 3"], views: StillViews, size: i
 
 
 def rendered_frames(
-    surface: Surface, camera: Camera, lighting: Lighting, positions: Iterable[Float[np.ndarray, "P 3"]]
+    surface: DrawnSurface, camera: Camera, lighting: Lighting, positions: Iterable[Float[np.ndarray, "P 3"]]
 ) -> list[UInt8[np.ndarray, "h w 4"]]:
     """The object alone with its vertices at each of the positions [m], colours not multiplied by alpha."""
     renderer = Renderer(camera.w, camera.h, supersampling=2)
@@ -100,7 +100,7 @@ def write_still_capture(
     """
     if folder.exists():
         raise InputError(f"{folder}: exists; choose another folder or remove it first")
-    surface = Surface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
+    surface = DrawnSurface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
     cameras = [*cameras, *(camera for group in views for camera in still_cameras(body.vertices, group, size))]
     partial = folder.with_name(f".{folder.name}.{os.getpid()}.part")
     shutil.rmtree(partial, ignore_errors=True)

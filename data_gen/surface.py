@@ -10,11 +10,11 @@ from jaxtyping import Float, Int, UInt8
 
 from physconvex import InputError
 
-__all__ = ["CornerNormals", "Surface", "corner_normals"]
+__all__ = ["CornerNormals", "DrawnSurface", "corner_normals"]
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class DrawnSurface:
     """A triangle surface with colours at its vertices or a texture.
 
     Attributes:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from data_gen.lighting import Backdrop, Lighting
-from data_gen.surface import Surface
+from data_gen.surface import DrawnSurface
 from physconvex import PhysconvexError
 from physconvex.io import Camera
 
@@ -142,7 +142,7 @@ def image_texture(image: np.ndarray, *, mirrored: bool) -> Any:
     return texture
 
 
-def object_pass(mesh: Any, surface: Surface) -> Any:
+def object_pass(mesh: Any, surface: DrawnSurface) -> Any:
     """The lit object alone; `mesh` has three own points per face of `surface`."""
     from vtkmodules.vtkRenderingCore import vtkLight
 

@@ -1,5 +1,5 @@
 from .batch import predict_batch as predict_batch
-from .loading import ClipSettings as ClipSettings, load_clip as load_clip
+from .loading import StatedConditions as StatedConditions, load_clip as load_clip
 from .pictures import ClipPictures as ClipPictures, frame_strip as frame_strip
 from .prediction import Prediction as Prediction
 from .predictor import predict as predict

@@ -10,14 +10,14 @@ from dataclasses import asdict
 
 from inference.decoding import failure_from
 from inference.gallery import write_gallery
-from inference.loading import ClipSettings
+from inference.loading import StatedConditions
 from inference.predictor import load_predictor
 from inference.preparation import Predictor
 from inference.result_names import assign_names
 from inference.results import ResultsFolder
 from inference.run_record import checkpoint_digest, finish_run, start_run
 from inference.sources import ClipSource, Found, displayed_path, find_sources, fingerprint
-from inference.streaming import BatchOptions, ClipResult, Paths, as_list, stream
+from inference.streaming import BatchOptions, ClipResult, Paths, as_list, stream_results
 from inference.summary import BatchSummary
 from inference.table import ResultRow
 
@@ -63,7 +63,7 @@ def predict_batch(
     Raises:
         InputError: an option is bad, there is no such checkpoint, or `out` cannot be written.
     """
-    settings = ClipSettings(fps=fps, density=density, object_size=object_size)
+    settings = StatedConditions(fps=fps, density=density, object_size=object_size)
     options = BatchOptions(batch_size=batch_size, workers=workers, processes=processes)
     found = find_sources(as_list(paths), exclude=[out])
     if predictor is None:
@@ -88,7 +88,7 @@ def predict_batch(
         if on_start is not None:
             on_start(len(found))
         batch.report_finished()
-        for result in stream(batch.to_do, settings, predictor, options, picture=True):
+        for result in stream_results(batch.to_do, settings, predictor, options, picture=True):
             batch.add(result)
         rows = folder.finish([item.key for item in found])[: len(found)]
         summary = batch.summary(rows)
@@ -164,6 +164,6 @@ def _fingerprint_or_empty(source: ClipSource) -> str:
         return ""  # reading it will tell why
 
 
-def _settings_digest(settings: ClipSettings, predictor: Predictor) -> str:
+def _settings_digest(settings: StatedConditions, predictor: Predictor) -> str:
     text = json.dumps([asdict(settings), checkpoint_digest(predictor)], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]

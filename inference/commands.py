@@ -13,12 +13,12 @@ import typer
 from inference.summary import BatchSummary
 from inference.table import ResultRow
 
-__all__ = ["predict"]
+__all__ = ["predict_command"]
 
 _ROWS_SHOWN = 40
 
 
-def predict(
+def predict_command(
     paths: Annotated[
         list[Path],
         typer.Argument(

@@ -18,9 +18,9 @@ __all__ = [
     "DEFAULT_DENSITY",
     "DEFAULT_FPS",
     "DEFAULT_OBJECT_SIZE",
-    "ClipSettings",
     "Conditions",
     "LoadedClip",
+    "StatedConditions",
     "load_array",
     "load_clip",
     "resolve_conditions",
@@ -38,7 +38,7 @@ MAX_SIDE = 1280
 
 
 @dataclass(frozen=True, kw_only=True)
-class ClipSettings:
+class StatedConditions:
     """What the user states about clips; None leaves it to the clip's own data, then to the default."""
 
     fps: float | None = None
@@ -105,7 +105,7 @@ class Conditions:
     assumed: tuple[str, ...]
 
 
-def resolve_conditions(loaded: LoadedClip, settings: ClipSettings) -> Conditions:
+def resolve_conditions(loaded: LoadedClip, settings: StatedConditions) -> Conditions:
     """Return the user's value, else the clip's own, else the default (which is then named in `assumed`)."""
     assumed = []
 

@@ -42,7 +42,7 @@ class Weights(Protocol):
 
 @runtime_checkable
 class Estimated(Protocol):
-    """What the estimator says of one clip (`models.estimator.Estimate`)."""
+    """What the estimator says of one clip (`models.ClipEstimate`)."""
 
     youngs_modulus: float
     poisson_ratio: float

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any, cast
 
-from inference.loading import ClipSettings, LoadedClip, load_array, load_clip
+from inference.loading import LoadedClip, StatedConditions, load_array, load_clip
 from inference.prediction import Prediction
 from inference.preparation import Predictor, ready_clip, to_prediction
 from inference.sources import ClipSource, SourceProblem, displayed_path, source_at
@@ -51,7 +51,7 @@ def predict(
     Raises:
         InputError: an argument or the clip is bad; the message names it, the cause and the remedy.
     """
-    settings = ClipSettings(fps=fps, density=density, object_size=object_size)
+    settings = StatedConditions(fps=fps, density=density, object_size=object_size)
     source, loaded = _load(path_or_array, mask=mask, timestamps=timestamps)
     if predictor is None:
         predictor = load_predictor(os.fspath(checkpoint), device)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
-from inference.loading import ClipSettings, Conditions, LoadedClip, load_clip, resolve_conditions, retimed
+from inference.loading import Conditions, LoadedClip, StatedConditions, load_clip, resolve_conditions, retimed
 from inference.pictures import frame_strip
 from inference.prediction import Estimated, Prediction
 from inference.sources import ClipSource, displayed_path
@@ -62,7 +62,7 @@ class ReadyClip:
     """Names a file that is cut short and says what is missing; else empty."""
 
 
-def ready_clip(loaded: LoadedClip, settings: ClipSettings, prepare: Prepare, *, picture: bool = False) -> ReadyClip:
+def ready_clip(loaded: LoadedClip, settings: StatedConditions, prepare: Prepare, *, picture: bool = False) -> ReadyClip:
     """Prepare a loaded clip for the network."""
     conditions = resolve_conditions(loaded, settings)
     timed = retimed(loaded, conditions.fps)
@@ -72,7 +72,9 @@ def ready_clip(loaded: LoadedClip, settings: ClipSettings, prepare: Prepare, *, 
     return ReadyClip(None, prepared, conditions, loaded.warnings, strip, loaded.truncated)
 
 
-def ready_source(source: ClipSource, settings: ClipSettings, prepare: Prepare, *, picture: bool = False) -> ReadyClip:
+def ready_source(
+    source: ClipSource, settings: StatedConditions, prepare: Prepare, *, picture: bool = False
+) -> ReadyClip:
     """Read a source and prepare it for the network.
 
     Raises:

@@ -12,10 +12,10 @@ import typer
 if TYPE_CHECKING:
     from inference.reconstruction import Reconstruction
 
-__all__ = ["reconstruct"]
+__all__ = ["reconstruct_command"]
 
 
-def reconstruct(
+def reconstruct_command(
     capture: Annotated[Path, typer.Argument(help="Folder with capture.json and several cameras.", show_default=False)],
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("reconstruction"),
     held_out: Annotated[

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from inference.decoding import BackgroundReader, Failure, Reader, failure_from
-from inference.loading import ClipSettings
+from inference.loading import StatedConditions
 from inference.pictures import ClipPictures
 from inference.prediction import Prediction
 from inference.predictor import load_predictor
@@ -19,7 +19,7 @@ from inference.weight_pictures import weight_maps
 from inference.worker import WorkerReader
 from physconvex import InputError
 
-__all__ = ["BatchOptions", "ClipResult", "Paths", "as_list", "iter_predictions", "stream"]
+__all__ = ["BatchOptions", "ClipResult", "Paths", "as_list", "iter_predictions", "stream_results"]
 
 _LEAST_CLIPS_FOR_PROCESSES = 4  # below it, starting processes takes longer than reading
 
@@ -89,16 +89,16 @@ def iter_predictions(
     Raises:
         InputError: an option is bad or there is no such checkpoint (raised at once, not while iterating).
     """
-    settings = ClipSettings(fps=fps, density=density, object_size=object_size)
+    settings = StatedConditions(fps=fps, density=density, object_size=object_size)
     options = BatchOptions(batch_size=batch_size, workers=workers, processes=processes)
     if predictor is None:
         predictor = load_predictor(os.fspath(checkpoint), device)
-    return stream(find_sources(as_list(paths)), settings, predictor, options)
+    return stream_results(find_sources(as_list(paths)), settings, predictor, options)
 
 
-def stream(
+def stream_results(
     found: Sequence[Found],
-    settings: ClipSettings,
+    settings: StatedConditions,
     predictor: Predictor,
     options: BatchOptions,
     *,
@@ -116,7 +116,7 @@ def stream(
 
 def _predicted(
     clips: Sequence[ClipSource],
-    settings: ClipSettings,
+    settings: StatedConditions,
     predictor: Predictor,
     options: BatchOptions,
     *,

@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection, Pipe
 import cv2
 
 from inference.decoding import Failure, failure_from
-from inference.loading import ClipSettings
+from inference.loading import StatedConditions
 from inference.preparation import ReadyClip, ready_source
 from inference.sources import ClipSource
 from models import ClipConfig, prepare_clip
@@ -36,7 +36,7 @@ class ReaderCrashError(PhysconvexError, RuntimeError):
 class WorkerReader:
     """Reads clips in a worker process, which is started again after a crash."""
 
-    def __init__(self, settings: ClipSettings, config: ClipConfig, *, picture: bool) -> None:
+    def __init__(self, settings: StatedConditions, config: ClipConfig, *, picture: bool) -> None:
         self._task = (settings, config, picture)
         self._process: subprocess.Popen[bytes] | None = None
 

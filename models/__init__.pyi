@@ -27,7 +27,11 @@ from .config import (
     NetworkConfig as NetworkConfig,
 )
 from .encoder import load_pretrained_encoder as load_pretrained_encoder
-from .estimator import Estimate as Estimate, PhysicsPredictor as PhysicsPredictor, collate_clips as collate_clips
+from .estimator import (
+    ClipEstimate as ClipEstimate,
+    PhysicsPredictor as PhysicsPredictor,
+    collate_clips as collate_clips,
+)
 from .finder_checkpoint import save_finder_network as save_finder_network
 from .foreground import locate_foreground as locate_foreground
 from .heads import BinnedDensity as BinnedDensity, DensityHead as DensityHead

@@ -6,23 +6,20 @@ import math
 
 import torch
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from torch import Tensor
 
 from models.config import BinConfig
 from models.heads import BinnedDensity
 from physconvex import InputError
+from physconvex.io import FrozenConfig
 
 __all__ = ["COVERAGE", "Calibration", "DensityCalibration", "fit_density_calibration"]
 
 COVERAGE = 0.9
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class DensityCalibration(_Frozen):
+class DensityCalibration(FrozenConfig):
     """How to read one head's logits."""
 
     temperature: float = Field(default=1.0, gt=0)
@@ -40,7 +37,7 @@ class DensityCalibration(_Frozen):
         return density.quantile(tail), density.quantile(1 - tail)
 
 
-class Calibration(_Frozen):
+class Calibration(FrozenConfig):
     """Of both heads; the default is the uncalibrated network."""
 
     stiffness: DensityCalibration = DensityCalibration()

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 from safetensors.torch import load_file, save
 from torch import Tensor
 
@@ -16,6 +16,7 @@ from models.clip import ClipConfig
 from models.config import NetworkConfig
 from models.network import PhysicsNetwork
 from physconvex import InputError
+from physconvex.io import FrozenConfig
 from physconvex.numerics import device_named
 
 __all__ = [
@@ -32,11 +33,7 @@ BUNDLED = Path(__file__).parent / "checkpoints"
 _FORMAT = "physconvex/predictor/2"
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class ClipSettings(_Frozen):
+class ClipSettings(FrozenConfig):
     """`models.clip.ClipConfig` as it is written to JSON."""
 
     image_size: int = 112
@@ -51,7 +48,7 @@ class ClipSettings(_Frozen):
         return ClipConfig(**self.model_dump())
 
 
-class TrainingRange(_Frozen):
+class TrainingRange(FrozenConfig):
     """What the training clips spanned; outside, predictions carry a warning."""
 
     log10_stiffness: tuple[float, float] = (-0.2, 3.4)
@@ -61,7 +58,7 @@ class TrainingRange(_Frozen):
     """Of Δt √(g/L)."""
 
 
-class PredictorConfig(_Frozen):
+class PredictorConfig(FrozenConfig):
     """All of a checkpoint but its tensors."""
 
     format: str = _FORMAT

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from physconvex.io import FrozenConfig
 
 __all__ = [
     "BinConfig",
@@ -21,11 +23,7 @@ EncoderSize = Literal["tiny", "small", "base"]
 _SIZES: dict[str, tuple[int, int, int]] = {"tiny": (192, 6, 3), "small": (384, 12, 6), "base": (768, 12, 12)}
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class EncoderConfig(_Frozen):
+class EncoderConfig(FrozenConfig):
     """VideoMAE encoder (Tong et al. 2022) over tubelets of `tubelet` frames × `patch_size`² pixels."""
 
     image_size: int = Field(default=80, ge=16)
@@ -78,7 +76,7 @@ class EncoderConfig(_Frozen):
         return 4 if self.mask_channel else 3
 
 
-class KinematicsConfig(_Frozen):
+class KinematicsConfig(FrozenConfig):
     """What is seen in each frame -> its state (`models.motion`) -> what the motion says of the material."""
 
     channels: int = Field(default=128, ge=8)
@@ -92,7 +90,7 @@ class KinematicsConfig(_Frozen):
     drop_path: float = Field(default=0.1, ge=0, lt=1)
 
 
-class BinConfig(_Frozen):
+class BinConfig(FrozenConfig):
     """Equal bins of a density on (low, high); nothing outside can be predicted."""
 
     low: float
@@ -106,7 +104,7 @@ class BinConfig(_Frozen):
         return self
 
 
-class SkinningConfig(_Frozen):
+class SkinningConfig(FrozenConfig):
     """MLP over Fourier features of the rest position whose layers are modulated by the clip."""
 
     handles: int = Field(default=10, ge=1)
@@ -115,7 +113,7 @@ class SkinningConfig(_Frozen):
     harmonics: int = Field(default=3, ge=1)
 
 
-class NetworkConfig(_Frozen):
+class NetworkConfig(FrozenConfig):
     """The whole network."""
 
     encoder: EncoderConfig = EncoderConfig()

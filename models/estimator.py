@@ -21,11 +21,11 @@ from models.scaling import dimensionless_interval, log10_youngs_modulus
 from models.skinning import SkinningField
 from physconvex import InputError
 
-__all__ = ["Estimate", "PhysicsPredictor", "collate_clips"]
+__all__ = ["ClipEstimate", "PhysicsPredictor", "collate_clips"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Estimate:
+class ClipEstimate:
     """What one clip says about its object's material."""
 
     youngs_modulus: float
@@ -110,7 +110,7 @@ class PhysicsPredictor:
     @torch.inference_mode()
     def estimate(
         self, clips: Sequence[PreparedClip], *, density: Sequence[float], object_size: Sequence[float]
-    ) -> list[Estimate]:
+    ) -> list[ClipEstimate]:
         """One estimate per clip, in one pass of the network.
 
         Args:
@@ -177,8 +177,8 @@ def _summary(density: BinnedDensity, low: torch.Tensor, high: torch.Tensor) -> l
 
 def _estimate(
     log_e: _Summary, offset: float, nu: _Summary, field: SkinningField, warnings: tuple[str, ...]
-) -> Estimate:
-    return Estimate(
+) -> ClipEstimate:
+    return ClipEstimate(
         youngs_modulus=10 ** (log_e.median + offset),
         poisson_ratio=nu.median,
         log10_youngs_modulus_std=log_e.std,

@@ -8,11 +8,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 from safetensors.torch import load_file, save
 from torch import nn
 
 from physconvex import InputError
+from physconvex.io import FrozenConfig
 
 __all__ = ["FinderConfig", "load_finder_network", "save_finder_network"]
 
@@ -20,10 +21,8 @@ _Config = TypeVar("_Config", bound="FinderConfig")
 _Network = TypeVar("_Network", bound=nn.Module)
 
 
-class FinderConfig(BaseModel):
+class FinderConfig(FrozenConfig):
     """What the configurations of both networks hold."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     version: str = "0"
     """Of physconvex, when it was written."""

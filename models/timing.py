@@ -6,21 +6,21 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
-__all__ = ["Selection", "motion_start", "resample"]
+__all__ = ["FrameSelection", "motion_start", "resample"]
 
 _LEAD_FRAMES = 2  # shown before the motion begins
 _THUMBNAIL = 64  # [px]
 
 
 @dataclass(frozen=True)
-class Selection:
+class FrameSelection:
     """Indices of source frames, equally spaced in time at `fps`."""
 
     indices: Int64[np.ndarray, " N"]
     fps: float  # [1/s]
 
 
-def resample(timestamps: Float64[np.ndarray, " T"], *, target_fps: float) -> Selection:
+def resample(timestamps: Float64[np.ndarray, " T"], *, target_fps: float) -> FrameSelection:
     """Every n-th frame of a video of constant rate, the nearest frames of one whose rate varies.
 
     With a constant rate the spacing stays exact: the result has the source rate divided by the whole number
@@ -31,11 +31,11 @@ def resample(timestamps: Float64[np.ndarray, " T"], *, target_fps: float) -> Sel
     rate = len(steps) / (timestamps[-1] - timestamps[0])
     if np.ptp(steps) <= 0.25 * np.median(steps):
         stride = max(1, round(rate / target_fps))
-        return Selection(indices=np.arange(0, len(timestamps), stride), fps=float(rate / stride))
+        return FrameSelection(indices=np.arange(0, len(timestamps), stride), fps=float(rate / stride))
     fps = float(min(rate, target_fps))
     times = timestamps[0] + np.arange(int((timestamps[-1] - timestamps[0]) * fps + 1e-6) + 1) / fps
     middles = (timestamps[1:] + timestamps[:-1]) / 2
-    return Selection(indices=np.searchsorted(middles, times).astype(np.int64), fps=fps)
+    return FrameSelection(indices=np.searchsorted(middles, times).astype(np.int64), fps=fps)
 
 
 def motion_start(frames: UInt8[np.ndarray, "T H W 3"], indices: Int64[np.ndarray, " N"], *, length: int) -> int:

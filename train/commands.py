@@ -9,10 +9,10 @@ from typing import Annotated
 import typer
 from tqdm import tqdm
 
-__all__ = ["calibrate", "pretrain", "train", "train_outline", "train_segmenter"]
+__all__ = ["calibrate_command", "pretrain_command", "train_command", "train_outline_command", "train_segmenter_command"]
 
 
-def train(
+def train_command(
     data: Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")],
     out: Annotated[Path, typer.Option(help="Run folder; its `best/` is the checkpoint.")],
     config: Annotated[str | None, typer.Option(help="YAML file or preset (`default`).")] = None,
@@ -52,7 +52,7 @@ def train(
     typer.echo(f"{result.steps} steps, best validation score {score}, checkpoint in {result.checkpoint}")
 
 
-def pretrain(
+def pretrain_command(
     falls: Annotated[Path, typer.Option(help="Folder of `physconvex generate falls`.")],
     data: Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")],
     out: Annotated[Path, typer.Option(help="Run folder; its `best/` is the checkpoint.")],
@@ -83,7 +83,7 @@ def pretrain(
     typer.echo(f"checkpoint in {checkpoint}")
 
 
-def calibrate(
+def calibrate_command(
     data: Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")],
     out: Annotated[Path, typer.Option(help="Folder of the calibrated checkpoint.")],
     checkpoint: Annotated[str, typer.Option(help="Name or folder of the checkpoint.")] = "default",
@@ -102,7 +102,7 @@ def calibrate(
         )
 
 
-def train_segmenter(
+def train_segmenter_command(
     data: Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")],
     out: Annotated[Path, typer.Option(help="Folder of the checkpoint.")],
     steps: Annotated[int | None, typer.Option(help="Optimiser steps.", min=1)] = None,
@@ -112,17 +112,17 @@ def train_segmenter(
     """Train the network that finds the object in a clip on the true masks of data sets."""
     import torch
 
-    from train.segmentation import SegmentationConfig, train_segmenter
+    from train.segmentation import SegmentationConfig
 
     if threads is not None:
         torch.set_num_threads(threads)
     config = SegmentationConfig(seed=seed) if steps is None else SegmentationConfig(seed=seed, steps=steps)
     with _Bar() as bar:
-        result = train_segmenter(config, data, out, report=bar.report)
+        result = train_segmenter_command(config, data, out, report=bar.report)
     typer.echo(f"mean intersection over union on validation clips {result.overlap:.3f}, checkpoint in {out}")
 
 
-def train_outline(
+def train_outline_command(
     data: Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")],
     out: Annotated[Path, typer.Option(help="Folder of the checkpoint.")],
     steps: Annotated[int | None, typer.Option(help="Optimiser steps.", min=1)] = None,
@@ -133,7 +133,7 @@ def train_outline(
     """Train the network that corrects the outline that the segmenter finds."""
     import torch
 
-    from train.outline import OutlineTraining, train_outline
+    from train.outline import OutlineTraining
 
     if threads is not None:
         torch.set_num_threads(threads)
@@ -141,7 +141,7 @@ def train_outline(
     if steps is not None:
         recipe = replace(recipe, steps=steps)
     with _Bar() as bar:
-        result = train_outline(recipe, data, out, report=bar.report)
+        result = train_outline_command(recipe, data, out, report=bar.report)
     typer.echo(
         f"mean intersection over union on validation clips {result.overlap:.3f}, of the rough silhouettes "
         f"{result.rough_overlap:.3f}, checkpoint in {out}"

@@ -5,19 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from models import ClipSettings, NetworkConfig
-from physconvex.io import read_tree, validated
+from physconvex.io import FrozenConfig, read_tree, validated
 
 __all__ = ["AugmentConfig", "LossConfig", "TrainConfig", "load_train_config"]
 
 
-class _Frozen(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class AugmentConfig(_Frozen):
+class AugmentConfig(FrozenConfig):
     """Changes that leave E/(ρ g L) and ν what they are. Shares are probabilities per clip."""
 
     flip_share: float = Field(default=0.5, ge=0, le=1)
@@ -41,7 +37,7 @@ class AugmentConfig(_Frozen):
     """Moments of the true mask in place of those of the mask found."""
 
 
-class LossConfig(_Frozen):
+class LossConfig(FrozenConfig):
     """Weights of the terms."""
 
     nll: float = Field(default=1.0, ge=0)
@@ -59,7 +55,7 @@ class LossConfig(_Frozen):
     """Eigenmodes of the span term."""
 
 
-class TrainConfig(_Frozen):
+class TrainConfig(FrozenConfig):
     """One run."""
 
     network: NetworkConfig = NetworkConfig()

@@ -9,11 +9,11 @@ from typing import Literal
 
 import numpy as np
 
-from models import Estimate, PhysicsPredictor, PreparedClip
+from models import ClipEstimate, PhysicsPredictor, PreparedClip
 from train.cache import PreparedClips, prepare_clips
 from train.records import LabelledClip, Split, read_clips
 
-__all__ = ["HeldOut", "Report", "Shown", "estimates_of", "held_out"]
+__all__ = ["HeldOut", "Report", "Shown", "held_out", "held_out_estimates"]
 
 Report = Callable[[str, int, int], None]
 Shown = Split | Literal["all"]
@@ -49,13 +49,13 @@ def held_out(
     return HeldOut(labels, prepare_clips(labels, predictor.config.clip, cache, workers=workers, progress=progress))
 
 
-def estimates_of(
+def held_out_estimates(
     predictor: PhysicsPredictor,
     clips: HeldOut,
     *,
     change: Callable[[PreparedClip], PreparedClip] = lambda clip: clip,
     report: Callable[[int, int], None] | None = None,
-) -> Iterator[Estimate]:
+) -> Iterator[ClipEstimate]:
     """One estimate per clip, after `change`."""
     for first in range(0, len(clips), _BATCH):
         chosen = range(first, min(first + _BATCH, len(clips)))

@@ -24,12 +24,12 @@ from train.config import TrainConfig
 from train.data import TrainingBatch, batches
 from train.export import export_best
 from train.losses import compute_losses, noisy_states
-from train.plan import Plan, Step
+from train.plan import Plan, PlannedStep
 from train.precision import precision_for
-from train.run_log import RunLog, fingerprint, write_config
+from train.run_log import RunLog, run_fingerprint, write_config
 from train.schedule import cosine_schedule
 from train.split_clips import split_clips
-from train.state import Progress, load_state, refuse_other_run, save_state
+from train.state import TrainingProgress, load_training_state, refuse_other_run, save_training_state
 from train.validation import Validation, validate
 
 __all__ = ["TrainingResult", "train_predictor"]
@@ -143,7 +143,7 @@ class _Run:
                 log.close()
         return TrainingResult(progress.step, progress.best_score, self.out / "best")
 
-    def _steps(self, progress: Progress, log: RunLog | None) -> Progress:
+    def _steps(self, progress: TrainingProgress, log: RunLog | None) -> TrainingProgress:
         started, saved = time.monotonic() - progress.seconds, time.monotonic()
         loader = batches(
             self.train_clips,
@@ -175,14 +175,14 @@ class _Run:
             self._save(progress)
         return progress
 
-    def _start(self, resume: bool) -> Progress:
+    def _start(self, resume: bool) -> TrainingProgress:
         """Where to begin; the state is put back."""
-        mark = fingerprint(self.config, self.data)
+        mark = run_fingerprint(self.config, self.data)
         path = self.out / "state.safetensors"
-        progress = Progress(fingerprint=mark)
+        progress = TrainingProgress(fingerprint=mark)
         if resume and path.is_file():
             refuse_other_run(path, mark)
-            progress = load_state(
+            progress = load_training_state(
                 path, network=self.network, average=self.average.module, optimizer=self._plain_optimizer
             )
         if self.main:
@@ -221,7 +221,7 @@ class _Run:
         values = {name: value.item() for name, value in vars(losses).items()}
         return values | {"gradient_norm": float(norm), "learning_rate": self.optimizer.param_groups[0]["lr"]}
 
-    def _validate(self, progress: Progress, step: Step, log: RunLog | None) -> Progress:
+    def _validate(self, progress: TrainingProgress, step: PlannedStep, log: RunLog | None) -> TrainingProgress:
         """Score the averaged network; export it if it is the best yet."""
         best = progress.best_score
         if log is not None:
@@ -247,7 +247,7 @@ class _Run:
                 best = self._between(progress, best, log)
         return replace(progress, best_score=best)
 
-    def _between(self, progress: Progress, best: float, log: RunLog) -> float:
+    def _between(self, progress: TrainingProgress, best: float, log: RunLog) -> float:
         """Export weights between the checkpoint's and the averaged network's if they are better; the best score.
 
         Further training on fewer clips gains on these and forgets of the earlier ones; in between there is often more
@@ -281,9 +281,9 @@ class _Run:
             share=share,
         )
 
-    def _save(self, progress: Progress) -> None:
+    def _save(self, progress: TrainingProgress) -> None:
         if self.main:
-            save_state(
+            save_training_state(
                 self.out / "state.safetensors",
                 network=self.network,
                 average=self.average.module,

@@ -11,11 +11,11 @@ from jaxtyping import Int64
 from physconvex import InputError
 from train.config import TrainConfig
 
-__all__ = ["Plan", "Step"]
+__all__ = ["Plan", "PlannedStep"]
 
 
 @dataclass(frozen=True)
-class Step:
+class PlannedStep:
     """One update."""
 
     epoch: int
@@ -49,12 +49,12 @@ class Plan:
         """Of the whole run."""
         return self.epochs * (self.clips // self.batch_size)
 
-    def step(self, number: int) -> Step:
+    def step(self, number: int) -> PlannedStep:
         """What happens in step `number`."""
         per_epoch, size = self.clips // self.batch_size, self.batch_size
         epoch, place = divmod(number, per_epoch)
         chosen = _permutation(self.seed, epoch, self.clips)[place * size : (place + 1) * size]
-        return Step(epoch=epoch, clips=chosen.tolist(), ends_epoch=place == per_epoch - 1)
+        return PlannedStep(epoch=epoch, clips=chosen.tolist(), ends_epoch=place == per_epoch - 1)
 
 
 @lru_cache(maxsize=4)

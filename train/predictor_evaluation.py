@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float64
 
 import physconvex
-from models import Estimate, PhysicsPredictor, PreparedClip, freeze_time, shuffle_time
+from models import ClipEstimate, PhysicsPredictor, PreparedClip, freeze_time, shuffle_time
 from physconvex import InputError
-from train.held_out import HeldOut, Report, Shown, estimates_of, held_out
+from train.held_out import HeldOut, Report, Shown, held_out, held_out_estimates
 from train.metrics import DensityMetrics, density_metrics
 from train.records import LabelledClip, dataset_checksum, read_clips
 
@@ -115,7 +115,7 @@ def evaluate_predictor(
     readings, tables = [], []
     for name, change in ways.items():
         progress = None if report is None else partial(report, name)
-        estimates = list(estimates_of(predictor, clips, change=change, report=progress))
+        estimates = list(held_out_estimates(predictor, clips, change=change, report=progress))
         tables.append(_columns(estimates))
         readings.append(_reading(name, clips, *tables[-1], constants))
     truth = _truth(clips)
@@ -152,7 +152,7 @@ def _truth(clips: HeldOut) -> tuple[Values, Values]:
     )
 
 
-def _columns(estimates: Sequence[Estimate]) -> tuple[Float64[np.ndarray, "N 3"], Float64[np.ndarray, "N 3"]]:
+def _columns(estimates: Sequence[ClipEstimate]) -> tuple[Float64[np.ndarray, "N 3"], Float64[np.ndarray, "N 3"]]:
     """log10 E and ν: median and ends of the interval."""
     return (
         np.log10([(e.youngs_modulus, *e.youngs_modulus_interval) for e in estimates]),

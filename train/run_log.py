@@ -14,7 +14,7 @@ import physconvex
 from train.config import TrainConfig
 from train.records import dataset_checksum
 
-__all__ = ["RunLog", "fingerprint", "write_config"]
+__all__ = ["RunLog", "run_fingerprint", "write_config"]
 
 
 class RunLog:
@@ -58,7 +58,7 @@ def _scalars(values: Mapping[str, object], prefix: str = "") -> Iterator[tuple[s
             yield prefix + name, float(value)
 
 
-def fingerprint(config: TrainConfig, data: Sequence[Path | str]) -> str:
+def run_fingerprint(config: TrainConfig, data: Sequence[Path | str]) -> str:
     """Hash of what decides the numbers of a run: configuration (but for workers and times) and data."""
     tree = config.model_dump(mode="json", exclude={"workers", "checkpoint_seconds"})
     content = json.dumps([tree, [dataset_checksum(folder) for folder in data]], sort_keys=True)

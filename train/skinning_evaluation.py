@@ -15,7 +15,7 @@ from jaxtyping import Float64
 
 import physconvex
 from models import PhysicsPredictor, captured_energy, random_basis
-from train.held_out import Report, Shown, estimates_of, held_out
+from train.held_out import Report, Shown, held_out, held_out_estimates
 from train.records import ClipSamples, dataset_checksum
 
 __all__ = ["SkinningEvaluation", "evaluate_skinning", "write_skinning_report"]
@@ -66,7 +66,7 @@ def evaluate_skinning(
     handles, generator = predictor.config.network.skinning.handles, np.random.default_rng(seed)
     of_all, beyond = [], []
     progress = None if report is None else partial(report, "fitting motion")
-    for label, estimate in zip(clips.labels, estimates_of(predictor, clips, report=progress), strict=True):
+    for label, estimate in zip(clips.labels, held_out_estimates(predictor, clips, report=progress), strict=True):
         samples = label.samples
         bases = (
             estimate.skinning_field(samples.points * label.object_size),

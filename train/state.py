@@ -18,13 +18,13 @@ from torch import Tensor, nn
 
 from physconvex import InputError
 
-__all__ = ["Progress", "load_state", "read_progress", "refuse_other_run", "save_state"]
+__all__ = ["TrainingProgress", "load_training_state", "read_progress", "refuse_other_run", "save_training_state"]
 
 _FORMAT = "physconvex/training_state/1"
 
 
 @dataclass(frozen=True)
-class Progress:
+class TrainingProgress:
     """Where a run stands."""
 
     step: int = 0
@@ -37,8 +37,8 @@ class Progress:
     """Of configuration and data."""
 
 
-def save_state(
-    path: Path, *, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer, progress: Progress
+def save_training_state(
+    path: Path, *, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer, progress: TrainingProgress
 ) -> None:
     """Write network, moving average and optimiser; a kill at any moment leaves the old file or the new one."""
     tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
@@ -58,7 +58,7 @@ def save_state(
     os.replace(part, path)
 
 
-def read_progress(path: Path) -> Progress:
+def read_progress(path: Path) -> TrainingProgress:
     """Where the run stands that left this file.
 
     Raises:
@@ -68,7 +68,7 @@ def read_progress(path: Path) -> Progress:
         metadata = file.metadata() or {}
     if metadata.get("format") != _FORMAT:
         raise InputError(f"out: {path} has format {metadata.get('format')!r}; this version reads {_FORMAT!r}")
-    return Progress(**json.loads(metadata["progress"]))
+    return TrainingProgress(**json.loads(metadata["progress"]))
 
 
 def refuse_other_run(path: Path, fingerprint: str) -> None:
@@ -84,8 +84,10 @@ def refuse_other_run(path: Path, fingerprint: str) -> None:
         )
 
 
-def load_state(path: Path, *, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer) -> Progress:
-    """Put back what `save_state` wrote."""
+def load_training_state(
+    path: Path, *, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer
+) -> TrainingProgress:
+    """Put back what `save_training_state` wrote."""
     progress = read_progress(path)
     groups: dict[str, dict[str, Tensor]] = {"network": {}, "average": {}, "optimizer": {}}
     with safe_open(path, framework="pt") as file:

@@ -14,7 +14,7 @@ from torch import Tensor
 from data_gen.explicit.bodies import Layout
 from physconvex.kernels import POINTER, launch, loaded
 
-__all__ = ["LOOK", "VIEW", "draw", "roll_out"]
+__all__ = ["LOOK", "VIEW", "render_falls", "roll_out"]
 
 VIEW = 16  # numbers of a view, as in gpu/draw.h
 LOOK = 40  # numbers of a look
@@ -50,7 +50,7 @@ def roll_out(layout: Layout, device: torch.device | str = "cpu") -> Float32[Tens
     return out
 
 
-def draw(
+def render_falls(
     clips: Int32[Tensor, "B 4"],
     views: Float32[Tensor, "B T 16"],
     looks: Float32[Tensor, "B 40"],
@@ -94,11 +94,11 @@ def _library() -> ctypes.CDLL:
 
 
 @cache
-def source(name: str) -> str:
+def kernel_source(name: str) -> str:
     """The CUDA text of one of the kernels."""
     texts = [(_HERE / part).read_text(encoding="utf-8") for part in (_HEADERS[name], _SOURCES[name])]
     return "#define DEVICE __device__ __forceinline__\n" + "".join(texts)
 
 
 def _launch(name: str, blocks: int, arguments: Sequence[Tensor | int]) -> None:
-    launch(source(name), name, grid=(blocks, 1), threads=_THREADS, arguments=arguments)
+    launch(kernel_source(name), name, grid=(blocks, 1), threads=_THREADS, arguments=arguments)

@@ -17,7 +17,7 @@ __all__ = [
     "cylinder",
     "ellipsoid",
     "moved",
-    "project",
+    "project_to_surface",
     "rotation_about",
     "smooth_difference",
     "smooth_intersection",
@@ -142,7 +142,7 @@ def surface(
     level = grid.contour([0.0], scalars="values", method="flying_edges")
     if level.n_points == 0:
         raise ValueError("field: no zero inside bounds; expected a body inside")
-    vertices = project(field, np.asarray(level.points, dtype=np.float64), spacing)
+    vertices = project_to_surface(field, np.asarray(level.points, dtype=np.float64), spacing)
     return vertices, np.asarray(level.regular_faces[:, ::-1], dtype=np.int64)
 
 
@@ -156,7 +156,7 @@ def sampled(field: Field, bounds: np.ndarray, spacing: float) -> tuple[np.ndarra
     return field(points).reshape(counts), origin
 
 
-def project(field: Field, points: np.ndarray, spacing: float) -> np.ndarray:
+def project_to_surface(field: Field, points: np.ndarray, spacing: float) -> np.ndarray:
     """Points moved onto the zero level by two Newton steps along the gradient, each at most a tenth of `spacing`."""
     step = 1e-3 * spacing
     for _ in range(2):

@@ -8,7 +8,12 @@ from .capture.folder import (
 )
 from .capture.parts import Boundary as Boundary, Tracks as Tracks
 from .capture.saving import save_capture as save_capture
-from .configuration import read_tree as read_tree, set_value as set_value, validated as validated
+from .configuration import (
+    FrozenConfig as FrozenConfig,
+    read_tree as read_tree,
+    set_value as set_value,
+    validated as validated,
+)
 from .options import (
     CommandLine as CommandLine,
     Options as Options,

@@ -8,13 +8,19 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from physconvex.errors import InputError
 
-__all__ = ["preset_names", "read_tree", "set_value", "validated"]
+__all__ = ["FrozenConfig", "preset_names", "read_tree", "set_value", "validated"]
 
 Model = TypeVar("Model", bound=BaseModel)
+
+
+class FrozenConfig(BaseModel):
+    """An immutable section of a configuration, strict about unknown names; docstrings of fields describe them."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
 
 def preset_names(package: str) -> list[str]:

@@ -2,12 +2,12 @@ from .animated_glb import write_animated_glb as write_animated_glb
 from .assets import Asset as Asset, read_asset as read_asset
 from .config import (
     BasisConfig as BasisConfig,
+    BodyMaterialConfig as BodyMaterialConfig,
     ContactConfig as ContactConfig,
     FloorConfig as FloorConfig,
     ForceConfig as ForceConfig,
-    MaterialConfig as MaterialConfig,
-    ObjectConfig as ObjectConfig,
     PlayConfig as PlayConfig,
+    StartConfig as StartConfig,
     TimeConfig as TimeConfig,
     load_play_config as load_play_config,
     overrides_of as overrides_of,

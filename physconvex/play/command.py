@@ -9,10 +9,10 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["simulate"]
+__all__ = ["simulate_command"]
 
 
-def simulate(
+def simulate_command(
     assets: Annotated[
         list[Path],
         typer.Argument(

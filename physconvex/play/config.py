@@ -9,20 +9,20 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from physconvex.errors import InputError
-from physconvex.io import read_tree, set_value, validated
+from physconvex.io import FrozenConfig, read_tree, set_value, validated
 from physconvex.materials import LawName
 
 __all__ = [
     "BasisConfig",
+    "BodyMaterialConfig",
     "ContactConfig",
     "FloorConfig",
     "ForceConfig",
-    "MaterialConfig",
-    "ObjectConfig",
     "PlayConfig",
+    "StartConfig",
     "TimeConfig",
     "load_play_config",
     "overrides_of",
@@ -35,13 +35,7 @@ Vector = tuple[Finite, Finite, Finite]
 _EXAMPLE = "material.youngs_modulus=1.0e5"
 
 
-class Frozen(BaseModel):
-    """Immutable, and strict about unknown names."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-
-class ObjectConfig(Frozen):
+class StartConfig(FrozenConfig):
     """How the object starts: size (largest edge [m], that of the file if null), orientation (turns about x, then y,
     then z), horizontal position of its middle [m], height of its lowest point over the floor or over the object before
     it [m], velocity [m/s], spin [rad/s]."""
@@ -54,7 +48,7 @@ class ObjectConfig(Frozen):
     angular_velocity: Vector = (0.0, 0.0, 0.0)
 
 
-class MaterialConfig(Frozen):
+class BodyMaterialConfig(FrozenConfig):
     """What it is made of.
 
     `kind` says what is needed besides E [Pa], ν, density [kg/m³] and the Kelvin–Voigt time [s]: plasticine a
@@ -78,7 +72,7 @@ class MaterialConfig(Frozen):
     stiffening: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
 
     @model_validator(mode="after")
-    def check(self) -> MaterialConfig:
+    def check(self) -> BodyMaterialConfig:
         needed = {
             "plasticine": ("yield_stress",),
             "sand": ("friction_angle_deg",),
@@ -94,7 +88,7 @@ class MaterialConfig(Frozen):
         return self
 
 
-class FloorConfig(Frozen):
+class FloorConfig(FrozenConfig):
     """The plane z = 0: friction coefficient, velocity [m/s], and the period [s] with which the velocity swings as a
     sine (null: it is constant)."""
 
@@ -103,13 +97,13 @@ class FloorConfig(Frozen):
     period: Positive | None = None
 
 
-class ContactConfig(Frozen):
+class ContactConfig(FrozenConfig):
     """Friction coefficient between objects."""
 
     friction: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.5
 
 
-class ForceConfig(Frozen):
+class ForceConfig(FrozenConfig):
     """Gravity [m/s²], a steady push (acceleration [m/s²]), wind [m/s] (null: no air at all), drag coefficient."""
 
     gravity: Vector = (0.0, 0.0, -9.81)
@@ -118,7 +112,7 @@ class ForceConfig(Frozen):
     drag_coefficient: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1.0
 
 
-class BasisConfig(Frozen):
+class BasisConfig(FrozenConfig):
     """Skinning weights: their kind and number M, seed of the neural field; most nodes of the background mesh, its
     mesher, and most vertices of the surface that touch the floor. `elastic`: vibrations and answers to forces where the
     object touches the floor, found by two roll-outs before; the most exact, with thirty to sixty weights."""
@@ -131,7 +125,7 @@ class BasisConfig(Frozen):
     mesher: Literal["auto", "lattice", "ftetwild"] = "auto"
 
 
-class TimeConfig(Frozen):
+class TimeConfig(FrozenConfig):
     """Frames, rate [1/s], time steps per frame, most friction passes per step, Newton's last step over the size, gain
     of energy from which a step is cut in two (`physconvex.reduced.simulate`)."""
 
@@ -143,11 +137,11 @@ class TimeConfig(Frozen):
     energy_tolerance: Positive | None = 1e-3
 
 
-class PlayConfig(Frozen):
+class PlayConfig(FrozenConfig):
     """Everything that `physconvex simulate` needs beside the mesh."""
 
-    object: ObjectConfig = ObjectConfig()
-    material: MaterialConfig = MaterialConfig()
+    object: StartConfig = StartConfig()
+    material: BodyMaterialConfig = BodyMaterialConfig()
     floor: FloorConfig | None = FloorConfig()
     contact: ContactConfig = ContactConfig()
     forces: ForceConfig = ForceConfig()

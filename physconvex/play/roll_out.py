@@ -24,7 +24,7 @@ from physconvex.materials import (
 )
 from physconvex.mesh import TetMesh, enclosed_volume, tetrahedralize, with_volume
 from physconvex.play.assets import Asset
-from physconvex.play.config import FloorConfig, MaterialConfig, PlayConfig
+from physconvex.play.config import BodyMaterialConfig, FloorConfig, PlayConfig
 from physconvex.play.surface import RestSurface
 from physconvex.reduced import (
     BodySamples,
@@ -227,7 +227,7 @@ def _weights(config: PlayConfig, mesh: TetMesh, samples: BodySamples, *, alone: 
     return elastic_weights(body, basis.modes, even_loads(mesh, 20))  # another object may touch it anywhere
 
 
-def _law(material: MaterialConfig) -> Law:
+def _law(material: BodyMaterialConfig) -> Law:
     law = get_law(material.law)
     if material.stiffening > 0:
         law = with_strain_stiffening(law, material.stiffening)
@@ -237,7 +237,7 @@ def _law(material: MaterialConfig) -> Law:
     return law
 
 
-def _flow(material: MaterialConfig) -> FlowRule | None:
+def _flow(material: BodyMaterialConfig) -> FlowRule | None:
     match material.kind:
         case "plasticine":
             assert material.yield_stress is not None

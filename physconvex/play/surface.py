@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from physconvex.errors import InputError
-from physconvex.play.config import ObjectConfig
+from physconvex.play.config import StartConfig
 
 __all__ = ["RestSurface", "read_surface"]
 
@@ -28,7 +28,7 @@ class RestSurface:
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
 
-    def placement(self, config: ObjectConfig, *, ground: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    def placement(self, config: StartConfig, *, ground: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """The map x = linear X + shift that gives it its size, turns it, and puts its lowest point over the ground.
 
         Args:
@@ -45,7 +45,7 @@ class RestSurface:
         """The surface after x = linear X + shift."""
         return RestSurface(self.vertices @ linear.T + shift, self.faces)
 
-    def placed(self, config: ObjectConfig) -> RestSurface:
+    def placed(self, config: StartConfig) -> RestSurface:
         """The surface where it starts."""
         return self.moved(*self.placement(config))
 

@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["film"]
+__all__ = ["film_command"]
 
 
-def film(
+def film_command(
     field: Annotated[Path, typer.Argument(help="field.ply, or a folder with it or with one per frame.")],
     out: Annotated[Path, typer.Option(help="film.mp4, or picture.png for the first frame.")] = Path("film.mp4"),
     size: Annotated[int, typer.Option(help="Edge of the pictures [pixels], even.", min=16)] = 448,

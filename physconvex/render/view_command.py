@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["view"]
+__all__ = ["view_command"]
 
 
-def view(
+def view_command(
     field: Annotated[Path, typer.Argument(help="field.ply, or a folder with it or with one per frame.")],
     host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0 lets other machines in.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port; the next free one if it is taken.")] = 8080,

@@ -14,7 +14,7 @@ from physconvex import InputError
 from physconvex.convex import advect, affine_map, write_ply
 from physconvex.io import read_video
 from physconvex.render import film, orbit
-from physconvex.render.film_command import film as command
+from physconvex.render.film_command import film_command as command
 from tests.convex.fields import random_field
 
 

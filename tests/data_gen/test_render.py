@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from data_gen import Backdrop, Lighting, Renderer, Surface
+from data_gen import Backdrop, DrawnSurface, Lighting, Renderer
 from data_gen.surface import corner_normals
 from physconvex import InputError
 from physconvex.io import Camera, look_at
@@ -24,10 +24,10 @@ def renderer():
     renderer.close()
 
 
-def ball(radius: float, color=(200, 60, 40)) -> Surface:
+def ball(radius: float, color=(200, 60, 40)) -> DrawnSurface:
     sphere = trimesh.creation.icosphere(subdivisions=3, radius=radius)
     colors = np.tile(np.array(color, np.uint8), (len(sphere.vertices), 1))
-    return Surface(np.asarray(sphere.vertices), np.asarray(sphere.faces), colors=colors)
+    return DrawnSurface(np.asarray(sphere.vertices), np.asarray(sphere.faces), colors=colors)
 
 
 def camera(**changes) -> Camera:
@@ -105,7 +105,7 @@ def test_texture_is_upright(renderer):
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
     texture = np.zeros((16, 16, 3), np.uint8)
     texture[:8, :, 1], texture[8:, :, 0] = 255, 255
-    renderer.set_surface(Surface(vertices, np.array([[0, 1, 2], [0, 2, 3]]), uv=uv, texture=texture))
+    renderer.set_surface(DrawnSurface(vertices, np.array([[0, 1, 2], [0, 2, 3]]), uv=uv, texture=texture))
     view = camera()
     renderer.set_view(view, Lighting((0.0, -0.6, 0.8), specular=0.0), GREY)
     image = renderer.frame(vertices)[0]
@@ -146,7 +146,7 @@ def test_wrong_use_is_refused(renderer):
     with pytest.raises(InputError, match="k1"):
         renderer.set_view(camera(k1=0.1), OVERHEAD, GREY)
     with pytest.raises(InputError, match="colors"):
-        Surface(np.eye(3), np.array([[0, 1, 2]]))
+        DrawnSurface(np.eye(3), np.array([[0, 1, 2]]))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="EGL's vendor files are a Linux matter")

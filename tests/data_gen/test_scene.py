@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from data_gen import GeneratorConfig, draw_drop, draw_look, load_config, stream
+from data_gen import GeneratorConfig, draw_drop, draw_look, load_config, random_stream
 from data_gen.config import Interval
 from data_gen.scene import split_of
 from physconvex import InputError
@@ -50,7 +50,7 @@ def test_simulations_of_one_object_share_it_but_not_the_material(drops):
 
 def test_materials_have_the_stated_distribution(config):
     # Means of uniform variables; tolerance: four standard errors of 2,000 draws.
-    rng = stream(0, 99)
+    rng = random_stream(0, 99)
     log_modulus = np.log10([config.material.youngs_modulus.sample(rng) for _ in range(2000)])
     assert log_modulus.mean() == pytest.approx(5.5, abs=4 * 3 / np.sqrt(12 * 2000))
     assert log_modulus.min() >= 4 and log_modulus.max() <= 7
@@ -73,7 +73,7 @@ def test_whole_path_is_in_view_and_lit_from_above(config):
     path = np.stack([start - [0.2 * t, 0, 1.5 * t**2] for t in np.linspace(0, 1, 8)])
     distances = []
     for number in range(20):
-        look = draw_look(config, stream(1, 5, number), path, name="front")
+        look = draw_look(config, random_stream(1, 5, number), path, name="front")
         pixels, depth = look.camera.project(path.reshape(-1, 3))
         assert (depth > 0).all() and pixels.min() >= 0 and pixels.max() <= 128
         assert np.linalg.norm(look.lighting.direction) == pytest.approx(1) and look.lighting.direction[2] > 0.5
@@ -88,7 +88,7 @@ def test_whole_path_is_in_view_and_lit_from_above(config):
 def test_azimuth_may_be_prescribed(config):
     path = np.array([[[0.0, 0, 0.5], [0.1, 0, 1.0]]])
     for degrees, side in ((0, [0, -1]), (90, [-1, 0]), (180, [0, 1])):
-        position = draw_look(config, stream(0, 1), path, name="ring", azimuth_deg=degrees).camera.position[:2]
+        position = draw_look(config, random_stream(0, 1), path, name="ring", azimuth_deg=degrees).camera.position[:2]
         assert position @ side / np.linalg.norm(position) > 0.95
 
 

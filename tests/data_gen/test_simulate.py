@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data_gen import draw_drop, load_config, simulate_drop, stream
+from data_gen import draw_drop, load_config, random_stream, simulate_drop
 
 SMALL = [
     "video={frames: 6, fps: 24, width: 16, height: 16}",
@@ -27,7 +27,7 @@ def runs():
         "surface": ["solver.touching=surface"],
     }.items():
         config = load_config("training", overrides=[*SMALL, *more])
-        found[name] = simulate_drop(draw_drop(config, 5, 10, 0), config, stream(5, 7, 0))
+        found[name] = simulate_drop(draw_drop(config, 5, 10, 0), config, random_stream(5, 7, 0))
     return found
 
 

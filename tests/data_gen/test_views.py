@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from data_gen import Renderer, draw_drop, draw_look, load_config, stream
+from data_gen import Renderer, draw_drop, draw_look, load_config, random_stream
 from data_gen.scene import surface_of
 from physconvex.io import Camera
 
@@ -30,7 +30,7 @@ def silhouette(camera: Camera, points: np.ndarray, faces: np.ndarray) -> np.ndar
 
 @pytest.mark.parametrize("simulation", [0, 2])
 def test_path_is_in_view_and_masks_are_projections(renderer, simulation):
-    rng = stream(5, simulation)
+    rng = random_stream(5, simulation)
     drop = draw_drop(CONFIG, 5, simulation, 0)
     start = drop.placed(drop.body.vertices)
     shifts = np.array([[0.0, 0, 0], [0.1, 0.05, -0.4], [0.2, 0.1, -1.0]]) * start[:, 2].min()

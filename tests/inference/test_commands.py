@@ -8,7 +8,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from inference.commands import predict
+from inference.commands import predict_command
 from physconvex import InputError
 from tests.inference.conftest import MakeClip
 from tests.inference.predictor_double import PredictorDouble
@@ -19,7 +19,7 @@ def app(monkeypatch: pytest.MonkeyPatch) -> typer.Typer:
     """The command with a predictor double in place of the default checkpoint."""
     monkeypatch.setattr("inference.batch.load_predictor", lambda checkpoint, device: PredictorDouble())
     app = typer.Typer(pretty_exceptions_enable=False)
-    app.command()(predict)
+    app.command()(predict_command)
     return app
 
 

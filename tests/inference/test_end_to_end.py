@@ -10,7 +10,7 @@ import typer
 from typer.testing import CliRunner
 
 from inference import iter_predictions, predict, predict_batch
-from inference.commands import predict as predict_command
+from inference.commands import predict_command as predict_command
 from models import EncoderConfig, NetworkConfig, PhysicsPredictor, SkinningField
 from physconvex import InputError
 from tests.inference.conftest import MakeClip

@@ -11,7 +11,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from inference import capture_views, reconstruct
-from inference.reconstruction_command import reconstruct as command
+from inference.reconstruction_command import reconstruct_command as command
 from physconvex import InputError
 from physconvex.convex import read_ply
 from physconvex.io import Capture, load_capture, read_video, save_capture

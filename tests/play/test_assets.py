@@ -13,12 +13,12 @@ from physconvex import InputError
 from physconvex.convex import ConvexField, half_spaces, read_ply, write_ply
 from physconvex.io import read_video
 from physconvex.play import load_play_config, overrides_of, play, play_together, read_asset, read_surface
-from physconvex.play.command import simulate
+from physconvex.play.command import simulate_command
 
 QUICK = ["basis.max_nodes=80", "basis.modes=2", "time.frames=3", "time.steps_per_frame=4"]
 
 app = Typer()
-app.command()(simulate)
+app.command()(simulate_command)
 
 
 @pytest.fixture

@@ -12,12 +12,12 @@ from physconvex import InputError
 from physconvex.io import read_video
 from physconvex.io.configuration import preset_names
 from physconvex.play import PlayConfig, load_play_config, play, read_surface
-from physconvex.play.command import simulate
+from physconvex.play.command import simulate_command
 
 QUICK = ["basis.max_nodes=150", "basis.modes=2", "time.frames=3", "time.steps_per_frame=4", "basis.mesher=lattice"]
 
 app = Typer()
-app.command()(simulate)
+app.command()(simulate_command)
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import train.predictor_evaluation
-from models import Estimate, PhysicsPredictor, PreparedClip, SkinningField
+from models import ClipEstimate, PhysicsPredictor, PreparedClip, SkinningField
 from physconvex import InputError
 from train import TrainConfig, read_clips
 from train.held_out import held_out
@@ -29,11 +29,11 @@ class Oracle(PhysicsPredictor):
     def __init__(self, known: dict[bytes, tuple[float, float]], config: object) -> None:
         self.known, self.config = known, config
 
-    def estimate(self, clips: Sequence[PreparedClip], **_: object) -> list[Estimate]:
+    def estimate(self, clips: Sequence[PreparedClip], **_: object) -> list[ClipEstimate]:
         return [self._one(*self.known.get(clip.mask.tobytes(), (1e6, 0.3))) for clip in clips]
 
-    def _one(self, modulus: float, poisson: float) -> Estimate:
-        return Estimate(
+    def _one(self, modulus: float, poisson: float) -> ClipEstimate:
+        return ClipEstimate(
             youngs_modulus=modulus * 10**0.1,
             poisson_ratio=poisson,
             log10_youngs_modulus_std=0.1,

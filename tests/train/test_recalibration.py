@@ -12,7 +12,7 @@ import train.commands
 from models import BinConfig, Calibration, DensityCalibration, PhysicsPredictor, fit_density_calibration
 from physconvex import InputError
 from train import TrainConfig
-from train.held_out import estimates_of, held_out
+from train.held_out import held_out, held_out_estimates
 from train.recalibration import recalibrate
 
 BINS = BinConfig(low=-4.0, high=4.0, bins=160)
@@ -36,7 +36,7 @@ def covered(checkpoint: Path, data: Path, cache: Path) -> float:
     clips = held_out([data], predictor, split="validation", cache=cache)
     inside = [
         estimate.youngs_modulus_interval[0] <= label.youngs_modulus <= estimate.youngs_modulus_interval[1]
-        for estimate, label in zip(estimates_of(predictor, clips), clips.labels, strict=True)
+        for estimate, label in zip(held_out_estimates(predictor, clips), clips.labels, strict=True)
     ]
     return float(np.mean(inside))
 
@@ -69,7 +69,7 @@ def test_a_checkpoint_is_not_overwritten(tiny_data: Path, checkpoint: Path) -> N
 
 def test_the_command_tells_coverage(tiny_data: Path, tiny_cache: Path, checkpoint: Path, tmp_path: Path) -> None:
     app = typer.Typer()
-    app.command()(train.commands.calibrate)
+    app.command()(train.commands.calibrate_command)
     result = CliRunner().invoke(
         app,
         [

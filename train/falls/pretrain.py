@@ -28,7 +28,7 @@ from train.falls.world import Falls
 from train.losses import density_losses, noisy_states, state_loss
 from train.run_log import RunLog
 from train.schedule import cosine_schedule
-from train.state import Progress, load_state, refuse_other_run, save_state
+from train.state import TrainingProgress, load_training_state, refuse_other_run, save_training_state
 
 __all__ = ["STATE", "Pretraining", "pretrain", "scores"]
 
@@ -161,13 +161,15 @@ class _Run:
     def _state(self) -> Path:
         return self.out / STATE
 
-    def _start(self, fingerprint: str, resume: bool) -> Progress:
+    def _start(self, fingerprint: str, resume: bool) -> TrainingProgress:
         if not (resume and self._state.is_file()):
-            return Progress(fingerprint=fingerprint)
+            return TrainingProgress(fingerprint=fingerprint)
         refuse_other_run(self._state, fingerprint)
-        return load_state(self._state, network=self.network, average=self.average.module, optimizer=self.optimizer)
+        return load_training_state(
+            self._state, network=self.network, average=self.average.module, optimizer=self.optimizer
+        )
 
-    def _steps(self, progress: Progress, log: RunLog) -> None:
+    def _steps(self, progress: TrainingProgress, log: RunLog) -> None:
         plan, started = self.plan, time.monotonic() - progress.seconds
         sums: dict[str, Tensor] = {}
         since = 0
@@ -217,7 +219,7 @@ class _Run:
         self.average.update(self.network, step=step)
         return {"material": material.detach(), "states": states.detach()}
 
-    def _look(self, progress: Progress, log: RunLog, losses: Mapping[str, float]) -> Progress:
+    def _look(self, progress: TrainingProgress, log: RunLog, losses: Mapping[str, float]) -> TrainingProgress:
         """Score the averaged network, keep it if it is the best yet, write the state."""
         network: PhysicsNetwork = self.average.module
         found = {name: scores(network, batches) for name, batches in self.looked_at.items()}
@@ -231,7 +233,9 @@ class _Run:
             part = self._best.with_suffix(".part")
             save_file({name: value.cpu().contiguous() for name, value in network.state_dict().items()}, part)
             os.replace(part, self._best)
-        save_state(self._state, network=self.network, average=network, optimizer=self.optimizer, progress=progress)
+        save_training_state(
+            self._state, network=self.network, average=network, optimizer=self.optimizer, progress=progress
+        )
         return progress
 
     def _looked_at(self, held_out: Falls, validation: RealClips | None) -> dict[str, list[FallBatch]]:

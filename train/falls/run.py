@@ -20,7 +20,7 @@ from train.falls.pretrain import STATE, Pretraining, pretrain
 from train.falls.real import RealClips
 from train.falls.skinning import HeadTraining, fit_skinning_head
 from train.falls.world import simulate_falls
-from train.run_log import fingerprint, write_config
+from train.run_log import run_fingerprint, write_config
 from train.split_clips import split_clips
 from train.state import refuse_other_run
 from train.validation import validate
@@ -117,7 +117,7 @@ def train_on_falls(
 
 def _fingerprint(config: TrainConfig, plan: Pretraining, falls: Path, data: Sequence[Path | str]) -> str:
     """Hash of what decides the numbers of a run, but for the time that it may take."""
-    content = hashlib.sha256(fingerprint(config, data).encode())
+    content = hashlib.sha256(run_fingerprint(config, data).encode())
     content.update(json.dumps(asdict(replace(plan, minutes=None))).encode())
     for path in sorted(falls.glob("falls-[0-9]*.npz")):
         content.update(path.read_bytes())

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from data_gen.explicit.kernels import source
+from data_gen.explicit.kernels import kernel_source
 
 
 @pytest.mark.slow
@@ -14,5 +14,5 @@ def test_the_source_compiles_for_devices(name):
 
     if torch.version.cuda is None:
         pytest.skip("torch without CUDA carries no NVRTC")
-    binary, _ = _utils._nvrtc_compile(source(name), name, compute_capability="90")
+    binary, _ = _utils._nvrtc_compile(kernel_source(name), name, compute_capability="90")
     assert binary[:4] == b"\x7fELF" and name.encode() in binary

@@ -171,7 +171,7 @@ def typer_app():
     import typer
 
     app = typer.Typer()
-    app.command()(train.commands.pretrain)
+    app.command()(train.commands.pretrain_command)
     return app
 
 
