@@ -14,7 +14,7 @@ from jaxtyping import Float
 from physconvex import ConvergenceError
 from physconvex.dynamics import Plane
 from physconvex.fem import ElasticBody, Pins, Scene, simulate
-from physconvex.gap import DEFAULT_EFFECTS, Effect, Motion, Situation, by_steps
+from physconvex.gap import DEFAULT_EFFECTS, Effect, PointMotion, Situation, by_steps
 from physconvex.io import Boundary, Capture, Floor, Tracks
 from physconvex.mesh import Embedding, TetMesh, tetrahedralize
 
@@ -207,7 +207,7 @@ def floor_height(case: Case) -> float:
     return float(case.surface.vertices[:, 2].min()) - case.height
 
 
-def simulate_case(case: Case, *, nodes: int = 450, rate: float = 500.0) -> tuple[Motion, Float[np.ndarray, "P 3"]]:
+def simulate_case(case: Case, *, nodes: int = 450, rate: float = 500.0) -> tuple[PointMotion, Float[np.ndarray, "P 3"]]:
     """Simulate with effects, on the full-order model; the observed positions of 40 surface points.
 
     Raises:
@@ -229,8 +229,8 @@ def simulate_case(case: Case, *, nodes: int = 450, rate: float = 500.0) -> tuple
     if len(points) < 10:
         raise ConvergenceError("markers: too few points on the surface")
     embedding = Embedding.of_points(mesh, np.asarray(points))
-    steps = Motion(points, run.times, embedding.apply(run.positions), embedding.apply(run.velocities))
-    motion = Motion.of_steps(steps, case.frames, every)
+    steps = PointMotion(points, run.times, embedding.apply(run.positions), embedding.apply(run.velocities))
+    motion = PointMotion.of_steps(steps, case.frames, every)
     positions = motion.positions
     for hidden in case.hidden:
         effect = _effect(hidden)

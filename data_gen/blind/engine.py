@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from jaxtyping import Float
 
 from physconvex import ConvergenceError
-from physconvex.gap import Motion
+from physconvex.gap import PointMotion
 from physconvex.mesh import TetMesh
 
 __all__ = ["World", "run_explicit"]
@@ -295,7 +295,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def run_explicit(
     world: World, points: Float[np.ndarray, "P 3"], *, frames: int, fps: float, late: float = 0.0, fast: float = 0.0
-) -> Motion:
+) -> PointMotion:
     """Leapfrog; the motion of material points, given at t = 0. Velocities are those of half a step before.
 
     Args:
@@ -335,4 +335,4 @@ def run_explicit(
         positions.append(x - (step * dt - taken) * v)
         velocities.append(v.copy())
     embedding = Embedding.of_points(world.mesh, points)
-    return Motion(points, times, embedding.apply(np.stack(positions)), embedding.apply(np.stack(velocities)))
+    return PointMotion(points, times, embedding.apply(np.stack(positions)), embedding.apply(np.stack(velocities)))

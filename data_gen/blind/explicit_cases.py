@@ -13,13 +13,13 @@ from jaxtyping import Float
 from data_gen.blind.cases import Case, HiddenEffect, floor_height
 from data_gen.blind.engine import World, run_explicit
 from physconvex import ConvergenceError
-from physconvex.gap import Motion, rotation_vector_matrix, with_plane
+from physconvex.gap import PointMotion, rotation_vector_matrix, with_plane
 from physconvex.mesh import TetMesh, tetrahedralize
 
 __all__ = ["EXPLICIT_EFFECTS", "HELD_EFFECTS", "OUTSIDE", "simulate_explicit"]
 
 Positions = Float[np.ndarray, "T P 3"]
-Observe = Callable[[Motion], Positions]
+Observe = Callable[[PointMotion], Positions]
 _MARKERS, _ROUNDS, _NEAR = 40, 5, 0.4
 _LEAST, _MOST = 0.5, 3.0  # of the visibility asked for
 _STIFFER, _WIDER, _FASTER = 1.05, 0.02, 0.02  # E times, ν more, velocity over that of a fall through the size more
@@ -158,7 +158,7 @@ def _seen_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> D
     turn, shift = np.radians(1.0 * s) * _direction(rng), 0.01 * s * case.size * _direction(rng)
     matrix = rotation_vector_matrix(turn)
 
-    def moved(motion: Motion) -> Positions:  # about the markers' mean, as the dictionary has it
+    def moved(motion: PointMotion) -> Positions:  # about the markers' mean, as the dictionary has it
         pivot = motion.rest.mean(0)
         return np.asarray((motion.positions - pivot) @ matrix.T + pivot + shift)
 
@@ -200,7 +200,7 @@ class _Runner:
     mesh: TetMesh
     points: np.ndarray
 
-    def __call__(self, *effects: Dosed, **changes: Any) -> tuple[Motion, Positions]:
+    def __call__(self, *effects: Dosed, **changes: Any) -> tuple[PointMotion, Positions]:
         world = replace(_world(self.case, self.mesh), **changes)
         for effect in effects:
             world = world if effect.world is None else effect.world(world)
@@ -217,7 +217,7 @@ class _Runner:
 
 def simulate_explicit(
     case: Case, names: tuple[str, ...], visibility: float, *, rough: bool = False
-) -> tuple[Motion, Positions, Case, float]:
+) -> tuple[PointMotion, Positions, Case, float]:
     """Simulate with effects that are each visible by a factor.
 
     Args:

@@ -17,14 +17,19 @@ from .effects.effect import (
     Situation as Situation,
     Source as Source,
 )
-from .effects.motion import Correction as Correction, Motion as Motion, by_steps as by_steps
+from .effects.motion import MotionCorrection as MotionCorrection, PointMotion as PointMotion, by_steps as by_steps
 from .effects.world import rotation_vector_matrix as rotation_vector_matrix
 from .errors.numerics import (
     correction_of as correction_of,
     error_model as error_model,
     numerical_differences as numerical_differences,
 )
-from .errors.score_test import ErrorModel as ErrorModel, Projector as Projector, Score as Score, score as score
+from .errors.score_test import (
+    ErrorModel as ErrorModel,
+    Projector as Projector,
+    Score as Score,
+    score_effect as score_effect,
+)
 from .judgement.naming import NamedDose as NamedDose, NamedEffect as NamedEffect
 from .judgement.verdict_input import TRUSTED as TRUSTED, Verdict as Verdict
 from .location.where import Part as Part, Where as Where

@@ -9,10 +9,10 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["diagnose"]
+__all__ = ["diagnose_command"]
 
 
-def diagnose(
+def diagnose_command(
     capture: Annotated[
         Path, typer.Argument(help="Capture folder (capture.json) with marker tracks.", show_default=False)
     ],

@@ -20,7 +20,7 @@ from physconvex.gap.conditions.capture_elements import with_own_elements
 from physconvex.gap.conditions.setting import find_setting
 from physconvex.gap.effects.catalogue import choose
 from physconvex.gap.effects.effect import Effect
-from physconvex.gap.effects.motion import Motion
+from physconvex.gap.effects.motion import PointMotion
 from physconvex.gap.errors.absorbed_errors import with_absorbed_mesh
 from physconvex.gap.errors.error_scale import error_scale
 from physconvex.gap.errors.numerics import Numerics, correction_of, detail_errors, error_model, numerical_differences
@@ -145,7 +145,7 @@ def diagnose(
     )
 
 
-def _motion_on_fine_mesh(rough: Baseline, numerics: Numerics) -> tuple[TetMesh, Motion] | None:
+def _motion_on_fine_mesh(rough: Baseline, numerics: Numerics) -> tuple[TetMesh, PointMotion] | None:
     """That of the base model itself, where the numerical differences are those of another; None where it has none."""
     if numerics.fine is None:
         return None

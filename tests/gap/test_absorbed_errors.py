@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.gap import GapOptions, Motion
+from physconvex.gap import GapOptions, PointMotion
 from physconvex.gap.base.baseline import Split
 from physconvex.gap.base.cost import Cost
 from physconvex.gap.errors.absorbed_errors import with_absorbed_mesh
@@ -35,7 +35,7 @@ class Bending:
         moved = np.repeat(REST[None], len(t), axis=0)
         moved[:, 0, 2] -= sag
         moved[:, 1, 2] -= (0.3 + self.other) * sag
-        return Motion(REST, t, moved, np.zeros_like(moved))
+        return PointMotion(REST, t, moved, np.zeros_like(moved))
 
     def positions(self, values):
         return self.motion(values).positions

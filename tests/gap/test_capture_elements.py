@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from physconvex.fem import ElasticBody, Pins, Scene, simulate
-from physconvex.gap import Correction, GapOptions, error_model, fit_baseline, rough_baseline
+from physconvex.gap import GapOptions, MotionCorrection, error_model, fit_baseline, rough_baseline
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.model import reduced_like
 from physconvex.gap.conditions.capture_elements import own_elements, with_own_elements
@@ -51,7 +51,7 @@ def fitted(capture: Capture) -> tuple[Baseline, Baseline, Numerics, np.ndarray]:
     still = np.zeros_like(rough.motion.positions)
     numerics = Numerics(still, still, still, still, still)
     variance = np.ones(len(rough.residual(rough.positions)))
-    base = fit_baseline(rough, Correction(still), None, variance, OPTIONS, lambda text: None)
+    base = fit_baseline(rough, MotionCorrection(still), None, variance, OPTIONS, lambda text: None)
     return rough, base, numerics, variance
 
 

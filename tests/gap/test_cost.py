@@ -12,7 +12,7 @@ from physconvex.gap.base.cost import Cost, OutOfBudget, newton_step
 from physconvex.gap.base.model import SecantModel
 from physconvex.gap.effects.scenes import with_material
 from physconvex.gap.search import decision
-from physconvex.gap.search.search_state import Selection
+from physconvex.gap.search.search_state import EffectSearch
 from physconvex.materials import StandardLinearSolid
 
 
@@ -41,7 +41,7 @@ def test_no_fit_is_begun_beyond_the_limit(spent, begun):
     cost.allow(5.0, 1.0)
     cost.spent = spent
     base = SimpleNamespace(model=SimpleNamespace(cost=cost))
-    search = Selection(base, base, None, GapOptions(), lambda _: None)
+    search = EffectSearch(base, base, None, GapOptions(), lambda _: None)
     search.found += [SimpleNamespace(), SimpleNamespace()]  # the base model, and the first fit, which is always made
 
     def run():

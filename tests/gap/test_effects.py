@@ -7,7 +7,17 @@ import pytest
 
 from physconvex import InputError
 from physconvex.fem import SurfacePoints, simulate as simulate_full
-from physconvex.gap import DEFAULT_EFFECTS, EFFECT_NAMES, Correction, Dose, Effect, Motion, applicable, by_steps, choose
+from physconvex.gap import (
+    DEFAULT_EFFECTS,
+    EFFECT_NAMES,
+    Dose,
+    Effect,
+    MotionCorrection,
+    PointMotion,
+    applicable,
+    by_steps,
+    choose,
+)
 from physconvex.reduced import simulate as simulate_reduced
 
 NAMES = (
@@ -221,7 +231,7 @@ def motion_of(points=5):
     t, along, down = times[:, None, None], np.array([1.0, 0, 0]), np.array([0, 0, -1.0])
     positions = rest + along * t + 4.9 * down * t**2
     velocities = np.broadcast_to(along, positions.shape) + 9.8 * down * t
-    return Motion(rest, times, positions, velocities)
+    return PointMotion(rest, times, positions, velocities)
 
 
 def test_clocks():
@@ -251,20 +261,20 @@ def bouncing(times):
 
 def test_between_frames_and_beyond_them_steps_tell_where_points_are():
     times, fine = np.arange(13) / 50.0, np.arange(13 * 40) / 2000.0
-    steps = Motion(np.zeros((1, 3)), fine, *bouncing(fine))
-    motion = Motion.of_steps(steps, len(times), 40)
+    steps = PointMotion(np.zeros((1, 3)), fine, *bouncing(fine))
+    motion = PointMotion.of_steps(steps, len(times), 40)
     np.testing.assert_array_equal(motion.positions, bouncing(times)[0])
     for other in (times + 0.007, times * 1.05):
         np.testing.assert_allclose(motion.at(other), bouncing(other)[0], atol=1e-4)
         np.testing.assert_allclose(motion.at(other[:, None])[:, 0], bouncing(other)[0][:, 0], atol=1e-4)
-    blind = Motion(motion.rest, motion.times, motion.positions, motion.velocities)
+    blind = PointMotion(motion.rest, motion.times, motion.positions, motion.velocities)
     assert np.abs(blind.at(times + 0.007) - bouncing(times + 0.007)[0]).max() > 1e-3
     assert motion.first(4).end == motion.end > 0.25 and blind.end == times[-1]
 
 
 def test_what_corrects_a_motion_goes_with_its_time():
     times, fine = np.arange(13) / 50.0, np.arange(13 * 40) / 2000.0
-    motion = Motion.of_steps(Motion(np.zeros((1, 3)), fine, *bouncing(fine)), len(times), 40)
+    motion = PointMotion.of_steps(PointMotion(np.zeros((1, 3)), fine, *bouncing(fine)), len(times), 40)
     moved = replace(motion, positions=motion.positions + 0.1 * times[:, None, None])
     late = np.clip(times + 0.007, 0.0, times[-1])  # and is held beyond the last frame
     np.testing.assert_allclose(
@@ -282,17 +292,17 @@ def test_what_a_cheaper_model_lacks_is_known_between_frames_too():
         low = height[hit][0] if share < 1 else 0.0
         height = np.where(hit[:, None, None], low + share * (height - low), height)
         speed = np.where(hit[:, None, None], share * speed, speed)
-        return Motion.of_steps(Motion(np.zeros((1, 3)), fine, height, speed), len(times), 40)
+        return PointMotion.of_steps(PointMotion(np.zeros((1, 3)), fine, height, speed), len(times), 40)
 
     own, exact = rolled(1.0), rolled(0.5)
-    corrected = Correction.between(exact, own).of(own)
+    corrected = MotionCorrection.between(exact, own).of(own)
     np.testing.assert_allclose(corrected.positions, exact.positions, atol=1e-12)
     np.testing.assert_allclose(corrected.at(times * 1.05), exact.at(times * 1.05), atol=1e-12)
-    by_frames = Correction(exact.positions - own.positions).of(own)
+    by_frames = MotionCorrection(exact.positions - own.positions).of(own)
     assert np.abs(by_frames.at(times - 0.01) - exact.at(times - 0.01)).max() > 5e-4
-    further = Motion(own.rest, fine, own.steps.positions, own.steps.velocities)
+    further = PointMotion(own.rest, fine, own.steps.positions, own.steps.velocities)
     shorter = replace(exact, steps=exact.steps.first(481))  # which ends with the last frame
-    late = Correction.between(shorter, own).of(Motion.of_steps(further, len(times), 40))
+    late = MotionCorrection.between(shorter, own).of(PointMotion.of_steps(further, len(times), 40))
     np.testing.assert_allclose(late.at(times + 0.015), exact.at(times + 0.015), atol=1e-12)  # straight on
 
 

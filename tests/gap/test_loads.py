@@ -10,8 +10,8 @@ import pytest
 
 from physconvex.gap import (
     DEFAULT_EFFECTS,
-    Correction,
     GapOptions,
+    MotionCorrection,
     applicable,
     error_model,
     fit_baseline,
@@ -34,7 +34,7 @@ def starts(
     rough = rough_baseline(capture, OPTIONS, lambda text: None)
     still = np.zeros_like(rough.motion.positions)
     variance = np.ones(len(rough.residual(rough.positions)))
-    base = as_reduced(fit_baseline(rough, Correction(still), None, variance, OPTIONS, lambda text: None))
+    base = as_reduced(fit_baseline(rough, MotionCorrection(still), None, variance, OPTIONS, lambda text: None))
     errors = error_model(base, Numerics(still, still, still, still, still), OPTIONS)
     alone = base.fit.values
     known = {effect.label: effect for effect in DEFAULT_EFFECTS}

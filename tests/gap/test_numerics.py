@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.gap import GapOptions, Motion, correction_of, error_model
+from physconvex.gap import GapOptions, PointMotion, correction_of, error_model
 from physconvex.gap.base.body_modes import body_modes
 from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.errors.rebound import path_since_contact
@@ -59,7 +59,7 @@ def test_a_rebound_may_be_off_by_a_hundredth_of_its_way(rng, friction, sideways)
     rest = rng.normal(size=(points, 3))
     height = np.abs(np.linspace(1.0, -0.75, frames))
     positions = rest + height[:, None, None] * np.array([0, 0, 1.0])
-    motion = Motion(rest, np.arange(frames) / 10, positions, np.zeros_like(positions))
+    motion = PointMotion(rest, np.arange(frames) / 10, positions, np.zeros_like(positions))
     seen = MarkerObservations(rest, positions, np.full((frames, points), sigma))
     force = np.where(np.arange(frames) == 4, 1.0, 0.0)
     modes = body_modes(seen, free=True, force=force, normal=None if friction is None else np.array([0.0, 0.0, 1.0]))

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from physconvex import InputError
-from physconvex.gap import DEFAULT_EFFECTS, EffectModel, Motion
-from physconvex.gap.base.observed_points import components, in_metres, lost_points, observe, widened
+from physconvex.gap import DEFAULT_EFFECTS, EffectModel, PointMotion
+from physconvex.gap.base.observed_points import components, in_metres, lost_points, observations_of, widened
 from physconvex.identify import MarkerObservations, PixelObservations
 from physconvex.io import Camera, Capture
 
@@ -34,7 +34,7 @@ def motion(camera):
     rest = np.random.default_rng(0).uniform(-0.3, 0.3, (7, 3)) + np.array([0, 0, 0.5])
     velocity = np.array([0.5, 0.0, -0.4])
     positions = rest + velocity * times[:, None, None]
-    return Motion(rest, times, positions, np.broadcast_to(velocity, positions.shape).copy(), camera)
+    return PointMotion(rest, times, positions, np.broadcast_to(velocity, positions.shape).copy(), camera)
 
 
 def pixels_of(camera, positions):
@@ -105,7 +105,7 @@ def test_markers_are_in_metres_already(motion):
 @pytest.mark.wrong_types
 def test_nothing_seen(tmp_path):
     with pytest.raises(InputError, match=r"no tracks\.npz and no cameras"):
-        observe(Capture(tmp_path, 24.0, 12, 8), None)  # type: ignore[arg-type]
+        observations_of(Capture(tmp_path, 24.0, 12, 8), None)  # type: ignore[arg-type]
 
 
 @pytest.mark.wrong_types  # no twin is needed for what is observed of a motion

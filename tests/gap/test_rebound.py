@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from physconvex.gap import ErrorModel, Motion
+from physconvex.gap import ErrorModel, PointMotion
 from physconvex.gap.base.body_modes import BodyModes
 from physconvex.gap.errors.rebound import forgiving, path_since_contact
 
@@ -11,7 +11,7 @@ from physconvex.gap.errors.rebound import forgiving, path_since_contact
 def motion_of(height):
     rest = np.array([[0.0, 0, 0], [0.1, 0, 0]])
     positions = rest + np.stack([0 * height, 0 * height, height], axis=-1)[:, None]
-    return Motion(rest, np.arange(len(height)) / 10, positions, np.zeros_like(positions))
+    return PointMotion(rest, np.arange(len(height)) / 10, positions, np.zeros_like(positions))
 
 
 def test_the_way_begins_at_the_last_frame_of_the_fall():

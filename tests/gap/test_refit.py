@@ -98,7 +98,7 @@ def test_derivatives_by_a_direction_are_taken_anew(
         return SimpleNamespace(values=values, positions=model.positions(values), reduced_chi_square=1.0)
 
     monkeypatch.setattr(fitting, "fit", fit)
-    monkeypatch.setattr(fitting, "misfit_of", lambda base, errors, here: next(left))
+    monkeypatch.setattr(fitting, "negative_log_likelihood", lambda base, errors, here: next(left))
     monkeypatch.setattr(fitting, "_doubt", lambda base, errors, here: 1.0)
     monkeypatch.setattr(fitting, "deviations_of", lambda *of: np.zeros(1))
     monkeypatch.setattr(fitting, "hypothesis_at", lambda base, errors, model, values, *of: values)
@@ -135,7 +135,7 @@ def test_a_held_body_is_fitted_from_weak_priors_too(
         return SimpleNamespace(values=values, evidence=there * (values[0] - 1.0))
 
     monkeypatch.setattr(fitting, "fit", fit)
-    monkeypatch.setattr(fitting, "misfit_of", lambda base, errors, here: 1.0)
+    monkeypatch.setattr(fitting, "negative_log_likelihood", lambda base, errors, here: 1.0)
     monkeypatch.setattr(fitting, "_doubt", lambda base, errors, here: 1.0 if here[0, 0, 0] == 2.0 else 50.0)
     monkeypatch.setattr(fitting, "deviations_of", lambda *of: np.zeros(2))
     monkeypatch.setattr(fitting, "hypothesis_at", stated)

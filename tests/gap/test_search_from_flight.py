@@ -14,7 +14,7 @@ from physconvex.gap.search import flight
 from physconvex.gap.search.expected_errors import expect_anew
 from physconvex.gap.search.flight import from_flight
 from physconvex.gap.search.hypothesis import base_hypothesis
-from physconvex.gap.search.search_state import Selection
+from physconvex.gap.search.search_state import EffectSearch
 from physconvex.gap.search.space_mapping import as_reduced
 from physconvex.io import Capture, Floor, Tracks, save_capture
 from physconvex.mesh import TetMesh, box_mesh
@@ -59,7 +59,9 @@ def searched(capture, change, *, told=False):
     fit = replace(base.fit, parameters=base.model.parameters(values), values=values)
     base = replace(base, fit=fit, motion=motion, tangents=tangents)
     rows = len(base.residual(base.positions))
-    search = Selection(base, as_reduced(base), ErrorModel(np.ones(rows), np.zeros((0, rows))), OPTIONS, lambda _: None)
+    search = EffectSearch(
+        base, as_reduced(base), ErrorModel(np.ones(rows), np.zeros((0, rows))), OPTIONS, lambda _: None
+    )
     search.found.append(base_hypothesis(search.base, search.errors))
     if told:
         seen = capture.tracks().positions

@@ -77,7 +77,7 @@ def test_places_are_tried_where_the_recording_tells_how_a_struck_body_deforms(cl
     a whole tells the place.
     """  # fmt: skip
     base = SimpleNamespace(situation=SimpleNamespace(clamped=clamped), positions=np.zeros((9, points, 3)))
-    assert state.Selection(None, base, None, None, None).placed == placed
+    assert state.EffectSearch(None, base, None, None, None).placed == placed
 
 
 def fitted(evidence, *labels, slight=False):
@@ -186,7 +186,7 @@ def test_what_is_left_of_a_fit_is_screened_with_the_reduced_model_made_anew_ther
     monkeypatch.setattr(rounds, "as_reduced", lambda base: point)
     monkeypatch.setattr(rounds, "hypothesis_at", at)
     free = SimpleNamespace(model=SimpleNamespace(cost=Cost()), situation=SimpleNamespace(clamped=False))
-    search = state.Selection(free, free, None, GapOptions(), lambda text: None, found=[stem])
+    search = state.EffectSearch(free, free, None, GapOptions(), lambda text: None, found=[stem])
     found = rounds._in_full(search, stem)
     assert found.motion == "of it" and found.left == 2.0 and search.found == [found]
 
@@ -200,7 +200,7 @@ def test_what_is_left_of_a_fit_is_screened_with_the_reduced_model_made_anew_ther
 def test_a_further_effect_is_looked_for_where_something_is_left_and_there_is_room_and_time():
     cost = Cost()
     base = SimpleNamespace(model=SimpleNamespace(cost=cost), situation=SimpleNamespace(clamped=False))
-    search = state.Selection(base, base, None, GapOptions(most_effects=2), lambda text: None)
+    search = state.EffectSearch(base, base, None, GapOptions(most_effects=2), lambda text: None)
 
     def one(left, *effects, fitted=2.0, selecting=2.0):
         return SimpleNamespace(effects=effects, left_to_explain=left, fitted=fitted, selecting=selecting)
@@ -222,7 +222,7 @@ def test_a_search_that_the_clock_ends_says_whether_all_single_effects_were_tried
         fits = []
         cost = Cost(deadline=10.0)
         model = SimpleNamespace(cost=cost)
-        search = state.Selection(None, SimpleNamespace(model=model), None, GapOptions(), lambda text: None)
+        search = state.EffectSearch(None, SimpleNamespace(model=model), None, GapOptions(), lambda text: None)
 
         def fit(base, errors, chosen, options, *, starts):
             fits.append(chosen)
@@ -274,7 +274,7 @@ def test_the_best_combination_is_fitted_without_each_of_its_effects(monkeypatch,
     monkeypatch.setattr(state, "judged", lambda base, errors, found: sorted(found, key=lambda h: -h.evidence))
     cost = Cost(spent=spent, limit=100.0)
     base = SimpleNamespace(model=SimpleNamespace(cost=cost))
-    search = state.Selection(base, base, None, GapOptions(), lambda text: None)
+    search = state.EffectSearch(base, base, None, GapOptions(), lambda text: None)
     search.found += [fit(0.0, -20.0, clock, load), fit(ahead, -29.0, clock), fit(-80.0, alone, load)]
     rounds.leave_out(search)
     assert tried == fitted

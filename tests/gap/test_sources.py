@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.gap import DEFAULT_EFFECTS, Correction, ErrorModel, Motion
+from physconvex.gap import DEFAULT_EFFECTS, ErrorModel, MotionCorrection, PointMotion
 from physconvex.gap.location.sources import budget_of, reduction_by_frame
 from physconvex.identify import MarkerObservations
 
@@ -23,7 +23,7 @@ class FakeModel:
     """Observation as in `EffectModel`, and no simulator."""
 
     effects: tuple = ()
-    correction: Correction | None = None
+    correction: MotionCorrection | None = None
     frames: int = FRAMES
     directions: tuple = ()
 
@@ -43,7 +43,7 @@ class FakeModel:
 
 def falling(rest, times, acceleration):
     fall, since = np.array([0.0, 0, -0.5 * acceleration]), times[:, None, None]
-    return Motion(rest, times, rest + since**2 * fall, np.broadcast_to(2 * since * fall, (FRAMES, POINTS, 3)))
+    return PointMotion(rest, times, rest + since**2 * fall, np.broadcast_to(2 * since * fall, (FRAMES, POINTS, 3)))
 
 
 def case(seen, motion, best, *, expected=1.0, directions=()):

@@ -59,8 +59,8 @@ def generate(
     typer.echo(f"{count} captures in {out}; labels in {seal}")
 
 
-@app.command()
-def diagnose(
+@app.command("diagnose")
+def diagnose_blindly(
     captures: Annotated[Path, typer.Option(help="Folder of the captures.")],
     out: Annotated[Path, typer.Option(help="Folder of the reports and of answers.json.")],
     without: Annotated[
@@ -85,8 +85,8 @@ def diagnose(
     typer.echo(f"answers and their hash in {path}")
 
 
-@app.command()
-def score(
+@app.command("score")
+def score_answers(
     captures: Annotated[list[Path], typer.Option(help="Folder of the captures; several banks are counted together.")],
     seal: Annotated[list[Path], typer.Option(help="File of the labels, of each bank.")],
     answers: Annotated[list[Path], typer.Option(help="answers.json, of each bank.")],

@@ -16,10 +16,10 @@ from physconvex.gap.base.cost import Cost
 from physconvex.gap.base.floor_depth import depth_seen
 from physconvex.gap.base.independent_residuals import temperature
 from physconvex.gap.base.model import EffectModel, SecantModel, reduced_like
-from physconvex.gap.base.observed_points import Seen, observe, starts_elsewhere, with_honest_noise
+from physconvex.gap.base.observed_points import Seen, observations_of, starts_elsewhere, with_honest_noise
 from physconvex.gap.base.rough_errors import with_rough_errors
 from physconvex.gap.effects.effect import Situation
-from physconvex.gap.effects.motion import Correction, Motion
+from physconvex.gap.effects.motion import MotionCorrection, PointMotion
 from physconvex.gap.options import GapOptions
 from physconvex.identify import (
     Fit,
@@ -146,7 +146,7 @@ def _situation(
     )
 
 
-def _stress_and_contact(model: EffectModel, values: np.ndarray) -> tuple[float, np.ndarray, Motion]:
+def _stress_and_contact(model: EffectModel, values: np.ndarray) -> tuple[float, np.ndarray, PointMotion]:
     """Peak von Mises stress [Pa] (99th percentile), normal force per frame [N], and the motion of the points."""
     motion, scene, run = model.full_motion(values)
     contact, peak, force = scene.contact(), 0.0, np.zeros(len(motion.times))
@@ -174,7 +174,7 @@ def rough_baseline(
         InputError: no tracks, no rest geometry, or too few frames.
         ConvergenceError: the base model cannot be simulated.
     """
-    observations = with_honest_noise(observe(capture, _cheap(capture, options)))
+    observations = with_honest_noise(observations_of(capture, _cheap(capture, options)))
     split = split_frames(capture, observations.frames)
     count = split.end
     fitted = observations.in_frames(count)
@@ -217,8 +217,8 @@ def run_base(
 
 def fit_baseline(
     rough: Baseline,
-    correction: Correction,
-    fine: tuple[TetMesh, Motion] | None,
+    correction: MotionCorrection,
+    fine: tuple[TetMesh, PointMotion] | None,
     variance: Float[np.ndarray, " N"],
     options: GapOptions,
     report: Report,
@@ -264,8 +264,8 @@ def fit_baseline(
 
 def _fit_from(
     rough: Baseline,
-    correction: Correction,
-    fine: tuple[TetMesh, Motion] | None,
+    correction: MotionCorrection,
+    fine: tuple[TetMesh, PointMotion] | None,
     variance: Float[np.ndarray, " N"],
     options: GapOptions,
     report: Report,

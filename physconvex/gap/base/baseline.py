@@ -13,7 +13,7 @@ from physconvex.gap.base.body_modes import BodyModes, TurnedObservations
 from physconvex.gap.base.model import EffectModel
 from physconvex.gap.base.observed_points import Seen, components, in_metres, widened
 from physconvex.gap.effects.effect import Situation
-from physconvex.gap.effects.motion import Motion
+from physconvex.gap.effects.motion import PointMotion
 from physconvex.identify import Fit, Observations, Twin
 from physconvex.io import Capture
 
@@ -70,7 +70,7 @@ class Baseline:
     split: Split
     model: EffectModel
     fit: Fit
-    motion: Motion
+    motion: PointMotion
     tangents: Float[np.ndarray, "f K P 3"]
     situation: Situation
     contact_force: Float[np.ndarray, " T"]

@@ -16,7 +16,7 @@ from physconvex.errors import ConvergenceError
 from physconvex.fem import Scene as FullScene, Trajectory, simulate as simulate_full
 from physconvex.gap.base.cost import Cost
 from physconvex.gap.effects.effect import Effect, Situation
-from physconvex.gap.effects.motion import Correction, Motion, by_steps
+from physconvex.gap.effects.motion import MotionCorrection, PointMotion, by_steps
 from physconvex.identify import Parameter, Twin, default_parameter
 from physconvex.io import Camera
 from physconvex.mesh import Embedding, TetMesh
@@ -67,7 +67,7 @@ class EffectModel:
     effects: tuple[Effect, ...] = ()
     camera: Camera | None = None
     directions: Mapping[str, Positions] = field(default_factory=dict)
-    correction: Correction | None = None
+    correction: MotionCorrection | None = None
     mesh: TetMesh | None = None
     refinement: int = 1
     integrator: IntegratorName = "bdf2"
@@ -161,14 +161,16 @@ class EffectModel:
         timing = self.twin.timing(self.frames) | {"steps_per_frame": steps_per_frame}
         return by_steps(timing, self._ahead(values))
 
-    def _motion(self, times: np.ndarray, positions: np.ndarray, velocities: np.ndarray, every: int) -> Motion:
-        return Motion.of_steps(Motion(self.points, times, positions, velocities, self.camera), self.frames, every)
+    def _motion(self, times: np.ndarray, positions: np.ndarray, velocities: np.ndarray, every: int) -> PointMotion:
+        return PointMotion.of_steps(
+            PointMotion(self.points, times, positions, velocities, self.camera), self.frames, every
+        )
 
-    def motion(self, values: Vector) -> Motion:
+    def motion(self, values: Vector) -> PointMotion:
         """Motion of the points, before correction and observation."""
         return self.reduced_motion(values) if self.reduced else self.full_motion(values)[0]
 
-    def full_motion(self, values: Vector) -> tuple[Motion, FullScene, Trajectory]:
+    def full_motion(self, values: Vector) -> tuple[PointMotion, FullScene, Trajectory]:
         """The same by the full-order model, the scene, and its states at all time steps.
 
         Raises:
@@ -185,7 +187,7 @@ class EffectModel:
         positions, velocities = self.embedding.apply(run.positions), self.embedding.apply(run.velocities)
         return self._motion(run.times, positions, velocities, self._steps), scene, run
 
-    def reduced_motion(self, values: Vector) -> Motion:
+    def reduced_motion(self, values: Vector) -> PointMotion:
         """The same by the reduced model."""
         timing, scene = self._timing(self.twin.steps_per_frame, values), self.reduced_scene(values)
         try:
@@ -198,7 +200,7 @@ class EffectModel:
         positions, velocities = shapes @ run.coordinates, shapes @ run.velocities
         return self._motion(run.times, positions, velocities, self.twin.steps_per_frame)
 
-    def observed(self, motion: Motion, values: Vector) -> Positions:
+    def observed(self, motion: PointMotion, values: Vector) -> Positions:
         """What is observed of a motion: corrected, observation effects applied, numerical directions added.
 
         Points that a camera follows are put on the surface by its own first image, so that an error of the camera or
@@ -224,7 +226,7 @@ class EffectModel:
 
     # -- differences
 
-    def tangents(self, values: Vector, motion: Motion) -> Float[np.ndarray, "T K P 3"]:
+    def tangents(self, values: Vector, motion: PointMotion) -> Float[np.ndarray, "T K P 3"]:
         """Derivatives by all parameters, doses included, by differences of runs.
 
         Args:
@@ -243,7 +245,7 @@ class EffectModel:
         shape = (len(here), 0, *here.shape[1:])
         return np.stack(columns, axis=1) if columns else np.zeros(shape)
 
-    def signature(self, changed: Vector, values: Vector, motion: Motion) -> Positions:
+    def signature(self, changed: Vector, values: Vector, motion: PointMotion) -> Positions:
         """What a change of the doses does to the observed positions [m].
 
         Args:
@@ -257,7 +259,7 @@ class EffectModel:
         moved = self._motion_at(changed, values, motion)
         return self.observed(moved, changed) - self.observed(motion, values)
 
-    def _motion_at(self, changed: Vector, values: Vector, motion: Motion) -> Motion:
+    def _motion_at(self, changed: Vector, values: Vector, motion: PointMotion) -> PointMotion:
         """The motion at changed values: the given one where these change but what is observed of it."""
         own = len(self.base)
         moving = [slice(own), *(w for e, w in zip(self.effects, self.slices, strict=True) if e.scene is not None)]
@@ -288,7 +290,7 @@ class _DoseParameter(Parameter):
         assert self.lower <= self.start <= self.upper and self.step > 0
 
 
-def reduced_like(full: EffectModel, motion: Motion, values: np.ndarray) -> tuple[EffectModel, Motion]:
+def reduced_like(full: EffectModel, motion: PointMotion, values: np.ndarray) -> tuple[EffectModel, PointMotion]:
     """The cheaper model with what it lacks to a full-order motion added, and its own motion at the same values.
 
     Cheaper is the reduced model; of a held body the full-order one on the twin's own, coarser mesh: what the reduced
@@ -303,7 +305,7 @@ def reduced_like(full: EffectModel, motion: Motion, values: np.ndarray) -> tuple
         )
     own = reduced.motion(values)
     exact = motion if full.correction is None else full.correction.of(motion)
-    return replace(reduced, correction=Correction.between(exact, own)), own
+    return replace(reduced, correction=MotionCorrection.between(exact, own)), own
 
 
 def searches_itself(full: EffectModel) -> bool:

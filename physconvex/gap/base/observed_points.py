@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.errors import InputError
-from physconvex.gap.effects.motion import Motion
+from physconvex.gap.effects.motion import PointMotion
 from physconvex.identify import MarkerObservations, PixelObservations, Twin, follow, marker_observations, seed_points
 from physconvex.io import Camera, Capture
 from physconvex.mesh import TetMesh
@@ -18,7 +18,7 @@ __all__ = [
     "followed",
     "in_metres",
     "lost_points",
-    "observe",
+    "observations_of",
     "starts_elsewhere",
     "widened",
     "with_honest_noise",
@@ -31,7 +31,7 @@ _FOLLOWED = 6  # points in a frame below which it tells little
 _AWAY = 0.3  # of the body's size: markers further from its bounding box are not on it
 
 
-def observe(capture: Capture, twin: Twin) -> Seen:
+def observations_of(capture: Capture, twin: Twin) -> Seen:
     """Marker tracks if there are some, else points of the first camera's video.
 
     Raises:
@@ -144,7 +144,7 @@ def widened(seen: Seen, variance: Float[np.ndarray, " N"]) -> Seen:
     return replace(seen, sigma=sigma)
 
 
-def in_metres(seen: Seen, motion: Motion) -> Float[np.ndarray, " N"]:
+def in_metres(seen: Seen, motion: PointMotion) -> Float[np.ndarray, " N"]:
     """Length that one standard deviation of each residual stands for [m]; of pixels, at the depth of the point."""
     sigma = np.asarray(seen.sigma)[seen.frames, seen.point_indices]
     if isinstance(seen, MarkerObservations):

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError
 from physconvex.gap.base.observed_points import Seen, in_metres, widened
-from physconvex.gap.effects.motion import Motion
+from physconvex.gap.effects.motion import PointMotion
 from physconvex.identify import Twin
 from physconvex.reduced import simulate
 
@@ -43,7 +43,7 @@ def with_rough_errors(seen: Seen, twin: Twin, frames: int) -> Seen:
         return seen
     space = twin.scene.body.space
     shapes = space.shape_values(seen.points)
-    motion = Motion(
+    motion = PointMotion(
         seen.points, run.times, shapes @ run.coordinates, shapes @ run.velocities, getattr(seen, "camera", None)
     )
     surface = space.surface_values @ run.coordinates
@@ -56,7 +56,7 @@ def rough_error_by_frame(
     times: Float[np.ndarray, " T"],
     surface: Float[np.ndarray, "T V 3"],
     velocities: Float[np.ndarray, "T 3"],
-    motion: Motion,
+    motion: PointMotion,
 ) -> Float[np.ndarray, " T"]:
     """Error of each frame [m].
 

@@ -22,7 +22,7 @@ from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.lowest_mode import decades_between
 from physconvex.gap.base.model import MODULUS, EffectModel, searches_itself
 from physconvex.gap.effects.catalogue import DEFAULT_EFFECTS, applicable
-from physconvex.gap.effects.motion import Correction
+from physconvex.gap.effects.motion import MotionCorrection
 from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.options import GapOptions
 from physconvex.mesh import TetMesh
@@ -150,7 +150,7 @@ def _fitted_on(
     another = near.situation.clamped and not searches_itself(model)  # mesh searches in its place
     stiffer = _surrogate(near, mesh, values, motion.positions) if another else 0.0
     start = replace(rough, fit=replace(rough.fit, values=values), model=replace(rough.model, surrogate_stiffer=stiffer))
-    return fit_baseline(start, Correction(numerics.steps), (mesh, motion), variance, options, report)
+    return fit_baseline(start, MotionCorrection(numerics.steps), (mesh, motion), variance, options, report)
 
 
 def _best_modulus(

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from physconvex.errors import InputError
 from physconvex.fem import Scene
-from physconvex.gap.effects.motion import Motion
+from physconvex.gap.effects.motion import PointMotion
 from physconvex.io import Camera
 from physconvex.reduced import ReducedScene
 
@@ -186,7 +186,7 @@ class Effect:
         source: what kind of cause it is.
         doses: the numbers that measure it.
         scene: puts doses [D] into a reduced or a full-order scene; None where it acts on the observation alone.
-        observe: puts doses into what is observed: from a `Motion` to positions [T, P, 3]; None where it does not.
+        observe: puts doses into what is observed: from a `PointMotion` to positions [T, P, 3]; None where it does not.
         photograph: puts doses into pictures: from sharp, evenly exposed `Patches` to their light [N, h, w]; None where
             it does not. Such an effect moves no point, and is looked for by `physconvex.gap.light.image_formation`.
         ahead: how long beyond the last frame [s] `observe` looks, from the time of that frame and the doses; None where
@@ -204,7 +204,7 @@ class Effect:
     source: Source
     doses: tuple[Dose, ...]
     scene: Callable[[AnyScene, Float[np.ndarray, " D"]], AnyScene] | None = None
-    observe: Callable[[Motion, Float[np.ndarray, " D"]], Float[np.ndarray, "T P 3"]] | None = None
+    observe: Callable[[PointMotion, Float[np.ndarray, " D"]], Float[np.ndarray, "T P 3"]] | None = None
     photograph: Callable[[Patches, Float[np.ndarray, " D"]], Float[np.ndarray, "N h w"]] | None = None
     ahead: Callable[[float, Float[np.ndarray, " D"]], float] | None = None
     applies: Callable[[Situation], bool] = _always

@@ -11,13 +11,13 @@ from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from physconvex.io import Camera
 
-__all__ = ["Correction", "Motion", "by_steps"]
+__all__ = ["MotionCorrection", "PointMotion", "by_steps"]
 
 Positions = Float[np.ndarray, "T P 3"]
 
 
 @dataclass(frozen=True)
-class Motion:
+class PointMotion:
     """Positions of points at the frames.
 
     Attributes:
@@ -35,17 +35,17 @@ class Motion:
     positions: Positions
     velocities: Positions
     camera: Camera | None = None
-    steps: Motion | None = None
+    steps: PointMotion | None = None
 
     @classmethod
-    def of_steps(cls, steps: Motion, frames: int, every: int) -> Motion:
+    def of_steps(cls, steps: PointMotion, frames: int, every: int) -> PointMotion:
         """From a motion in time steps, of which one in `every` is a frame."""
         times, positions, velocities = (
             part[::every][:frames] for part in (steps.times, steps.positions, steps.velocities)
         )
         return cls(steps.rest, times, positions, velocities, steps.camera, steps)
 
-    def first(self, count: int) -> Motion:
+    def first(self, count: int) -> PointMotion:
         """Its first frames; the steps between and beyond them stay."""
         return replace(
             self, times=self.times[:count], positions=self.positions[:count], velocities=self.velocities[:count]
@@ -91,7 +91,7 @@ def by_steps(timing: dict[str, Any], ahead: float) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Correction:
+class MotionCorrection:
     """What is added to every motion of a model: what a finer model would change.
 
     Attributes:
@@ -100,10 +100,10 @@ class Correction:
     """
 
     positions: Positions
-    steps: Motion | None = None
+    steps: PointMotion | None = None
 
     @classmethod
-    def between(cls, exact: Motion, own: Motion) -> Correction:
+    def between(cls, exact: PointMotion, own: PointMotion) -> MotionCorrection:
         """What a motion lacks to another one of the same frames."""
         steps = None
         if exact.steps is not None and own.steps is not None:
@@ -113,7 +113,7 @@ class Correction:
                 steps = replace(a, positions=a.positions - b.positions, velocities=a.velocities - b.velocities)
         return cls(exact.positions - own.positions, steps)
 
-    def of(self, motion: Motion) -> Motion:
+    def of(self, motion: PointMotion) -> PointMotion:
         """A motion with it, which goes straight on where its steps end before those of the motion."""
         positions = motion.positions + self.positions[: len(motion.times)]
         if self.steps is None or motion.steps is None:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.gap.effects.effect import Dose, Effect, Situation
-from physconvex.gap.effects.motion import Motion
+from physconvex.gap.effects.motion import PointMotion
 from physconvex.gap.effects.world import rotation_vector_matrix
 
 __all__ = ["OBSERVATION_EFFECTS"]
@@ -19,7 +19,7 @@ Doses = Float[np.ndarray, " D"]
 Positions = Float[np.ndarray, "T P 3"]
 
 
-def _late(motion: Motion, doses: Doses) -> Positions:
+def _late(motion: PointMotion, doses: Doses) -> Positions:
     return motion.at(motion.times + doses[0])
 
 
@@ -34,7 +34,7 @@ TIME_OFFSET = Effect(
 )
 
 
-def _fast(motion: Motion, doses: Doses) -> Positions:
+def _fast(motion: PointMotion, doses: Doses) -> Positions:
     return motion.at(motion.times * (1 + doses[0]))
 
 
@@ -49,7 +49,7 @@ TIME_SCALE = Effect(
 )
 
 
-def _moved(motion: Motion, doses: Doses) -> Positions:
+def _moved(motion: PointMotion, doses: Doses) -> Positions:
     pivot = motion.rest.mean(0) if motion.camera is None else motion.camera.position
     turn = rotation_vector_matrix(np.radians(doses[:3]))
     return np.asarray((motion.positions - pivot) @ turn.T + pivot + doses[3:])
@@ -67,7 +67,7 @@ CAMERA_POSE = Effect(
 )
 
 
-def _zoomed(motion: Motion, doses: Doses) -> Positions:
+def _zoomed(motion: PointMotion, doses: Doses) -> Positions:
     camera = motion.camera
     assert camera is not None
     return camera.world(camera.local(motion.positions) * np.array([1 + doses[0], 1 + doses[0], 1.0]))
@@ -88,7 +88,7 @@ FOCAL_LENGTH = Effect(
 )
 
 
-def _bent(motion: Motion, doses: Doses) -> Positions:
+def _bent(motion: PointMotion, doses: Doses) -> Positions:
     camera = motion.camera
     assert camera is not None
     local = camera.local(motion.positions)
@@ -108,7 +108,7 @@ LENS_DISTORTION = Effect(
 )
 
 
-def _rolled(motion: Motion, doses: Doses) -> Positions:
+def _rolled(motion: PointMotion, doses: Doses) -> Positions:
     camera = motion.camera
     assert camera is not None
     pixels, _ = camera.project(motion.positions.reshape(-1, 3))

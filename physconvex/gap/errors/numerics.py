@@ -17,7 +17,7 @@ from physconvex.fem import simulate
 from physconvex.gap.base.baseline import Baseline, Report, derivatives_of_residuals
 from physconvex.gap.base.box_mesh import box_of_body
 from physconvex.gap.base.model import ACCURACY, EffectModel
-from physconvex.gap.effects.motion import Correction, Motion
+from physconvex.gap.effects.motion import MotionCorrection, PointMotion
 from physconvex.gap.errors.rebound import path_since_contact
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.options import GapOptions
@@ -74,7 +74,7 @@ class Numerics:
     contact: Positions
     implicit_euler: Positions
     reduction: Positions
-    fine: tuple[TetMesh, Motion] | None = None
+    fine: tuple[TetMesh, PointMotion] | None = None
     nodes: tuple[int, int] = (1, 1)
     failed: tuple[str, ...] = ()
     absorbed_mesh: Positions | None = None
@@ -123,7 +123,7 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
         run = simulate(scene, **model.twin.timing(model.frames), **ACCURACY)
         return np.asarray(model.embedding.apply(run.positions))
 
-    fine: list[tuple[TetMesh, Motion]] = []
+    fine: list[tuple[TetMesh, PointMotion]] = []
     steps = model.frames * model.twin.steps_per_frame
 
     def finer() -> Positions:
@@ -201,10 +201,10 @@ def _mesh_of(base: Baseline, nodes: int) -> TetMesh:
     return mesh_of_capture(base.capture, max_nodes=nodes) if box is None else box
 
 
-def correction_of(numerics: Numerics) -> Correction:
+def correction_of(numerics: Numerics) -> MotionCorrection:
     """What finer steps change, and a finer mesh if that cannot be afforded: added to every run of the model."""
     best = numerics.steps if numerics.exact is None else numerics.exact[1]
-    return Correction(best if numerics.fine is not None else best + numerics.mesh)
+    return MotionCorrection(best if numerics.fine is not None else best + numerics.mesh)
 
 
 def error_model(

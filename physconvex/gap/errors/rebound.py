@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.gap.base.body_modes import BodyModes
-from physconvex.gap.effects.motion import Motion
+from physconvex.gap.effects.motion import PointMotion
 from physconvex.gap.errors.score_test import ErrorModel
 
 __all__ = ["forgiving", "path_since_contact"]
@@ -14,7 +14,7 @@ __all__ = ["forgiving", "path_since_contact"]
 _FORGIVEN = 3.0  # times the expected error of a rebound: the most that was seen of programs without any effect
 
 
-def path_since_contact(motion: Motion, force: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
+def path_since_contact(motion: PointMotion, force: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
     """Length of the mean point's way from the last frame before the first contact to each frame [m]; 0 before.
 
     A model whose impact throws a body off by a hundredth too much is off by a hundredth of it from then on. (The

@@ -24,7 +24,7 @@ from scipy.stats import chi2
 
 from physconvex.errors import InputError
 
-__all__ = ["ErrorModel", "Projector", "Score", "least_squares", "score"]
+__all__ = ["ErrorModel", "Projector", "Score", "least_squares", "score_effect"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +126,7 @@ class Score:
     explained: float
 
 
-def score(
+def score_effect(
     projector: Projector, residual: Float[np.ndarray, " N"], signature: Float[np.ndarray, "D N"], signs: Sequence[int]
 ) -> Score:
     """Score of one effect.

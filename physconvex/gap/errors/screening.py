@@ -14,7 +14,7 @@ from physconvex.gap.base.model import EffectModel
 from physconvex.gap.effects.catalogue import applicable
 from physconvex.gap.effects.effect import Effect
 from physconvex.gap.errors.numerics import Numerics
-from physconvex.gap.errors.score_test import ErrorModel, Projector, Score, least_squares, score
+from physconvex.gap.errors.score_test import ErrorModel, Projector, Score, least_squares, score_effect
 
 __all__ = ["Pair", "Screened", "Screening", "best_pairs", "screen"]
 
@@ -133,7 +133,7 @@ def _screened(
     if not np.isfinite(signature).all():
         raise ConvergenceError(f"{effect.label}: the motion is not finite")
     in_residuals = np.stack([base.change(here + s)[rows] for s in signature])
-    found = score(projector, residual, in_residuals, signs)
+    found = score_effect(projector, residual, in_residuals, signs)
     doses, errors = np.array(trials[0], copy=True), np.zeros(len(effect.doses))
     for amount, error, index, trial in zip(found.amounts, found.errors, screened, trials, strict=True):
         doses[index], errors[index] = effect.doses[index].estimate(float(amount), float(error), float(trial[index]))

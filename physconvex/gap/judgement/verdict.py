@@ -15,8 +15,8 @@ from physconvex.gap.judgement.verdict_input import (
     SEEN,
     TELLING,
     TRUSTED,
-    Case,
     Verdict,
+    VerdictInput,
     VerdictName,
 )
 from physconvex.gap.options import GapOptions
@@ -52,7 +52,7 @@ def decide(
         return Verdict("inconclusive", "No effect could be tried on this capture.", (), none, 0.0, ())
     flies = measured.flight >= TELLING and any(effect.source in IN_FLIGHT for effect in best.effects)
     probability = beside_something_else(shown, 1.0 if flies else measured.share)
-    case = Case(base, best, tuple(hypotheses), screening, probability, measured, options, flies)
+    case = VerdictInput(base, best, tuple(hypotheses), screening, probability, measured, options, flies)
     rules = (
         _wide_open, _nothing, _slight, _numerical, _weak, _off_the_recording, _unexplained, _as_good_as_a_placebo,
         _hurried,
@@ -61,14 +61,14 @@ def decide(
     return _open_flight(case) if verdict.name in ("none", "inconclusive") and case.flight_is_open else verdict
 
 
-def _wide_open(e: Case) -> Verdict | None:
+def _wide_open(e: VerdictInput) -> Verdict | None:
     """A gap that no error of the model comes near, and that the best effects leave."""
     if not e.left_wide_open or e.flies:
         return None
     return _unknown(e)
 
 
-def _nothing(e: Case) -> Verdict | None:
+def _nothing(e: VerdictInput) -> Verdict | None:
     """No gap above noise and numerical error; where those are large, that says nothing.
 
     What the flight shows beyond doubt is there, however little later frames can tell.
@@ -101,7 +101,7 @@ def _nothing(e: Case) -> Verdict | None:
     return e.verdict("none", sentence, power=True)
 
 
-def _slight(e: Case) -> Verdict | None:
+def _slight(e: VerdictInput) -> Verdict | None:
     """A dose too small to be of interest fits best, and leaves the gap."""
     if not e.best.is_slight() or e.foretold:
         return None
@@ -114,7 +114,7 @@ def _slight(e: Case) -> Verdict | None:
     return e.verdict("inconclusive", sentence, power=True)
 
 
-def _blind(e: Case) -> Verdict:
+def _blind(e: VerdictInput) -> Verdict:
     sentence = (
         f"Inconclusive: the model's own numerical error and the noise ({e.measured.floor:.0%} of the body's size or "
         "motion) hide whatever gap there is. Allow a finer mesh, or record a motion with less contact."
@@ -122,7 +122,7 @@ def _blind(e: Case) -> Verdict:
     return e.verdict("inconclusive", sentence, power=True)
 
 
-def _numerical(e: Case) -> Verdict | None:
+def _numerical(e: VerdictInput) -> Verdict | None:
     """All effects of the best fit are numerical; where such errors are large, that says nothing either."""
     if any(effect.source != "numerical" for effect in e.best.effects):
         return None
@@ -141,7 +141,7 @@ def _numerical(e: Case) -> Verdict | None:
     return e.verdict("none", sentence, e.possible)
 
 
-def _weak(e: Case) -> Verdict | None:
+def _weak(e: VerdictInput) -> Verdict | None:
     """A gain too small for a call."""
     if e.clear:
         return None
@@ -152,7 +152,7 @@ def _weak(e: Case) -> Verdict | None:
     return e.verdict("inconclusive", sentence, e.possible, power=True)
 
 
-def _off_the_recording(e: Case) -> Verdict | None:
+def _off_the_recording(e: VerdictInput) -> Verdict | None:
     """The model is none of this recording."""
     if e.measured.astray <= _ASTRAY:
         return None
@@ -163,7 +163,7 @@ def _off_the_recording(e: Case) -> Verdict | None:
     return e.verdict("unknown", sentence)
 
 
-def _unexplained(e: Case) -> Verdict | None:
+def _unexplained(e: VerdictInput) -> Verdict | None:
     """A gap that the best effects leave; what the model's own error may be is not for effects to explain."""
     if max(e.measured.share, e.measured.above_error) >= e.options.explained or e.measured.after <= 2.0 or e.flies:
         return None
@@ -176,7 +176,7 @@ def _unexplained(e: Case) -> Verdict | None:
     return _unknown(e)
 
 
-def _unknown(e: Case) -> Verdict:
+def _unknown(e: VerdictInput) -> Verdict:
     sentence = (
         "There is a gap that none of the known effects explains: on frames that were not fitted it is "
         f"{e.measured.seen:.1f} times what noise and numerical error lead one to expect, and the best of them, "
@@ -185,7 +185,7 @@ def _unknown(e: Case) -> Verdict:
     return e.verdict("unknown", sentence, e.possible)
 
 
-def _open_flight(e: Case) -> Verdict:
+def _open_flight(e: VerdictInput) -> Verdict:
     """Whatever an impact may hide, in flight the model errs by next to nothing."""
     sentence = (
         "There is a gap that none of the known effects explains: before the first contact, where this model errs by "
@@ -195,7 +195,7 @@ def _open_flight(e: Case) -> Verdict:
     return e.verdict("unknown", sentence, e.possible)
 
 
-def _as_good_as_a_placebo(e: Case) -> Verdict | None:
+def _as_good_as_a_placebo(e: VerdictInput) -> Verdict | None:
     """An effect that nothing asks for does nearly as much, or the best one does nothing where it was not fitted."""
     certain, m = bool(e.named) and min(n.probability for n in e.named) >= _CERTAIN, e.measured
     if e.flies or ((certain or m.share >= FORETOLD) and 1.0 - m.share <= LESS * (1.0 - m.placebo)):
@@ -215,7 +215,7 @@ def _as_good_as_a_placebo(e: Case) -> Verdict | None:
     return e.verdict("inconclusive", sentence, e.possible)
 
 
-def _hurried(e: Case) -> Verdict | None:
+def _hurried(e: VerdictInput) -> Verdict | None:
     """Effects that the recording asks for were not tried: the best of the others is no cause yet."""
     if not e.measured.hurried:
         return None
@@ -226,7 +226,7 @@ def _hurried(e: Case) -> Verdict | None:
     return e.verdict("inconclusive", sentence, e.possible)
 
 
-def _called(e: Case) -> Verdict:
+def _called(e: VerdictInput) -> Verdict:
     """The best effects are the cause."""
     likely = tuple(n for n in e.named if n.probability >= _LIKELY) or (
         max(e.named, key=lambda n: n.probability),

@@ -18,7 +18,7 @@ from physconvex.gap.judgement.residual_measures import Measured
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
 
-__all__ = ["FORETOLD", "LESS", "OPEN", "SEEN", "TELLING", "TRUSTED", "Case", "Verdict", "VerdictName"]
+__all__ = ["FORETOLD", "LESS", "OPEN", "SEEN", "TELLING", "TRUSTED", "Verdict", "VerdictInput", "VerdictName"]
 
 VerdictName = Literal["none", "effect", "unknown", "inconclusive"]
 TRUSTED = 0.94  # share of calls that are right: 59 of 63 in the blind banks before, nearly all with 1.00 by evidence
@@ -59,7 +59,7 @@ class Verdict:
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class VerdictInput:
     """What the rules read.
 
     Attributes:

@@ -11,11 +11,11 @@ import numpy as np
 from physconvex.errors import ConvergenceError
 from physconvex.gap.base.baseline import Baseline, derivatives_of_residuals
 from physconvex.gap.base.model import EffectModel, SecantModel
-from physconvex.gap.effects.motion import Motion
+from physconvex.gap.effects.motion import PointMotion
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.errors.screening import Screened
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.evidence import mean_square, misfit_of, residuals_per_one
+from physconvex.gap.search.evidence import mean_square, negative_log_likelihood, residuals_per_one
 from physconvex.gap.search.hypothesis import Hypothesis, deviations_of, hypothesis_at
 from physconvex.identify import Fit, FitOptions, fit
 
@@ -56,7 +56,7 @@ def fit_effects(
     return refit(base, errors, model, values, tangents, options)
 
 
-def derivatives_at(base: Baseline, model: EffectModel, values: np.ndarray, motion: Motion) -> np.ndarray:
+def derivatives_at(base: Baseline, model: EffectModel, values: np.ndarray, motion: PointMotion) -> np.ndarray:
     """Derivatives of what a model says by all its values, in the frames up to the last fitted one.
 
     Args:
@@ -123,7 +123,7 @@ def _best_start(base: Baseline, errors: ErrorModel, model: EffectModel, starts: 
 
     def misfit(values: np.ndarray) -> float:
         try:
-            return misfit_of(base, errors, shorter.positions(values))
+            return negative_log_likelihood(base, errors, shorter.positions(values))
         except ConvergenceError:
             return float("inf")
 
@@ -202,7 +202,7 @@ def _settled(
         secant = SecantModel(model, point.values, point.here, tangents)
         found = fit(secant, weighted, model.parameters(point.values), options=stop)
         point = _Point(found.values, found.positions, secant.tangents, found)
-        misfit = found.reduced_chi_square if held else misfit_of(base, errors, point.here)
+        misfit = found.reduced_chi_square if held else negative_log_likelihood(base, errors, point.here)
         settled, left = misfit > (_STILL * left if held else left - _SLIGHT), misfit
     return point
 

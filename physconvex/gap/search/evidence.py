@@ -21,8 +21,8 @@ __all__ = [
     "information_per_one",
     "likelihood_by_kind",
     "mean_square",
-    "misfit_of",
     "moved_kinds",
+    "negative_log_likelihood",
     "residuals_per_one",
     "squares_by_kind",
 ]
@@ -46,7 +46,7 @@ def mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frame
     return max(found, default=float("nan"))
 
 
-def misfit_of(base: Baseline, errors: ErrorModel, here: np.ndarray) -> float:
+def negative_log_likelihood(base: Baseline, errors: ErrorModel, here: np.ndarray) -> float:
     """Minus the log-likelihood of positions in the first frames, in those of them that are fitted."""
     fitted = base.split.fitted
     whole = np.concatenate([here, base.positions[len(here) :]])

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from physconvex.gap.base.baseline import Baseline
-from physconvex.gap.effects.motion import Correction, Motion
+from physconvex.gap.effects.motion import MotionCorrection, PointMotion
 from physconvex.gap.errors.numerics import Numerics, exact_model
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.search.hypothesis import Hypothesis, hypothesis_at
@@ -37,7 +37,9 @@ def with_own_correction(base: Baseline, errors: ErrorModel, numerics: Numerics, 
     exact = exact_model(found.model, numerics.exact[0])
     run = exact.motion(found.values)
     if run.steps is not None and found.motion.steps is not None:
-        steps = Motion.of_steps(run.steps, len(found.motion.steps.times), exact.refinement // found.model.refinement)
+        steps = PointMotion.of_steps(
+            run.steps, len(found.motion.steps.times), exact.refinement // found.model.refinement
+        )
         run = replace(run, steps=replace(steps, steps=None))
-    model = replace(found.model, correction=Correction.between(run, found.motion))
+    model = replace(found.model, correction=MotionCorrection.between(run, found.motion))
     return hypothesis_at(base, errors, model, found.values, found.errors, found.motion, found.tangents)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from physconvex.gap.base.model import MODULUS
 from physconvex.gap.errors.numerics import Numerics, error_model, numerical_differences
 from physconvex.gap.search.hypothesis import continued, weighed_anew
-from physconvex.gap.search.search_state import FAILURES, Selection
+from physconvex.gap.search.search_state import FAILURES, EffectSearch
 from physconvex.gap.search.space_mapping import confirmed
 
 __all__ = ["expect_anew"]
@@ -18,7 +18,7 @@ _FAR = 0.5  # decades of E
 _AGAIN = 0.5  # of the cost of a search: what it may cost more, since what is beside the best fit shows only now
 
 
-def expect_anew(search: Selection) -> Numerics | None:
+def expect_anew(search: EffectSearch) -> Numerics | None:
     """Weigh the fits of a free body by the differences at the best one, if its E is far from the base fit's.
 
     Args:

@@ -20,10 +20,10 @@ from physconvex.gap.effects.effect import IN_FLIGHT, Effect
 from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.errors.screening import Screened, best_pairs, screen
 from physconvex.gap.search.effect_fits import fit_effects
-from physconvex.gap.search.evidence import mean_square, misfit_of
+from physconvex.gap.search.evidence import mean_square, negative_log_likelihood
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.search.rounds import fitted_there
-from physconvex.gap.search.search_state import FAILURES, Selection
+from physconvex.gap.search.search_state import FAILURES, EffectSearch
 
 __all__ = ["from_flight"]
 
@@ -36,7 +36,7 @@ _CHANGES, _ABOVE = np.arange(-1.8, 1.9, 0.3), np.array([0.0, 0.1, 0.2, 0.3])
 _RATIO = 0.35  # ν beside them
 
 
-def from_flight(search: Selection, numerics: Numerics, dictionary: Sequence[Effect]) -> None:
+def from_flight(search: EffectSearch, numerics: Numerics, dictionary: Sequence[Effect]) -> None:
     """Fit what the flight before the first contact tells, and from there the rest, if the best fit leaves it open."""
     flight = _flight(search.base)
     if flight is None or search.late or MODULUS not in search.base.model.base:
@@ -51,7 +51,7 @@ def from_flight(search: Selection, numerics: Numerics, dictionary: Sequence[Effe
         search.attempt(f"{told.label}, from the flight", lambda h=told: _fitted(search, h))  # type: ignore[misc]
 
 
-def _told(search: Selection, flight: Baseline, choices: Sequence[Sequence[Screened]]) -> list[Hypothesis]:
+def _told(search: EffectSearch, flight: Baseline, choices: Sequence[Sequence[Screened]]) -> list[Hypothesis]:
     """Choices of effects fitted to the flight, the best first."""
     found = []
     for chosen in choices:
@@ -69,7 +69,7 @@ def _flight(base: Baseline) -> Baseline | None:
     return None if len(fitted) < _SHORTEST else replace(base, split=replace(base.split, fitted=fitted))
 
 
-def _fitted(search: Selection, told: Hypothesis) -> Hypothesis:
+def _fitted(search: EffectSearch, told: Hypothesis) -> Hypothesis:
     """Initial motion and doses as the flight has them, E by the first contact, then all together, kind by kind."""
     base, values = search.base, told.values.copy()
     for place, name in enumerate(base.model.base):
@@ -86,7 +86,7 @@ def _fitted(search: Selection, told: Hypothesis) -> Hypothesis:
     return fitted_there(search, full, values, by_kind=True)
 
 
-def _best_material(search: Selection, model: EffectModel, values: np.ndarray, moduli: np.ndarray) -> np.ndarray:
+def _best_material(search: EffectSearch, model: EffectModel, values: np.ndarray, moduli: np.ndarray) -> np.ndarray:
     """The values with that of some moduli, and an ordinary ν, at which they fit the frames of a model best."""
     base, names = search.base, search.base.model.base
     place = names.index(MODULUS)
@@ -98,7 +98,7 @@ def _best_material(search: Selection, model: EffectModel, values: np.ndarray, mo
         if "poisson_ratio" in names:
             moved[names.index("poisson_ratio")] = _RATIO
         try:
-            misfit = misfit_of(base, search.errors, model.positions(moved))
+            misfit = negative_log_likelihood(base, search.errors, model.positions(moved))
         except ConvergenceError:
             continue
         if misfit < least:

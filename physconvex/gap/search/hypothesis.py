@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.model import EffectModel
 from physconvex.gap.effects.effect import Effect
-from physconvex.gap.effects.motion import Motion
+from physconvex.gap.effects.motion import PointMotion
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.search.damped_sine import ringing_likelihood
 from physconvex.gap.search.evidence import (
@@ -67,7 +67,7 @@ class Hypothesis:
     values: Float[np.ndarray, " K"]
     errors: Float[np.ndarray, " K"]
     positions: Float[np.ndarray, "T P 3"]
-    motion: Motion
+    motion: PointMotion
     tangents: Float[np.ndarray, "f K P 3"]
     fitted: float
     selecting: float
@@ -150,7 +150,7 @@ class Hypothesis:
 
 def hypothesis_at(
     base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray, deviations: np.ndarray,
-    motion: Motion, tangents: np.ndarray,
+    motion: PointMotion, tangents: np.ndarray,
 ) -> Hypothesis:  # fmt: skip
     """A model at fitted values, with what it says and how well that fits."""
     positions = model.observed(motion, values)

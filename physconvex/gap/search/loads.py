@@ -19,7 +19,7 @@ from physconvex.gap.base.model import MODULUS, EffectModel
 from physconvex.gap.effects.effect import Effect
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.search.damped_sine import recorded_ringing
-from physconvex.gap.search.evidence import misfit_of
+from physconvex.gap.search.evidence import negative_log_likelihood
 
 __all__ = ["loaded_starts"]
 
@@ -108,6 +108,6 @@ def _best_modulus(
 def _misfit(base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray) -> float:
     """Of the fitted frames; infinite where nothing comes out."""
     try:
-        return misfit_of(base, errors, model.positions(values))
+        return negative_log_likelihood(base, errors, model.positions(values))
     except (ConvergenceError, InputError):
         return np.inf

@@ -19,7 +19,7 @@ from physconvex.gap.search.first_frames import early_point
 from physconvex.gap.search.hypothesis import Hypothesis, continued, hypothesis_at, weighed_anew
 from physconvex.gap.search.loads import loaded_starts
 from physconvex.gap.search.ranking import finalists
-from physconvex.gap.search.search_state import FAILURES, Selection
+from physconvex.gap.search.search_state import FAILURES, EffectSearch
 from physconvex.gap.search.space_mapping import as_reduced, confirmed, improved
 
 __all__ = [
@@ -48,7 +48,7 @@ _SPARED = 0.2  # of the cost of a search, for fits of the best combination witho
 _WORTH = 4.0  # gain of evidence for which the search goes on
 
 
-def alone(search: Selection, screened: Iterable[Screened]) -> None:
+def alone(search: EffectSearch, screened: Iterable[Screened]) -> None:
     """Each by itself; a search that the clock ends here has not seen what the recording asks for."""
     cost = search.base.model.cost
     for entry in screened:
@@ -56,7 +56,7 @@ def alone(search: Selection, screened: Iterable[Screened]) -> None:
         search.fit([entry])
 
 
-def from_elsewhere(search: Selection, screening: Screening, tried: Sequence[Screened]) -> None:
+def from_elsewhere(search: EffectSearch, screening: Screening, tried: Sequence[Screened]) -> None:
     """What was tried and is somewhere in the body, or lies along something, from other places and directions as well.
 
     Of a struck body screening hardly tells these: E has taken up what a stiff core does, and a soft end looks alike.
@@ -69,14 +69,14 @@ def from_elsewhere(search: Selection, screening: Screening, tried: Sequence[Scre
             search.fit([entry])
 
 
-def from_there(search: Selection, full: Baseline, effects: tuple[Effect, ...], values: np.ndarray) -> None:
+def from_there(search: EffectSearch, full: Baseline, effects: tuple[Effect, ...], values: np.ndarray) -> None:
     """Fit effects from values at which they were found together with E."""
     label = " + ".join(effect.label for effect in effects)
     model = replace(full.model, effects=effects)
     search.attempt(f"{label}, from a scan", lambda: fitted_there(search, model, values))
 
 
-def fitted_there(search: Selection, full: EffectModel, values: np.ndarray, *, by_kind: bool = False) -> Hypothesis:
+def fitted_there(search: EffectSearch, full: EffectModel, values: np.ndarray, *, by_kind: bool = False) -> Hypothesis:
     """A fit from values far from the base fit, by a reduced model that says what the full-order one does there.
 
     Args:
@@ -96,7 +96,7 @@ def fitted_there(search: Selection, full: EffectModel, values: np.ndarray, *, by
     return weighed_anew(base, errors, refit(base, weights, cheap, values, tangents, search.options))
 
 
-def load_beside(search: Selection, dictionary: tuple[Effect, ...]) -> None:
+def load_beside(search: EffectSearch, dictionary: tuple[Effect, ...]) -> None:
     """A load at the end of a held body beside the best effects: E has to move with it, so that no dose alone helps."""
     best = search.best
     if not search.base.situation.clamped or not best.effects or "attached_mass" in best.names:
@@ -108,7 +108,7 @@ def load_beside(search: Selection, dictionary: tuple[Effect, ...]) -> None:
                 from_there(search, search.base, effects, values)
 
 
-def together(search: Selection, screening: Screening) -> None:
+def together(search: EffectSearch, screening: Screening) -> None:
     """Pairs that explain much more than the better of the two, where single effects leave something."""
     if not search.open(search.best):
         return
@@ -137,13 +137,13 @@ def plausible_pairs(screening: Screening, independent: float, *, held: bool) -> 
     return [*damped, *(p for p in ranked if p not in damped)]
 
 
-def from_first_frames(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
+def from_first_frames(search: EffectSearch, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
     """Screen and fit again from where the first frames alone put the base model, if that is elsewhere."""
     if search.open(search.best) and not search.late:
         _early(search, search.base, numerics, dictionary)
 
 
-def beside_in_first_frames(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
+def beside_in_first_frames(search: EffectSearch, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
     """The same beside the best effects, where these leave something or part from the recording after the fitted frames.
 
     Over all fitted frames E absorbs a second effect as it does a first one; what that does comes out later.
@@ -154,7 +154,7 @@ def beside_in_first_frames(search: Selection, numerics: Numerics, dictionary: tu
         polish(search)
 
 
-def _early(search: Selection, base: Baseline, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
+def _early(search: EffectSearch, base: Baseline, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
     """Fits from the first frames of a baseline."""
     point = early_point(base, search.errors, search.options, search.report)
     if point is not None and not search.base.model.cost.over:
@@ -163,7 +163,7 @@ def _early(search: Selection, base: Baseline, numerics: Numerics, dictionary: tu
             search.fit([entry], starts=point)
 
 
-def one_more(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ...], stems: int) -> bool:
+def one_more(search: EffectSearch, numerics: Numerics, dictionary: tuple[Effect, ...], stems: int) -> bool:
     """Screen at the best fits, add one effect to each; tells whether that was worth it."""
     found = [_in_full(search, stem) for stem in finalists(search.ranked, stems)[:stems] if search.wanting(stem)]
     before = search.best
@@ -178,7 +178,7 @@ def one_more(search: Selection, numerics: Numerics, dictionary: tuple[Effect, ..
     return not again or ranked[0].evidence > again[0] + _WORTH
 
 
-def _in_full(search: Selection, stem: Hypothesis) -> Hypothesis:
+def _in_full(search: EffectSearch, stem: Hypothesis) -> Hypothesis:
     """A fit in which the reduced model says what the full-order one does there, which is fitted a little further.
 
     What the two differ by at the base fit is soon out of date where an effect is strong: of a body that is thrown with
@@ -201,7 +201,7 @@ def _in_full(search: Selection, stem: Hypothesis) -> Hypothesis:
     return found
 
 
-def polish(search: Selection) -> None:
+def polish(search: EffectSearch) -> None:
     """Fit the best ones again, with derivatives taken where they are now."""
     for hypothesis in finalists(search.ranked, _POLISHED, tied=TIED)[:_POLISHED]:
         if id(hypothesis.motion) in search.polished or search.late:
@@ -215,7 +215,7 @@ def polish(search: Selection) -> None:
         search.polished |= {id(hypothesis.motion)} | ({id(found.motion)} if found is not None else set())
 
 
-def leave_out(search: Selection) -> None:
+def leave_out(search: EffectSearch) -> None:
     """Fit the best combination, if nothing is far ahead of it, without each of its effects: parsimony has a say.
 
     Also where that was tried before and left clearly more: a load alone, found from the base fit, stopped on its way at

@@ -16,7 +16,7 @@ from physconvex.gap.search.effect_fits import fit_effects
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.search.ranking import judged
 
-__all__ = ["FAILURES", "LATE_GAP", "Selection"]
+__all__ = ["FAILURES", "LATE_GAP", "EffectSearch"]
 
 # of a run with doses that no body can bear: such a fit is left out, and the report says so
 FAILURES = (ConvergenceError, InputError, np.linalg.LinAlgError)
@@ -29,7 +29,7 @@ _TELLING = 4  # observed points, fewer of which tell no strain from a motion of 
 
 
 @dataclass(eq=False)
-class Selection:
+class EffectSearch:
     """A search in progress.
 
     Attributes:

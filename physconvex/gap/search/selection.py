@@ -42,7 +42,7 @@ from physconvex.gap.search.rounds import (
     polish,
     together,
 )
-from physconvex.gap.search.search_state import LATE_GAP, Selection
+from physconvex.gap.search.search_state import LATE_GAP, EffectSearch
 from physconvex.gap.search.space_mapping import as_reduced
 
 __all__ = ["Selected", "select_effects"]
@@ -93,7 +93,7 @@ def select_effects(
     screening = screening or screen(cheap, errors, numerics, dictionary, report)
     cost = cheap.model.cost
     cost.allow(options.search_cost * (_HELD if base.situation.clamped else 1.0), _SEARCHED)
-    search = Selection(base, cheap, errors, options, report)
+    search = EffectSearch(base, cheap, errors, options, report)
     search.found.append(base_hypothesis(cheap, errors))
     rows = len(base.rows(base.split.fitted))
     search.independent = rows / residuals_per_one(base, errors, base.positions, base.split.fitted)

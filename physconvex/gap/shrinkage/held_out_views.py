@@ -12,7 +12,7 @@ from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.body_modes import undivided
 from physconvex.gap.base.observed_points import followed
 from physconvex.gap.effects.effect import Effect
-from physconvex.gap.effects.motion import Motion
+from physconvex.gap.effects.motion import PointMotion
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
@@ -54,7 +54,7 @@ def held_out_views(
         return ()
     found = []
     for view, part in zip(views, (slice(*pair) for pair in pairwise(ends)), strict=True):
-        motion = Motion(view.points, base.motion.times, plain[:, part], np.zeros_like(plain[:, part]))
+        motion = PointMotion(view.points, base.motion.times, plain[:, part], np.zeros_like(plain[:, part]))
         model = replace(base.model, points=view.points, correction=None, directions={}, camera=view.camera)
         seen = replace(base, observations=view, model=model, motion=motion, modes=undivided(view.frames))
         found.append(

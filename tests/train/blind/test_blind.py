@@ -15,7 +15,7 @@ from data_gen.blind.engine import run_explicit
 from data_gen.blind.explicit_cases import _seen_effect
 from data_gen.blind.plan import plan_bank
 from physconvex import ConvergenceError, InputError
-from physconvex.gap import DEFAULT_EFFECTS, Motion
+from physconvex.gap import DEFAULT_EFFECTS, PointMotion
 from physconvex.io import load_capture
 from train import Bank, area_under_roc, diagnose_bank, run_oracle, score_banks
 from train.blind import answers, oracle
@@ -35,7 +35,7 @@ def small(tmp_path, monkeypatch):
     def made_up(case, **_):
         points = np.asarray(case.surface.vertices)[:12]
         positions = np.repeat(points[None], case.frames, axis=0)
-        return Motion(points, np.arange(case.frames) / case.fps, positions, 0 * positions), positions
+        return PointMotion(points, np.arange(case.frames) / case.fps, positions, 0 * positions), positions
 
     monkeypatch.setattr(bank, "simulate_case", made_up)
     make(tmp_path)
@@ -562,7 +562,7 @@ def test_doses_of_what_is_seen_mean_what_they_mean_in_the_dictionary(name):
     dosed = _seen_effect(name, 1.0, case, rng)
     world = explicit_cases._world(case, runner.mesh)
     steps = run_explicit(world, runner.points, frames=24 * case.frames, fps=24 * case.fps)  # some frames further
-    motion = Motion.of_steps(steps, case.frames, 24)
+    motion = PointMotion.of_steps(steps, case.frames, 24)
     effect = next(e for e in DEFAULT_EFFECTS if e.name == name)
     expected = effect.observe(motion, np.array(dosed.doses))
     np.testing.assert_allclose(runner(dosed)[1], expected, atol=1e-4 * case.size)
