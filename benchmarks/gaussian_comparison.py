@@ -25,7 +25,7 @@ from reconstruction import VIEWS, stored_rows
 from data_gen import load_user_mesh, write_still_capture
 from inference import CaptureViews, capture_views
 from physconvex.io import load_capture
-from physconvex.reconstruction import begin, fit, load_reconstruction_config, score, start_field
+from physconvex.reconstruction import begin, fit_field, load_reconstruction_config, score_views, start_field
 
 RESULT = Path(__file__).parent / "results" / "gaussian_comparison.json"
 SETTINGS = ("steps=120", "budget=3500", "filler_share=0", "gap_share=0")
@@ -62,9 +62,11 @@ def convexes(name: str, views: CaptureViews, folder: Path, settings: list[str]) 
     """Fit and score convexes."""
     config = load_reconstruction_config(overrides=[*SETTINGS, *settings])
     clock = time.process_time()
-    state = fit(begin(start_field(views.training, config, mesh=load_capture(folder).mesh())), views.training, config)
+    state = fit_field(
+        begin(start_field(views.training, config, mesh=load_capture(folder).mesh())), views.training, config
+    )
     spent, field = time.process_time() - clock, state.field()
-    trained, held = ([one for one, _ in score(field, part)] for part in (views.training, views.held_out))
+    trained, held = ([one for one, _ in score_views(field, part)] for part in (views.training, views.held_out))
     return Row(
         name, "convexes", len(field), len(field) * NUMBERS["convexes"], float(np.mean([one.psnr for one in trained])),
         float(np.mean([one.psnr for one in held])), float(np.mean([one.ssim for one in held])), spent,

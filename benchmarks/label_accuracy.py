@@ -41,7 +41,7 @@ from data_gen import (
 from physconvex import ConvergenceError, InputError
 from physconvex.dynamics import Plane
 from physconvex.fem import ElasticBody, Scene, simulate
-from physconvex.mesh import TetMesh, linear_part, refine, tetrahedralize_implicit
+from physconvex.mesh import TetMesh, linear_part, refine_uniformly, tetrahedralize_implicit
 
 FALL_NODES = 1900
 STEP_E, STEP_NU = 0.05, 0.02  # central differences in log10 E and ν
@@ -178,7 +178,7 @@ def measure(index: int, case: Case, family: str, solver: SolverConfig, *, falls:
     clock = time.perf_counter()
     coarse = made()
     seconds = time.perf_counter() - clock
-    fine = refine(case.mesh)
+    fine = refine_uniformly(case.mesh)
     clock = time.perf_counter()
     nodes = cKDTree(fine.vertices).query(case.mesh.vertices)[1]
     reference = run(case, fine, finer(solver))[:, nodes]

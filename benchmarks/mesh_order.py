@@ -20,7 +20,7 @@ from refine_accuracy import make_capture, throw_of
 
 from physconvex.identify import FullModel, TwinOptions, base_twin
 from physconvex.io import load_capture
-from physconvex.mesh import refine as subdivided
+from physconvex.mesh import refine_uniformly as subdivided
 
 RESULT = Path(__file__).parent / "results" / "mesh_order.json"
 CASES, SHOWN = (0, 12, 22, 28), 8

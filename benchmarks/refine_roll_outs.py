@@ -21,7 +21,7 @@ from refine_accuracy import BLOCK, CELLS, FLOOR, FPS, OBSERVED, Throw, throw_of,
 
 from physconvex.dynamics import Plane
 from physconvex.fem import ElasticBody, Scene, SurfacePoints, simulate
-from physconvex.mesh import Embedding, TetMesh, refine as cut_in_eight, to_quadratic
+from physconvex.mesh import Embedding, TetMesh, refine_uniformly as cut_in_eight, to_quadratic
 
 RESULT = Path(__file__).parent / "results" / "refine_roll_outs.json"
 SOLVERS: dict[str, dict[str, Any]] = {

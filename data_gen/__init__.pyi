@@ -33,7 +33,13 @@ from .explicit.bodies import (
     lay_out as lay_out,
 )
 from .explicit.generate import draw_falls as draw_falls, generate_falls as generate_falls, read_falls as read_falls
-from .explicit.kernels import LOOK as LOOK, VIEW as VIEW, render_falls as render_falls, roll_out as roll_out
+from .explicit.kernels import (
+    LOOK as LOOK,
+    VIEW as VIEW,
+    ClipBatch as ClipBatch,
+    render_falls as render_falls,
+    roll_out as roll_out,
+)
 from .generate import (
     GenerationSummary as GenerationSummary,
     generate_dataset as generate_dataset,

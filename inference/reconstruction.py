@@ -24,17 +24,17 @@ from physconvex.convex import ConvexField, read_ply, write_glb, write_ply
 from physconvex.io import load_capture, write_video
 from physconvex.numerics import device_named
 from physconvex.reconstruction import (
+    FitProgress,
     FitState,
-    Progress,
     ReconstructionConfig,
     ViewScore,
     begin,
     body_surface,
     fill_gaps,
-    fit,
-    load_state,
-    save_state,
-    score,
+    fit_field,
+    load_fit,
+    save_fit,
+    score_views,
     start_field,
     start_kind,
 )
@@ -109,7 +109,7 @@ def reconstruct(
     turntable: bool = False,
     redo: bool = False,
     device: str = "cpu",
-    on_step: Callable[[Progress], None] | None = None,
+    on_step: Callable[[FitProgress], None] | None = None,
 ) -> Reconstruction:
     """Fit a convex field to the first frames of a capture.
 
@@ -141,14 +141,14 @@ def reconstruct(
         finished = _prepared(folder, claim, redo=redo)
         if finished is not None:
             return _read(folder, finished, config)
-    state = None if folder is None else load_state(folder / STATE, claim=claim)
+    state = None if folder is None else load_fit(folder / STATE, claim=claim)
     mesh = source.mesh()
     kind = start_kind(config.start, mesh=mesh is not None, points=given is not None)
     if state is None:
         state = begin(start_field(views.training, config, mesh=mesh, points=given))
     state = _fit_and_store(state.to(place), views, config, folder, claim, on_step)
     field = _closed(state, body_surface(kind, views.training, mesh), config)
-    trained, tested = (score(field.to(place), part) for part in (views.training, views.held_out))
+    trained, tested = (score_views(field.to(place), part) for part in (views.training, views.held_out))
     result = Reconstruction(
         field,
         tuple(one for one, _ in trained),
@@ -182,20 +182,20 @@ def _fit_and_store(
     config: ReconstructionConfig,
     folder: Path | None,
     claim: str,
-    on_step: Callable[[Progress], None] | None,
+    on_step: Callable[[FitProgress], None] | None,
 ) -> FitState:
     """Fit, with the state on disk every now and then."""
     stored = time.monotonic()
 
-    def after(progress: Progress, state: FitState) -> None:
+    def after(progress: FitProgress, state: FitState) -> None:
         nonlocal stored
         if folder is not None and (progress.step == progress.steps or time.monotonic() - stored > _STORE_EVERY):
-            save_state(state, folder / STATE, claim=claim)
+            save_fit(state, folder / STATE, claim=claim)
             stored = time.monotonic()
         if on_step is not None:
             on_step(progress)
 
-    return fit(state, views.training, config, on_step=after)
+    return fit_field(state, views.training, config, on_step=after)
 
 
 def _read_points(path: Path) -> np.ndarray:

@@ -44,7 +44,7 @@ def reconstruct_command(
     from tqdm import tqdm
 
     from inference.reconstruction import reconstruct as run
-    from physconvex.reconstruction import Progress, load_reconstruction_config
+    from physconvex.reconstruction import FitProgress, load_reconstruction_config
 
     resolved = load_reconstruction_config(
         config, overrides=settings or [], start=start, budget=budget, steps=steps, seed=seed
@@ -52,7 +52,7 @@ def reconstruct_command(
     shown = not no_progress and sys.stderr.isatty()
     with tqdm(total=resolved.steps, unit="step", disable=not shown, file=sys.stderr, dynamic_ncols=True) as bar:
 
-        def advance(progress: Progress) -> None:
+        def advance(progress: FitProgress) -> None:
             if bar.n == 0:
                 bar.initial = progress.step - 1
             bar.set_postfix(loss=f"{progress.loss:.4f}", convexes=progress.convexes, scale=f"{progress.scale:g}")

@@ -9,7 +9,7 @@ import numpy as np
 
 from physconvex import InputError
 from physconvex.io import Capture
-from physconvex.reconstruction import Observation, observe
+from physconvex.reconstruction import Observation, observation_of
 
 __all__ = ["CaptureViews", "capture_views"]
 
@@ -59,9 +59,9 @@ def _observation(capture: Capture, name: str) -> tuple[Observation, str]:
     if (capture.folder / f"{name}_mask.mp4").exists():
         mask = capture.mask(name)
         assert mask is not None
-        return observe(camera, frame, mask[0], fractional=False), "mask"
+        return observation_of(camera, frame, mask[0], fractional=False), "mask"
     if video.alpha is not None:
-        return observe(camera, frame, video.alpha[0], fractional=True), "alpha"
+        return observation_of(camera, frame, video.alpha[0], fractional=True), "alpha"
     from models import plain_background_masks
 
     masks = plain_background_masks(frame[None])
@@ -70,4 +70,4 @@ def _observation(capture: Capture, name: str) -> tuple[Observation, str]:
             f"camera {name!r}: no {name}_mask.mp4, no alpha channel, and its background is not plain, so the object "
             "cannot be told from it; add a mask or images with alpha"
         )
-    return observe(camera, frame, masks[0], fractional=False), "plain background"
+    return observation_of(camera, frame, masks[0], fractional=False), "plain background"

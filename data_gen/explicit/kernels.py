@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from torch import Tensor
 from data_gen.explicit.bodies import Layout
 from physconvex.kernels import POINTER, launch, loaded
 
-__all__ = ["LOOK", "VIEW", "render_falls", "roll_out"]
+__all__ = ["LOOK", "VIEW", "ClipBatch", "render_falls", "roll_out"]
 
 VIEW = 16  # numbers of a view, as in gpu/draw.h
 LOOK = 40  # numbers of a look
@@ -50,38 +51,45 @@ def roll_out(layout: Layout, device: torch.device | str = "cpu") -> Float32[Tens
     return out
 
 
-def render_falls(
-    clips: Int32[Tensor, "B 4"],
-    views: Float32[Tensor, "B T 16"],
-    looks: Float32[Tensor, "B 40"],
-    positions: Float32[Tensor, " P"],
-    rest: Float32[Tensor, "N 3"],
-    triangles: Int32[Tensor, "F 3"],
-    *,
-    side: int,
-    factor: int = 2,
-) -> Float32[Tensor, "B T S S 4"]:
-    """Colours and coverage (0..255, 0..1) of every frame of some clips.
+@dataclass(frozen=True)
+class ClipBatch:
+    """What is drawn of some clips.
 
-    Args:
+    Attributes:
         clips: first node of the body, its nodes, first triangle, its triangles.
-        views: see gpu/draw.h; their last number is `factor`.
+        views: see gpu/draw.h; their last number is the number of samples per pixel and axis.
         looks: see gpu/draw.h.
         positions: of all bodies, from `roll_out`.
         rest: where the colours are fixed to the nodes, in sizes.
         triangles: of all bodies, each counting its own nodes.
+    """
+
+    clips: Int32[Tensor, "B 4"]
+    views: Float32[Tensor, "B T 16"]
+    looks: Float32[Tensor, "B 40"]
+    positions: Float32[Tensor, " P"]
+    rest: Float32[Tensor, "N 3"]
+    triangles: Int32[Tensor, "F 3"]
+
+
+def render_falls(batch: ClipBatch, *, side: int, factor: int = 2) -> Float32[Tensor, "B T S S 4"]:
+    """Colours and coverage (0..255, 0..1) of every frame of some clips.
+
+    Args:
+        batch: the clips.
         side: of the picture [px].
         factor: samples per pixel and axis.
     """
-    count, frames = views.shape[:2]
-    pictures = torch.empty((count, frames, side, side, 4), device=positions.device)
-    tensors = [t.contiguous() for t in (clips, views, looks, positions, rest, triangles)]
-    if positions.device.type != "cuda":
-        addresses = [t.data_ptr() for t in (*tensors, pictures)]
+    count, frames = batch.views.shape[:2]
+    device = batch.positions.device
+    pictures = torch.empty((count, frames, side, side, 4), device=device)
+    given = (batch.clips, batch.views, batch.looks, batch.positions, batch.rest, batch.triangles)
+    tensors = clips, views, looks, positions, rest, triangles = [tensor.contiguous() for tensor in given]
+    if device.type != "cuda":
+        addresses = [tensor.data_ptr() for tensor in (*tensors, pictures)]
         _library().draw(count, *addresses, frames, side * factor, factor)
         return pictures
-    samples = torch.full((count * frames, side * factor, side * factor), -1, dtype=torch.int64, device=positions.device)
-    clips, views, looks, positions, rest, triangles = tensors
+    samples = torch.full((count * frames, side * factor, side * factor), -1, dtype=torch.int64, device=device)
     _launch("nearest", count * frames, [clips, views, positions, triangles, samples, frames, side * factor])
     seen = [clips, views, looks, positions, rest, triangles, samples, pictures]
     _launch("resolve", count * frames, [*seen, frames, side * factor, factor])

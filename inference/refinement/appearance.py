@@ -23,7 +23,15 @@ from physconvex.convex import BoundField, ConvexField, bind_to_tets, read_ply
 from physconvex.identify import cast_camera_rays
 from physconvex.io import Camera, Capture, Workers
 from physconvex.numerics import device_named
-from physconvex.reconstruction import Observation, ReconstructionConfig, begin, fit, observe, score, start_field
+from physconvex.reconstruction import (
+    Observation,
+    ReconstructionConfig,
+    begin,
+    fit_field,
+    observation_of,
+    score_views,
+    start_field,
+)
 from physconvex.render import render
 
 __all__ = ["Appearance", "appearance_of", "begun_field", "fitted_field"]
@@ -91,9 +99,9 @@ def fitted_field(capture: Capture, options: RefineOptions) -> Arrays:
     if mesh is not None and len(views) == 1:  # the other sides are given the mean colour, and then not fitted
         around += [_unseen(views[0], mesh, degrees) for degrees in (100.0, 180.0, 260.0)]
     start = start_field(around, config, mesh=mesh)
-    state = fit(begin(start).to(device_named(options.device)), views, config)
+    state = fit_field(begin(start).to(device_named(options.device)), views, config)
     field = state.field()
-    scores = [one for one, _ in score(field, views)]
+    scores = [one for one, _ in score_views(field, views)]
     arrays = {name: getattr(field, name).detach().cpu().numpy() for name in _PARTS}
     return arrays | {
         "cameras": np.array([one.camera for one in scores]),
@@ -141,4 +149,4 @@ def _unseen(seen: Observation, mesh: trimesh.Trimesh, degrees: float) -> Observa
     inside = cast_camera_rays(camera, vertices, faces).faces >= 0
     mean = seen.image[seen.coverage > 0.99].mean(0).numpy()
     frame = np.where(inside[..., None], 255 * mean, 255.0).round().astype(np.uint8)
-    return observe(camera, frame, np.where(inside, np.uint8(255), np.uint8(0)), fractional=True)
+    return observation_of(camera, frame, np.where(inside, np.uint8(255), np.uint8(0)), fractional=True)

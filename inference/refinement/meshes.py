@@ -9,7 +9,14 @@ from inference.refinement.reduced_search import material_of
 from inference.refinement.stages import Arrays, Stages
 from physconvex import ConvergenceError
 from physconvex.identify import Fit, Twin, surface_of_capture
-from physconvex.mesh import TetMesh, faithful_mesh, filled, refine as subdivided, tetrahedralize, unfaithfulness
+from physconvex.mesh import (
+    TetMesh,
+    faithful_mesh,
+    filled,
+    refine_uniformly as subdivided,
+    tetrahedralize,
+    unfaithfulness,
+)
 
 __all__ = ["fine_mesh", "finer_mesh", "is_of_capture"]
 

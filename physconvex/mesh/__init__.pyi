@@ -14,7 +14,7 @@ from .embedding import (
 from .filling import filled as filled
 from .implicit_meshing import tetrahedralize_implicit as tetrahedralize_implicit
 from .local_refinement import refine_locally as refine_locally
-from .meshing import Surface as Surface, tetrahedralize as tetrahedralize
+from .meshing import TriangleSurface as TriangleSurface, tetrahedralize as tetrahedralize
 from .signed_distance import merged as merged, overlap as overlap, surface_distance as surface_distance
 from .tet_mesh import (
     EDGE_CORNERS as EDGE_CORNERS,
@@ -23,7 +23,7 @@ from .tet_mesh import (
     box_mesh as box_mesh,
     compact as compact,
     linear_part as linear_part,
-    refine as refine,
+    refine_uniformly as refine_uniformly,
     to_quadratic as to_quadratic,
 )
 from .volume import enclosed_volume as enclosed_volume, with_volume as with_volume

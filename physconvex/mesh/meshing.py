@@ -23,7 +23,7 @@ from physconvex.mesh.stuffing import SignedDistance
 from physconvex.mesh.tet_mesh import TetMesh, to_quadratic
 from physconvex.mesh.volume import enclosed_volume, with_volume
 
-__all__ = ["Surface", "tetrahedralize", "tetrahedralize_implicit"]
+__all__ = ["TriangleSurface", "tetrahedralize", "tetrahedralize_implicit"]
 
 # Of the volume of body and mesh together, what both have: where the lattice's mesh will do, and where fTetWild's.
 ENOUGH, ALMOST = 0.9, 0.8
@@ -34,7 +34,7 @@ NODES_PER_TRIANGLE, SIMPLIFIED_EPSILON, SIMPLIFICATIONS, DRAWS = {1: 0.7, 2: 3.2
 
 
 @runtime_checkable
-class Surface(Protocol):
+class TriangleSurface(Protocol):
     """Anything with triangles, for example `trimesh.Trimesh`."""
 
     @property
@@ -47,7 +47,7 @@ class Surface(Protocol):
 
 
 def tetrahedralize(
-    surface: Surface | tuple[np.ndarray, np.ndarray],
+    surface: TriangleSurface | tuple[np.ndarray, np.ndarray],
     *,
     target_edge_length: float | None = None,
     epsilon: float = 0.02,
@@ -209,7 +209,7 @@ def _lattice_mesh(
     return tetrahedralize_implicit(field, bounds, surface=(vertices, faces), max_nodes=max_nodes, order=order)
 
 
-def _checked_surface(surface: Surface | tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _checked_surface(surface: TriangleSurface | tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (float64) and faces (int32) of the argument, or an InputError."""
     pair = surface if isinstance(surface, tuple) else (surface.vertices, surface.faces)
     vertices, faces = np.asarray(pair[0], dtype=np.float64), np.asarray(pair[1])

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from physconvex.errors import InputError
 
-__all__ = ["EDGE_CORNERS", "Filling", "TetMesh", "box_mesh", "refine", "to_quadratic"]
+__all__ = ["EDGE_CORNERS", "Filling", "TetMesh", "box_mesh", "refine_uniformly", "to_quadratic"]
 
 # Corners joined by mid-edge nodes 4..9 of a quadratic tetrahedron.
 EDGE_CORNERS = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
@@ -183,7 +183,7 @@ def to_quadratic(mesh: TetMesh) -> TetMesh:
     return TetMesh(np.vstack([mesh.vertices, middles]), tets)
 
 
-def refine(mesh: TetMesh) -> TetMesh:
+def refine_uniformly(mesh: TetMesh) -> TetMesh:
     """Each tetrahedron split into eight (Bey 1995); same geometry, same order; a filling is not kept."""
     quadratic = to_quadratic(TetMesh(mesh.vertices, mesh.tets) if mesh.order == 1 else linear_part(mesh))
     children = quadratic.tets[:, CHILDREN].reshape(-1, 4)

@@ -4,12 +4,23 @@ from .config import (
     ReconstructionConfig as ReconstructionConfig,
     load_reconstruction_config as load_reconstruction_config,
 )
-from .field_fit import FitState as FitState, Progress as Progress, begin as begin, fit as fit, image_loss as image_loss
-from .field_refinement import Refinement as Refinement, hidden as hidden, refine as refine, simplify as simplify
+from .field_fit import (
+    FitProgress as FitProgress,
+    FitState as FitState,
+    begin as begin,
+    fit_field as fit_field,
+    image_loss as image_loss,
+)
+from .field_refinement import (
+    RefinedField as RefinedField,
+    hidden as hidden,
+    refine_field as refine_field,
+    simplify as simplify,
+)
 from .filling import fill_gaps as fill_gaps
-from .observation import Observation as Observation, observe as observe
-from .scores import ViewScore as ViewScore, score as score
+from .observation import Observation as Observation, observation_of as observation_of
+from .scores import ViewScore as ViewScore, score_views as score_views
 from .similarity import psnr as psnr, structural_similarity as structural_similarity
 from .start import Start as Start, body_surface as body_surface, start_field as start_field, start_kind as start_kind
-from .state import load_state as load_state, save_state as save_state
+from .state import load_fit as load_fit, save_fit as save_fit
 from .triangles import even_triangles as even_triangles, welded as welded

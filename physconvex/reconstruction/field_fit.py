@@ -14,13 +14,13 @@ from torch import Tensor
 from physconvex.convex import ConvexField, FreeParameters
 from physconvex.reconstruction.adam import RowAdam
 from physconvex.reconstruction.config import ReconstructionConfig
-from physconvex.reconstruction.field_refinement import hidden, refine
+from physconvex.reconstruction.field_refinement import hidden, refine_field
 from physconvex.reconstruction.observation import Observation
 from physconvex.reconstruction.similarity import structural_similarity
 from physconvex.reconstruction.start import Start
 from physconvex.render import RenderedImage, render
 
-__all__ = ["FitState", "Progress", "begin", "fit", "image_loss"]
+__all__ = ["FitProgress", "FitState", "begin", "fit_field", "image_loss"]
 
 WARM_UP = 20  # steps over which the rates rise at the start
 WIDEST, NARROWEST = 10.0, 0.1  # edges that are allowed, times the first width
@@ -28,7 +28,7 @@ SHARPEST = 20.0  # β and 1/β at most
 
 
 @dataclass(frozen=True)
-class Progress:
+class FitProgress:
     """How far a fit is: steps done and in all, mean loss of late, convexes, scale of the images."""
 
     step: int
@@ -88,12 +88,12 @@ def image_loss(image: RenderedImage, seen: Observation, config: ReconstructionCo
     return loss + config.mask_weight * (image.alpha - seen.coverage).abs().mean()
 
 
-def fit(
+def fit_field(
     state: FitState,
     observations: Sequence[Observation],
     config: ReconstructionConfig,
     *,
-    on_step: Callable[[Progress, FitState], None] | None = None,
+    on_step: Callable[[FitProgress, FitState], None] | None = None,
 ) -> FitState:
     """Do the steps that are left, in place, on the device of the state.
 
@@ -126,7 +126,7 @@ def fit(
         if on_step is not None:
             recent = float(np.mean(state.losses[-len(views) :]))
             count = len(state.fixed)
-            on_step(Progress(state.step, config.steps, recent, count, config.scale_at(state.step - 1)), state)
+            on_step(FitProgress(state.step, config.steps, recent, count, config.scale_at(state.step - 1)), state)
     return state
 
 
@@ -166,7 +166,7 @@ def _rates(state: FitState, config: ReconstructionConfig) -> tuple[Tensor | floa
 def _refine(state: FitState, views: Sequence[Observation], config: ReconstructionConfig) -> None:
     generator = torch.Generator("cpu").manual_seed(config.seed + state.step)
     pixel = state.footprint / config.scale_at(state.step)
-    made = refine(
+    made = refine_field(
         state.field(),
         views,
         budget=config.fit_budget,

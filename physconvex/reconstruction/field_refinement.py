@@ -15,7 +15,7 @@ from physconvex.reconstruction.attribution import gather
 from physconvex.reconstruction.observation import Observation
 from physconvex.render import render
 
-__all__ = ["Refinement", "hidden", "refine", "simplify"]
+__all__ = ["RefinedField", "hidden", "refine_field", "simplify"]
 
 LEAST_OPACITY = 0.03
 OPAQUE = 0.5  # a convex that is as opaque and hardly explains a pixel is hidden
@@ -27,7 +27,7 @@ OUTSIDE = 0.2  # a convex is a floater if less than this share of its pixels is 
 
 
 @dataclass(frozen=True, eq=False)
-class Refinement:
+class RefinedField:
     """A new field.
 
     Attributes:
@@ -48,7 +48,7 @@ class Refinement:
 
 
 @torch.no_grad()
-def refine(
+def refine_field(
     field: ConvexField,
     observations: Sequence[Observation],
     *,
@@ -57,7 +57,7 @@ def refine(
     fixed: Bool[Tensor, " N"],
     generator: torch.Generator,
     keep_hidden: bool = True,
-) -> Refinement:
+) -> RefinedField:
     """Prune, split and clone.
 
     Every convex is charged with the squared differences of the pixels it explains (by `gather`, over all views). Pruned
@@ -104,7 +104,7 @@ def _divided(
     extent: Tensor,
     fixed: Tensor,
     generator: torch.Generator,
-) -> Refinement:
+) -> RefinedField:
     """Those kept, the large ones split, the small ones cloned."""
     overlap = 2.0 / (field.smoothness * field.sharpness)
     whole, parents = (keep & ~large).nonzero()[:, 0], large.nonzero()[:, 0]
@@ -124,7 +124,7 @@ def _divided(
     doubled = small[sources]
     opacity = torch.where(doubled, 1 - (1 - joined.opacity).clamp(min=0).sqrt(), joined.opacity)
     new = replace(joined, opacity=opacity)
-    return Refinement(new, sources, fresh, fixed[sources], int((~keep).sum()), len(parents), len(clones))
+    return RefinedField(new, sources, fresh, fixed[sources], int((~keep).sum()), len(parents), len(clones))
 
 
 @torch.no_grad()

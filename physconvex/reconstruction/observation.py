@@ -14,7 +14,7 @@ from physconvex.errors import InputError
 from physconvex.io import Camera
 from physconvex.render import View
 
-__all__ = ["Observation", "observe"]
+__all__ = ["Observation", "observation_of"]
 
 SOFT_RIM = 2  # pixels around a binary mask that the object may touch
 MARGIN = 6  # pixels kept around the object when an observation is cropped
@@ -75,7 +75,7 @@ class Observation:
         return Observation(camera, image, background, coverage)
 
 
-def observe(
+def observation_of(
     camera: Camera,
     frame: UInt8[np.ndarray, "H W 3"],
     coverage: UInt8[np.ndarray, "H W"],

@@ -13,7 +13,7 @@ from physconvex.reconstruction.observation import Observation
 from physconvex.reconstruction.similarity import psnr, structural_similarity
 from physconvex.render import render
 
-__all__ = ["ViewScore", "score"]
+__all__ = ["ViewScore", "score_views"]
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class ViewScore:
 
 
 @torch.no_grad()
-def score(field: ConvexField, observations: Iterable[Observation]) -> list[tuple[ViewScore, Tensor]]:
+def score_views(field: ConvexField, observations: Iterable[Observation]) -> list[tuple[ViewScore, Tensor]]:
     """Score and rendered image (clamped to 0 to 1, before the observation's background) of each view.
 
     Drawn on the field's device; the images are on the CPU.

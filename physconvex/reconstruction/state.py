@@ -16,12 +16,12 @@ from physconvex.errors import InputError
 from physconvex.reconstruction.adam import RowAdam
 from physconvex.reconstruction.field_fit import FitState
 
-__all__ = ["load_state", "save_state"]
+__all__ = ["load_fit", "save_fit"]
 
 NAMES = tuple(entry.name for entry in fields(FreeParameters))
 
 
-def save_state(state: FitState, path: Path, *, claim: str) -> None:
+def save_fit(state: FitState, path: Path, *, claim: str) -> None:
     """Write the state under its name in one step; `claim` says what it belongs to."""
     tensors = {"fixed": state.fixed, "losses": torch.tensor(state.losses, dtype=torch.float64, device="cpu")}
     groups = {"": state.parameters.tensors(), "first.": state.adam.first, "second.": state.adam.second}
@@ -43,11 +43,11 @@ def save_state(state: FitState, path: Path, *, claim: str) -> None:
         partial.unlink(missing_ok=True)
 
 
-def load_state(path: Path, *, claim: str) -> FitState | None:
+def load_fit(path: Path, *, claim: str) -> FitState | None:
     """The state in a file; None where there is no file.
 
     Raises:
-        InputError: the file belongs to another claim, or is none of `save_state`.
+        InputError: the file belongs to another claim, or is none of `save_fit`.
     """
     if not path.exists():
         return None

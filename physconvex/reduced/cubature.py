@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from scipy.special import roots_jacobi
 
 from physconvex.errors import InputError
-from physconvex.mesh import QUADRATURE, Surface, TetMesh, tetrahedralize
+from physconvex.mesh import QUADRATURE, TetMesh, TriangleSurface, tetrahedralize
 from physconvex.reduced.shell import Shell
 
 __all__ = ["BodySamples", "Cubature", "tet_cubature"]
@@ -141,7 +141,7 @@ class BodySamples:
 
     @classmethod
     def of_surface(
-        cls, surface: Surface | tuple[np.ndarray, np.ndarray], *, degree: int = 2, **meshing: Any
+        cls, surface: TriangleSurface | tuple[np.ndarray, np.ndarray], *, degree: int = 2, **meshing: Any
     ) -> BodySamples:
         """Samples of the inside of a watertight surface; `meshing` goes to `physconvex.fem.tetrahedralize`."""
         return cls.of_mesh(tetrahedralize(surface, **meshing), degree=degree)

@@ -2,7 +2,7 @@ from .compiled import composite_kernel as composite_kernel
 from .jacobian import ImageJacobian as ImageJacobian, render_jacobian as render_jacobian
 from .library import RENDER_FLAGS as RENDER_FLAGS
 from .movies import film as film, orbit as orbit
-from .projection import Splats as Splats, project as project
+from .projection import Splats as Splats, project_field as project_field
 from .rasterize import RenderedImage as RenderedImage, render as render, splat as splat
 from .reference import LEAST_ALPHA as LEAST_ALPHA, composite_reference as composite_reference
 from .view import View as View

@@ -13,7 +13,7 @@ from physconvex.convex import ConvexField, view_colours
 from physconvex.render.hull import Hulls, planar_hulls
 from physconvex.render.view import View
 
-__all__ = ["NEAR", "THIN", "Splats", "project"]
+__all__ = ["NEAR", "THIN", "Splats", "project_field"]
 
 NEAR = 0.01  # nothing nearer is seen [m]
 THIN = 0.5  # least width of what is drawn for a convex [pixels]
@@ -48,7 +48,7 @@ class Splats:
         return self.lines, self.sharpness, self.opacity, self.features
 
 
-def project(
+def project_field(
     field: ConvexField, view: View, *, near: float = NEAR, hulls: Callable[[Tensor], Hulls] = planar_hulls
 ) -> Splats:
     """The polygons that a view sees of a field, differentiable with respect to both.

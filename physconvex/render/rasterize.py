@@ -18,7 +18,7 @@ from physconvex.kernels import KernelUnavailable
 from physconvex.render.compiled import composite_kernel, planar_hulls_kernel
 from physconvex.render.cuda import composite_cuda, planar_hulls_cuda
 from physconvex.render.library import load_library
-from physconvex.render.projection import NEAR, Splats, project
+from physconvex.render.projection import NEAR, Splats, project_field
 from physconvex.render.reference import Layers, composite_reference
 from physconvex.render.trial import draws_rightly
 from physconvex.render.view import View
@@ -56,10 +56,10 @@ def splat(
 ) -> tuple[Splats, Callable[[Splats, Tensor], Layers]]:
     """The polygons of a field, and what blends them, by the chosen implementation, see `render`."""
     if backend == "cuda" or (backend == "auto" and _is_fast_on(field.points)):
-        return project(field, view, near=near, hulls=planar_hulls_cuda), composite_cuda
+        return project_field(field, view, near=near, hulls=planar_hulls_cuda), composite_cuda
     if _uses_kernel(field.points, backend):
-        return project(field, view, near=near, hulls=planar_hulls_kernel), composite_kernel
-    return project(field, view, near=near), composite_reference
+        return project_field(field, view, near=near, hulls=planar_hulls_kernel), composite_kernel
+    return project_field(field, view, near=near), composite_reference
 
 
 def _is_fast_on(tensor: Tensor) -> bool:

@@ -15,7 +15,7 @@ from physconvex.kernels import KernelUnavailable
 from physconvex.render.cuda import composite_cuda, planar_hulls_cuda
 from physconvex.render.directions import load_forward_mode
 from physconvex.render.hull import planar_hulls
-from physconvex.render.projection import project
+from physconvex.render.projection import project_field
 from physconvex.render.reference import composite_reference
 from physconvex.render.view import View
 
@@ -52,12 +52,12 @@ def _differences(device: torch.device) -> str:
     ):
         leaves = field.to(place).map(lambda tensor: tensor.clone().requires_grad_())
         view = View.of(camera, torch.float32, device=place)
-        layers = composite(project(leaves, view, hulls=hulls), view.pixel_coordinates())
+        layers = composite(project_field(leaves, view, hulls=hulls), view.pixel_coordinates())
         loss = layers.features.square().sum() + layers.transmittance.square().sum()
         gradients = torch.autograd.grad(loss, list(leaves.tensors()), allow_unused=True, materialize_grads=True)
         with forward_ad.dual_level():
             dual = leaves.map(lambda tensor: forward_ad.make_dual(tensor.detach(), tensor.detach()))
-            image = composite(project(dual, view, hulls=hulls), view.pixel_coordinates())
+            image = composite(project_field(dual, view, hulls=hulls), view.pixel_coordinates())
             tangents = [forward_ad.unpack_dual(tensor).tangent for tensor in (image.features, image.transmittance)]
         drawn = (layers.features, layers.transmittance, *gradients, *tangents)
         found.append([tensor.detach().cpu() for tensor in drawn])

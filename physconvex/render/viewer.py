@@ -18,7 +18,7 @@ from physconvex.render.rasterize import render
 from physconvex.render.reference import LEAST_ALPHA
 from physconvex.render.view import View
 
-__all__ = ["FieldViewer", "draw", "read_fields"]
+__all__ = ["FieldViewer", "draw_view", "read_fields"]
 
 SOFT, HULLS = "soft convexes", "hulls"
 STILL = 0.2  # seconds after which a camera counts as at rest and the picture is drawn in full
@@ -47,7 +47,7 @@ def read_fields(source: str | Path) -> list[tuple[str, ConvexField]]:
 
 
 @torch.no_grad()
-def draw(
+def draw_view(
     field: ConvexField,
     *,
     position: Float[np.ndarray, " 3"],
@@ -210,7 +210,7 @@ class FieldViewer:
         camera = client.camera
         longest = max(camera.aspect, 1.0)
         width, height = (max(8, round(size * edge / longest)) for edge in (camera.aspect, 1.0))
-        picture = draw(
+        picture = draw_view(
             self._fields[self._frame][1],
             position=np.array(camera.position),
             wxyz=np.array(camera.wxyz),

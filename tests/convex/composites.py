@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from physconvex.convex import ConvexField
-from physconvex.render import Splats, View, composite_reference, project
+from physconvex.render import Splats, View, composite_reference, project_field
 from physconvex.render.directions import Directions, load_forward_mode
 from physconvex.render.reference import Layers
 from tests.convex.agreement import assert_agrees
@@ -21,7 +21,7 @@ Inputs = tuple[Tensor, ...]  # coordinates, lines, sharpness, opacity, features
 def polygons(field: ConvexField, width: int = 37, height: int = 21) -> tuple[Splats, Inputs]:
     """What is drawn, and its differentiable part, rounded to float32 so that both start from the same numbers."""
     view = View.of(replace(camera(width, height), k1=0.1), torch.float64)
-    splats = project(field, view)
+    splats = project_field(field, view)
     inputs = (view.pixel_coordinates(), *splats.differentiable())
     return splats, tuple(tensor.float() for tensor in inputs)
 

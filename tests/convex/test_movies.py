@@ -14,7 +14,7 @@ from physconvex import InputError
 from physconvex.convex import advect, affine_map, write_ply
 from physconvex.io import read_video
 from physconvex.render import film, orbit
-from physconvex.render.film_command import film_command as command
+from physconvex.render.commands import film_command
 from tests.convex.fields import random_field
 
 
@@ -44,7 +44,7 @@ def test_a_film_shows_each_field_in_turn():
 def run(*arguments: object) -> Result:
     """The command `physconvex film`."""
     app = typer.Typer()
-    app.command()(command)
+    app.command()(film_command)
     return CliRunner().invoke(app, [*map(str, arguments), "--size", "32", "--no-progress"])
 
 

@@ -9,7 +9,7 @@ import torch
 from physconvex import InputError
 from physconvex.convex import ConvexField, coefficients_of_colour
 from physconvex.io import Camera, look_at
-from physconvex.render import RenderedImage, View, project, reference, render
+from physconvex.render import RenderedImage, View, project_field, reference, render
 from tests.convex.fields import cube, random_field
 from tests.convex.scenes import HARD_CASES, camera, hard_case
 
@@ -105,7 +105,7 @@ def test_what_crosses_the_near_plane_is_cut_off_exactly() -> None:
     beyond[..., 1] = box[..., 1].clamp(min=-1 + 0.1)  # all corners nearer than the plane move onto it
     outlines = []
     for points in (box, beyond):
-        lines = project(cube().with_points(points), front, near=0.1).lines
+        lines = project_field(cube().with_points(points), front, near=0.1).lines
         lines = lines / lines[:, :2].norm(dim=1, keepdim=True)
         outlines.append(sorted(lines.round(decimals=9).add(0.0).tolist()))
     np.testing.assert_allclose(outlines[0], outlines[1], atol=1e-8)

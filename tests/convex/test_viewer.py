@@ -12,7 +12,7 @@ from physconvex import InputError
 from physconvex.convex import ConvexField, coefficients_of_colour, write_ply
 from physconvex.io import look_at
 from physconvex.render import FieldViewer, render
-from physconvex.render.viewer import draw, read_fields
+from physconvex.render.viewer import draw_view, read_fields
 from tests.convex.browser import screenshots
 from tests.convex.fields import random_field
 
@@ -31,7 +31,7 @@ def test_pictures_are_those_of_the_rasteriser() -> None:
     camera = look_at((0.3, -3.0, 0.8), (0, 0, 0), width=60, height=40, vertical_field_of_view=0.7)
     axes = np.array(camera.transform_matrix)[:3, :3] * [1, -1, -1]  # right, down, forward
     wxyz = np.roll(Rotation.from_matrix(axes).as_quat(), 1)
-    picture = draw(field, position=camera.position, wxyz=wxyz, field_of_view=0.7, width=60, height=40)
+    picture = draw_view(field, position=camera.position, wxyz=wxyz, field_of_view=0.7, width=60, height=40)
     expected = 255 * render(field, camera).colour.clamp(0, 1).numpy()
     assert expected.std() > 5
     assert np.abs(picture - expected).max() < 2

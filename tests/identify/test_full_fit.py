@@ -24,7 +24,7 @@ from physconvex.identify import (
     with_weights,
 )
 from physconvex.io import Boundary, Capture, Floor, Tracks, load_capture, save_capture
-from physconvex.mesh import Embedding, box_mesh, refine, to_quadratic
+from physconvex.mesh import Embedding, box_mesh, refine_uniformly, to_quadratic
 from physconvex.reduced import eigenmode_weights, simulate as simulate_reduced
 
 NAMES, TRUTH, FRAMES = ("log10_youngs_modulus", "poisson_ratio"), np.array([4.6, 0.35]), 6
@@ -50,7 +50,9 @@ def bar(tmp_path_factory):
 
     empty = saved("empty", np.zeros((FRAMES, 12, 3)))
     twin = base_twin(empty, TwinOptions(weights=3, steps_per_frame=4))
-    fine = FullModel(twin, NAMES, points, FRAMES, refine(refine(twin.mesh)), refinement=6).positions(TRUTH)
+    fine = FullModel(
+        twin, NAMES, points, FRAMES, refine_uniformly(refine_uniformly(twin.mesh)), refinement=6
+    ).positions(TRUTH)
     capture = saved("seen", fine)
     return base_twin(capture, TwinOptions(weights=3, steps_per_frame=4)), marker_observations(capture)
 
@@ -84,7 +86,7 @@ def test_what_a_finer_mesh_adds_removes_most_of_the_error_and_states_what_is_lef
     twin, seen = bar
     coarse = FullModel(twin, NAMES, seen.points, FRAMES)
     before = fitted[1].fit
-    after = fit_finer(coarse, coarse, refine(twin.mesh), seen, before)
+    after = fit_finer(coarse, coarse, refine_uniformly(twin.mesh), seen, before)
     errors = [np.abs(values - TRUTH) for values in (before.values, after.fit.values)]
     assert errors[0][0] > 0.03 and errors[1][0] < 0.1 * errors[0][0]
     noise = np.sqrt(np.diag(noise_covariance(after.fit)))
@@ -98,7 +100,7 @@ def test_what_a_finer_mesh_adds_removes_most_of_the_error_and_states_what_is_lef
 def test_a_fit_on_the_finer_mesh_stays_there_and_a_quarter_of_what_that_changed_counts_as_left(bar, fitted):
     twin, seen = bar
     coarse, before = FullModel(twin, NAMES, seen.points, FRAMES), fitted[1].fit
-    fine = replace(coarse, mesh=refine(twin.mesh))
+    fine = replace(coarse, mesh=refine_uniformly(twin.mesh))
     start = [p.at(v) for p, v in zip(before.parameters, before.values, strict=True)]
     found, shorter = (fit(replace(fine, refinement=steps), seen, start) for steps in (1, 2))
     changed = np.abs(found.values - before.values)
@@ -143,8 +145,8 @@ def test_what_halving_the_mesh_changes_is_added_in_part_where_nothing_is_struck(
     """A mesh halved twice is nearer to that than to the mesh halved once; another finer mesh is taken as it is."""
     twin, seen = bar
     coarse = FullModel(twin, NAMES, seen.points, FRAMES)
-    halved = replace(coarse, mesh=refine(twin.mesh))
-    truth = replace(coarse, mesh=refine(halved.mesh)).positions(TRUTH)
+    halved = replace(coarse, mesh=refine_uniformly(twin.mesh))
+    truth = replace(coarse, mesh=refine_uniformly(halved.mesh)).positions(TRUTH)
     nodes = extrapolated_nodes(coarse, halved, TRUTH)
     added = Embedding.of_points(halved.mesh, seen.points).apply(nodes)
     distances = [np.sqrt(np.square(x - truth).sum()) for x in (halved.positions(TRUTH), added)]
@@ -161,7 +163,7 @@ def test_nothing_is_added_where_a_body_may_strike_something(tmp_path):
     save_capture(capture, tets=box_mesh((0.1, 0.1, 0.1), (1, 1, 1), order=1))
     twin = base_twin(load_capture(capture.folder), TwinOptions(weights=3, steps_per_frame=4))
     coarse = FullModel(twin, NAMES, twin.mesh.vertices[:1], 4)
-    halved = replace(coarse, mesh=refine(twin.mesh))
+    halved = replace(coarse, mesh=refine_uniformly(twin.mesh))
     np.testing.assert_array_equal(extrapolated_nodes(coarse, halved, TRUTH), halved.node_positions(TRUTH))
 
 

@@ -12,7 +12,7 @@ from physconvex import ConvergenceError
 from physconvex.fem import simulate
 from physconvex.identify import FullModel, RollOuts, TwinOptions, base_twin, roll_out_together, roll_outs
 from physconvex.io import Capture, Floor, Workers, load_capture, save_capture
-from physconvex.mesh import TetMesh, box_mesh, refine
+from physconvex.mesh import TetMesh, box_mesh, refine_uniformly
 
 NAMES, TRUTH = ("log10_youngs_modulus", "poisson_ratio", "damping_time"), np.array([4.3, 0.35, 1e-3])
 SCALES = np.array([0.2, 0.1, 2e-3])
@@ -66,7 +66,7 @@ def test_no_roll_out_is_made_twice_and_failures_are_remembered(tmp_path, monkeyp
 
 def test_a_mesh_that_nobody_else_keeps_is_not_mistaken_for_a_later_one(tmp_path):
     model = box(tmp_path, RollOuts())
-    mesh = refine(model.twin.mesh)
+    mesh = refine_uniformly(model.twin.mesh)
     replace(model, mesh=mesh).node_positions(TRUTH)
     kept = weakref.ref(mesh)
     del mesh

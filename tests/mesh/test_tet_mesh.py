@@ -13,7 +13,7 @@ from physconvex.mesh import (
     box_mesh,
     compact,
     linear_part,
-    refine,
+    refine_uniformly,
     shape_gradients,
     shape_values,
     to_quadratic,
@@ -92,7 +92,7 @@ def test_middle_nodes_lie_in_the_middle_and_are_shared():
 @pytest.mark.parametrize("order", [1, 2])
 def test_refinement_keeps_the_geometry(order):
     mesh = box_mesh(SIZE, (1, 1, 1), order=order)
-    fine = refine(mesh)
+    fine = refine_uniformly(mesh)
     assert fine.order == order
     assert len(fine.tets) == 8 * len(mesh.tets)
     assert fine.volume == pytest.approx(mesh.volume)
@@ -107,7 +107,7 @@ def test_refinement_of_random_tetrahedra_is_conforming():
     mesh = box_mesh((1.0, 1.0, 1.0), (2, 2, 2), order=1)
     inner = mesh.node_areas == 0
     moved = mesh.vertices + inner[:, None] * rng.uniform(-0.1, 0.1, size=mesh.vertices.shape)
-    fine = refine(refine(TetMesh(moved, mesh.tets)))
+    fine = refine_uniformly(refine_uniformly(TetMesh(moved, mesh.tets)))
     assert fine.volume == pytest.approx(1.0)
     assert fine.node_areas.sum() == pytest.approx(6.0)  # a hanging node would open inner faces
 

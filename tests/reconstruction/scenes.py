@@ -10,7 +10,7 @@ import trimesh
 
 from physconvex.convex import ConvexField, coefficients_of_colour
 from physconvex.io import Camera, look_at
-from physconvex.reconstruction import Observation, observe
+from physconvex.reconstruction import Observation, observation_of
 from physconvex.render import render
 
 RADIUS = 0.05  # [m]
@@ -52,4 +52,6 @@ def pictures(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
 
 def views(count: int, *, size: int = 48, phase: float = 0.0) -> list[Observation]:
     """Observations of the ball."""
-    return [observe(camera, *pictures(camera), fractional=True) for camera in ring(count, size=size, phase=phase)]
+    return [
+        observation_of(camera, *pictures(camera), fractional=True) for camera in ring(count, size=size, phase=phase)
+    ]

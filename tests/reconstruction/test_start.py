@@ -16,9 +16,9 @@ from physconvex.reconstruction import (
     ReconstructionConfig,
     begin,
     even_triangles,
-    fit,
+    fit_field,
     load_reconstruction_config,
-    score,
+    score_views,
     start_field,
     visual_hull,
     welded,
@@ -122,7 +122,7 @@ def test_every_start_shows_the_object(seen, kind):
     points, _ = trimesh.sample.sample_surface(ball_mesh(), 600, seed=0)
     start = start_field(seen, config, mesh=ball_mesh(), points=points)
     assert start.kind == kind and len(start.field) <= config.budget
-    scores = [one for one, _ in score(start.field, seen)]
+    scores = [one for one, _ in score_views(start.field, seen)]
     assert np.mean([one.mask_iou for one in scores]) > {"mesh": 0.85, "hull": 0.8, "points": 0.7}[kind]
     assert np.mean([one.psnr for one in scores]) > {"mesh": 19, "hull": 16, "points": 15}[kind]
     start.field.check_values()
@@ -186,6 +186,6 @@ def test_hulls_of_more_or_fewer_points(count):
 @pytest.mark.parametrize("count", [4, 8])
 def test_a_reconstruction_has_the_points_that_were_asked_for(seen, count):
     config = ReconstructionConfig(budget=600, steps=12, refinements=2, points_per_convex=count)
-    field = fit(begin(start_field(seen, config, mesh=ball_mesh())), seen, config).field()
+    field = fit_field(begin(start_field(seen, config, mesh=ball_mesh())), seen, config).field()
     assert field.points.shape[1] == count
-    assert np.mean([one.psnr for one, _ in score(field, seen)]) > 18
+    assert np.mean([one.psnr for one, _ in score_views(field, seen)]) > 18

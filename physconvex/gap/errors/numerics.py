@@ -22,7 +22,7 @@ from physconvex.gap.errors.rebound import path_since_contact
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.options import GapOptions
 from physconvex.identify import mesh_of_capture
-from physconvex.mesh import TetMesh, refine, tetrahedralize
+from physconvex.mesh import TetMesh, refine_uniformly, tetrahedralize
 from physconvex.numerics import beyond_rigid
 
 __all__ = [
@@ -184,7 +184,7 @@ def other_mesh(base: Baseline, options: GapOptions, steps: int) -> TetMesh:
     """
     own = base.model.twin.mesh
     if base.situation.clamped:
-        split = refine(own)
+        split = refine_uniformly(own)
         if len(split.vertices) * steps > 3 * _WORK:
             raise InputError(f"mesh: {len(split.vertices)} nodes are too many for {steps} steps")
         return split

@@ -1,18 +1,20 @@
-"""The command `physconvex film`."""
+"""The commands `physconvex film` and `physconvex view`."""
 
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-__all__ = ["film_command"]
+__all__ = ["film_command", "view_command"]
 
 
 def film_command(
     field: Annotated[Path, typer.Argument(help="field.ply, or a folder with it or with one per frame.")],
+    *,
     out: Annotated[Path, typer.Option(help="film.mp4, or picture.png for the first frame.")] = Path("film.mp4"),
     size: Annotated[int, typer.Option(help="Edge of the pictures [pixels], even.", min=16)] = 448,
     frames: Annotated[int, typer.Option(help="Frames once round a field that does not move.", min=1)] = 48,
@@ -43,3 +45,21 @@ def film_command(
     shown = not no_progress and sys.stderr.isatty()
     watched = tqdm(pictures, total=len(cameras) * len(fields), unit="frame", disable=not shown, leave=False)
     write_video(out, iter(watched), fps=fps)
+
+
+def view_command(
+    field: Annotated[Path, typer.Argument(help="field.ply, or a folder with it or with one per frame.")],
+    host: Annotated[str, typer.Option(help="Address to listen on; 0.0.0.0 lets other machines in.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port; the next free one if it is taken.")] = 8080,
+    size: Annotated[int, typer.Option(help="Longest edge of the pictures [pixels].", min=16)] = 720,
+) -> None:
+    """Look at a convex field in the browser, until stopped with Ctrl-C."""
+    from physconvex.render.viewer import FieldViewer, read_fields
+
+    viewer = FieldViewer(read_fields(field), host=host, port=port, size=size)
+    print(f"open {viewer.address} (Ctrl-C ends)", flush=True)
+    try:
+        while True:
+            time.sleep(3600)
+    except KeyboardInterrupt:
+        viewer.close()
