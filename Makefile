@@ -62,7 +62,7 @@ bench-objects: env
 regression: env
 	$(BIN)/python tests/regression/run.py
 
-## checkpoint: the recipe of the bundled checkpoint (docs/training.md); stop and start again as you like; needs a GPU
+## checkpoint: the recipe of the bundled checkpoint (docs/results/prediction.md); stop and start again as you like; needs a GPU
 checkpoint: env
 	$(BIN)/physconvex generate falls --out data/falls --shapes 1740 --seed 4101 --workers $$(nproc)
 	$(BIN)/physconvex generate dataset --out data/drops --count 600 --seed 2101 --workers $$(nproc) --set camera.views=5

@@ -1,9 +1,9 @@
 """Contact by passes and condensed, on the same drops of the generator: cost, and what it does to the motion.
 
-Each drop is simulated with the generator's settings of before (friction frozen and solved for in up to twelve passes,
-steps of equal length, Newton's tolerance 1e-6), with today's, and with today's at half the step and a tolerance of
-1e-6, whose distance to today's is the error of time. Distances are rms over all nodes, at the frames of the impact and
-at the end. Processor time is what counts where other programs run.
+Each drop is simulated with contact by passes (friction frozen and solved for in up to twelve passes, steps of equal
+length, Newton's tolerance 1e-6), with the generator's settings (condensed), and with these at half the step and a
+tolerance of 1e-6, whose distance to them is the error of time. Distances are rms over all nodes, at the frames of the
+impact and at the end. Processor time is what counts where other programs run.
 
     python benchmarks/contact_solvers.py                        goes on where it was
 """
@@ -31,7 +31,7 @@ from physconvex.fem import ElasticBody, Scene, simulate
 RESULT = Path(__file__).parent / "results" / "contact_solvers.json"
 DROPS = ((4, 5e6), (7, 3e5), (11, 2e4))  # number of the simulation, E [Pa]; those that land soonest
 SEED = 11
-BEFORE = {"contact_solver": "passes", "flight_steps_per_frame": 24, "tolerance": 1e-6}
+PASSES = {"contact_solver": "passes", "flight_steps_per_frame": 24, "tolerance": 1e-6}
 FINER = {"steps_per_frame": 48, "flight_steps_per_frame": 16, "tolerance": 1e-6}
 
 
@@ -80,7 +80,7 @@ def known(path: Path, frames: int) -> list[Row]:
 
 
 def scene_of(number: int, modulus: float) -> tuple[str, Scene, SolverConfig]:
-    """One drop of the generator: its body's name, the scene, and today's settings."""
+    """One drop of the generator: its body's name, the scene, and the generator's settings."""
     config = load_config("training", overrides=[f"material.youngs_modulus={modulus}"])
     drop = draw_drop(config, SEED, number, 0)
     mesh = make_mesh(drop, config.solver, config.motion.gravity)
@@ -97,9 +97,9 @@ def scene_of(number: int, modulus: float) -> tuple[str, Scene, SolverConfig]:
 
 def compared(number: int, modulus: float, frames: int) -> list[Row]:
     """The three runs of one drop."""
-    name_of_body, scene, today = scene_of(number, modulus)
-    changes: dict[str, dict[str, Any]] = {"half the step": FINER, "today": {}, "before": BEFORE}
-    solvers = {name: today.model_copy(update=change) for name, change in changes.items()}
+    name_of_body, scene, usual = scene_of(number, modulus)
+    changes: dict[str, dict[str, Any]] = {"half the step": FINER, "condensed": {}, "passes": PASSES}
+    solvers = {name: usual.model_copy(update=change) for name, change in changes.items()}
     rows: list[Row] = []
     best: np.ndarray | None = None
     for name, solver in solvers.items():

@@ -1,6 +1,6 @@
 """How well and how fast `locate_foreground` finds the object in the test clips of a data set.
 
-python benchmarks/foreground.py --data data/main --out docs/results/foreground.json
+python benchmarks/foreground.py --data data/main --out docs/results/data/foreground.json
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import physconvex
 from models import locate_foreground
 from train import LabelledClip, dataset_checksum, read_clips
 
-RESULT = Path(__file__).parent.parent / "docs" / "results" / "foreground.json"
+RESULT = Path(__file__).parent.parent / "docs" / "results" / "data" / "foreground.json"
 POOR = 0.7
 
 

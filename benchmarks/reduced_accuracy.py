@@ -39,7 +39,6 @@ from physconvex.reduced import (
     ReducedScene,
     ReducedSpace,
     WeightField,
-    contact_weights,
     eigenmode_weights,
     elastic_weights,
     even_loads,
@@ -76,9 +75,8 @@ class Case:
     """One setting: body, E [Pa], ν, basis and number of weights, and what happens to the body.
 
     basis: elastic (vibrations and answers to forces where the floor touches, found by two roll-outs, the first one with
-    20 eigenmodes; on patches where nothing touches), eigenmodes, contact (a third of them eigenmodes, the others
-    answers to loads on patches), neural, predicted (by the bundled checkpoint from a film of the full motion, as many
-    as it has handles), snapshots, or paper. Elastic and contact weights are interpolated at nodes.
+    20 eigenmodes; on patches where nothing touches), eigenmodes, neural, predicted (by the bundled checkpoint from a
+    film of the full motion, as many as it has handles), snapshots, or paper. Elastic weights are interpolated at nodes.
     scene: "drop", or "release" (stretched, sheared, let go in free space).
     """
 
@@ -123,13 +121,8 @@ def cases(bodies: list[str]) -> Iterator[Case]:
             yield Case(body, modulus, ratio, "elastic", 30)
     for modulus, ratio in ((3e5, 0.3), (3e5, 0.45), (3e4, 0.3), (3e4, 0.45)):
         for body in bodies:
-            yield Case(body, modulus, ratio, "contact", 30)
-        for body in bodies:
-            for basis, count in (("eigenmodes", 10), ("contact", 30)):
-                yield Case(body, modulus, ratio, basis, count, "release")
-        for body in bodies:
-            yield Case(body, modulus, ratio, "contact", 60)
-    first = [("eigenmodes", 10), ("paper", 10), ("eigenmodes", 20), ("contact", 40)]
+            yield Case(body, modulus, ratio, "eigenmodes", 10, "release")
+    first = [("eigenmodes", 10), ("paper", 10), ("eigenmodes", 20)]
     rest = [("elastic", 10), ("neural", 10), ("eigenmodes", 40), ("eigenmodes", 4), ("snapshots", 10)]
     last = [("eigenmodes", m) for m in (8, 12)] + [
         (b, m) for b in ("elastic", "neural", "snapshots") for m in (4, 8, 12, 20, 40)
@@ -229,8 +222,7 @@ def reduced_scene(case: Case, mesh: TetMesh, study: Study) -> ReducedScene:
         rough = reduced_scene(replace(case, basis="eigenmodes", weights=20), mesh, study)
         return with_elastic_weights(rough, mesh, case.weights, **study.timing)
     samples = BodySamples.of_mesh(mesh)
-    interpolated = case.basis in ("contact", "elastic")
-    space = ReducedSpace(weights_of(case, mesh, study), samples, interpolated=interpolated)
+    space = ReducedSpace(weights_of(case, mesh, study), samples, interpolated=case.basis == "elastic")
     body = ReducedBody(space, youngs_modulus=case.youngs_modulus, poisson_ratio=case.poisson_ratio)
     if case.scene == "release":
         return ReducedScene(body, gravity=(0, 0, 0), initial_coordinates=space.affine(PULL, np.zeros(3)))
@@ -251,8 +243,6 @@ def weights_of(case: Case, mesh: TetMesh, study: Study) -> WeightField:
         return elastic_weights(ElasticBody(mesh), case.weights, even_loads(mesh, 20))
     if case.basis == "eigenmodes":
         return eigenmode_weights(ElasticBody(mesh), case.weights)
-    if case.basis == "contact":
-        return contact_weights(ElasticBody(mesh), case.weights - case.weights // 3, eigenmodes=case.weights // 3)
     if case.basis == "predicted":
         return weights_from_film(mesh, full_motion(case, mesh, study))
     if case.basis == "snapshots":

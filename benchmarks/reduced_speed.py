@@ -1,10 +1,8 @@
 """Cost of the reduced model's parts on one core, in float64.
 
 python benchmarks/reduced_speed.py
-python benchmarks/reduced_speed.py --candidates 1 16 64 256      (only these rows; --device cuda)
 
-Each setting is measured twice, with the arithmetic of plain numpy and with the compiled one. The rows that an earlier
-state of the code gave (`before` in the stored file) are kept beside the new ones.
+Each setting is measured twice, with the arithmetic of plain numpy and with the compiled one.
 """
 
 from __future__ import annotations
@@ -15,7 +13,6 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -27,17 +24,13 @@ from physconvex.kernels import KernelUnavailable
 from physconvex.mesh import box_mesh
 from physconvex.reduced import (
     BodySamples,
-    Candidates,
-    CandidateTrajectories,
     ReducedBody,
     ReducedScene,
     ReducedSpace,
     StepEquations,
     compiled_body as kernel,
     eigenmode_weights,
-    optimised_cubature,
     simulate,
-    simulate_candidates,
     simulate_with_sensitivities,
 )
 
@@ -52,7 +45,6 @@ class Row:
         weights: M.
         functions: R.
         cubature_points: Q.
-        cubature: "all" points of the tetrahedra, or "optimised".
         arithmetic: "plain" or "compiled".
         set_up: [s].
         energy_and_gradient, elastic_hessian: of the body [ms].
@@ -68,7 +60,6 @@ class Row:
     weights: int
     functions: int
     cubature_points: int
-    cubature: str
     arithmetic: str
     set_up: float
     energy_and_gradient: float
@@ -103,14 +94,10 @@ def newton_iteration(equations: StepEquations, y: np.ndarray, gradient: np.ndarr
     equations.evaluate(y - equations.solve(gradient))
 
 
-def measure(full: ElasticBody, count: int, points: int | None, arithmetic: str) -> Row:
-    """One number of weights, with all cubature points or so many optimised ones."""
+def measure(full: ElasticBody, count: int, arithmetic: str) -> Row:
+    """One number of weights."""
     clock = time.process_time()
-    samples = BodySamples.of_mesh(full.mesh)
-    space = ReducedSpace(eigenmode_weights(full, count), samples)
-    if points is not None:
-        chosen = optimised_cubature(ReducedBody(space), points, generator=np.random.default_rng(0))
-        space = ReducedSpace(space.field, replace(samples, interior=chosen))
+    space = ReducedSpace(eigenmode_weights(full, count), BodySamples.of_mesh(full.mesh))
     set_up = time.process_time() - clock
     body = ReducedBody(space, youngs_modulus=1e5)
     scene = ReducedScene(body, obstacles=(Plane(point=(0, 0, -0.1)),))
@@ -137,7 +124,6 @@ def measure(full: ElasticBody, count: int, points: int | None, arithmetic: str) 
         count,
         space.dimension,
         len(body.mu),
-        "all" if points is None else "optimised",
         arithmetic,
         set_up,
         part,
@@ -154,113 +140,18 @@ def measure(full: ElasticBody, count: int, points: int | None, arithmetic: str) 
     )
 
 
-@dataclass(frozen=True)
-class CandidateRow:
-    """So many candidates at once: 24 frames of 8 steps, M = 10, all 864 points, smooth floor.
-
-    Attributes:
-        device: "cpu" (one thread) or the name of the GPU.
-        candidates: B.
-        seconds: of the roll-out, processor time on the CPU, wall time on a GPU.
-        per_candidate: seconds over B.
-        alone: the same by `simulate`, one after the other, per candidate [s]; processor time.
-        newton_iterations, factorisations: mean over the candidates.
-        largest_difference: of the coordinates from those by `simulate` [m], over the first four candidates.
-    """
-
-    device: str
-    candidates: int
-    seconds: float
-    per_candidate: float
-    alone: float
-    newton_iterations: float
-    factorisations: float
-    largest_difference: float
-
-
-def measure_candidates(count: int, device: str) -> CandidateRow:
-    """One number of candidates: E from 10 kPa to 1 MPa, ν from .2 to .45."""
-    full = ElasticBody(box_mesh((0.3, 0.2, 0.2), (4, 3, 3)))
-    body = ReducedBody(ReducedSpace(eigenmode_weights(full, 10), BodySamples.of_mesh(full.mesh)))
-    scene = ReducedScene(body, obstacles=(Plane(point=(0, 0, -0.1)),))
-    rng = np.random.default_rng(0)
-    moduli, ratios = 10 ** rng.uniform(4, 6, count), rng.uniform(0.2, 0.45, count)
-    timing: dict[str, Any] = {"frames": 24, "steps_per_frame": 8}
-
-    def run() -> CandidateTrajectories:
-        found = simulate_candidates(scene, Candidates(moduli, ratios), device=device, **timing)
-        if device != "cpu":
-            torch.cuda.synchronize()
-        return found
-
-    if device != "cpu":
-        run()
-    clock, wall = time.process_time(), time.perf_counter()
-    found = run()
-    spent = time.process_time() - clock if device == "cpu" else time.perf_counter() - wall
-    some = list(zip(moduli[:4], ratios[:4], strict=True))
-    clock = time.process_time()
-    singles = [
-        simulate(replace(scene, body=body.with_material(youngs_modulus=e, poisson_ratio=nu)), **timing).coordinates
-        for e, nu in some
-    ]
-    alone = (time.process_time() - clock) / len(some)
-    difference = np.abs(found.coordinates[: len(some)].cpu().numpy() - np.stack(singles)).max()
-    return CandidateRow(
-        device if device == "cpu" else torch.cuda.get_device_name(),
-        count,
-        spent,
-        spent / count,
-        alone,
-        float(found.iterations.mean()),
-        float(found.factorisations.mean()),
-        float(difference),
-    )
-
-
-def store_candidates(counts: list[int], device: str) -> None:
-    """Measure and keep beside the other rows."""
-    for count in counts:
-        row = measure_candidates(count, device)
-        print(row, flush=True)
-        stored = json.loads(RESULT.read_text())
-        others = [r for r in stored.get("candidates", []) if (r["device"], r["candidates"]) != (row.device, count)]
-        stored["candidates"] = sorted([*others, asdict(row)], key=lambda r: (r["device"], r["candidates"]))
-        RESULT.write_text(json.dumps(stored, indent=1) + "\n")
-
-
 def main() -> None:
     """Run all settings and store the table."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--candidates", type=int, nargs="+", help="measure so many candidates at once, nothing else")
-    parser.add_argument("--device", default="cpu", help="of the candidates")
-    options = parser.parse_args()
+    argparse.ArgumentParser(description=__doc__.split("\n")[0]).parse_args()
     torch.set_num_threads(1)
-    if options.candidates:
-        store_candidates(options.candidates, options.device)
-        return
-    stored = json.loads(RESULT.read_text())
-    before = stored if isinstance(stored, list) else stored["before"]
     rows = []
-    for cells, count, points in (
-        ((4, 3, 3), 4, None),
-        ((4, 3, 3), 10, None),
-        ((4, 3, 3), 10, 300),
-        ((7, 3, 2), 10, None),
-        ((4, 3, 3), 20, None),
-        ((4, 3, 3), 20, 500),
-    ):
+    for cells, count in (((4, 3, 3), 4), ((4, 3, 3), 10), ((7, 3, 2), 10), ((4, 3, 3), 20)):
         body = ElasticBody(box_mesh((0.3, 0.2, 0.2), cells))
         with patch.object(kernel, "load_library", side_effect=KernelUnavailable("not wanted")):
-            rows.append(measure(body, count, points, "plain"))
-        rows.append(measure(body, count, points, "compiled"))
+            rows.append(measure(body, count, "plain"))
+        rows.append(measure(body, count, "compiled"))
         print(*rows[-2:], sep="\n", flush=True)
-    content = {
-        "command": "python benchmarks/reduced_speed.py",
-        "before": before,
-        "rows": [asdict(row) for row in rows],
-        "candidates": stored.get("candidates", []) if isinstance(stored, dict) else [],
-    }
+    content = {"command": "python benchmarks/reduced_speed.py", "rows": [asdict(row) for row in rows]}
     RESULT.write_text(json.dumps(content, indent=1) + "\n")
 
 

@@ -1,4 +1,4 @@
-"""Picture of docs/convex.md: a lobed body of triangular prisms, drawn by the rasteriser.
+"""Picture of docs/concepts/convex_field.md: a lobed body of triangular prisms, drawn by the rasteriser.
 
 python docs/figures/convex.py
 """

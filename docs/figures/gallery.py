@@ -19,7 +19,7 @@ import torch
 from physconvex.play import PlayedObject, RestSurface, frames_of, load_play_config, play, read_surface, summary_of
 
 TARGET = Path(__file__).parents[1] / "images" / "gallery.png"
-RESULT = Path(__file__).parents[1] / "results" / "gallery.json"
+RESULT = Path(__file__).parents[1] / "results" / "data" / "gallery.json"
 PRESETS = {
     "stiff": "E = 10 MPa, ν = 0.49",
     "soft": "E = 8 kPa, ν = 0.4",

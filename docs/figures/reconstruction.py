@@ -1,4 +1,4 @@
-"""Picture of docs/reconstruction.md: a held-out view of each reconstructed object: observed, rendered, difference.
+"""Picture of docs/results/convex_field.md: a held-out view of each object: observed, rendered, difference.
 
 The folders are what `benchmarks/reconstruction.py --work WORK` left: WORK/<object>-448-result.
 

@@ -1,4 +1,4 @@
-"""Draw `docs/images/reduced_accuracy.png` and print the tables of docs/reduced.md.
+"""Draw `docs/images/reduced_accuracy.png` and print the tables of docs/results/reduced_model.md.
 
 Run: python -m docs.figures.reduced_accuracy      (reads benchmarks/results/reduced_accuracy.json)
 """
@@ -20,7 +20,6 @@ RESULT = ROOT / "benchmarks" / "results" / "reduced_accuracy.json"
 TARGET = ROOT / "docs" / "images" / "reduced_accuracy.png"
 BASES = {
     "elastic": "#2b6ca3",
-    "contact": "#5aa469",
     "eigenmodes": "#d9772b",
     "snapshots": "#8b5fbf",
     "neural": "#b0413e",
@@ -98,7 +97,7 @@ def kinds(of: list[Row]) -> dict[tuple[str, int], list[Row]]:
 
 def signed(value: float, settled: bool) -> str:
     """With a star where the fit had not settled."""
-    return f"{value:+.3f}".replace("-", "−").replace("0.", ".", 1) + ("" if settled else "*")
+    return f"{value:+.3f}".replace("-", "−") + ("" if settled else "*")
 
 
 def summary(of: list[Row]) -> None:

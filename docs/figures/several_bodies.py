@@ -20,7 +20,7 @@ from docs.figures.gallery import knot
 from physconvex.play import RestSurface, frames_of, load_play_config, play_together, summary_of
 
 TARGET = Path(__file__).parents[1] / "images" / "several_bodies.png"
-RESULT = Path(__file__).parents[1] / "results" / "several_bodies.json"
+RESULT = Path(__file__).parents[1] / "results" / "data" / "several_bodies.json"
 COMMON = ("basis.modes=8", "basis.max_nodes=300", "object.drop_height=0.1", "time.frames=19")
 OBJECTS = {
     "box": ("object.size=0.6", "material.youngs_modulus=5.0e4", "object.drop_height=0.02"),

@@ -1,4 +1,4 @@
-"""Compute the numbers of docs/verification.md (docs/results/verification.json) and draw its figures.
+"""Compute the numbers of docs/results/physics.md (docs/results/data/verification.json) and draw its figures.
 
 Run from the root of the repository: python -m docs.figures.verification [--draw-only]
 """
@@ -20,7 +20,7 @@ from docs.figures.fem_cases import beams, contact, convergence, measured, tolera
 from docs.figures.verification_plots import draw_all
 
 DOCS = Path(__file__).parents[1]
-RESULT = DOCS / "results" / "verification.json"
+RESULT = DOCS / "results" / "data" / "verification.json"
 COMMAND = "python -m docs.figures.verification"
 
 

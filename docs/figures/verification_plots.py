@@ -1,4 +1,4 @@
-"""The figures of docs/verification.md, from the stored numbers."""
+"""The figures of docs/results/physics.md, from the stored numbers."""
 
 from __future__ import annotations
 

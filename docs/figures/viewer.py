@@ -1,4 +1,4 @@
-"""Picture of docs/convex.md: the viewer in a headless Chromium, showing the body of `convex.py`.
+"""Picture of docs/concepts/convex_field.md: the viewer in a headless Chromium, showing the body of `convex.py`.
 
 python docs/figures/viewer.py
 """

@@ -246,7 +246,7 @@ class Refinement:
         return self._value("poisson_ratio")
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the arrays of the motion; `docs/refine.md` describes each entry."""
+        """Everything but the arrays of the motion; docs/reference/refinement_files.md describes each entry."""
         names = [e.name for e in self.estimates]
         told = self.identifiability
         interval = None

@@ -96,7 +96,7 @@ class GapFindings:
         return out
 
     def to_json(self) -> dict[str, Any]:
-        """The content of report.json (docs/gap.md has the schema)."""
+        """The content of report.json (schema: docs/reference/diagnosis_files.md)."""
         main = self.how_far[0]
         return {
             "format": "physconvex gap report",
