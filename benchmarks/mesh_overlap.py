@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from data_gen import Motion, ObjectMesh, load_user_mesh, objects_from_folder, placed, rolled, scene_of
+from data_gen import BenchmarkMotion, ObjectMesh, load_user_mesh, objects_from_folder, placed, rolled, scene_of
 from physconvex import ConvergenceError
 from physconvex.mesh import Embedding, TetMesh, merged, overlap, tetrahedralize
 
@@ -76,7 +76,7 @@ def dropped(body: ObjectMesh) -> dict[str, list[float]]:
     for way in WAYS:
         for nodes in NODES:
             mesh = meshed(body, way, nodes)
-            nodal = rolled(scene_of(mesh, TRUTH, body, Motion()), FRAMES, FPS, STEPS)
+            nodal = rolled(scene_of(mesh, TRUTH, body, BenchmarkMotion()), FRAMES, FPS, STEPS)
             moved[f"{way} {nodes}"] = Embedding.of_points(mesh, body.vertices[chosen]).apply(nodal)
             print(f"  {way} {nodes}: {len(mesh.vertices)} nodes", file=sys.stderr, flush=True)
     return {

@@ -16,7 +16,7 @@ import json
 import shlex
 import tempfile
 import time
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +63,7 @@ def measure(root: Path, case: int) -> Row:
         film(folder, case)
     truth = json.loads((folder / "truth.json").read_text())
     clock = time.process_time()
-    found = refine(folder, out=root / f"refined_{case:03d}", options=replace(OPTIONS, field=False))
+    found = refine(folder, out=root / f"refined_{case:03d}", options=OPTIONS.replace(field=False))
     return row_of(case, truth, found, time.process_time() - clock)
 
 

@@ -1,5 +1,11 @@
-from .benchmark import BenchmarkOptions as BenchmarkOptions, drop_object as drop_object
-from .benchmark_scenes import Motion as Motion, placed as placed, rolled as rolled, scene_of as scene_of
+from .benchmark import drop_object as drop_object, generate_benchmark as generate_benchmark
+from .benchmark_scenes import (
+    BenchmarkMotion as BenchmarkMotion,
+    BenchmarkOptions as BenchmarkOptions,
+    placed as placed,
+    rolled as rolled,
+    scene_of as scene_of,
+)
 from .blind.bank import (
     COMMITMENT as COMMITMENT,
     DICTIONARY as DICTIONARY,

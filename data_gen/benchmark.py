@@ -14,22 +14,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 import trimesh
 from jaxtyping import Float
+from pydantic import JsonValue
 
 from data_gen.benchmark_scenes import (
     DENSITY,
     FRICTION,
-    MOTIONS,
-    Motion,
-    MotionName,
-    motion_of,
+    BenchmarkMotion,
+    BenchmarkOptions,
+    draw_motion,
     placed,
     rolled,
     scene_of,
@@ -45,64 +44,10 @@ from physconvex.io import Camera, Capture, Floor, save_capture, write_video
 from physconvex.mesh import Embedding, TetMesh, enclosed_volume, filled, overlap, tetrahedralize
 from physconvex.reconstruction import psnr, structural_similarity
 
-__all__ = ["BenchmarkOptions", "drop_object", "generate_benchmark"]
+__all__ = ["drop_object", "generate_benchmark"]
 
 POINTS = 300
 BENCHMARK = "benchmark.json"
-
-
-@dataclass(frozen=True)
-class BenchmarkOptions:
-    """Sizes of the benchmark; the defaults are those of the issue's tables.
-
-    Attributes:
-        count: number of objects.
-        names: of the objects' folders; None: evenly spread over the alphabet.
-        size: of the square images [pixels].
-        views: cameras around.
-        observed_views: those of them that the capture holds, evenly spread from the front camera on.
-        frames, observed_frames, fps: of the motion.
-        nodes: most nodes of the truth's quadratic mesh.
-        fill: whether its elements count as far as the body fills them, see `physconvex.fem.filled`.
-        steps_per_frame: of the truth.
-        checked: state what half the nodes and half the steps change.
-        seed: of everything random.
-        log10_modulus, poisson_ratio, damping_time: ranges [log10 Pa], [-], [s, log-uniform].
-        object_size: largest edge [m].
-        motion: "drop": let fall on a rough floor; "toss": thrown up spinning, without a floor.
-    """
-
-    count: int = 12
-    names: tuple[str, ...] | None = None
-    size: int = 448
-    views: int = 12
-    frames: int = 24
-    observed_frames: int = 16
-    fps: float = 24.0
-    nodes: int = 2500
-    fill: bool = True
-    steps_per_frame: int = 32
-    checked: bool = True
-    seed: int = 0
-    log10_modulus: tuple[float, float] = (4.0, 7.0)
-    poisson_ratio: tuple[float, float] = (0.2, 0.49)
-    damping_time: tuple[float, float] = (5e-4, 2e-3)
-    object_size: float = 1.0
-    motion: MotionName = "drop"
-    observed_views: int = 1
-
-    def __post_init__(self) -> None:
-        least = {"count": 1, "size": 64, "views": 2, "observed_views": 1, "observed_frames": 2}
-        least |= {"nodes": 50, "steps_per_frame": 1}
-        for name, bound in least.items():
-            if getattr(self, name) < bound:
-                raise InputError(f"{name}: got {getattr(self, name)}; expected at least {bound}")
-        if self.motion not in MOTIONS:
-            raise InputError(f"motion: got {self.motion!r}; expected one of {', '.join(MOTIONS)}")
-        for name, most in (("frames", self.frames), ("views", self.views)):
-            if getattr(self, f"observed_{name}") > most:
-                got = getattr(self, f"observed_{name}")
-                raise InputError(f"observed_{name}: got {got}; expected at most {name} = {most}")
 
 
 def generate_benchmark(
@@ -133,7 +78,7 @@ def generate_benchmark(
     unknown = sorted(set(only or ()) - set(paths))
     if unknown:
         raise InputError(f"only: {', '.join(unknown)}: not in the benchmark; expected some of {', '.join(paths)}")
-    claim = {"options": _plain(options), "objects": list(paths), "version": __version__}
+    claim = {"options": options.to_json(), "objects": list(paths), "version": __version__}
     out.mkdir(parents=True, exist_ok=True)
     held = out / BENCHMARK
     if held.exists() and json.loads(held.read_text(encoding="utf-8")) != claim:
@@ -166,7 +111,7 @@ def drop_object(
     """
     kept = folder.parent / f"{folder.name}_motion.npz"
     if not kept.exists():
-        take = _Take(placed(load_user_mesh(mesh), options.object_size, rng), truth, Motion(), options)
+        take = _Take(placed(load_user_mesh(mesh), options.object_size, rng), truth, BenchmarkMotion(), options)
         grid = take.mesh()
         moved = take.moved(take.surface(grid), take.scene(grid))
         camera = take.cameras(moved)[0]
@@ -174,10 +119,6 @@ def drop_object(
         np.savez_compressed(kept, moved=moved)
     with np.load(kept, allow_pickle=False) as archive:
         return folder, archive["moved"]
-
-
-def _plain(options: BenchmarkOptions) -> Any:
-    return json.loads(json.dumps(asdict(options)))
 
 
 def _chosen(folder: Path, options: BenchmarkOptions) -> dict[str, Path]:
@@ -201,7 +142,7 @@ def _make(out: Path, name: str, path: Path, options: BenchmarkOptions, rng: np.r
         "poisson_ratio": float(rng.uniform(*options.poisson_ratio)),
         "damping_time": float(np.exp(rng.uniform(*np.log(options.damping_time)))),
     }
-    motion = motion_of(options.motion, (options.frames - 1) / options.fps, rng)
+    motion = draw_motion(options.motion, (options.frames - 1) / options.fps, rng)
     take = _Take(body, truth, motion, options)
     mesh = take.mesh()
     scene = take.scene(mesh)
@@ -215,7 +156,7 @@ def _make(out: Path, name: str, path: Path, options: BenchmarkOptions, rng: np.r
         arrays[f"positions_{change}"] = take.moved(surface, changed(scene, change))[:, chosen]
     folder = out / "truth" / name
     np.savez_compressed(folder / "points.npz", **arrays)  # type: ignore[arg-type]
-    stated = {**truth, "density": DENSITY, "nodes": len(mesh.vertices), "licence": body.licence}
+    stated: dict[str, JsonValue] = {**truth, "density": DENSITY, "nodes": len(mesh.vertices), "licence": body.licence}
     if enclosed_volume(body.vertices, body.faces) is not None:
         stated["overlap"] = overlap(mesh, body.vertices, body.faces)
     stated |= {"friction": FRICTION} if motion.floor else {}
@@ -230,7 +171,7 @@ class _Take:
 
     body: ObjectMesh
     truth: dict[str, float]
-    motion: Motion
+    motion: BenchmarkMotion
     options: BenchmarkOptions
 
     def mesh(self, share: float = 1.0) -> TetMesh:
@@ -269,13 +210,13 @@ class _Take:
 
     def errors(
         self, mesh: TetMesh, moved: Float[np.ndarray, "T V 3"], camera: Camera, seen: np.ndarray
-    ) -> dict[str, Any]:
+    ) -> dict[str, JsonValue]:
         """How far the truth is from itself with half the steps and with half the nodes, by frame.
 
         Rms distance [m] of the surface, and PSNR [dB] and SSIM of the pictures `seen` by a camera: what nobody can
         exceed by much who does not have this very mesh.
         """
-        out: dict[str, Any] = {}
+        out: dict[str, JsonValue] = {}
         for label, grid, share in (("half_steps", mesh, 0.5), ("half_nodes", self.mesh(0.5), 1.0)):
             other = self.moved(self.surface(grid), self.scene(grid), share=share)
             out[f"rms_to_{label}_m"] = np.sqrt(np.square(other - moved).sum(-1).mean(-1)).tolist()

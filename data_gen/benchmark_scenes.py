@@ -1,32 +1,94 @@
-"""What the objects of the benchmark do: fall on a rough floor, or are tossed up spinning and touch nothing."""
+"""The benchmark's sizes, and what its objects do: fall on a rough floor, or are tossed up and touch nothing."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal, Self, get_args
 
 import numpy as np
 from jaxtyping import Float
+from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from data_gen.objects.library import ObjectMesh
 from physconvex import InputError
 from physconvex.dynamics import Plane
 from physconvex.fem import ElasticBody, Scene, SurfacePoints, simulate
+from physconvex.io import CommandLine, Options
 from physconvex.mesh import TetMesh
 
-__all__ = ["DENSITY", "FRICTION", "MOTIONS", "Motion", "MotionName", "motion_of", "placed", "rolled", "scene_of"]
+__all__ = [
+    "DENSITY",
+    "FRICTION",
+    "BenchmarkMotion",
+    "BenchmarkOptions",
+    "MotionName",
+    "draw_motion",
+    "placed",
+    "rolled",
+    "scene_of",
+]
 
 DENSITY, FRICTION, HEIGHT = 1000.0, 0.4, 0.25  # kg/m³; coefficient; of the drop, in sizes
 GRAVITY = 9.81  # m/s²
 SPIN, ASKEW_DEG = (3.0, 5.0), 20.0  # rad/s; of the axis of a toss from the line of sight of the front camera, at most
 
 MotionName = Literal["drop", "toss"]
-MOTIONS: tuple[MotionName, ...] = ("drop", "toss")
+
+
+class BenchmarkOptions(Options):
+    """Sizes of the benchmark; the defaults are those of the paper's tables."""
+
+    count: Annotated[int, Field(ge=1)] = 12
+    """Number of objects."""
+    names: Annotated[tuple[str, ...] | None, CommandLine("--name")] = None
+    """Take this object, by the name of its folder; repeatable. Default: evenly spread over the alphabet."""
+    size: Annotated[int, Field(ge=64)] = 448
+    """Width and height of the images [pixels]."""
+    views: Annotated[int, Field(ge=2)] = 12
+    """Cameras around."""
+    observed_views: Annotated[int, Field(ge=1)] = 1
+    """Those that a capture holds, evenly spread; 1: the front camera alone."""
+    motion: MotionName = "drop"
+    """drop (on a rough floor) or toss (up, spinning, without a floor)."""
+    frames: Annotated[int, Field(ge=2)] = 24
+    """Frames."""
+    observed_frames: Annotated[int, Field(ge=2)] = 16
+    """Frames that may be fitted."""
+    fps: Annotated[float, Field(ge=1)] = 24.0
+    """Frames per second."""
+    nodes: Annotated[int, Field(ge=50)] = 2500
+    """Most nodes of the truth's quadratic mesh."""
+    fill: bool = True
+    """Let its elements count as far as the body fills them."""
+    steps_per_frame: Annotated[int, Field(ge=1)] = 32
+    """Time steps of the truth per frame."""
+    checked: Annotated[bool, CommandLine("--check/--no-check")] = True
+    """State what half the nodes and half the steps change."""
+    log10_modulus: Annotated[tuple[float, float], CommandLine("--modulus")] = (4.0, 7.0)
+    """Range of log10 E [log10 Pa]."""
+    poisson_ratio: Annotated[tuple[float, float], CommandLine(hidden=True)] = (0.2, 0.49)
+    """Range of ν."""
+    damping_time: Annotated[tuple[float, float], CommandLine(hidden=True)] = (5e-4, 2e-3)
+    """Range [s], log-uniform."""
+    object_size: Annotated[float, CommandLine(hidden=True)] = 1.0
+    """Largest edge [m]."""
+    seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of everything random."""
+
+    @model_validator(mode="after")
+    def _within(self) -> Self:
+        for name, got, most in (
+            ("frames", self.observed_frames, self.frames),
+            ("views", self.observed_views, self.views),
+        ):
+            if got > most:
+                raise InputError(f"observed_{name}: got {got}; expected at most {name} = {most}")
+        return self
 
 
 @dataclass(frozen=True)
-class Motion:
+class BenchmarkMotion:
     """How an object starts, and whether there is a floor.
 
     Attributes:
@@ -40,23 +102,24 @@ class Motion:
     floor: bool = True
 
 
-def motion_of(name: MotionName, duration: float, rng: np.random.Generator) -> Motion:
+def draw_motion(name: MotionName, duration: float, rng: np.random.Generator) -> BenchmarkMotion:
     """Draw a motion; that of a drop is always the same, and draws nothing.
 
     A toss is back at its height after `duration` [s]. Its spin, about nearly the line of sight of the front camera,
     which looks along −x, pulls the body apart, so that it vibrates; it says nothing of the material.
 
+
     Raises:
         InputError: an unknown name.
     """
-    if name not in MOTIONS:
-        raise InputError(f"motion: got {name!r}; expected one of {', '.join(MOTIONS)}")
+    if name not in get_args(MotionName):
+        raise InputError(f"motion: got {name!r}; expected one of {', '.join(get_args(MotionName))}")
     if name == "drop":
-        return Motion()
+        return BenchmarkMotion()
     rate, askew, about = rng.uniform(*SPIN), np.radians(rng.uniform(0, ASKEW_DEG)), rng.uniform(0, 2 * np.pi)
     axis = np.array([np.cos(askew), np.sin(askew) * np.cos(about), np.sin(askew) * np.sin(about)])
     x, y, z = (float(v) for v in rng.choice([-1, 1]) * rate * axis)
-    return Motion((0.0, 0.0, 0.5 * GRAVITY * duration), (x, y, z), floor=False)
+    return BenchmarkMotion((0.0, 0.0, 0.5 * GRAVITY * duration), (x, y, z), floor=False)
 
 
 def placed(body: ObjectMesh, size: float, rng: np.random.Generator) -> ObjectMesh:
@@ -72,7 +135,7 @@ def placed(body: ObjectMesh, size: float, rng: np.random.Generator) -> ObjectMes
     )  # fmt: skip
 
 
-def scene_of(mesh: TetMesh, truth: dict[str, float], shown: ObjectMesh, motion: Motion) -> Scene:
+def scene_of(mesh: TetMesh, truth: dict[str, float], shown: ObjectMesh, motion: BenchmarkMotion) -> Scene:
     """The scene of a body with `truth`'s youngs_modulus [Pa], poisson_ratio and damping_time [s].
 
     The floor acts on the surface that is shown, since the mesh's own cuts its corners.

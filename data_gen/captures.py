@@ -10,12 +10,13 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 import trimesh
 from jaxtyping import Float
 from PIL import Image
+from pydantic import Field, JsonValue
 
 from data_gen.config import GeneratorConfig, uniform
 from data_gen.dataset import write_claim
@@ -31,7 +32,7 @@ from data_gen.generate import (
 )
 from data_gen.scene import LOOK, Drop, Look, draw_look, random_stream, surface_of
 from physconvex import InputError, __version__
-from physconvex.io import Capture, Floor, Tracks, save_capture
+from physconvex.io import Capture, Floor, Options, Tracks, save_capture
 from physconvex.mesh import TetMesh, compact
 
 __all__ = ["CaptureTask", "RingOptions", "capture_folder", "generate_captures", "make_capture", "ring_of_looks"]
@@ -40,25 +41,15 @@ __all__ = ["CaptureTask", "RingOptions", "capture_folder", "generate_captures", 
 _RING, _TRACKS = 20_000, 20_001
 
 
-@dataclass(frozen=True)
-class RingOptions:
-    """What a capture holds besides the videos.
-
-    Attributes:
-        observed_frames: frames that may be fitted; None: two thirds of all.
-        markers: number of tracked surface points; 0: no `tracks.npz`.
-        marker_noise: standard deviation of each tracked coordinate [m].
-    """
+class RingOptions(Options):
+    """What a capture holds besides the videos."""
 
     observed_frames: int | None = None
-    markers: int = 0
-    marker_noise: float = 1e-3
-
-    def __post_init__(self) -> None:
-        if self.markers < 0:
-            raise InputError(f"markers: got {self.markers}; expected at least 0")
-        if not self.marker_noise > 0:
-            raise InputError(f"marker_noise: got {self.marker_noise}; expected a positive length in metres")
+    """Frames that may be fitted. Default: two thirds of all."""
+    markers: Annotated[int, Field(ge=0)] = 0
+    """Tracked surface points; 0 leaves out tracks.npz."""
+    marker_noise: Annotated[float, Field(gt=0)] = 1e-3
+    """Standard deviation of tracked coordinates [m]."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +161,7 @@ def _tracks(task: CaptureTask, success: SuccessfulDrop) -> Tracks:
     return Tracks(rest=rest, positions=positions, sigma=np.full(positions.shape[:2], options.marker_noise))
 
 
-def _truth(task: CaptureTask, success: SuccessfulDrop) -> dict[str, Any]:
+def _truth(task: CaptureTask, success: SuccessfulDrop) -> dict[str, JsonValue]:
     drop = success.drop
     return {
         "youngs_modulus": drop.youngs_modulus,
@@ -215,7 +206,7 @@ def generate_captures(
         raise InputError(
             f"observed_frames: got {options.observed_frames}; expected 1 to {frames}, the frames there are"
         )
-    configuration = config.model_dump(mode="json") | {"capture": asdict(options)}
+    configuration = config.model_dump(mode="json") | {"capture": options.to_json()}
     write_claim(root, {"seed": seed, "configuration": configuration, "generator_version": __version__})
     todo = [n for n in range(count) if not capture_folder(root, n).is_dir()]
     tasks = [CaptureTask(root.resolve(), config, seed, n, options) for n in todo]

@@ -10,10 +10,12 @@ from typing import Annotated
 import typer
 from tqdm import tqdm
 
+from data_gen.benchmark_scenes import BenchmarkOptions
 from data_gen.captures import RingOptions, generate_captures
 from data_gen.config import GeneratorConfig, load_config
 from data_gen.engines import EngineName
 from data_gen.generate import GenerationSummary, TaskReport, generate_dataset
+from physconvex.io import command
 
 __all__ = ["app"]
 
@@ -60,16 +62,14 @@ def dataset(
 
 
 @app.command("captures")
-def captures(
+@command
+def captures_command(
+    *,
     out: Out,
     count: Annotated[int, typer.Option(min=1, help="Number of captures; each has `camera.views` cameras.")] = 10,
     config: Config = "captures",
     seed: Seed = 0,
-    markers: Annotated[int, typer.Option(min=0, help="Tracked surface points; 0 leaves out tracks.npz.")] = 0,
-    marker_noise: Annotated[float, typer.Option(help="Standard deviation of tracked coordinates [m].")] = 1e-3,
-    observed_frames: Annotated[
-        int | None, typer.Option(help="Frames that may be fitted. Default: two thirds of all.")
-    ] = None,
+    options: RingOptions,
     workers: Workers = 2,
     engine: Engine = "local",
     objects: Objects = None,
@@ -78,7 +78,6 @@ def captures(
 ) -> None:
     """Simulate drops and film each with a ring of cameras: videos, masks, rest mesh, tetrahedra, tracks, truth."""
     resolved = _resolved(config, settings, objects)
-    options = RingOptions(observed_frames=observed_frames, markers=markers, marker_noise=marker_noise)
     with _advancing(count, "capture", progress) as advance:
         summary = generate_captures(
             out,
@@ -119,44 +118,22 @@ def falls(
 
 
 @app.command("benchmark")
-def benchmark(
+@command
+def benchmark_command(
+    *,
     objects: Annotated[Path, typer.Option(help="Folder of folders, each with a textured mesh.")],
     out: Out,
-    count: Annotated[int, typer.Option(min=1, help="Number of objects.")] = 12,
-    name: Annotated[
-        list[str] | None, typer.Option(help="Take this object; repeatable. Default: evenly spread.")
-    ] = None,
     only: Annotated[
         list[str] | None, typer.Option(help="Of these objects, make this one now; repeatable. Default: all.")
     ] = None,
-    size: Annotated[int, typer.Option(min=64, help="Width and height of the images [pixels].")] = 448,
-    views: Annotated[int, typer.Option(min=2, help="Cameras around.")] = 12,
-    observed_views: Annotated[
-        int, typer.Option(min=1, help="Those that a capture holds, evenly spread; 1: the front camera alone.")
-    ] = 1,
-    motion: Annotated[
-        str, typer.Option(help="drop (on a rough floor) or toss (up, spinning, without a floor).")
-    ] = "drop",
-    frames: Annotated[int, typer.Option(min=2, help="Frames.")] = 24,
-    observed_frames: Annotated[int, typer.Option(min=2, help="Frames that may be fitted.")] = 16,
-    fps: Annotated[float, typer.Option(min=1.0, help="Frames per second.")] = 24.0,
-    nodes: Annotated[int, typer.Option(min=50, help="Most nodes of the truth's mesh.")] = 2500,
-    fill: Annotated[bool, typer.Option(help="Let its elements count as far as the body fills them.")] = True,
-    steps_per_frame: Annotated[int, typer.Option(min=1, help="Time steps of the truth per frame.")] = 32,
-    check: Annotated[bool, typer.Option(help="State what half the nodes and half the steps change.")] = True,
-    modulus: Annotated[tuple[float, float], typer.Option(help="Range of log10 E [log10 Pa].")] = (4.0, 7.0),
-    seed: Seed = 0,
+    options: BenchmarkOptions,
     progress: Progress = True,
 ) -> None:
     """Drop or toss textured objects in the FEM and film them, truth apart, for `physconvex evaluate paper`."""
-    from data_gen.benchmark import BenchmarkOptions, generate_benchmark
+    from data_gen.benchmark import generate_benchmark
 
-    options = BenchmarkOptions(
-        count, tuple(name) if name else None, size, views, frames, observed_frames, fps, nodes=nodes, fill=fill,
-        steps_per_frame=steps_per_frame, checked=check, seed=seed, log10_modulus=modulus, motion=motion,  # type: ignore[arg-type]
-        observed_views=observed_views,
-    )  # fmt: skip
-    with tqdm(total=len(only or name or ()) or count, unit="object", disable=not progress) as bar:
+    total = len(only or options.names or ()) or options.count
+    with tqdm(total=total, unit="object", disable=not progress) as bar:
         made = generate_benchmark(objects, out, options, only=only, on_object=lambda _: bar.update())
     typer.echo(f"{out}: {len(made)} objects: {', '.join(made)}")
 

@@ -13,7 +13,8 @@ from .falls.world import Falls as Falls, simulate_falls as simulate_falls
 from .loop import train_predictor as train_predictor
 from .losses import smoothed_target as smoothed_target
 from .metrics import constant_mae as constant_mae
-from .paper.evaluation import PaperOptions as PaperOptions, evaluate_paper as evaluate_paper
+from .paper.evaluation import evaluate_paper as evaluate_paper
+from .paper.options import PaperOptions as PaperOptions
 from .reconstruction_coverage import Coverage as Coverage, measure_coverage as measure_coverage
 from .records import (
     LabelledClip as LabelledClip,

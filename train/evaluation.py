@@ -9,13 +9,13 @@ import typer
 from tqdm import tqdm
 
 from train.blind.command import app as gap_app
-from train.paper.command import paper
+from train.paper.command import paper_command
 
 __all__ = ["app"]
 
 app = typer.Typer(no_args_is_help=True, help=__doc__)
 app.add_typer(gap_app, name="gap")
-app.command()(paper)
+app.command("paper")(paper_command)
 
 Data = Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")]
 Out = Annotated[Path, typer.Option(help="Folder of the results (JSON and figure).")]

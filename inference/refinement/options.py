@@ -2,120 +2,132 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator
 
 from physconvex import InputError
 from physconvex.identify import Nuisance
+from physconvex.io import CommandLine, Options
 
 __all__ = ["RefineOptions"]
 
+_UNKNOWN, _MODEL, _RESULT = (CommandLine(panel=name) for name in ("Unknowns", "Models", "Results"))
+_SEEN = CommandLine(panel="What was observed")
+_NEED_VALUE = ("log10_youngs_modulus", "poisson_ratio")  # no capture states them
 
-@dataclass(frozen=True)
-class RefineOptions:
-    """Settings of `refine`.
 
-    Attributes:
-        observations: "auto" takes marker tracks where there are some, else videos; "tracks", "video" or "both".
-        cameras: names of the cameras that are used; None: all.
-        weights: number of skinning weights M of the reduced model.
-        max_nodes: most nodes of the quadratic mesh of both models.
-        fine_nodes: most nodes of that of the last searches, where the body strikes something and its mesh is made of
-            the surface; none is made with `max_nodes` or fewer. None: as many as its stiffness allows, see
-            `inference.refinement.meshes.fine_mesh`.
-        steps_per_frame: time steps per frame; None: at least 384 per second.
-        fill: whether mass and energy of a mesh that is made of the surface are those of the surface's inside, see
-            `physconvex.fem.filled`.
-        free: parameters beyond E, ν, the damping time and what the capture does not state of the initial motion.
-        fixed: parameters that stay, with their values; None: as the capture has it (E and ν need a value).
-        priors: mean and standard deviation by parameter.
-        initial: values to start at, by name, such as log10_youngs_modulus; with E among them nothing is scanned.
-        start: where the scan looks: "predict" around the network's prediction (videos), "scan" everywhere, "auto"
-            closely around the prediction and coarsely everywhere else.
-        correction: remove the reduced model's error with runs of the full one.
-        full_runs: most states (with `jacobian` "reduced": most runs) of the full model that the correction tries.
-        jacobian: of the correction: "full", the full model's own derivatives, or "reduced", the reduced model's.
-        model_error: runs with a finer mesh and a shorter step, whose difference is added, and the error left stated.
-        drift: from the first contact on, let the recording drift from the model by a rigid motion, where that is
-            likelier (with the full model's derivatives).
-        outlines: use the masks of videos.
-        colours: last, compare colours instead of points followed in videos.
-        exposure: gain and offset of each frame's colours are free.
-        nuisance: priors of camera pose and time offset; none is free unless given.
-        field: fit a convex field to the first images, and bind it to the body.
-        field_file: a field (PLY) of the body at rest, in the place of that.
-        field_budget, field_steps: most convexes, and steps of their fit.
-        checkpoint: of the network.
-        device: torch device of the network and of the field's fit, such as "cpu" or "cuda". Everything else is the
-            processor's.
-        processes: in which what is wanted together is made. Results depend on it by rounding alone. With more than one,
-            a script that calls `refine` needs `if __name__ == "__main__"`, as for all of Python's worker processes.
-    """
+def _number(text: str, value: str, form: str) -> float:
+    try:
+        return float(value)
+    except ValueError:
+        raise InputError(f"got {text!r}; expected {form} with numbers") from None
 
-    observations: Literal["auto", "tracks", "video", "both"] = "auto"
-    cameras: tuple[str, ...] | None = None
-    weights: int = 20
-    max_nodes: int = 500
-    fine_nodes: int | None = None
-    steps_per_frame: int | None = None
-    fill: bool = True
-    free: tuple[str, ...] = ()
-    fixed: Mapping[str, float | None] = dataclasses.field(default_factory=dict)
-    priors: Mapping[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
-    initial: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    start: Literal["auto", "predict", "scan"] = "auto"
-    correction: bool = True
-    full_runs: int = 8
-    jacobian: Literal["full", "reduced"] = "full"
-    model_error: bool = True
-    drift: bool = True
-    outlines: bool = True
-    colours: bool = True
-    exposure: bool = True
-    nuisance: Nuisance = dataclasses.field(default_factory=Nuisance)
-    field: bool = True
-    field_file: str | None = None
-    field_budget: int = 6000
-    field_steps: int = 150
-    checkpoint: str = "default"
-    device: str = "cpu"
-    processes: int = 1
 
-    def __post_init__(self) -> None:
-        choices = {
-            "observations": ("auto", "tracks", "video", "both"),
-            "start": ("auto", "predict", "scan"),
-            "jacobian": ("full", "reduced"),
-        }
-        for name, allowed in choices.items():
-            if getattr(self, name) not in allowed:
-                raise InputError(f"{name}: got {getattr(self, name)!r}; expected one of {', '.join(allowed)}")
-        for name, least in {
-            "weights": 1,
-            "max_nodes": 30,
-            "fine_nodes": 0,
-            "full_runs": 1,
-            "field_budget": 50,
-            "field_steps": 1,
-        }.items():
-            if getattr(self, name) is not None and getattr(self, name) < least:
-                raise InputError(f"{name}: got {getattr(self, name)}; expected at least {least}")
-        for name in ("log10_youngs_modulus", "poisson_ratio"):
-            if name in self.fixed and self.fixed[name] is None:
+def _value(text: str) -> tuple[str, float]:
+    name, _, value = text.partition("=")
+    return name, _number(text, value, "NAME=VALUE")
+
+
+def _held(text: str) -> tuple[str, float | None]:
+    return _value(text) if "=" in text else (text, None)
+
+
+def _prior(text: str) -> tuple[str, tuple[float, float]]:
+    name, _, values = text.partition("=")
+    parts: Sequence[str] = values.split(",")
+    if len(parts) != 2:
+        raise InputError(f"prior: got {text!r}; expected NAME=MEAN,SIGMA")
+    return name, (_number(text, parts[0], "NAME=MEAN,SIGMA"), _number(text, parts[1], "NAME=MEAN,SIGMA"))
+
+
+class RefineOptions(Options):
+    """Settings of `refine`."""
+
+    observations: Annotated[Literal["auto", "tracks", "video", "both"], _SEEN] = "auto"
+    """What is fitted; auto takes marker tracks where there are some, else videos."""
+    cameras: Annotated[tuple[str, ...] | None, CommandLine("--camera", panel=_SEEN.panel)] = None
+    """Use this camera alone; repeatable. Default: all."""
+    outlines: Annotated[bool, _SEEN] = True
+    """Use the masks of videos."""
+    colours: Annotated[bool, _SEEN] = True
+    """Last, compare colours instead of points followed in videos."""
+    exposure: Annotated[bool, _SEEN] = True
+    """Gain and offset of each frame's colours are free."""
+    nuisance: Nuisance = Field(default_factory=Nuisance)
+    """Priors of camera pose and time offset; none is free unless given."""
+
+    free: Annotated[tuple[str, ...], _UNKNOWN] = ()
+    """Free a parameter, as friction, air_drag, initial_velocity_z; repeatable."""
+    fixed: Annotated[Mapping[str, float | None], CommandLine("--fix", panel=_UNKNOWN.panel, parse=_held)] = Field(
+        default_factory=dict
+    )
+    """Hold a parameter: NAME (as the capture has it), or NAME=VALUE, as damping_time=0; repeatable."""
+    priors: Annotated[Mapping[str, tuple[float, float]], CommandLine("--prior", panel=_UNKNOWN.panel, parse=_prior)] = (
+        Field(default_factory=dict)
+    )
+    """Gaussian prior NAME=MEAN,SIGMA, as poisson_ratio=0.49,0.005; repeatable."""
+    initial: Annotated[Mapping[str, float], CommandLine(panel=_UNKNOWN.panel, parse=_value)] = Field(
+        default_factory=dict
+    )
+    """Start at NAME=VALUE, as log10_youngs_modulus=5.2, and do not scan; repeatable."""
+    start: Annotated[Literal["auto", "predict", "scan"], _UNKNOWN] = "auto"
+    """Where the scan looks: predict (around the network's prediction), scan (everywhere), auto (closely around the
+    prediction and coarsely everywhere else)."""
+    checkpoint: Annotated[str, _UNKNOWN] = "default"
+    """Name or folder of the network's checkpoint."""
+
+    weights: Annotated[int, Field(ge=1), _MODEL] = 20
+    """Number of skinning weights of the result."""
+    max_nodes: Annotated[int, Field(ge=30), _MODEL] = 500
+    """Most nodes of the quadratic mesh of both models."""
+    fine_nodes: Annotated[int | None, Field(ge=0), _MODEL] = None
+    """Most nodes of the mesh of the last searches, of a body that strikes something and whose mesh is made of its
+    surface; max_nodes or fewer: no other mesh; default: 2400, of a soft body 1400."""
+    steps_per_frame: Annotated[int | None, Field(ge=1), _MODEL] = None
+    """Time steps per frame. Default: 384 per second; by the body's waves where it strikes something."""
+    fill: Annotated[bool, _MODEL] = True
+    """Let mass and energy of a mesh made of the surface be those of the surface's inside."""
+    correction: Annotated[bool, _MODEL] = True
+    """Remove the reduced model's error with the full model."""
+    full_runs: Annotated[int, Field(ge=1), _MODEL] = 8
+    """Most states of the full model that the correction tries."""
+    jacobian: Annotated[Literal["full", "reduced"], _MODEL] = "full"
+    """Derivatives of the correction: of the full or reduced model."""
+    model_error: Annotated[bool, _MODEL] = True
+    """Fit a finer model, and state the error that is left."""
+    drift: Annotated[bool, _MODEL] = True
+    """Let the recording drift from the model as a rigid body after a contact, where that is likelier."""
+
+    field: Annotated[bool, _RESULT] = True
+    """Fit a convex field to the first images and bind it to the body."""
+    field_file: Annotated[str | None, _RESULT] = None
+    """A field (PLY) of the body at rest, in place of that."""
+    field_budget: Annotated[int, Field(ge=50), CommandLine(hidden=True)] = 6000
+    """Most convexes of the field."""
+    field_steps: Annotated[int, Field(ge=1), _RESULT] = 150
+    """Steps of the field's fit."""
+    device: Annotated[str, _RESULT] = "cpu"
+    """Torch device of the network and the field's fit, such as cpu or cuda. Everything else is the processor's."""
+    processes: Annotated[int, Field(ge=1), CommandLine(hidden=True)] = 1
+    """Roll-outs made at once, which changes results by rounding alone. With more than one, a script that calls
+    `refine` needs `if __name__ == "__main__"`, as for all of Python's worker processes."""
+
+    @field_validator("fixed")
+    @classmethod
+    def _stated(cls, fixed: Mapping[str, float | None]) -> Mapping[str, float | None]:
+        for name in _NEED_VALUE:
+            if name in fixed and fixed[name] is None:
                 raise InputError(f"fixed: {name} needs a value, since no capture states it; give {name}=VALUE")
-        if self.processes < 1:
-            raise InputError(f"processes: got {self.processes}; expected at least 1")
-        if self.steps_per_frame is not None and self.steps_per_frame < 1:
-            raise InputError(f"steps_per_frame: got {self.steps_per_frame}; expected at least 1")
+        return fixed
 
     @property
     def own_derivatives(self) -> bool:
         """Whether the full model is fitted with its own derivatives."""
         return self.correction and self.jacobian == "full"
 
-    def as_json(self) -> dict[str, Any]:
-        """All settings, for the result's file."""
-        priors = {name: list(pair) for name, pair in self.priors.items()}
-        return asdict(self) | {"fixed": dict(self.fixed), "initial": dict(self.initial), "priors": priors}
+    @property
+    def held(self) -> dict[str, float]:
+        """The parameters that are held at a value of the user's."""
+        return {name: value for name, value in self.fixed.items() if value is not None}

@@ -88,7 +88,7 @@ def refine(
     device_named(options.device)
     if initial is not None:
         start = {"log10_youngs_modulus": math.log10(initial.youngs_modulus), "poisson_ratio": initial.poisson_ratio}
-        options = replace(options, initial={**start, **options.initial})
+        options = options.replace(initial={**start, **options.initial})
     capture = load_capture(Path(path))
     stages = Stages(None if out is None else Path(out), _key(capture, options), on_stage)
     with Workers(options.processes) as workers:
@@ -96,7 +96,7 @@ def refine(
 
 
 def _key(capture: Capture, options: RefineOptions) -> str:
-    settings = {name: value for name, value in options.as_json().items() if name not in _WHERE}
+    settings = {name: value for name, value in options.to_json().items() if name not in _WHERE}
     return key_of(capture.folder, settings)
 
 
@@ -145,11 +145,10 @@ class _Run:
         twin = base_twin(self.capture, sizes)
         if "friction" in options.free:
             twin = with_free_friction(twin)
-        held = {name: value for name, value in options.fixed.items() if value is not None}
         observed, twin = observe(self.capture, twin, options, self.stages)
         self.warnings.extend(observed.notes)
-        if held:
-            twin = twin.with_values(list(held), np.array(list(held.values())))
+        if options.held:
+            twin = twin.with_values(list(options.held), np.array(list(options.held.values())))
         parameters = default_parameters(
             twin, damping="damping_time" not in options.fixed, free=options.free, fixed=list(options.fixed),
             priors=options.priors,
@@ -254,7 +253,7 @@ class _Run:
         try:
             arrays = self.stages.run("correction", compute)
         except ConvergenceError as error:
-            self.options = replace(self.options, correction=False)
+            self.options = self.options.replace(correction=False)
             self.warnings.append(
                 f"The full model could not be run ({error}): the result is the reduced model's, which is too stiff."
             )

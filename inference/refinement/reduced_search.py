@@ -93,9 +93,8 @@ class ReducedSearch:
             initial_velocity=own.initial_velocity,
             initial_angular_velocity=own.initial_angular_velocity,
         )
-        held = {n: v for n, v in self.options.fixed.items() if v is not None}
-        if held:
-            twin = twin.with_values(list(held), np.array(list(held.values())))
+        if given.held:
+            twin = twin.with_values(list(given.held), np.array(list(given.held.values())))
         return replace(twin, steps_per_frame=max(4, twin.steps_per_frame // 2))
 
     def _scan(self, problem: Problem) -> dict[str, np.ndarray]:
@@ -132,7 +131,7 @@ class ReducedSearch:
 
     def _reduced_options(self) -> FitOptions:
         """Where the full model is fitted next, the reduced one need not settle to the last digit."""
-        if self.options.correction and self.options.jacobian == "full":
+        if self.options.own_derivatives:
             return FitOptions(max_iterations=8, relative_tolerance=1e-3, absolute_tolerance=0.1)
         return FitOptions()
 

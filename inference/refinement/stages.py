@@ -18,10 +18,35 @@ import numpy as np
 
 from physconvex import InputError, __version__
 
-__all__ = ["Arrays", "Stages", "key_of"]
+__all__ = ["Arrays", "Stages", "key_of", "stage_in_words"]
 
 Arrays = dict[str, np.ndarray]
 _KEY = "stage_key"
+_IN_WORDS = {  # of NAME, and of NAME_… unless that has its own
+    "points": "following points in the videos",
+    "scan": "scanning Young's modulus",
+    "reduced": "fitting the reduced model",
+    "coarse": "fitting the full model on few nodes",
+    "drift_limit": "bounding rigid drift by two meshes",
+    "drift": "looking for rigid drift after a contact",
+    "start": "comparing starts",
+    "frame_errors": "comparing few nodes with more",
+    "anchored": "following the points again from the model",
+    "reduced_again": "fitting the reduced model again",
+    "correction": "correcting with the full model",
+    "fine": "fitting on more nodes",
+    "fine_mesh": "making a mesh of more nodes",
+    "colours": "comparing colours",
+    "elsewhere": "comparing colours of other rebounds",
+    "field": "fitting a convex field to the first images",
+    "model_error": "finer model, for the error that is left",
+    "motion": "predicting all frames",
+}
+
+
+def stage_in_words(name: str) -> str:
+    """What a stage does, for who waits for it."""
+    return _IN_WORDS.get(name) or _IN_WORDS.get(name.partition("_")[0], name)
 
 
 def key_of(folder: Path, settings: Mapping[str, Any]) -> str:

@@ -12,39 +12,32 @@ so that estimates and intervals hold the nuisance and the search keeps its size.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
+from pydantic import Field
 
-from physconvex.errors import InputError
 from physconvex.identify.colours import ColourObservations
 from physconvex.identify.elimination import Elimination
 from physconvex.identify.observations import Observations, PixelObservations, StackedObservations, WrappedObservations
+from physconvex.io import Camera, CommandLine, Options
 
 __all__ = ["MarginalObservations", "Nuisance"]
 
 
-@dataclass(frozen=True)
-class Nuisance:
-    """Standard deviations of the priors; zero holds a nuisance at zero.
+_Deviation = Annotated[float, Field(ge=0), CommandLine(panel="What was observed")]
 
-    Attributes:
-        camera_rotation: of each camera about each of its axes [rad].
-        camera_position: of each camera along each axis [m].
-        time_offset: of all frames after the first [s].
 
-    Raises:
-        InputError: a negative one.
-    """
+class Nuisance(Options):
+    """Standard deviations of the priors; zero holds a nuisance at zero."""
 
-    camera_rotation: float = 0.0
-    camera_position: float = 0.0
-    time_offset: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("camera_rotation", "camera_position", "time_offset"):
-            if not getattr(self, name) >= 0:
-                raise InputError(f"{name}: got {getattr(self, name)}; expected a standard deviation, at least 0")
+    camera_rotation: _Deviation = 0.0
+    """Free each camera's rotation about each of its axes, with this prior standard deviation [rad]."""
+    camera_position: _Deviation = 0.0
+    """Free each camera's position along each axis, with this prior standard deviation [m]."""
+    time_offset: _Deviation = 0.0
+    """Free the time of all frames after the first, with this prior standard deviation [s]."""
 
     @property
     def any(self) -> bool:
@@ -138,14 +131,14 @@ _COLUMNS = {f"{kind}_{axis} {unit}": 3 * k + i
             for i, axis in enumerate("xyz")}  # fmt: skip
 
 
-def _camera_columns(part: Observations, positions: np.ndarray, camera: object) -> np.ndarray:
+def _camera_columns(part: Observations, positions: np.ndarray, camera: Camera) -> np.ndarray:
     """Derivatives of a part's residuals by the pose of its camera [N, 6]: the world moves the other way.
 
     Points that were put on the surface by a ray of the first image have moved with it: their pixels there are right
     whatever the pose, and what is left is the difference to the first frame.
     """
-    axes = np.asarray(camera.rotation).T  # type: ignore[attr-defined]
-    arms = positions - camera.position  # type: ignore[attr-defined]
+    axes = camera.rotation.T
+    arms = positions - camera.position
     moves = np.stack([*(np.cross(arms, axis) for axis in axes), *(np.broadcast_to(-axis, arms.shape) for axis in axes)])
     tangents = np.moveaxis(moves, 0, 1)
     if isinstance(part, PixelObservations | ColourObservations):

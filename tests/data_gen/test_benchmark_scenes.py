@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from data_gen import BenchmarkOptions, Motion, ObjectMesh, changes_of, rolled, scene_of
-from data_gen.benchmark_scenes import FRICTION, motion_of
+from data_gen import BenchmarkMotion, BenchmarkOptions, ObjectMesh, changes_of, rolled, scene_of
+from data_gen.benchmark_scenes import FRICTION, draw_motion
 from physconvex import InputError
 from physconvex.mesh import box_mesh
 
@@ -20,13 +20,13 @@ def body():
 
 def test_a_drop_starts_at_rest_and_draws_nothing():
     rng = np.random.default_rng(5)
-    assert motion_of("drop", 1.0, rng) == Motion()
+    assert draw_motion("drop", 1.0, rng) == BenchmarkMotion()
     assert rng.uniform() == np.random.default_rng(5).uniform()
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_toss_spins_about_the_line_of_sight(seed):
-    motion = motion_of("toss", 0.5, np.random.default_rng(seed))
+    motion = draw_motion("toss", 0.5, np.random.default_rng(seed))
     spin = np.array(motion.spin)
     assert 3.0 <= np.linalg.norm(spin) <= 5.0
     assert abs(spin[0]) / np.linalg.norm(spin) >= np.cos(np.radians(20.0)) - 1e-12
@@ -35,7 +35,7 @@ def test_a_toss_spins_about_the_line_of_sight(seed):
 
 def test_a_toss_is_back_at_its_height(body):
     mesh, shown = body
-    motion = motion_of("toss", 0.4, np.random.default_rng(0))
+    motion = draw_motion("toss", 0.4, np.random.default_rng(0))
     x = rolled(scene_of(mesh, TRUTH, shown, motion), 5, 10.0, 8)
     masses = mesh.element_volumes / mesh.volume
     centre = np.einsum("e,tei->ti", masses, x[:, mesh.corner_tets].mean(axis=2))
@@ -46,7 +46,7 @@ def test_a_toss_is_back_at_its_height(body):
 
 def test_a_floor_that_moves_needs_a_floor(body):
     mesh, shown = body
-    drop, toss = (scene_of(mesh, TRUTH, shown, Motion(floor=floor)) for floor in (True, False))
+    drop, toss = (scene_of(mesh, TRUTH, shown, BenchmarkMotion(floor=floor)) for floor in (True, False))
     assert changes_of(drop) == ("softer", "pushed", "moving_floor")
     assert changes_of(toss) == ("softer", "pushed")
     assert drop.obstacles[0].friction == FRICTION and toss.contact_points is None
@@ -54,6 +54,6 @@ def test_a_floor_that_moves_needs_a_floor(body):
 
 def test_unknown_motions_are_named():
     with pytest.raises(InputError, match=r"roll.*drop, toss"):
-        motion_of("roll", 1.0, np.random.default_rng(0))
+        draw_motion("roll", 1.0, np.random.default_rng(0))
     with pytest.raises(InputError, match=r"roll.*drop, toss"):
         BenchmarkOptions(motion="roll")

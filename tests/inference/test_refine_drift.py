@@ -1,7 +1,6 @@
 """A box whose rebound is another one than the model's: what `refine` makes of it."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -48,7 +47,7 @@ def captures(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_material_is_found_although_the_rebound_is_another_one(captures):
-    found, plain = (refine(captures[1], options=replace(OPTIONS, drift=drift)) for drift in (True, False))
+    found, plain = (refine(captures[1], options=OPTIONS.replace(drift=drift)) for drift in (True, False))
     for name, truth in zip(NAMES, TRUTH, strict=True):
         low, high = found[name].interval
         assert low < truth < high

@@ -51,7 +51,7 @@ def ball(tmp_path_factory):
 
 @pytest.mark.slow
 def test_more_nodes_come_nearer_to_the_material(ball, tmp_path):
-    few, more = (refine(ball.folder, options=replace(OPTIONS, fine_nodes=n)) for n in (0, MORE))
+    few, more = (refine(ball.folder, options=OPTIONS.replace(fine_nodes=n)) for n in (0, MORE))
     errors = np.array([[found[name].value for name in NAMES] for found in (few, more)]) - TRUTH
     nodes = [len(found.motion.mesh.vertices) for found in (few, more)]
     assert nodes[0] <= FEW < 2 * FEW < nodes[1] <= MORE

@@ -88,7 +88,7 @@ def test_options_are_checked():
     ):
         with pytest.raises(InputError, match=message):
             RefineOptions(**bad)
-    assert RefineOptions(priors={"poisson_ratio": (0.4, 0.1)}).as_json()["priors"] == {"poisson_ratio": [0.4, 0.1]}
+    assert RefineOptions(priors={"poisson_ratio": (0.4, 0.1)}).to_json()["priors"] == {"poisson_ratio": [0.4, 0.1]}
 
 
 @pytest.mark.wrong_types

@@ -142,7 +142,7 @@ def test_outlines_alone_will_do(motion, shown, tmp_path):
     write_refinement(found, tmp_path / "out")
     assert (tmp_path / "out" / "side_by_side.mp4").stat().st_size > 1000
     with pytest.raises(InputError, match=r"no point of the object|no such file"):
-        refine(seen, options=replace(options, outlines=False))
+        refine(seen, options=options.replace(outlines=False))
 
 
 @pytest.mark.slow

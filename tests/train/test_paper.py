@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -116,7 +115,7 @@ def test_a_capture_holds_as_many_views_as_are_observed(benchmark, tmp_path):
     files = {path.name for path in capture.folder.iterdir()}
     assert files >= {"view0.mp4", "view0_mask.mp4", "view2.mp4", "view2_mask.mp4"} and "view1.mp4" not in files
     with pytest.raises(InputError, match="observed_views: got 5; expected at most views = 4"):
-        replace(sizes, observed_views=5)
+        sizes.replace(observed_views=5)
 
 
 @pytest.mark.slow
@@ -165,11 +164,11 @@ def test_other_parts_may_be_chosen_later_but_not_other_settings(tmp_path):
     benchmark, out = tmp_path / "made", tmp_path / "out"
     benchmark.mkdir()
     (benchmark / "benchmark.json").write_text('{"objects": []}')
-    for choice in (SMALL, replace(SMALL, ablation=(3,), ablation_points=(5, 6)), replace(SMALL, adam_steps=0)):
+    for choice in (SMALL, SMALL.replace(ablation=(3,), ablation_points=(5, 6)), SMALL.replace(adam_steps=0)):
         assert evaluate_paper(benchmark, out, choice) == []
     for change, name in (({"adam_steps": 4}, "adam_steps"), ({"fine_nodes": 200}, "fine_nodes")):
         with pytest.raises(InputError, match=rf"other options \({name}\); choose another folder"):
-            evaluate_paper(benchmark, out, replace(SMALL, **change))
+            evaluate_paper(benchmark, out, SMALL.replace(**change))
 
 
 def test_a_folder_without_a_benchmark_is_named(tmp_path):

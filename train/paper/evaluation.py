@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,45 +24,13 @@ from physconvex.identify import FullModel, TwinOptions, base_twin
 from physconvex.io import Camera, Capture, load_capture
 from physconvex.mesh import Embedding
 from physconvex.reconstruction import ReconstructionConfig
+from train.paper.options import PaperOptions
 from train.paper.pictures import score_pictures
 from train.paper.published_way import NAMES, fit_as_published
 
-__all__ = ["PaperOptions", "evaluate_paper"]
+__all__ = ["evaluate_paper"]
 
 CONSTANT = (5.5, 0.345)  # the middle of the ranges 1e4 to 1e7 Pa and .2 to .49
-
-
-@dataclass(frozen=True)
-class PaperOptions:
-    """Sizes of the evaluation.
-
-    Attributes:
-        max_nodes: of the models' quadratic meshes.
-        fine_nodes: of that of the last searches of `refine`; None: as that has it.
-        steps_per_frame: of the models; None: at least 384 per second.
-        weights: M of the reduced model of `refine`.
-        full_runs: most linearisations of the full model.
-        model_error: add what a finer mesh says.
-        adam_steps: of the published way; 0 leaves it out.
-        ablation: M of which the reduced model alone is fitted by `refine`.
-        field_budget, field_steps: of the fields.
-        ablation_points: K of further fields, of a quarter of the convexes, scored in the refined motion and in those of
-            the ablation over M.
-        checkpoint: of the network.
-    """
-
-    max_nodes: int = 500
-    fine_nodes: int | None = None
-    steps_per_frame: int | None = None
-    weights: int = 20
-    full_runs: int = 8
-    model_error: bool = True
-    adam_steps: int = 400
-    ablation: tuple[int, ...] = (8, 10, 12)
-    field_budget: int = 24_000
-    field_steps: int = 400
-    ablation_points: tuple[int, ...] = (4, 5, 6, 7, 8)
-    checkpoint: str = "default"
 
 
 def evaluate_paper(
@@ -110,7 +78,7 @@ def evaluate_paper(
 
 def _claim(file: Path, options: PaperOptions) -> None:
     """Write the settings that results depend on; what merely chooses parts may be another one each time."""
-    settings = json.loads(json.dumps(asdict(options)))
+    settings = options.to_json()
     for choice in ("ablation", "ablation_points", *(() if options.adam_steps else ("adam_steps",))):
         del settings[choice]
     held = json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
@@ -314,7 +282,7 @@ class _Object:
         return {"convexes": len(found.field), "first_images": still, "observed": moving}
 
     def _reduced_refinement(self, weights: int) -> Refinement:
-        settings = replace(self._settings(), weights=weights, correction=False, model_error=False, colours=False)
+        settings = self._settings().replace(weights=weights, correction=False, model_error=False, colours=False)
         return self._refine(settings, f"reduced_{weights}")
 
     def _reduced(self, weights: int) -> dict[str, Any]:
