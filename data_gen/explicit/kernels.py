@@ -13,7 +13,7 @@ from jaxtyping import Float32, Int32
 from torch import Tensor
 
 from data_gen.explicit.bodies import Layout
-from physconvex.kernels import POINTER, launch, loaded
+from physconvex.kernels import POINTER, Kernel, launch
 
 __all__ = ["LOOK", "VIEW", "ClipBatch", "render_falls", "roll_out"]
 
@@ -22,9 +22,12 @@ LOOK = 40  # numbers of a look
 _HERE = Path(__file__).parent / "gpu"
 _HEADERS = {"roll_out": "body.h", "nearest": "draw.h", "resolve": "draw.h"}
 _SOURCES = {"roll_out": "kernel.cu", "nearest": "draw.cu", "resolve": "draw.cu"}
-_FUNCTIONS = (
-    ("roll_out", None, [ctypes.c_int, *[POINTER] * 10, ctypes.c_int]),
-    ("draw", None, [ctypes.c_int, *[POINTER] * 7, *[ctypes.c_int] * 3]),
+_KERNEL = Kernel(
+    _HERE,
+    {
+        "roll_out": (None, [ctypes.c_int, *[POINTER] * 10, ctypes.c_int]),
+        "draw": (None, [ctypes.c_int, *[POINTER] * 7, *[ctypes.c_int] * 3]),
+    },
 )
 _THREADS = 256
 
@@ -35,14 +38,14 @@ def roll_out(layout: Layout, device: torch.device | str = "cpu") -> Float32[Tens
     A body that became unstable has values that are not finite.
 
     Raises:
-        KernelUnavailable: neither a CUDA device that torch can compile for nor a C++ compiler.
+        KernelUnavailable: neither a CUDA device that can be compiled for nor a C++ compiler.
     """
     names = ("table", "materials", "coefficients", "geometry", "corners", "incident", "begin", "nodes", "start", "out")
     tensors = {name: torch.from_numpy(getattr(layout, name)).to(device, copy=True) for name in names}
     start, out = tensors["start"], tensors["out"]
     if out.device.type != "cuda":
         addresses = [tensors[name].data_ptr() for name in names]
-        _library().roll_out(len(layout.table), *addresses, layout.frames)
+        _KERNEL.library.roll_out(len(layout.table), *addresses, layout.frames)
         return out
     work = torch.empty(18 * len(start), device=device)
     forces = torch.empty(30 * len(layout.geometry), device=device)
@@ -87,18 +90,13 @@ def render_falls(batch: ClipBatch, *, side: int, factor: int = 2) -> Float32[Ten
     tensors = clips, views, looks, positions, rest, triangles = [tensor.contiguous() for tensor in given]
     if device.type != "cuda":
         addresses = [tensor.data_ptr() for tensor in (*tensors, pictures)]
-        _library().draw(count, *addresses, frames, side * factor, factor)
+        _KERNEL.library.draw(count, *addresses, frames, side * factor, factor)
         return pictures
     samples = torch.full((count * frames, side * factor, side * factor), -1, dtype=torch.int64, device=device)
     _launch("nearest", count * frames, [clips, views, positions, triangles, samples, frames, side * factor])
     seen = [clips, views, looks, positions, rest, triangles, samples, pictures]
     _launch("resolve", count * frames, [*seen, frames, side * factor, factor])
     return pictures
-
-
-@cache
-def _library() -> ctypes.CDLL:
-    return loaded(_HERE, _FUNCTIONS)
 
 
 @cache

@@ -1,6 +1,5 @@
 from .body import ElasticBody as ElasticBody
 from .carried_contact import CarriedContact as CarriedContact, SurfacePoints as SurfacePoints
-from .compiled_elements import load_library as load_library
 from .hanging_load import HangingLoad as HangingLoad
 from .modes import (
     elastic_responses as elastic_responses,

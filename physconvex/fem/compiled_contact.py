@@ -12,9 +12,9 @@ from scipy.linalg.lapack import dgesv
 from scipy.sparse import csr_matrix
 
 from physconvex.dynamics import Contact, obstacle_rows
-from physconvex.fem.compiled_elements import load_library
+from physconvex.fem.compiled_elements import FEM_KERNEL
 from physconvex.fem.contact_problem import ContactProblem
-from physconvex.kernels import POINTER, address, available, doubles
+from physconvex.kernels import POINTER, address, doubles
 
 __all__ = ["CompiledContact", "add_near", "carry", "contact_kind", "turned_blocks"]
 
@@ -23,16 +23,16 @@ Array = np.ndarray
 
 def contact_kind() -> type[ContactProblem]:
     """Which arithmetic the equation of the forces is solved by: plain numpy's where nothing can be compiled."""
-    return CompiledContact if available(load_library) else ContactProblem
+    return CompiledContact if FEM_KERNEL.available else ContactProblem
 
 
 def carry(matrix: csr_matrix, x: Float[Array, "V 3"]) -> Float[Array, "S 3"]:
     """B x: points of a surface from the nodes that carry them."""
-    if matrix.indices.dtype != np.int32 or not available(load_library):
+    if matrix.indices.dtype != np.int32 or not FEM_KERNEL.available:
         return np.asarray(matrix @ x)
     out = np.empty((matrix.shape[0], 3))
     given = (matrix.indptr, matrix.indices, matrix.data, doubles(x), out)
-    load_library().pc_carry(matrix.shape[0], *map(address, given))
+    FEM_KERNEL.library.pc_carry(matrix.shape[0], *map(address, given))
     return out
 
 
@@ -40,11 +40,11 @@ def add_near(
     law: Contact, x: Float[Array, "S 3"], moved: Float[Array, "S 3"], time: float, near: Bool[Array, "O S"]
 ) -> None:
     """Set `near` for the points of a law that are in an obstacle at x or at `moved` [m]."""
-    if available(load_library):
+    if FEM_KERNEL.available:
         rows, points = obstacle_rows(law.obstacles, time), np.ascontiguousarray(law.nodes, dtype=np.int32)
         given = (doubles(x), doubles(moved))  # named, since a copy must outlive its address
         places = (len(points), address(points), len(x), *map(address, given))
-        load_library().pc_contact_near(*places, len(rows), address(rows), address(near))
+        FEM_KERNEL.library.pc_contact_near(*places, len(rows), address(rows), address(near))
         return
     x, moved = x[law.nodes], moved[law.nodes]
     for number, obstacle in enumerate(law.obstacles):
@@ -59,10 +59,10 @@ def turned_blocks(
 ) -> Float[Array, "K K"]:
     """R (M + more) Rᵀ, block by block of 3 × 3, M those blocks of a symmetric matrix that belong to some places."""
     count = len(places)
-    if available(load_library):
+    if FEM_KERNEL.available:
         given = (np.ascontiguousarray(places, dtype=np.int32), more, doubles(turn), np.empty((3 * count, 3 * count)))
         pointers = [None if array is None else address(array) for array in given]
-        load_library().pc_turned_blocks(len(matrix), address(matrix), count, *pointers)
+        FEM_KERNEL.library.pc_turned_blocks(len(matrix), address(matrix), count, *pointers)
         return given[-1]
     dofs = (3 * places[:, None] + np.arange(3)).ravel()
     out = matrix[np.ix_(dofs, dofs)] + (0.0 if more is None else more)
@@ -80,7 +80,7 @@ class CompiledContact(ContactProblem):
 
     def _own_compliance(self) -> Float[Array, " C"]:
         out = np.empty(len(self.areas))
-        load_library().pc_contact_own_compliance(ctypes.byref(self._pairs), address(out))
+        FEM_KERNEL.library.pc_contact_own_compliance(ctypes.byref(self._pairs), address(out))
         return out
 
     @cached_property
@@ -123,12 +123,12 @@ class CompiledContact(ContactProblem):
         """λ − R, and D, the derivative of R by its argument."""
         forces = doubles(forces)
         left, slope = np.empty(forces.shape), np.empty((len(forces), 3, 3))
-        load_library().pc_contact_residual(ctypes.byref(self._holding), *map(address, (forces, left, slope)))
+        FEM_KERNEL.library.pc_contact_residual(ctypes.byref(self._holding), *map(address, (forces, left, slope)))
         return left, slope
 
     def newton_step(self, left: Float[Array, "C 3"], slope: Float[Array, "C 3 3"]) -> Float[Array, "C 3"]:
         """Change δ of the forces, as there; of the points themselves where fewer touch than nodes carry them."""
-        library, pairs = load_library(), ctypes.byref(self._holding)
+        library, pairs = FEM_KERNEL.library, ctypes.byref(self._holding)
         alone, stiff = np.empty(left.shape), np.empty(slope.shape)
         touching, active = np.empty(len(left), dtype=np.int32), np.empty(self.carried.shape[1], dtype=np.int32)
         counts = np.empty(2, dtype=np.int32)

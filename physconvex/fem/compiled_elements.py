@@ -3,20 +3,53 @@
 from __future__ import annotations
 
 import ctypes
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from physconvex.fem.volumetric import VolumetricElements
-from physconvex.kernels import POINTER, SOURCES, Functions, address, aligned, available, doubles, loaded
+from physconvex.kernels import POINTER, SOURCES, Kernel, address, aligned, doubles
 from physconvex.materials import KERNEL_LAWS, NEARLY_FLAT, Law
 
-__all__ = ["CompiledElements", "load_library", "sum_into", "volumetric_elements"]
+__all__ = ["FEM_KERNEL", "CompiledElements", "sum_into", "volumetric_elements"]
 
 Array = np.ndarray
 _MOST_NODES, _MOST_POINTS = 10, 4  # of an element there
+
+
+class _Elements(ctypes.Structure):
+    """`struct Elements` of sources/fem/kernel.cpp."""
+
+    _fields_ = (
+        *((name, ctypes.c_int32) for name in ("count", "points", "nodes", "law")),
+        ("flat", ctypes.c_double),
+        *((name, POINTER) for name in ("tets", "gradients", "weights", "mu", "lam")),
+    )
+
+
+_NUMBER, _INTEGER = ctypes.c_double, ctypes.c_int32
+_BODY: Any = ctypes.POINTER(_Elements)
+FEM_KERNEL = Kernel(
+    SOURCES / "fem",
+    {
+        "pc_lanes": (_INTEGER, []),
+        "pc_energy_and_forces": (_NUMBER, [_BODY, *[POINTER] * 3, _NUMBER, _NUMBER, POINTER]),
+        "pc_stiffness": (_INTEGER, [_BODY, POINTER, POINTER, _NUMBER, POINTER]),
+        "pc_assemble": (None, [ctypes.c_int64, *[POINTER] * 4]),
+        "pc_carry": (None, [_INTEGER, *[POINTER] * 5]),
+        "pc_contact_near": (None, [*(_INTEGER, POINTER) * 2, POINTER, _INTEGER, *[POINTER] * 2]),
+        "pc_contact_own_compliance": (None, [POINTER] * 2),
+        "pc_contact_residual": (None, [POINTER] * 4),
+        "pc_contact_alone": (None, [POINTER] * 8),
+        "pc_contact_on_points": (None, [POINTER, _INTEGER, *[POINTER] * 5]),
+        "pc_contact_on_nodes": (None, [POINTER, *(_INTEGER, POINTER) * 2, *[POINTER] * 4]),
+        "pc_contact_expand": (None, [POINTER, _INTEGER, *[POINTER] * 4]),
+        "pc_turned_blocks": (None, [*(_INTEGER, POINTER) * 2, *[POINTER] * 3]),
+    },
+    include=[SOURCES / "shared"],
+)
 
 
 def volumetric_elements(
@@ -24,7 +57,7 @@ def volumetric_elements(
 ) -> VolumetricElements:
     """The quadrature points of a body, see `VolumetricElements`; those of plain numpy where nothing can be compiled."""
     known = law.name in KERNEL_LAWS and gradients.shape[1] <= _MOST_POINTS and gradients.shape[2] <= _MOST_NODES
-    kind = CompiledElements if known and available(load_library) else VolumetricElements
+    kind = CompiledElements if known and FEM_KERNEL.available else VolumetricElements
     return kind(law, tets, count, gradients, weights, mu, lam)
 
 
@@ -32,10 +65,10 @@ def sum_into(
     slots: Int[Array, " K"], entries: Int[Array, " K"], values: Float[Array, ...], count: int
 ) -> Float[Array, " count"]:
     """Sums of entries of an array by the slot that each goes to; both int32 and in range."""
-    if not available(load_library):
+    if not FEM_KERNEL.available:
         return np.bincount(slots, weights=values.reshape(-1)[entries], minlength=count)
     values, out = doubles(values), np.zeros(count)
-    load_library().pc_assemble(len(slots), *map(address, (entries, slots, values, out)))
+    FEM_KERNEL.library.pc_assemble(len(slots), *map(address, (entries, slots, values, out)))
     return out
 
 
@@ -50,7 +83,7 @@ class CompiledElements(VolumetricElements):
         self, law: Law, tets: Int[Array, "E n"], count: int, gradients: Array, weights: Array, mu: Array, lam: Array
     ) -> None:
         super().__init__(law, tets, count, gradients, weights, mu, lam)
-        self._law, self._lanes = KERNEL_LAWS.index(law.name), load_library().pc_lanes()
+        self._law, self._lanes = KERNEL_LAWS.index(law.name), FEM_KERNEL.library.pc_lanes()
         self._blocks = self._by_block(self._gradients)  # [blocks, Q, n, 3, lanes]
         self._tets_by_block = self._by_block(np.asarray(tets, dtype=np.int32))
         per_point = (self._weights, self._mu, self._lam)
@@ -69,7 +102,9 @@ class CompiledElements(VolumetricElements):
     def energy_and_gradient(self, x: Float[Array, "V 3"]) -> tuple[float, Float[Array, "V 3"]]:
         """Elastic energy [J] and its derivative by the positions of the nodes [N]."""
         x, forces = doubles(x), np.zeros(x.shape)
-        energy = load_library().pc_energy_and_forces(self._elements, address(x), None, None, 0.0, 0.0, address(forces))
+        energy = FEM_KERNEL.library.pc_energy_and_forces(
+            self._elements, address(x), None, None, 0.0, 0.0, address(forces)
+        )
         return energy, forces
 
     def moving_energy_and_gradient(
@@ -85,7 +120,7 @@ class CompiledElements(VolumetricElements):
         """The same with the viscosity of a step, as `ElasticBody.moving_energy_and_gradient`."""
         given = [doubles(array) for array in (x, velocity, state)]
         forces = np.zeros(x.shape)
-        energy = load_library().pc_energy_and_forces(
+        energy = FEM_KERNEL.library.pc_energy_and_forces(
             self._elements, *map(address, given), damping_time, step, address(forces)
         )
         return energy if with_energy else float("nan"), forces
@@ -103,47 +138,10 @@ class CompiledElements(VolumetricElements):
         state = None if viscous_state is None else doubles(viscous_state)
         out = np.empty((self._shape[0], width, width)) if out is None else out
         given = self._elements, address(x), None if state is None else address(state)
-        return out if load_library().pc_stiffness(*given, damping_ratio, address(out)) else None
+        return out if FEM_KERNEL.library.pc_stiffness(*given, damping_ratio, address(out)) else None
 
     @cached_property
     def _elements(self) -> _Elements:
         count, points, nodes, _ = self._shape
         arrays = (self._tets_by_block, self._blocks, *self._constants)
         return _Elements(count, points, nodes, self._law, NEARLY_FLAT, *map(address, arrays))
-
-
-class _Elements(ctypes.Structure):
-    """`struct Elements` of cpu/kernel.cpp."""
-
-    _fields_ = (
-        *((name, ctypes.c_int32) for name in ("count", "points", "nodes", "law")),
-        ("flat", ctypes.c_double),
-        *((name, POINTER) for name in ("tets", "gradients", "weights", "mu", "lam")),
-    )
-
-
-@cache
-def load_library() -> ctypes.CDLL:
-    """The library with its functions' types declared.
-
-    Raises:
-        KernelUnavailable: no compiler, or it failed.
-    """
-    elements: Any = ctypes.POINTER(_Elements)
-    number: Any = ctypes.c_double
-    functions: Functions = (
-        ("pc_lanes", ctypes.c_int32, []),
-        ("pc_energy_and_forces", number, [elements, *[POINTER] * 3, number, number, POINTER]),
-        ("pc_stiffness", ctypes.c_int32, [elements, POINTER, POINTER, number, POINTER]),
-        ("pc_assemble", None, [ctypes.c_int64, *[POINTER] * 4]),
-        ("pc_carry", None, [ctypes.c_int32, *[POINTER] * 5]),
-        ("pc_contact_near", None, [*(ctypes.c_int32, POINTER) * 2, POINTER, ctypes.c_int32, *[POINTER] * 2]),
-        ("pc_contact_own_compliance", None, [POINTER] * 2),
-        ("pc_contact_residual", None, [POINTER] * 4),
-        ("pc_contact_alone", None, [POINTER] * 8),
-        ("pc_contact_on_points", None, [POINTER, ctypes.c_int32, *[POINTER] * 5]),
-        ("pc_contact_on_nodes", None, [POINTER, *(ctypes.c_int32, POINTER) * 2, *[POINTER] * 4]),
-        ("pc_contact_expand", None, [POINTER, ctypes.c_int32, *[POINTER] * 4]),
-        ("pc_turned_blocks", None, [*(ctypes.c_int32, POINTER) * 2, *[POINTER] * 3]),
-    )
-    return loaded(SOURCES / "fem", functions, include=[SOURCES / "shared"])

@@ -2,15 +2,12 @@ from .build import (
     FLAGS as FLAGS,
     POINTER as POINTER,
     SOURCES as SOURCES,
-    Functions as Functions,
+    Kernel as Kernel,
     KernelUnavailable as KernelUnavailable,
     address as address,
     aligned as aligned,
-    available as available,
     cache_folder as cache_folder,
     compiled as compiled,
     doubles as doubles,
-    loaded as loaded,
 )
-from .cuda import launch as launch
-from .principal_strains import flow_response as flow_response, singular_values as singular_values
+from .cuda import launch as launch, machine_code as machine_code

@@ -10,8 +10,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
-from functools import cache
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +22,13 @@ __all__ = [
     "FLAGS",
     "POINTER",
     "SOURCES",
-    "Functions",
+    "Kernel",
     "KernelUnavailable",
     "address",
     "aligned",
-    "available",
     "cache_folder",
     "compiled",
     "doubles",
-    "loaded",
 ]
 
 SOURCES = Path(__file__).with_name("sources")
@@ -37,8 +36,6 @@ COMPILERS = ("c++", "g++", "clang++")
 FLAGS = ("-std=c++17", "-O3", "-march=native", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math")
 COMPILE_SECONDS = 300
 POINTER: Any = ctypes.c_void_p
-Functions = Sequence[tuple[str, Any, Sequence[Any]]]
-"""Names of a library's functions, types of what they return and take."""
 _LINE = 64  # bytes
 
 
@@ -65,8 +62,10 @@ def compiled(folder: Path, *, include: Sequence[Path] = (), flags: Sequence[str]
         flags: of the compiler.
 
     Raises:
-        KernelUnavailable: no compiler, it failed, or the cache cannot be written.
+        KernelUnavailable: no source, no compiler, it failed, or the cache cannot be written.
     """
+    if not (folder / "kernel.cpp").is_file():
+        raise KernelUnavailable(f"{folder} holds no kernel.cpp")
     compiler = _compiler()
     folders = (folder, *include)
     sources = [path.read_bytes() for one in folders for path in sorted(one.iterdir()) if path.suffix in (".cpp", ".h")]
@@ -87,29 +86,48 @@ def compiled(folder: Path, *, include: Sequence[Path] = (), flags: Sequence[str]
     return library
 
 
-def loaded(
-    folder: Path, functions: Functions, *, include: Sequence[Path] = (), flags: Sequence[str] = FLAGS
-) -> ctypes.CDLL:
-    """The library of a folder, see `compiled`, with its functions' types declared.
+@dataclass(frozen=True, eq=False)
+class Kernel:
+    """A folder of C++ sources as a library, see `compiled`; a compiler that is missing or fails is tried once.
 
-    Raises:
-        KernelUnavailable: it cannot be compiled.
+    Attributes:
+        folder: of the sources.
+        functions: name of each function of the library: type of what it returns, types of what it takes.
+        include: further folders of headers.
+        flags: of the compiler.
     """
-    library = ctypes.CDLL(str(compiled(folder, include=include, flags=flags)))
-    for name, result, arguments in functions:
-        function = getattr(library, name)
-        function.argtypes, function.restype = list(arguments), result
-    return library
 
+    folder: Path
+    functions: Mapping[str, tuple[Any, Sequence[Any]]]
+    include: Sequence[Path] = ()
+    flags: Sequence[str] = FLAGS
 
-@cache
-def available(load: Callable[[], ctypes.CDLL]) -> bool:
-    """Whether a library can be loaded; a compiler that is missing or fails is tried once."""
-    try:
-        load()
-    except KernelUnavailable:
-        return False
-    return True
+    @cached_property
+    def _loaded(self) -> ctypes.CDLL | KernelUnavailable:
+        try:
+            library = ctypes.CDLL(str(compiled(self.folder, include=self.include, flags=self.flags)))
+        except KernelUnavailable as error:
+            return error
+        for name, (result, arguments) in self.functions.items():
+            function = getattr(library, name)
+            function.argtypes, function.restype = list(arguments), result
+        return library
+
+    @property
+    def available(self) -> bool:
+        """Whether the library can be had here."""
+        return isinstance(self._loaded, ctypes.CDLL)
+
+    @property
+    def library(self) -> ctypes.CDLL:
+        """The library with its functions' types declared.
+
+        Raises:
+            KernelUnavailable: it cannot be compiled.
+        """
+        if isinstance(self._loaded, ctypes.CDLL):
+            return self._loaded
+        raise KernelUnavailable(str(self._loaded))
 
 
 def doubles(array: np.ndarray) -> np.ndarray:

@@ -25,11 +25,10 @@ import torch
 from torch import Tensor
 
 from physconvex.errors import InputError
-from physconvex.kernels import flow_response
 from physconvex.materials.laws import get_law
 from physconvex.materials.principal_strains import (
-    ALL_BUT_FLAT,
     PrincipalFrame,
+    flow_response,
     principal_hessian,
     principal_stress,
     pulled_back,
@@ -90,8 +89,9 @@ class LogarithmicStep:
     def _response(self, f: Tensor) -> Response:
         """Energy and stress by compiled arithmetic, if they can be had so; kept, since both are asked for."""
         if not self._compiled or self._compiled[0][0] is not f:
-            constants = (self.mu, self.bulk, self.limit, self.left, self.tension)
-            self._compiled[:] = [(f, flow_response(f, self.undo, *constants, ALL_BUT_FLAT))]
+            constants = (self.mu, self.bulk, self.limit)
+            found = flow_response(f, self.undo, *constants, left=self.left, tension=self.tension)
+            self._compiled[:] = [(f, found)]
         return self._compiled[0][1]
 
     def _frame(self, f: Tensor) -> Strains:

@@ -8,19 +8,39 @@ i < j by (P_i + P_j)/(σ_i + σ_j) (rotation) and (P_i − P_j)/(σ_i − σ_j) 
 
 from __future__ import annotations
 
+import ctypes
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from physconvex.kernels import singular_values
+from physconvex.kernels import POINTER, SOURCES, Kernel
 
-__all__ = ["ALL_BUT_FLAT", "PrincipalFrame", "principal_hessian", "principal_stress", "pulled_back"]
+__all__ = [
+    "STRAIN_KERNEL",
+    "PrincipalFrame",
+    "flow_response",
+    "principal_hessian",
+    "principal_stress",
+    "pulled_back",
+    "singular_values",
+]
 
 _SMALLEST = 1e-30
 _FLAT = 1e-2  # smallest stretch over the largest one
-ALL_BUT_FLAT = 1e-12  # the same below which there is no third axis, of compiled arithmetic
+_ALL_BUT_FLAT = 1e-12  # the same below which there is no third axis, of compiled arithmetic
 _CLOSE = 1e-6  # relative distance of two stretches below which their difference quotient is a derivative
+_NUMBER, _INTEGER = ctypes.c_double, ctypes.c_int32
+STRAIN_KERNEL = Kernel(
+    SOURCES / "principal_strains",
+    {
+        "pc_singular_values": (_INTEGER, [ctypes.c_int64, POINTER, _NUMBER, *[POINTER] * 3]),
+        "pc_flow_response": (
+            _INTEGER,
+            [ctypes.c_int64, *[POINTER] * 5, _NUMBER, _INTEGER, _NUMBER, *[POINTER] * 2],
+        ),
+    },
+)
 
 
 @dataclass(frozen=True)
@@ -42,7 +62,7 @@ class PrincipalFrame:
     @classmethod
     def of(cls, f: Tensor) -> PrincipalFrame:
         """The frame of deformation gradients of shape [..., 3, 3]."""
-        u, s, vt = _singular_values(f)
+        u, s, vt = _axes(f)
         volume = (f[..., 0, :] * torch.linalg.cross(f[..., 1, :], f[..., 2, :])).sum(-1)
         return cls(u, s.clamp_min(_SMALLEST), vt, volume > 0)
 
@@ -52,12 +72,12 @@ class PrincipalFrame:
         return self.stretches.log()
 
 
-def _singular_values(f: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _axes(f: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """U, σ and Vᵀ: compiled; else by the eigenvectors of FᵀF, and by themselves where F is nearly flat.
 
     What the eigenvectors lose is the square of the ratio of two stretches, in units of rounding.
     """
-    if (quick := singular_values(f, ALL_BUT_FLAT)) is not None:
+    if (quick := singular_values(f)) is not None:
         return quick
     square = f.mT @ f
     if bool(torch.isfinite(square).all()):
@@ -108,3 +128,38 @@ def _mode(frame: PrincipalFrame, rows: tuple[int, ...], columns: tuple[int, ...]
 
 def _weighted_outer(weight: Tensor, mode: Tensor) -> Tensor:
     return weight[..., None, None] * mode.unsqueeze(-1) * mode.unsqueeze(-2)
+
+
+def singular_values(f: Tensor) -> tuple[Tensor, Tensor, Tensor] | None:
+    """U [..., 3, 3], σ [..., 3] from the largest on and Vᵀ [..., 3, 3] of matrices [..., 3, 3], compiled.
+
+    None where they are of another kind than float64 on the CPU, one is not finite or flat, or nothing can be compiled.
+    """
+    if not _compilable(f):
+        return None
+    f = f.contiguous()
+    u, s, vt = torch.empty_like(f), f.new_empty(f.shape[:-1]), torch.empty_like(f)
+    given, *made = (array.data_ptr() for array in (f, u, s, vt))
+    sound = STRAIN_KERNEL.library.pc_singular_values(s.numel() // 3, given, _ALL_BUT_FLAT, *made)
+    return (u, s, vt) if sound else None
+
+
+def flow_response(
+    f: Tensor, undo: Tensor, mu: Tensor, bulk: Tensor, limit: Tensor, *, left: float, tension: bool
+) -> tuple[Tensor, Tensor] | None:
+    """Energy density [...], first Piola–Kirchhoff stress [..., 3, 3] at F of a `LogarithmicStep`, compiled.
+
+    None as for `singular_values`, of F F_f⁻¹, or where the shapes differ.
+    """
+    if f.shape != undo.shape or mu.shape != f.shape[:-2] or not all(map(_compilable, (f, undo, mu, bulk, limit))):
+        return None
+    given = [array.contiguous() for array in (f, undo, mu, bulk, limit)]
+    energy, stress = f.new_empty(mu.shape), f.new_empty(f.shape)
+    *taken, density, pull = (array.data_ptr() for array in (*given, energy, stress))
+    library = STRAIN_KERNEL.library
+    sound = library.pc_flow_response(mu.numel(), *taken, left, int(tension), _ALL_BUT_FLAT, density, pull)
+    return (energy, stress) if sound else None
+
+
+def _compilable(f: Tensor) -> bool:
+    return f.dtype == torch.float64 and f.device.type == "cpu" and not f.requires_grad and STRAIN_KERNEL.available

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,17 +11,17 @@ from jaxtyping import Float
 from scipy.linalg.blas import dsyrk
 
 from physconvex.dynamics import Contact, obstacle_rows
-from physconvex.kernels import POINTER, SOURCES, Functions, address, aligned, available, doubles, loaded
+from physconvex.kernels import POINTER, SOURCES, Kernel, address, aligned, doubles
 from physconvex.materials import KERNEL_LAWS, NEARLY_FLAT, Law
 from physconvex.reduced.volumetric import VolumetricSamples
 
 __all__ = [
+    "REDUCED_KERNEL",
     "CompiledSamples",
     "CompiledSurface",
     "CompiledViscosity",
     "compiled_surface",
     "compiled_viscosity",
-    "load_library",
     "volumetric_samples",
 ]
 
@@ -29,20 +29,59 @@ Array = np.ndarray
 _BLOCK = 500_000  # numbers in the rows whose products are added at once: they stay in the second cache
 
 
+class _Body(ctypes.Structure):
+    """`struct Body` of sources/reduced/kernel.cpp."""
+
+    _fields_ = (
+        *((name, ctypes.c_int32) for name in ("samples", "functions", "law")),
+        ("flat", ctypes.c_double),
+        *((name, POINTER) for name in ("blocks", "gradients", "weights", "mu", "lam")),
+    )
+
+
+class _Surface(ctypes.Structure):
+    """`struct Surface` of sources/reduced/kernel.cpp."""
+
+    _fields_ = (
+        *((name, ctypes.c_int32) for name in ("samples", "functions", "obstacles")),
+        *((name, POINTER) for name in ("blocks", "areas")),
+        *((name, ctypes.c_double) for name in ("stiffness", "smoothing")),
+    )
+
+
+_NUMBER, _INTEGER = ctypes.c_double, ctypes.c_int32
+_BODY: Any = ctypes.POINTER(_Body)
+REDUCED_KERNEL = Kernel(
+    SOURCES / "reduced",
+    {
+        "pc_lanes": (_INTEGER, []),
+        "pc_energy_and_forces": (_NUMBER, [_BODY, *[POINTER] * 2]),
+        "pc_viscous_power": (_NUMBER, [_BODY, POINTER, _NUMBER, *[POINTER] * 2]),
+        "pc_viscous_tangent": (None, [_BODY, POINTER, _NUMBER, *[POINTER] * 4]),
+        "pc_viscous_rows": (None, [_BODY, *[_INTEGER] * 2, POINTER, _NUMBER, POINTER]),
+        "pc_surface_contact": (_NUMBER, [ctypes.POINTER(_Surface), *[POINTER] * 3]),
+        "pc_mirror": (None, [ctypes.c_size_t, POINTER]),
+        "pc_cofactor_gradients": (_INTEGER, [_BODY, *[POINTER] * 3]),
+        "pc_assemble": (None, [_INTEGER, *[POINTER] * 4]),
+    },
+    include=[SOURCES / "shared"],
+)
+
+
 def volumetric_samples(law: Law, gradients: Array, weights: Array, mu: Array, lam: Array) -> VolumetricSamples:
     """The samples of a body, see `VolumetricSamples`; those of plain numpy where nothing can be compiled."""
-    known = law.name in KERNEL_LAWS and available(load_library)
+    known = law.name in KERNEL_LAWS and REDUCED_KERNEL.available
     return (CompiledSamples if known else VolumetricSamples)(law, gradients, weights, mu, lam)
 
 
 def compiled_viscosity(gradients: Array, weights: Array, mu: Array, lam: Array) -> CompiledViscosity | None:
     """The viscosity of a body, see `CompiledViscosity`; None where nothing can be compiled."""
-    return CompiledViscosity(gradients, weights, mu, lam) if available(load_library) else None
+    return CompiledViscosity(gradients, weights, mu, lam) if REDUCED_KERNEL.available else None
 
 
 def compiled_surface(contact: Contact, values: Array) -> CompiledSurface | None:
     """A contact law on a surface, see `CompiledSurface`; None where nothing can be compiled."""
-    return CompiledSurface(contact, values) if available(load_library) else None
+    return CompiledSurface(contact, values) if REDUCED_KERNEL.available else None
 
 
 class CompiledSamples(VolumetricSamples):
@@ -59,7 +98,7 @@ class CompiledSamples(VolumetricSamples):
 
     def _energy_and_forces(self, body: _Body, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:
         y, forces = doubles(y), np.empty(y.shape)
-        energy = load_library().pc_energy_and_forces(body, address(y), address(forces))
+        energy = REDUCED_KERNEL.library.pc_energy_and_forces(body, address(y), address(forces))
         return energy, forces
 
     def energy_and_gradient(self, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:
@@ -75,11 +114,11 @@ class CompiledSamples(VolumetricSamples):
         """Second derivative [N/m], components first; None where the body is nearly flat at a sample."""
         count, body = len(self._weights), self._compiled.body
         y, u, turned = doubles(y), np.empty((count, 3, self._size)), np.empty((count, 2, self._size))
-        if not load_library().pc_cofactor_gradients(body, *map(address, (y, u, turned))):
+        if not REDUCED_KERNEL.library.pc_cofactor_gradients(body, *map(address, (y, u, turned))):
             return super().hessian_blocks(y)
         product = dsyrk(1.0, u.reshape(count, -1).T, lower=1).T  # the upper half
         parts, last = u[:, 0].T @ turned.reshape(count, -1), u[:, 1].T @ turned[:, 1]
-        load_library().pc_assemble(self._size, *map(address, (self._constant, parts, last, product)))
+        REDUCED_KERNEL.library.pc_assemble(self._size, *map(address, (self._constant, parts, last, product)))
         return product.reshape(3, self._size, 3, self._size)
 
 
@@ -122,13 +161,13 @@ class CompiledViscosity:
         """Derivative of the forces where F* moves as the coordinates do by `step`, and the velocity by `speed_up`."""
         forces, given = np.empty(velocity.shape), [doubles(array) for array in (state, velocity, step, speed_up)]
         first, *others = map(address, given)
-        load_library().pc_viscous_tangent(self._compiled.body, first, damping_time, *others, address(forces))
+        REDUCED_KERNEL.library.pc_viscous_tangent(self._compiled.body, first, damping_time, *others, address(forces))
         return forces
 
     @staticmethod
     def _power(body: _Body, state: Array, velocity: Array, time: float) -> tuple[float, Float[Array, "R 3"]]:
         state, velocity, forces = doubles(state), doubles(velocity), np.empty(velocity.shape)
-        power = load_library().pc_viscous_power(body, address(state), time, address(velocity), address(forces))
+        power = REDUCED_KERNEL.library.pc_viscous_power(body, address(state), time, address(velocity), address(forces))
         return power, forces
 
     def blocks(self, state: Float[Array, "Q 3 3"], ratio: float) -> Float[Array, "3 R 3 R"]:
@@ -138,9 +177,11 @@ class CompiledViscosity:
         rows, product = np.empty((min(most, count), 6, width)), np.zeros((width, width), order="F")
         for first in range(0, count, most):
             some = rows[: min(most, count - first)]
-            load_library().pc_viscous_rows(self._compiled.body, first, len(some), address(state), ratio, address(some))
+            REDUCED_KERNEL.library.pc_viscous_rows(
+                self._compiled.body, first, len(some), address(state), ratio, address(some)
+            )
             product = dsyrk(1.0, some.reshape(-1, width).T, beta=1.0, c=product, lower=1, overwrite_c=1)
-        load_library().pc_mirror(width, address(product.T))
+        REDUCED_KERNEL.library.pc_mirror(width, address(product.T))
         return product.T.reshape(3, width // 3, 3, width // 3)
 
 
@@ -167,13 +208,13 @@ class CompiledSurface:
         if time != self._time:
             self._time, self._rows = time, obstacle_rows(self._obstacles, time)
         y, forces = doubles(y), np.empty(y.shape)
-        energy = load_library().pc_surface_contact(self._surface, *map(address, (self._rows, y, forces)))
+        energy = REDUCED_KERNEL.library.pc_surface_contact(self._surface, *map(address, (self._rows, y, forces)))
         return energy, forces
 
 
 def _in_blocks(rows: Float[Array, "Q R ..."]) -> Array:
     """Rows [Q, R, ...] as [⌈Q / lanes⌉, R, ..., lanes], filled up with zeros."""
-    lanes = load_library().pc_lanes()
+    lanes = REDUCED_KERNEL.library.pc_lanes()
     padded = np.zeros((-(-len(rows) // lanes) * lanes, *rows.shape[1:]))
     padded[: len(rows)] = rows
     return aligned(np.moveaxis(padded.reshape(-1, lanes, *rows.shape[1:]), 1, -1))
@@ -199,46 +240,3 @@ class _Compiled:
         """With other constants, which must live as long as it does."""
         arrays = (self._blocks, self._gradients, self._weights, mu, lam)
         return _Body(len(self._weights), self.size, self._law, NEARLY_FLAT, *map(address, arrays))
-
-
-class _Body(ctypes.Structure):
-    """`struct Body` of cpu/kernel.cpp."""
-
-    _fields_ = (
-        *((name, ctypes.c_int32) for name in ("samples", "functions", "law")),
-        ("flat", ctypes.c_double),
-        *((name, POINTER) for name in ("blocks", "gradients", "weights", "mu", "lam")),
-    )
-
-
-class _Surface(ctypes.Structure):
-    """`struct Surface` of cpu/kernel.cpp."""
-
-    _fields_ = (
-        *((name, ctypes.c_int32) for name in ("samples", "functions", "obstacles")),
-        *((name, POINTER) for name in ("blocks", "areas")),
-        *((name, ctypes.c_double) for name in ("stiffness", "smoothing")),
-    )
-
-
-@cache
-def load_library() -> ctypes.CDLL:
-    """The library with its functions' types declared.
-
-    Raises:
-        KernelUnavailable: no compiler, or it failed.
-    """
-    body: Any = ctypes.POINTER(_Body)
-    number: Any = ctypes.c_double
-    functions: Functions = (
-        ("pc_lanes", ctypes.c_int32, []),
-        ("pc_energy_and_forces", number, [body, *[POINTER] * 2]),
-        ("pc_viscous_power", number, [body, POINTER, number, *[POINTER] * 2]),
-        ("pc_viscous_tangent", None, [body, POINTER, number, *[POINTER] * 4]),
-        ("pc_viscous_rows", None, [body, *[ctypes.c_int32] * 2, POINTER, number, POINTER]),
-        ("pc_surface_contact", number, [ctypes.POINTER(_Surface), *[POINTER] * 3]),
-        ("pc_mirror", None, [ctypes.c_size_t, POINTER]),
-        ("pc_cofactor_gradients", ctypes.c_int32, [body, *[POINTER] * 3]),
-        ("pc_assemble", None, [ctypes.c_int32, *[POINTER] * 4]),
-    )
-    return loaded(SOURCES / "reduced", functions, include=[SOURCES / "shared"])

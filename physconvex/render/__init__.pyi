@@ -1,6 +1,5 @@
-from .compiled import composite_kernel as composite_kernel
+from .compiled import RENDER_FLAGS as RENDER_FLAGS, composite_kernel as composite_kernel
 from .jacobian import ImageJacobian as ImageJacobian, render_jacobian as render_jacobian
-from .library import RENDER_FLAGS as RENDER_FLAGS
 from .movies import film as film, orbit as orbit
 from .projection import Splats as Splats, project_field as project_field
 from .rasterize import RenderedImage as RenderedImage, render as render, splat as splat

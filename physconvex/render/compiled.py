@@ -12,15 +12,42 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from physconvex.kernels import FLAGS, POINTER, SOURCES, Kernel
 from physconvex.render.directions import Directions, stacked
 from physconvex.render.hull import Hulls
-from physconvex.render.library import Scene, load_library
 from physconvex.render.projection import Splats
 from physconvex.render.reference import Layers
 
-__all__ = ["composite_kernel", "composite_tangents", "planar_hulls_kernel"]
+__all__ = ["RENDER_FLAGS", "RENDER_KERNEL", "composite_kernel", "composite_tangents", "planar_hulls_kernel"]
 
 FEATURES = 4
+# No result may be infinite or NaN by design, which lets minima and maxima become single instructions.
+RENDER_FLAGS = (*FLAGS, "-pthread", "-fopenmp-simd", "-fno-signed-zeros", "-ffinite-math-only")
+
+
+class _Scene(ctypes.Structure):
+    """`struct Scene` of sources/render/arithmetic.h."""
+
+    _fields_ = (
+        *((name, ctypes.c_int32) for name in ("width", "height", "polygons", "threads")),
+        *((name, POINTER) for name in ("coordinates", "starts", "lines", "sharpness", "opacity", "features")),
+    )
+
+
+_SCENE: Any = ctypes.POINTER(_Scene)
+_COUNT = ctypes.c_int32
+RENDER_KERNEL = Kernel(
+    SOURCES / "render",
+    {
+        "pc_plan": (POINTER, [_SCENE]),
+        "pc_free": (None, [POINTER]),
+        "pc_hulls": (None, [*[_COUNT] * 3, *[POINTER] * 4]),
+        "pc_blend": (None, [_SCENE, *[POINTER] * 4]),
+        "pc_gradient": (None, [_SCENE, *[POINTER] * 10]),
+        "pc_tangent": (None, [_SCENE, POINTER, _COUNT, *[POINTER] * 7]),
+    },
+    flags=RENDER_FLAGS,
+)
 
 
 def composite_kernel(splats: Splats, coordinates: Float[Tensor, "H W 2"]) -> Layers:
@@ -58,7 +85,7 @@ def planar_hulls_kernel(points: Float[Tensor, "N C 2"]) -> Hulls:
     order, number = given.new_empty((count, candidates), dtype=torch.long), given.new_empty(count, dtype=torch.long)
     width = given.new_empty(count)
     pointers = [tensor.data_ptr() for tensor in (given, order, number, width)]
-    load_library().pc_hulls(count, candidates, torch.get_num_threads(), *pointers)
+    RENDER_KERNEL.library.pc_hulls(count, candidates, torch.get_num_threads(), *pointers)
     return Hulls(*(tensor.to(points.device) for tensor in (order, number, width)))
 
 
@@ -66,13 +93,13 @@ class _Blending:
     """One scene laid out for the kernel; frees the kernel's memory when it goes."""
 
     def __init__(self, starts: Int[Tensor, " M1"], coordinates: Tensor, *polygons: Tensor) -> None:
-        self._library = load_library()
+        self._library = RENDER_KERNEL.library
         self.inputs = tuple(tensor.detach().float().cpu().contiguous() for tensor in (coordinates, *polygons))
         self._starts = starts.cpu().int().contiguous()
         height, width = coordinates.shape[:2]
         coordinates, *arrays = self.inputs
         pointers = [tensor.data_ptr() for tensor in (coordinates, self._starts, *arrays)]
-        self._scene = Scene(width, height, len(starts) - 1, torch.get_num_threads(), *pointers)
+        self._scene = _Scene(width, height, len(starts) - 1, torch.get_num_threads(), *pointers)
         self._plan = self._library.pc_plan(ctypes.byref(self._scene))
         weakref.finalize(self, self._library.pc_free, self._plan)
         self.size = (height, width)

@@ -1,4 +1,4 @@
-"""The kernel for CUDA devices as torch functions; compiled by NVRTC, which torch's CUDA builds carry."""
+"""The kernel for CUDA devices as torch functions; see `physconvex.kernels.cuda`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from physconvex.render.hull import Hulls
 from physconvex.render.projection import Splats
 from physconvex.render.reference import Layers
 
-__all__ = ["FUNCTIONS", "composite_cuda", "composite_tangents_cuda", "planar_hulls_cuda", "source"]
+__all__ = ["FUNCTIONS", "composite_cuda", "composite_tangents_cuda", "planar_hulls_cuda", "render_source"]
 
 FUNCTIONS = ("blend", "gradient", "tangent", "hulls")
 SIDE, BLOCK, FEATURES, DIRECTIONS = 16, 256, 4, 8
@@ -30,7 +30,7 @@ def composite_cuda(splats: Splats, coordinates: Float[Tensor, "H W 2"]) -> Layer
     over pixels come in no fixed order, so gradients differ by rounding from run to run.
 
     Raises:
-        KernelUnavailable: tensors that are not on a CUDA device, or a torch that cannot compile for it.
+        KernelUnavailable: tensors that are not on a CUDA device, or nothing that compiles for it.
     """
     features, transmittance, heaviest = _Composite.apply(splats.starts, coordinates, *splats.differentiable())
     return Layers(features, transmittance, heaviest.long())
@@ -63,7 +63,7 @@ def planar_hulls_cuda(points: Float[Tensor, "N C 2"]) -> Hulls:
 
 
 @cache
-def source(name: str) -> str:
+def render_source(name: str) -> str:
     """The CUDA text that holds one of `FUNCTIONS`."""
     if name != "hulls":
         return (SOURCES / "render_cuda" / "kernel.cu").read_text(encoding="utf-8")
@@ -74,7 +74,7 @@ def source(name: str) -> str:
 
 def _launch(name: str, grid: tuple[int, int], arguments: Sequence[Tensor | int]) -> None:
     """Run one of `FUNCTIONS` with `BLOCK` threads in each block."""
-    launch(source(name), name, grid=grid, threads=BLOCK, arguments=arguments)
+    launch(render_source(name), name, grid=grid, threads=BLOCK, arguments=arguments)
 
 
 class _Scene:

@@ -15,9 +15,8 @@ from physconvex.convex import ConvexField
 from physconvex.errors import InputError
 from physconvex.io import Camera
 from physconvex.kernels import KernelUnavailable
-from physconvex.render.compiled import composite_kernel, planar_hulls_kernel
+from physconvex.render.compiled import RENDER_KERNEL, composite_kernel, planar_hulls_kernel
 from physconvex.render.cuda import composite_cuda, planar_hulls_cuda
-from physconvex.render.library import load_library
 from physconvex.render.projection import NEAR, Splats, project_field
 from physconvex.render.reference import Layers, composite_reference
 from physconvex.render.trial import draws_rightly
@@ -78,7 +77,7 @@ def _uses_kernel(tensor: Tensor, backend: Backend) -> bool:
         raise InputError(f"backend: got {backend!r}; expected one of {', '.join(get_args(Backend))}")
     if backend == "auto" and tensor.dtype == torch.float32 and tensor.device.type == "cpu":
         try:
-            load_library()
+            _ = RENDER_KERNEL.library
         except KernelUnavailable as error:
             warnings.warn(f"drawing with plain torch, which is slow: {error}", RuntimeWarning, stacklevel=4)
             return False

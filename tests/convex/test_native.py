@@ -1,22 +1,22 @@
 """Where there is no compiler."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from physconvex import InputError
-from physconvex.kernels import KernelUnavailable
 from physconvex.render import rasterize, render
 from tests.convex.fields import random_field
 from tests.convex.scenes import camera
 
 
 def test_without_a_compiler_the_reference_draws_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse() -> None:
-        raise KernelUnavailable("no C++ compiler found")
-
     field = random_field(3, dtype=torch.float32)
     plain = render(field, camera(), backend="reference")
-    monkeypatch.setattr(rasterize, "load_library", refuse)
+    monkeypatch.setattr(rasterize, "RENDER_KERNEL", replace(rasterize.RENDER_KERNEL))  # not yet loaded
+    monkeypatch.delenv("CXX", raising=False)
+    monkeypatch.setenv("PATH", "")
     with pytest.warns(RuntimeWarning, match=r"plain torch, which is slow: no C\+\+ compiler"):
         drawn = render(field, camera())
     assert torch.equal(drawn.colour, plain.colour)

@@ -20,8 +20,8 @@ from physconvex.fem import (
 from physconvex.fem.compiled_contact import CompiledContact, add_near, carry, contact_kind, turned_blocks
 from physconvex.fem.contact_problem import ContactProblem
 from physconvex.fem.kept_factor import KeptFactor
-from physconvex.kernels import KernelUnavailable
 from physconvex.mesh import box_mesh
+from tests.kernels.missing import MISSING
 
 BOX = (0.2, 0.2, 0.1)
 FLOOR = Plane(point=(0, 0, -0.02), friction=0.4)
@@ -173,12 +173,8 @@ def test_what_is_learnt_obeys_the_secant_equation(turned):
 def kind(request, monkeypatch):
     """Both arithmetics; without a compiler numpy's is taken."""
     if request.param == "numpy":
-        monkeypatch.setattr(contact_kernel, "load_library", _refuse)
+        monkeypatch.setattr(contact_kernel, "FEM_KERNEL", MISSING)
     return CompiledContact if request.param == "compiled" else ContactProblem
-
-
-def _refuse():
-    raise KernelUnavailable("no C++ compiler found")
 
 
 def problem_of(points: int, nodes: int, obstacles=(FLOOR,)) -> tuple[ContactProblem, np.ndarray]:
@@ -257,7 +253,7 @@ def test_blocks_turn_with_the_body_and_points_are_carried(kind):
 def test_bodies_move_alike_without_a_compiler(monkeypatch):
     options = {"frames": 3, "fps": 24, "steps_per_frame": 12, "contact_solver": "condensed"}
     compiled = simulate(SCENES["points"], **options)
-    monkeypatch.setattr(contact_kernel, "load_library", _refuse)
+    monkeypatch.setattr(contact_kernel, "FEM_KERNEL", MISSING)
     plain = simulate(SCENES["points"], **options)
     assert np.abs(plain.positions[-1] - plain.positions[0]).max() > 0.05
     np.testing.assert_allclose(compiled.positions, plain.positions, atol=1e-7)

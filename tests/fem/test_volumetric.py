@@ -8,9 +8,9 @@ import pytest
 from physconvex.fem import ElasticBody, compiled_elements as kernel
 from physconvex.fem.compiled_elements import CompiledElements, sum_into
 from physconvex.fem.volumetric import VolumetricElements
-from physconvex.kernels import KernelUnavailable
 from physconvex.materials import cofactor_and_determinant
 from physconvex.mesh import box_mesh
+from tests.kernels.missing import MISSING
 
 LAWS = ("neo_hookean", "neo_hookean_log")
 
@@ -19,14 +19,10 @@ LAWS = ("neo_hookean", "neo_hookean_log")
 def kind(request, monkeypatch):
     """Both fast arithmetics; without a compiler numpy's is taken."""
     if request.param == "numpy":
-        monkeypatch.setattr(kernel, "load_library", _refuse)
+        monkeypatch.setattr(kernel, "FEM_KERNEL", MISSING)
     else:
-        kernel.load_library()
+        assert kernel.FEM_KERNEL.available
     return CompiledElements if request.param == "compiled" else VolumetricElements
-
-
-def _refuse():
-    raise KernelUnavailable("no C++ compiler found")
 
 
 def bodies(law: str, order: int, cells: tuple[int, int, int] = (2, 2, 1)) -> tuple[ElasticBody, ElasticBody]:

@@ -45,12 +45,23 @@ def test_compiled_once_then_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     assert {library, other} == set((tmp_path / "cache").iterdir())
 
 
-def test_a_compiler_that_fails_is_tried_once() -> None:
+def test_a_compiler_that_fails_is_tried_once(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     tried = []
 
-    def load() -> ctypes.CDLL:
-        tried.append(1)
+    def fails(folder: Path, **_: object) -> Path:
+        tried.append(folder)
         raise native.KernelUnavailable("it fails")
 
-    assert not native.available(load) and not native.available(load)
-    assert len(tried) == 1
+    monkeypatch.setattr(native, "compiled", fails)
+    kernel = native.Kernel(folder, {})
+    assert not kernel.available and not kernel.available
+    with pytest.raises(native.KernelUnavailable, match="it fails"):
+        _ = kernel.library
+    assert tried == [folder]
+
+
+def test_the_types_of_functions_are_declared(folder: Path) -> None:
+    kernel = native.Kernel(folder, {"answer": (ctypes.c_int, [])})
+    assert kernel.available and kernel.library.answer() == 42
+    with pytest.raises(native.KernelUnavailable, match=r"holds no kernel\.cpp"):
+        _ = native.Kernel(folder.parent, {}).library

@@ -7,14 +7,10 @@ import pytest
 import torch
 
 from physconvex.dynamics import Contact, Plane, Sphere
-from physconvex.kernels import KernelUnavailable
 from physconvex.reduced import ReducedBody, ReducedScene, compiled_body as kernel, simulate
 from physconvex.reduced.compiled_body import CompiledSurface, CompiledViscosity
 from physconvex.reduced.surface_contact import SurfaceContact
-
-
-def refuse():
-    raise KernelUnavailable("no C++ compiler found")
+from tests.kernels.missing import MISSING
 
 
 def copied(body: ReducedBody) -> ReducedBody:
@@ -37,7 +33,7 @@ def test_viscosity_is_that_of_plain_torch(mixed_body, law, monkeypatch):
     body = mixed_body(2, law)
     plain = copied(body)
     with monkeypatch.context() as patched:
-        patched.setattr(kernel, "load_library", refuse)
+        patched.setattr(kernel, "REDUCED_KERNEL", MISSING)
         assert plain._viscosity is None
     assert isinstance(body._viscosity, CompiledViscosity)
     state, (velocity, step, speed_up) = moving(body)
@@ -89,7 +85,7 @@ def test_contact_is_that_of_plain_numpy(count, monkeypatch):
     contact = Contact(obstacles, areas, 1e4, 0.05, 1e-3)
     compiled = SurfaceContact(contact, values)
     with monkeypatch.context() as patched:
-        patched.setattr(kernel, "load_library", refuse)
+        patched.setattr(kernel, "REDUCED_KERNEL", MISSING)
         plain = SurfaceContact(contact, values)
     assert isinstance(compiled._compiled, CompiledSurface) and plain._compiled is None
     for time in (0.0, 0.7, 0.7):
@@ -108,5 +104,5 @@ def test_a_rough_damped_drop_is_the_same_without_a_compiler(mixed_body, monkeypa
         return simulate(scene, frames=5, fps=24.0, steps_per_frame=8).coordinates
 
     compiled = dropped()
-    monkeypatch.setattr(kernel, "load_library", refuse)
+    monkeypatch.setattr(kernel, "REDUCED_KERNEL", MISSING)
     np.testing.assert_allclose(dropped(), compiled, rtol=0, atol=1e-6 * body.space.samples.size)

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.kernels import KernelUnavailable
 from physconvex.materials import get_law
 from physconvex.reduced import ReducedBody, compiled_body as kernel
 from physconvex.reduced.compiled_body import CompiledSamples, volumetric_samples
 from physconvex.reduced.volumetric import VolumetricSamples
+from tests.kernels.missing import MISSING
 
 LAWS = ["neo_hookean", "neo_hookean_log"]
 
@@ -19,14 +19,10 @@ LAWS = ["neo_hookean", "neo_hookean_log"]
 def kind(request, monkeypatch):
     """Both arithmetics; without a compiler the plain one is taken."""
     if request.param == "plain":
-        monkeypatch.setattr(kernel, "load_library", _refuse)
+        monkeypatch.setattr(kernel, "REDUCED_KERNEL", MISSING)
     else:
-        kernel.load_library()
+        assert kernel.REDUCED_KERNEL.available
     return CompiledSamples if request.param == "compiled" else VolumetricSamples
-
-
-def _refuse():
-    raise KernelUnavailable("no C++ compiler found")
 
 
 def random_samples(law, count, size, seed=0):
