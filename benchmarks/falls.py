@@ -85,7 +85,7 @@ def main() -> None:
             _wait(options.device)
             ticks.append(time.perf_counter())
 
-        pretrain(network, falls, falls, config, plan, Path(work) / "run", report=tick)
+        pretrain(network, falls, falls, config, plan, out=Path(work) / "run", report=tick)
     took = Took(
         command="python " + " ".join([f"benchmarks/{Path(__file__).name}", *sys.argv[1:]]),
         machine=f"{platform.machine()}, torch {torch.__version__}",

@@ -42,6 +42,7 @@ Progress = Annotated[bool, typer.Option(help="Show a progress bar.")]
 
 @app.command("dataset")
 def dataset(
+    *,
     out: Out,
     count: Annotated[int, typer.Option(min=1, help="Number of simulations; each gives `camera.views` clips.")] = 100,
     config: Config = "training",
@@ -94,6 +95,7 @@ def captures_command(
 
 @app.command("falls")
 def falls(
+    *,
     out: Out,
     shapes: Annotated[int, typer.Option(min=1, help="Number of shapes.")] = 1720,
     each: Annotated[int, typer.Option(min=1, help="Falls of each shape.")] = 4,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
@@ -54,7 +54,7 @@ class Interval(FrozenConfig):
         return float(rng.uniform(self.low, self.high))
 
 
-def read_range(value: Any) -> Any:
+def read_range(value: object) -> object:
     """Accept a number or a pair where an interval is wanted."""
     if isinstance(value, (int, float)):
         return {"low": value, "high": value}

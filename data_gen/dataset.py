@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +20,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Bool, UInt8
+from pydantic import JsonValue
 
 from data_gen.simulate import Samples
 from physconvex import InputError
@@ -48,7 +49,7 @@ class RenderedView:
 
     video: bytes
     mask: Bool[np.ndarray, "T H W"]
-    metadata: dict[str, Any]
+    metadata: dict[str, JsonValue]
 
 
 def simulation_folder(root: Path, simulation: int) -> Path:
@@ -65,7 +66,7 @@ def _given_up_file(root: Path, simulation: int) -> Path:
     return root / "given_up" / f"{simulation:06d}.json"
 
 
-def write_claim(root: Path, claim: dict[str, Any]) -> None:
+def write_claim(root: Path, claim: Mapping[str, object]) -> None:
     """Note in `generator.json` what the folder is being made from, or check that it is the same.
 
     Raises:
@@ -92,7 +93,7 @@ def write_given_up(root: Path, simulation: int, failures: list[str]) -> None:
 
 
 def write_simulation(
-    root: Path, simulation: int, metadata: dict[str, Any], samples: Samples, views: list[RenderedView]
+    root: Path, simulation: int, metadata: dict[str, JsonValue], samples: Samples, views: list[RenderedView]
 ) -> None:
     """Write one simulation folder; it appears under its name only when it is complete."""
     final = simulation_folder(root, simulation)
@@ -120,7 +121,7 @@ def write_simulation(
     partial.rename(final)
 
 
-def _write_json(path: Path, content: Any) -> None:
+def _write_json(path: Path, content: object) -> None:
     _replace(path, json.dumps(content, indent=1, sort_keys=True))
 
 
@@ -131,7 +132,7 @@ def _replace(path: Path, text: str) -> None:
     os.replace(partial, path)
 
 
-def finish_dataset(root: Path, configuration: dict[str, Any], seed: int, version: str) -> tuple[int, ...]:
+def finish_dataset(root: Path, configuration: dict[str, JsonValue], seed: int, version: str) -> tuple[int, ...]:
     """Write `index.parquet`, `failures.jsonl` and `manifest.json` over everything that is there.
 
     Returns:
@@ -167,7 +168,7 @@ def finish_dataset(root: Path, configuration: dict[str, Any], seed: int, version
     return tuple(given_up)
 
 
-def _failures(root: Path, folders: list[Path]) -> tuple[list[dict[str, Any]], list[int]]:
+def _failures(root: Path, folders: list[Path]) -> tuple[list[dict[str, JsonValue]], list[int]]:
     """Every failed attempt, and the simulations of which all attempts failed."""
     given_up = [json.loads(p.read_text(encoding="utf-8")) for p in sorted((root / "given_up").glob("*.json"))]
     made = [json.loads((folder / "simulation.json").read_text(encoding="utf-8")) for folder in folders]
@@ -179,7 +180,7 @@ def _failures(root: Path, folders: list[Path]) -> tuple[list[dict[str, Any]], li
     return notes, [entry["simulation"] for entry in given_up]
 
 
-def _rows(folder: Path) -> Iterator[dict[str, Any]]:
+def _rows(folder: Path) -> Iterator[dict[str, JsonValue]]:
     simulation = json.loads((folder / "simulation.json").read_text())
     simulation.pop("failures", None)
     for path in sorted(folder.glob("view*.json")):
@@ -189,9 +190,9 @@ def _rows(folder: Path) -> Iterator[dict[str, Any]]:
         yield scalars | {"clip_id": f"{folder.name}_{number}", "folder": folder.name, "view": number}
 
 
-def _flat(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+def _flat(tree: dict[str, JsonValue], prefix: str = "") -> dict[str, JsonValue]:
     """Numbers and names of a nested dictionary; lists become one column each."""
-    out: dict[str, Any] = {}
+    out: dict[str, JsonValue] = {}
     for key, value in tree.items():
         if isinstance(value, dict):
             out |= _flat(value, f"{prefix}{key}_")
@@ -260,7 +261,7 @@ class Dataset:
     """A finished data set: its folder, its manifest and one record per clip."""
 
     root: Path
-    manifest: dict[str, Any]
+    manifest: dict[str, JsonValue]
     clips: tuple[ClipRecord, ...]
 
     @classmethod

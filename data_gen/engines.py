@@ -6,7 +6,7 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from typing import Any, Literal, TypeVar
+from typing import Literal, TypeVar, get_args
 
 from physconvex import InputError
 from physconvex.io import ONE_THREAD, end_with_parent, one_thread_each
@@ -28,13 +28,18 @@ def run_tasks(
     """
     if workers < 1:
         raise InputError(f"workers: got {workers}; expected at least 1")
-    engines: dict[str, Callable[..., Iterator[Any]]] = {"local": _local, "ray": _ray, "dask": _dask}
-    if engine not in engines:
-        raise InputError(f"engine: got {engine!r}; expected one of {', '.join(engines)}")
-    yield from engines[engine](function, tasks, workers)
+    match engine:
+        case "local":
+            yield from _local(function, tasks, workers)
+        case "ray":
+            yield from _ray(function, tasks, workers)
+        case "dask":
+            yield from _dask(function, tasks, workers)
+        case _:
+            raise InputError(f"engine: got {engine!r}; expected one of {', '.join(get_args(EngineName))}")
 
 
-def _local(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int) -> Iterator[Any]:
+def _local(function: Callable[[Task], Result], tasks: Sequence[Task], workers: int) -> Iterator[Result]:
     # Fresh processes: a forked one would inherit OpenGL contexts and thread pools that do not survive a fork.
     context = multiprocessing.get_context("spawn")
     with one_thread_each(), ProcessPoolExecutor(workers, context, end_with_parent) as pool:
@@ -46,7 +51,7 @@ def _local(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int) -
             pool.shutdown(cancel_futures=True)
 
 
-def _ray(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int) -> Iterator[Any]:
+def _ray(function: Callable[[Task], Result], tasks: Sequence[Task], workers: int) -> Iterator[Result]:
     try:
         import ray
     except ImportError as error:
@@ -62,7 +67,7 @@ def _ray(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int) -> 
         yield from ray.get(done)
 
 
-def _dask(function: Callable[[Any], Any], tasks: Sequence[Any], workers: int) -> Iterator[Any]:
+def _dask(function: Callable[[Task], Result], tasks: Sequence[Task], workers: int) -> Iterator[Result]:
     try:
         from distributed import Client, LocalCluster, as_completed
     except ImportError as error:

@@ -9,9 +9,9 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from pydantic import JsonValue
 
 from data_gen.config import GeneratorConfig
 from data_gen.dataset import RenderedView, finish_dataset, is_settled, write_claim, write_given_up, write_simulation
@@ -179,7 +179,7 @@ def _views(task: SimulationTask, attempt: int, drop: Drop, simulated: SimulatedD
         look = draw_look(config, rng, simulated.surface, name="front")
         degradation = draw_degradation(config.degradation, rng, video.crf)
         images, mask = render_view(simulated, look, degradation, config, rng)
-        metadata = {
+        metadata: dict[str, JsonValue] = {
             "camera": look.camera.to_json(),
             "lighting": asdict(look.lighting),
             "floor_tile": look.backdrop.floor_tile,
@@ -189,7 +189,7 @@ def _views(task: SimulationTask, attempt: int, drop: Drop, simulated: SimulatedD
     return views
 
 
-def _metadata(task: SimulationTask, attempt: int, drop: Drop, simulated: SimulatedDrop) -> dict[str, Any]:
+def _metadata(task: SimulationTask, attempt: int, drop: Drop, simulated: SimulatedDrop) -> dict[str, JsonValue]:
     objects, video = task.config.objects, task.config.video
     return {
         "simulation": task.simulation,
@@ -238,7 +238,7 @@ def generate_dataset(
     root = Path(root)
     if count < 1:
         raise InputError(f"count: got {count}; expected at least 1")
-    write_claim(root, {"seed": seed, "configuration": _plain(config), "generator_version": __version__})
+    write_claim(root, {"seed": seed, "configuration": config.model_dump(mode="json"), "generator_version": __version__})
     todo = [n for n in range(count) if not is_settled(root, n)]
     tasks = [SimulationTask(root.resolve(), config, seed, n) for n in todo]
     failed = made = 0
@@ -250,9 +250,5 @@ def generate_dataset(
         made += not report.given_up
         if on_report is not None:
             on_report(report, done)
-    given_up = finish_dataset(root, _plain(config), seed, __version__)
+    given_up = finish_dataset(root, config.model_dump(mode="json"), seed, __version__)
     return GenerationSummary(made, count - len(todo), failed, given_up)
-
-
-def _plain(config: GeneratorConfig) -> dict[str, Any]:
-    return config.model_dump(mode="json")

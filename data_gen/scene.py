@@ -148,7 +148,9 @@ def draw_look(
     """Camera that sees the whole path [m], light, floor and background of one view."""
     video, appearance = config.video, config.appearance
     azimuth = config.camera.azimuth_deg.sample(rng) if azimuth_deg is None else azimuth_deg
-    camera = _camera(config.camera, rng, path.reshape(-1, 3), name, video.width, video.height, azimuth)
+    camera = _camera(
+        config.camera, rng, path.reshape(-1, 3), name=name, width=video.width, height=video.height, azimuth_deg=azimuth
+    )
     key_azimuth = np.deg2rad(azimuth + 180 + appearance.key_azimuth_deg.sample(rng))
     elevation = np.deg2rad(appearance.key_elevation_deg.sample(rng))
     warmth = appearance.warmth.sample(rng)
@@ -182,6 +184,7 @@ def _camera(
     config: CameraConfig,
     rng: np.random.Generator,
     points: Float[np.ndarray, "P 3"],
+    *,
     name: str,
     width: int,
     height: int,

@@ -9,7 +9,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +18,10 @@ from data_gen.lighting import Backdrop, Lighting
 from data_gen.surface import DrawnSurface
 from physconvex import PhysconvexError
 from physconvex.io import Camera
+
+if TYPE_CHECKING:
+    from pyvista import PolyData, Texture
+    from vtkmodules.vtkRenderingCore import vtkActor, vtkLight, vtkRenderer, vtkRenderWindow
 
 __all__ = [
     "RenderError",
@@ -72,7 +76,7 @@ def load_triton_first() -> None:
             ctypes.CDLL(str(library))
 
 
-def open_window(width: int, height: int) -> Any:
+def open_window(width: int, height: int) -> vtkRenderWindow:
     """An off-screen window with an alpha channel.
 
     Raises:
@@ -97,7 +101,7 @@ def open_window(width: int, height: int) -> Any:
     return window
 
 
-def new_renderer(*actors: Any) -> Any:
+def new_renderer(*actors: vtkActor) -> vtkRenderer:
     """A renderer on a transparent background, without automatic lights or cameras."""
     from vtkmodules.vtkRenderingCore import vtkRenderer
 
@@ -111,7 +115,7 @@ def new_renderer(*actors: Any) -> Any:
     return renderer
 
 
-def new_actor(mesh: Any) -> Any:
+def new_actor(mesh: PolyData) -> vtkActor:
     from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper
 
     mapper = vtkPolyDataMapper()
@@ -122,14 +126,14 @@ def new_actor(mesh: Any) -> Any:
     return actor
 
 
-def unlit(actor: Any, brightness: float = 1.0) -> Any:
+def unlit(actor: vtkActor, brightness: float = 1.0) -> vtkActor:
     properties = actor.GetProperty()
     properties.LightingOff()
     properties.SetColor(brightness, brightness, brightness)
     return actor
 
 
-def image_texture(image: np.ndarray, *, mirrored: bool) -> Any:
+def image_texture(image: np.ndarray, *, mirrored: bool) -> Texture:
     """Smoothly filtered texture of an image whose row 0 is up; repeated, every other time `mirrored` (no seams)."""
     import pyvista as pv
     from vtkmodules.vtkRenderingCore import vtkTexture
@@ -142,7 +146,7 @@ def image_texture(image: np.ndarray, *, mirrored: bool) -> Any:
     return texture
 
 
-def object_pass(mesh: Any, surface: DrawnSurface) -> Any:
+def object_pass(mesh: PolyData, surface: DrawnSurface) -> vtkRenderer:
     """The lit object alone; `mesh` has three own points per face of `surface`."""
     from vtkmodules.vtkRenderingCore import vtkLight
 
@@ -167,22 +171,22 @@ def object_pass(mesh: Any, surface: DrawnSurface) -> Any:
     return renderer
 
 
-def shadow_pass(mesh: Any) -> Any:
+def shadow_pass(mesh: PolyData) -> vtkRenderer:
     """The flattened object in white."""
     return new_renderer(unlit(new_actor(mesh)))
 
 
-def plate_pass(backdrop: Backdrop) -> Any:
+def plate_pass(backdrop: Backdrop) -> vtkRenderer:
     """Floor and background, as they look without the object."""
     import pyvista as pv
 
     edge = FLOOR_EXTENT
-    floor: Any = pv.PolyData(
+    floor = pv.PolyData(
         np.array([[-edge, -edge, 0], [edge, -edge, 0], [edge, edge, 0], [-edge, edge, 0]], np.float32),
         np.array([4, 0, 1, 2, 3]),
     )
     tiles = edge / backdrop.floor_tile
-    corners = np.array([[-tiles, -tiles], [tiles, -tiles], [tiles, tiles], [-tiles, tiles]], np.float32)
+    corners: np.ndarray = np.array([[-tiles, -tiles], [tiles, -tiles], [tiles, tiles], [-tiles, tiles]], np.float32)
     floor.active_texture_coordinates = corners
     floor_actor = unlit(new_actor(floor))
     floor_actor.SetTexture(image_texture(backdrop.floor, mirrored=True))
@@ -191,7 +195,7 @@ def plate_pass(backdrop: Backdrop) -> Any:
     return new_renderer(floor_actor, dome_actor)
 
 
-def dome(steps: int = 64) -> Any:
+def dome(steps: int = 64) -> PolyData:
     """Open cylinder around the scene; the picture runs four times around it, every other time mirrored."""
     import pyvista as pv
 
@@ -199,19 +203,20 @@ def dome(steps: int = 64) -> Any:
     circle = DOME_RADIUS * np.column_stack([np.cos(angle), np.sin(angle)])
     rows = [(DOME_FOOT, 0.0), (0.0, 0.0), (0.8 * DOME_RADIUS, 1.0)]
     points = np.vstack([np.column_stack([circle, np.full(len(circle), z)]) for z, _ in rows])
-    coordinates = np.vstack([np.column_stack([2 * angle / np.pi, np.full(len(angle), v)]) for _, v in rows])
+    picture = [np.column_stack([2 * angle / np.pi, np.full(len(angle), v)]) for _, v in rows]
+    coordinates: np.ndarray = np.vstack(picture).astype(np.float32)
     first = np.arange(steps)
     n = steps + 1
     quads = [np.column_stack([first, first + 1, first + 1 + n, first + n]) + k * n for k in range(len(rows) - 1)]
     cells = np.hstack([np.full((len(quads) * steps, 1), 4), np.vstack(quads)]).ravel()
-    mesh: Any = pv.PolyData(points.astype(np.float32), cells)
-    mesh.active_texture_coordinates = coordinates.astype(np.float32)
+    mesh = pv.PolyData(points.astype(np.float32), cells)
+    mesh.active_texture_coordinates = coordinates
     return mesh
 
 
-def light_object(renderer: Any, lighting: Lighting, camera: Camera) -> None:
+def light_object(renderer: vtkRenderer, lighting: Lighting, camera: Camera) -> None:
     """Set the key, fill and upward bounce lights and the material of the object pass."""
-    lights = [renderer.GetLights().GetItemAsObject(k) for k in range(3)]
+    lights = [cast("vtkLight", renderer.GetLights().GetItemAsObject(k)) for k in range(3)]
     key = np.array(lighting.direction)
     viewer = camera.position / np.linalg.norm(camera.position)
     fill = viewer - 0.8 * key + [0, 0, 0.3]
@@ -222,7 +227,7 @@ def light_object(renderer: Any, lighting: Lighting, camera: Camera) -> None:
         light.SetFocalPoint(0, 0, 0)
         light.SetIntensity(intensity)
     lights[0].SetColor(*lighting.color)
-    actor = renderer.GetActors().GetItemAsObject(0)
+    actor = cast("vtkActor", renderer.GetActors().GetItemAsObject(0))
     properties = actor.GetProperty()
     properties.SetAmbient(lighting.ambient)
     properties.SetDiffuse(1.0)
@@ -230,7 +235,7 @@ def light_object(renderer: Any, lighting: Lighting, camera: Camera) -> None:
     properties.SetSpecularPower(25.0)
 
 
-def place_camera(renderer: Any, camera: Camera) -> None:
+def place_camera(renderer: vtkRenderer, camera: Camera) -> None:
     """Give a renderer the pose and the exact intrinsics of a camera."""
     from vtkmodules.vtkCommonMath import vtkMatrix4x4
 

@@ -19,6 +19,7 @@ _ROWS_SHOWN = 40
 
 
 def predict_command(
+    *,
     paths: Annotated[
         list[Path],
         typer.Argument(

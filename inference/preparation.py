@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from inference.loading import Conditions, LoadedClip, StatedConditions, load_clip, resolve_conditions, retimed
 from inference.pictures import frame_strip
 from inference.prediction import Estimated, Prediction
 from inference.sources import ClipSource, displayed_path
 from models import ClipConfig, PreparedClip
+
+if TYPE_CHECKING:
+    from torch import nn
 
 __all__ = ["Predictor", "Prepare", "ReadyClip", "ready_clip", "ready_source", "to_prediction"]
 
@@ -23,12 +26,12 @@ class Predictor(Protocol):
     """What inference needs of a predictor (`models.estimator.PhysicsPredictor`)."""
 
     @property
-    def network(self) -> Any:
+    def network(self) -> nn.Module:
         """The torch module with the weights."""
         ...
 
     @property
-    def config(self) -> Any:
+    def config(self) -> object:
         """Everything beside the weights that decides an estimate; its `repr` tells two apart."""
         ...
 

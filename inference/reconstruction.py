@@ -10,11 +10,12 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 import torch
 import trimesh
+from pydantic import JsonValue
 
 import physconvex
 from inference.reconstruction_pictures import write_comparison
@@ -53,6 +54,30 @@ _STORE_EVERY = 20.0  # seconds
 _FILM_FRAMES, _FILM_RATE = 48, 24.0
 
 
+class ScoreTable(TypedDict):
+    """Scores of some views."""
+
+    mean: dict[str, float]
+    views: list[dict[str, Any]]
+    """The fields of `ViewScore`, one entry a view."""
+
+
+class ReconstructionRecord(TypedDict):
+    """What `reconstruction.json` holds."""
+
+    claim: NotRequired[str]
+    """Checksum of everything that the result depends on."""
+    version: str
+    convexes: int
+    points_per_convex: int
+    start: str
+    silhouettes: list[str]
+    seconds: float
+    training: ScoreTable
+    held_out: ScoreTable
+    config: dict[str, JsonValue]
+
+
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
     """A convex field and how well it explains the views.
@@ -76,7 +101,7 @@ class Reconstruction:
     config: ReconstructionConfig
     out: Path | None = None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> ReconstructionRecord:
         """What `reconstruction.json` holds."""
         return {
             "version": physconvex.__version__,
@@ -91,7 +116,7 @@ class Reconstruction:
         }
 
 
-def _table(scores: Sequence[ViewScore]) -> dict[str, Any]:
+def _table(scores: Sequence[ViewScore]) -> ScoreTable:
     """Means over the views, and every view."""
     rows = [asdict(one) for one in scores]
     names = [name for name in ViewScore.__dataclass_fields__ if name != "camera"]
@@ -146,7 +171,7 @@ def reconstruct(
     kind = start_kind(config.start, mesh=mesh is not None, points=given is not None)
     if state is None:
         state = begin(start_field(views.training, config, mesh=mesh, points=given))
-    state = _fit_and_store(state.to(place), views, config, folder, claim, on_step)
+    state = _fit_and_store(state.to(place), views, config, folder=folder, claim=claim, on_step=on_step)
     field = _closed(state, body_surface(kind, views.training, mesh), config)
     trained, tested = (score_views(field.to(place), part) for part in (views.training, views.held_out))
     result = Reconstruction(
@@ -180,6 +205,7 @@ def _fit_and_store(
     state: FitState,
     views: CaptureViews,
     config: ReconstructionConfig,
+    *,
     folder: Path | None,
     claim: str,
     on_step: Callable[[FitProgress], None] | None,
@@ -221,7 +247,7 @@ def _claim(views: CaptureViews, config: ReconstructionConfig, points: np.ndarray
     return digest.hexdigest()[:32]
 
 
-def _prepared(folder: Path, claim: str, *, redo: bool) -> dict[str, Any] | None:
+def _prepared(folder: Path, claim: str, *, redo: bool) -> ReconstructionRecord | None:
     """Make the folder; what it holds of this very reconstruction, if that is finished.
 
     Raises:
@@ -235,7 +261,7 @@ def _prepared(folder: Path, claim: str, *, redo: bool) -> dict[str, Any] | None:
     if not (folder / RESULT).exists():
         return None
     try:
-        content: dict[str, Any] = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+        content: ReconstructionRecord = json.loads((folder / RESULT).read_text(encoding="utf-8"))
     except ValueError as error:
         raise InputError(f"{folder / RESULT}: no valid JSON ({error}); remove it or use redo") from None
     if content.get("claim") != claim:
@@ -245,7 +271,7 @@ def _prepared(folder: Path, claim: str, *, redo: bool) -> dict[str, Any] | None:
     return content
 
 
-def _read(folder: Path, content: dict[str, Any], config: ReconstructionConfig) -> Reconstruction:
+def _read(folder: Path, content: ReconstructionRecord, config: ReconstructionConfig) -> Reconstruction:
     """A finished reconstruction."""
     training, held_out = (
         tuple(ViewScore(**row) for row in content[part]["views"]) for part in ("training", "held_out")

@@ -16,6 +16,7 @@ __all__ = ["reconstruct_command"]
 
 
 def reconstruct_command(
+    *,
     capture: Annotated[Path, typer.Argument(help="Folder with capture.json and several cameras.", show_default=False)],
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("reconstruction"),
     held_out: Annotated[

@@ -11,9 +11,9 @@ import sys
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import torch
+from pydantic import JsonValue
 
 import physconvex
 from inference.preparation import Predictor
@@ -21,7 +21,7 @@ from inference.preparation import Predictor
 __all__ = ["checkpoint_digest", "finish_run", "start_run"]
 
 
-def start_run(out: Path, *, command: Sequence[str] | None, configuration: Mapping[str, Any]) -> int:
+def start_run(out: Path, *, command: Sequence[str] | None, configuration: Mapping[str, JsonValue]) -> int:
     """Add a run to `run.json` and return its number (a resumed batch has several runs)."""
     runs = _read_runs(out)
     runs.append(
@@ -56,7 +56,7 @@ def checkpoint_digest(predictor: Predictor) -> str:
     return digest.hexdigest()[:16]
 
 
-def _read_runs(out: Path) -> list[dict[str, Any]]:
+def _read_runs(out: Path) -> list[dict[str, JsonValue]]:
     try:
         runs = json.loads((out / "run.json").read_text(encoding="utf-8"))["runs"]
     except (FileNotFoundError, ValueError, KeyError):
@@ -64,7 +64,7 @@ def _read_runs(out: Path) -> list[dict[str, Any]]:
     return list(runs)
 
 
-def _write_runs(out: Path, runs: list[dict[str, Any]]) -> None:
+def _write_runs(out: Path, runs: list[dict[str, JsonValue]]) -> None:
     temporary = out / ".partial-run.json"
     text = json.dumps({"schema": "physconvex/runs/1", "runs": runs}, indent=1, ensure_ascii=False)
     temporary.write_text(text + "\n", encoding="utf-8")

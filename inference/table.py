@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import csv
-import io
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from inference.prediction import PREDICTION_UNITS, Prediction
+
+if TYPE_CHECKING:
+    from pyarrow import Schema
 
 __all__ = ["ResultRow", "row_of_error", "row_of_prediction", "write_csv", "write_parquet"]
 
@@ -76,7 +78,7 @@ def row_of_error(name: str, path: str, error: str) -> ResultRow:
     return ResultRow(path=path, error=" ".join(error.split()), name=name)
 
 
-def write_csv(file: io.TextIOBase | Any, rows: Iterable[ResultRow], *, header: bool) -> None:
+def write_csv(file: TextIO, rows: Iterable[ResultRow], *, header: bool) -> None:
     """Append rows to an open text file (opened with newline=""); floats keep all their digits."""
     writer = csv.writer(file, lineterminator="\n")
     if header:
@@ -94,8 +96,7 @@ def write_parquet(path: Path, rows: Iterable[ResultRow]) -> None:
     parquet.write_table(Table.from_arrays(columns, schema=_schema()), path)
 
 
-def _schema() -> Any:
-    """Return the pyarrow schema."""
+def _schema() -> Schema:
     import pyarrow
 
     kinds = {"float | None": pyarrow.float64(), "int | None": pyarrow.int64(), "str": pyarrow.string()}

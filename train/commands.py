@@ -1,4 +1,4 @@
-"""The commands `physconvex train`, `train-segmenter` and `train-outline`."""
+"""The commands `physconvex train`, `pretrain`, `calibrate`, `train-segmenter` and `train-outline`."""
 
 from __future__ import annotations
 
@@ -7,14 +7,26 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from tqdm import tqdm
+
+from train.progress import ProgressBar
 
 __all__ = ["calibrate_command", "pretrain_command", "train_command", "train_outline_command", "train_segmenter_command"]
 
+Data = Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")]
+RunFolder = Annotated[Path, typer.Option(help="Run folder; its `best/` is the checkpoint.")]
+CheckpointFolder = Annotated[Path, typer.Option(help="Folder of the checkpoint.")]
+Cache = Annotated[Path | None, typer.Option(help="Where prepared clips live; OUT/cache unless given.")]
+Minutes = Annotated[float | None, typer.Option(help="Stop after this time, the learning rate falling with it.")]
+Resume = Annotated[bool, typer.Option(help="Go on with the run in --out.")]
+Steps = Annotated[int | None, typer.Option(help="Optimiser steps.", min=1)]
+Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
+Threads = Annotated[int | None, typer.Option(help="CPU threads of the network.", min=1)]
+
 
 def train_command(
-    data: Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")],
-    out: Annotated[Path, typer.Option(help="Run folder; its `best/` is the checkpoint.")],
+    *,
+    data: Data,
+    out: RunFolder,
     config: Annotated[str | None, typer.Option(help="YAML file or preset (`default`).")] = None,
     epochs: Annotated[int | None, typer.Option(help="Epochs.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
@@ -22,11 +34,9 @@ def train_command(
         str | None, typer.Option(help="Go on from this checkpoint: a folder, or a bundled one's name (`default`).")
     ] = None,
     device: Annotated[str, typer.Option(help="`auto` (an accelerator if there is one) or `cpu`.")] = "auto",
-    resume: Annotated[bool, typer.Option(help="Go on with the run in --out.")] = True,
-    minutes: Annotated[
-        float | None, typer.Option(help="Stop after this time, the learning rate falling with it.")
-    ] = None,
-    cache: Annotated[Path | None, typer.Option(help="Where prepared clips live; OUT/cache unless given.")] = None,
+    resume: Resume = True,
+    minutes: Minutes = None,
+    cache: Cache = None,
     threads: Annotated[int | None, typer.Option(help="CPU threads of the network.")] = None,
 ) -> None:
     """Train the predictor on data sets made by `physconvex generate`.
@@ -44,7 +54,7 @@ def train_command(
     if threads is not None:
         torch.set_num_threads(threads)
     settings = load_train_config(config, epochs=epochs, seed=seed, checkpoint=checkpoint)
-    with _Bar() as bar:
+    with ProgressBar() as bar:
         result = train_predictor(
             settings, data, out, cpu=device == "cpu", resume=resume, minutes=minutes, cache=cache, report=bar.report
         )
@@ -53,20 +63,19 @@ def train_command(
 
 
 def pretrain_command(
+    *,
     falls: Annotated[Path, typer.Option(help="Folder of `physconvex generate falls`.")],
-    data: Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")],
-    out: Annotated[Path, typer.Option(help="Run folder; its `best/` is the checkpoint.")],
+    data: Data,
+    out: RunFolder,
     config: Annotated[str, typer.Option(help="YAML file or preset.")] = "falls",
     steps: Annotated[int, typer.Option(help="Of the optimiser.", min=1)] = 3700,
-    minutes: Annotated[
-        float | None, typer.Option(help="Stop after this time, the learning rate falling with it.")
-    ] = None,
+    minutes: Minutes = None,
     drawn: Annotated[int, typer.Option(help="Falls of each step.", min=1)] = 168,
     real: Annotated[int, typer.Option(help="Clips of data sets of each step.", min=1)] = 24,
     device: Annotated[str, typer.Option(help="A CUDA device, or `cpu`, which is some hundred times slower.")] = "cuda",
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
-    resume: Annotated[bool, typer.Option(help="Go on with the run in --out.")] = True,
-    cache: Annotated[Path | None, typer.Option(help="Where prepared clips live; OUT/cache unless given.")] = None,
+    seed: Seed = 0,
+    resume: Resume = True,
+    cache: Cache = None,
     workers: Annotated[int, typer.Option(help="Processes that prepare clips and bodies.", min=1)] = 2,
 ) -> None:
     """Train the predictor on falls simulated and drawn on a GPU, beside data sets."""
@@ -75,7 +84,7 @@ def pretrain_command(
     from train.falls.run import train_on_falls
 
     plan = Pretraining(steps=steps, minutes=minutes, drawn=drawn, real=real)
-    with _Bar() as bar:
+    with ProgressBar() as bar:
         checkpoint = train_on_falls(
             load_train_config(config, seed=seed), plan, falls, data, out,
             device=device, cache=cache, workers=workers, resume=resume, report=bar.report,
@@ -84,16 +93,17 @@ def pretrain_command(
 
 
 def calibrate_command(
-    data: Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")],
+    *,
+    data: Data,
     out: Annotated[Path, typer.Option(help="Folder of the calibrated checkpoint.")],
     checkpoint: Annotated[str, typer.Option(help="Name or folder of the checkpoint.")] = "default",
-    cache: Annotated[Path | None, typer.Option(help="Where prepared clips live; OUT/cache unless given.")] = None,
+    cache: Cache = None,
     workers: Annotated[int, typer.Option(help="Processes that prepare clips.", min=1)] = 1,
 ) -> None:
     """Fit a checkpoint's 90 % intervals anew to the validation clips of data sets, each counted alike."""
     from train.recalibration import recalibrate
 
-    with _Bar() as bar:
+    with ProgressBar() as bar:
         result = recalibrate(data, out, checkpoint=checkpoint, cache=cache, workers=workers, report=bar.report)
     for folder, stiffness, poisson in zip(result.data, result.stiffness, result.poisson_ratio, strict=True):
         typer.echo(
@@ -103,69 +113,48 @@ def calibrate_command(
 
 
 def train_segmenter_command(
-    data: Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")],
-    out: Annotated[Path, typer.Option(help="Folder of the checkpoint.")],
-    steps: Annotated[int | None, typer.Option(help="Optimiser steps.", min=1)] = None,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
-    threads: Annotated[int | None, typer.Option(help="CPU threads of the network.", min=1)] = None,
+    *,
+    data: Data,
+    out: CheckpointFolder,
+    steps: Steps = None,
+    seed: Seed = 0,
+    threads: Threads = None,
 ) -> None:
     """Train the network that finds the object in a clip on the true masks of data sets."""
     import torch
 
-    from train.segmentation import SegmentationConfig
+    from train.segmentation import SegmentationConfig, train_segmenter
 
     if threads is not None:
         torch.set_num_threads(threads)
     config = SegmentationConfig(seed=seed) if steps is None else SegmentationConfig(seed=seed, steps=steps)
-    with _Bar() as bar:
-        result = train_segmenter_command(config, data, out, report=bar.report)
+    with ProgressBar() as bar:
+        result = train_segmenter(config, data, out, report=bar.report)
     typer.echo(f"mean intersection over union on validation clips {result.overlap:.3f}, checkpoint in {out}")
 
 
 def train_outline_command(
-    data: Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")],
-    out: Annotated[Path, typer.Option(help="Folder of the checkpoint.")],
-    steps: Annotated[int | None, typer.Option(help="Optimiser steps.", min=1)] = None,
+    *,
+    data: Data,
+    out: CheckpointFolder,
+    steps: Steps = None,
     thinning: Annotated[int, typer.Option(help="Use every so many-th training clip.", min=1)] = 1,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
-    threads: Annotated[int | None, typer.Option(help="CPU threads of the network.", min=1)] = None,
+    seed: Seed = 0,
+    threads: Threads = None,
 ) -> None:
     """Train the network that corrects the outline that the segmenter finds."""
     import torch
 
-    from train.outline import OutlineTraining
+    from train.outline import OutlineTraining, train_outline
 
     if threads is not None:
         torch.set_num_threads(threads)
     recipe = OutlineTraining(seed=seed, thinning=thinning)
     if steps is not None:
         recipe = replace(recipe, steps=steps)
-    with _Bar() as bar:
-        result = train_outline_command(recipe, data, out, report=bar.report)
+    with ProgressBar() as bar:
+        result = train_outline(recipe, data, out, report=bar.report)
     typer.echo(
         f"mean intersection over union on validation clips {result.overlap:.3f}, of the rough silhouettes "
         f"{result.rough_overlap:.3f}, checkpoint in {out}"
     )
-
-
-class _Bar:
-    """One progress bar per kind of work."""
-
-    def __init__(self) -> None:
-        self._bar: tqdm | None = None
-        self._total = 0
-
-    def __enter__(self) -> _Bar:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.close()
-
-    def report(self, name: str, done: int, total: int) -> None:
-        if self._bar is None or self._total != total:
-            if self._bar is not None:
-                self._bar.close()
-            self._bar, self._total = tqdm(total=total, dynamic_ncols=True), total
-        self._bar.set_description(name, refresh=False)
-        self._bar.update(done - self._bar.n)

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from tqdm import tqdm
 
 from train.blind.command import app as gap_app
 from train.paper.command import paper_command
+from train.progress import ProgressBar
 
 __all__ = ["app"]
 
@@ -36,6 +36,7 @@ TrainingData = Annotated[
 
 @app.command()
 def predictor(
+    *,
     data: Data,
     out: Out,
     checkpoint: Checkpoint = "default",
@@ -53,11 +54,11 @@ def predictor(
     """
     from train.predictor_evaluation import evaluate_predictor, write_predictor_report
 
-    with tqdm(dynamic_ncols=True) as bar:
+    with ProgressBar() as bar:
         result = evaluate_predictor(
             data, checkpoint=checkpoint, split=split, cache=cache or out / "cache", limit=limit, device=device,
             seed=seed, workers=workers, training_data=training_data,
-            report=lambda name, done, total: _show(bar, name, done, total),
+            report=bar.report,
         )  # fmt: skip
     write_predictor_report(out, result)
     typer.echo(result.table())
@@ -65,6 +66,7 @@ def predictor(
 
 @app.command()
 def skinning(
+    *,
     data: Data,
     out: Out,
     checkpoint: Checkpoint = "default",
@@ -78,17 +80,10 @@ def skinning(
     """Share of FEM motion that the predicted handles follow, beside eigenmodes and a random basis."""
     from train.skinning_evaluation import evaluate_skinning, write_skinning_report
 
-    with tqdm(dynamic_ncols=True) as bar:
+    with ProgressBar() as bar:
         result = evaluate_skinning(
             data, checkpoint=checkpoint, split=split, cache=cache or out / "cache", limit=limit, device=device,
-            seed=seed, workers=workers, report=lambda name, done, total: _show(bar, name, done, total),
+            seed=seed, workers=workers, report=bar.report,
         )  # fmt: skip
     write_skinning_report(out, result)
     typer.echo(result.table())
-
-
-def _show(bar: tqdm, name: str, done: int, total: int) -> None:
-    bar.set_description(name, refresh=False)
-    bar.total = total
-    bar.n = done
-    bar.refresh()

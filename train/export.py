@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +19,24 @@ from models import (
     find_checkpoint,
 )
 from train.data import TrainingClips
-from train.metrics import DensityMetrics
 from train.records import dataset_checksum
 from train.validation import Validation
 
-__all__ = ["export_best", "model_card"]
+__all__ = ["Origin", "export_best", "model_card"]
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What a network was trained on."""
+
+    data: Sequence[Path | str]
+    """Data sets."""
+    checkpoint: str | None = None
+    """The checkpoint that its training went on from."""
+    share: float | None = None
+    """Which share of the way from that checkpoint's weights to the trained ones was taken; None: all."""
+    beside: str = ""
+    """What else it saw, in words."""
 
 
 def export_best(
@@ -31,14 +45,11 @@ def export_best(
     *,
     clips: TrainingClips,
     settings: ClipSettings,
-    calibration: Calibration,
     validation: Validation,
-    data: Sequence[Path | str],
-    checkpoint: str | None = None,
-    share: float | None = None,
-    beside: str = "",
+    origin: Origin,
 ) -> None:
     """Write network, calibration, ranges and metrics where `PhysicsPredictor.from_pretrained` finds them."""
+    calibration = validation.calibration()
     stiffness, poisson = validation.metrics(calibration)
     ranges = TrainingRange(
         log10_stiffness=_range(clips.log10_stiffness),
@@ -57,7 +68,7 @@ def export_best(
             "skinning_energy_missed": validation.captured,
         },
     )
-    card = model_card(stiffness, poisson, ranges, validation, len(clips), data, checkpoint, share, beside)
+    card = model_card(validation, calibration, ranges, clips=len(clips), origin=origin)
     PhysicsPredictor(network, config).save_pretrained(folder, model_card=card)
 
 
@@ -66,22 +77,16 @@ def _range(values: np.ndarray) -> tuple[float, float]:
 
 
 def model_card(
-    stiffness: DensityMetrics,
-    poisson: DensityMetrics,
-    ranges: TrainingRange,
-    validation: Validation,
-    clips: int,
-    data: Sequence[Path | str],
-    checkpoint: str | None = None,
-    share: float | None = None,
-    beside: str = "",
+    validation: Validation, calibration: Calibration, ranges: TrainingRange, *, clips: int, origin: Origin
 ) -> str:
-    """Markdown: what it was trained on (and the checkpoint that it went on from, and which share of the way from that
-    one's weights was taken; what else it saw, `beside`), how good it is, where it ends."""
-    sources = "\n".join(f"- `{Path(folder).name}`, manifest SHA-256 `{dataset_checksum(folder)}`" for folder in data)
+    """Markdown: what the network was trained on, how good it is, where it ends."""
+    stiffness, poisson = validation.metrics(calibration)
+    sources = "\n".join(
+        f"- `{Path(folder).name}`, manifest SHA-256 `{dataset_checksum(folder)}`" for folder in origin.data
+    )
     low, high = ranges.log10_stiffness
-    earlier = "" if checkpoint is None else _earlier_training(checkpoint, share)
-    also = f"\n{beside}\n" if beside else ""
+    earlier = "" if origin.checkpoint is None else _earlier_training(origin.checkpoint, origin.share)
+    also = f"\n{origin.beside}\n" if origin.beside else ""
     return f"""# physconvex predictor
 
 Reads a clip of one soft object that falls on a floor; says Young's modulus, Poisson's ratio and skinning weights.

@@ -11,9 +11,10 @@ from jaxtyping import Bool
 from timm.utils import ModelEmaV3
 from torch import Tensor, nn
 
-__all__ = ["FinderRecipe", "Report", "overlap_of_frames", "train_finder_network"]
+from train.progress import Report
 
-Report = Callable[[str, int, int], None]
+__all__ = ["FinderRecipe", "overlap_of_frames", "train_finder_network"]
+
 _Network = TypeVar("_Network", bound=nn.Module)
 
 

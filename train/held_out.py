@@ -11,11 +11,11 @@ import numpy as np
 
 from models import ClipEstimate, PhysicsPredictor, PreparedClip
 from train.cache import PreparedClips, prepare_clips
+from train.progress import Report
 from train.records import LabelledClip, Split, read_clips
 
-__all__ = ["HeldOut", "Report", "Shown", "held_out", "held_out_estimates"]
+__all__ = ["HeldOut", "Shown", "held_out", "held_out_estimates"]
 
-Report = Callable[[str, int, int], None]
 Shown = Split | Literal["all"]
 _BATCH = 16
 

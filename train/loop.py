@@ -7,7 +7,7 @@ same losses.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -22,10 +22,11 @@ from models import PhysicsNetwork, load_checkpoint, load_pretrained_encoder
 from physconvex import InputError
 from train.config import TrainConfig
 from train.data import TrainingBatch, batches
-from train.export import export_best
+from train.export import Origin, export_best
 from train.losses import compute_losses, noisy_states
 from train.plan import Plan, PlannedStep
 from train.precision import precision_for
+from train.progress import Report
 from train.run_log import RunLog, run_fingerprint, write_config
 from train.schedule import cosine_schedule
 from train.split_clips import split_clips
@@ -34,7 +35,6 @@ from train.validation import Validation, validate
 
 __all__ = ["TrainingResult", "train_predictor"]
 
-Report = Callable[[str, int, int], None]
 _EXAMPLE_SCALE = 1_000_003  # between the seeds of two runs
 _SHARES = (0.5, 0.75)  # of the way from a checkpoint to what further training made of it
 
@@ -77,7 +77,7 @@ def train_predictor(
     Raises:
         InputError: bad data or configuration, or `out` holds a run with another configuration or other data.
     """
-    return _Run(config, data, Path(out), cpu, minutes, cache, report).train(resume=resume)
+    return _Run(config, data, Path(out), cpu=cpu, minutes=minutes, cache=cache, report=report).train(resume=resume)
 
 
 class _Run:
@@ -86,6 +86,7 @@ class _Run:
         config: TrainConfig,
         data: Sequence[Path | str],
         out: Path,
+        *,
         cpu: bool,
         minutes: float | None,
         cache: Path | str | None,
@@ -212,7 +213,7 @@ class _Run:
         targets = batch.targets.to(device)
         clips = batch.clips.to(device)
         output = self.model(clips, targets.points, states=noisy_states(targets.states, generator), generator=generator)
-        losses = compute_losses(output, targets, clips.interval, clips.valid, config.loss, config.network)
+        losses = compute_losses(output, targets, clips, config.loss, config.network)
         self.optimizer.zero_grad()
         self.accelerator.backward(losses.total)
         norm = self.accelerator.clip_grad_norm_(self.model.parameters(), config.gradient_clip)
@@ -274,11 +275,8 @@ class _Run:
             network,
             clips=self.train_clips,
             settings=self.config.clip,
-            calibration=validation.calibration(),
             validation=validation,
-            data=self.data,
-            checkpoint=self.config.checkpoint,
-            share=share,
+            origin=Origin(self.data, self.config.checkpoint, share),
         )
 
     def _save(self, progress: TrainingProgress) -> None:

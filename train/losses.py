@@ -12,6 +12,7 @@ from models import (
     STATE_SCALE,
     BinConfig,
     BinnedDensity,
+    ClipBatch,
     NetworkConfig,
     NetworkOutput,
     captured_energy_loss,
@@ -72,8 +73,7 @@ class Losses:
 def compute_losses(
     output: NetworkOutput,
     targets: Targets,
-    interval: Float[Tensor, " B"],
-    valid: Bool[Tensor, "B T"],
+    clips: ClipBatch,
     config: LossConfig,
     network: NetworkConfig,
 ) -> Losses:
@@ -84,7 +84,7 @@ def compute_losses(
     span = span_loss(weights, targets.modes, targets.volume_weights, targets.importance).mean()
     captured = captured_energy_loss(weights, targets.displacements, targets.points, targets.volume_weights).mean()
     densities = _weighted(stiffness, poisson, config, network).mean()
-    states = state_loss(output.states.float(), targets.states, interval, valid)
+    states = state_loss(output.states.float(), targets.states, clips.interval, clips.valid)
     total = densities + config.states * states
     total = total + config.span * span + config.captured * captured
     return Losses(

@@ -14,8 +14,9 @@ from torch.nn import functional
 
 import physconvex
 from models import OutlineConfig, OutlineNetwork, load_outline, outline_input, refined_coverage, save_finder_network
-from train.finder_loop import Report, overlap_of_frames, train_finder_network
+from train.finder_loop import overlap_of_frames, train_finder_network
 from train.outline_data import RoughClip, degraded, read_rough_clips, rearranged
+from train.progress import Report
 from train.records import Split, dataset_checksum, read_clips
 from train.segmentation_data import MaskedClip, SegmentationAugmentation, recoloured
 

@@ -15,8 +15,9 @@ from jaxtyping import Float64
 import physconvex
 from models import ClipEstimate, PhysicsPredictor, PreparedClip, freeze_time, shuffle_time
 from physconvex import InputError
-from train.held_out import HeldOut, Report, Shown, held_out, held_out_estimates
+from train.held_out import HeldOut, Shown, held_out, held_out_estimates
 from train.metrics import DensityMetrics, density_metrics
+from train.progress import Report
 from train.records import LabelledClip, dataset_checksum, read_clips
 
 __all__ = ["Decade", "PredictorEvaluation", "Reading", "evaluate_predictor", "write_predictor_report"]

@@ -18,8 +18,9 @@ from models import (
 )
 from physconvex import InputError
 from train.data import TrainingClips
-from train.held_out import Report, held_out
+from train.held_out import held_out
 from train.metrics import DensityMetrics
+from train.progress import Report
 from train.records import dataset_checksum
 from train.validation import validate
 

@@ -23,7 +23,8 @@ from models import (
     pad_pictures,
     save_finder_network,
 )
-from train.finder_loop import Report, overlap_of_frames, train_finder_network
+from train.finder_loop import overlap_of_frames, train_finder_network
+from train.progress import Report
 from train.records import Split, dataset_checksum, read_clips
 from train.segmentation_data import MaskedClip, SegmentationAugmentation, augmented, moving_part, read_masked_clips
 

@@ -15,7 +15,8 @@ from jaxtyping import Float64
 
 import physconvex
 from models import PhysicsPredictor, captured_energy, random_basis
-from train.held_out import Report, Shown, held_out, held_out_estimates
+from train.held_out import Shown, held_out, held_out_estimates
+from train.progress import Report
 from train.records import ClipSamples, dataset_checksum
 
 __all__ = ["SkinningEvaluation", "evaluate_skinning", "write_skinning_report"]

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from pydantic import JsonValue
 
 from physconvex.errors import InputError
 
@@ -131,9 +132,9 @@ class Camera:
             cy=self.cy * sy,
         )
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, JsonValue]:
         """The camera as an entry of `capture.json` (nerfstudio names)."""
-        entry: dict[str, Any] = {
+        entry: dict[str, JsonValue] = {
             "name": self.name, "w": int(self.w), "h": int(self.h),
             "fl_x": float(self.fl_x), "fl_y": float(self.fl_y), "cx": float(self.cx), "cy": float(self.cy),
         }  # fmt: skip

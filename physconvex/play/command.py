@@ -13,6 +13,7 @@ __all__ = ["simulate_command"]
 
 
 def simulate_command(
+    *,
     assets: Annotated[
         list[Path],
         typer.Argument(

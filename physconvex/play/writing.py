@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import JsonValue
 
 import physconvex
 from physconvex.io import write_video
@@ -19,7 +20,7 @@ from physconvex.play.roll_out import PlayedObject
 __all__ = ["summary_of", "write_played"]
 
 
-def summary_of(played: PlayedObject) -> dict[str, Any]:
+def summary_of(played: PlayedObject) -> dict[str, JsonValue]:
     """Numbers worth a look, with their units in the names."""
     heights = played.positions[:, :, 2]
     start, end = (float(np.ptp(heights[k])) for k in (0, -1))

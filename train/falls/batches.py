@@ -40,6 +40,7 @@ def draw_batch(
     falls: Falls,
     chosen: Tensor,
     confidence: Tensor,
+    *,
     config: TrainConfig,
     camera: CameraConfig,
     generator: torch.Generator,

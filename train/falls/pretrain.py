@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,13 +26,13 @@ from train.falls.batches import FallBatch, draw_batch, joined_batches, real_batc
 from train.falls.real import RealClips
 from train.falls.world import Falls
 from train.losses import density_losses, noisy_states, state_loss
+from train.progress import Report
 from train.run_log import RunLog
 from train.schedule import cosine_schedule
 from train.state import TrainingProgress, load_training_state, refuse_other_run, save_training_state
 
 __all__ = ["STATE", "Pretraining", "pretrain", "scores"]
 
-Report = Callable[[str, int, int], None]
 STATE = "state.safetensors"
 _STEP_SCALE = 1_000_003  # between the seeds of two runs
 
@@ -83,8 +83,8 @@ def pretrain(
     held_out: Falls,
     config: TrainConfig,
     plan: Pretraining,
-    out: Path,
     *,
+    out: Path,
     real: RealClips | None = None,
     validation: RealClips | None = None,
     camera: CameraConfig | None = None,
@@ -111,9 +111,9 @@ def pretrain(
     Raises:
         InputError: `out` holds a run with another fingerprint.
     """
-    return _Run(network, falls, held_out, config, plan, out, real, validation, camera, report).train(
-        fingerprint, resume
-    )
+    run = _Run(network, falls, config, plan, out=out, real=real, camera=camera, report=report)
+    run.look_at(held_out, validation)
+    return run.train(fingerprint, resume)
 
 
 class _Run:
@@ -121,12 +121,11 @@ class _Run:
         self,
         network: PhysicsNetwork,
         falls: Falls,
-        held_out: Falls,
         config: TrainConfig,
         plan: Pretraining,
+        *,
         out: Path,
         real: RealClips | None,
-        validation: RealClips | None,
         camera: CameraConfig | None,
         report: Report | None,
     ) -> None:
@@ -139,7 +138,7 @@ class _Run:
             network, opt=config.optimizer, lr=config.learning_rate, weight_decay=config.weight_decay
         )
         self.schedule = cosine_schedule(self.optimizer, config, plan.steps)
-        self.looked_at = self._looked_at(held_out, validation)
+        self.looked_at: dict[str, list[FallBatch]] = {}
 
     def train(self, fingerprint: str, resume: bool) -> PhysicsNetwork:
         """Run the plan to its end or the budget's."""
@@ -198,7 +197,7 @@ class _Run:
         self.schedule.step_update(max(step, int(spent * plan.steps)))
         chosen = torch.randint(len(self.falls), (plan.drawn,), generator=generator, device=device)
         drawn = torch.randint(len(self.confidence), (plan.drawn,), generator=generator, device=device)
-        batch = draw_batch(self.falls, chosen, self.confidence[drawn], config, self.camera, generator)
+        batch = self._drawn(self.falls, chosen, self.confidence[drawn], generator)
         if self.real is not None:
             some = torch.randint(len(self.real), (plan.real,), generator=generator, device=device)
             batch = joined_batches(batch, real_batch(self.real, some, config, plan.real_weight, generator))
@@ -238,18 +237,20 @@ class _Run:
         )
         return progress
 
-    def _looked_at(self, held_out: Falls, validation: RealClips | None) -> dict[str, list[FallBatch]]:
-        """Clips that are scored, always the same."""
+    def look_at(self, held_out: Falls, validation: RealClips | None) -> None:
+        """Choose the clips that are scored, always the same."""
         config, device = self.config, self.device
         generator = torch.Generator(device).manual_seed(config.seed)
         sure = self.confidence.mean()
         parts = torch.arange(len(held_out), device=device).split(80)
-        named = {"falls": [draw_batch(held_out, p, sure.expand(len(p)), config, self.camera, generator) for p in parts]}
+        self.looked_at["falls"] = [self._drawn(held_out, p, sure.expand(len(p)), generator) for p in parts]
         if validation is not None:
             chosen = torch.arange(len(validation), device=device).split(80)
             plain = config.model_copy(update={"augment": config.augment.model_copy(update={"true_moments_share": 0.0})})
-            named["real"] = [real_batch(validation, part, plain, 1.0, generator) for part in chosen]
-        return named
+            self.looked_at["real"] = [real_batch(validation, part, plain, 1.0, generator) for part in chosen]
+
+    def _drawn(self, falls: Falls, chosen: Tensor, confidence: Tensor, generator: torch.Generator) -> FallBatch:
+        return draw_batch(falls, chosen, confidence, config=self.config, camera=self.camera, generator=generator)
 
 
 def _score(found: Mapping[str, float], batches: list[FallBatch]) -> float:

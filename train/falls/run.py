@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -15,11 +15,12 @@ from models import PhysicsNetwork
 from physconvex import InputError
 from physconvex.numerics import device_named
 from train.config import TrainConfig
-from train.export import export_best
+from train.export import Origin, export_best
 from train.falls.pretrain import STATE, Pretraining, pretrain
 from train.falls.real import RealClips
 from train.falls.skinning import HeadTraining, fit_skinning_head
 from train.falls.world import simulate_falls
+from train.progress import Report
 from train.run_log import run_fingerprint, write_config
 from train.split_clips import split_clips
 from train.state import refuse_other_run
@@ -27,7 +28,6 @@ from train.validation import validate
 
 __all__ = ["train_on_falls"]
 
-Report = Callable[[str, int, int], None]
 _HELD_OUT = 80  # falls that are looked at only
 
 
@@ -93,7 +93,7 @@ def train_on_falls(
         held_out,
         config,
         plan,
-        out,
+        out=out,
         real=RealClips.of(train, place),
         validation=RealClips.of(validation, place),
         fingerprint=mark,
@@ -107,10 +107,8 @@ def train_on_falls(
         network,
         clips=train,
         settings=config.clip,
-        calibration=found.calibration(),
         validation=found,
-        data=data,
-        beside=_described(bodies[_HELD_OUT:], len(world)),
+        origin=Origin(data, beside=_described(bodies[_HELD_OUT:], len(world))),
     )
     return out / "best"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -12,10 +11,9 @@ from models import PhysicsNetwork, captured_energy_loss, span_loss
 from train.config import LossConfig
 from train.data import Item, TrainingClips, collate
 from train.losses import Targets
+from train.progress import Report
 
 __all__ = ["HeadTraining", "fit_skinning_head"]
-
-Report = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)

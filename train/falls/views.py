@@ -35,7 +35,7 @@ def draw_views(
     """One random view of each chosen fall, as the generator draws cameras (`data_gen.scene`)."""
     device = falls.positions.device
     azimuth = _uniform(generator, len(chosen), config.azimuth_deg.low, config.azimuth_deg.high, device).deg2rad()
-    views = _views(falls, chosen, config, azimuth, generator, side)
+    views = _views(falls, chosen, config, azimuth, generator=generator, side=side)
     looks = _looks(len(chosen), azimuth, generator, device)
     batch = ClipBatch(falls.clips[chosen], views, looks, falls.positions, falls.rest, falls.triangles)
     drawn = render_falls(batch, side=side, factor=2)
@@ -53,7 +53,7 @@ def _uniform(generator: torch.Generator, count: int, low: float, high: float, de
 
 
 def _views(
-    falls: Falls, chosen: Index, config: CameraConfig, azimuth: Tensor, generator: torch.Generator, side: int
+    falls: Falls, chosen: Index, config: CameraConfig, azimuth: Tensor, *, generator: torch.Generator, side: int
 ) -> Float[Tensor, "B T 16"]:
     """The nearest camera on each drawn ray that keeps all points within the margin (`data_gen.scene._camera`)."""
     device, count = azimuth.device, len(chosen)

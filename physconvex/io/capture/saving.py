@@ -5,10 +5,10 @@ import os
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
+from pydantic import JsonValue
 
 from physconvex.errors import InputError
 from physconvex.io.capture.folder import CAPTURE_FILE, Capture
@@ -28,7 +28,7 @@ def save_capture(
     tets: TetMesh | None = None,
     tracks: Tracks | None = None,
     boundary: Boundary | None = None,
-    truth: Mapping[str, Any] | None = None,
+    truth: Mapping[str, JsonValue] | None = None,
     crf: int = 18,
 ) -> None:
     """Write `capture` to its folder, which must not exist; a kill leaves no half folder under that name.
@@ -78,8 +78,8 @@ def _check_pictures(capture: Capture, videos: Mapping[str, np.ndarray], masks: M
                 raise InputError(f"{kind}[{name!r}]: got shape {frames.shape}, expected {expected} (frames, h, w)")
 
 
-def _metadata(capture: Capture) -> dict[str, Any]:
-    content: dict[str, Any] = {
+def _metadata(capture: Capture) -> dict[str, JsonValue]:
+    content: dict[str, JsonValue] = {
         "fps": capture.fps,
         "frames": capture.frames,
         "observed_frames": capture.observed_frames,
@@ -97,7 +97,7 @@ def _metadata(capture: Capture) -> dict[str, Any]:
     return content | {"cameras": [camera.to_json() for camera in capture.cameras]}
 
 
-def _write_json(path: Path, content: Mapping[str, Any]) -> None:
+def _write_json(path: Path, content: Mapping[str, JsonValue]) -> None:
     path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 

@@ -35,7 +35,7 @@ def test_errors_fall(falls, clips, tiny_config, tmp_path):
     torch.manual_seed(0)
     network = PhysicsNetwork(tiny_config.network)
     real = RealClips.of(clips, "cpu")
-    average = pretrain(network, falls, falls, tiny_config, PLAN, tmp_path, real=real, validation=real)
+    average = pretrain(network, falls, falls, tiny_config, PLAN, out=tmp_path, real=real, validation=real)
     lines = lines_of(tmp_path)
     trained, looked = ([line for line in lines if line["kind"] == kind] for kind in ("train", "validation"))
     assert [line["step"] for line in trained] == [line["step"] for line in looked] == [6, 12, 18, 24]
@@ -57,7 +57,7 @@ def test_killed_and_resumed_is_the_same_run(falls, clips, tiny_config, tmp_path)
         torch.manual_seed(0)
         network = PhysicsNetwork(tiny_config.network)
         return pretrain(
-            network, falls, falls, tiny_config, plan, folder,
+            network, falls, falls, tiny_config, plan, out=folder,
             real=real, validation=real, fingerprint=mark, report=report,
         )  # fmt: skip
 
@@ -95,7 +95,7 @@ def test_the_best_is_kept_and_not_the_last(falls, tiny_config, tmp_path, monkeyp
     monkeypatch.setattr(module, "scores", look)
     torch.manual_seed(0)
     plan = Pretraining(steps=3, drawn=2, real=2, report_steps=1)
-    best = pretrain(PhysicsNetwork(tiny_config.network), falls, falls, tiny_config, plan, tmp_path)
+    best = pretrain(PhysicsNetwork(tiny_config.network), falls, falls, tiny_config, plan, out=tmp_path)
     for name, value in best.state_dict().items():
         assert torch.equal(value, seen[1][name])
     assert any(not torch.equal(value, seen[2][name]) for name, value in best.state_dict().items())
@@ -107,7 +107,7 @@ def test_a_budget_of_time_ends_it(falls, tiny_config, tmp_path, monkeypatch):
     monkeypatch.setattr(sys.modules[pretrain.__module__], "time", clock)
     torch.manual_seed(0)
     plan = Pretraining(steps=10_000, minutes=0.01, drawn=2, real=2, report_steps=10_000)
-    pretrain(PhysicsNetwork(tiny_config.network), falls, falls, tiny_config, plan, tmp_path)
+    pretrain(PhysicsNetwork(tiny_config.network), falls, falls, tiny_config, plan, out=tmp_path)
     trained, looked = lines_of(tmp_path)
     assert 5 < trained["step"] < 20 and looked["step"] == trained["step"]
     assert trained["learning_rate"] < 0.2 * tiny_config.learning_rate
