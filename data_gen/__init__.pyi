@@ -42,7 +42,7 @@ from .explicit.generate import draw_falls as draw_falls, generate_falls as gener
 from .explicit.kernels import (
     LOOK as LOOK,
     VIEW as VIEW,
-    ClipBatch as ClipBatch,
+    DrawnClips as DrawnClips,
     render_falls as render_falls,
     roll_out as roll_out,
 )

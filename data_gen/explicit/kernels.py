@@ -15,7 +15,7 @@ from torch import Tensor
 from data_gen.explicit.bodies import Layout
 from physconvex.kernels import POINTER, Kernel, launch
 
-__all__ = ["LOOK", "VIEW", "ClipBatch", "render_falls", "roll_out"]
+__all__ = ["LOOK", "VIEW", "DrawnClips", "render_falls", "roll_out"]
 
 VIEW = 16  # numbers of a view, as in gpu/draw.h
 LOOK = 40  # numbers of a look
@@ -55,7 +55,7 @@ def roll_out(layout: Layout, device: torch.device | str = "cpu") -> Float32[Tens
 
 
 @dataclass(frozen=True)
-class ClipBatch:
+class DrawnClips:
     """What is drawn of some clips.
 
     Attributes:
@@ -75,7 +75,7 @@ class ClipBatch:
     triangles: Int32[Tensor, "F 3"]
 
 
-def render_falls(batch: ClipBatch, *, side: int, factor: int = 2) -> Float32[Tensor, "B T S S 4"]:
+def render_falls(batch: DrawnClips, *, side: int, factor: int = 2) -> Float32[Tensor, "B T S S 4"]:
     """Colours and coverage (0..255, 0..1) of every frame of some clips.
 
     Args:

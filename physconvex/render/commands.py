@@ -13,7 +13,6 @@ __all__ = ["film_command", "view_command"]
 
 
 def film_command(
-    *,
     field: Annotated[Path, typer.Argument(help="field.ply, or a folder with it or with one per frame.")],
     *,
     out: Annotated[Path, typer.Option(help="film.mp4, or picture.png for the first frame.")] = Path("film.mp4"),

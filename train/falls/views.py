@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from data_gen import LOOK, VIEW, CameraConfig, ClipBatch, render_falls
+from data_gen import LOOK, VIEW, CameraConfig, DrawnClips, render_falls
 from train.falls.world import Falls, Index
 
 __all__ = ["Views", "draw_views"]
@@ -37,7 +37,7 @@ def draw_views(
     azimuth = _uniform(generator, len(chosen), config.azimuth_deg.low, config.azimuth_deg.high, device).deg2rad()
     views = _views(falls, chosen, config, azimuth, generator=generator, side=side)
     looks = _looks(len(chosen), azimuth, generator, device)
-    batch = ClipBatch(falls.clips[chosen], views, looks, falls.positions, falls.rest, falls.triangles)
+    batch = DrawnClips(falls.clips[chosen], views, looks, falls.positions, falls.rest, falls.triangles)
     drawn = render_falls(batch, side=side, factor=2)
     images = drawn[..., :3]
     noise = _uniform(generator, len(chosen), 0.0, 6.0, device)
