@@ -60,7 +60,7 @@ def answer(folder: Path, out: Path) -> dict[str, object]:
         "verdict": report.verdict.name,
         "sentence": report.verdict.sentence,
         "effects": {e.name: {d.name: d.value for d in e.doses} for e in report.verdict.effects},
-        "base_parameters": {p["name"]: [p["before"], p["after"]] for p in report.parameters()},
+        "base_parameters": {p.name: [p.before, p.after] for p in report.parameters},
         "caveats": list(report.verdict.caveats),
         "ranking": [list(h.names) for h in report.hypotheses],
         "gap": [main.gap_before, main.gap_after, main.noise_floor],

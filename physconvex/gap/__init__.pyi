@@ -31,9 +31,10 @@ from .errors.score_test import (
     score_effect as score_effect,
 )
 from .judgement.naming import NamedDose as NamedDose, NamedEffect as NamedEffect
-from .judgement.verdict_input import TRUSTED as TRUSTED, Verdict as Verdict
+from .judgement.verdict_input import Verdict as Verdict
 from .location.where import Part as Part, Where as Where
 from .options import GapOptions as GapOptions
 from .page.report import GapReport as GapReport, ImprovedTwin as ImprovedTwin
 from .search.hypothesis import Hypothesis as Hypothesis
 from .shrinkage.how_far import HowFar as HowFar
+from .thresholds import VERDICT as VERDICT, thresholds_table as thresholds_table

@@ -9,13 +9,19 @@ from typing import Annotated
 
 import typer
 
+from physconvex.gap.options import GapOptions
+from physconvex.io import command
+
 __all__ = ["diagnose_command"]
 
 
+@command
 def diagnose_command(
     capture: Annotated[
         Path, typer.Argument(help="Capture folder (capture.json) with marker tracks.", show_default=False)
     ],
+    options: GapOptions,
+    *,
     second_take: Annotated[
         Path | None, typer.Option(help="Another capture of the same body: the shrinkage is reported there as well.")
     ] = None,
@@ -24,12 +30,6 @@ def diagnose_command(
         str | None, typer.Option(help="Names of the effects to try, separated by commas. Default: all.")
     ] = None,
     without: Annotated[str | None, typer.Option(help="Names of effects to leave out.")] = None,
-    max_nodes: Annotated[
-        int | None, typer.Option(help="Most nodes of the model's quadratic mesh. Default: that of GapOptions.")
-    ] = None,
-    candidates: Annotated[
-        int | None, typer.Option(help="Fits that the full-order model decides between. Default: that of GapOptions.")
-    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print report.json to standard output, nothing else.")
     ] = False,
@@ -43,14 +43,7 @@ def diagnose_command(
     """
     from tqdm import tqdm
 
-    from physconvex.gap.diagnosis import diagnose as run
-    from physconvex.gap.options import GapOptions
-
-    usual = GapOptions()
-    options = GapOptions(
-        max_nodes=usual.max_nodes if max_nodes is None else max_nodes,
-        candidates=usual.candidates if candidates is None else candidates,
-    )
+    from physconvex.gap.diagnosis import diagnose
 
     with tqdm(total=None, dynamic_ncols=True, disable=no_progress or as_json or not sys.stderr.isatty()) as bar:
 
@@ -58,13 +51,13 @@ def diagnose_command(
             bar.set_description(text)
             bar.update()
 
-        report = run(
+        report = diagnose(
             capture, second_take=second_take, effects=_names(effects), without=_names(without) or (), options=options,
             on_progress=show,
         )  # fmt: skip
     report.save(out)
     if as_json:
-        typer.echo(json.dumps(report.to_json(), default=lambda value: value.tolist()))
+        typer.echo(json.dumps(report.to_json()))
         return
     typer.echo(report.verdict.sentence)
     for caveat in report.verdict.caveats:

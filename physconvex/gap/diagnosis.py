@@ -15,7 +15,7 @@ from physconvex.gap.base.base_fit import fit_baseline, rough_baseline
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.cost import Cost
 from physconvex.gap.base.observed_points import lost_points
-from physconvex.gap.base.shortening import MOST_FRAMES, shortened
+from physconvex.gap.base.shortening import shortened
 from physconvex.gap.conditions.capture_elements import with_own_elements
 from physconvex.gap.conditions.setting import find_setting
 from physconvex.gap.effects.catalogue import choose
@@ -43,19 +43,17 @@ from physconvex.gap.search.space_mapping import as_reduced
 from physconvex.gap.shrinkage.held_out_views import held_out_views
 from physconvex.gap.shrinkage.how_far import HowFar, gap_squares, shrinkage_on
 from physconvex.gap.shrinkage.second_take import second_take_shrinkage
+from physconvex.gap.thresholds import BASE_FIT, CLOCK, NUMERICAL_ERROR, RUN_COST, SCREENING
 from physconvex.io import Capture, load_capture
 from physconvex.mesh import TetMesh
 
 __all__ = ["diagnose"]
 
 Report = Callable[[str], None]
-_BASE, _LAST = 0.45, 0.95  # of the deadline: for the base fit, for the placebo
-_PLACEBO_COST = 30.0  # of model runs
 _CUT = (
     "The search was cut short after the {:.0f} seconds that it is given: this is the best of what had been found. A "
     "faster machine, or one with less else to do, might find more."
 )
-_WORTH = 0.8  # factor on the numerical error from which on down the base fit is made anew
 
 
 def diagnose(
@@ -91,7 +89,7 @@ def diagnose(
     dictionary = choose(effects, without=without, extra=extra)
     report: Report = on_progress or (lambda _: None)
     cost = Cost(options.deadline)
-    cost.allow(np.inf, _BASE)
+    cost.allow(np.inf, CLOCK.base_fit_ends)
     setting = find_setting(rough_baseline(capture, options, report, cost=cost), options, report)
     rough = setting.base
     near = setting.damped or rough  # the recording: errors count where it is
@@ -111,7 +109,7 @@ def diagnose(
     if found.errors is not weights:  # anew, far from the base fit
         errors = weights = found.errors
     best = favoured(hypotheses) or hypotheses[0]
-    cost.allow(_PLACEBO_COST, _LAST)
+    cost.allow(RUN_COST.placebo, CLOCK.placebo_ends)
     report("placebo")
     placebo = _placebo(base, weights, screening, best, options)
     shrinkage = _shrinkages(base, errors, best, placebo, options)
@@ -127,8 +125,9 @@ def diagnose(
     verdict = with_pictures(verdict, pictures)
     if cost.cut:
         verdict = replace(verdict, caveats=(*verdict.caveats, _CUT.format(options.deadline)))
-    if capture.frames == MOST_FRAMES:
-        verdict = replace(verdict, caveats=(*verdict.caveats, f"At most the first {MOST_FRAMES} frames were used."))
+    if capture.frames == BASE_FIT.most_frames:
+        shorter = f"At most the first {BASE_FIT.most_frames} frames were used."
+        verdict = replace(verdict, caveats=(*verdict.caveats, shorter))
     report("report")
     return GapReport(
         where=locate_gap(base, errors, best, options),
@@ -170,10 +169,10 @@ def _trusted(
         return base, errors, None
     screening = screen(as_reduced(base), errors, numerics, dictionary, report)
     scale = error_scale(base, errors, screening)
-    if scale.min() > _WORTH:
+    if scale.min() > NUMERICAL_ERROR.fit_anew:
         return base, errors, None if base.situation.clamped else screening  # of a held body details count less
     errors = error_model(base, numerics, options, scale=scale)
-    if scale.max() > _WORTH:  # of the frames that nothing is fitted to alone
+    if scale.max() > NUMERICAL_ERROR.fit_anew:  # of the frames that nothing is fitted to alone
         return base, errors, None if base.situation.clamped else screening
     fine = None if base.model.mesh is None else (base.model.mesh, base.motion)
     base = _with_directions(fit_baseline(base, correction, fine, errors.variance, options, report), numerics)
@@ -202,7 +201,7 @@ def _placebo(
         and max(
             (screening.similarity(entry, own) for own in screening.ranked if own.effect in best.effects), default=0.0
         )
-        < 0.7
+        < SCREENING.same_as_placebo
     ]
     if not others:
         return None

@@ -14,6 +14,7 @@ from physconvex.gap.conditions.capture_elements import own_elements, with_own_el
 from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.judgement.caveats import _elements
 from physconvex.gap.search.hypothesis import base_hypothesis
+from physconvex.gap.thresholds import BASE_FIT
 from physconvex.io import Boundary, Capture, Tracks, save_capture
 from physconvex.mesh import TetMesh, box_mesh
 
@@ -84,7 +85,7 @@ def test_a_recording_of_particles_of_equal_mass_is_modelled_so(tmp_path: Path, t
 
 @pytest.mark.slow
 def test_a_coarser_mesh_that_searches_is_made_as_stiff(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("physconvex.gap.base.model._SMALL", 0.0)
+    monkeypatch.setattr("physconvex.gap.base.model.BASE_FIT", replace(BASE_FIT, searches_itself=0.0))
     rough, base, numerics, variance = fitted(released(tmp_path, 1))
     own, _ = with_own_elements(base, rough, numerics, variance, OPTIONS, lambda text: None)
     assert own.model.surrogate_stiffer > 0.05

@@ -54,10 +54,10 @@ def second_take(tmp_path_factory):
 @pytest.fixture(scope="module")
 def diagnosed(capture, second_take, tmp_path_factory):
     """The command's output folder."""
-    from physconvex.gap.command import diagnose
+    from physconvex.gap.command import diagnose_command
 
     app, out = typer.Typer(), tmp_path_factory.mktemp("diagnosed")
-    app.command()(diagnose)
+    app.command()(diagnose_command)
     arguments = [str(capture), "--second-take", str(second_take), "--out", str(out), "--no-progress"]
     arguments += ["--max-nodes", "100"]
     arguments += ["--candidates", "2", "--effects", "friction,gravity_tilt,air_drag,damping"]

@@ -80,7 +80,7 @@ def test_none_is_begun_with_where_there_is_none(released: Released, tmp_path: Pa
 
 
 def test_without_the_effect_there_is_nothing_to_begin_with(released: Released, tmp_path: Path) -> None:
-    rough = rough_baseline(released(tmp_path, 0.8), replace(OPTIONS, max_nodes=60), lambda text: None)
+    rough = rough_baseline(released(tmp_path, 0.8), OPTIONS.replace(max_nodes=60), lambda text: None)
     errors = error_model(rough, Numerics(*[np.zeros_like(rough.motion.positions)] * 5), OPTIONS)
     assert loaded_starts(rough, errors, [e for e in DEFAULT_EFFECTS if e.name != "attached_mass"]) == []
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from data_gen import OUTSIDE, same_class
-from physconvex.gap import TRUSTED
+from physconvex.gap import VERDICT
 from train.blind.doses import DoseScore, score_doses
 
 __all__ = ["Row", "scored_row", "share_of"]
@@ -182,7 +182,7 @@ def _told(effects: Sequence[dict[str, Any]]) -> float:
     An answer of the class is right, so what a tilt and a wind that look alike share counts for both.
     """
     alike = [e["probability"] for e in effects if same_class(e["name"], effects[0]["name"])]
-    return min(sum(alike), max(TRUSTED, alike[0])) if alike else float("nan")
+    return min(sum(alike), max(VERDICT.trusted, alike[0])) if alike else float("nan")
 
 
 def _bias(values: Sequence[float], true: float) -> tuple[float, float]:

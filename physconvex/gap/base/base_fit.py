@@ -21,6 +21,7 @@ from physconvex.gap.base.rough_errors import with_rough_errors
 from physconvex.gap.effects.effect import Situation
 from physconvex.gap.effects.motion import MotionCorrection, PointMotion
 from physconvex.gap.options import GapOptions
+from physconvex.gap.thresholds import BASE_FIT
 from physconvex.identify import (
     Fit,
     FitOptions,
@@ -42,13 +43,7 @@ from physconvex.mesh import TetMesh
 
 __all__ = ["fit_baseline", "misfit_of_base", "rough_baseline", "run_base", "steps_per_frame"]
 
-_STEPS_PER_WAVE = 8  # time steps in the time an elastic wave takes through the body
-_HELD = 4  # the same for a held body, which bends slowly and is not struck
-_STARTS = 3  # of the rough fit of a held body
-_MOST_STEPS = 1000  # of one roll-out
-_ROUNDS = 3  # of full-order run and search with the reduced model
-_STILL = 0.02  # of typical steps: a change of the values that is none
-_RATIO, _USUAL = "poisson_ratio", (0.15, 0.47)  # beyond which another start is tried, from the middle
+_RATIO = "poisson_ratio"
 
 
 def _twin(capture: Capture, weights: int, max_nodes: int, steps: int) -> Twin:
@@ -88,7 +83,7 @@ def _first_values(capture: Capture, observations: Seen, frames: int, options: Ga
     model = ReducedModel(twin, names, observations.points, windows[0])
     candidates = scan(model, observations.in_frames(windows[0]), parameters, moduli=moduli, ratios=(0.35,))
     tried = []
-    for candidate in candidates[: _STARTS if twin.clamp is not None else 1]:
+    for candidate in candidates[: BASE_FIT.starts_held if twin.clamp is not None else 1]:
         chosen = candidate.parameters
         try:
             for count in windows:  # a vibration that is off by a period pulls the wrong way: begin with few
@@ -116,8 +111,9 @@ def _windows(frames: int, *, held: bool) -> tuple[int, ...]:
 def steps_per_frame(twin: Twin, values: dict[str, float]) -> int:
     """Time steps per frame that resolve the body's vibrations, within what can be afforded."""
     wave = twin.mesh.size * np.sqrt(twin.capture.density / 10 ** values["log10_youngs_modulus"])
-    wanted = int(np.ceil((_STEPS_PER_WAVE if twin.clamp is None else _HELD) / (wave * twin.fps)))
-    most = max(twin.steps_per_frame, _MOST_STEPS // twin.capture.frames)
+    resolved = BASE_FIT.steps_per_wave if twin.clamp is None else BASE_FIT.steps_per_wave_held
+    wanted = int(np.ceil(resolved / (wave * twin.fps)))
+    most = max(twin.steps_per_frame, BASE_FIT.most_steps // twin.capture.frames)
     return int(np.clip(wanted, twin.steps_per_frame, most))
 
 
@@ -244,10 +240,10 @@ def fit_baseline(
     if rough.situation.clamped or _RATIO not in names or first.model.cost.over:
         return first
     at = names.index(_RATIO)
-    if _USUAL[0] <= first.fit.values[at] <= _USUAL[1]:
+    if BASE_FIT.usual_poisson_ratio[0] <= first.fit.values[at] <= BASE_FIT.usual_poisson_ratio[1]:
         return first
     values = rough.fit.values.copy()
-    values[at] = float(np.mean(_USUAL))
+    values[at] = float(np.mean(BASE_FIT.usual_poisson_ratio))
     twin = rough.model.twin.with_values(names, values)
     try:
         start = run_base(
@@ -279,7 +275,7 @@ def _fit_from(
     here = replace(rough, model=replace(rough.model, correction=correction, mesh=mesh), motion=motion)
     scales = np.array([p.step for p in here.model.parameters(here.fit.values)])
     best, least = here, misfit_of_base(here, variance)
-    for number in range(_ROUNDS):
+    for number in range(BASE_FIT.rounds):
         report(f"fit of the full-order base model, round {number + 1}")
         model, motion = reduced_like(here.model, here.motion, here.fit.values)
         tangents = model.tangents(here.fit.values, motion)
@@ -288,7 +284,7 @@ def _fit_from(
         shorter = replace(model, frames=count, doubt=_doubt(here, variance))
         secant = SecantModel(shorter, here.fit.values, here.positions[:count], tangents[:count])
         found = fit(secant, weighted, shorter.parameters(here.fit.values), options=stop)
-        if np.abs((found.values - here.fit.values) / scales).max() < _STILL:
+        if np.abs((found.values - here.fit.values) / scales).max() < BASE_FIT.still:
             return replace(here, fit=found) if here is best else best
         twin = rough.model.twin.with_values(names, found.values)
         here = run_base(rough.capture, rough.observations, split, twin, found, mesh=mesh, cost=here.model.cost)

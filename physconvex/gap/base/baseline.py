@@ -14,6 +14,7 @@ from physconvex.gap.base.model import EffectModel
 from physconvex.gap.base.observed_points import Seen, components, in_metres, widened
 from physconvex.gap.effects.effect import Situation
 from physconvex.gap.effects.motion import PointMotion
+from physconvex.gap.thresholds import BASE_FIT
 from physconvex.identify import Fit, Observations, Twin
 from physconvex.io import Capture
 
@@ -150,8 +151,11 @@ def split_frames(capture: Capture, seen: Int[np.ndarray, " n"]) -> Split:
         InputError: fewer than six frames are seen.
     """
     frames = np.unique(seen)
-    if len(frames) < 6:
-        raise InputError(f"{capture.folder}: points are seen in {len(frames)} frames; a diagnosis needs at least 6")
+    if len(frames) < BASE_FIT.fewest_frames:
+        raise InputError(
+            f"{capture.folder}: points are seen in {len(frames)} frames; a diagnosis needs at least "
+            f"{BASE_FIT.fewest_frames}"
+        )
     first = frames[frames < capture.observed_frames]
     rest = frames[frames >= capture.observed_frames]
     if len(rest) < 2 or len(first) < 4:

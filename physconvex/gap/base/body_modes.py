@@ -28,15 +28,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.linalg import null_space
 
+from physconvex.gap.thresholds import NUMERICAL_ERROR
 from physconvex.identify import MarkerObservations, Observations, PixelObservations, WrappedObservations
 
 __all__ = ["BodyModes", "TurnedObservations", "body_modes", "undivided"]
 
 _RIGID, _STRAIN, _REST, _PARTS = 0, 1, 2, 3
-_FREEDOM = (6.0, 6.0, 12.0) * 2  # numbers that a smooth error has in a frame: rigid, even strain, finer
-_ALONG, _ACROSS = 4.0, 2.0  # of those of a struck body as a whole: along the normal and turning, and across it
-_SMOOTH = (12.0,)  # the same where residuals are not divided: as good as affine in space
-_FEWEST = 18  # residuals of a frame that are worth dividing
 _DEPENDENT = 1e-3  # of its length: what is left of a motion that the ones before it make up
 
 
@@ -55,7 +52,7 @@ class BodyModes:
 
     frames: Int[np.ndarray, " N"]
     kinds: Int[np.ndarray, " N"]
-    freedom: tuple[float, ...] = _SMOOTH
+    freedom: tuple[float, ...] = (NUMERICAL_ERROR.freedom_undivided,)
     reflections: tuple[tuple[slice, Float[np.ndarray, "_ k"], Float[np.ndarray, "k k"]], ...] = ()
     touching: float = 1.0
 
@@ -129,7 +126,7 @@ def body_modes(
     kinds, reflections = np.zeros(len(frames), dtype=np.int64), []
     ends = np.searchsorted(frames, np.arange(frames[-1] + 2))
     for start, stop in pairwise(ends):
-        if stop - start < _FEWEST:
+        if stop - start < NUMERICAL_ERROR.fewest_divided:
             continue
         points = seen.point_indices[start:stop:3]
         where = seen.positions[frames[start], points]
@@ -143,14 +140,19 @@ def body_modes(
         kinds[start:stop] = _REST
         kinds[start : start + 12] = np.where(np.abs(np.diag(packed.T[:12])) > _DEPENDENT, found, _REST)
     if force is None or not reflections:
-        return BodyModes(frames, kinds, _FREEDOM, tuple(reflections))
+        return BodyModes(frames, kinds, NUMERICAL_ERROR.freedom, tuple(reflections))
     struck = (np.cumsum(force > 0) > 0)[frames]
     kinds += _PARTS * struck
     if normal is None:
-        return BodyModes(frames, kinds, _FREEDOM, tuple(reflections), _touching(force))
+        return BodyModes(frames, kinds, NUMERICAL_ERROR.freedom, tuple(reflections), _touching(force))
     across = np.concatenate([[where.start, where.start + 1] for where, *_ in reflections])
     kinds[across[struck[across]]] = 2 * _PARTS
-    freedom = (*_FREEDOM[:_PARTS], _ALONG, *_FREEDOM[_PARTS + 1 :], _ACROSS)
+    freedom = (
+        *NUMERICAL_ERROR.freedom[:_PARTS],
+        NUMERICAL_ERROR.freedom_along,
+        *NUMERICAL_ERROR.freedom[_PARTS + 1 :],
+        NUMERICAL_ERROR.freedom_across,
+    )
     return BodyModes(frames, kinds, freedom, tuple(reflections), _touching(force))
 
 

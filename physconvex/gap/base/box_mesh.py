@@ -12,17 +12,11 @@ from itertools import product
 import numpy as np
 from jaxtyping import Float
 
+from physconvex.gap.thresholds import BODY_MESH
 from physconvex.io import Boundary, Capture
 from physconvex.mesh import TetMesh, box_mesh
 
 __all__ = ["box_cells", "box_of_body", "with_plane"]
-
-_SAME = 2e-3  # volume missing in the box of a box, and distance of its vertices from its faces over its size
-_SLENDER = 3.0  # longest edge over the others from which on one cell across is enough for quadratic elements
-_FLAT = 0.4  # length of a slender box's cells over their width
-_MORE = 4 / 3  # times the nodes of a slender box with several cells across
-_MOST = 16  # cells along an edge
-_THIN = 5e-3  # share of an edge below which a held end is taken for a plane
 
 
 def box_of_body(capture: Capture, max_nodes: int) -> TetMesh | None:
@@ -40,7 +34,7 @@ def box_of_body(capture: Capture, max_nodes: int) -> TetMesh | None:
     low, high = outside.min(0), outside.max(0)
     edges = high - low
     away = np.minimum(outside - low, high - outside).min(1)  # from the nearest face
-    if abs(volume / edges.prod() - 1) > _SAME or away.max() > _SAME * edges.max():
+    if abs(volume / edges.prod() - 1) > BODY_MESH.box or away.max() > BODY_MESH.box * edges.max():
         return None
     held = _held_end(capture.boundary(), low, high)
     cells = box_cells(edges, max_nodes, across=1 if held is None else 2)
@@ -61,7 +55,7 @@ def _held_end(
         (axis, float(plane))
         for axis in range(3)
         for plane, covers in ((last[axis], first[axis] <= low[axis]), (first[axis], last[axis] >= high[axis]))
-        if covers and _THIN < (plane - low[axis]) / (high[axis] - low[axis]) < 1 - _THIN
+        if covers and BODY_MESH.plane < (plane - low[axis]) / (high[axis] - low[axis]) < 1 - BODY_MESH.plane
     ]
     return ends[0] if len(ends) == 1 else None
 
@@ -104,13 +98,21 @@ def box_cells(edges: Float[np.ndarray, " 3"], max_nodes: int, *, across: int = 1
             whose stiffness varies over its section bends to the side nearly as far as down.
     """
     longest, others = int(edges.argmax()), np.sort(edges)[:2]
-    if edges.max() >= _SLENDER * others[1]:
+    if edges.max() >= BODY_MESH.slender * others[1]:
         section = (2 * across + 1) ** 2
-        allowed = max_nodes if across == 1 else _MORE * max_nodes
-        along = int(np.clip(round(edges.max() / (_FLAT * others[1])), 1, min((allowed / section - 1) // 2, _MOST)))
+        allowed = max_nodes if across == 1 else BODY_MESH.several_across * max_nodes
+        along = int(
+            np.clip(
+                round(edges.max() / (BODY_MESH.slender_cell * others[1])),
+                1,
+                min((allowed / section - 1) // 2, BODY_MESH.most_cells),
+            )
+        )
         cells = [across] * 3
         cells[longest] = along
         return cells[0], cells[1], cells[2]
-    possible = [c for c in product(range(1, _MOST + 1), repeat=3) if np.prod([2 * n + 1 for n in c]) <= max_nodes]
+    possible = [
+        c for c in product(range(1, BODY_MESH.most_cells + 1), repeat=3) if np.prod([2 * n + 1 for n in c]) <= max_nodes
+    ]
     best = min(possible, key=lambda c: (float((edges / c).max()), float(np.prod(c))))
     return best[0], best[1], best[2]

@@ -15,17 +15,10 @@ from typing import Any
 
 from physconvex.dynamics import SolveStatistics
 from physconvex.errors import ConvergenceError
+from physconvex.gap.thresholds import RUN_COST
 from physconvex.materials import is_volumetric
 
 __all__ = ["Cost", "OutOfBudget", "newton_step"]
-
-# seconds of one core, measured on boxes and a toy bus of 200 to 1500 nodes: one Newton step of the base law by the
-# full-order model, by node, and by the reduced one, with what a fit does around it; then what else adds to these, in
-# their units, for the (full-order, reduced) model. Compiled viscosity, contact and flow have since made reduced steps
-# up to twice as fast; the count is as it was, so that a search ends where it did when it was checked blind
-_FULL, _REDUCED = 5e-6, 4.5e-4
-_DAMPED, _OTHER_LAW, _FLOWS, _STRETCHES = (0.35, 1.6), (4.0, 2.5), (0.3, 3.5), (4.5, 11.0)
-_FAILED = 4  # Newton steps by time step that a run which did not converge counts as
 
 
 class OutOfBudget(ConvergenceError):
@@ -42,14 +35,14 @@ def newton_step(scene: Any, nodes: int | None) -> float:
     model, body = int(nodes is None), scene.body
     factor = 1.0
     if scene.damping_time > 0:
-        factor += _DAMPED[model]
+        factor += RUN_COST.damping[model]
     if body.flow is not None:
-        factor += _OTHER_LAW[model] + _FLOWS[model]
+        factor += RUN_COST.other_law[model] + RUN_COST.flow[model]
     elif "corotated" in body.law.name:
-        factor += _STRETCHES[model]
+        factor += RUN_COST.stretches[model]
     elif not is_volumetric(body.law):
-        factor += _OTHER_LAW[model]
-    return factor * (_REDUCED if nodes is None else _FULL * nodes)
+        factor += RUN_COST.other_law[model]
+    return factor * (RUN_COST.reduced_step if nodes is None else RUN_COST.full_step * nodes)
 
 
 @dataclass(eq=False)
@@ -115,4 +108,4 @@ class Cost:
 
     def add_failed(self, scene: Any, nodes: int | None, steps: int) -> None:
         """A run that was given up, of so many time steps."""
-        self.spent += _FAILED * steps * newton_step(scene, nodes)
+        self.spent += RUN_COST.failed * steps * newton_step(scene, nodes)

@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-__all__ = ["temperature"]
+from physconvex.gap.thresholds import EVIDENCE
 
-_FEWEST = 1 / 3  # of the frames: what a smooth residual counts for at least, some samples in a period
+__all__ = ["temperature"]
 
 
 def temperature(
@@ -37,5 +37,5 @@ def temperature(
     strengths = np.linalg.svd(table, compute_uv=False) ** 2
     shapes = float(strengths.sum() ** 2 / (strengths**2).sum())
     lasting = float(np.clip((table[1:] * table[:-1]).sum() / (table**2).sum(), 0.0, 1.0))
-    moments = len(seen) * max((1 - lasting) / (1 + lasting), _FEWEST)
+    moments = len(seen) * max((1 - lasting) / (1 + lasting), EVIDENCE.smooth)
     return max(1.0, 1.0 + excess * (len(whitened) / (shapes * moments) - 1.0))

@@ -17,6 +17,7 @@ from physconvex.fem import Scene as FullScene, Trajectory, simulate as simulate_
 from physconvex.gap.base.cost import Cost
 from physconvex.gap.effects.effect import Effect, Situation
 from physconvex.gap.effects.motion import MotionCorrection, PointMotion, by_steps
+from physconvex.gap.thresholds import BASE_FIT
 from physconvex.identify import Parameter, Twin, default_parameter
 from physconvex.io import Camera
 from physconvex.mesh import Embedding, TetMesh
@@ -26,10 +27,8 @@ __all__ = ["ACCURACY", "MODULUS", "EffectModel", "SecantModel", "reduced_like", 
 
 Positions = Float[np.ndarray, "T P 3"]
 Vector = Float[np.ndarray, " K"]
-_RATIO = (0.4, 0.1)  # mean and deviation of ν of soft bodies
 MODULUS = "log10_youngs_modulus"  # as the parameter is called
 _BASE_STEP = 0.1  # of a typical step, for differences
-_SMALL = 1.5  # times the nodes of the coarse mesh
 # of the full-order runs: their errors stay below 1e-5 of the size, a hundredth of what the mesh leaves
 ACCURACY: dict[str, Any] = {"tolerance": 1e-6, "friction_passes": 4}
 
@@ -106,7 +105,7 @@ class EffectModel:
         """With a prior on the ν of a held body, which bending does not tell."""
         if name != "poisson_ratio" or not self.situation.clamped:
             return parameter
-        mean, sigma = _RATIO
+        mean, sigma = BASE_FIT.held_poisson_ratio
         return replace(parameter, prior_mean=mean, prior_sigma=sigma / float(np.sqrt(self.doubt)))
 
     def null_values(self) -> Vector:
@@ -313,7 +312,7 @@ def searches_itself(full: EffectModel) -> bool:
     mesh, coarse = full.mesh, full.twin.mesh
     if mesh is None or not full.situation.clamped:
         return False
-    return len(mesh.vertices) <= _SMALL * len(coarse.vertices) and mesh.order <= coarse.order
+    return len(mesh.vertices) <= BASE_FIT.searches_itself * len(coarse.vertices) and mesh.order <= coarse.order
 
 
 class SecantModel:

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from physconvex.errors import InputError
 from physconvex.gap.effects.motion import PointMotion
+from physconvex.gap.thresholds import BASE_FIT
 from physconvex.identify import MarkerObservations, PixelObservations, Twin, follow, marker_observations, seed_points
 from physconvex.io import Camera, Capture
 from physconvex.mesh import TetMesh
@@ -25,10 +26,6 @@ __all__ = [
 ]
 
 Seen = MarkerObservations | PixelObservations
-# of a followed point [pixels]: the flow drifts by more than a single step's error, and by the same amount for a while
-PIXEL_SIGMA = 1.0
-_FOLLOWED = 6  # points in a frame below which it tells little
-_AWAY = 0.3  # of the body's size: markers further from its bounding box are not on it
 
 
 def observations_of(capture: Capture, twin: Twin) -> Seen:
@@ -59,20 +56,20 @@ def followed(capture: Capture, camera: Camera, twin: Twin) -> PixelObservations:
     masks = capture.mask(camera.name)
     vertices, triangles = twin.surface
     seeds = seed_points(camera, frames[0], vertices, triangles, mask=None if masks is None else masks[0] > 0)
-    if len(seeds.points) < _FOLLOWED:
+    if len(seeds.points) < BASE_FIT.fewest_points:
         raise InputError(
             f"{capture.folder}: camera {camera.name!r}: {len(seeds.points)} points to follow in its first image; "
-            f"expected at least {_FOLLOWED}: a textured body, sharp and well lit"
+            f"expected at least {BASE_FIT.fewest_points}: a textured body, sharp and well lit"
         )
     pixels = follow(frames, seeds.pixels)
-    return PixelObservations(camera, seeds.points, pixels, np.full(pixels.shape[:2], PIXEL_SIGMA))
+    return PixelObservations(camera, seeds.points, pixels, np.full(pixels.shape[:2], BASE_FIT.pixel_error))
 
 
 def _check_on_body(capture: Capture, points: Float[np.ndarray, "P 3"], mesh: TetMesh) -> None:
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
     away = np.linalg.norm(points - np.clip(points, low, high), axis=1)
     worst = int(away.argmax())
-    if away[worst] > _AWAY * mesh.size:
+    if away[worst] > BASE_FIT.off_body * mesh.size:
         raise InputError(
             f"{capture.folder}: tracks.npz: rest[{worst}] lies {away[worst]:.3g} m outside the box of the body "
             f"({mesh.size:.3g} m long); expected rest positions on the body, in the frame of the geometry at t = 0, in "
@@ -88,7 +85,7 @@ def with_honest_noise(seen: Seen) -> Seen:
     if not isinstance(seen, MarkerObservations):
         return seen
     known = np.flatnonzero(np.isfinite(seen.positions[0]).all(-1))
-    if len(known) < 8:
+    if len(known) < BASE_FIT.points_for_noise:
         return seen
     rest = seen.points[known]
     basis = np.hstack([np.ones((len(rest), 1)), rest - rest.mean(0)])
@@ -96,7 +93,9 @@ def with_honest_noise(seen: Seen) -> Seen:
     left = missed - basis @ np.linalg.lstsq(basis, missed, rcond=None)[0]
     found = float(np.sqrt((left**2).sum() / (3 * (len(rest) - 4))))
     stated = float(np.median(seen.sigma[0][known]))
-    return replace(seen, sigma=seen.sigma * max(found / stated, 1.0)) if found > 1.5 * stated else seen
+    return (
+        replace(seen, sigma=seen.sigma * max(found / stated, 1.0)) if found > BASE_FIT.noise_in_doubt * stated else seen
+    )
 
 
 def starts_elsewhere(seen: Seen) -> bool:
@@ -113,7 +112,8 @@ def starts_elsewhere(seen: Seen) -> bool:
         return True
     count = len(residual) / 3
     shift = residual.reshape(-1, 3).mean(0) * np.sqrt(count)  # unit variance each, where there is noise alone
-    return bool((residual**2).mean() > 1 + 3 * np.sqrt(2 / len(residual)) or np.abs(shift).max() > 4)
+    whole, shifted = BASE_FIT.starts_off
+    return bool((residual**2).mean() > 1 + whole * np.sqrt(2 / len(residual)) or np.abs(shift).max() > shifted)
 
 
 def lost_points(seen: Seen) -> tuple[str, ...]:
@@ -121,7 +121,7 @@ def lost_points(seen: Seen) -> tuple[str, ...]:
     if isinstance(seen, MarkerObservations):
         return ()
     alive = np.isfinite(seen.pixels).all(-1).sum(1)
-    gone = np.flatnonzero(alive < max(_FOLLOWED, alive[0] // 4))
+    gone = np.flatnonzero(alive < max(BASE_FIT.fewest_points, int(BASE_FIT.lasting_points * alive[0])))
     if not len(gone):
         return ()
     return (

@@ -13,15 +13,11 @@ from jaxtyping import Float
 from physconvex.errors import ConvergenceError
 from physconvex.gap.base.observed_points import Seen, in_metres, widened
 from physconvex.gap.effects.motion import PointMotion
+from physconvex.gap.thresholds import BASE_FIT
 from physconvex.identify import Twin
 from physconvex.reduced import simulate
 
 __all__ = ["rough_error_by_frame", "with_rough_errors"]
-
-_FLYING = 2e-3  # of the distance travelled
-_TOUCHED = 0.01  # of the size
-_NEAR = 2e-3  # of the size: so near to an obstacle it is touched
-_PUSHED = 0.2  # of gravity, beside it: what only a contact does, should it be over between two frames
 
 
 def with_rough_errors(seen: Seen, twin: Twin, frames: int) -> Seen:
@@ -68,17 +64,17 @@ def rough_error_by_frame(
         motion: of the observed points.
     """
     size = twin.mesh.size
-    error = _FLYING * np.linalg.norm(motion.positions - motion.rest, axis=-1).mean(1)
+    error = BASE_FIT.flying * np.linalg.norm(motion.positions - motion.rest, axis=-1).mean(1)
     near = np.array(
         [
-            any((o.gap(x, float(t)) < _NEAR * size).any() for o in twin.scene.obstacles)
+            any((o.gap(x, float(t)) < BASE_FIT.near * size).any() for o in twin.scene.obstacles)
             for x, t in zip(surface, times, strict=True)
         ]
     )
     gravity = np.asarray(twin.scene.gravity, dtype=np.float64)
     pushed = np.linalg.norm(np.diff(velocities, axis=0) - gravity * np.diff(times)[:, None], axis=1)
-    near[1:] |= pushed > _PUSHED * np.linalg.norm(gravity) * np.diff(times)
+    near[1:] |= pushed > BASE_FIT.pushed * np.linalg.norm(gravity) * np.diff(times)
     touched = np.flatnonzero(near)
     if len(touched) and twin.scene.obstacles:
-        error[touched[0] :] = np.maximum(error[touched[0] :], _TOUCHED * size)
+        error[touched[0] :] = np.maximum(error[touched[0] :], BASE_FIT.touched * size)
     return np.asarray(error)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
+from physconvex.gap.thresholds import BASE_FIT
 from physconvex.io import Boundary, Capture, Tracks
 
-__all__ = ["MOST_FRAMES", "shortened"]
-
-MOST_FRAMES = 100
+__all__ = ["shortened"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +37,7 @@ class _Beginning(Capture):
         return replace(boundary, motion=boundary.motion[: self.frames])
 
 
-def shortened(capture: Capture, most: int = MOST_FRAMES) -> Capture:
+def shortened(capture: Capture, most: int = BASE_FIT.most_frames) -> Capture:
     """A capture with no more than so many frames, of which the same share, two thirds at most, is observed.
 
     A diagnosis simulates a capture some hundred times, and open-loop models part from long recordings anyway.

@@ -25,25 +25,25 @@ from physconvex.gap.effects.catalogue import DEFAULT_EFFECTS, applicable
 from physconvex.gap.effects.motion import MotionCorrection
 from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.options import GapOptions
+from physconvex.gap.thresholds import SETTING
 from physconvex.mesh import TetMesh
 
 __all__ = ["own_elements", "with_own_elements"]
 
-_WORK = 600_000  # nodes times steps that can be afforded
-_BETTER = 0.5  # share of the squares that the own elements may leave to be the model
 _COMPANY = ("gravity_tilt", "damping")  # beside which the masses are asked for
-_EQUAL = 0.8  # share of the squares that equal masses of the nodes may leave to be the recording's
-_DECADES = (0.0, 0.04, -0.04, 0.1, -0.1)  # of E about that at which the lowest vibration keeps its frequency
-_FINER = (-0.04, -0.02, 0.0, 0.02, 0.04)
-_HOPELESS = 4.0  # times the squares of the fit, by the best E of a coarse scan: then no fit is begun
-_RATIO, _RATIOS = "poisson_ratio", (0.25, 0.45)
+_RATIO = "poisson_ratio"
 
 
 def own_elements(base: Baseline) -> TetMesh | None:
     """The capture's linear tetrahedra, if it has some and they can be afforded."""
     mesh = base.capture.tets()
     steps = base.model.frames * base.model.twin.steps_per_frame
-    if mesh is None or mesh.order != 1 or len(mesh.vertices) * steps > _WORK or MODULUS not in base.model.base:
+    if (
+        mesh is None
+        or mesh.order != 1
+        or len(mesh.vertices) * steps > SETTING.own_work
+        or MODULUS not in base.model.base
+    ):
         return None
     return mesh
 
@@ -84,14 +84,14 @@ def with_own_elements(
             return None
 
     report("base model on the capture's own elements")
-    own = fitted(mesh, base, np.inf if known else _HOPELESS * before)
+    own = fitted(mesh, base, np.inf if known else SETTING.hopeless * before)
     if own is None:
         return base, numerics
     report("base model with equal masses at the capture's own nodes")
-    particles = fitted(mesh.with_equal_masses(), own, _HOPELESS * misfit_of_base(own, variance))
-    if particles is not None and _left_beside(particles, variance) < _EQUAL * _left_beside(own, variance):
+    particles = fitted(mesh.with_equal_masses(), own, SETTING.hopeless * misfit_of_base(own, variance))
+    if particles is not None and _left_beside(particles, variance) < SETTING.equal_masses * _left_beside(own, variance):
         own = particles
-    if not known and misfit_of_base(own, variance) > _BETTER * before:
+    if not known and misfit_of_base(own, variance) > SETTING.own_better * before:
         return base, numerics
     numerics = replace(numerics, exact=None)  # which is of other elements
     still = np.zeros_like(numerics.mesh)
@@ -141,7 +141,7 @@ def _fitted_on(
     values = near.fit.values.copy()
     if _RATIO in near.model.base and near.model.mesh is None:
         at = near.model.base.index(_RATIO)
-        values[at] = np.clip(values[at], *_RATIOS)
+        values[at] = np.clip(values[at], *SETTING.own_poisson_ratio)
     values[index] += decades_between(near.model, model, values)
     least, values[index] = _best_modulus(near, model, values, variance)
     if least > most:
@@ -159,7 +159,7 @@ def _best_modulus(
     """Least misfit in the fitted frames, and the log10 E, near the start, at which it is reached."""
     index, count = base.model.base.index(MODULUS), base.split.end
     shorter, tried = replace(model, frames=count), []
-    for decades in _DECADES:
+    for decades in SETTING.own_moduli:
         values = start.copy()
         values[index] += decades
         positions = np.concatenate([shorter.positions(values), base.positions[count:]])
@@ -178,4 +178,4 @@ def _surrogate(base: Baseline, mesh: TetMesh, values: np.ndarray, target: Float[
         return float(np.linalg.norm(moved - target[:count]))
 
     first = decades_between(replace(base.model, mesh=mesh), coarse, values)
-    return first + min(_FINER, key=lambda more: missed(first + more))
+    return first + min(SETTING.surrogate_moduli, key=lambda more: missed(first + more))

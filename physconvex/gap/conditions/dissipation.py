@@ -15,15 +15,12 @@ from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.model import MODULUS
 from physconvex.gap.conditions.joint_fits import Company
 from physconvex.gap.options import GapOptions
+from physconvex.gap.thresholds import SETTING
 from physconvex.identify import Fit, scan_values
 
 __all__ = ["damped_fit"]
 
-_RATIO, _RATIOS = "poisson_ratio", (0.3, 0.45)
-# damping, in times that an elastic wave takes through the body: at every modulus, and about the best of these
-_DAMPING, _OTHERS = 0.15, (0.05, 0.4)
-_FITS = 2
-_BETTER = 0.6  # share of the squares that damping may leave to be taken along
+_RATIO = "poisson_ratio"
 
 
 def damped_fit(base: Baseline, options: GapOptions) -> tuple[Company, Fit] | None:
@@ -44,15 +41,18 @@ def damped_fit(base: Baseline, options: GapOptions) -> tuple[Company, Fit] | Non
         values = np.append(base.fit.values, share * wave)
         values[names.index(MODULUS)] = modulus
         if _RATIO in names:
-            values[names.index(_RATIO)] = np.clip(values[names.index(_RATIO)], *_RATIOS)
+            values[names.index(_RATIO)] = np.clip(values[names.index(_RATIO)], *SETTING.poisson_ratio)
         return values
 
-    tried = [(company.misfit(names, values), values) for values in (start(m, _DAMPING) for m in moduli)]
+    tried = [(company.misfit(names, values), values) for values in (start(m, SETTING.damping) for m in moduli)]
     best = int(np.argmin([misfit for misfit, _ in tried]))
     near = moduli[max(best - 1, 0) : best + 2]
-    tried += [(company.misfit(names, values), values) for values in (start(*pair) for pair in product(near, _OTHERS))]
-    order = [values for misfit, values in sorted(tried, key=lambda pair: pair[0])[:_FITS] if np.isfinite(misfit)]
+    others = (start(*pair) for pair in product(near, SETTING.other_damping))
+    tried += [(company.misfit(names, values), values) for values in others]
+    first = sorted(tried, key=lambda pair: pair[0])[: SETTING.fits]
+    order = [values for misfit, values in first if np.isfinite(misfit)]
     found = company.best(names, order)
-    if found is None or found.misfit > _BETTER * company.misfit(names, np.append(base.fit.values, company.nothing)):
+    if found is None:
         return None
-    return company, found
+    without = company.misfit(names, np.append(base.fit.values, company.nothing))
+    return None if found.misfit > SETTING.damped_better * without else (company, found)

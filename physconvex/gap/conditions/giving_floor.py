@@ -15,20 +15,15 @@ from jaxtyping import Float
 
 from physconvex.gap.base.baseline import FLOOR_LAW, Baseline
 from physconvex.gap.conditions.joint_fits import Company
+from physconvex.gap.thresholds import SETTING
 from physconvex.identify import Fit
 
 __all__ = ["on_giving_floor", "sinks_in", "softness"]
 
-_DEPTH = 0.01  # of the size of the body: markers lie deeper in a floor that gives way
-_FACTORS = (0.0, 0.25, 0.45, 0.6, 0.75)  # decades of E above the fit with the hard floor, which is too soft
-_STIFFNESSES = (-0.7, -0.3, 0.1)  # decades about the stiffness that stops the body at the depth seen
-_DASHPOTS = (0.0, 1.0, 3.0)  # in times that the body takes to sink in
-_FITS = 2
-
 
 def sinks_in(base: Baseline) -> bool:
     """Whether markers lie deeper in the floor than a stiff one allows."""
-    return base.situation.depth >= _DEPTH * base.situation.size
+    return base.situation.depth >= SETTING.soft_depth * base.situation.size
 
 
 def on_giving_floor(company: Company, doses: Float[np.ndarray, " D"]) -> Fit | None:
@@ -44,7 +39,7 @@ def on_giving_floor(company: Company, doses: Float[np.ndarray, " D"]) -> Fit | N
     names = (*base.model.base, *FLOOR_LAW)
     starts = [np.append(values, doses) for values in _starts(base)]
     misfits = [company.misfit(names, values) for values in starts]
-    order = [i for i in np.argsort(misfits)[:_FITS] if np.isfinite(misfits[i])]
+    order = [i for i in np.argsort(misfits)[: SETTING.fits] if np.isfinite(misfits[i])]
     return company.best(names, [starts[i] for i in order])
 
 
@@ -60,11 +55,11 @@ def _starts(base: Baseline) -> list[np.ndarray]:
     speed = max(-float((base.motion.velocities.mean(1) @ normal).min()), 1e-2)
     depth, names = base.situation.depth, base.model.base
     at, out = names.index("log10_youngs_modulus"), []
-    for decades, shift, dashpot in product(_FACTORS, _STIFFNESSES, _DASHPOTS):
+    for decades, shift, dashpot in product(SETTING.moduli, SETTING.stiffnesses, SETTING.dashpots):
         values = base.fit.values.copy()
         values[at] += decades
         if "poisson_ratio" in names:
-            values[names.index("poisson_ratio")] = np.clip(values[names.index("poisson_ratio")], 0.3, 0.45)
+            values[names.index("poisson_ratio")] = np.clip(values[names.index("poisson_ratio")], *SETTING.poisson_ratio)
         pressure = np.sqrt(10 ** values[at] * base.capture.density) * speed  # of a body that stops within a wave's time
         out.append(np.append(values, [np.log10(pressure / depth) + shift, dashpot * depth / speed]))
     return out

@@ -22,14 +22,13 @@ from physconvex.gap.base.rough_errors import with_rough_errors
 from physconvex.gap.effects.catalogue import DEFAULT_EFFECTS, applicable
 from physconvex.gap.effects.effect import Effect
 from physconvex.gap.options import GapOptions
+from physconvex.gap.thresholds import SETTING
 from physconvex.identify import Fit, FitOptions, fit, misfit_of
 from physconvex.mesh import TetMesh
 
 __all__ = ["RIGID", "Company"]
 
 RIGID = ("friction", "gravity_tilt", "air_drag (linear)", "initial_velocity", "initial_spin")
-_ROUNDS = 2  # of a fit of the reduced model: derivatives taken anew once
-_FULL_RUNS = 6
 
 
 class Company:
@@ -88,7 +87,7 @@ class Company:
     def _fitted(self, names: tuple[str, ...], values: np.ndarray) -> Fit:
         model = self.model(names, values)
         stop = FitOptions(max_iterations=self._iterations + 3, relative_tolerance=1e-3, absolute_tolerance=0.05)
-        for _ in range(_ROUNDS):
+        for _ in range(SETTING.rounds):
             motion = model.motion(values)
             secant = SecantModel(model, values, motion.positions, model.tangents(values, motion))
             found = fit(secant, self.seen, model.parameters(values), options=stop)
@@ -109,7 +108,7 @@ class Company:
         values = reduced.values
         cheap = self.model(names, values)
         full = replace(cheap, reduced=False, mesh=mesh)
-        stop = FitOptions(max_iterations=_FULL_RUNS, relative_tolerance=1e-2, absolute_tolerance=0.05)
+        stop = FitOptions(max_iterations=SETTING.full_runs, relative_tolerance=1e-2, absolute_tolerance=0.05)
         try:
             tangents = cheap.tangents(values, cheap.motion(values))
             secant = SecantModel(full, values, full.positions(values), tangents)

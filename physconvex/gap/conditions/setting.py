@@ -20,12 +20,10 @@ from physconvex.gap.conditions.dissipation import damped_fit
 from physconvex.gap.conditions.giving_floor import on_giving_floor, sinks_in, softness
 from physconvex.gap.conditions.joint_fits import Company
 from physconvex.gap.options import GapOptions
+from physconvex.gap.thresholds import SETTING
 from physconvex.identify import Fit
 
 __all__ = ["Setting", "find_setting"]
-
-_SOFTER = 1 / 3  # of the stiffness that a floor has in the base model
-_BETTER = 0.7  # share of the squares that a giving floor, or the own elements, may leave to be believed; both: squared
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +69,7 @@ def _asked(base: Baseline, options: GapOptions, report: Callable[[str], None]) -
     hard = company.best(names[0], [np.append(base.fit.values, company.nothing)])
     doses = company.nothing if hard is None else hard.values[len(names[0]) :]
     soft = on_giving_floor(company, doses) if sinks else None
-    if soft is not None and softness(base, names[1], soft.values) > _SOFTER:
+    if soft is not None and softness(base, names[1], soft.values) > SETTING.soft_stiffness:
         soft = None
     if own is None and soft is None:
         return _damped(base, options, report)
@@ -101,7 +99,7 @@ def _likeliest(misfits: dict[tuple[bool, bool], float], *, refuted: bool) -> tup
     """
     possible = {case: misfit for case, misfit in misfits.items() if case[1]} if refuted else {}
     possible = possible or misfits
-    return min(possible, key=lambda case: possible[case] / _BETTER ** sum(case))
+    return min(possible, key=lambda case: possible[case] / SETTING.better ** sum(case))
 
 
 def _damped(base: Baseline, options: GapOptions, report: Callable[[str], None]) -> Setting:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from physconvex.errors import InputError
 from physconvex.fem import Scene
 from physconvex.gap.effects.motion import PointMotion
+from physconvex.gap.thresholds import BASE_FIT
 from physconvex.io import Camera
 from physconvex.reduced import ReducedScene
 
@@ -23,7 +24,6 @@ SOURCES: tuple[Source, ...] = (
     "material", "contact", "external", "initial state", "observation", "numerical", "gauge",
 )  # fmt: skip
 IN_FLIGHT: tuple[Source, ...] = ("external", "initial state", "observation")  # need no contact to be seen
-_DEEP = 0.02  # share of the size of a body
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Situation:
     @property
     def in_soft_floor(self) -> bool:
         """Whether markers lie so deep in the floor that no stiff one bore them."""
-        return self.depth >= _DEEP * self.size
+        return self.depth >= BASE_FIT.deep * self.size
 
 
 @dataclass(frozen=True)

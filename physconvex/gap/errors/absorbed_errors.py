@@ -16,11 +16,10 @@ from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.model import MODULUS, SecantModel
 from physconvex.gap.errors.numerics import Numerics
 from physconvex.gap.options import GapOptions
+from physconvex.gap.thresholds import NUMERICAL_ERROR
 from physconvex.identify import FitOptions, MarkerObservations, fit
 
 __all__ = ["with_absorbed_mesh"]
-
-_SIGMA = 1e-3  # of the size of the body: what the meshes are compared to
 
 
 def with_absorbed_mesh(base: Baseline, numerics: Numerics, options: GapOptions) -> Numerics:
@@ -36,7 +35,7 @@ def with_absorbed_mesh(base: Baseline, numerics: Numerics, options: GapOptions) 
     count = base.split.end
     coarse, target = replace(base.model, mesh=None, correction=None), base.motion.positions
     shorter, values = replace(coarse, frames=count), base.fit.values
-    sigma = np.full(target.shape[:2], _SIGMA * base.situation.size)
+    sigma = np.full(target.shape[:2], NUMERICAL_ERROR.absorbed * base.situation.size)
     seen = MarkerObservations(np.asarray(base.model.points), target, sigma).in_frames(count)
     try:
         here = shorter.motion(values)

@@ -22,13 +22,9 @@ from jaxtyping import Float
 from physconvex.gap.base.baseline import Baseline, derivatives_of_residuals
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.errors.screening import Screening
+from physconvex.gap.thresholds import NUMERICAL_ERROR
 
 __all__ = ["error_scale"]
-
-_MARGIN = 4.0  # of squares: an effect must remove more than 1 − 1/(1.5 × this) of them to open a gap
-_LEAST = 0.15  # scale below which nothing is believed
-_FREE = 0.1  # share of the independent residuals that is left over, at least
-_FRAMES = 2  # that tell: those whose numerical error is above noise
 
 
 def error_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> Float[np.ndarray, " N"]:
@@ -78,16 +74,16 @@ def _scale(
     for kind in range(base.modes.count):
         told = (numerical > 1.0) & (base.modes.kinds[rows] == kind)
         frames = np.unique(base.observations.frames[rows][told])
-        if len(frames) < _FRAMES:
+        if len(frames) < NUMERICAL_ERROR.scale_frames:
             continue
         weights = numerical[told] / errors.expected[rows][told] ** 2  # as the likelihood of one scale weighs them
         expected = float(weights @ numerical[told])
         independent = max(len(frames) * float(base.modes.independent[kind]), 1.0)
         shares = []
         for left, leverage in fits:
-            free = max(1.0 - float(leverage[told].sum()) / independent, _FREE)
+            free = max(1.0 - float(leverage[told].sum()) / independent, NUMERICAL_ERROR.free_residuals)
             shares.append(max(float(weights @ (left[told] ** 2 - 1.0)), 0.0) / expected / free)
-        out[kind] = np.clip(np.sqrt(_MARGIN * min(shares)), _LEAST, 1.0)
+        out[kind] = np.clip(np.sqrt(NUMERICAL_ERROR.scale_margin * min(shares)), NUMERICAL_ERROR.least_scale, 1.0)
     return out
 
 

@@ -21,6 +21,7 @@ from physconvex.gap.effects.motion import MotionCorrection, PointMotion
 from physconvex.gap.errors.rebound import path_since_contact
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.options import GapOptions
+from physconvex.gap.thresholds import NUMERICAL_ERROR
 from physconvex.identify import mesh_of_capture
 from physconvex.mesh import TetMesh, refine_uniformly, tetrahedralize
 from physconvex.numerics import beyond_rigid
@@ -36,19 +37,6 @@ __all__ = [
 ]
 
 Positions = Float[np.ndarray, "T P 3"]
-_WORK = 600_000  # nodes times steps of a full-order run that is made some twenty times
-_EXACT_WORK = 1_000_000  # the same of the finest mesh: runs with a quarter of these steps are made some ten times
-_ORDER = 1.75  # of convergence by edge length
-_FINEST = 2.5  # times the nodes of the finer mesh: of the one that it is compared with
-_LESS = _FINEST ** (_ORDER / 3)  # error of the finer mesh over that of this one
-# as a whole, even strain and the rest, measured between this model and `data_gen.blind.engine`, and MuJoCo's
-_OUT_OF_STEP = (0.01, 0.1, 0.5)
-# of that as a whole, across the normal of a smooth floor, besides its friction: nine bodies without effect parted from
-# that engine by .2 to 4 % of their way along the normal, and by .01 to .3 % across it
-_SIDEWAYS = 0.2
-_EXACT, _EXACT_LEFT = 4, 0.2  # steps of the most exact run for one of the others; its error over their difference
-_STEPS_LEFT = 0.5  # error of half the time step over the difference to the whole one
-_LASTING = 2.0  # frames for which a numerical error stays much the same
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +73,9 @@ class Numerics:
     def null(self) -> tuple[Positions, ...]:
         """Differences that effect-free captures may show."""
         if self.exact is None or self.finest is None:
-            return (_STEPS_LEFT * self.steps, self._mesh_left, self.contact)
-        return (_EXACT_LEFT * (self.exact[1] - self.finest), self._mesh_left / _LESS, self.contact)
+            return (NUMERICAL_ERROR.steps_left * self.steps, self._mesh_left, self.contact)
+        steps = NUMERICAL_ERROR.exact_left * (self.exact[1] - self.finest)
+        return (steps, self._mesh_left / NUMERICAL_ERROR.fine_over_finest, self.contact)
 
     @property
     def _mesh_left(self) -> Positions:
@@ -95,12 +84,12 @@ class Numerics:
         After an impact one mesh may happen to fly on otherwise than all others, and so be off by ten times what the
         finer one errs by. So that is compared with a coarser and with a finer one, and the lesser estimate is believed.
         """
-        ratio = max(self.nodes[1] / self.nodes[0], 1.01) ** (_ORDER / 3)
+        ratio = max(self.nodes[1] / self.nodes[0], 1.01) ** (NUMERICAL_ERROR.order / 3)
         left = float(np.clip(1 / (ratio - 1), 0.3, 1.0))
         by_coarser = np.asarray(left * (self.mesh if self.absorbed_mesh is None else self.absorbed_mesh))
         if self.finest is None:
             return by_coarser
-        by_finer = np.asarray(_LESS / (_LESS - 1) * self.finest)
+        by_finer = np.asarray(NUMERICAL_ERROR.fine_over_finest / (NUMERICAL_ERROR.fine_over_finest - 1) * self.finest)
         return min(by_coarser, by_finer, key=lambda d: float(np.linalg.norm(d)))
 
 
@@ -134,8 +123,8 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
     finest_mesh: list[TetMesh] = []
 
     def finest() -> Positions:
-        nodes = _FINEST * len(fine[0][0].vertices)
-        if nodes * steps > 2 * _FINEST * _WORK:
+        nodes = NUMERICAL_ERROR.finest * len(fine[0][0].vertices)
+        if nodes * steps > 2 * NUMERICAL_ERROR.finest * NUMERICAL_ERROR.fine_work:
             raise InputError(f"mesh: {nodes:.0f} nodes are too many for {steps} steps")
         finest_mesh.append(_mesh_of(base, int(nodes)))
         return beyond_fine(replace(model, mesh=finest_mesh[0]))
@@ -149,7 +138,7 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
     mesh = difference("a finer mesh", finer)
     compared = base.situation.touches and not base.situation.clamped and bool(fine)
     last = difference("a mesh finer still", finest) if compared else zero
-    quick = last.any() and len(finest_mesh[0].vertices) * steps <= _EXACT_WORK
+    quick = last.any() and len(finest_mesh[0].vertices) * steps <= NUMERICAL_ERROR.exact_work
     linear = model.mesh is not None and model.mesh.order == 1  # the recording's own elements, whose errors it shares
     exact = zero
     if quick and not linear:
@@ -159,7 +148,7 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
     return Numerics(
         steps=difference("half the time step", lambda: replace(model, refinement=2).motion(values).positions),
         mesh=mesh,
-        fine=fine[0] if fine and len(fine[0][0].vertices) * steps <= _WORK else None,
+        fine=fine[0] if fine and len(fine[0][0].vertices) * steps <= NUMERICAL_ERROR.fine_work else None,
         nodes=(len(model.twin.mesh.vertices), len(fine[0][0].vertices) if fine else len(model.twin.mesh.vertices)),
         contact=difference("stiffer contact", stiffer) if stiffness_is_chosen else zero,
         implicit_euler=difference(
@@ -174,7 +163,7 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
 
 def exact_model(model: EffectModel, mesh: TetMesh) -> EffectModel:
     """The model on a mesh finer still and with a quarter of its time step."""
-    return replace(model, mesh=mesh, refinement=_EXACT, correction=None)
+    return replace(model, mesh=mesh, refinement=NUMERICAL_ERROR.exact_refinement, correction=None)
 
 
 def other_mesh(base: Baseline, options: GapOptions, steps: int) -> TetMesh:
@@ -185,10 +174,10 @@ def other_mesh(base: Baseline, options: GapOptions, steps: int) -> TetMesh:
     own = base.model.twin.mesh
     if base.situation.clamped:
         split = refine_uniformly(own)
-        if len(split.vertices) * steps > 3 * _WORK:
+        if len(split.vertices) * steps > 3 * NUMERICAL_ERROR.fine_work:
             raise InputError(f"mesh: {len(split.vertices)} nodes are too many for {steps} steps")
         return split
-    wanted = max(min(options.fine_nodes, _WORK // steps), int(2.5 * len(own.vertices)))
+    wanted = max(min(options.fine_nodes, NUMERICAL_ERROR.fine_work // steps), int(2.5 * len(own.vertices)))
     mesh = _mesh_of(base, wanted)
     if len(mesh.vertices) > 1.3 * len(own.vertices):
         return mesh
@@ -213,11 +202,11 @@ def error_model(
     """V of `physconvex.gap.errors.score_test`: noise, and by frame and kind size and shapes of numerical differences.
 
     Such errors are smooth fields that last: few numbers (`BodyModes.freedom`), and the same ones for some frames, so
-    that n residuals hold no more than about freedom/_LASTING independent ones. Widening their variance by the ratio
+    that n residuals hold no more than about freedom/`lasting` independent ones. Widening their variance by the ratio
     leaves a smooth signature with the significance it deserves.
 
     Any model of finite size is credited with a share of the distance travelled, and of a free body with what programs
-    that share neither mesh nor steps nor contact fall out of phase by once it has been struck: shares `_OUT_OF_STEP` of
+    that share neither mesh nor steps nor contact fall out of phase by once it has been struck: shares `out_of_step` of
     how far it has come since, of its largest even strain, and of its largest finer shape, so far. Across the normal of
     the floor it is less: that pushes there by friction alone.
 
@@ -249,8 +238,8 @@ def error_model(
         come[whole] = (come * count)[whole].sum(0) / count[whole].sum(0)
         strained = mean_of(base.change(here + beyond_rigid(base.motion.rest, base.motion.positions)[0]) ** 2)
         so_far = np.maximum.accumulate(np.where(base.modes.parts[:, None] == 0, come, strained), axis=1)
-        sideways = np.where(base.modes.across, min(_SIDEWAYS + base.situation.friction, 1.0), 1.0)
-        phases = (np.array(_OUT_OF_STEP)[base.modes.parts] * sideways)[:, None] ** 2 * so_far
+        sideways = np.where(base.modes.across, min(NUMERICAL_ERROR.sideways + base.situation.friction, 1.0), 1.0)
+        phases = (np.array(NUMERICAL_ERROR.out_of_step)[base.modes.parts] * sideways)[:, None] ** 2 * so_far
 
     def size_of(left: np.ndarray) -> np.ndarray:
         size = np.maximum.accumulate(mean_of((left**2).sum(0)), axis=1)  # an error made at impact stays
@@ -259,7 +248,7 @@ def error_model(
     numerical = size_of(directions)
     if len(base.tangents) == base.model.frames and base.tangents.any():
         numerical = size_of(_absorbed(base, directions, 1.0 + numerical))
-    shared = np.maximum(_LASTING * count / np.array(base.modes.freedom)[:, None], 1.0)
+    shared = np.maximum(NUMERICAL_ERROR.lasting * count / np.array(base.modes.freedom)[:, None], 1.0)
     return ErrorModel(1.0 + shared[kinds, frames] * numerical, directions, 1.0 + numerical)
 
 

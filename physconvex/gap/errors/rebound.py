@@ -8,10 +8,9 @@ from jaxtyping import Float
 from physconvex.gap.base.body_modes import BodyModes
 from physconvex.gap.effects.motion import PointMotion
 from physconvex.gap.errors.score_test import ErrorModel
+from physconvex.gap.thresholds import NUMERICAL_ERROR
 
 __all__ = ["forgiving", "path_since_contact"]
-
-_FORGIVEN = 3.0  # times the expected error of a rebound: the most that was seen of programs without any effect
 
 
 def path_since_contact(motion: PointMotion, force: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
@@ -40,5 +39,5 @@ def forgiving(errors: ErrorModel, modes: BodyModes) -> ErrorModel:
     is what the evidence counts with.
     """
     whole = modes.struck & (modes.parts == 0)
-    factor = np.where(whole[modes.kinds], _FORGIVEN**2, 1.0)
+    factor = np.where(whole[modes.kinds], NUMERICAL_ERROR.forgiven_rebound**2, 1.0)
     return ErrorModel(1 + factor * (errors.variance - 1), errors.directions, 1 + factor * (errors.expected - 1))

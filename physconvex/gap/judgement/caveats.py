@@ -6,10 +6,9 @@ import numpy as np
 
 from physconvex.gap.errors.screening import Screening
 from physconvex.gap.search.hypothesis import Hypothesis, doses_at_bounds
+from physconvex.gap.thresholds import SCREENING, VERDICT
 
 __all__ = ["caveats_of", "doses_in_sight"]
-
-_SEEN = 3.0  # standard errors
 
 
 def doses_in_sight(screening: Screening) -> tuple[str, ...]:
@@ -20,7 +19,7 @@ def doses_in_sight(screening: Screening) -> tuple[str, ...]:
         dose = entry.effect.doses[int(screened[0])] if len(screened) == 1 else None
         if dose is not None and not dose.threshold and entry.effect.source != "numerical":
             unit = f" {dose.unit}" if dose.unit else ""
-            limits.append(f"{entry.effect.name} {_SEEN * float(entry.errors[screened[0]]):.2g}{unit}")
+            limits.append(f"{entry.effect.name} {SCREENING.in_sight * float(entry.errors[screened[0]]):.2g}{unit}")
     return (f"Doses from which on an effect would have been seen here: {', '.join(limits[:6])}.",) if limits else ()
 
 
@@ -30,7 +29,7 @@ def caveats_of(base: Hypothesis, best: Hypothesis, after: float) -> tuple[str, .
     out += _floor(base)
     out += _elements(base)
     moved = _moved(base, best)
-    if moved is not None and abs(moved) > np.log10(1.15):
+    if moved is not None and abs(moved) > np.log10(1 + VERDICT.absorbed):
         out.append(
             f"E changed by {10**moved - 1:+.0%} when the effect was added: the plain model's E had absorbed part of it."
         )
@@ -44,7 +43,7 @@ def caveats_of(base: Hypothesis, best: Hypothesis, after: float) -> tuple[str, .
             f"At the bound of what is physical: {', '.join(at_bounds)}. That effect stands for something else, which "
             "the dictionary does not have or the other effects do not describe well."
         )
-    if after > 4.0:
+    if after > VERDICT.open:
         out.append("What is left after the best effect is still well above noise and numerical error.")
     return tuple(out)
 

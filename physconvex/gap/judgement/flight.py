@@ -15,10 +15,9 @@ from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.search.evidence import information_by_kind, squares_by_kind
 from physconvex.gap.search.hypothesis import Hypothesis
+from physconvex.gap.thresholds import VERDICT
 
 __all__ = ["gain_in_flight", "left_in_flight"]
-
-_CLOSED = 2.0  # mean square over the expected one up to which a flight is followed
 
 
 def gain_in_flight(base: Baseline, errors: ErrorModel, best: Hypothesis, plain: Hypothesis) -> float:
@@ -40,7 +39,7 @@ def gain_in_flight(base: Baseline, errors: ErrorModel, best: Hypothesis, plain: 
         return -np.inf
     seen = fitted[fitted < _last_of_flight(base)]
     left = squares_by_kind(base, errors, best.positions, seen)[flight]
-    if np.isnan(left).all() or np.nanmax(left) > _CLOSED:
+    if np.isnan(left).all() or np.nanmax(left) > VERDICT.flight_closed:
         return -np.inf
     gain = ((best.likelihood - plain.likelihood) / best.divisor)[flight].sum()
     independent = (information / best.divisor)[flight].sum()

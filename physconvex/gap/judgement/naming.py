@@ -11,10 +11,10 @@ from physconvex.gap.effects.effect import Effect
 from physconvex.gap.errors.screening import Screening
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
+from physconvex.gap.thresholds import VERDICT
 
 __all__ = [
     "SOMETHING_ELSE",
-    "WEAK",
     "NamedDose",
     "NamedEffect",
     "beside_something_else",
@@ -25,14 +25,7 @@ __all__ = [
 ]
 
 SOMETHING_ELSE = "something else"
-WEAK = 1.5  # gain of log-evidence by an effect that leaves open whether it is there
-_BESIDE_A_SOFT_FLOOR = 10.0  # gain below which a further effect may be following what a law of such a contact is
 _DEFORMING = ("material", "contact")  # sources of effects that act through how the body deforms or touches
-# cosine of signatures: of any two effects, and of two that are known to look alike
-_ALIKE, _ALIKE_AS_DECLARED = 0.95, 0.85
-# of a dose: what two programs that mean the same effect differ by, as a standard error; the second of effects that act
-# through how the body deforms or touches, and of bodies that are held, which do nothing but deform
-_FORM, _FORM_DEFORMING = 0.02, 0.05
 
 
 @dataclass(frozen=True)
@@ -75,7 +68,7 @@ def favoured(hypotheses: Sequence[Hypothesis]) -> Hypothesis | None:
     if best is None:
         return None
     soft = best.model.situation.in_soft_floor
-    little = _BESIDE_A_SOFT_FLOOR if soft else WEAK
+    little = VERDICT.soft_floor if soft else VERDICT.weak
 
     def may_be_the_floor(h: Hypothesis) -> bool:
         return soft and all(e.source in _DEFORMING for e in best.effects if e.name not in h.names)
@@ -129,8 +122,10 @@ def _names(label: str) -> list[str]:
     return [part.split(" (")[0] for part in label.split(" + ")]
 
 
-def _declared(one: Effect, other: Effect) -> bool:
-    return other.name in one.confusable or one.name in other.confusable
+def _alike(one: Effect, other: Effect) -> float:
+    """Cosine of two signatures above which the effects are not told apart."""
+    declared = other.name in one.confusable or one.name in other.confusable
+    return VERDICT.alike_as_declared if declared else VERDICT.alike
 
 
 def by_weight(found: list[NamedEffect], hypotheses: Sequence[Hypothesis]) -> list[NamedEffect]:
@@ -159,7 +154,7 @@ def _form_errors(effect: Effect, doses: np.ndarray, *, held: bool) -> np.ndarray
     Where the fit leaves next to nothing, the residuals would have a dose to a hundredth of what the model's mesh, steps
     and contact make of it.
     """
-    share = _FORM_DEFORMING if held or effect.source in _DEFORMING else _FORM
+    share = VERDICT.form_deforming if held or effect.source in _DEFORMING else VERDICT.form
     out = np.empty(len(doses))
     for i, dose in enumerate(effect.doses):
         alike = [j for j, other in enumerate(effect.doses) if other.unit == dose.unit]
@@ -202,13 +197,12 @@ def named_effects(
         alike = [
             e.effect.name
             for e in screening.one_per_name
-            if e.effect.name != effect.name
-            and screening.similarity(own, e) > (_ALIKE_AS_DECLARED if _declared(effect, e.effect) else _ALIKE)
+            if e.effect.name != effect.name and screening.similarity(own, e) > _alike(effect, e.effect)
         ]
         rivals = [
             label.split(" (")[0]
             for label, p in probability.items()
-            if p > 0.1
+            if p > VERDICT.rival
             and label != hypothesis.label
             and label not in ("base model", SOMETHING_ELSE)
             and " + " not in label

@@ -6,31 +6,18 @@ from collections.abc import Sequence
 
 from physconvex.gap.effects.effect import IN_FLIGHT
 from physconvex.gap.errors.screening import Screening
-from physconvex.gap.judgement.naming import SOMETHING_ELSE, WEAK, beside_something_else, favoured, probabilities
+from physconvex.gap.judgement.naming import SOMETHING_ELSE, beside_something_else, favoured, probabilities
 from physconvex.gap.judgement.residual_measures import Measured
 from physconvex.gap.judgement.verdict_input import (
-    FORETOLD,
-    LESS,
-    OPEN,
-    SEEN,
-    TELLING,
-    TRUSTED,
     Verdict,
     VerdictInput,
     VerdictName,
 )
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
+from physconvex.gap.thresholds import VERDICT
 
 __all__ = ["Verdict", "VerdictName", "decide"]
-
-_PLACEBO = 0.5  # share of an effect's shrinkage that a wrong effect may reach before the effect's counts for nothing
-_CERTAIN = 0.95  # probability, or share removed of FORETOLD, from which on a placebo that does much is no objection
-_BLIND = 0.1  # floor over size or motion above which "none" would say nothing
-_ASTRAY = 0.5  # distance from the recording over its motion above which the model is no model of it
-_LIKELY = 0.5  # probability from which on an effect is named
-_DOUBT = 0.4  # probability of none and of something else above which no effect is
-_FLOOR = 1.5  # a gap of less than this many times the expected square counts as none
 
 
 def decide(
@@ -50,7 +37,7 @@ def decide(
     if best is None:
         none = beside_something_else(shown, 0.0).get("base model", 0.0)
         return Verdict("inconclusive", "No effect could be tried on this capture.", (), none, 0.0, ())
-    flies = measured.flight >= TELLING and any(effect.source in IN_FLIGHT for effect in best.effects)
+    flies = measured.flight >= VERDICT.telling and any(effect.source in IN_FLIGHT for effect in best.effects)
     probability = beside_something_else(shown, 1.0 if flies else measured.share)
     case = VerdictInput(base, best, tuple(hypotheses), screening, probability, measured, options, flies)
     rules = (
@@ -77,14 +64,16 @@ def _nothing(e: VerdictInput) -> Verdict | None:
         return None
     significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
     # a fit finds what one finite dose does not
-    significant = significant or (e.gain >= TELLING and e.telling) or (e.foretold and e.measured.seen >= SEEN)
-    closed = min(e.measured.before, e.base.fitted) < _FLOOR and not e.telling
-    little = e.gain < WEAK and e.measured.before < OPEN
+    significant = (
+        significant or (e.gain >= VERDICT.telling and e.telling) or (e.foretold and e.measured.seen >= VERDICT.seen)
+    )
+    closed = min(e.measured.before, e.base.fitted) < VERDICT.floor and not e.telling
+    little = e.gain < VERDICT.weak and e.measured.before < VERDICT.open
     slight = e.best.is_slight() and not e.open and not e.foretold
-    late = e.telling and e.measured.before >= OPEN  # opens after the fitted frames, and the effect foretells it
+    late = e.telling and e.measured.before >= VERDICT.open  # opens after the fitted frames, and the effect foretells it
     if not (little or slight or (not late and (closed or not significant))):
         return None
-    if e.measured.floor > _BLIND:
+    if e.measured.floor > VERDICT.blind:
         return _blind(e)
     if e.open and not e.best.is_slight():
         sentence = (
@@ -105,7 +94,7 @@ def _slight(e: VerdictInput) -> Verdict | None:
     """A dose too small to be of interest fits best, and leaves the gap."""
     if not e.best.is_slight() or e.foretold:
         return None
-    if e.measured.floor > _BLIND:
+    if e.measured.floor > VERDICT.blind:
         return _blind(e)
     sentence = (
         f"Inconclusive: there is a gap above noise and numerical error, but what fits it best, {e.best.label}, is "
@@ -126,7 +115,7 @@ def _numerical(e: VerdictInput) -> Verdict | None:
     """All effects of the best fit are numerical; where such errors are large, that says nothing either."""
     if any(effect.source != "numerical" for effect in e.best.effects):
         return None
-    if e.measured.floor > _BLIND:
+    if e.measured.floor > VERDICT.blind:
         return _blind(e)
     if e.open:
         sentence = (
@@ -154,7 +143,7 @@ def _weak(e: VerdictInput) -> Verdict | None:
 
 def _off_the_recording(e: VerdictInput) -> Verdict | None:
     """The model is none of this recording."""
-    if e.measured.astray <= _ASTRAY:
+    if e.measured.astray <= VERDICT.astray:
         return None
     sentence = (
         f"The model does not follow the recording: with {e.best.label} it is still off by {e.measured.astray:.0%} of "
@@ -165,9 +154,13 @@ def _off_the_recording(e: VerdictInput) -> Verdict | None:
 
 def _unexplained(e: VerdictInput) -> Verdict | None:
     """A gap that the best effects leave; what the model's own error may be is not for effects to explain."""
-    if max(e.measured.share, e.measured.above_error) >= e.options.explained or e.measured.after <= 2.0 or e.flies:
+    if (
+        max(e.measured.share, e.measured.above_error) >= e.options.explained
+        or e.measured.after <= VERDICT.left_over
+        or e.flies
+    ):
         return None
-    if e.measured.struck and (e.best.fitted < _FLOOR or e.measured.forgiven <= 2.0):
+    if e.measured.struck and (e.best.fitted < VERDICT.floor or e.measured.forgiven <= VERDICT.left_over):
         sentence = (
             f"Inconclusive: with {e.best.label} the model fits as well as it can err, and later parts from the "
             "recording: an unknown effect would do so, and so would a rebound that is a little off."
@@ -197,11 +190,12 @@ def _open_flight(e: VerdictInput) -> Verdict:
 
 def _as_good_as_a_placebo(e: VerdictInput) -> Verdict | None:
     """An effect that nothing asks for does nearly as much, or the best one does nothing where it was not fitted."""
-    certain, m = bool(e.named) and min(n.probability for n in e.named) >= _CERTAIN, e.measured
-    if e.flies or ((certain or m.share >= FORETOLD) and 1.0 - m.share <= LESS * (1.0 - m.placebo)):
+    certain, m = bool(e.named) and min(n.probability for n in e.named) >= VERDICT.certain, e.measured
+    leaves_little = 1.0 - m.share <= VERDICT.placebo_left * (1.0 - m.placebo)
+    if e.flies or ((certain or m.share >= VERDICT.foretold) and leaves_little):
         return None
-    nothing = m.share <= 0 or (m.reported <= 0 and m.after > 2.0)
-    if not (nothing or m.placebo > _PLACEBO * m.share):
+    nothing = m.share <= 0 or (m.reported <= 0 and m.after > VERDICT.left_over)
+    if not (nothing or m.placebo > VERDICT.placebo * m.share):
         return None
     if nothing:
         sentence = (
@@ -228,10 +222,10 @@ def _hurried(e: VerdictInput) -> Verdict | None:
 
 def _called(e: VerdictInput) -> Verdict:
     """The best effects are the cause."""
-    likely = tuple(n for n in e.named if n.probability >= _LIKELY) or (
+    likely = tuple(n for n in e.named if n.probability >= VERDICT.likely) or (
         max(e.named, key=lambda n: n.probability),
     )  # of several that are alike none may have half, and it is one of them all the same
-    if e.probability.get(SOMETHING_ELSE, 0.0) + e.none >= _DOUBT and not (e.foretold or e.flies):
+    if e.probability.get(SOMETHING_ELSE, 0.0) + e.none >= VERDICT.doubt and not (e.foretold or e.flies):
         shares = ", ".join(f"{n.name} {n.probability:.0%}" for n in e.possible)
         sentence = (
             f"Inconclusive: there is a gap, and {e.best.label} fits best, but leaves so much that "
@@ -241,11 +235,11 @@ def _called(e: VerdictInput) -> Verdict:
     doses = "; ".join(f"{d.name} = {d.value:.3g} {d.unit}".strip() for n in likely for d in n.doses)
     also = sorted({name for n in likely for name in n.confused_with})
     caveat = f"; from this recording it may be confused with {', '.join(also)}" if also else ""
-    perhaps = [f"{n.name} ({TRUSTED * n.probability:.0%})" for n in e.named if n not in likely]
+    perhaps = [f"{n.name} ({VERDICT.trusted * n.probability:.0%})" for n in e.named if n not in likely]
     soft = e.best.model.situation.in_soft_floor  # whose law may be what further effects follow
-    perhaps += [f"{n.name} ({'or the floor' if soft else f'{TRUSTED * n.probability:.0%}'})" for n in e.further]
+    perhaps += [f"{n.name} ({'or the floor' if soft else f'{VERDICT.trusted * n.probability:.0%}'})" for n in e.further]
     added = f"; perhaps also by {', '.join(perhaps)}" if perhaps else ""
     label = " + ".join(x.label for x in e.best.effects if x.name in {n.name for n in likely})
-    sure = ", ".join(f"{TRUSTED * n.probability:.0%}" for n in likely)
+    sure = ", ".join(f"{VERDICT.trusted * n.probability:.0%}" for n in likely)
     sentence = f"The gap is caused by {label} (probability {sure}): {doses}{added}{caveat}."
     return e.verdict("effect", sentence, e.possible)

@@ -13,24 +13,15 @@ import numpy as np
 from physconvex.gap.effects.effect import IN_FLIGHT
 from physconvex.gap.errors.screening import Screening
 from physconvex.gap.judgement.caveats import caveats_of, doses_in_sight
-from physconvex.gap.judgement.naming import WEAK, NamedEffect, by_weight, named_effects
+from physconvex.gap.judgement.naming import NamedEffect, by_weight, named_effects
 from physconvex.gap.judgement.residual_measures import Measured
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
+from physconvex.gap.thresholds import VERDICT
 
-__all__ = ["FORETOLD", "LESS", "OPEN", "SEEN", "TELLING", "TRUSTED", "Verdict", "VerdictInput", "VerdictName"]
+__all__ = ["Verdict", "VerdictInput", "VerdictName"]
 
 VerdictName = Literal["none", "effect", "unknown", "inconclusive"]
-TRUSTED = 0.94  # share of calls that are right: 59 of 63 in the blind banks before, nearly all with 1.00 by evidence
-_CLEAR = 4.0  # gain of log-evidence over the base model that makes a call; below `WEAK` it is open
-_LISTED = 0.02  # probability
-FORETOLD = 0.9  # share of the gap on frames that were not fitted, of which a placebo removes no tenth
-LESS = 0.25  # share of what a placebo leaves that a sure effect may leave at most, if the placebo does much
-TELLING = 10.0  # gain that makes a call although the base model errs as expected, if half of the held-out gap goes
-_ABUNDANT = 0.8  # of the share of the gap that must go, at twice the gain that is enough
-OPEN = 4.0  # times the expected square: a gap, whether or not an effect explains it
-SEEN = 1.5  # gap over the error expected on held-out frames from which on a body that is not struck has one
-_WIDE = 4.0  # times the expected error of held-out frames, rms: a gap that no screening and no fit argues away
 _LATER = (
     "The flight before the first contact shows it beyond doubt. Of the held-out gap after it, it removes {:.0%}: the "
     "rest has another cause, of which a contact that works otherwise is the likeliest."
@@ -94,12 +85,12 @@ class VerdictInput:
     @property
     def foretold(self) -> bool:
         """Whether held-out frames leave no doubt, although the evidence counts too few residuals as independent."""
-        return self.gain >= WEAK and self.measured.share >= FORETOLD and self._beyond_placebo
+        return self.gain >= VERDICT.weak and self.measured.share >= VERDICT.foretold and self._beyond_placebo
 
     @property
     def clear(self) -> bool:
         """Whether fitted and held-out frames together make a call: the less sure the ones, the more the others do."""
-        return self.gain >= _CLEAR or self._kept(_CLEAR)
+        return self.gain >= VERDICT.clear or self._kept(VERDICT.clear)
 
     @property
     def telling(self) -> bool:
@@ -108,13 +99,13 @@ class VerdictInput:
         The error of a body that strikes nothing is well known: what lies within it on held-out frames too is no gap,
         however well some effect of many doses, an inclusion say, can follow it.
         """
-        return self._kept(TELLING) and (self.measured.struck or self.measured.seen >= SEEN)
+        return self._kept(VERDICT.telling) and (self.measured.struck or self.measured.seen >= VERDICT.seen)
 
     def _kept(self, enough: float) -> bool:
         """Whether held-out frames make up for a gain below `enough`: the smaller it is, the more of the gap must go."""
-        shares = (FORETOLD, self.options.explained, _ABUNDANT * self.options.explained)
-        asked = float(np.interp(self.gain, (WEAK, enough, 2 * enough), shares))
-        return self.gain >= WEAK and self.measured.share >= asked and self._beyond_placebo
+        shares = (VERDICT.foretold, self.options.explained, VERDICT.abundant * self.options.explained)
+        asked = float(np.interp(self.gain, (VERDICT.weak, enough, 2 * enough), shares))
+        return self.gain >= VERDICT.weak and self.measured.share >= asked and self._beyond_placebo
 
     @property
     def _beyond_placebo(self) -> bool:
@@ -122,25 +113,25 @@ class VerdictInput:
 
         Of a struck body ten times as much will do: held ones have one or two vibrations, which much else follows.
         """
-        m, little = self.measured, 1.0 - FORETOLD
-        less = LESS if self.gain >= TELLING else little if m.struck else 0.0
+        m, little = self.measured, 1.0 - VERDICT.foretold
+        less = VERDICT.placebo_left if self.gain >= VERDICT.telling else little if m.struck else 0.0
         return m.placebo < little or 1.0 - m.share <= less * (1.0 - m.placebo)
 
     @property
     def open(self) -> bool:
         """Whether a gap is there, of the base model and on held-out frames with the best effects too."""
-        return min(self.measured.before, self.measured.after) >= OPEN
+        return min(self.measured.before, self.measured.after) >= VERDICT.open
 
     @property
     def left_wide_open(self) -> bool:
         """Whether held-out frames have a gap far beyond what is expected, which the best effects leave."""
         m = self.measured
-        return m.seen >= _WIDE and m.share < self.options.explained and bool(np.isfinite(m.seen))
+        return m.seen >= VERDICT.wide and m.share < self.options.explained and bool(np.isfinite(m.seen))
 
     @property
     def flight_is_open(self) -> bool:
         """Whether each effect that is known was tried, and leaves a gap before the first contact."""
-        return self.measured.flight_left >= OPEN and not self.measured.hurried
+        return self.measured.flight_left >= VERDICT.open and not self.measured.hurried
 
     @property
     def none(self) -> float:
@@ -166,7 +157,7 @@ class VerdictInput:
             if len(h.effects) == 1
             and h is not self.best
             and h.names[0] not in self.best.names
-            and self.probability.get(h.label, 0.0) > _LISTED
+            and self.probability.get(h.label, 0.0) > VERDICT.listed
             for effect in named_effects(h, self.hypotheses, self.probability, self.screening, self.options)
         ]
         return (*self.named, *others)
@@ -181,7 +172,7 @@ class VerdictInput:
         for h in self.hypotheses:
             if set(h.names) > set(self.best.names) and h.foretells_more_than(self.best):
                 for effect in named_effects(h, self.hypotheses, self.probability, self.screening, self.options):
-                    if effect.name not in self.best.names and effect.probability > _LISTED:
+                    if effect.name not in self.best.names and effect.probability > VERDICT.listed:
                         found.setdefault(effect.name, effect)
         return tuple(found.values())
 
@@ -189,7 +180,7 @@ class VerdictInput:
         self, name: VerdictName, sentence: str, effects: tuple[NamedEffect, ...] = (), *, power: bool = False
     ) -> Verdict:
         """With the caveats, and with what would have been seen; probabilities as calls have turned out to be right."""
-        effects = tuple(replace(effect, probability=TRUSTED * effect.probability) for effect in effects)
+        effects = tuple(replace(effect, probability=VERDICT.trusted * effect.probability) for effect in effects)
         caveats = caveats_of(self.base, self.best, self.measured.after)
         if name == "effect" and self.in_flight_alone:
             caveats = (_LATER.format(max(self.measured.share, 0.0)), *caveats)

@@ -21,9 +21,10 @@ from scipy.stats import norm
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.effects.effect import Effect, Patches, Situation
 from physconvex.gap.judgement.naming import NamedDose, NamedEffect
-from physconvex.gap.judgement.verdict_input import TRUSTED, Verdict
+from physconvex.gap.judgement.verdict_input import Verdict
 from physconvex.gap.light.patches import HALF, Compared, body_patches, light_of, still_patches
 from physconvex.gap.options import GapOptions
+from physconvex.gap.thresholds import PICTURES, VERDICT
 from physconvex.identify import PixelObservations, cast_camera_rays
 
 __all__ = [
@@ -39,10 +40,6 @@ __all__ = [
 ]
 
 Feature = Callable[[Float[np.ndarray, "N h w"], Patches], Float[np.ndarray, " N"]]
-_CLEAR = 4.0  # gain of log-likelihood that makes a call
-_PLACEBO = 0.5  # share of an effect's shrinkage that one of the wrong direction may reach
-_DOSES = 9  # at which an effect is put into the patches
-_LEAST, _FRAMES = 5, 6  # patches in a frame, and such frames, below which nothing is told
 _TINY = 1e-9
 
 
@@ -179,13 +176,13 @@ def finding_of(
     share = _share(before, after, floor)
     placebo = _placebo(effect, situation, statistic, compared, before, floor)
     called = (
-        gain >= _CLEAR
+        gain >= PICTURES.clear
         and abs(dose - first.null) >= first.smallest
         and share >= options.explained
-        and not placebo > _PLACEBO * share
+        and not placebo > PICTURES.placebo * share
     )
     named = NamedEffect(
-        effect.name, effect.variant, effect.source, TRUSTED / (1 + float(np.exp(-gain))),
+        effect.name, effect.variant, effect.source, VERDICT.trusted / (1 + float(np.exp(-gain))),
         (NamedDose(first.name, first.unit, dose, float(lower), float(upper), first.null),), (),
     )  # fmt: skip
     return ImageFinding(
@@ -216,16 +213,16 @@ def series_of(
     """
     assert effect.photograph is not None
     dose, trial = effect.doses[0], 2 * effect.doses[0].trial(situation)
-    doses = np.linspace(max(dose.lower, dose.null - trial), min(dose.upper, dose.null + trial), _DOSES)
+    doses = np.linspace(max(dose.lower, dose.null - trial), min(dose.upper, dose.null + trial), PICTURES.doses)
     frames, counts = np.unique(compared.frames, return_counts=True)
-    frames = frames[counts >= _LEAST]
-    if len(frames) < _FRAMES:
+    frames = frames[counts >= PICTURES.fewest_patches]
+    if len(frames) < PICTURES.fewest_frames:
         return None
     sharp = compared.sharp
     turned = Patches(sharp.light, sharp.velocities[:, ::-1] * [-1, 1], sharp.times) if across else sharp
     plain = statistic.of(_middle(sharp.light), sharp)
     seen = statistic.of(compared.seen, sharp) - plain
-    others = np.tile(effect.null, (_DOSES, 1))
+    others = np.tile(effect.null, (PICTURES.doses, 1))
     others[:, 0] = doses
     foretold = [statistic.of(_middle(effect.photograph(turned, row)), sharp) - plain for row in others]
     per_frame = [np.flatnonzero(compared.frames == frame) for frame in frames]
@@ -305,5 +302,5 @@ def _smear(light: Float[np.ndarray, "N h w"], patches: Patches) -> Float[np.ndar
     return np.asarray(np.log((along.mean((1, 2)) + _TINY) / (across.mean((1, 2)) + _TINY)))
 
 
-BRIGHTNESS = Statistic("light of the background, logarithm", _brightness, 0.01)
-SMEAR = Statistic("gradients along over across the motion, logarithm", _smear, 0.1)
+BRIGHTNESS = Statistic("light of the background, logarithm", _brightness, PICTURES.brightness_error)
+SMEAR = Statistic("gradients along over across the motion, logarithm", _smear, PICTURES.smear_error)

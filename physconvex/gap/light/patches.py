@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from physconvex.gap.effects.effect import Patches
+from physconvex.gap.thresholds import PICTURES
 from physconvex.identify import PixelObservations
 
 __all__ = ["HALF", "Compared", "body_patches", "light_of", "still_patches"]
@@ -25,9 +26,6 @@ _GAMMA = 2.2  # of displays: light = (value / 255)^2.2
 _MARGIN = 16  # around it, for what an open shutter brings in [pixels]
 _NEIGHBOURS = 8  # points whose affine map a patch follows
 _SPACING = 16  # of patches of the background [pixels]
-_DARK, _BRIGHT = 8.0, 247.0  # values beyond which a picture no longer tells how much light there was
-_FASTER = 2.0  # times the body's speed in the first picture, which is smeared itself
-_AROUND = 1.3  # times as far as in the first picture may the body reach beyond the box of the points
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +67,9 @@ def still_patches(light: Grey, seen: PixelObservations, fps: float, outline: Out
     rows, columns = rows[~near[rows, columns]], columns[~near[rows, columns]]
     first = _cut(light[0], rows, columns)
     values = 255 * first.mean((1, 2)) ** (1 / _GAMMA)
-    told = (values > _DARK) & (values < _BRIGHT)
+    told = (values > PICTURES.dark) & (values < PICTURES.bright)
     if not told.any():
-        told = values > _DARK
+        told = values > PICTURES.dark
     at, patches, references = [], [], []
     for frame in range(1, len(light)):
         free = told & ~_covered(seen.pixels[0], seen.pixels[frame], outline, rows, columns)
@@ -104,7 +102,7 @@ def _covered(
         return np.ones(len(rows), dtype=bool)
     filled = np.argwhere(outline)[:, ::-1]
     beyond = max((first[known].min(0) - filled.min(0)).max(), (filled.max(0) - first[known].max(0)).max(), 0.0)
-    room = _AROUND * beyond + 2 * HALF
+    room = PICTURES.around * beyond + 2 * HALF
     low, high = points[known].min(0) - room, points[known].max(0) + room
     return np.asarray((columns > low[0]) & (columns < high[0]) & (rows > low[1]) & (rows < high[1]))
 
@@ -124,7 +122,7 @@ def body_patches(light: Grey, seen: PixelObservations, fps: float, outline: Outl
     nearest = np.round(places).clip(0, [width - 1, height - 1]).astype(int)
     kept = np.flatnonzero(inner[nearest[:, 1], nearest[:, 0]])
     speeds = _velocities(seen.pixels, fps)
-    start = _FASTER * fps * np.nanmedian(np.linalg.norm(seen.pixels[1] - seen.pixels[0], axis=1))
+    start = PICTURES.faster * fps * np.nanmedian(np.linalg.norm(seen.pixels[1] - seen.pixels[0], axis=1))
     frames, patches, references, velocities = [], [], [], []
     for point in kept.tolist():
         for frame in range(1, len(light)):

@@ -9,13 +9,10 @@ import numpy as np
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.search.damped_sine import deformation, ringing
 from physconvex.gap.search.hypothesis import Hypothesis
+from physconvex.gap.thresholds import EVIDENCE, LOCALISATION
 from physconvex.identify import MarkerObservations
 
 __all__ = ["Mode", "vibrations"]
-
-_MODES = 3
-_FEWEST = 8  # frames that a damped sine is fitted to
-_SHARE = 0.02  # of the squares of the deformation: shapes below are left out
 
 
 @dataclass(frozen=True)
@@ -47,7 +44,7 @@ def vibrations(base: Baseline, best: Hypothesis) -> tuple[Mode, ...]:
     points = np.flatnonzero(np.isfinite(seen.positions).all((0, 2)))
     held = base.situation.clamped
     start = 0 if held else base.first_contact or 0
-    if len(points) < (1 if held else 4) or base.model.frames - start < _FEWEST:
+    if len(points) < (1 if held else 4) or base.model.frames - start < EVIDENCE.ringing_frames:
         return ()
     rest = base.motion.rest[points]
     observed, plain, improved = (
@@ -58,8 +55,8 @@ def vibrations(base: Baseline, best: Hypothesis) -> tuple[Mode, ...]:
     _, strengths, shapes = np.linalg.svd(observed - mean, full_matrices=False)
     shares = strengths**2 / max(float((strengths**2).sum()), 1e-300)
     fps, out = base.capture.fps, []
-    for share, shape in zip(shares[:_MODES], shapes, strict=False):
-        if share < _SHARE:
+    for share, shape in zip(shares[: LOCALISATION.shapes], shapes, strict=False):
+        if share < LOCALISATION.shape_share:
             break
         found, errors = ringing((observed - mean) @ shape, fps)
         out.append(Mode(float(share), found, errors, ringing((plain - mean) @ shape, fps)[0],

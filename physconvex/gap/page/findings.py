@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
+from pydantic import JsonValue
 
 from physconvex.gap.base.baseline import Baseline
-from physconvex.gap.errors.screening import Screening
+from physconvex.gap.errors.screening import Screened, Screening
+from physconvex.gap.judgement.naming import NamedEffect
 from physconvex.gap.judgement.verdict_input import Verdict
 from physconvex.gap.light.image_formation import ImageFinding
 from physconvex.gap.location.vibration import Mode
@@ -16,10 +17,13 @@ from physconvex.gap.location.where import Part, Where
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.shrinkage.how_far import HowFar
+from physconvex.gap.thresholds import thresholds_json
 
-__all__ = ["FORMAT_VERSION", "GapFindings", "Provenance"]
+__all__ = ["FORMAT_VERSION", "GapFindings", "ParameterChange", "Provenance"]
 
 FORMAT_VERSION = 1
+JsonObject = dict[str, JsonValue]
+Content = dict[str, object]  # of a part of the file, which may hold arrays
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,7 @@ class Provenance:
         fitted, selecting, reporting: frames used for each.
         simulations_failed: what could not be simulated.
         seconds: wall time.
+        thresholds: numbers that were decided by, by group and name (`physconvex.gap.thresholds`).
     """
 
     capture: str
@@ -47,6 +52,18 @@ class Provenance:
     reporting: tuple[int, ...]
     simulations_failed: tuple[str, ...]
     seconds: float
+    thresholds: dict[str, JsonValue] = field(default_factory=thresholds_json)
+
+
+@dataclass(frozen=True)
+class ParameterChange:
+    """A base parameter without and with the effects, and its standard errors."""
+
+    name: str
+    before: float
+    before_error: float
+    after: float
+    after_error: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,26 +96,18 @@ class GapFindings:
     provenance: Provenance
     options: GapOptions
 
-    def parameters(self) -> list[dict[str, Any]]:
-        """Base parameters before and after the effects were added, with standard errors."""
+    @property
+    def parameters(self) -> tuple[ParameterChange, ...]:
+        """The base parameters before and after the effects were added."""
         before = next(h for h in self.hypotheses if not h.effects)
-        out = []
-        for index, name in enumerate(before.model.base):
-            out.append(
-                {
-                    "name": name,
-                    "before": float(before.values[index]),
-                    "before_error": float(before.errors[index]),
-                    "after": float(self.best.values[index]),
-                    "after_error": float(self.best.errors[index]),
-                }
-            )
-        return out
+        columns = (before.values, before.errors, self.best.values, self.best.errors)
+        rows = zip(before.model.base, *columns, strict=False)  # doses follow in the columns
+        return tuple(ParameterChange(name, *map(float, row)) for name, *row in rows)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         """The content of report.json (schema: docs/reference/diagnosis_files.md)."""
         main = self.how_far[0]
-        return {
+        content = {
             "format": "physconvex gap report",
             "format_version": FORMAT_VERSION,
             "where": _where_json(self.where),
@@ -124,29 +133,39 @@ class GapFindings:
                 "placebo_effect": main.placebo_effect,
                 "data": main.data,
                 "unit": "m",
-                "all": [_cleaned(asdict(part)) for part in self.how_far],
-                "parameters": self.parameters(),
+                "all": [{k: _number(v) for k, v in asdict(part).items()} for part in self.how_far],
+                "parameters": [asdict(row) for row in self.parameters],
             },
             "pictures": [_picture_json(finding, self.base.capture.fps) for finding in self.pictures],
             "next_experiment": self.next_experiment,
             "provenance": asdict(self.provenance),
-            "options": asdict(self.options),
+            "options": self.options.to_json(),
         }
+        return {key: _plain(value) for key, value in content.items()}
 
 
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+def _plain(value: object) -> JsonValue:
+    """As JSON has it: no arrays and no numbers of NumPy."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, dict):
+        return {key: _plain(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(part) for part in value]
+    assert value is None or isinstance(value, str | int | float), type(value)
+    return value
 
 
-def _cleaned(values: dict[str, Any]) -> dict[str, Any]:
-    return {k: _number(v) if isinstance(v, float) else v for k, v in values.items()}
+def _number(value: object) -> object:
+    """None in the place of a number that is not finite."""
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def _parts(parts: tuple[Part, ...]) -> list[dict[str, Any]]:
+def _parts(parts: tuple[Part, ...]) -> list[Content]:
     return [{"name": p.name, "rms": p.value, "interval": [p.lower, p.upper], "unit": "m"} for p in parts]
 
 
-def _where_json(where: Where) -> dict[str, Any]:
+def _where_json(where: Where) -> Content:
     frames = [
         {"frame": i, "time": float(t), "phase": phase, "before": _number(b), "after": _number(a), "floor": _number(f)}
         for i, (t, phase, b, a, f) in enumerate(
@@ -170,7 +189,7 @@ def _where_json(where: Where) -> dict[str, Any]:
     }
 
 
-def _picture_json(finding: ImageFinding, fps: float) -> dict[str, Any]:
+def _picture_json(finding: ImageFinding, fps: float) -> Content:
     series, dose = finding.series, finding.named.doses[0].value
     frames = [
         {"frame": int(t), "time": t / fps, "seen": float(seen), "error": float(error), "foretold": float(told)}
@@ -189,8 +208,8 @@ def _picture_json(finding: ImageFinding, fps: float) -> dict[str, Any]:
     }
 
 
-def _mode_json(mode: Mode) -> dict[str, Any]:
-    def pair(values: tuple[float, float]) -> dict[str, float | None]:
+def _mode_json(mode: Mode) -> Content:
+    def pair(values: tuple[float, float]) -> Content:
         return {"frequency": _number(values[0]), "damping_ratio": _number(values[1])}
 
     return {
@@ -203,7 +222,7 @@ def _mode_json(mode: Mode) -> dict[str, Any]:
     }
 
 
-def _effect_json(effect: Any) -> dict[str, Any]:
+def _effect_json(effect: NamedEffect) -> Content:
     return {
         "name": effect.name,
         "variant": effect.variant,
@@ -217,7 +236,7 @@ def _effect_json(effect: Any) -> dict[str, Any]:
     }
 
 
-def _screened_json(entry: Any) -> dict[str, Any]:
+def _screened_json(entry: Screened) -> Content:
     score = entry.score
     return {
         "effect": entry.effect.name,

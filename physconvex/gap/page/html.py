@@ -114,11 +114,11 @@ def _ledger(report: GapFindings) -> str:
 def _parameters(report: GapFindings) -> str:
     rows = [
         [
-            row["name"],
-            f"{row['before']:.4g} ± {row['before_error']:.2g}",
-            f"{row['after']:.4g} ± {row['after_error']:.2g}",
+            row.name,
+            f"{row.before:.4g} ± {row.before_error:.2g}",
+            f"{row.after:.4g} ± {row.after_error:.2g}",
         ]
-        for row in report.parameters()
+        for row in report.parameters
     ]
     return _table(["parameter", "before", "after"], rows)
 

@@ -244,13 +244,14 @@ def image_series(report: GapFindings) -> Figure:
 
 def parameter_arrows(report: GapFindings) -> Figure:
     """E and ν before and after."""
-    rows = [r for r in report.parameters() if r["name"] in ("log10_youngs_modulus", "poisson_ratio")]
+    rows = [r for r in report.parameters if r.name in ("log10_youngs_modulus", "poisson_ratio")]
     figure = Figure(figsize=(7, 1.8), layout="constrained")
     panels = figure.subplots(1, max(len(rows), 1), squeeze=False)[0]
     for axes, row in zip(panels, rows, strict=False):
-        log = row["name"].startswith("log10")
-        for y, (key, colour) in enumerate((("before", _ORANGE), ("after", _BLUE))):
-            value, error = row[key], min(row[f"{key}_error"], 3.0)  # what is not told reaches out of the picture
+        log = row.name.startswith("log10")
+        told = ((row.before, row.before_error, _ORANGE), (row.after, row.after_error, _BLUE))
+        for y, (value, deviation, colour) in enumerate(told):
+            error = min(deviation, 3.0)  # what is not told reaches out of the picture
             ends = np.array([value - 1.645 * error, value + 1.645 * error])
             axes.plot(10**ends if log else ends, [y, y], color=colour, lw=2)
             axes.plot(10**value if log else value, y, "o", color=colour)

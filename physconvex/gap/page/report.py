@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -85,15 +84,7 @@ class GapReport(GapFindings):
             target.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(f"{target}: cannot be made ({error}); choose another folder for the results") from error
-        text = json.dumps(self.to_json(), indent=1, allow_nan=False, default=_plain)
+        text = json.dumps(self.to_json(), indent=1, allow_nan=False)
         (target / "report.json").write_text(text + "\n", encoding="utf-8")
         write_body(self.where, target / "body.ply")
         write_html(self, target / "report.html")
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} is no JSON")

@@ -14,17 +14,11 @@ from jaxtyping import Float, Int
 from scipy.optimize import least_squares
 
 from physconvex.gap.base.baseline import Baseline
+from physconvex.gap.thresholds import EVIDENCE
 from physconvex.identify import MarkerObservations
 from physconvex.numerics import beyond_rigid
 
 __all__ = ["Recorded", "deformation", "recorded_ringing", "ringing", "ringing_likelihood"]
-
-_FEWEST = 8  # frames that a damped sine is fitted to
-_FIT = 0.5  # share of a signal that a damped sine must explain to be one
-_MAIN = 0.5  # share of the squares of the deformation that the first shape must have
-_TOLD = 0.05  # relative error of the frequency above which the recording does not tell it
-_FREQUENCY, _DAMPING, _LEAST = 0.05, 0.5, 0.02  # what a model may miss: shares, and damping ratio at least
-_FARTHEST = 6.0  # standard deviations that count
 
 
 def _damped(p: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -40,7 +34,7 @@ def ringing(signal: Float[np.ndarray, " T"], fps: float) -> tuple[tuple[float, f
     """
     nothing = (float("nan"), float("nan"))
     times, total = np.arange(len(signal)) / fps, float(((signal - signal.mean()) ** 2).sum())
-    if len(signal) < _FEWEST or total <= 0:
+    if len(signal) < EVIDENCE.ringing_frames or total <= 0:
         return nothing, nothing
     best = None
     span = times[-1]
@@ -54,7 +48,7 @@ def ringing(signal: Float[np.ndarray, " T"], fps: float) -> tuple[tuple[float, f
         if best is None or found.cost < best.cost:
             best = found
     assert best is not None
-    if 2 * best.cost > (1 - _FIT) * total or best.x[0] * span < np.pi / 2:
+    if 2 * best.cost > (1 - EVIDENCE.ringing_explained) * total or best.x[0] * span < np.pi / 2:
         return nothing, nothing
     omega, delta = abs(best.x[0]), best.x[1]
     spread = 2 * best.cost / max(len(signal) - 5, 1)
@@ -104,15 +98,15 @@ def recorded_ringing(base: Baseline) -> Recorded | None:
         return None
     points = np.flatnonzero(np.isfinite(seen.positions).all((0, 2)))
     count = int(max(base.split.fitted.max(), base.split.selecting.max(initial=0))) + 1
-    if not len(points) or count < _FEWEST:
+    if not len(points) or count < EVIDENCE.ringing_frames:
         return None
     shown = _displacements(base, seen.positions, points, count)
     mean = shown.mean(0)
     _, strengths, shapes = np.linalg.svd(shown - mean, full_matrices=False)
-    if strengths[0] ** 2 < _MAIN * float((strengths**2).sum()):
+    if strengths[0] ** 2 < EVIDENCE.main_shape * float((strengths**2).sum()):
         return None
     (frequency, ratio), errors = ringing((shown - mean) @ shapes[0], base.capture.fps)
-    if not np.isfinite(frequency) or not errors[0] < _TOLD * frequency:
+    if not np.isfinite(frequency) or not errors[0] < EVIDENCE.frequency_told * frequency:
         return None
     return Recorded(frequency, ratio, errors, shapes[0], mean, points, count)
 
@@ -128,10 +122,11 @@ def ringing_likelihood(base: Baseline, positions: Float[np.ndarray, "T P 3"]) ->
     modelled = _displacements(base, positions, recorded.points, recorded.frames)
     own_frequency, own_ratio = ringing((modelled - recorded.mean) @ recorded.shape, base.capture.fps)[0]
     if not np.isfinite(own_frequency):
-        return -0.5 * _FARTHEST**2
+        return -0.5 * EVIDENCE.ringing_farthest**2
     (error, ratio_error), frequency, ratio = recorded.errors, recorded.frequency, recorded.ratio
+    damping = max(EVIDENCE.damping_missed * abs(ratio), EVIDENCE.least_damping_missed)
     missed = np.array([
-        (own_frequency - frequency) / np.hypot(error, _FREQUENCY * frequency),
-        (own_ratio - ratio) / np.hypot(ratio_error, max(_DAMPING * abs(ratio), _LEAST)),
+        (own_frequency - frequency) / np.hypot(error, EVIDENCE.frequency_missed * frequency),
+        (own_ratio - ratio) / np.hypot(ratio_error, damping),
     ])  # fmt: skip
-    return -0.5 * float((np.minimum(np.abs(missed), _FARTHEST) ** 2).sum())
+    return -0.5 * float((np.minimum(np.abs(missed), EVIDENCE.ringing_farthest) ** 2).sum())

@@ -13,12 +13,9 @@ from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis
 from physconvex.gap.search.ranking import judged
 from physconvex.gap.search.search_state import FAILURES
 from physconvex.gap.search.space_mapping import confirmed, improved
+from physconvex.gap.thresholds import CLOCK, DECISION
 
 __all__ = ["decided"]
-
-_DECIDED = 0.85  # of the deadline: then the full-order fits end
-_HOPELESS = 25.0  # evidence behind the best fit from which on nothing more is made of a fit
-_SWEEPS, _SLOW = 5, 1.0  # over the full-order fits; gain of log-likelihood below which another one is not worth it
 
 
 def decided(
@@ -31,7 +28,7 @@ def decided(
     One for which there was no time is left out; if there was none for any, the reduced model's word is taken.
     """
     cost, plain = base.model.cost, base_hypothesis(base, errors)
-    cost.allow(options.decision_cost, _DECIDED)
+    cost.allow(options.decision_cost, CLOCK.decision_ends)
     out = [plain]
     for hypothesis in sorted(chosen, key=lambda h: len(h.effects)):  # the simple ones first, should time run out
         report(f"full-order run: {hypothesis.label}")
@@ -47,7 +44,7 @@ def decided(
         settled = {id(h.motion) for h in out} - near  # ids of motions
     else:
         settled = {id(plain.motion)}
-    for _ in range(_SWEEPS):
+    for _ in range(DECISION.sweeps):
         for hypothesis in [h for h in judged(base, errors, out) if id(h.motion) not in settled]:
             report(f"full-order fit: {hypothesis.label}")
             try:
@@ -60,7 +57,7 @@ def decided(
                 continue
             better = _corrected(base, errors, numerics, better, report)
             out[next(i for i, h in enumerate(out) if h.motion is hypothesis.motion)] = better
-            if better.seen < hypothesis.seen + _SLOW:
+            if better.seen < hypothesis.seen + DECISION.slow:
                 settled.add(id(better.motion))
     return out if len(out) > 1 else [*out, *chosen[:1]]
 
@@ -68,7 +65,7 @@ def decided(
 def _near_the_best(base: Baseline, errors: ErrorModel, fits: Sequence[Hypothesis]) -> list[Hypothesis]:
     """Fits that may yet be the best, best first."""
     ranked = judged(base, errors, fits)
-    return [h for h in ranked if h.evidence > ranked[0].evidence - _HOPELESS]
+    return [h for h in ranked if h.evidence > ranked[0].evidence - DECISION.hopeless]
 
 
 def _corrected(

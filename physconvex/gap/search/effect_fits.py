@@ -17,15 +17,10 @@ from physconvex.gap.errors.screening import Screened
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.evidence import mean_square, negative_log_likelihood, residuals_per_one
 from physconvex.gap.search.hypothesis import Hypothesis, deviations_of, hypothesis_at
+from physconvex.gap.thresholds import SEARCH
 from physconvex.identify import Fit, FitOptions, fit
 
 __all__ = ["derivatives_at", "fit_effects", "refit"]
-
-_ROUNDS, _PLACED = 6, 3  # of the fit of a held body, and of what lies somewhere in another, or along something
-_STILL, _SETTLED = 0.98, 0.7  # shares of misfit and doubt above which another one is not worth it
-_SLIGHT = 0.5  # gain of log-likelihood below which it is not of a body that is not held
-_SURE = 2.0  # doubt below which priors weigh as they are
-_FAR, _MOVED = 5.0, 0.3  # typical steps: most that other values are moved by, and from which on it is tried
 
 
 def fit_effects(
@@ -86,7 +81,7 @@ def _beside(base: Baseline, errors: ErrorModel, point: Baseline, chosen: Sequenc
     found = np.linalg.lstsq(whitened.whiten(columns).T, whitened.whiten(left), rcond=1e-8)[0]
     parameters = point.model.parameters(point.fit.values)
     steps = np.array([p.step for p in parameters])
-    values = point.fit.values + np.clip(found, -_FAR * steps, _FAR * steps)
+    values = point.fit.values + np.clip(found, -SEARCH.far * steps, SEARCH.far * steps)
     return np.clip(values, [p.lower for p in parameters], [p.upper for p in parameters])
 
 
@@ -114,7 +109,7 @@ def _best_start(base: Baseline, errors: ErrorModel, model: EffectModel, starts: 
     steps = np.array([p.step for p in model.parameters(starts[0])])
     apart: list[np.ndarray] = []
     for values in starts:
-        if all(np.abs((values - other) / steps).max() >= _MOVED for other in apart):
+        if all(np.abs((values - other) / steps).max() >= SEARCH.moved for other in apart):
             apart.append(values)
     if len(apart) == 1:
         return apart[0]
@@ -164,7 +159,7 @@ def refit(
     _add_shapes(shorter, values, here, tangents)
     first = _settled(base, errors, shorter, _Point(values, here, tangents), _doubt(base, errors, here), options)
     best = _stated(base, errors, model, first)
-    if not base.situation.clamped or _doubt(base, errors, first.here) < _SURE or base.model.cost.over:
+    if not base.situation.clamped or _doubt(base, errors, first.here) < SEARCH.sure or base.model.cost.over:
         return best
     with suppress(ConvergenceError):
         other = _stated(base, errors, model, _settled(base, errors, shorter, first, 1.0, options))
@@ -190,11 +185,11 @@ def _settled(
     stop = FitOptions(max_iterations=options.iterations + 1, relative_tolerance=2e-3, absolute_tolerance=0.1)
     point, left, settled, held = start, np.inf, False, base.situation.clamped
     placed = any(dose.shape for effect in shorter.effects for dose in effect.doses)
-    rounds = _ROUNDS if held else _PLACED if placed else 1
+    rounds = SEARCH.rounds_held if held else SEARCH.rounds_placed if placed else 1
     for number in range(rounds):
         if number:
             before, doubt = doubt, _doubt(base, errors, point.here)
-            if (settled and doubt > _SETTLED * before) or base.model.cost.over:
+            if (settled and doubt > SEARCH.settled * before) or base.model.cost.over:
                 break
         model, tangents = replace(shorter, doubt=doubt), point.tangents
         if number:
@@ -203,7 +198,7 @@ def _settled(
         found = fit(secant, weighted, model.parameters(point.values), options=stop)
         point = _Point(found.values, found.positions, secant.tangents, found)
         misfit = found.reduced_chi_square if held else negative_log_likelihood(base, errors, point.here)
-        settled, left = misfit > (_STILL * left if held else left - _SLIGHT), misfit
+        settled, left = misfit > (SEARCH.still * left if held else left - SEARCH.slight), misfit
     return point
 
 
@@ -229,9 +224,11 @@ def _start(entry: Screened) -> np.ndarray:
             continue
         trial = max(abs(t[index] - null[index]) for t in entry.trials)
         change = doses[index] - null[index]
-        if dose.sign and abs(change) < 0.2 * trial:
-            change = 0.2 * trial * dose.sign
-        doses[index] = np.clip(null[index] + np.clip(change, -8 * trial, 8 * trial), dose.lower, dose.upper)
+        if dose.sign and abs(change) < SEARCH.least_dose * trial:
+            change = SEARCH.least_dose * trial * dose.sign
+        doses[index] = np.clip(
+            null[index] + np.clip(change, -SEARCH.most_dose * trial, SEARCH.most_dose * trial), dose.lower, dose.upper
+        )
     return np.asarray(doses)
 
 

@@ -14,6 +14,7 @@ from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.independent_residuals import temperature
 from physconvex.gap.effects.effect import IN_FLIGHT, Effect
 from physconvex.gap.errors.score_test import ErrorModel
+from physconvex.gap.thresholds import EVIDENCE
 
 __all__ = [
     "evidence_of",
@@ -26,9 +27,6 @@ __all__ = [
     "residuals_per_one",
     "squares_by_kind",
 ]
-
-_UNSEEN = 0.01  # mean square of a change over the expected one below which it tells nothing
-_ENOUGH = 1.0  # mean square over the expected one that a better fit need not undercut
 
 
 def mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
@@ -124,7 +122,7 @@ def likelihood_by_kind(
     """
     information = information_by_kind(base, errors, frames)
     squares = np.ones(base.modes.count) if positions is None else squares_by_kind(base, errors, positions, frames)
-    return np.asarray(-0.5 * information * np.log(np.where(information > 0, squares, 1.0) + _ENOUGH))
+    return np.asarray(-0.5 * information * np.log(np.where(information > 0, squares, 1.0) + EVIDENCE.enough))
 
 
 def evidence_of(
@@ -170,5 +168,5 @@ def moved_kinds(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> Bo
     kinds = base.modes.kinds[rows]
     squares = (base.residual(positions) - base.residual(base.positions))[rows] ** 2 / errors.expected[rows]
     total = np.bincount(kinds, squares, minlength=base.modes.count)
-    seen = total > _UNSEEN * np.maximum(np.bincount(kinds, minlength=base.modes.count), 1)
+    seen = total > EVIDENCE.unseen * np.maximum(np.bincount(kinds, minlength=base.modes.count), 1)
     return np.asarray(seen if seen.any() else np.ones_like(seen))

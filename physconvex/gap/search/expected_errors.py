@@ -11,11 +11,9 @@ from physconvex.gap.errors.numerics import Numerics, error_model, numerical_diff
 from physconvex.gap.search.hypothesis import continued, weighed_anew
 from physconvex.gap.search.search_state import FAILURES, EffectSearch
 from physconvex.gap.search.space_mapping import confirmed
+from physconvex.gap.thresholds import RUN_COST, SEARCH
 
 __all__ = ["expect_anew"]
-
-_FAR = 0.5  # decades of E
-_AGAIN = 0.5  # of the cost of a search: what it may cost more, since what is beside the best fit shows only now
 
 
 def expect_anew(search: EffectSearch) -> Numerics | None:
@@ -32,7 +30,7 @@ def expect_anew(search: EffectSearch) -> Numerics | None:
     if base.situation.clamped or MODULUS not in names or not best.effects or search.late:
         return None
     place = names.index(MODULUS)
-    if abs(best.values[place] - base.fit.values[place]) <= _FAR:
+    if abs(best.values[place] - base.fit.values[place]) <= SEARCH.far_modulus:
         return None
     search.report(f"what is expected, at {best.label}")
     cost = base.model.cost
@@ -44,5 +42,5 @@ def expect_anew(search: EffectSearch) -> Numerics | None:
     numerics = numerical_differences(point, search.options, search.report)
     search.errors = error_model(point, numerics, search.options)
     search.found = [weighed_anew(search.base, search.errors, h) for h in search.found]
-    cost.limit += cost.spent - before + _AGAIN * search.options.search_cost
+    cost.limit += cost.spent - before + RUN_COST.after_moving * search.options.search_cost
     return numerics

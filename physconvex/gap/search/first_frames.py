@@ -17,13 +17,10 @@ from physconvex.gap.base.model import MODULUS, SecantModel
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.effect_fits import derivatives_at
+from physconvex.gap.thresholds import SEARCH
 from physconvex.identify import FitOptions, fit
 
 __all__ = ["early_point", "early_window"]
-
-_TOLD = 0.015  # standard error of log10 E from which on the first frames are said to tell it
-_MOST = 0.75  # of the fitted frames: a longer window would be the base fit again
-_APART = 0.04  # decades of E that make another fit another point
 
 
 def early_window(base: Baseline, errors: ErrorModel) -> int | None:
@@ -36,12 +33,12 @@ def early_window(base: Baseline, errors: ErrorModel) -> int | None:
     here = base.positions[: len(base.tangents)]
     columns = derivatives_of_residuals(base, here, base.tangents)
     scales = np.array([p.step for p in base.model.parameters(base.fit.values)])[: len(columns)]
-    for window in range(lowest, int(_MOST * count) + 1):
+    for window in range(lowest, int(SEARCH.early_longest * count) + 1):
         rows = base.rows(np.arange(window))
         whitened = errors.restricted(rows).whiten(columns[:, rows]) * scales[:, None]
         information = whitened @ whitened.T + 1e-8 * np.eye(len(scales))
         index = names.index(MODULUS)
-        if np.sqrt(np.linalg.inv(information)[index, index]) * scales[index] < _TOLD:
+        if np.sqrt(np.linalg.inv(information)[index, index]) * scales[index] < SEARCH.early_told:
             return window
     return None
 
@@ -59,7 +56,7 @@ def early_point(base: Baseline, errors: ErrorModel, options: GapOptions, report:
     try:
         found = fit(secant, weighted, shorter.parameters(values), options=stop)
         index = base.model.base.index(MODULUS)
-        if abs(found.values[index] - values[index]) < _APART:
+        if abs(found.values[index] - values[index]) < SEARCH.early_apart:
             return None
         motion = base.model.motion(found.values)
         tangents = derivatives_at(base, base.model, found.values, motion)

@@ -24,16 +24,9 @@ from physconvex.gap.search.evidence import mean_square, negative_log_likelihood
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.search.rounds import fitted_there
 from physconvex.gap.search.search_state import FAILURES, EffectSearch
+from physconvex.gap.thresholds import SEARCH
 
 __all__ = ["from_flight"]
-
-_SHORTEST = 5  # frames of flight
-_OPEN = 2.0  # mean square over the expected one in flight, from which on the flight says something
-_SCREENED, _FITTED = (3, 6), (1, 2)  # single effects and pairs: fitted to the flight, and of these on from there
-_TOUCHING = 4  # frames of the contact that tell about where E is
-# decades of E: about the base fit's by the reduced model, then by the full one, which is less stiff, above the best
-_CHANGES, _ABOVE = np.arange(-1.8, 1.9, 0.3), np.array([0.0, 0.1, 0.2, 0.3])
-_RATIO = 0.35  # ν beside them
 
 
 def from_flight(search: EffectSearch, numerics: Numerics, dictionary: Sequence[Effect]) -> None:
@@ -41,13 +34,15 @@ def from_flight(search: EffectSearch, numerics: Numerics, dictionary: Sequence[E
     flight = _flight(search.base)
     if flight is None or search.late or MODULUS not in search.base.model.base:
         return
-    if mean_square(flight, search.errors, search.best.positions, flight.split.fitted) < _OPEN:
+    if mean_square(flight, search.errors, search.best.positions, flight.split.fitted) < SEARCH.flight_open:
         return
     shown = [effect for effect in dictionary if effect.source in IN_FLIGHT]
     screening = screen(flight, search.errors, numerics, shown, search.report)
-    singles: list[tuple[Screened, ...]] = [(entry,) for entry in screening.one_per_name[: _SCREENED[0]]]
-    pairs: list[tuple[Screened, ...]] = [(pair.first, pair.second) for pair in best_pairs(screening, _SCREENED[1])]
-    for told in (*_told(search, flight, singles)[: _FITTED[0]], *_told(search, flight, pairs)[: _FITTED[1]]):
+    alone, paired = SEARCH.flight_screened
+    singles: list[tuple[Screened, ...]] = [(entry,) for entry in screening.one_per_name[:alone]]
+    pairs: list[tuple[Screened, ...]] = [(pair.first, pair.second) for pair in best_pairs(screening, paired)]
+    alone, paired = SEARCH.flight_fitted
+    for told in (*_told(search, flight, singles)[:alone], *_told(search, flight, pairs)[:paired]):
         search.attempt(f"{told.label}, from the flight", lambda h=told: _fitted(search, h))  # type: ignore[misc]
 
 
@@ -66,7 +61,7 @@ def _flight(base: Baseline) -> Baseline | None:
     if base.situation.clamped or base.first_contact is None:
         return None
     fitted = base.split.fitted[base.split.fitted < base.first_contact - 1]
-    return None if len(fitted) < _SHORTEST else replace(base, split=replace(base.split, fitted=fitted))
+    return None if len(fitted) < SEARCH.flight_frames else replace(base, split=replace(base.split, fitted=fitted))
 
 
 def _fitted(search: EffectSearch, told: Hypothesis) -> Hypothesis:
@@ -80,9 +75,11 @@ def _fitted(search: EffectSearch, told: Hypothesis) -> Hypothesis:
     full = replace(search.full.model, effects=told.effects)
     last = base.split.end
     assert base.first_contact is not None
-    first = min(base.first_contact + _TOUCHING, last)
-    values = _best_material(search, replace(bare, frames=first), values, values[place] + _CHANGES)
-    values = _best_material(search, replace(full, frames=last), values, values[place] + _ABOVE)
+    first = min(base.first_contact + SEARCH.flight_contact, last)
+    moduli = values[place] + np.arange(*SEARCH.flight_moduli)
+    values = _best_material(search, replace(bare, frames=first), values, moduli)
+    moduli = values[place] + np.array(SEARCH.flight_moduli_full)
+    values = _best_material(search, replace(full, frames=last), values, moduli)
     return fitted_there(search, full, values, by_kind=True)
 
 
@@ -96,7 +93,7 @@ def _best_material(search: EffectSearch, model: EffectModel, values: np.ndarray,
         moved = values.copy()
         moved[place] = modulus
         if "poisson_ratio" in names:
-            moved[names.index("poisson_ratio")] = _RATIO
+            moved[names.index("poisson_ratio")] = SEARCH.flight_poisson_ratio
         try:
             misfit = negative_log_likelihood(base, search.errors, model.positions(moved))
         except ConvergenceError:

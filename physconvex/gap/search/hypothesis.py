@@ -22,6 +22,7 @@ from physconvex.gap.search.evidence import (
     residuals_per_one,
     squares_by_kind,
 )
+from physconvex.gap.thresholds import SEARCH
 from physconvex.identify import Fit, marginal_deviations
 
 __all__ = [
@@ -33,8 +34,6 @@ __all__ = [
     "hypothesis_at",
     "weighed_anew",
 ]
-
-_FOLLOWED = 1.5  # mean square over the expected one up to which nothing is left of a kind of residuals
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +130,7 @@ class Hypothesis:
         within their errors leave nothing.
         """
         seen = self.likelihood - self.later
-        followed = seen >= -0.5 * self.information * np.log(_FOLLOWED + 1.0)
+        followed = seen >= -0.5 * self.information * np.log(SEARCH.followed + 1.0)
         gain = (-0.5 * self.information * np.log(2.0) - seen) / self.divisor
         return float(gain[~followed].sum())
 

@@ -20,13 +20,10 @@ from physconvex.gap.effects.effect import Effect
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.search.damped_sine import recorded_ringing
 from physconvex.gap.search.evidence import negative_log_likelihood
+from physconvex.gap.thresholds import SEARCH
 
 __all__ = ["loaded_starts"]
 
-_RATIOS = (0.0, 0.03, 0.06, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2)  # masses of the load over the body's
-_SLACKS = (0.5, 1.0, 2.0, 3.0)  # times the slack with which a loose load is screened
-_STEP, _FARTHEST = 0.05, 4  # decades of E about that frequency, and steps: a body that sags far swings otherwise
-_BOUNDS = (3.0, 8.0)  # of log10 E
 _LABELS = ("attached_mass ({})", "attached_mass ({}, loose)", "damping")
 Start = tuple[tuple[Effect, ...], np.ndarray]
 
@@ -49,7 +46,7 @@ def loaded_starts(base: Baseline, errors: ErrorModel, dictionary: Iterable[Effec
     dose = max(recorded.ratio, 0.0) / (np.pi * recorded.frequency)
     model = replace(base.model, effects=(*known_already, load, *damped), correction=None, frames=base.split.end)
     frequency, here, tried = recorded.frequency / _clock(base), len(base.fit.values), []
-    for ratio in _RATIOS:  # at the very end: further in, a larger one looks nearly alike
+    for ratio in SEARCH.load_ratios:  # at the very end: further in, a larger one looks nearly alike
         values = np.concatenate([base.fit.values, [ratio, 0.0], np.full(len(damped), dose)])
         tried.append(_best_modulus(base, errors, model, values, frequency))
     misfit, values = min(tried, key=lambda one: one[0])
@@ -59,7 +56,7 @@ def loaded_starts(base: Baseline, errors: ErrorModel, dictionary: Iterable[Effec
     starts: list[Start] = [(model.effects, values), ((*known_already, load), values[:loaded])]
     if loose is not None:
         effects, trial = (*known_already, loose, *damped), loose.doses[-1].trial(base.situation)
-        hanging = [np.insert(values, loaded, share * trial) for share in _SLACKS]
+        hanging = [np.insert(values, loaded, share * trial) for share in SEARCH.load_slacks]
         model = replace(model, effects=effects)
         starts.append((effects, min(hanging, key=lambda one: _misfit(base, errors, model, one))))
     return starts
@@ -93,12 +90,12 @@ def _best_modulus(
 
     def at(step: int) -> tuple[float, np.ndarray]:
         changed = values.copy()
-        changed[index] = np.clip(line + _STEP * step, *_BOUNDS)
+        changed[index] = np.clip(line + SEARCH.load_step * step, *SEARCH.load_moduli)
         return _misfit(base, errors, model, changed), changed
 
     best, where = at(0), 0
     for way in (1, -1):
-        while abs(where + way) <= _FARTHEST and (found := at(where + way))[0] < best[0]:
+        while abs(where + way) <= SEARCH.load_farthest and (found := at(where + way))[0] < best[0]:
             best, where = found, where + way
         if where:
             break

@@ -10,10 +10,9 @@ from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.search.evidence import information_per_one
 from physconvex.gap.search.hypothesis import Hypothesis, doses_at_bounds
+from physconvex.gap.thresholds import EVIDENCE
 
 __all__ = ["evidence_of_anything", "finalists", "judged", "within_bounds"]
-
-_ANYTHING = 8  # doses and effects that an unknown effect is priced at
 
 
 def judged(base: Baseline, errors: ErrorModel, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -80,5 +79,5 @@ def evidence_of_anything(best: Hypothesis) -> float:
 
     It is the better explanation where even the best fit leaves much that does not look like noise.
     """
-    price = 0.5 * _ANYTHING * np.log(max(best.independent, 2.0))
+    price = 0.5 * EVIDENCE.anything * np.log(max(best.independent, 2.0))
     return float((best.attainable / best.divisor).sum() - price)

@@ -21,9 +21,9 @@ from physconvex.gap.search.loads import loaded_starts
 from physconvex.gap.search.ranking import finalists
 from physconvex.gap.search.search_state import FAILURES, EffectSearch
 from physconvex.gap.search.space_mapping import as_reduced, confirmed, improved
+from physconvex.gap.thresholds import DECISION, RUN_COST, SCREENING, SEARCH
 
 __all__ = [
-    "TIED",
     "alone",
     "beside_in_first_frames",
     "fitted_there",
@@ -37,15 +37,6 @@ __all__ = [
     "polish",
     "together",
 ]
-
-TIED = 1.0  # difference of evidence that hardly tells two forms of an effect apart
-_PAIRS, _ADDED, _EARLY = 4, 3, 4  # fits: two effects at once, in each further round, from the first frames
-_ELSEWHERE = 4  # other starts of an effect that is somewhere in the body
-_POLISHED = 3  # fits with derivatives taken anew
-_MANY = 40  # pairs that are ranked
-_AS_GOOD = 4.0  # log-likelihood of the fitted frames: so much an earlier fit without one of the effects may lack
-_SPARED = 0.2  # of the cost of a search, for fits of the best combination without one of its effects
-_WORTH = 4.0  # gain of evidence for which the search goes on
 
 
 def alone(search: EffectSearch, screened: Iterable[Screened]) -> None:
@@ -65,7 +56,7 @@ def from_elsewhere(search: EffectSearch, screening: Screening, tried: Sequence[S
         return
     for name in [entry.effect.name for entry in tried]:
         placed = [e for e in screening.ranked if e.effect.name == name and any(d.shape for d in e.effect.doses)]
-        for entry in [e for e in placed if e not in tried][:_ELSEWHERE]:
+        for entry in [e for e in placed if e not in tried][: SEARCH.elsewhere]:
             search.fit([entry])
 
 
@@ -112,7 +103,7 @@ def together(search: EffectSearch, screening: Screening) -> None:
     """Pairs that explain much more than the better of the two, where single effects leave something."""
     if not search.open(search.best):
         return
-    for pair in plausible_pairs(screening, search.independent, held=search.base.situation.clamped)[:_PAIRS]:
+    for pair in plausible_pairs(screening, search.independent, held=search.base.situation.clamped)[: SEARCH.pairs]:
         search.fit([pair.first, pair.second])
 
 
@@ -122,7 +113,7 @@ def plausible_pairs(screening: Screening, independent: float, *, held: bool) -> 
     Of a held body, half of them have damping: nothing rings for ever, so that another effect adds to it in any
     recording, and may not show before it is there.
     """
-    pairs = best_pairs(screening, _MANY)
+    pairs = best_pairs(screening, SCREENING.pairs_ranked)
 
     def worth(pair: Pair) -> float:
         left = max(1.0 - pair.statistic / max(screening.lack_of_fit, 1e-300), 1e-3)
@@ -133,7 +124,7 @@ def plausible_pairs(screening: Screening, independent: float, *, held: bool) -> 
     if not held:
         return pairs
     ranked = sorted(pairs, key=lambda pair: -worth(pair))
-    damped = [p for p in ranked if "damping" in (p.first.effect.name, p.second.effect.name)][: _PAIRS // 2]
+    damped = [p for p in ranked if "damping" in (p.first.effect.name, p.second.effect.name)][: SEARCH.pairs // 2]
     return [*damped, *(p for p in ranked if p not in damped)]
 
 
@@ -159,7 +150,7 @@ def _early(search: EffectSearch, base: Baseline, numerics: Numerics, dictionary:
     point = early_point(base, search.errors, search.options, search.report)
     if point is not None and not search.base.model.cost.over:
         screening = screen(point, search.errors, numerics, dictionary, search.report)
-        for entry in screening.one_per_name[:_EARLY]:
+        for entry in screening.one_per_name[: SEARCH.early]:
             search.fit([entry], starts=point)
 
 
@@ -170,12 +161,12 @@ def one_more(search: EffectSearch, numerics: Numerics, dictionary: tuple[Effect,
     for stem in filter(search.wanting, found):
         point = continued(search.base, stem)
         screening = screen(point, search.errors, numerics, dictionary, search.report)
-        for entry in screening.one_per_name[:_ADDED]:
+        for entry in screening.one_per_name[: SEARCH.added]:
             search.fit([entry], starts=point)
     polish(search)
     ranked = search.ranked
     again = [h.evidence for h in ranked if h.motion is before.motion]  # by what the best fit leaves now
-    return not again or ranked[0].evidence > again[0] + _WORTH
+    return not again or ranked[0].evidence > again[0] + SEARCH.worth
 
 
 def _in_full(search: EffectSearch, stem: Hypothesis) -> Hypothesis:
@@ -203,7 +194,7 @@ def _in_full(search: EffectSearch, stem: Hypothesis) -> Hypothesis:
 
 def polish(search: EffectSearch) -> None:
     """Fit the best ones again, with derivatives taken where they are now."""
-    for hypothesis in finalists(search.ranked, _POLISHED, tied=TIED)[:_POLISHED]:
+    for hypothesis in finalists(search.ranked, SEARCH.polished, tied=DECISION.tied)[: SEARCH.polished]:
         if id(hypothesis.motion) in search.polished or search.late:
             continue
 
@@ -223,14 +214,14 @@ def leave_out(search: EffectSearch) -> None:
     left to spend.
     """
     ranked = search.ranked
-    best = next((h for h in ranked if len(h.effects) > 1 and h.evidence > ranked[0].evidence - _WORTH), None)
+    best = next((h for h in ranked if len(h.effects) > 1 and h.evidence > ranked[0].evidence - SEARCH.worth), None)
     if best is None:
         return
     cost = search.base.model.cost
-    cost.limit = max(cost.limit, cost.spent + _SPARED * search.options.search_cost)
+    cost.limit = max(cost.limit, cost.spent + RUN_COST.leaving_out * search.options.search_cost)
     for index, effect in enumerate(best.effects):
         rest = tuple(e for e in best.effects if e is not effect)
-        if any(set(h.effects) == set(rest) and h.seen >= best.seen - _AS_GOOD for h in search.found):
+        if any(set(h.effects) == set(rest) and h.seen >= best.seen - SEARCH.as_good for h in search.found):
             continue
         where = best.model.slices[index]
         keep = np.r_[0 : where.start, where.stop : len(best.values)]

@@ -15,17 +15,12 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.search.effect_fits import fit_effects
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.search.ranking import judged
+from physconvex.gap.thresholds import RUN_COST, SEARCH
 
-__all__ = ["FAILURES", "LATE_GAP", "EffectSearch"]
+__all__ = ["FAILURES", "EffectSearch"]
 
 # of a run with doses that no body can bear: such a fit is left out, and the report says so
 FAILURES = (ConvergenceError, InputError, np.linalg.LinAlgError)
-# mean square over the expected one of the frames that choose: an impact near the end of the fitted ones shows there
-LATE_GAP = 5.0
-_WIDE = 3.0  # the same of the fitted ones, from which on a further effect is looked for in any case
-_LEFT = 6.0  # log-likelihood that is left to gain, above which a further effect is looked for
-_LONGEST = 0.15  # of the cost of the search that a single fit may take
-_TELLING = 4  # observed points, fewer of which tell no strain from a motion of the body as a whole
 
 
 @dataclass(eq=False)
@@ -67,7 +62,7 @@ class EffectSearch:
         """Whether several places and directions of an effect within the body are tried: of one that is struck, where
         the recording tells how it deforms.
         """  # fmt: skip
-        return not self.base.situation.clamped and self.base.positions.shape[1] >= _TELLING
+        return not self.base.situation.clamped and self.base.positions.shape[1] >= SEARCH.telling_points
 
     @property
     def late(self) -> bool:
@@ -85,7 +80,7 @@ class EffectSearch:
         What is left of a wide gap is smooth, and counts as few independent residuals: it is open all the same. So is
         one that opens in the frames that choose.
         """
-        return fit.left_to_explain >= _LEFT or fit.fitted > _WIDE or fit.selecting > LATE_GAP
+        return fit.left_to_explain >= SEARCH.left or fit.fitted > SEARCH.wide or fit.selecting > SEARCH.late
 
     def attempt(self, text: str, run: Callable[[], Hypothesis]) -> Hypothesis | None:
         """Fit and keep, unless it fails or the runs have cost too much; the first one is begun all the same."""
@@ -93,7 +88,7 @@ class EffectSearch:
             return None
         self.report(f"fit: {text}")
         try:
-            with self.base.model.cost.at_most(_LONGEST * self.options.search_cost):
+            with self.base.model.cost.at_most(RUN_COST.longest_fit * self.options.search_cost):
                 hypothesis = run()
         except FAILURES:
             self.report(f"fit: {text} failed")

@@ -30,7 +30,6 @@ from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis, contin
 from physconvex.gap.search.loads import loaded_starts
 from physconvex.gap.search.ranking import finalists, judged
 from physconvex.gap.search.rounds import (
-    TIED,
     alone,
     beside_in_first_frames,
     from_elsewhere,
@@ -42,16 +41,11 @@ from physconvex.gap.search.rounds import (
     polish,
     together,
 )
-from physconvex.gap.search.search_state import LATE_GAP, EffectSearch
+from physconvex.gap.search.search_state import EffectSearch
 from physconvex.gap.search.space_mapping import as_reduced
+from physconvex.gap.thresholds import CLOCK, DECISION, RUN_COST, SEARCH
 
 __all__ = ["Selected", "select_effects"]
-
-_SEARCHED = 0.6  # of the deadline: then the search ends
-_HELD = 1.5  # of the cost of a search, for a held body, whose runs cost about a third of what they are counted as
-_CLOSED = 1.5  # mean square over the expected one below which there is no gap to explain
-_SINGLES, _STEMS = 7, 2  # effects that are fitted alone; fits that the first further round goes on from
-_FORMS = 3  # of a single effect (fibres, an inclusion) of a struck body that the full-order model decides between
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,18 +86,18 @@ def select_effects(
     cheap, dictionary = as_reduced(base), tuple(dictionary)
     screening = screening or screen(cheap, errors, numerics, dictionary, report)
     cost = cheap.model.cost
-    cost.allow(options.search_cost * (_HELD if base.situation.clamped else 1.0), _SEARCHED)
+    cost.allow(options.search_cost * (RUN_COST.held if base.situation.clamped else 1.0), CLOCK.search_ends)
     search = EffectSearch(base, cheap, errors, options, report)
     search.found.append(base_hypothesis(cheap, errors))
     rows = len(base.rows(base.split.fitted))
     search.independent = rows / residuals_per_one(base, errors, base.positions, base.split.fitted)
-    open_gap = search.found[0].fitted > _CLOSED or search.found[0].selecting > LATE_GAP
+    open_gap = search.found[0].fitted > SEARCH.closed or search.found[0].selecting > SEARCH.late
     if open_gap and near is not None and {effect.name for effect in near.model.effects} <= {e.name for e in dictionary}:
         from_there(search, base, near.model.effects, near.fit.values)
     if open_gap and base.situation.clamped:
         for effects, values in loaded_starts(cheap, errors, applicable(dictionary, base.situation)):
             from_there(search, base, effects, values)
-    singles = screening.one_per_name[:_SINGLES]
+    singles = screening.one_per_name[: SEARCH.singles]
     alone(search, singles)
     if open_gap:
         from_elsewhere(search, screening, singles)
@@ -117,14 +111,14 @@ def select_effects(
         polish(search)
         load_beside(search, dictionary)
         for number in range(options.most_effects - 1):
-            if not one_more(search, numerics, dictionary, _STEMS if anew is None and not number else 1):
+            if not one_more(search, numerics, dictionary, SEARCH.stems if anew is None and not number else 1):
                 break
         beside_in_first_frames(search, numerics, dictionary)
         leave_out(search)
     few = base.situation.clamped or not open_gap
     decisive = max(1, options.candidates // 2) if few else options.candidates
-    forms = _FORMS if search.placed and open_gap else 1
-    best = finalists(search.ranked, decisive, tied=TIED, forms=forms)
+    forms = DECISION.forms if search.placed and open_gap else 1
+    best = finalists(search.ranked, decisive, tied=DECISION.tied, forms=forms)
     chosen = judged(base, search.errors, decided(base, search.errors, numerics, best, options, report))
     plain = next(h for h in chosen if not h.effects)
     return Selected(continued(base, plain), chosen, screening, search.errors, numerics)

@@ -19,11 +19,9 @@ from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.effect_fits import derivatives_at, refit
 from physconvex.gap.search.hypothesis import Hypothesis, hypothesis_at
+from physconvex.gap.thresholds import DECISION
 
 __all__ = ["as_reduced", "confirmed", "improved"]
-
-_ROUNDS = 2  # of full-order run and search
-_STILL = 0.02  # of typical steps: a change of the values below which another round is not worth it
 
 
 def as_reduced(base: Baseline) -> Baseline:
@@ -83,7 +81,7 @@ def improved(base: Baseline, errors: ErrorModel, here: Hypothesis, options: GapO
     first = best = here
     saturates = _saturates(here.model)
     tangents: np.ndarray | None = None
-    for _ in range(_ROUNDS):
+    for _ in range(DECISION.rounds):
         try:
             base.model.cost.check()
             searched = here.model
@@ -93,13 +91,13 @@ def improved(base: Baseline, errors: ErrorModel, here: Hypothesis, options: GapO
                 searched = here.model if saturates else cheap
             last = refit(base, errors, searched, here.values, tangents, options)
             tangents = last.tangents
-            if np.abs((last.values - here.values) / scales).max() < _STILL:
+            if np.abs((last.values - here.values) / scales).max() < DECISION.still:
                 break
             motion = here.model.motion(last.values)
         except ConvergenceError:
             break
         here = hypothesis_at(base, errors, here.model, last.values, last.errors, motion, last.tangents)
-        if here.fitted > 1.5 * best.fitted:
+        if here.fitted > DECISION.diverged * best.fitted:
             break
         best = here if here.seen > best.seen else best
     return None if best is first else best
