@@ -116,6 +116,31 @@ def torch_settings_kept() -> Iterator[None]:
     assert not changed, f"the test changed torch's global settings (before, after): {changed}"
 
 
+@contextmanager
+def ordinary_priority() -> Iterator[None]:
+    """Fail if the process is left in another scheduling class than it was found in, and put it back.
+
+    Under the superuser some libraries make the thread that calls them a real-time one (SVT-AV1's encoder does), which
+    then lets no other process have its core.
+    """
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    yield
+    after = os.sched_getscheduler(0)
+    if after != before[0]:
+        os.sched_setscheduler(0, *before)
+        pytest.fail(f"the test changed the scheduling class of the process (before, after): {before[0]}, {after}")
+
+
+@pytest.fixture(autouse=True)
+def _priority_stays() -> Iterator[None]:
+    """Fail a test that takes the machine from all others."""
+    if not hasattr(os, "sched_getscheduler"):  # Linux has it
+        yield
+        return
+    with ordinary_priority():
+        yield
+
+
 @pytest.fixture(autouse=True)
 def _torch_settings_stay() -> Iterator[None]:
     """Fail a test that changes torch's global settings."""

@@ -1,19 +1,25 @@
-"""The suite's own devices: the guard on torch's global settings, and `--typecheck`."""
+"""The suite's own devices: the guards on torch's global settings and on the scheduling class, and `--typecheck`."""
 
+import os
 import subprocess
 import sys
 from contextlib import AbstractContextManager
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import torch
 
 
 @pytest.fixture
-def kept(pytestconfig: pytest.Config) -> AbstractContextManager[None]:
-    conftest = str(Path(__file__).with_name("conftest.py"))
-    plugins = pytestconfig.pluginmanager.get_plugins()
-    return next(p for p in plugins if getattr(p, "__file__", None) == conftest).torch_settings_kept()
+def conftest(pytestconfig: pytest.Config) -> ModuleType:
+    path = str(Path(__file__).with_name("conftest.py"))
+    return next(p for p in pytestconfig.pluginmanager.get_plugins() if getattr(p, "__file__", None) == path)
+
+
+@pytest.fixture
+def kept(conftest: ModuleType) -> AbstractContextManager[None]:
+    return conftest.torch_settings_kept()
 
 
 def test_changed_settings_fail_and_are_put_back(kept: AbstractContextManager[None]) -> None:
@@ -35,6 +41,15 @@ def test_unchanged_settings_are_not_written(
     with kept:
         pass
     assert not written
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="no scheduling classes here")
+def test_another_scheduling_class_fails_and_is_put_back(conftest: ModuleType) -> None:
+    """Batch class stands for the real-time one, which only the superuser may take."""
+    before = os.sched_getscheduler(0)
+    with pytest.raises(pytest.fail.Exception, match="scheduling class"), conftest.ordinary_priority():
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    assert os.sched_getscheduler(0) == before
 
 
 def typechecked(folder: Path, *statements: str) -> subprocess.CompletedProcess[str]:

@@ -159,12 +159,12 @@ def test_a_crash_of_the_reading_process_fails_one_clip(
     site = tmp_path / "site"
     site.mkdir()
     (site / "sitecustomize.py").write_text(
-        "import os, signal, physconvex.io.video.reading as reading, physconvex.io.video as video\n"
-        "read = video.read_video\n"
+        "import os, signal, physconvex.io as io\n"
+        "read = io.read_video\n"
         "def deadly(path, **options):\n"
         "    if path.name == 'short.mp4': os.kill(os.getpid(), signal.SIGSEGV)\n"
         "    return read(path, **options)\n"
-        "video.read_video = deadly\n"
+        "io.read_video = deadly\n"
     )
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(site), str(Path.cwd())]))
     summary = predict_batch(folder, out=tmp_path / "out", predictor=PredictorDouble(), processes=True)

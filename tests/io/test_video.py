@@ -118,11 +118,36 @@ def test_codecs_and_bit_depths(tmp_path: Path, suffix: str, codec: str, pixel_fo
     assert video.fps == pytest.approx(RATE)
 
 
-def test_av1(tmp_path: Path) -> None:
+@pytest.fixture
+def usual_priority() -> Iterator[None]:
+    """SVT-AV1's encoder, where it may, makes the thread that opens it a real-time one; reading does not."""
+    if not hasattr(os, "sched_getscheduler"):
+        yield
+        return
+    usual = os.sched_getscheduler(0), os.sched_getparam(0)
+    yield
+    os.sched_setscheduler(0, *usual)
+
+
+def test_av1(tmp_path: Path, usual_priority: None) -> None:
     images = _moving_square()
     options = {"crf": "10", "preset": "10", "svtav1-params": "lp=1"}
     path = _encode(tmp_path / "clip.mp4", images, codec="libsvtav1", options=options)
     _close(read_video(path).frames, images)
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="no scheduling classes here")
+def test_writing_and_reading_leave_the_scheduling_class_alone(tmp_path: Path) -> None:
+    """A real-time thread would take its core from every other process of the machine."""
+
+    def in_real_time() -> set[int]:
+        threads = map(int, os.listdir("/proc/self/task"))
+        return {thread for thread in threads if os.sched_getscheduler(thread) in (os.SCHED_FIFO, os.SCHED_RR)}
+
+    before = in_real_time()  # an encoder of another test may still be about
+    write_video(tmp_path / "clip.mp4", _moving_square(), fps=RATE)
+    read_video(tmp_path / "clip.mp4")
+    assert in_real_time() <= before
 
 
 @pytest.mark.parametrize("pixel_format", ["gray", "gray16le"])
@@ -400,7 +425,7 @@ def test_writing_is_deterministic_and_leaves_no_partial_file(tmp_path: Path) -> 
 ENCODE_A_BOUNCING_DISC = """
 import sys
 import numpy as np
-from physconvex.video import write_video
+from physconvex.io import write_video
 rng = np.random.default_rng(0)
 y, x = np.mgrid[:112, :112] / 112
 images = np.full((24, 112, 112, 3), 120.0) + 30 * np.sin(9 * x + 5 * y)[None, :, :, None]
