@@ -25,8 +25,8 @@ import numpy as np
 import torch
 
 from data_gen import SolverConfig, draw_drop, load_config, make_mesh
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.fem import ElasticBody, Scene
 
 RESULT = Path(__file__).parent / "results" / "contact_solvers.json"
 DROPS = ((4, 5e6), (7, 3e5), (11, 2e4))  # number of the simulation, E [Pa]; those that land soonest
@@ -119,12 +119,14 @@ def timed(scene: Scene, solver: SolverConfig, frames: int) -> tuple[Any, tuple[f
     start = time.process_time(), time.perf_counter()
     run = simulate(
         scene,
-        frames=frames,
-        steps_per_frame=solver.steps_per_frame,
-        flight_steps_per_frame=solver.flight_steps_per_frame,
-        contact_solver=solver.contact_solver,
-        friction_passes=solver.friction_passes,
-        tolerance=solver.tolerance,
+        Timing(
+            frames=frames,
+            steps_per_frame=solver.steps_per_frame,
+            flight_steps_per_frame=solver.flight_steps_per_frame,
+            contact_solver=solver.contact_solver,
+            friction_passes=solver.friction_passes,
+            tolerance=solver.tolerance,
+        ),
     )
     return run, (round(time.process_time() - start[0], 2), round(time.perf_counter() - start[1], 2))
 

@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 from data_gen import random_object
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.fem import ElasticBody, Scene
 from physconvex.mesh import TetMesh, tetrahedralize_implicit
 
 RESULT = Path(__file__).parent / "results" / "friction_passes.json"
@@ -53,7 +53,7 @@ def main() -> None:
         reference = None
         for steps, passes, tolerance in SETTINGS:
             clock = time.perf_counter()
-            run = simulate(scene, steps_per_frame=steps, friction_passes=passes, tolerance=tolerance)
+            run = simulate(scene, Timing(steps_per_frame=steps, friction_passes=passes, tolerance=tolerance))
             seconds = time.perf_counter() - clock
             reference = run.positions if reference is None else reference
             rms = float(np.sqrt(((run.positions - reference) ** 2).sum(-1).mean()))

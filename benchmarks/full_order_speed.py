@@ -20,8 +20,8 @@ from unittest.mock import patch
 import numpy as np
 import torch
 
-from physconvex.dynamics import Plane, State, implicit_euler
-from physconvex.fem import ContactSolver, ElasticBody, Scene, StepEquations, compiled_elements as kernel, simulate
+from physconvex.dynamics import ContactSolver, Plane, State, Timing, implicit_euler, simulate
+from physconvex.fem import ElasticBody, NodalEquations, Scene, compiled_elements as kernel
 from physconvex.kernels import Kernel
 from physconvex.mesh import box_mesh
 from physconvex.numerics import sparse_solvers as linear_solvers
@@ -78,13 +78,13 @@ def _measure(cells: int, damping_time: float, arithmetic: str) -> Row:
     floor = Plane(point=(0, 0, -0.13), normal=(0.1, 0.05, 1.0), friction=0.3)
     scene = Scene(body, obstacles=(floor,), damping_time=damping_time)
     x = body.mesh.vertices
-    equations, still = StepEquations(scene), State(0.0, x, np.zeros_like(x))
+    equations, still = NodalEquations(scene), State(0.0, x, np.zeros_like(x))
     equations.set_step(implicit_euler(still, STEP), STEP, x, still)
     force = equations.gradient(x)
 
     def rolled_out(solver: ContactSolver) -> float:
         clock = time.process_time()
-        simulate(scene, frames=12, fps=50, steps_per_frame=8, contact_solver=solver)
+        simulate(scene, Timing(frames=12, fps=50, steps_per_frame=8, contact_solver=solver))
         return time.process_time() - clock
 
     return Row(

@@ -39,8 +39,8 @@ from data_gen import (
     roll_out,
 )
 from physconvex import ConvergenceError, InputError
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.fem import ElasticBody, Scene
 from physconvex.mesh import TetMesh, linear_part, refine_uniformly, tetrahedralize_implicit
 
 FALL_NODES = 1900
@@ -130,11 +130,13 @@ def run(
     )
     return simulate(
         scene,
-        steps_per_frame=solver.steps_per_frame,
-        flight_steps_per_frame=min(solver.flight_steps_per_frame, solver.steps_per_frame),
-        contact_solver=solver.contact_solver,
-        friction_passes=solver.friction_passes,
-        tolerance=solver.tolerance,
+        Timing(
+            steps_per_frame=solver.steps_per_frame,
+            flight_steps_per_frame=min(solver.flight_steps_per_frame, solver.steps_per_frame),
+            contact_solver=solver.contact_solver,
+            friction_passes=solver.friction_passes,
+            tolerance=solver.tolerance,
+        ),
     ).positions
 
 

@@ -41,8 +41,8 @@ from data_gen import (
 )
 from inference import capture_views, reconstruct
 from physconvex.convex import BoundField, ConvexField, bind_to_tets, non_affinity, polar_rotation
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.fem import ElasticBody, Scene
 from physconvex.io import Camera, load_capture
 from physconvex.mesh import Embedding, TetMesh, locate, surface_distance, tetrahedralize_implicit
 from physconvex.reconstruction import (
@@ -119,7 +119,7 @@ def drop(body: ObjectMesh, nodes: int) -> tuple[TetMesh, np.ndarray]:
     modulus = STIFFNESS * DENSITY * GRAVITY * size
     elastic = ElasticBody(mesh, youngs_modulus=modulus, poisson_ratio=RATIO, density=DENSITY)
     scene = Scene(body=elastic, obstacles=(Plane(friction=0.5),), gravity=(0.0, 0.0, -GRAVITY), damping_time=5e-4)
-    return mesh, simulate(scene, frames=FRAMES, fps=RATE, steps_per_frame=8).positions
+    return mesh, simulate(scene, Timing(frames=FRAMES, fps=RATE, steps_per_frame=8)).positions
 
 
 def deformations(surface: np.ndarray) -> np.ndarray:

@@ -20,7 +20,6 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -28,13 +27,14 @@ import torch
 from data_gen import FLAT, DrawnSurface, rendered_frames
 from inference import predict
 from physconvex import ConvergenceError, InputError
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Scene, simulate as simulate_full
+from physconvex.dynamics import Plane, Timing, simulate, simulate_with_sensitivities
+from physconvex.fem import ElasticBody, Scene
 from physconvex.io import look_at
 from physconvex.kernels import cache_folder
 from physconvex.mesh import TetMesh, box_mesh, tetrahedralize
 from physconvex.reduced import (
     BodySamples,
+    NamedParameters,
     ReducedBody,
     ReducedScene,
     ReducedSpace,
@@ -44,7 +44,6 @@ from physconvex.reduced import (
     even_loads,
     parameter_values,
     predicted_weights,
-    simulate_with_sensitivities,
     snapshot_weights,
     train_neural_weights,
     with_elastic_weights,
@@ -62,9 +61,9 @@ BODIES = (
     "gso/Android_Figure_Orange",
 )
 NORMAL = np.array([0.15, 0.05, 1.0]) / np.linalg.norm([0.15, 0.05, 1.0])
-TIMING: dict[str, Any] = {"frames": 24, "fps": 48.0}
+TIMING = Timing(frames=24, fps=48.0)
 STEPS = 8  # per frame
-PAPER: dict[str, Any] = {"frames": 12, "fps": 24.0, "steps_per_frame": 1, "integrator": "implicit_euler"}
+PAPER = Timing(frames=12, fps=24.0, steps_per_frame=1, integrator="implicit_euler")
 PULL = np.array([[1.25, 0.15, 0.0], [0.0, 0.9, 0.1], [0.1, 0.0, 0.95]])
 NAMES = ("log10_youngs_modulus", "poisson_ratio")
 ITERATIONS, LARGEST_STEP, SETTLED = 8, 0.15, 1e-3
@@ -155,9 +154,9 @@ class Study:
         return "".join(f"_{value:g}_{name}" for name, value in self.changes.items())
 
     @property
-    def timing(self) -> dict[str, Any]:
+    def timing(self) -> Timing:
         """Of all but the paper's rows."""
-        return {**TIMING, "steps_per_frame": self.steps}
+        return replace(TIMING, steps_per_frame=self.steps)
 
     @property
     def result(self) -> Path:
@@ -212,7 +211,7 @@ def full_motion(case: Case, mesh: TetMesh, study: Study, *, softer: float = 1.0)
         if scene == "release":
             full = Scene(body, gravity=(0, 0, 0), initial_positions=mesh.vertices @ PULL.T)
         path.parent.mkdir(parents=True, exist_ok=True)
-        np.save(path, simulate_full(full, **study.timing).positions)
+        np.save(path, simulate(full, study.timing).positions)
     return np.load(path)
 
 
@@ -220,7 +219,7 @@ def reduced_scene(case: Case, mesh: TetMesh, study: Study) -> ReducedScene:
     """The reduced body of a case and what happens to it."""
     if case.basis == "elastic" and case.scene == "drop":
         rough = reduced_scene(replace(case, basis="eigenmodes", weights=20), mesh, study)
-        return with_elastic_weights(rough, mesh, case.weights, **study.timing)
+        return with_elastic_weights(rough, mesh, case.weights, study.timing)
     samples = BodySamples.of_mesh(mesh)
     space = ReducedSpace(weights_of(case, mesh, study), samples, interpolated=case.basis == "elastic")
     body = ReducedBody(space, youngs_modulus=case.youngs_modulus, poisson_ratio=case.poisson_ratio)
@@ -260,7 +259,7 @@ def weights_from_film(mesh: TetMesh, motion: np.ndarray) -> WeightField:
     centre = (low + high) / 2
     camera = look_at(centre - [0, 5 * SIZE, 0], centre, width=224, height=224, vertical_field_of_view=0.45)
     film = np.stack(rendered_frames(surface, camera, FLAT, motion[:, nodes]))
-    prediction = predict(film, fps=TIMING["fps"], object_size=SIZE)
+    prediction = predict(film, fps=TIMING.fps, object_size=SIZE)
     rest = mesh.vertices
     return predicted_weights(prediction.skinning_field, origin=(rest.min(0) + rest.max(0)) / 2)
 
@@ -268,7 +267,7 @@ def weights_from_film(mesh: TetMesh, motion: np.ndarray) -> WeightField:
 class Fit:
     """Levenberg–Marquardt from the truth."""
 
-    def __init__(self, scene: ReducedScene, mesh: TetMesh, observed: np.ndarray, timing: dict[str, Any]) -> None:
+    def __init__(self, scene: ReducedScene, mesh: TetMesh, observed: np.ndarray, timing: Timing) -> None:
         self.scene, self.points, self.observed, self.timing = scene, mesh.vertices, observed, timing
         self.values = parameter_values(scene, NAMES)
         self.last_step = np.inf
@@ -276,9 +275,13 @@ class Fit:
 
     def at(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residual and Jacobian."""
-        run = simulate_with_sensitivities(with_parameters(self.scene, NAMES, values), NAMES, **self.timing)
+        run = simulate_with_sensitivities(
+            NamedParameters(with_parameters(self.scene, NAMES, values), NAMES), self.timing
+        )
         residual = (run.trajectory.positions(self.points) - self.observed).ravel()
-        return residual, np.moveaxis(run.position_tangents(self.points), 1, -1).reshape(len(residual), -1)
+        return residual, np.moveaxis(run.trajectory.carried(self.points, run.coordinate_tangents), 1, -1).reshape(
+            len(residual), -1
+        )
 
     def run(self) -> None:
         """Iterate until the change is small."""

@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Scene, simulate as simulate_full
+from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.fem import ElasticBody, Scene
 from physconvex.mesh import TetMesh, box_mesh
 from physconvex.reduced import (
     BodySamples,
@@ -29,7 +29,6 @@ from physconvex.reduced import (
     ReducedSpace,
     WeightField,
     eigenmode_weights,
-    simulate,
     snapshot_weights,
     train_neural_weights,
     untrained_neural_weights,
@@ -37,7 +36,7 @@ from physconvex.reduced import (
 
 RESULT = Path(__file__).parent / "results" / "reduced_bases.json"
 FLOOR = Plane(point=(0, 0, -0.05), normal=(0.15, 0.05, 1.0), friction=0.3)
-TIMING = {"frames": 10, "fps": 48.0, "steps_per_frame": 4}
+TIMING = Timing(frames=10, fps=48.0, steps_per_frame=4)
 POISSON, SEEDS = 0.35, 3
 
 
@@ -64,13 +63,13 @@ def bodies() -> Iterator[tuple[str, TetMesh, np.ndarray]]:
 def full_motion(mesh: TetMesh, modulus: np.ndarray) -> np.ndarray:
     """Positions of the nodes at the frames [m]."""
     body = ElasticBody(mesh, youngs_modulus=modulus, poisson_ratio=POISSON)
-    return simulate_full(Scene(body, obstacles=(FLOOR,)), **TIMING).positions
+    return simulate(Scene(body, obstacles=(FLOOR,)), TIMING).positions
 
 
 def distance(mesh: TetMesh, modulus: np.ndarray, field: WeightField, full: np.ndarray) -> float:
     """Root mean square over nodes and frames [m]."""
     body = ReducedBody(ReducedSpace(field, BodySamples.of_mesh(mesh)), youngs_modulus=modulus, poisson_ratio=POISSON)
-    moved = simulate(ReducedScene(body, obstacles=(FLOOR,)), **TIMING).positions(mesh.vertices)
+    moved = simulate(ReducedScene(body, obstacles=(FLOOR,)), TIMING).positions(mesh.vertices)
     return float(np.sqrt(((moved - full) ** 2).sum(-1).mean()))
 
 

@@ -13,12 +13,12 @@ import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
-from physconvex.fem import ElasticBody, Pins as FullPins, Scene, simulate as simulate_full
+from physconvex.dynamics import Timing, simulate
+from physconvex.fem import ElasticBody, Pins as FullPins, Scene
 from physconvex.mesh import box_mesh
 from physconvex.reduced import (
     BodySamples,
@@ -29,12 +29,11 @@ from physconvex.reduced import (
     eigenmode_weights,
     elastic_weights,
     even_loads,
-    simulate,
     with_elastic_weights,
 )
 
 RESULT = Path(__file__).parent / "results" / "reduced_clamped.json"
-TIMING: dict[str, Any] = {"frames": 24, "fps": 48.0, "steps_per_frame": 8}
+TIMING = Timing(frames=24, fps=48.0, steps_per_frame=8)
 
 
 def main() -> None:
@@ -44,7 +43,7 @@ def main() -> None:
     mesh = box_mesh((0.3, 0.06, 0.06), (9, 2, 2), order=2)
     full = ElasticBody(mesh, youngs_modulus=1e5, poisson_ratio=0.4)
     clamped = np.isclose(mesh.vertices[:, 0], mesh.vertices[:, 0].min())
-    truth = simulate_full(Scene(full, pins=FullPins(np.flatnonzero(clamped))), **TIMING).positions
+    truth = simulate(Scene(full, pins=FullPins(np.flatnonzero(clamped))), TIMING).positions
     samples = BodySamples.of_mesh(mesh)
     space = ReducedSpace(eigenmode_weights(full, 20), samples, interpolated=True)
     body = ReducedBody(space, youngs_modulus=1e5, poisson_ratio=0.4)
@@ -56,11 +55,11 @@ def main() -> None:
             "eigenmodes": eigenmode_weights(full, count),
             "even": elastic_weights(full, count, even_loads(mesh, 20)),
             "held": elastic_weights(full, count, clamped=clamped),
-            "rolled": with_elastic_weights(rough, mesh, count, **TIMING).body.space.field,
+            "rolled": with_elastic_weights(rough, mesh, count, TIMING).body.space.field,
         }
         for name, field in fields.items():
             scene = replace(rough, body=body.with_space(ReducedSpace(field, samples, interpolated=True)))
-            distance = simulate(scene, **TIMING).positions(mesh.vertices) - truth
+            distance = simulate(scene, TIMING).positions(mesh.vertices) - truth
             rms = float(np.sqrt((distance**2).sum(2).mean()))
             rows.append({"weights": count, "basis": name, "rms": rms})
             print(rows[-1], flush=True)

@@ -24,18 +24,17 @@ import numpy as np
 import torch
 
 from physconvex import ConvergenceError
-from physconvex.dynamics import Plane, State
+from physconvex.dynamics import Plane, State, Timing, simulate
 from physconvex.fem import ElasticBody
 from physconvex.mesh import TetMesh, box_mesh
 from physconvex.reduced import (
     BodySamples,
     ReducedBody,
+    ReducedEquations,
     ReducedScene,
     ReducedSpace,
     ReducedTrajectory,
-    StepEquations,
     eigenmode_weights,
-    simulate,
 )
 
 RESULT = Path(__file__).parent / "results" / "reduced_robustness.json"
@@ -135,7 +134,7 @@ def draw(seed: int) -> tuple[Row, ReducedScene]:
 def energy_rises(scene: ReducedScene, run: ReducedTrajectory) -> tuple[float, float]:
     """Largest rise of the energy over its running minimum and over its start, see `Row`."""
     states = map(State, run.times, run.coordinates, run.velocities)
-    equations = StepEquations(scene)
+    equations = ReducedEquations(scene)
     energy = np.array([equations.energy(state) for state in states]) / scene.energy_scale
     return float((energy - np.minimum.accumulate(energy)).max()), float((energy[1:] - energy[0]).max())
 
@@ -145,7 +144,7 @@ def measure(seed: int) -> Row:
     row, scene = draw(seed)
     clock, found = time.process_time(), asdict(row)
     try:
-        run = simulate(scene, frames=FRAMES, fps=FPS, steps_per_frame=STEPS, energy_tolerance=ENERGY_TOLERANCE)
+        run = simulate(scene, Timing(frames=FRAMES, fps=FPS, steps_per_frame=STEPS, energy_tolerance=ENERGY_TOLERANCE))
         finite = bool(np.isfinite(run.coordinates).all() and np.isfinite(run.velocities).all())
         found["outcome"] = "finished" if finite else "NaN"
         found["halved_steps"], found["projections"] = run.statistics.halved_steps, run.statistics.projections

@@ -19,24 +19,22 @@ from typing import Any
 import numpy as np
 import torch
 
-from physconvex.dynamics import Plane
+from physconvex.dynamics import Plane, Timing, simulate
 from physconvex.fem import ElasticBody
 from physconvex.mesh import TetMesh, box_mesh
 from physconvex.reduced import (
     BodySamples,
+    ReducedBodies,
     ReducedBody,
     ReducedScene,
     ReducedSpace,
-    ReducedWorld,
     eigenmode_weights,
-    simulate,
-    simulate_world,
     train_neural_weights,
 )
 
 RESULT = Path(__file__).parent / "results" / "reduced_scaling.json"
 SIZE = (0.3, 0.2, 0.2)
-TIMING: dict[str, Any] = {"frames": 24, "steps_per_frame": 8}
+TIMING = Timing(frames=24, steps_per_frame=8)
 
 
 @dataclass(frozen=True)
@@ -73,7 +71,7 @@ def one_body(cells: tuple[int, int, int], count: int) -> RollOutRow:
     mesh = box_mesh(SIZE, cells)
     body = ReducedBody(ReducedSpace(eigenmode_weights(ElasticBody(mesh), count), BodySamples.of_mesh(mesh)))
     scene = ReducedScene(body, obstacles=(Plane(point=(0, 0, -0.1)),))
-    run, seconds = processor_seconds(lambda: simulate(scene, **TIMING))
+    run, seconds = processor_seconds(lambda: simulate(scene, TIMING))
     cost = run.statistics
     return RollOutRow(count, len(body.mu), 1, seconds, cost.newton_iterations, cost.factorisations)
 
@@ -86,8 +84,8 @@ def several_bodies(number: int) -> RollOutRow:
         mesh = TetMesh(mesh.vertices + np.array([0.0, 0.0, 0.11 * i]), mesh.tets)
         body = ReducedBody(ReducedSpace(eigenmode_weights(ElasticBody(mesh), 6), BodySamples.of_mesh(mesh)))
         scenes.append(ReducedScene(body, obstacles=(Plane(point=(0, 0, -0.01)),)))
-    world = ReducedWorld(tuple(scenes), friction=0.4)
-    run, seconds = processor_seconds(lambda: simulate_world(world, **TIMING))
+    world = ReducedBodies(tuple(scenes), friction=0.4)
+    run, seconds = processor_seconds(lambda: simulate(world, TIMING))
     cost = run.bodies[0].statistics
     return RollOutRow(6, len(scenes[0].body.mu), number, seconds, cost.newton_iterations, cost.factorisations)
 

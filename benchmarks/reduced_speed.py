@@ -18,20 +18,19 @@ from unittest.mock import patch
 import numpy as np
 import torch
 
-from physconvex.dynamics import Plane, State, implicit_euler
+from physconvex.dynamics import Plane, State, implicit_euler, simulate, simulate_with_sensitivities
 from physconvex.fem import ElasticBody
 from physconvex.kernels import Kernel
 from physconvex.mesh import box_mesh
 from physconvex.reduced import (
     BodySamples,
+    NamedParameters,
     ReducedBody,
+    ReducedEquations,
     ReducedScene,
     ReducedSpace,
-    StepEquations,
     compiled_body as kernel,
     eigenmode_weights,
-    simulate,
-    simulate_with_sensitivities,
 )
 
 RESULT = Path(__file__).parent / "results" / "reduced_speed.json"
@@ -88,7 +87,7 @@ def seconds(call: Callable[[], object]) -> float:
     return time.process_time() - clock
 
 
-def newton_iteration(equations: StepEquations, y: np.ndarray, gradient: np.ndarray) -> None:
+def newton_iteration(equations: ReducedEquations, y: np.ndarray, gradient: np.ndarray) -> None:
     """One iteration from y with a fresh Hessian: Hessian, factor, direction, value and gradient at its end."""
     equations.factorise(y, project=False)
     equations.evaluate(y - equations.solve(gradient))
@@ -102,7 +101,7 @@ def measure(full: ElasticBody, count: int, arithmetic: str) -> Row:
     body = ReducedBody(space, youngs_modulus=1e5)
     scene = ReducedScene(body, obstacles=(Plane(point=(0, 0, -0.1)),))
     y = body.rest + 1e-4 * np.random.default_rng(0).normal(size=body.rest.shape)
-    equations, still = StepEquations(scene), State(0.0, y, np.zeros_like(y))
+    equations, still = ReducedEquations(scene), State(0.0, y, np.zeros_like(y))
     equations.set_step(implicit_euler(still, 0.003), 0.003, y, still)
     gradient = equations.evaluate(y)[1]
     repeats = 100 if count < 40 else 4
@@ -136,7 +135,7 @@ def measure(full: ElasticBody, count: int, arithmetic: str) -> Row:
         cost.factorisations,
         seconds(lambda: simulate(rough)),
         seconds(lambda: simulate(replace(rough, damping_time=2e-3))),
-        seconds(lambda: simulate_with_sensitivities(rough, names)),
+        seconds(lambda: simulate_with_sensitivities(NamedParameters(rough, names))),
     )
 
 

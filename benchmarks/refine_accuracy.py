@@ -27,8 +27,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import binomtest
 
 from inference import Refinement, RefineOptions, refine
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Pins, Scene, SurfacePoints, simulate
+from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.fem import ElasticBody, Pins, Scene, SurfacePoints
 from physconvex.io import Boundary, Capture, Floor, Tracks, load_capture, save_capture
 from physconvex.mesh import Embedding, TetMesh, box_mesh, to_quadratic
 
@@ -154,10 +154,12 @@ def simulated(scene: str, case: int) -> Made:
             initial_velocity=throw.velocity,
             contact_points=None if scene == "bar" else SurfacePoints.of_triangles(*fine.surface),
         ),
-        frames=FRAMES,
-        fps=FPS,
-        steps_per_frame=TRUE_STEPS[scene],
-        contact_solver="passes" if held is not None else "condensed",
+        Timing(
+            frames=FRAMES,
+            fps=FPS,
+            steps_per_frame=TRUE_STEPS[scene],
+            contact_solver="passes" if held is not None else "condensed",
+        ),
     )
     return Made(scene, truth, coarse, fine, mesh, run.positions, rng)
 

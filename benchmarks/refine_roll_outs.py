@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,8 @@ import numpy as np
 import torch
 from refine_accuracy import BLOCK, CELLS, FLOOR, FPS, OBSERVED, Throw, throw_of, turned
 
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Scene, SurfacePoints, simulate
+from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.fem import ElasticBody, Scene, SurfacePoints
 from physconvex.mesh import Embedding, TetMesh, refine_uniformly as cut_in_eight, to_quadratic
 
 RESULT = Path(__file__).parent / "results" / "refine_roll_outs.json"
@@ -49,7 +50,7 @@ def rolled(
         contact_points=surface,
     )
     clock = time.process_time()
-    run = simulate(scene, frames=OBSERVED, fps=FPS, **({"steps_per_frame": STEPS} | options))
+    run = simulate(scene, replace(Timing(frames=OBSERVED, fps=FPS, steps_per_frame=STEPS), **options))
     return Embedding.of_points(mesh, points).apply(run.positions), time.process_time() - clock
 
 

@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from physconvex.dynamics import Plane
+from physconvex.dynamics import Plane, Timing, simulate
 from physconvex.fem import ElasticBody
 from physconvex.materials import Sand
 from physconvex.mesh import tetrahedralize
-from physconvex.reduced import BodySamples, ReducedBody, ReducedScene, ReducedSpace, eigenmode_weights, simulate
+from physconvex.reduced import BodySamples, ReducedBody, ReducedScene, ReducedSpace, eigenmode_weights
 
 RESULT = Path(__file__).parent / "results" / "sand_heap.json"
 RADIUS, ANGLE, FPS = 0.1, 30.0, 24.0
@@ -63,7 +63,7 @@ def measure(aspect: float, weights: int) -> Row:
     space = ReducedSpace(eigenmode_weights(ElasticBody(mesh), weights), BodySamples.of_mesh(mesh))
     body = ReducedBody(space, youngs_modulus=1e5, poisson_ratio=0.3, flow=Sand(np.radians(ANGLE)))
     scene = ReducedScene(body, obstacles=(Plane(friction=1.0),))
-    run = simulate(scene, frames=int(FPS), fps=FPS, steps_per_frame=8, tolerance=1e-6)
+    run = simulate(scene, Timing(frames=int(FPS), fps=FPS, steps_per_frame=8, tolerance=1e-6))
     positions = run.positions(mesh.vertices)
     speeds = np.linalg.norm(np.diff(positions, axis=0), axis=2).max(axis=1) * FPS
     last = positions[-1]

@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from physconvex.dynamics import Plane
+from physconvex.dynamics import Plane, Timing, simulate
 from physconvex.fem import ElasticBody
 from physconvex.materials import Sand
 from physconvex.mesh import box_mesh
-from physconvex.reduced import BodySamples, ReducedBody, ReducedScene, ReducedSpace, eigenmode_weights, simulate
+from physconvex.reduced import BodySamples, ReducedBody, ReducedScene, ReducedSpace, eigenmode_weights
 
 RESULT = Path(__file__).parent / "results" / "sand_passes.json"
 
@@ -40,7 +40,7 @@ class Row:
 def slump(scene: ReducedScene, steps: int, passes: int) -> tuple[np.ndarray, int, float]:
     """Positions of the surface samples at the frames [m], iterations, seconds."""
     clock = time.process_time()
-    run = simulate(scene, frames=4, fps=16, steps_per_frame=steps, friction_passes=passes, tolerance=1e-6)
+    run = simulate(scene, Timing(frames=4, fps=16, steps_per_frame=steps, friction_passes=passes, tolerance=1e-6))
     positions = run.positions(scene.body.space.samples.surface_points)
     return positions, run.statistics.newton_iterations, time.process_time() - clock
 

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from data_gen.objects.library import ObjectMesh
 from physconvex import InputError
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Scene, SurfacePoints, simulate
+from physconvex.dynamics import ContactSolver, Plane, Timing, simulate
+from physconvex.fem import ElasticBody, Scene, SurfacePoints
 from physconvex.io import CommandLine, Options
 from physconvex.mesh import TetMesh
 
@@ -155,6 +155,6 @@ def scene_of(mesh: TetMesh, truth: dict[str, float], shown: ObjectMesh, motion: 
 
 def rolled(scene: Scene, frames: int, fps: float, steps_per_frame: int) -> Float[np.ndarray, "T V 3"]:
     """Positions [m] of the nodes in all frames."""
-    solver: Literal["condensed", "passes"] = "condensed" if scene.obstacles else "passes"
-    run = simulate(scene, frames=frames, fps=fps, steps_per_frame=steps_per_frame, contact_solver=solver)
-    return run.positions
+    solver: ContactSolver = "condensed" if scene.obstacles else "passes"
+    timing = Timing(frames=frames, fps=fps, steps_per_frame=steps_per_frame, contact_solver=solver)
+    return simulate(scene, timing).positions

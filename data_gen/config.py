@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from physconvex.fem import ContactSolver
+from physconvex.dynamics import ContactSolver
 from physconvex.io import FrozenConfig, read_tree, set_value, validated
 
 __all__ = [

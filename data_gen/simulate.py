@@ -12,8 +12,8 @@ from data_gen.config import GeneratorConfig, SolverConfig
 from data_gen.landing import refine_at_landing
 from data_gen.scene import Drop
 from physconvex import ConvergenceError, InputError
-from physconvex.dynamics import Plane, SolveStatistics
-from physconvex.fem import ElasticBody, Scene, SurfacePoints, Trajectory, simulate, skinning_eigenmodes
+from physconvex.dynamics import Plane, SolveStatistics, Timing, simulate
+from physconvex.fem import ElasticBody, Scene, SurfacePoints, Trajectory, skinning_eigenmodes
 from physconvex.mesh import Embedding, TetMesh, sample_interior, tetrahedralize, tetrahedralize_implicit
 
 __all__ = ["Samples", "SimulatedDrop", "make_mesh", "simulate_drop"]
@@ -108,8 +108,7 @@ def simulate_drop(
         initial_velocity=drop.initial_velocity,
         initial_angular_velocity=drop.initial_angular_velocity,
     )
-    trajectory = simulate(
-        scene,
+    timing = Timing(
         frames=video.frames,
         fps=video.fps,
         steps_per_frame=solver.steps_per_frame,
@@ -118,6 +117,7 @@ def simulate_drop(
         friction_passes=solver.friction_passes,
         tolerance=solver.tolerance,
     )
+    trajectory = simulate(scene, timing)
     surface = Embedding.of_points(mesh, shown).apply(trajectory.positions)
     return SimulatedDrop(mesh, trajectory, surface, _samples(body, trajectory, config, rng))
 

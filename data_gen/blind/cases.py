@@ -12,9 +12,9 @@ import trimesh
 from jaxtyping import Float
 
 from physconvex import ConvergenceError
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Pins, Scene, simulate
-from physconvex.gap import DEFAULT_EFFECTS, Effect, PointMotion, Situation, by_steps
+from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.fem import ElasticBody, Pins, Scene
+from physconvex.gap import DEFAULT_EFFECTS, Effect, PointMotion, Situation
 from physconvex.io import Boundary, Capture, Floor, Tracks
 from physconvex.mesh import Embedding, TetMesh, tetrahedralize
 
@@ -222,8 +222,8 @@ def simulate_case(case: Case, *, nodes: int = 450, rate: float = 500.0) -> tuple
             scene = effect.scene(scene, np.array(hidden.doses))
         if effect.ahead is not None:
             ahead = max(ahead, effect.ahead(end, np.array(hidden.doses)))
-    timing = {"frames": case.frames, "fps": case.fps, "steps_per_frame": every}
-    run = simulate(scene, **by_steps(timing, ahead))
+    timing = Timing(frames=case.frames, fps=case.fps, steps_per_frame=every)
+    run = simulate(scene, timing.every_step(ahead))
     rng = np.random.default_rng([case.seed, 1])
     points, _ = trimesh.sample.sample_surface_even(case.surface, 40, seed=int(rng.integers(2**31)))
     if len(points) < 10:

@@ -9,10 +9,10 @@ import numpy as np
 from inference.refinement.options import RefineOptions
 from inference.refinement.result import RefinedMotion
 from inference.refinement.stages import Stages
+from physconvex.dynamics import simulate
 from physconvex.identify import Fit, FullModel, Twin, enriched, extrapolated_nodes
 from physconvex.io import Capture
 from physconvex.mesh import Embedding, TetMesh
-from physconvex.reduced import simulate
 
 __all__ = ["future_rms", "motion_of"]
 
@@ -41,7 +41,7 @@ def motion_of(
     fitted, nodes = twin.with_values(found.names, found.values), twin.mesh.vertices
 
     def compute() -> dict[str, np.ndarray]:
-        run = simulate(fitted.scene, **twin.timing())
+        run = simulate(fitted.scene, twin.timing())
         if not options.correction:
             return {
                 "nodes": run.positions(nodes),
@@ -53,7 +53,7 @@ def motion_of(
         moved = extrapolated_nodes(coarse, replace(coarse, mesh=mesh), found.values)
         carried = Embedding.of_points(body, nodes).apply(moved)
         better = enriched(fitted, carried)
-        again = simulate(better.scene, **twin.timing())
+        again = simulate(better.scene, twin.timing())
         gap = np.array([_rms(r.positions(nodes) - carried) for r in (run, again)])
         nearer, moving = (better, again) if gap[1] < gap[0] else (fitted, run)
         return {"nodes": moved, "handles": moving.handles(), "weights": _weights(nearer), "gap": gap}

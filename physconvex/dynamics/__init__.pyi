@@ -7,17 +7,27 @@ from .integrators import (
     State as State,
     StepCoefficients as StepCoefficients,
     bdf2 as bdf2,
-    check_stepping as check_stepping,
     extrapolate as extrapolate,
     frame_states as frame_states,
     implicit_euler as implicit_euler,
     minimise as minimise,
 )
 from .obstacle_table import obstacle_rows as obstacle_rows
+from .sensitivity import (
+    SensitiveTrajectory as SensitiveTrajectory,
+    simulate_with_sensitivities as simulate_with_sensitivities,
+)
+from .simulation import (
+    FrameStates as FrameStates,
+    Prepared as Prepared,
+    simulate as simulate,
+)
 from .stepping import (
+    Observer as Observer,
     SolvedPass as SolvedPass,
     SolveStatistics as SolveStatistics,
     Stepper as Stepper,
     StepRecord as StepRecord,
 )
+from .timing import ContactSolver as ContactSolver, Timing as Timing
 from .wind import Wind as Wind

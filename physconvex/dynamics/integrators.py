@@ -16,7 +16,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from physconvex.errors import ConvergenceError, InputError
+from physconvex.errors import ConvergenceError
 from physconvex.numerics import NotPositiveDefiniteError
 
 __all__ = [
@@ -26,7 +26,6 @@ __all__ = [
     "State",
     "StepCoefficients",
     "bdf2",
-    "check_stepping",
     "extrapolate",
     "frame_states",
     "implicit_euler",
@@ -255,22 +254,3 @@ def extrapolate(state: State, history: State | None, step: float) -> np.ndarray:
     """First guess of the new coordinates [m], linear in the states."""
     guess = state.positions + step * state.velocities
     return guess if history is None else guess + 0.5 * step * (state.velocities - history.velocities)
-
-
-def check_stepping(
-    frames: int,
-    fps: float,
-    steps_per_frame: int,
-    integrator: IntegratorName,
-    friction_passes: int,
-    energy_tolerance: float | None = None,
-) -> None:
-    """Raise InputError for options of a roll-out that are out of range."""
-    if frames < 1 or steps_per_frame < 1 or not (np.isfinite(fps) and fps > 0):
-        raise InputError(f"frames, steps_per_frame, fps: got {frames}, {steps_per_frame}, {fps}; expected > 0")
-    if friction_passes < 1:
-        raise InputError(f"friction_passes: got {friction_passes}; expected at least 1")
-    if energy_tolerance is not None and not energy_tolerance > 0:
-        raise InputError(f"energy_tolerance: got {energy_tolerance}; expected a positive share, or None")
-    if integrator not in ("bdf2", "implicit_euler"):
-        raise InputError(f"integrator: got {integrator!r}; expected 'bdf2' or 'implicit_euler'")

@@ -6,7 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from torch import Tensor
@@ -26,7 +26,7 @@ from physconvex.dynamics.integrators import (
 )
 from physconvex.errors import ConvergenceError
 
-__all__ = ["MAX_HALVINGS", "SolveStatistics", "SolvedPass", "StepObjective", "StepRecord", "Stepper"]
+__all__ = ["MAX_HALVINGS", "Observer", "SolveStatistics", "SolvedPass", "StepObjective", "StepRecord", "Stepper"]
 
 MAX_HALVINGS = 8
 _REMEMBERED = 64  # states: steps may grow so many times at once
@@ -111,6 +111,12 @@ class StepObjective(Objective, Protocol):
     def commit(self, x: np.ndarray) -> None:
         """Store what has flowed by the end of a step at x."""
 
+    def flowed(self) -> tuple[np.ndarray | None, ...]:
+        """F_f of each body's samples by now; None for one that does not flow, or whose flow is not asked for."""
+
+
+Observer = Callable[[Any, StepRecord], None]  # told the equations and the record of every converged step
+
 
 def _between(first: State, second: State, time: float) -> State:
     """The state at a time [s] between two states."""
@@ -150,7 +156,7 @@ class Stepper(Generic[Equations]):
         friction_passes: int,
         *,
         stale_rate: float,
-        observer: Callable[[Equations, StepRecord], None] | None = None,
+        observer: Observer | None = None,
         solve: Callable[[np.ndarray], Minimum] | None = None,
         energy: Callable[[State], float] | None = None,
         energy_tolerance: float = math.inf,

@@ -10,21 +10,14 @@ from .modes import (
     tangent_stiffness as tangent_stiffness,
     vibration_modes as vibration_modes,
 )
+from .nodal_equations import NodalEquations as NodalEquations
 from .scene import (
     CONTACT_STIFFNESS_RATIO as CONTACT_STIFFNESS_RATIO,
     Pins as Pins,
     Scene as Scene,
     contact_defaults as contact_defaults,
 )
-from .sensitivity import (
-    SensitiveTrajectory as SensitiveTrajectory,
-    simulate_with_sensitivities as simulate_with_sensitivities,
-)
-from .simulation import (
-    ContactSolver as ContactSolver,
-    Trajectory as Trajectory,
-    simulate as simulate,
-    solve_static as solve_static,
-)
-from .step_equations import StepEquations as StepEquations
+from .sensitivity import SceneFamily as SceneFamily
+from .simulation import solve_static as solve_static
 from .surface_loads import surface_load as surface_load
+from .trajectory import Trajectory as Trajectory

@@ -23,7 +23,7 @@ from physconvex.fem.carried_contact import CarriedContact
 from physconvex.fem.compiled_contact import carry
 from physconvex.fem.dense_contact import DenseContact
 from physconvex.fem.kept_factor import KeptFactor
-from physconvex.fem.step_equations import StepEquations
+from physconvex.fem.nodal_equations import NodalEquations
 
 __all__ = ["CondensedContact"]
 
@@ -44,7 +44,7 @@ class CondensedContact:
         tolerance: Newton's last step [m].
     """
 
-    def __init__(self, equations: StepEquations, tolerance: float) -> None:
+    def __init__(self, equations: NodalEquations, tolerance: float) -> None:
         self.equations, self.tolerance = equations, tolerance
         equations.freezes_friction = False
         contact = equations.contact

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from physconvex.dynamics import State
+from physconvex.dynamics import State, Timing
 from physconvex.fem.carried_contact import CarriedContact
 from physconvex.fem.scene import Scene
 
@@ -23,18 +23,18 @@ class Flight:
 
     Args:
         scene: what is rolled out.
-        duration: of a frame [s].
-        usual: steps per frame.
-        in_flight: the same where the body flies; in the first frame, which starts the integrator, the usual ones.
+        timing: its `flight_steps_per_frame` hold where the body flies; in the first frame, which starts the integrator,
+            the usual ones.
     """
 
-    def __init__(self, scene: Scene, duration: float, usual: int, in_flight: int) -> None:
-        self.scene, self.duration, self.usual, self.in_flight = scene, duration, usual, in_flight
+    def __init__(self, scene: Scene, timing: Timing) -> None:
+        self.scene, self.duration, self.usual = scene, 1 / timing.fps, timing.steps_per_frame
+        self.in_flight = timing.flight_steps_per_frame or timing.steps_per_frame
         contact = scene.contact()
         self._matrix = contact.carried.matrix if isinstance(contact, CarriedContact) else None
         law = contact.law if isinstance(contact, CarriedContact) else contact
         self._nodes = law.nodes
-        self._flying = in_flight != usual and scene.pins is None and scene.loads is None
+        self._flying = self.in_flight != self.usual and scene.pins is None and scene.loads is None
 
     def steps(self, state: State) -> int:
         """Steps of the frame that begins with a state."""

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from physconvex.fem.compiled_contact import turned_blocks
-from physconvex.fem.step_equations import StepEquations
+from physconvex.fem.nodal_equations import NodalEquations
 from physconvex.numerics import NotPositiveDefiniteError, best_rotation
 
 __all__ = ["KeptFactor"]
@@ -29,7 +29,7 @@ class KeptFactor:
         equations: of the time steps.
     """
 
-    def __init__(self, equations: StepEquations) -> None:
+    def __init__(self, equations: NodalEquations) -> None:
         self.equations = equations
         free = equations.assembler.free
         self._place_of = np.where(free, np.cumsum(free) - 1, -1)  # of each node among the free ones

@@ -9,11 +9,12 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float, Int
 
-from physconvex.dynamics import Contact, Obstacle, Wind
+from physconvex.dynamics import Contact, FrameStates, Obstacle, Prepared, Timing, Wind
 from physconvex.errors import InputError
 from physconvex.fem.body import ElasticBody
 from physconvex.fem.carried_contact import CarriedContact, SurfacePoints
 from physconvex.fem.hanging_load import HangingLoad
+from physconvex.fem.trajectory import Trajectory
 from physconvex.mesh import Embedding, TetMesh
 
 __all__ = ["Loads", "Pins", "Scene", "contact_defaults"]
@@ -147,6 +148,16 @@ class Scene:
                 "Take them from the mesh of this body"
             )
         pins.positions(0.0, self.start)
+
+    def prepared(self, timing: Timing) -> Prepared:
+        """Made ready for `physconvex.dynamics.simulate`."""
+        from physconvex.fem.simulation import prepared  # late: the equations of a scene know the scene
+
+        return prepared(self, timing)
+
+    def trajectory(self, frames: FrameStates) -> Trajectory:
+        """The roll-out."""
+        return Trajectory(frames.times, frames.positions, frames.velocities, frames.statistics)
 
     @property
     def start(self) -> Float[np.ndarray, "V 3"]:

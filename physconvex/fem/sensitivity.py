@@ -15,19 +15,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import State, StepRecord, bdf2, extrapolate, implicit_euler
+from physconvex.dynamics import State, StepRecord, Timing, bdf2, extrapolate, implicit_euler
 from physconvex.errors import ConvergenceError, InputError
+from physconvex.fem.nodal_equations import NodalEquations
 from physconvex.fem.scene import Scene
-from physconvex.fem.simulation import Trajectory, simulate
-from physconvex.fem.step_equations import StepEquations
-from physconvex.numerics import NotPositiveDefiniteError, one_torch_thread
+from physconvex.numerics import NotPositiveDefiniteError
 
-__all__ = ["SensitiveTrajectory", "simulate_with_sensitivities"]
+__all__ = ["SceneFamily"]
 
 _TOLERANCE = 1e-3  # of the largest component of a tangent
 _FLOOR = 2e-10  # of the body's size: a change of positions over the whole difference that is as good as none
@@ -36,19 +35,11 @@ _LOOSE = 1.0  # relative change after the last of them that is still taken
 _SLOW = 0.4  # contraction above which the matrix is factorised anew
 
 
-@dataclass(frozen=True)
-class SensitiveTrajectory:
-    """A roll-out and the derivatives of its positions by K parameters at the frames, shape [T, K, V, 3]."""
-
-    trajectory: Trajectory
-    position_tangents: Float[np.ndarray, "T K V 3"]
-
-
 @dataclass(eq=False)
 class _Side:
     """The equations with one parameter changed by `change`, and the states that go with it during a step."""
 
-    equations: StepEquations
+    equations: NodalEquations
     scene: Scene
     change: float
 
@@ -137,7 +128,7 @@ def _tangent(
         moved = values.copy()
         moved[place] += change
         scene = scene_of(moved)
-        sides.append(_Side(StepEquations(scene), scene, change))
+        sides.append(_Side(NodalEquations(scene), scene, change))
     ahead, behind = sides
     span = high - low
     start = (ahead.scene.start - behind.scene.start) / span
@@ -151,7 +142,7 @@ class _Tangents:
     def __init__(self, tangents: list[_Tangent]) -> None:
         self.tangents = tangents
 
-    def observe(self, equations: StepEquations, record: StepRecord) -> None:
+    def observe(self, equations: NodalEquations, record: StepRecord) -> None:
         found = [tangent.set_step(record) for tangent in self.tangents]
         for number, solved in enumerate(record.passes):
             if number:
@@ -162,7 +153,7 @@ class _Tangents:
         for tangent, x in zip(self.tangents, found, strict=True):
             tangent.advance(record, x)
 
-    def _solved(self, equations: StepEquations, x: np.ndarray, guess: list[np.ndarray]) -> list[np.ndarray]:
+    def _solved(self, equations: NodalEquations, x: np.ndarray, guess: list[np.ndarray]) -> list[np.ndarray]:
         """The tangents at the solution x of one pass.
 
         Raises:
@@ -186,11 +177,18 @@ class _Tangents:
             raise ConvergenceError(f"derivatives of a time step did not settle: their last change was {last:.1g}")
         return found
 
-    def positions(self) -> np.ndarray:
-        return np.stack([tangent.state.positions for tangent in self.tangents])
+    @property
+    def state(self) -> State:
+        """Of all parameters, [K, V, 3]."""
+        states = [tangent.state for tangent in self.tangents]
+        return State(
+            states[0].time if states else 0.0,
+            np.stack([state.positions for state in states]),
+            np.stack([state.velocities for state in states]),
+        )
 
 
-def _renewed(equations: StepEquations, x: np.ndarray) -> bool:
+def _renewed(equations: NodalEquations, x: np.ndarray) -> bool:
     try:
         equations.factorise(x, project=False)
     except NotPositiveDefiniteError:
@@ -198,43 +196,54 @@ def _renewed(equations: StepEquations, x: np.ndarray) -> bool:
     return True
 
 
-@one_torch_thread()
-def simulate_with_sensitivities(
-    scene_of: Callable[[Float[np.ndarray, " K"]], Scene],
-    values: Sequence[float] | Float[np.ndarray, " K"],
-    *,
-    steps: Sequence[float] | Float[np.ndarray, " K"],
-    lower: Sequence[float] | Float[np.ndarray, " K"] | None = None,
-    upper: Sequence[float] | Float[np.ndarray, " K"] | None = None,
-    **options: Any,
-) -> SensitiveTrajectory:
-    """Roll a scene out and differentiate its positions by the parameters it is built from.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SceneFamily:
+    """Scenes of finite elements that differ by parameters.
 
-    Args:
+    Attributes:
         scene_of: from K parameter values to the scene; mesh and pinned nodes must not depend on them.
-        values: of the parameters.
+        values: of the parameters, shape [K].
         steps: half widths of the central differences: about 1e-4 of a typical change of each.
         lower, upper: the differences stay within these bounds, on one side alone where need be.
-        options: of `simulate`; contact by passes, and steps of one length.
+        names: of the parameters; numbers unless given.
 
     Raises:
-        InputError: steps that are not positive, a body that flows, or an option that derivatives do not follow.
-        ConvergenceError: as in `simulate`, or the derivatives of a step did not settle.
+        InputError: steps that are not positive.
     """
-    at, widths = np.asarray(values, dtype=np.float64), np.asarray(steps, dtype=np.float64)
-    if at.shape != widths.shape or not (widths > 0).all():
-        raise InputError(f"steps: got {widths.tolist()} for {len(at)} values; expected one positive width for each")
-    if options.get("contact_solver", "passes") != "passes" or options.get("flight_steps_per_frame") is not None:
-        raise InputError(
-            "simulate_with_sensitivities: got contact_solver or flight_steps_per_frame; expected contact by passes and "
-            "steps of one length, which the derivatives follow. Leave both options out"
-        )
-    scene = scene_of(at)
-    if scene.body.flow is not None or scene.hanging is not None:
-        raise InputError("simulate_with_sensitivities: the body flows or carries a hanging load; expected neither")
-    low = -widths if lower is None else np.maximum(-widths, np.asarray(lower) - at)
-    high = widths if upper is None else np.minimum(widths, np.asarray(upper) - at)
-    carried = _Tangents([_tangent(scene_of, at, k, float(low[k]), float(high[k])) for k in range(len(at))])
-    frames = [carried.positions()]
-    run = simulate(scene, observer=carried.observe, on_frame=lambda _: frames.append(carried.positions()), **options)
-    return SensitiveTrajectory(run, np.stack(frames))
+
+    scene_of: Callable[[Float[np.ndarray, " K"]], Scene]
+    values: Float[np.ndarray, " K"]
+    steps: Sequence[float] | Float[np.ndarray, " K"]
+    lower: Sequence[float] | Float[np.ndarray, " K"] | None = None
+    upper: Sequence[float] | Float[np.ndarray, " K"] | None = None
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        at, widths = np.asarray(self.values, dtype=np.float64), np.asarray(self.steps, dtype=np.float64)
+        if at.shape != widths.shape or not (widths > 0).all():
+            raise InputError(f"steps: got {widths.tolist()} for {len(at)} values; expected one positive width for each")
+        object.__setattr__(self, "values", at)
+        object.__setattr__(self, "names", self.names or tuple(str(number) for number in range(len(at))))
+
+    @cached_property
+    def scene(self) -> Scene:
+        """At the values."""
+        return self.scene_of(self.values)
+
+    def tangents(self, timing: Timing) -> _Tangents:
+        """Derivatives at the start of a roll-out.
+
+        Raises:
+            InputError: a body that flows, or a timing that derivatives do not follow.
+        """
+        if timing.contact_solver != "passes" or timing.flight_steps_per_frame is not None:
+            raise InputError(
+                "simulate_with_sensitivities: got contact_solver or flight_steps_per_frame; expected contact by passes "
+                "and steps of one length, which the derivatives follow. Leave both options out"
+            )
+        if self.scene.body.flow is not None or self.scene.hanging is not None:
+            raise InputError("simulate_with_sensitivities: the body flows or carries a hanging load; expected neither")
+        at, widths = self.values, np.asarray(self.steps, dtype=np.float64)
+        low = -widths if self.lower is None else np.maximum(-widths, np.asarray(self.lower) - at)
+        high = widths if self.upper is None else np.minimum(widths, np.asarray(self.upper) - at)
+        return _Tangents([_tangent(self.scene_of, at, k, float(low[k]), float(high[k])) for k in range(len(at))])

@@ -1,133 +1,43 @@
-"""Roll-out of a scene in time, and its static equilibrium."""
+"""A scene of finite elements made ready for its roll-out, and its static equilibrium."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import (
-    Guide,
-    IntegratorName,
-    SolveStatistics,
-    State,
-    Stepper,
-    StepRecord,
-    check_stepping,
-    frame_states,
-    minimise,
-)
+from physconvex.dynamics import Prepared, State, Timing, minimise
 from physconvex.errors import InputError
 from physconvex.fem.condensed_contact import CondensedContact
 from physconvex.fem.flight_steps import Flight
+from physconvex.fem.nodal_equations import NodalEquations
 from physconvex.fem.scene import Scene
-from physconvex.fem.step_equations import StepEquations
 from physconvex.numerics import one_torch_thread
 
-__all__ = ["ContactSolver", "Trajectory", "simulate", "solve_static"]
-
-ContactSolver = Literal["passes", "condensed"]
+__all__ = ["prepared", "solve_static"]
 
 _STALE_RATE = 0.25
+_TOLERANCE = 1e-7  # of Newton's last step, over the size
 
 
-@dataclass(frozen=True)
-class Trajectory:
-    """States at the frames: times [T] s, positions [T, V, 3] m, velocities [T, V, 3] m/s, cost, and a guide."""
-
-    times: Float[np.ndarray, " T"]
-    positions: Float[np.ndarray, "T V 3"]
-    velocities: Float[np.ndarray, "T V 3"]
-    statistics: SolveStatistics
-    guide: Guide | None = None
-
-
-Observer = Callable[[StepEquations, StepRecord], None]
-
-
-@one_torch_thread()
-def simulate(
-    scene: Scene,
-    *,
-    frames: int = 24,
-    fps: float = 24.0,
-    steps_per_frame: int = 16,
-    integrator: IntegratorName = "bdf2",
-    tolerance: float = 1e-7,
-    friction_passes: int = 12,
-    contact_solver: ContactSolver = "passes",
-    flight_steps_per_frame: int | None = None,
-    guide: Guide | None = None,
-    keep_guide: bool = False,
-    observer: Observer | None = None,
-    on_frame: Callable[[State], None] | None = None,
-) -> Trajectory:
-    """Roll a scene out in time.
-
-    Args:
-        scene: body, forces, initial state.
-        frames: number of states to return, the first at t = 0.
-        fps: frames per second [1/s].
-        steps_per_frame: time steps between frames.
-        integrator: "bdf2" (second order, first step implicit Euler) or "implicit_euler".
-        tolerance: Newton's last step, relative to the body's size.
-        friction_passes: how often friction is linearised and solved in each step at most; fewer are made where the
-            velocities no longer change by more than the scene's `slip_velocity`. One is explicit in the friction
-            weights.
-        contact_solver: "passes" minimises with friction frozen, again and again; "condensed" solves for contact and
-            friction together on the points that touch (`physconvex.fem.condensed_contact`): nothing is frozen, and
-            factors last longer. Where passes converge, both give the same.
-        flight_steps_per_frame: time steps in frames after the first in which the body, which has touched no obstacle
-            yet, will not come near one; `steps_per_frame` unless given.
-        guide: of a roll-out (`Trajectory.guide`) on the same mesh, with the same steps and nearly the same parameters:
-            Newton's method then takes fewer steps to the same tolerance.
-        keep_guide: whether to return one; it holds the positions of all steps.
-        observer: told each converged step and its equations.
-        on_frame: told the state at each frame after the first.
-
-    Raises:
-        InputError: an argument out of range.
-        ConvergenceError: a step failed even after eight halvings.
-    """
-    check_stepping(frames, fps, steps_per_frame, integrator, friction_passes)
-    _check_contact_solver(scene, contact_solver)
-    length = tolerance * scene.body.mesh.size
-    equations = StepEquations(scene)
-    condensed = CondensedContact(equations, length) if contact_solver == "condensed" else None
-    noted = Guide() if keep_guide else None
-    stepper = Stepper(
+def prepared(scene: Scene, timing: Timing) -> Prepared:
+    """A scene made ready for its roll-out, as `physconvex.dynamics.simulate` asks for it."""
+    _check(scene, timing)
+    length = (timing.tolerance or _TOLERANCE) * scene.body.mesh.size
+    equations = NodalEquations(scene)
+    condensed = CondensedContact(equations, length) if timing.contact_solver == "condensed" else None
+    return Prepared(
         equations,
-        integrator,
+        State(0.0, scene.start.copy(), scene.start_velocities()),
         length,
-        friction_passes,
-        stale_rate=_STALE_RATE,
-        observer=observer,
+        _STALE_RATE,
+        Flight(scene, timing).steps,
         solve=None if condensed is None else condensed.solve,
-        guide=guide,
-        noted=noted,
-    )
-    start = State(0.0, scene.start.copy(), scene.start_velocities())
-    states = []
-    flight = Flight(scene, 1 / fps, steps_per_frame, flight_steps_per_frame or steps_per_frame)
-    for state in frame_states(stepper.advance, start, frames=frames, fps=fps, steps_per_frame=flight.steps):
-        states.append(state)
-        if on_frame is not None and state is not start:
-            on_frame(state)
-    return Trajectory(
-        times=np.array([s.time for s in states]),
-        positions=np.stack([s.positions for s in states]),
-        velocities=np.stack([s.velocities for s in states]),
-        statistics=stepper.statistics(),
-        guide=noted,
     )
 
 
-def _check_contact_solver(scene: Scene, name: str) -> None:
-    if name not in get_args(ContactSolver):
-        raise InputError(f"contact_solver: got {name!r}; expected one of {', '.join(get_args(ContactSolver))}")
+def _check(scene: Scene, timing: Timing) -> None:
+    if timing.energy_tolerance is not None:
+        raise InputError("energy_tolerance: got one for finite elements, whose energies are not watched; leave it out")
     lagged = scene.body.flow is not None and scene.body.flow.lagged
     only_by_passes = {
         "contact_damping": scene.contact_damping > 0,
@@ -135,7 +45,7 @@ def _check_contact_solver(scene: Scene, name: str) -> None:
         "a hanging load": scene.hanging is not None,
     }
     found = [what for what, there in only_by_passes.items() if there]
-    if name == "condensed" and found:
+    if timing.contact_solver == "condensed" and found:
         raise InputError(f"contact_solver: got 'condensed' with {' and '.join(found)}; expected 'passes' there")
 
 
@@ -153,7 +63,7 @@ def solve_static(scene: Scene, *, tolerance: float = 1e-9, load_steps: int = 1) 
     """
     if load_steps < 1:
         raise InputError(f"load_steps: got {load_steps}; expected at least 1")
-    equations = StepEquations(scene)
+    equations = NodalEquations(scene)
     x = scene.start.copy()
     if scene.pins is not None:
         x[scene.pins.nodes] = scene.pins.positions(0.0, scene.start)

@@ -17,7 +17,7 @@ from .effects.effect import (
     Situation as Situation,
     Source as Source,
 )
-from .effects.motion import MotionCorrection as MotionCorrection, PointMotion as PointMotion, by_steps as by_steps
+from .effects.motion import MotionCorrection as MotionCorrection, PointMotion as PointMotion
 from .effects.world import rotation_vector_matrix as rotation_vector_matrix
 from .errors.numerics import (
     correction_of as correction_of,

@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
+from physconvex.dynamics import ContactSolver, IntegratorName, Timing, simulate, simulate_with_sensitivities
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import ContactSolver, Scene, SurfacePoints, simulate_with_sensitivities as full_with_sensitivities
+from physconvex.fem import Scene, SceneFamily, SurfacePoints
 from physconvex.identify.parameters import default_parameter, lower_bounds, step_scales, upper_bounds
 from physconvex.identify.roll_outs import RollOut, RollOuts
 from physconvex.identify.twin import Twin
 from physconvex.mesh import Embedding, TetMesh
-from physconvex.reduced import simulate, simulate_with_sensitivities
+from physconvex.reduced import NamedParameters
 
 __all__ = ["FullModel", "LinearModel", "Model", "ReducedModel", "roll_out_together"]
 
@@ -52,25 +53,26 @@ class ReducedModel:
         names: the parameters.
         points: rest positions of the points [m], shape [P, 3].
         frames: number of frames T, the first at t = 0.
-        options: further arguments of `physconvex.reduced.simulate`.
+        integrator: of the time steps.
     """
 
     twin: Twin
     names: tuple[str, ...]
     points: Float[np.ndarray, "P 3"]
     frames: int
-    options: tuple[tuple[str, Any], ...] = ()
+    integrator: IntegratorName = "bdf2"
 
     @cached_property
     def _shapes(self) -> np.ndarray:
         return self.twin.scene.body.space.shape_values(self.points)
 
-    def _arguments(self) -> dict[str, Any]:
-        return self.twin.timing(self.frames) | dict(self.options)
+    @property
+    def _timing(self) -> Timing:
+        return replace(self.twin.timing(self.frames), integrator=self.integrator)
 
     def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
         """Positions of the points at the frames [m]."""
-        run = simulate(self.twin.with_values(self.names, values).scene, **self._arguments())
+        run = simulate(self.twin.with_values(self.names, values).scene, self._timing)
         return self._shapes @ run.coordinates
 
     def linearise(
@@ -78,7 +80,7 @@ class ReducedModel:
     ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
         """Positions and their derivatives, by the implicit function theorem (`simulate_with_sensitivities`)."""
         scene = self.twin.with_values(self.names, values).scene
-        run = simulate_with_sensitivities(scene, self.names, **self._arguments())
+        run = simulate_with_sensitivities(NamedParameters(scene, self.names), self._timing)
         return self._shapes @ run.trajectory.coordinates, self._shapes @ run.coordinate_tangents
 
 
@@ -138,12 +140,12 @@ class FullModel:
 
     def roll_out(self, values: Float[np.ndarray, " K"]) -> RollOut:
         """What is to be simulated."""
-        return RollOut(self.scene(values), self._timing(), self._solver)
+        return RollOut(self.scene(values), replace(self._timing(), contact_solver=self._solver))
 
-    def _timing(self) -> dict[str, Any]:
+    def _timing(self) -> Timing:
         timing = self.twin.timing(self.frames)
-        timing["steps_per_frame"] *= self.refinement
-        return timing | {"tolerance": _TOLERANCE} if self.differenced else timing
+        steps, tolerance = timing.steps_per_frame * self.refinement, _TOLERANCE if self.differenced else None
+        return replace(timing, steps_per_frame=steps, tolerance=tolerance)
 
     def key(self, values: Float[np.ndarray, " K"]) -> Hashable:
         """By which the memory knows a roll-out."""
@@ -181,11 +183,17 @@ class FullModel:
 
     def _sensitivities(self, values: np.ndarray) -> np.ndarray:
         steps, lower, upper = self._usual()
-        found = full_with_sensitivities(
-            self.scene, values, steps=_DIFFERENCE * steps, lower=lower, upper=upper, **self._timing()
+        family = SceneFamily(
+            scene_of=self.scene,
+            values=values,
+            steps=_DIFFERENCE * steps,
+            lower=lower,
+            upper=upper,
+            names=self.names,
         )
+        found = simulate_with_sensitivities(family, self._timing())
         self.memory.keep(self.key(values), found.trajectory.positions)
-        return found.position_tangents
+        return found.coordinate_tangents
 
     def beside(self, values: Float[np.ndarray, " K"]) -> list[Float[np.ndarray, " K"]]:
         """Values of the roll-outs whose differences are the derivatives: upwards, unless a bound is in the way."""

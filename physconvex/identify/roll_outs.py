@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import Guide
+from physconvex.dynamics import Guide, Timing, simulate
 from physconvex.errors import ConvergenceError
-from physconvex.fem import ContactSolver, Scene, simulate as simulate_full
+from physconvex.fem import Scene
 from physconvex.io import Workers
 
 __all__ = ["RollOut", "RollOuts"]
@@ -22,17 +22,16 @@ _LIGHT = 1e4  # nodes times time steps: less work than to start a process
 
 @dataclass(frozen=True, eq=False)
 class RollOut:
-    """One that is asked for: the scene, arguments of `physconvex.fem.simulate`, how contact is solved for, a guide."""
+    """One that is asked for: the scene, its timing, and a guide."""
 
     scene: Scene
-    timing: Mapping[str, Any]
-    solver: ContactSolver
+    timing: Timing
     guide: Guide | None = None
 
     @property
     def work(self) -> int:
         """Nodes times time steps."""
-        return len(self.scene.body.mesh.vertices) * self.timing["frames"] * self.timing["steps_per_frame"]
+        return len(self.scene.body.mesh.vertices) * self.timing.frames * self.timing.steps_per_frame
 
 
 _Made = tuple[np.ndarray, Guide | None] | ConvergenceError
@@ -40,11 +39,12 @@ _Made = tuple[np.ndarray, Guide | None] | ConvergenceError
 
 def _rolled_out(job: RollOut) -> _Made:
     """Positions of the nodes at the frames [m], shape [T, V, 3], and a guide, or why there are none."""
+    noted = Guide()
     try:
-        run = simulate_full(job.scene, **job.timing, contact_solver=job.solver, guide=job.guide, keep_guide=True)
+        run = simulate(job.scene, job.timing, guide=job.guide, noted=noted)
     except ConvergenceError as error:
         return error
-    return run.positions, run.guide
+    return run.positions, noted
 
 
 class RollOuts:

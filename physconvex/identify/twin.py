@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from physconvex.dynamics import Plane
+from physconvex.dynamics import Plane, Timing
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import ElasticBody, Scene
 from physconvex.identify.clamping import Clamp, clamp_of
@@ -103,10 +103,10 @@ class Twin:
         """The same twin with parameters set."""
         return replace(self, scene=with_parameters(self.scene, names, values))
 
-    def timing(self, frames: int | None = None) -> dict[str, Any]:
-        """Arguments of the roll-outs: number of frames, rate, steps per frame."""
+    def timing(self, frames: int | None = None) -> Timing:
+        """Of the roll-outs; all of the capture's frames unless given."""
         count = self.capture.frames if frames is None else frames
-        return {"frames": count, "fps": self.fps, "steps_per_frame": self.steps_per_frame}
+        return Timing(frames=count, fps=self.fps, steps_per_frame=self.steps_per_frame)
 
     def full_scene(self, mesh: TetMesh | None = None) -> Scene:
         """The same body and world for the full-order model.

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, Int
 
 from physconvex.convex import ConvexField, advect, affine_map, union_volume
-from physconvex.dynamics import Plane, Wind
+from physconvex.dynamics import Plane, State, Timing, Wind, simulate
 from physconvex.fem import ElasticBody
 from physconvex.materials import (
     FlowRule,
@@ -28,18 +28,16 @@ from physconvex.play.config import BodyMaterialConfig, FloorConfig, PlayConfig
 from physconvex.play.surface import RestSurface
 from physconvex.reduced import (
     BodySamples,
+    ReducedBodies,
     ReducedBody,
     ReducedScene,
     ReducedSpace,
     ReducedTrajectory,
-    ReducedWorld,
     Shell,
     WeightField,
     eigenmode_weights,
     elastic_weights,
     even_loads,
-    simulate,
-    simulate_world,
     train_neural_weights,
     with_elastic_weights,
 )
@@ -100,14 +98,14 @@ def play(
     surface: RestSurface | Asset,
     config: PlayConfig | None = None,
     *,
-    on_frame: Callable[[int], None] | None = None,
+    on_frame: Callable[[State], None] | None = None,
 ) -> PlayedObject:
     """Simulate a surface, or a convex field, as a solid reduced body.
 
     Args:
         surface: closed surface as it comes from a file, or any asset; `config.object` sizes and places it.
         config: everything else; the defaults drop an elastic body.
-        on_frame: called with the number of every finished frame.
+        on_frame: called with the state at every finished frame.
 
     Raises:
         InputError: the surface has no inside, or too many modes for its mesh.
@@ -120,14 +118,14 @@ def play_together(
     assets: Sequence[RestSurface | Asset],
     configs: Sequence[PlayConfig],
     *,
-    on_frame: Callable[[int], None] | None = None,
+    on_frame: Callable[[State], None] | None = None,
 ) -> PlayedObject:
     """Simulate several objects in one scene; each falls from its `drop_height` over the one before it.
 
     Args:
         assets: surfaces, or assets.
         configs: one per asset; floor, forces, friction between objects and time are those of the first.
-        on_frame: called with the number of every finished frame.
+        on_frame: called with the state at every finished frame.
 
     Raises:
         InputError, ConvergenceError: as `play`.
@@ -138,13 +136,13 @@ def play_together(
         asset = Asset(asset) if isinstance(asset, RestSurface) else asset
         prepared.append(_prepare(asset, shared, ground, alone=len(assets) == 1))
         ground = float(prepared[-1].surface.vertices[:, 2].max())
-    options = first.time.model_dump()
+    timing = Timing(**first.time.model_dump())
     scenes = tuple(one.scene for one in prepared)
     if len(prepared) == 1:
-        runs: tuple[ReducedTrajectory, ...] = (simulate(scenes[0], on_frame=on_frame, **options),)
+        runs: tuple[ReducedTrajectory, ...] = (simulate(scenes[0], timing, on_frame=on_frame),)
     else:
-        world = ReducedWorld(scenes, friction=first.contact.friction)
-        runs = simulate_world(world, on_frame=on_frame, **options).bodies
+        bodies = ReducedBodies(scenes, friction=first.contact.friction)
+        runs = simulate(bodies, timing, on_frame=on_frame).bodies
     counts = [len(one.surface.vertices) for one in prepared]
     starts = np.cumsum([0, *counts[:-1]])
     return PlayedObject(
@@ -209,7 +207,7 @@ def _scene(config: PlayConfig, mesh: TetMesh, samples: BodySamples, *, alone: bo
         initial_angular_velocity=config.object.angular_velocity,
     )
     if basis.kind == "elastic" and alone:
-        return with_elastic_weights(scene, mesh, basis.modes, **config.time.model_dump())
+        return with_elastic_weights(scene, mesh, basis.modes, Timing(**config.time.model_dump()))
     return scene
 
 

@@ -8,10 +8,11 @@ from .basis import (
     eigenmode_weights as eigenmode_weights,
     sample_basis as sample_basis,
 )
+from .bodies import ReducedBodies as ReducedBodies
 from .body import ReducedBody as ReducedBody
 from .cubature import BodySamples as BodySamples, Cubature as Cubature, tet_cubature as tet_cubature
 from .elastic_basis import elastic_weights as elastic_weights
-from .equations import StepEquations as StepEquations
+from .equations import ReducedEquations as ReducedEquations
 from .given_fields import (
     ArrayWeights as ArrayWeights,
     StackedWeights as StackedWeights,
@@ -33,12 +34,7 @@ from .parameters import (
 from .pins import Pins as Pins
 from .scene import ReducedScene as ReducedScene
 from .scene_weights import with_elastic_weights as with_elastic_weights
-from .sensitivity import (
-    SensitiveTrajectory as SensitiveTrajectory,
-    simulate_with_sensitivities as simulate_with_sensitivities,
-)
+from .sensitivity import NamedParameters as NamedParameters
 from .shell import Shell as Shell
-from .simulation import ReducedTrajectory as ReducedTrajectory, simulate as simulate
 from .space import ReducedSpace as ReducedSpace
-from .world import ReducedWorld as ReducedWorld
-from .world_simulation import WorldTrajectory as WorldTrajectory, simulate_world as simulate_world
+from .trajectory import BodiesTrajectory as BodiesTrajectory, ReducedTrajectory as ReducedTrajectory

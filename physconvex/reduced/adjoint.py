@@ -10,24 +10,23 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float
 
-from physconvex.dynamics import SolvedPass, StepRecord, extrapolate
+from physconvex.dynamics import SolvedPass, StepRecord, Timing, extrapolate, simulate
 from physconvex.errors import InputError
 from physconvex.materials import lame_parameters
 from physconvex.numerics import one_torch_thread, rotation_matrix
 from physconvex.reduced.body import viscous_stress
 from physconvex.reduced.density_gradient import DensityGradient
-from physconvex.reduced.equations import StepEquations
+from physconvex.reduced.equations import ReducedEquations
 from physconvex.reduced.field_gradient import FieldBars
 from physconvex.reduced.friction_tangents import FreezeTangent, friction_tangent
 from physconvex.reduced.scene import ReducedScene
-from physconvex.reduced.simulation import ReducedTrajectory, simulate
 from physconvex.reduced.step_derivatives import StepDerivatives
+from physconvex.reduced.trajectory import ReducedTrajectory
 
 __all__ = ["Bar", "LossGradient", "RecordedRollOut", "Sweep", "simulate_with_adjoint"]
 
@@ -83,7 +82,7 @@ class Sweep:
     def __init__(self, scene: ReducedScene, names: Sequence[str], field: FieldBars | None = None) -> None:
         self.scene, self.body, self.field = scene, scene.body, field
         self.derivatives = StepDerivatives(scene, names)
-        self.equations = StepEquations(scene)
+        self.equations = ReducedEquations(scene)
         self.named = np.zeros(len(names))
         self.constant = self.body.space.affine(np.zeros((3, 3)), np.array([1.0, 0, 0]))[:, 0]  # of the function one
         self.products = np.zeros_like(self.body.mass)
@@ -253,7 +252,7 @@ class RecordedRollOut:
 
     Args:
         scene: body, forces, initial state.
-        options: of `simulate`.
+        timing: as in `simulate`.
 
     Attributes:
         scene: as given.
@@ -264,7 +263,7 @@ class RecordedRollOut:
         ConvergenceError: as in `simulate`.
     """
 
-    def __init__(self, scene: ReducedScene, **options: Any) -> None:
+    def __init__(self, scene: ReducedScene, timing: Timing | None = None) -> None:
         if scene.body.flow is not None:
             raise InputError(
                 f"scene: its body flows ({scene.body.flow}); the adjoint exists for elastic and Kelvin–Voigt bodies: "
@@ -273,11 +272,11 @@ class RecordedRollOut:
         self.scene, self._frame_states = scene, [0]
         self._records: list[StepRecord] = []
 
-        def observe(_: StepEquations, record: StepRecord) -> None:
+        def observe(_: ReducedEquations, record: StepRecord) -> None:
             self._records.append(record)
 
         self.trajectory = simulate(
-            scene, observer=observe, on_frame=lambda _: self._frame_states.append(len(self._records)), **options
+            scene, timing, observer=observe, on_frame=lambda _: self._frame_states.append(len(self._records))
         )
 
     def swept(self, sweep: Sweep, slope: Float[np.ndarray, "T R 3"]) -> Bar:
@@ -300,21 +299,25 @@ class RecordedRollOut:
 
 @one_torch_thread()
 def simulate_with_adjoint(
-    scene: ReducedScene, loss: Loss, *, parameters: Sequence[str] = ("log10_youngs_modulus",), **options: Any
+    scene: ReducedScene,
+    loss: Loss,
+    timing: Timing | None = None,
+    *,
+    parameters: Sequence[str] = ("log10_youngs_modulus",),
 ) -> LossGradient:
     """Roll out, and differentiate a loss of the coordinates at the frames.
 
     Args:
         scene: body, forces, initial state.
         loss: gives the loss of a trajectory and its derivative by `trajectory.coordinates`, shape [T, R, 3].
+        timing: as in `simulate`; the error of the gradient is that of Newton's `tolerance`.
         parameters: names, see `physconvex.reduced.PARAMETERS`; the fields of `LossGradient` come besides.
-        options: of `simulate`; the error of the gradient is that of Newton's `tolerance`.
 
     Raises:
         InputError: unknown names, options out of range, or a derivative of the wrong shape.
         ConvergenceError: as in `simulate`.
     """
     sweep = Sweep(scene, parameters)
-    recorded = RecordedRollOut(scene, **options)
+    recorded = RecordedRollOut(scene, timing)
     value, slope = loss(recorded.trajectory)
     return sweep.finish(recorded.trajectory, float(value), recorded.swept(sweep, slope))

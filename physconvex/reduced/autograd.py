@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from physconvex.dynamics import Timing, simulate, simulate_with_sensitivities
 from physconvex.errors import InputError
 from physconvex.numerics import one_torch_thread
 from physconvex.reduced.adjoint import RecordedRollOut, Sweep
@@ -19,8 +20,7 @@ from physconvex.reduced.basis import CallableWeights, checked_points
 from physconvex.reduced.field_gradient import FieldBars
 from physconvex.reduced.parameters import with_parameters
 from physconvex.reduced.scene import ReducedScene
-from physconvex.reduced.sensitivity import simulate_with_sensitivities
-from physconvex.reduced.simulation import simulate
+from physconvex.reduced.sensitivity import NamedParameters
 from physconvex.reduced.space import ReducedSpace
 
 __all__ = ["rollout_of_weights", "rollout_positions"]
@@ -36,13 +36,13 @@ class _RollOut(torch.autograd.Function):
         scene: ReducedScene,
         names: tuple[str, ...],
         points: np.ndarray,
-        options: dict[str, Any],
+        timing: Timing | None,
     ) -> Tensor:
         at = with_parameters(scene, names, values.detach().double().cpu().numpy())
         if not ctx.needs_input_grad[0]:
-            return torch.as_tensor(simulate(at, **options).positions(points)).to(values)
-        run = simulate_with_sensitivities(at, names, **options)
-        ctx.save_for_backward(torch.as_tensor(run.position_tangents(points)).to(values))
+            return torch.as_tensor(simulate(at, timing).positions(points)).to(values)
+        run = simulate_with_sensitivities(NamedParameters(at, names), timing)
+        ctx.save_for_backward(torch.as_tensor(run.trajectory.carried(points, run.coordinate_tangents)).to(values))
         return torch.as_tensor(run.trajectory.positions(points)).to(values)
 
     @staticmethod
@@ -58,7 +58,7 @@ def rollout_positions(
     scene: ReducedScene,
     parameters: Sequence[str],
     points: Float[np.ndarray, "n 3"],
-    **options: Any,
+    timing: Timing | None = None,
 ) -> Float[Tensor, "T n 3"]:
     """Positions [m] of material points at the frames, differentiable once with respect to the parameter values.
 
@@ -67,7 +67,7 @@ def rollout_positions(
         scene: everything that is not named in `parameters`.
         parameters: names, see `physconvex.reduced.PARAMETERS`.
         points: rest positions [m].
-        options: of `simulate`.
+        timing: as in `simulate`.
 
     Raises:
         InputError: shapes that do not fit, unknown names, values out of range.
@@ -75,7 +75,7 @@ def rollout_positions(
     """
     if values.shape != (len(parameters),):
         raise InputError(f"values: got shape {tuple(values.shape)}; expected ({len(parameters)},), one per parameter")
-    return _RollOut.apply(values, scene, tuple(parameters), np.asarray(points, dtype=np.float64), options)
+    return _RollOut.apply(values, scene, tuple(parameters), np.asarray(points, dtype=np.float64), timing)
 
 
 class _WeightsRollOut(torch.autograd.Function):
@@ -111,7 +111,7 @@ def rollout_of_weights(
     *,
     scene: ReducedScene,
     points: Float[np.ndarray, "n 3"],
-    **options: Any,
+    timing: Timing | None = None,
 ) -> Float[Tensor, "T n 3"]:
     """Positions [m] of material points at the frames, differentiable once with respect to what the weights depend on.
 
@@ -124,7 +124,7 @@ def rollout_of_weights(
         count: M.
         scene: everything but the weights; its body is elastic or damped, and starts in its rest shape.
         points: rest positions [m].
-        options: of `simulate`; the error of the derivatives is that of Newton's `tolerance`.
+        timing: as in `simulate`; the error of the derivatives is that of Newton's `tolerance`.
 
     Raises:
         InputError: shapes that do not fit, a body that flows, coordinates given for the start.
@@ -137,7 +137,7 @@ def rollout_of_weights(
         )
     points, samples = checked_points(points), scene.body.space.samples
     body = scene.body.with_space(ReducedSpace(CallableWeights(function, count), samples))
-    recorded = RecordedRollOut(replace(scene, body=body), **options)
+    recorded = RecordedRollOut(replace(scene, body=body), timing)
     pins = np.zeros((0, 3)) if scene.pins is None else scene.pins.points
     interior = torch.tensor(samples.interior.points, dtype=torch.float64, requires_grad=True)
     inside = function(interior)

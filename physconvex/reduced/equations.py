@@ -14,10 +14,10 @@ from physconvex.reduced.dense_newton import DenseNewton
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.surface_contact import SurfaceContact, add_surface_blocks, contact_blocks
 
-__all__ = ["StepEquations"]
+__all__ = ["ReducedEquations"]
 
 
-class StepEquations(DenseNewton):
+class ReducedEquations(DenseNewton):
     """Incremental potential of one time step in the reduced coordinates, an `Objective` with a dense Hessian."""
 
     def __init__(self, scene: ReducedScene) -> None:
@@ -67,9 +67,9 @@ class StepEquations(DenseNewton):
         """Whether the surface's velocities have changed by no more than the slip velocity with this change [m]."""
         return bool(np.abs(self.surface @ change).max(initial=0.0) <= step * self.contact.slip_velocity)
 
-    def flowed(self) -> Float[np.ndarray, "Q *K 3 3"] | None:
+    def flowed(self) -> tuple[Float[np.ndarray, "Q *K 3 3"] | None]:
         """F_f at the interior samples; None for an elastic body."""
-        return None if self.undo is None else np.linalg.inv(self.undo.cpu().numpy())
+        return (None if self.undo is None else np.linalg.inv(self.undo.cpu().numpy()),)
 
     def _freeze(self, y: np.ndarray, velocity: np.ndarray, time: float) -> None:
         self.secants.interrupt()

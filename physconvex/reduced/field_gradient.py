@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float
 
 from physconvex.reduced.body import viscous_stress
-from physconvex.reduced.equations import StepEquations
+from physconvex.reduced.equations import ReducedEquations
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.surface_contact import contact_blocks
 
@@ -58,7 +58,7 @@ class FieldBars:
 
     def add_solve(
         self,
-        equations: StepEquations,
+        equations: ReducedEquations,
         x: Float[np.ndarray, "R 3"],
         velocity: Float[np.ndarray, "R 3"],
         guess: Float[np.ndarray, "R 3"],
@@ -99,7 +99,7 @@ class FieldBars:
             self._interior += bar.mT.reshape(-1, 3).cpu().numpy() @ field.T
 
     def _add_contact(
-        self, equations: StepEquations, x: np.ndarray, velocity: np.ndarray, force_bar: np.ndarray
+        self, equations: ReducedEquations, x: np.ndarray, velocity: np.ndarray, force_bar: np.ndarray
     ) -> None:
         """Contact, wind, and friction as it was frozen, which is linear in the velocities."""
         at, spread = equations.surface @ x, equations.surface @ force_bar

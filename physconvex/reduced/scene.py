@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import Contact, Obstacle, Wind
+from physconvex.dynamics import Contact, FrameStates, Obstacle, Prepared, Timing, Wind
 from physconvex.errors import InputError
 from physconvex.fem import CONTACT_STIFFNESS_RATIO
 from physconvex.numerics import rotation_matrix
 from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.pins import PIN_STIFFNESS_RATIO, Pins, PinSprings
+from physconvex.reduced.trajectory import ReducedTrajectory
 
 __all__ = ["ReducedScene"]
 
@@ -85,6 +86,18 @@ class ReducedScene:
             value = getattr(self, name)
             if value is not None and not callable(value) and np.shape(value) != shape:
                 raise InputError(f"{name}: got shape {np.shape(value)}; expected {shape}")
+
+    def prepared(self, timing: Timing) -> Prepared:
+        """Made ready for `physconvex.dynamics.simulate`."""
+        from physconvex.reduced.simulation import prepared  # late: the equations of a scene know the scene
+
+        return prepared(self, timing)
+
+    def trajectory(self, frames: FrameStates) -> ReducedTrajectory:
+        """The roll-out."""
+        return ReducedTrajectory(
+            self.body.space, frames.times, frames.positions, frames.velocities, frames.statistics, frames.flowed()
+        )
 
     @property
     def autonomous(self) -> bool:

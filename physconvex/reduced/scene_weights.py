@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from physconvex.dynamics import Timing, simulate
 from physconvex.errors import InputError
 from physconvex.fem import ElasticBody
 from physconvex.mesh import TetMesh
 from physconvex.reduced.elastic_basis import elastic_weights
 from physconvex.reduced.load_cases import even_loads, held_nodes, touched_loads
 from physconvex.reduced.scene import ReducedScene
-from physconvex.reduced.simulation import simulate
 from physconvex.reduced.space import ReducedSpace
 
 __all__ = ["most_deformed", "with_elastic_weights"]
@@ -23,7 +22,13 @@ _PATCHES = 20
 
 
 def with_elastic_weights(
-    scene: ReducedScene, mesh: TetMesh, count: int, *, passes: int = 2, loaded: int = 60, **timing: Any
+    scene: ReducedScene,
+    mesh: TetMesh,
+    count: int,
+    timing: Timing | None = None,
+    *,
+    passes: int = 2,
+    loaded: int = 60,
 ) -> ReducedScene:
     """The scene with weights from its body's vibrations and from its answers to forces where it is touched.
 
@@ -36,9 +41,9 @@ def with_elastic_weights(
         scene: with a rough body, for example of twenty eigenmodes.
         mesh: that the body is sampled by (`BodySamples.of_mesh`).
         count: M, number of weights.
+        timing: of the roll-outs.
         passes: number of roll-outs.
         loaded: most nodes that are loaded as touched.
-        timing: frames, fps and all else that `simulate` takes.
 
     Raises:
         InputError: the body is not sampled by the mesh's tetrahedra, starts from coordinates of its weights, or as
@@ -62,7 +67,7 @@ def with_elastic_weights(
     )
     held = None if scene.pins is None else held_nodes(mesh, scene.pins)
     for _ in range(passes):
-        run = simulate(scene, **timing)
+        run = simulate(scene, timing)
         positions = run.positions(mesh.vertices)
         loads = touched_loads(mesh, positions, run.times, scene.obstacles, count=loaded)
         if held is not None:

@@ -13,45 +13,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import State, StepCoefficients, StepRecord, bdf2, extrapolate, implicit_euler
-from physconvex.numerics import one_torch_thread
-from physconvex.reduced.equations import StepEquations
+from physconvex.dynamics import State, StepCoefficients, StepRecord, Timing, bdf2, extrapolate, implicit_euler
+from physconvex.reduced.equations import ReducedEquations
 from physconvex.reduced.flow_tangents import FlowTangents
 from physconvex.reduced.friction_tangents import friction_tangent
-from physconvex.reduced.parameters import parameter_values
+from physconvex.reduced.parameters import check_parameters, parameter_values
 from physconvex.reduced.scene import ReducedScene
-from physconvex.reduced.simulation import ReducedTrajectory, simulate
 from physconvex.reduced.step_derivatives import StepDerivatives
 
-__all__ = ["SensitiveTrajectory", "simulate_with_sensitivities"]
-
-
-@dataclass(frozen=True)
-class SensitiveTrajectory:
-    """A roll-out and its derivatives.
-
-    Attributes:
-        trajectory: the roll-out.
-        parameters: names of the parameters.
-        values: their values, shape [P].
-        coordinate_tangents: ∂y/∂p at the frames, shape [T, P, R, 3].
-        velocity_tangents: ∂ẏ/∂p at the frames, shape [T, P, R, 3].
-    """
-
-    trajectory: ReducedTrajectory
-    parameters: tuple[str, ...]
-    values: Float[np.ndarray, " P"]
-    coordinate_tangents: Float[np.ndarray, "T P R 3"]
-    velocity_tangents: Float[np.ndarray, "T P R 3"]
-
-    def position_tangents(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "T P n 3"]:
-        """Derivatives of the positions of material points, given by their rest positions [m]."""
-        return self.trajectory.space.shape_values(points) @ self.coordinate_tangents
+__all__ = ["NamedParameters"]
 
 
 class _Tangents:
@@ -66,7 +41,7 @@ class _Tangents:
         if scene.body.flow is not None:
             self.flow = FlowTangents(scene.body, *self.derivatives.lame_tangents(), names)
 
-    def observe(self, equations: StepEquations, record: StepRecord) -> None:
+    def observe(self, equations: ReducedEquations, record: StepRecord) -> None:
         """Advance over one converged step."""
         c, freeze = record.coefficients, self.derivatives.freeze
         history = self.previous if record.history is not None else None
@@ -105,7 +80,7 @@ class _Tangents:
 
     def _residual(
         self,
-        equations: StepEquations,
+        equations: ReducedEquations,
         c: StepCoefficients,
         change: StepCoefficients,
         x: np.ndarray,
@@ -128,35 +103,29 @@ class _Tangents:
         return out
 
 
-@one_torch_thread()
-def simulate_with_sensitivities(
-    scene: ReducedScene, parameters: Sequence[str], *, frames: int = 24, **options: Any
-) -> SensitiveTrajectory:
-    """Roll out and differentiate by the named parameters (`physconvex.reduced.PARAMETERS`, and the flow rule's).
+@dataclass(frozen=True, eq=False)
+class NamedParameters:
+    """A reduced scene and the names of parameters (`physconvex.reduced.PARAMETERS`, and the flow rule's).
 
     One exact Hessian per solve is factorised beyond what the roll-out needs, and back-substituted once per parameter.
-    The step size is not differentiated: where steps were halved, the derivative is that of the halved steps.
-
-    Args:
-        scene: body, forces, initial state.
-        parameters: names.
-        frames: number of states, the first at t = 0.
-        options: of `simulate`; the error of the tangents is that of Newton's `tolerance`.
-
-    Raises:
-        InputError: unknown names, or options out of range.
-        ConvergenceError: as in `simulate`.
     """
-    values = parameter_values(scene, parameters)
-    tangents = _Tangents(scene, parameters)
-    states = [tangents.state]
-    run = simulate(
-        scene, frames=frames, observer=tangents.observe, on_frame=lambda _: states.append(tangents.state), **options
-    )
-    return SensitiveTrajectory(
-        trajectory=run,
-        parameters=tuple(parameters),
-        values=values,
-        coordinate_tangents=np.stack([s.positions for s in states]),
-        velocity_tangents=np.stack([s.velocities for s in states]),
-    )
+
+    scene: ReducedScene
+    names: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "names", tuple(self.names))
+
+    @cached_property
+    def values(self) -> Float[np.ndarray, " P"]:
+        """Present values of the parameters."""
+        return parameter_values(self.scene, self.names)
+
+    def tangents(self, timing: Timing) -> _Tangents:
+        """Derivatives at the start of a roll-out.
+
+        Raises:
+            InputError: unknown names.
+        """
+        check_parameters(self.scene, self.names)
+        return _Tangents(self.scene, self.names)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from physconvex.dynamics import State, StepCoefficients
 from physconvex.numerics import rotation_matrix, turning_rates
-from physconvex.reduced.equations import StepEquations
+from physconvex.reduced.equations import ReducedEquations
 from physconvex.reduced.friction_tangents import FreezeTangent
 from physconvex.reduced.parameters import axis_of, cells_of, check_parameters, mean_density, region_of
 from physconvex.reduced.scene import ReducedScene
@@ -130,7 +130,7 @@ class StepDerivatives:
         return FreezeTangent(s @ y, s @ v, time, s @ dy, s @ dv, *rates)
 
     def explicit(
-        self, equations: StepEquations, c: StepCoefficients, x: Float[np.ndarray, "R 3"], state: Tensor | None
+        self, equations: ReducedEquations, c: StepCoefficients, x: Float[np.ndarray, "R 3"], state: Tensor | None
     ) -> Float[np.ndarray, "P R 3"]:
         """∂g/∂p of the step's gradient at fixed states and frozen friction.
 
@@ -155,7 +155,7 @@ class StepDerivatives:
 
     def _explicit(
         self,
-        equations: StepEquations,
+        equations: ReducedEquations,
         name: str,
         c: StepCoefficients,
         x: np.ndarray,
@@ -221,19 +221,19 @@ class StepDerivatives:
         here = torch.as_tensor(cells_of(self.body, region)[self.body.space.samples.interior.cells], device=mu.device)
         return mu * here, lam * here
 
-    def _hold(self, equations: StepEquations, x: np.ndarray) -> np.ndarray:
+    def _hold(self, equations: ReducedEquations, x: np.ndarray) -> np.ndarray:
         """Forces of pins whose stiffness follows E."""
         pins = self.scene.pins
         if equations.pins is None or pins is None or pins.stiffness is not None:
             return np.zeros_like(x)
         return equations.pins.energy_and_gradient(x, equations.time)[1]
 
-    def _led(self, equations: StepEquations, name: str, x: np.ndarray) -> np.ndarray:
+    def _led(self, equations: ReducedEquations, name: str, x: np.ndarray) -> np.ndarray:
         """Pins that hold the body where it starts go along with its start."""
         if equations.pins is None or equations.pins.motion is not None:
             return np.zeros_like(x)
         return -equations.pins.matrix @ self._moved[self.names.index(name)]
 
-    def _stiffening(self, equations: StepEquations, name: str, x: np.ndarray) -> np.ndarray:
+    def _stiffening(self, equations: ReducedEquations, name: str, x: np.ndarray) -> np.ndarray:
         rise = self.dlog_stiffness[self.names.index(name)]
         return rise * equations.touch.energy_and_gradient(x, equations.time)[1] if rise else np.zeros_like(x)

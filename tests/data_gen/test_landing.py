@@ -4,7 +4,8 @@ import numpy as np
 
 from data_gen import refine_at_landing
 from data_gen.landing import landing_heights
-from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.dynamics import Timing, simulate
+from physconvex.fem import ElasticBody, Scene
 from physconvex.mesh import TetMesh, box_mesh
 
 GRAVITY = (0.0, 0.0, -9.81)
@@ -19,7 +20,7 @@ def test_heights_at_landing_are_those_of_a_stiff_body_in_flight():
     mesh, speed, spin = turning_bar(), (0.4, 0.0, -0.5), (1.5, -2.0, 1.0)
     heights = landing_heights(mesh, gravity=GRAVITY, velocity=speed, angular_velocity=spin)
     scene = Scene(ElasticBody(mesh, youngs_modulus=1e8), initial_velocity=speed, initial_angular_velocity=spin)
-    flight = simulate(scene, frames=500, fps=1000.0, steps_per_frame=1, tolerance=1e-9).positions[..., 2]
+    flight = simulate(scene, Timing(frames=500, fps=1000.0, steps_per_frame=1, tolerance=1e-9)).positions[..., 2]
     landed = int(np.argmax(flight.min(axis=1) <= 0.0))
     assert landed > 100
     np.testing.assert_allclose(heights, np.maximum(flight[landed], 0.0), atol=6e-3)  # 1 ms at 4 m/s and second order

@@ -6,8 +6,8 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from physconvex import InputError
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Pins, Scene, StepEquations, SurfacePoints, simulate
+from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.fem import ElasticBody, NodalEquations, Pins, Scene, SurfacePoints
 from physconvex.mesh import Embedding, TetMesh, box_mesh, to_quadratic
 
 
@@ -44,7 +44,7 @@ def test_points_stand_for_the_whole_area_and_keep_the_corners(shown):
 def test_forces_are_the_derivative_of_the_energy_and_stiffness_that_of_the_forces(shown, inner):
     top = np.flatnonzero(inner.vertices[:, 2] > 0.059)
     scene = scene_of(inner, SurfacePoints.of_triangles(*shown), pins=Pins(top))
-    equations, rng = StepEquations(scene), np.random.default_rng(0)
+    equations, rng = NodalEquations(scene), np.random.default_rng(0)
     x = inner.vertices * 1.02 - [0, 0, 0.004]
     direction, step = rng.normal(size=x.shape), 1e-7
     direction[top] = 0.0
@@ -60,7 +60,9 @@ def test_a_body_lands_on_the_surface_that_is_shown_and_not_on_its_mesh(shown, in
     points = SurfacePoints.of_triangles(*shown)
     lowest = {}
     for name, where in (("surface", points), ("nodes", None)):
-        run = simulate(scene_of(inner, where, damping_time=5e-3, air_drag=4.0), frames=12, fps=24.0, steps_per_frame=8)
+        run = simulate(
+            scene_of(inner, where, damping_time=5e-3, air_drag=4.0), Timing(frames=12, fps=24.0, steps_per_frame=8)
+        )
         moved = Embedding.of_points(inner, shown[0]).apply(run.positions[-1])
         lowest[name] = moved[:, 2].min() + 0.0705
     assert abs(lowest["surface"]) < 1e-3

@@ -1,21 +1,22 @@
 """Contact and friction solved for together on the touching points: the equations hold, impulses obey Coulomb's law."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
 from scipy.sparse import csr_matrix
 
 from physconvex import InputError
-from physconvex.dynamics import Contact, Plane, Sphere, State, Wind, bdf2
+from physconvex.dynamics import Contact, Plane, Sphere, State, Timing, Wind, bdf2, simulate
 from physconvex.fem import (
     ElasticBody,
+    NodalEquations,
     Pins,
     Scene,
-    StepEquations,
     SurfacePoints,
     compiled_contact as contact_kernel,
     kept_factor,
-    simulate,
 )
 from physconvex.fem.compiled_contact import CompiledContact, add_near, carry, contact_kind, turned_blocks
 from physconvex.fem.contact_problem import ContactProblem
@@ -68,8 +69,8 @@ def test_every_step_ends_where_all_forces_balance(name):
             touched.append(np.abs(push).max())
             left.append(np.abs(equations.gradient(x)).max())
 
-    options = {"frames": 4, "fps": 24, "steps_per_frame": 16, "tolerance": 1e-9}
-    run = simulate(SCENES[name], contact_solver="condensed", observer=watch, **options)
+    options = Timing(frames=4, fps=24, steps_per_frame=16, tolerance=1e-9)
+    run = simulate(SCENES[name], replace(options, contact_solver="condensed"), observer=watch)
     assert len(touched) > 3
     assert max(left) < 1e-4 * max(touched)
     assert run.statistics.halved_steps == 0
@@ -84,7 +85,7 @@ def test_sliding_impact_exchanges_impulses_by_coulombs_law(friction, modulus):
     floor = Plane(point=(0, 0, -0.02), friction=friction)
     still = {"gravity": (0, 0, 0), "initial_angular_velocity": (0, 0, 0), "damping_time": 0.0}
     scene = thrown(floor, modulus=modulus, initial_velocity=(5.0, 0, -2.0), **still)
-    run = simulate(scene, frames=2, fps=8, steps_per_frame=50, contact_solver="condensed")
+    run = simulate(scene, Timing(frames=2, fps=8, steps_per_frame=50, contact_solver="condensed"))
     masses = scene.body.node_masses / scene.body.total_mass
     start, end = masses @ run.velocities[0], masses @ run.velocities[-1]
     assert end[2] > 0.8 and end[0] > 1.0  # it bounced, and never stuck
@@ -92,10 +93,10 @@ def test_sliding_impact_exchanges_impulses_by_coulombs_law(friction, modulus):
 
 
 def test_one_factor_lasts_through_flight_turn_and_impact():
-    options = {"frames": 6, "fps": 24, "steps_per_frame": 16, "tolerance": 1e-6}
+    options = Timing(frames=6, fps=24, steps_per_frame=16, tolerance=1e-6)
     scene = thrown(FLOOR, modulus=3e6, initial_angular_velocity=(8.0, 0, 4.0))
-    kept = simulate(scene, contact_solver="condensed", **options).statistics
-    passes = simulate(scene, **options).statistics
+    kept = simulate(scene, replace(options, contact_solver="condensed")).statistics
+    passes = simulate(scene, options).statistics
     assert kept.factorisations == 2  # one for the first step, which is shorter in effect
     assert passes.factorisations > 10 * kept.factorisations
     assert kept.newton_iterations < passes.newton_iterations
@@ -103,9 +104,9 @@ def test_one_factor_lasts_through_flight_turn_and_impact():
 
 def test_refused_where_a_pass_is_needed():
     with pytest.raises(InputError, match="contact_damping"):
-        simulate(thrown(FLOOR, contact_damping=1e-3), contact_solver="condensed")
-    with pytest.raises(InputError, match="expected one of passes, condensed"):
-        simulate(thrown(FLOOR), contact_solver="penalty")
+        simulate(thrown(FLOOR, contact_damping=1e-3), Timing(contact_solver="condensed"))
+    with pytest.raises(InputError, match="expected 'passes' or 'condensed'"):
+        simulate(thrown(FLOOR), Timing(contact_solver="penalty"))
 
 
 # --- the kept factor
@@ -115,7 +116,7 @@ def test_refused_where_a_pass_is_needed():
 def turned():
     """Equations of a step, and where the body lies turned by 40°, a little deformed."""
     scene = thrown(FLOOR)
-    equations = StepEquations(scene)
+    equations = NodalEquations(scene)
     x = scene.start
     before, history = State(0.01, x, scene.start_velocities()), State(0.0, x, scene.start_velocities())
     a = np.radians(40)
@@ -251,9 +252,9 @@ def test_blocks_turn_with_the_body_and_points_are_carried(kind):
 
 
 def test_bodies_move_alike_without_a_compiler(monkeypatch):
-    options = {"frames": 3, "fps": 24, "steps_per_frame": 12, "contact_solver": "condensed"}
-    compiled = simulate(SCENES["points"], **options)
+    options = Timing(frames=3, fps=24, steps_per_frame=12, contact_solver="condensed")
+    compiled = simulate(SCENES["points"], options)
     monkeypatch.setattr(contact_kernel, "FEM_KERNEL", MISSING)
-    plain = simulate(SCENES["points"], **options)
+    plain = simulate(SCENES["points"], options)
     assert np.abs(plain.positions[-1] - plain.positions[0]).max() > 0.05
     np.testing.assert_allclose(compiled.positions, plain.positions, atol=1e-7)

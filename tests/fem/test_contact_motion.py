@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from physconvex.dynamics import Plane, Sphere
-from physconvex.fem import ElasticBody, Scene, Trajectory, simulate
+from physconvex.dynamics import Plane, Sphere, Timing, simulate
+from physconvex.fem import ElasticBody, Scene, Trajectory
 from physconvex.mesh import box_mesh, refine_uniformly
 
 G = 9.81
@@ -23,7 +23,7 @@ def mean_velocity(body: ElasticBody, run: Trajectory) -> np.ndarray:
 
 def settle(scene: Scene) -> np.ndarray:
     """Where a body comes to rest: implicit Euler with large steps, which damps everything."""
-    run = simulate(scene, frames=2, fps=0.1, steps_per_frame=100, integrator="implicit_euler", tolerance=1e-10)
+    run = simulate(scene, Timing(frames=2, fps=0.1, steps_per_frame=100, integrator="implicit_euler", tolerance=1e-10))
     assert np.abs(run.velocities[-1]).max() < 1e-6
     return run.positions[-1]
 
@@ -99,7 +99,7 @@ def test_sticks_below_the_friction_angle(angle):
     # "sticking" creeps at the velocity where the smoothed law 2y − y² balances tan(angle)/μ
     friction = 0.5  # 26.6°
     scene = on_a_slope(angle, friction)
-    run = simulate(scene, frames=3, fps=5, steps_per_frame=40)
+    run = simulate(scene, Timing(frames=3, fps=5, steps_per_frame=40))
     creep = (1 - np.sqrt(1 - np.tan(np.radians(angle)) / friction)) * scene.contact().slip_velocity
     assert mean_velocity(scene.body, run)[-1, 0] == pytest.approx(creep, rel=1e-3)
     assert creep < 3e-3  # m/s
@@ -108,7 +108,7 @@ def test_sticks_below_the_friction_angle(angle):
 @pytest.mark.parametrize("angle", [30, 45])
 def test_slides_above_the_friction_angle(angle):
     scene = on_a_slope(angle, 0.5)
-    run = simulate(scene, frames=4, fps=10, steps_per_frame=40)
+    run = simulate(scene, Timing(frames=4, fps=10, steps_per_frame=40))
     a = np.radians(angle)
     speed = mean_velocity(scene.body, run)
     # from t = 0.1 s on, when the slab has settled in the hinge
@@ -119,7 +119,7 @@ def test_slides_above_the_friction_angle(angle):
 
 def test_slides_freely_without_friction():
     scene = on_a_slope(20, 0.0)
-    run = simulate(scene, frames=3, fps=10, steps_per_frame=20)
+    run = simulate(scene, Timing(frames=3, fps=10, steps_per_frame=20))
     expected = G * np.sin(np.radians(20)) * run.times
     # momentum along the plane is conserved: only BDF2's exactness for a uniform acceleration counts
     np.testing.assert_allclose(mean_velocity(scene.body, run)[:, 0], expected, rtol=1e-6)
@@ -132,7 +132,7 @@ def test_conveyor_drags_a_slab_up_to_its_own_speed():
     friction, belt = 0.4, 0.6
     body = slab()
     scene = Scene(body, obstacles=(Plane(friction=friction, velocity=(belt, 0, 0)),), damping_time=2e-3)
-    run = simulate(scene, frames=7, fps=20, steps_per_frame=20)
+    run = simulate(scene, Timing(frames=7, fps=20, steps_per_frame=20))
     speed = mean_velocity(body, run)[:, 0]
     # weight sets in with the hinge's first bounces: impulse μ g t up to 2 % of the belt's speed
     np.testing.assert_allclose(speed, np.minimum(friction * G * run.times, belt), atol=0.02 * belt)
@@ -142,7 +142,7 @@ def test_conveyor_drags_a_slab_up_to_its_own_speed():
 def test_rising_plane_lifts_a_body():
     body = slab()
     scene = Scene(body, obstacles=(Plane(velocity=(0, 0, 0.3)),), damping_time=5e-3)
-    run = simulate(scene, frames=3, fps=4, steps_per_frame=80)
+    run = simulate(scene, Timing(frames=3, fps=4, steps_per_frame=80))
     assert mean_velocity(body, run)[-1, 2] == pytest.approx(0.3, rel=0.02)
     bottom = body.mesh.vertices[:, 2] == 0
     np.testing.assert_allclose(run.positions[-1, bottom, 2], 0.3 * 0.5, atol=2e-3)
@@ -151,7 +151,7 @@ def test_rising_plane_lifts_a_body():
 def test_moving_sphere_pushes_a_body_away():
     body = slab()
     ball = Sphere(center=(-0.2, 0.1, 0.025), radius=0.15, velocity=(1.0, 0, 0))
-    run = simulate(Scene(body, gravity=(0, 0, 0), obstacles=(ball,)), frames=3, fps=5, steps_per_frame=60)
+    run = simulate(Scene(body, gravity=(0, 0, 0), obstacles=(ball,)), Timing(frames=3, fps=5, steps_per_frame=60))
     speed = mean_velocity(body, run)[-1]
     # an infinitely heavy ball at speed v gives at most 2 v, and at least v (the body is then ahead of it)
     assert 1.0 < speed[0] <= 2.0
@@ -178,7 +178,7 @@ def energy(scene: Scene, run: Trajectory) -> np.ndarray:
 @pytest.mark.parametrize("obstacle", [Plane(point=(0, 0, -0.1)), Sphere(center=(0.1, 0.1, -0.4), radius=0.3)])
 def test_elastic_bounce_gains_no_energy(obstacle):
     scene = Scene(slab(youngs_modulus=1e5), obstacles=(obstacle,))
-    run = simulate(scene, frames=16, fps=48, steps_per_frame=16)
+    run = simulate(scene, Timing(frames=16, fps=48, steps_per_frame=16))
     height = np.einsum("v,tvi->ti", scene.body.node_masses, run.positions)[:, 2] / scene.body.total_mass
     bounced = np.argmin(height)
     assert 0 < bounced < 15  # it did hit, and came up again
@@ -193,7 +193,7 @@ def test_bounce_conserves_energy_as_steps_shrink():
     losses = []
     for steps in (8, 16, 32):
         scene = Scene(slab(youngs_modulus=1e5), obstacles=(Plane(point=(0, 0, -0.1)),))
-        run = simulate(scene, frames=2, fps=4, steps_per_frame=12 * steps)
+        run = simulate(scene, Timing(frames=2, fps=4, steps_per_frame=12 * steps))
         total = energy(scene, run)
         losses.append((total[0] - total[-1]) / (scene.body.total_mass * G * 0.1))
     assert losses[0] > losses[1] > losses[2] > 0
@@ -203,7 +203,7 @@ def test_bounce_conserves_energy_as_steps_shrink():
 def test_smooth_plane_leaves_tangential_momentum_alone():
     floor = Plane(point=(0, 0, -0.02))
     scene = Scene(slab(), gravity=(0, 0, 0), obstacles=(floor,), initial_velocity=(1.0, 0.5, -1.0))
-    run = simulate(scene, frames=5, fps=24)
+    run = simulate(scene, Timing(frames=5, fps=24))
     speed = mean_velocity(scene.body, run)
     assert speed[-1, 2] > 0  # bounced
     np.testing.assert_allclose(speed[:, :2], np.broadcast_to([1.0, 0.5], (5, 2)), atol=1e-6)
@@ -227,7 +227,7 @@ def test_sliding_impact_exchanges_impulses_by_coulombs_law(friction, modulus, pa
         obstacles=(Plane(point=(0, 0, -0.02), friction=friction),),
         initial_velocity=(4.0, 0, -2.0),
     )
-    run = simulate(scene, frames=2, fps=8, steps_per_frame=50, friction_passes=passes)
+    run = simulate(scene, Timing(frames=2, fps=8, steps_per_frame=50, friction_passes=passes))
     start, end = mean_velocity(body, run)
     assert end[2] > 1.0 and end[0] > 1.0  # it bounced, and never stuck
     assert (start - end)[0] / (end - start)[2] == pytest.approx(friction, rel=tolerance)

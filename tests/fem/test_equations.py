@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from physconvex.dynamics import Plane, Sphere, State, bdf2, implicit_euler
-from physconvex.fem import ElasticBody, Pins, Scene, StepEquations
+from physconvex.fem import ElasticBody, NodalEquations, Pins, Scene
 from physconvex.materials import LAWS
 from physconvex.mesh import box_mesh
 
@@ -130,9 +130,9 @@ def full_scene(order: int, *, sphere: bool = False, pins: bool = True) -> Scene:
     )
 
 
-def step_equations(scene: Scene, *, two_step: bool) -> tuple[StepEquations, np.ndarray]:
+def step_equations(scene: Scene, *, two_step: bool) -> tuple[NodalEquations, np.ndarray]:
     """Equations of one time step between random states, and a random point to look at (pins respected)."""
-    equations, body, rng = StepEquations(scene), scene.body, np.random.default_rng(3)
+    equations, body, rng = NodalEquations(scene), scene.body, np.random.default_rng(3)
     states = [State(0.0, shaken(body, s, 0.004), 0.3 * rng.normal(size=body.mesh.vertices.shape)) for s in (1, 2)]
     coefficients = bdf2(states[1], states[0], 0.01) if two_step else implicit_euler(states[1], 0.01)
     x = shaken(body, 7, 0.002)
@@ -170,7 +170,7 @@ def test_factorised_matrix_is_the_derivative_of_the_gradient(order, pins):
 
 def test_static_matrix_is_the_derivative_of_the_gradient():
     scene = full_scene(2)
-    equations = StepEquations(scene)
+    equations = NodalEquations(scene)
     x = shaken(scene.body, 7, 0.00002)  # near rest: definite without inertia
     equations.factorise(x, project=False)
     d = directions(x.shape, 1)[0] * scene.free_nodes()[:, None]
@@ -219,7 +219,7 @@ def test_particles_carry_equal_masses(order):
     np.testing.assert_allclose(body.node_masses, share)
     # a step of free fall from rest moves all nodes alike, by g h² of implicit Euler
     scene, still = Scene(body), State(0.0, mesh.vertices, np.zeros_like(mesh.vertices))
-    equations = StepEquations(scene)
+    equations = NodalEquations(scene)
     equations.set_step(implicit_euler(still, 0.01), 0.01, mesh.vertices, still)
     fallen = mesh.vertices + 0.01**2 * np.asarray(scene.gravity)
     np.testing.assert_allclose(equations.gradient(fallen), 0.0, atol=1e-9 * body.total_mass)

@@ -1,10 +1,12 @@
 """Fewer steps while a body flies: the same motion, and the usual steps from where an obstacle is near."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from physconvex.dynamics import Plane, Sphere, State, Stepper, bdf2
-from physconvex.fem import ElasticBody, Pins, Scene, simulate
+from physconvex.dynamics import Plane, Sphere, State, Stepper, Timing, bdf2, simulate
+from physconvex.fem import ElasticBody, Pins, Scene
 from physconvex.fem.flight_steps import Flight
 from physconvex.mesh import box_mesh
 
@@ -22,8 +24,8 @@ def falling(height: float = 0.6, **fields) -> Scene:
 def test_a_fall_with_long_steps_is_the_same_fall():
     """Mean height: z0 − g t²/2 − 3/4 g h², the last from the first step by implicit Euler, with the short step's h."""
     scene = falling(5.0)
-    options = {"frames": 10, "fps": 24, "steps_per_frame": 24, "tolerance": 1e-9}
-    usual, long = (simulate(scene, flight_steps_per_frame=n, **options) for n in (None, 6))
+    options = Timing(frames=10, fps=24, steps_per_frame=24, tolerance=1e-9)
+    usual, long = (simulate(scene, replace(options, flight_steps_per_frame=n)) for n in (None, 6))
     assert long.statistics.steps == 24 + 8 * 6 and usual.statistics.steps == 9 * 24
     mean = scene.body.node_masses / scene.body.total_mass
     t, step = long.times[1:], 1 / (24 * 24)
@@ -34,10 +36,12 @@ def test_a_fall_with_long_steps_is_the_same_fall():
 
 
 def test_steps_are_short_again_before_it_lands_and_ever_after():
-    options = {"frames": 16, "fps": 24, "steps_per_frame": 12}
+    options = Timing(frames=16, fps=24, steps_per_frame=12)
     scene = falling()
-    usual, long = (simulate(scene, flight_steps_per_frame=n, contact_solver="condensed", **options) for n in (None, 4))
-    flight = Flight(scene, 1 / 24, 12, 4)
+    usual, long = (
+        simulate(scene, replace(options, flight_steps_per_frame=n, contact_solver="condensed")) for n in (None, 4)
+    )
+    flight = Flight(scene, Timing(steps_per_frame=12, flight_steps_per_frame=4))
     states = map(State, long.times[:-1], long.positions, long.velocities)
     steps = [flight.steps(state) for state in states]
     # sqrt(2 · 0.6 / 9.81) s = 8.4 frames: the first frame has short steps, and those from the seventh or eighth on
@@ -67,13 +71,13 @@ def test_when_a_frame_is_flight(fields, frame, steps):
         loads=scene.loads,
         initial_velocity=scene.initial_velocity,
     )
-    flight = Flight(scene, 1 / 24, 12, 4)
+    flight = Flight(scene, Timing(steps_per_frame=12, flight_steps_per_frame=4))
     assert flight.steps(State(frame / 24, scene.start, scene.start_velocities())) == steps
 
 
 def test_once_it_has_been_near_it_flies_no_more():
     scene = falling()
-    flight = Flight(scene, 1 / 24, 12, 4)
+    flight = Flight(scene, Timing(steps_per_frame=12, flight_steps_per_frame=4))
     far = State(0.1, scene.start, scene.start_velocities())
     near = State(0.2, scene.start - [0, 0, 0.59], scene.start_velocities())
     assert [flight.steps(state) for state in (far, near, far)] == [4, 12, 12]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from physconvex import InputError
-from physconvex.dynamics import Plane, Wind
-from physconvex.fem import ElasticBody, Pins, Scene, simulate
+from physconvex.dynamics import Plane, Timing, Wind, simulate
+from physconvex.fem import ElasticBody, Pins, Scene
 from physconvex.materials import Plasticine, StandardLinearSolid, with_strain_stiffening
 from physconvex.mesh import box_mesh
 
@@ -42,7 +42,9 @@ def led(mesh, flow):
         return stretched
 
     body = ElasticBody(mesh, youngs_modulus=1e5, poisson_ratio=0.3, flow=flow)
-    return simulate(Scene(body, gravity=(0, 0, 0), pins=Pins(ends, motion)), frames=5, fps=20.0, steps_per_frame=10)
+    return simulate(
+        Scene(body, gravity=(0, 0, 0), pins=Pins(ends, motion)), Timing(frames=5, fps=20.0, steps_per_frame=10)
+    )
 
 
 def test_plasticine_stays_thinner_in_the_middle(mesh):
@@ -53,8 +55,8 @@ def test_plasticine_stays_thinner_in_the_middle(mesh):
 
 def test_wind_blows_and_air_brakes(mesh):
     body = ElasticBody(mesh, youngs_modulus=1e5)
-    timing = {"frames": 4, "fps": 20.0, "steps_per_frame": 5}
-    blown = simulate(Scene(body, wind=Wind(velocity=(20.0, 0, 0))), **timing)
+    timing = Timing(frames=4, fps=20.0, steps_per_frame=5)
+    blown = simulate(Scene(body, wind=Wind(velocity=(20.0, 0, 0))), timing)
     mean = body.node_masses @ blown.velocities[-1] / body.total_mass
     area = mesh.node_areas.sum()
     assert mean[0] == pytest.approx(1.2 / 8 * area * 20.0**2 / body.total_mass * 3 / 20, rel=0.1)
@@ -63,9 +65,9 @@ def test_wind_blows_and_air_brakes(mesh):
 def test_dashpot_takes_energy_and_refuses_negative(mesh):
     body = ElasticBody(mesh, youngs_modulus=5e4)
     floor = (Plane(point=(0, 0, -0.005)),)
-    timing = {"frames": 9, "fps": 100.0, "steps_per_frame": 5}
+    timing = Timing(frames=9, fps=100.0, steps_per_frame=5)
     heights = [
-        simulate(Scene(body, obstacles=floor, initial_velocity=(0, 0, -1.0), contact_damping=d), **timing)
+        simulate(Scene(body, obstacles=floor, initial_velocity=(0, 0, -1.0), contact_damping=d), timing)
         for d in (0.0, 0.02)
     ]
     up = [(body.node_masses @ run.velocities / body.total_mass)[:, 2].max() for run in heights]

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from physconvex.fem import ElasticBody, Pins, Scene, Trajectory, simulate, solve_static
+from physconvex.dynamics import Timing, simulate
+from physconvex.fem import ElasticBody, Pins, Scene, Trajectory, solve_static
 from physconvex.mesh import box_mesh
 
 G = np.array([0.0, 0.0, -9.81])
@@ -31,7 +32,7 @@ def energies(scene: Scene, run: Trajectory) -> np.ndarray:
 
 
 def test_rest_without_forces_is_rest():
-    run = simulate(Scene(block(), gravity=(0, 0, 0)), frames=5)
+    run = simulate(Scene(block(), gravity=(0, 0, 0)), Timing(frames=5))
     np.testing.assert_allclose(run.positions, np.broadcast_to(run.positions[0], run.positions.shape), atol=1e-13)
 
 
@@ -55,7 +56,9 @@ def fall_by_hand(v0: np.ndarray, h: float, steps: int, two_step: bool) -> tuple[
 @pytest.mark.parametrize("integrator", ["bdf2", "implicit_euler"])
 def test_free_fall_is_the_discrete_parabola(integrator, order):
     v0 = np.array([0.5, -0.3, 1.0])
-    run = simulate(Scene(block(order), initial_velocity=v0), frames=4, fps=10, steps_per_frame=3, integrator=integrator)
+    run = simulate(
+        Scene(block(order), initial_velocity=v0), Timing(frames=4, fps=10, steps_per_frame=3, integrator=integrator)
+    )
     for frame in (1, 2, 3):
         fallen, speed = fall_by_hand(v0, 1 / 30, 3 * frame, integrator == "bdf2")
         np.testing.assert_allclose(run.positions[frame] - run.positions[0], fallen + 0 * run.positions[0], atol=1e-9)
@@ -66,7 +69,7 @@ def test_bdf2_parabola_is_off_by_its_first_step_alone():
     # BDF2 is exact for polynomials of degree two; the first, implicit Euler step is off by g h²/2 in position and
     # exact in velocity, and the two-step recursion carries 3/2 of that initial offset along
     h, steps = 1 / 240, 24
-    run = simulate(Scene(block()), frames=2, fps=1 / (h * steps), steps_per_frame=steps)
+    run = simulate(Scene(block()), Timing(frames=2, fps=1 / (h * steps), steps_per_frame=steps))
     t = h * steps
     offset = run.positions[1] - run.positions[0] - 0.5 * G * t**2
     np.testing.assert_allclose(offset, 1.5 * 0.5 * G * h**2 + 0 * offset, atol=1e-9)
@@ -77,7 +80,7 @@ def test_bdf2_parabola_is_off_by_its_first_step_alone():
 def test_free_fall_error_falls_with_the_order(integrator, order):
     errors = []
     for steps in (8, 16, 32):
-        run = simulate(Scene(block(1)), frames=2, fps=4, steps_per_frame=steps, integrator=integrator)
+        run = simulate(Scene(block(1)), Timing(frames=2, fps=4, steps_per_frame=steps, integrator=integrator))
         errors.append(np.abs(run.positions[1] - run.positions[0] - 0.5 * G * 0.25**2).max())
     np.testing.assert_allclose(np.log2(np.array(errors[:-1]) / errors[1:]), order, atol=1e-2)
 
@@ -110,7 +113,7 @@ def test_stiff_spinning_body_turns_by_the_angle_it_should():
     omega, t, errors = 5.0, 0.5, []
     for steps in (50, 100, 200):
         scene = spinning((0, 0, omega), youngs_modulus=1e8)
-        run = simulate(scene, frames=2, fps=1 / t, steps_per_frame=steps, tolerance=1e-11)
+        run = simulate(scene, Timing(frames=2, fps=1 / t, steps_per_frame=steps, tolerance=1e-11))
         assert run.statistics.halved_steps == 0
         start, end = (x - (0.15, 0.1, 0.05) for x in run.positions)
         angle = np.arctan2((start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]).sum(), (start * end)[:, :2].sum())
@@ -125,7 +128,7 @@ def test_spin_keeps_momentum_and_energy_to_second_order(law):
     drifts = []
     for steps in (20, 40, 80):
         scene = spinning((0.5, -1.0, 4.0), law=law, youngs_modulus=1e6)
-        run = simulate(scene, frames=2, fps=5, steps_per_frame=steps, tolerance=1e-12)
+        run = simulate(scene, Timing(frames=2, fps=5, steps_per_frame=steps, tolerance=1e-12))
         spin = angular_momentum(scene.body, run)
         total = energies(scene, run)
         np.testing.assert_allclose(momentum(scene.body, run), 0.0, atol=1e-8)
@@ -142,7 +145,7 @@ def test_momentum_of_a_thrown_deformed_body_is_exact():
     body = block(youngs_modulus=2e4)
     stretched = body.mesh.vertices * (1.1, 1.0, 0.95)
     scene = Scene(body, initial_positions=stretched, initial_velocity=(1.0, 2.0, 3.0))
-    run = simulate(scene, frames=6, tolerance=1e-10)
+    run = simulate(scene, Timing(frames=6, tolerance=1e-10))
     expected = body.total_mass * (np.array([1.0, 2, 3]) + G * run.times[:, None])
     np.testing.assert_allclose(momentum(body, run), expected, rtol=1e-6, atol=1e-6)
     assert np.ptp([body.energy(x) for x in run.positions]) > 0.1 * body.energy(stretched)  # it does vibrate
@@ -153,7 +156,7 @@ def test_vibration_loses_energy_at_the_rate_of_the_scheme():
     scene = Scene(body, gravity=(0, 0, 0), initial_positions=body.mesh.vertices * (1.05, 1.0, 1.0))
     losses = []
     for steps in (200, 400):
-        run = simulate(scene, frames=3, fps=10, steps_per_frame=steps, tolerance=1e-9)
+        run = simulate(scene, Timing(frames=3, fps=10, steps_per_frame=steps, tolerance=1e-9))
         total = energies(scene, run)
         assert (np.diff(total) < 0).all()
         losses.append(1 - total[-1] / total[0])
@@ -172,7 +175,9 @@ def test_viscosity_takes_nothing_from_a_spin_up_to_second_order():
         for damping in (0.0, 0.05):
             body = block(youngs_modulus=1e6)
             scene = Scene(body, gravity=(0, 0, 0), initial_angular_velocity=(0, 0, 4.0), damping_time=damping)
-            pair.append(energies(scene, simulate(scene, frames=2, fps=5, steps_per_frame=steps, tolerance=1e-10))[-1])
+            pair.append(
+                energies(scene, simulate(scene, Timing(frames=2, fps=5, steps_per_frame=steps, tolerance=1e-10)))[-1]
+            )
         losses.append(abs(pair[1] / pair[0] - 1))
     assert losses[-1] < 2e-3
     assert np.log2(losses[0] / losses[-1]) / 2 > 1.7
@@ -187,7 +192,7 @@ def test_damping_ratio_of_a_mode_is_half_omega_beta():
     shape[:, 0] = np.cos(np.pi * mesh.vertices[:, 0])
     scene = Scene(body, gravity=(0, 0, 0), initial_positions=mesh.vertices + 0.01 * shape, damping_time=beta)
     period = 2 * np.pi / (omega * np.sqrt(1 - (beta * omega / 2) ** 2))
-    run = simulate(scene, frames=4, fps=1 / period, steps_per_frame=300)
+    run = simulate(scene, Timing(frames=4, fps=1 / period, steps_per_frame=300))
     amplitude = ((run.positions - mesh.vertices) * shape).sum((1, 2)) / (shape**2).sum()
     expected = 0.01 * np.exp(-beta * omega**2 / 2 * run.times)
     # BDF2 at 300 steps per period: phase and start errors of (ωh)² = 4e-4, in units of the first amplitude
@@ -196,7 +201,7 @@ def test_damping_ratio_of_a_mode_is_half_omega_beta():
 
 def test_air_drag_slows_down_exponentially():
     scene = Scene(block(), gravity=(0, 0, 0), air_drag=2.0, initial_velocity=(3.0, 0, 0))
-    run = simulate(scene, frames=3, fps=4, steps_per_frame=50)
+    run = simulate(scene, Timing(frames=3, fps=4, steps_per_frame=50))
     expected = 3.0 * np.exp(-2.0 * run.times)
     # local error of the first step (αh)²/2 = 5e-5, of the others (αh)² αt/3
     np.testing.assert_allclose(run.velocities[:, :, 0], expected[:, None] + 0 * run.velocities[:, :, 0], rtol=2e-4)
@@ -204,7 +209,7 @@ def test_air_drag_slows_down_exponentially():
 
 def test_terminal_velocity():
     scene = Scene(block(), air_drag=5.0)
-    run = simulate(scene, frames=2, fps=0.25, steps_per_frame=200)
+    run = simulate(scene, Timing(frames=2, fps=0.25, steps_per_frame=200))
     np.testing.assert_allclose(run.velocities[1], G / 5.0 + 0 * run.velocities[1], atol=1e-4)
 
 
@@ -219,7 +224,9 @@ def test_pins_follow_their_motion_and_drag_the_body_along():
     def motion(t):
         return rest + np.array([0.2 * t**2, 0.0, 0.1 * t])
 
-    run = simulate(Scene(body, gravity=(0, 0, 0), pins=Pins(nodes, motion)), frames=5, fps=8, steps_per_frame=40)
+    run = simulate(
+        Scene(body, gravity=(0, 0, 0), pins=Pins(nodes, motion)), Timing(frames=5, fps=8, steps_per_frame=40)
+    )
     for x, t in zip(run.positions, run.times, strict=True):
         np.testing.assert_allclose(x[nodes], motion(t) if t else rest, atol=1e-12)
     # stiff: the whole body moves with the pins; sag from acceleration ~ρ a L²/E and the jerky start stay below 2 mm
@@ -231,7 +238,7 @@ def test_held_pins_stay_and_do_no_work():
     body = block(youngs_modulus=3e4)
     nodes = np.flatnonzero(body.mesh.vertices[:, 0] == 0)
     scene = Scene(body, pins=Pins(nodes))
-    run = simulate(scene, frames=6, steps_per_frame=40)
+    run = simulate(scene, Timing(frames=6, steps_per_frame=40))
     assert (run.positions[:, nodes] == body.mesh.vertices[nodes]).all()
     total = energies(scene, run)  # zero at the start
     released = 0.5 * body.total_mass * 9.81 * np.ptp(run.positions[:, :, 2], axis=0).max()
@@ -242,7 +249,7 @@ def test_a_damped_swing_comes_to_rest_in_the_static_solution():
     body = block(youngs_modulus=3e4)
     nodes = np.flatnonzero(body.mesh.vertices[:, 0] == 0)
     scene = Scene(body, pins=Pins(nodes), damping_time=0.05)
-    last = simulate(scene, frames=2, fps=0.05, steps_per_frame=400, tolerance=1e-10).positions[-1]
+    last = simulate(scene, Timing(frames=2, fps=0.05, steps_per_frame=400, tolerance=1e-10)).positions[-1]
     np.testing.assert_allclose(last, solve_static(scene), atol=1e-5)
 
 
@@ -250,6 +257,6 @@ def test_loads_may_change_with_time():
     body = block(density=500.0, youngs_modulus=1e6)
     share = body.node_masses[:, None] / body.total_mass * np.array([1.0, 0, 0])
     scene = Scene(body, gravity=(0, 0, 0), loads=lambda t: 6.0 * t * share)
-    run = simulate(scene, frames=2, fps=2, steps_per_frame=100)
+    run = simulate(scene, Timing(frames=2, fps=2, steps_per_frame=100))
     # m v = 3 t²; BDF2 of a quadratic velocity: (h/t)² = 1e-4, the first step adds as much
     np.testing.assert_allclose(momentum(body, run)[1], [3 * 0.25, 0, 0], rtol=5e-4, atol=1e-9)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from physconvex import ConvergenceError, InputError
-from physconvex.dynamics import Plane, stepping as module
-from physconvex.fem import ElasticBody, Pins, Scene, simulate, skinning_eigenmodes, vibration_modes
+from physconvex.dynamics import Plane, Timing, simulate, stepping as module
+from physconvex.fem import ElasticBody, Pins, Scene, skinning_eigenmodes, vibration_modes
 from physconvex.materials import LAWS, with_fibres
 from physconvex.mesh import box_mesh
 
@@ -18,7 +18,7 @@ def small_body(**constants) -> ElasticBody:
 
 
 def test_frames_lie_at_their_times():
-    run = simulate(Scene(small_body()), frames=5, fps=30, steps_per_frame=2)
+    run = simulate(Scene(small_body()), Timing(frames=5, fps=30, steps_per_frame=2))
     np.testing.assert_allclose(run.times, np.arange(5) / 30, rtol=1e-14)
     assert run.positions.shape == run.velocities.shape == (5, *small_body().mesh.vertices.shape)
     np.testing.assert_array_equal(run.positions[0], small_body().mesh.vertices)
@@ -29,14 +29,14 @@ def test_frames_lie_at_their_times():
 
 def test_one_frame_is_the_start():
     scene = Scene(small_body(), initial_velocity=(1.0, 0, 0))
-    run = simulate(scene, frames=1)
+    run = simulate(scene, Timing(frames=1))
     np.testing.assert_array_equal(run.velocities[0], scene.start_velocities())
     assert run.statistics.steps == 0
 
 
 def test_same_scene_same_bits():
     scene = Scene(small_body(), obstacles=(Plane(point=(0, 0, -0.01), friction=0.3),), damping_time=1e-3)
-    runs = [simulate(scene, frames=6) for _ in range(2)]
+    runs = [simulate(scene, Timing(frames=6)) for _ in range(2)]
     np.testing.assert_array_equal(runs[0].positions, runs[1].positions)
 
 
@@ -54,7 +54,7 @@ def test_step_that_fails_is_halved_and_counted(monkeypatch):
         return real(equations, guess, **options)
 
     monkeypatch.setattr(module, "minimise", fails_when_long)
-    run = simulate(Scene(small_body()), frames=2, fps=60, steps_per_frame=4)
+    run = simulate(Scene(small_body()), Timing(frames=2, fps=60, steps_per_frame=4))
     assert run.statistics.halved_steps > 0
     fallen = (run.positions[1] - run.positions[0])[:, 2]
     assert run.times[1] == pytest.approx(1 / 60)
@@ -69,7 +69,7 @@ def test_step_that_always_fails_is_an_error(monkeypatch):
 
     monkeypatch.setattr(module, "minimise", never)
     with pytest.raises(ConvergenceError, match=r"time step at t = 0 s failed even at h = .*: no descent"):
-        simulate(Scene(small_body()), frames=2)
+        simulate(Scene(small_body()), Timing(frames=2))
 
 
 def test_guess_that_turns_an_element_over_is_caught():
@@ -82,7 +82,7 @@ def test_guess_that_turns_an_element_over_is_caught():
         return rest + np.array([0.16 * min(t / 0.1, 1.0), 0.0, 0.0])
 
     scene = Scene(body, gravity=(0, 0, 0), pins=Pins(nodes, shove), damping_time=0.02)
-    run = simulate(scene, frames=2, fps=1, steps_per_frame=10)
+    run = simulate(scene, Timing(frames=2, fps=1, steps_per_frame=10))
     assert run.statistics.halved_steps > 0
     np.testing.assert_allclose(run.positions[1], body.mesh.vertices + np.array([0.16, 0, 0]), atol=2e-3)
 
@@ -91,9 +91,9 @@ def test_projected_matrices_are_counted():
     """A body squashed to half its length buckles: the exact matrix is indefinite there; a resting body never is."""
     body = small_body(youngs_modulus=1e6, poisson_ratio=0.3)
     squashed = body.mesh.vertices * np.array([0.5, 1.0, 1.0])
-    run = simulate(Scene(body, gravity=(0, 0, 0), initial_positions=squashed), frames=2, steps_per_frame=8)
+    run = simulate(Scene(body, gravity=(0, 0, 0), initial_positions=squashed), Timing(frames=2, steps_per_frame=8))
     assert 0 < run.statistics.projections < run.statistics.factorisations
-    rest = simulate(Scene(body, gravity=(0, 0, 0)), frames=2, steps_per_frame=8)
+    rest = simulate(Scene(body, gravity=(0, 0, 0)), Timing(frames=2, steps_per_frame=8))
     assert rest.statistics.projections == 0
 
 
@@ -102,7 +102,7 @@ def test_impossible_prescribed_motion_is_an_error():
     nodes = np.arange(len(body.mesh.vertices))
     turned = Pins(nodes, lambda t: body.mesh.vertices * ((1.0, 1.0, 1.0) if t == 0 else (1.0, 1.0, -1.0)))
     with pytest.raises(ConvergenceError, match="no finite energy"):
-        simulate(Scene(body, pins=turned), frames=2)
+        simulate(Scene(body, pins=turned), Timing(frames=2))
 
 
 # --- bad input
@@ -125,7 +125,7 @@ def test_impossible_prescribed_motion_is_an_error():
 )
 def test_bad_options_are_named(options, message):
     with pytest.raises(InputError, match=message):
-        simulate(Scene(small_body()), **options)
+        simulate(Scene(small_body()), Timing(**options))
 
 
 @pytest.mark.parametrize(
@@ -190,7 +190,7 @@ def test_targets_of_pins_that_go_bad_on_the_way_are_named():
     rest = body.mesh.vertices[:2]
     scene = Scene(body, pins=Pins(np.array([0, 1]), lambda t: rest if t < 0.02 else np.full((2, 3), np.inf)))
     with pytest.raises(InputError, match=r"pins\.motion: got values that are not finite at t = 0\.02 s"):
-        simulate(scene, frames=2, fps=10, steps_per_frame=10)
+        simulate(scene, Timing(frames=2, fps=10, steps_per_frame=10))
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from physconvex import InputError
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Pins, Scene, simulate, simulate_with_sensitivities
+from physconvex.dynamics import Plane, Timing, simulate, simulate_with_sensitivities
+from physconvex.fem import ElasticBody, Pins, Scene, SceneFamily
 from physconvex.mesh import box_mesh
 
-TIMING = {"frames": 4, "fps": 48.0, "steps_per_frame": 4, "tolerance": 1e-11}
+TIMING = Timing(frames=4, fps=48.0, steps_per_frame=4, tolerance=1e-11)
 VALUES = np.array([4.3, 0.3, 1e-3, -0.6])
 STEPS = np.array([2e-5, 1e-5, 2e-7, 1e-5])
 
@@ -45,40 +45,42 @@ def held(values):
 
 @pytest.mark.parametrize("scene_of", [thrown, held])
 def test_against_central_differences_of_whole_roll_outs(scene_of):
-    found = simulate_with_sensitivities(scene_of, VALUES, steps=STEPS, **TIMING)
-    np.testing.assert_array_equal(found.trajectory.positions, simulate(scene_of(VALUES), **TIMING).positions)
+    found = simulate_with_sensitivities(SceneFamily(scene_of=scene_of, values=VALUES, steps=STEPS), TIMING)
+    np.testing.assert_array_equal(found.trajectory.positions, simulate(scene_of(VALUES), TIMING).positions)
     for k, width in enumerate(1e2 * STEPS):
-        moved = [simulate(scene_of(VALUES + s * width * np.eye(4)[k]), **TIMING).positions for s in (1, -1)]
+        moved = [simulate(scene_of(VALUES + s * width * np.eye(4)[k]), TIMING).positions for s in (1, -1)]
         slope = (moved[0] - moved[1]) / (2 * width)
-        assert np.linalg.norm(found.position_tangents[:, k] - slope) < 2e-3 * np.linalg.norm(slope)
+        assert np.linalg.norm(found.coordinate_tangents[:, k] - slope) < 2e-3 * np.linalg.norm(slope)
 
 
 @pytest.mark.parametrize(
     ("scene_of", "passes"), [(rough, 1), (rough, 3), pytest.param(rough, 12, marks=pytest.mark.slow), (damped, 3)]
 )
 def test_friction_and_dashpots_are_differentiated_pass_by_pass(scene_of, passes):
-    timing = TIMING | {"frames": 6, "friction_passes": passes}
-    found = simulate_with_sensitivities(scene_of, VALUES, steps=STEPS, **timing)
+    timing = replace(TIMING, frames=6, friction_passes=passes)
+    found = simulate_with_sensitivities(SceneFamily(scene_of=scene_of, values=VALUES, steps=STEPS), timing)
     for k, width in enumerate(3 * STEPS):
-        moved = [simulate(scene_of(VALUES + s * width * np.eye(4)[k]), **timing).positions for s in (1, -1)]
+        moved = [simulate(scene_of(VALUES + s * width * np.eye(4)[k]), timing).positions for s in (1, -1)]
         slope = (moved[0] - moved[1]) / (2 * width)
-        assert np.linalg.norm(found.position_tangents[:, k] - slope) < 1e-3 * np.linalg.norm(slope)
+        assert np.linalg.norm(found.coordinate_tangents[:, k] - slope) < 1e-3 * np.linalg.norm(slope)
 
 
 def test_at_a_bound_the_difference_is_taken_on_one_side():
     values = np.array([4.3, 0.3, 0.0, -0.6])  # no damping: a negative one is refused
-    found = simulate_with_sensitivities(thrown, values, steps=STEPS, lower=[3.0, 0.0, 0.0, -9.0], **TIMING)
-    ahead = simulate(thrown(values + np.array([0, 0, 2e-6, 0])), **TIMING).positions
+    found = simulate_with_sensitivities(
+        SceneFamily(scene_of=thrown, values=values, steps=STEPS, lower=[3.0, 0.0, 0.0, -9.0]), TIMING
+    )
+    ahead = simulate(thrown(values + np.array([0, 0, 2e-6, 0])), TIMING).positions
     slope = (ahead - found.trajectory.positions) / 2e-6
-    assert np.linalg.norm(found.position_tangents[:, 2] - slope) < 1e-2 * np.linalg.norm(slope)
+    assert np.linalg.norm(found.coordinate_tangents[:, 2] - slope) < 1e-2 * np.linalg.norm(slope)
 
 
 def test_a_width_that_is_not_positive_is_named():
     with pytest.raises(InputError, match="expected one positive width"):
-        simulate_with_sensitivities(thrown, VALUES, steps=[1e-5, 1e-5, 0.0, 1e-5])
+        simulate_with_sensitivities(SceneFamily(scene_of=thrown, values=VALUES, steps=[1e-5, 1e-5, 0.0, 1e-5]))
 
 
 @pytest.mark.parametrize("option", [{"contact_solver": "condensed"}, {"flight_steps_per_frame": 2}])
 def test_what_derivatives_do_not_follow_is_refused(option):
     with pytest.raises(InputError, match="contact by passes and steps of one length"):
-        simulate_with_sensitivities(thrown, VALUES, steps=STEPS, **TIMING, **option)
+        simulate_with_sensitivities(SceneFamily(scene_of=thrown, values=VALUES, steps=STEPS), replace(TIMING, **option))

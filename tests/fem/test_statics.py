@@ -1,11 +1,14 @@
 """Equilibria with closed forms: stretched bars give back E and ν, finite stretches of rubber, own weight."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
 from physconvex import ConvergenceError, InputError
-from physconvex.fem import ElasticBody, Pins, Scene, simulate, solve_static, surface_load
+from physconvex.dynamics import Timing, simulate
+from physconvex.fem import ElasticBody, Pins, Scene, solve_static, surface_load
 from physconvex.materials import LAWS
 from physconvex.mesh import TetMesh, box_mesh
 
@@ -36,8 +39,8 @@ def equilibrium(body: ElasticBody, forces: np.ndarray, ramp: int = 1) -> np.ndar
     """Equilibrium of a body without support: implicit Euler with steps of 1 s, in which inertia only holds the rigid
     motions. A vibration (150 rad/s at least) shrinks by 1e4 in each of the four steps after the ramp."""
     scene = Scene(body, gravity=(0, 0, 0), loads=lambda t: min(t / ramp, 1.0) * forces)
-    options = {"fps": 1.0, "steps_per_frame": 1, "integrator": "implicit_euler", "tolerance": 1e-11}
-    return simulate(scene, frames=ramp + 5, **options).positions[-1]
+    options = Timing(fps=1.0, steps_per_frame=1, integrator="implicit_euler", tolerance=1e-11)
+    return simulate(scene, replace(options, frames=ramp + 5)).positions[-1]
 
 
 def mean_gradient(mesh: TetMesh, x: np.ndarray) -> np.ndarray:

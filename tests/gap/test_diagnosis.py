@@ -13,20 +13,21 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from physconvex import InputError
+from physconvex.dynamics import Timing, simulate
 from physconvex.io import Capture, Floor, Tracks, load_capture, save_capture
 
 
 def thrown_block(folder, velocity, seed):
     """A block that falls on a rough floor, of which the capture says nothing."""
     from physconvex.dynamics import Plane
-    from physconvex.fem import ElasticBody, Scene, simulate
+    from physconvex.fem import ElasticBody, Scene
     from physconvex.mesh import Embedding, box_mesh
 
     mesh = box_mesh((0.2, 0.1, 0.1), (4, 2, 2), order=2)
     body = ElasticBody(mesh, youngs_modulus=3e4, poisson_ratio=0.35)
     floor = Plane(point=(0, 0, -0.02), friction=0.4)
-    run = simulate(Scene(body, obstacles=(floor,), initial_velocity=velocity), frames=12, fps=100.0,
-                   steps_per_frame=10)  # fmt: skip
+    scene = Scene(body, obstacles=(floor,), initial_velocity=velocity)
+    run = simulate(scene, Timing(frames=12, fps=100.0, steps_per_frame=10))
     surface = trimesh.creation.box(extents=(0.2, 0.1, 0.1)).apply_translation((0.1, 0.05, 0.05))
     points, _ = trimesh.sample.sample_surface_even(surface, 25, seed=seed)
     positions = Embedding.of_points(mesh, points).apply(run.positions)

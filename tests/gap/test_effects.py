@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from physconvex import InputError
-from physconvex.fem import SurfacePoints, simulate as simulate_full
+from physconvex.dynamics import Timing, simulate
+from physconvex.fem import SurfacePoints
 from physconvex.gap import (
     DEFAULT_EFFECTS,
     EFFECT_NAMES,
@@ -15,17 +16,15 @@ from physconvex.gap import (
     MotionCorrection,
     PointMotion,
     applicable,
-    by_steps,
     choose,
 )
-from physconvex.reduced import simulate as simulate_reduced
 
 NAMES = (
     "damping air_drag friction restitution gravity_tilt initial_velocity initial_spin plasticity viscoelasticity "
     "heterogeneity anisotropy nonlinear_elasticity wind camera_pose focal_length lens_distortion rolling_shutter "
     "motion_blur exposure time_scale time_offset reduction time_step mesh_resolution contact_stiffness"
 ).split()
-TIMING = {"frames": 13, "fps": 120.0, "steps_per_frame": 4}
+TIMING = Timing(frames=13, fps=120.0, steps_per_frame=4)
 SPAN = 12 / 120
 
 
@@ -36,11 +35,11 @@ def effect(label):
 def run(scene):
     """Centre of mass [T, 3], its velocity, and heights and lengths of the body, by either model."""
     if hasattr(scene.body, "mesh"):
-        motion, masses = simulate_full(scene, **TIMING), scene.body.node_masses
+        motion, masses = simulate(scene, TIMING), scene.body.node_masses
         points, velocities = motion.positions, motion.velocities
         weights = masses / masses.sum()
         return weights @ points, weights @ velocities, np.ptp(points, axis=1)
-    motion, rest = simulate_reduced(scene, **TIMING), scene.body.space.samples.surface_points
+    motion, rest = simulate(scene, TIMING), scene.body.space.samples.surface_points
     points = motion.positions(rest)
     weights = scene.body.first_moments / scene.body.total_mass
     return weights @ motion.coordinates, weights @ motion.velocities, np.ptp(points, axis=1)
@@ -304,12 +303,6 @@ def test_what_a_cheaper_model_lacks_is_known_between_frames_too():
     shorter = replace(exact, steps=exact.steps.first(481))  # which ends with the last frame
     late = MotionCorrection.between(shorter, own).of(PointMotion.of_steps(further, len(times), 40))
     np.testing.assert_allclose(late.at(times + 0.015), exact.at(times + 0.015), atol=1e-12)  # straight on
-
-
-def test_steps_of_a_roll_out():
-    timing = {"frames": 5, "fps": 20.0, "steps_per_frame": 6}
-    assert by_steps(timing, 0.0) == {"frames": 25, "fps": 120.0, "steps_per_frame": 1}
-    assert by_steps(timing, 0.06)["frames"] == 37 and by_steps(timing, -1.0)["frames"] == 25
 
 
 @pytest.mark.parametrize(

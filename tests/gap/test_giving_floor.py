@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.fem import ElasticBody, Scene
 from physconvex.gap import (
     DEFAULT_EFFECTS,
     EffectModel,
@@ -40,7 +40,7 @@ def dropped(
         body, obstacles=(Plane(friction=friction),), initial_velocity=(0.0, 0.0, -1.5), gravity=(leaning, 0.0, -9.81),
         **world,
     )  # fmt: skip
-    run = simulate(scene, frames=frames, fps=FPS, steps_per_frame=8)
+    run = simulate(scene, Timing(frames=frames, fps=FPS, steps_per_frame=8))
     shown = np.unique(mesh.boundary_faces)[::2]
     rng = np.random.default_rng(0)
     positions = run.positions[:, shown] - [0, 0, lowered]

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.fem import ElasticBody, Scene
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions, error_model, rough_baseline
 from physconvex.gap.base.model import reduced_like
 from physconvex.gap.errors.numerics import Numerics, exact_model
@@ -29,7 +29,7 @@ def base(tmp_path_factory):
     mesh, corners = (box_mesh((0.1, 0.1, SIZE), (1, 1, 1), order=order) for order in (2, 1))
     mesh, corners = (TetMesh(m.vertices + UP, m.tets) for m in (mesh, corners))
     body = ElasticBody(mesh, youngs_modulus=2e5, poisson_ratio=0.35, density=1000.0)
-    run = simulate(Scene(body, obstacles=(Plane(),)), frames=FRAMES, fps=FPS, steps_per_frame=10)
+    run = simulate(Scene(body, obstacles=(Plane(),)), Timing(frames=FRAMES, fps=FPS, steps_per_frame=10))
     capture = Capture(
         tmp_path_factory.mktemp("box") / "dropped", FPS, FRAMES, 10, density=1000.0,
         floor=Floor(np.zeros(3), np.array([0.0, 0.0, 1.0])),

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.fem import ElasticBody, Scene
 from physconvex.gap import DEFAULT_EFFECTS, ErrorModel, GapOptions, rough_baseline
 from physconvex.gap.base.model import MODULUS
 from physconvex.gap.errors.numerics import Numerics
@@ -33,7 +33,7 @@ def dropped(folder, tilt, height):
     gravity = 9.81 * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
     body = ElasticBody(mesh, youngs_modulus=TRUE, poisson_ratio=0.35, density=1000.0)
     scene = Scene(body, obstacles=(Plane(friction=0.3),), gravity=tuple(gravity))
-    run = simulate(scene, frames=FRAMES, fps=FPS, steps_per_frame=8)
+    run = simulate(scene, Timing(frames=FRAMES, fps=FPS, steps_per_frame=8))
     noise = 1e-4 * np.random.default_rng(0).normal(size=run.positions.shape)
     capture = Capture(
         folder, FPS, FRAMES, 16, density=1000.0,

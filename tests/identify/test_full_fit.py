@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from physconvex.fem import ElasticBody, simulate
+from physconvex.dynamics import simulate
+from physconvex.fem import ElasticBody
 from physconvex.identify import (
     FullModel,
     ReducedModel,
@@ -25,7 +26,7 @@ from physconvex.identify import (
 )
 from physconvex.io import Boundary, Capture, Floor, Tracks, load_capture, save_capture
 from physconvex.mesh import Embedding, box_mesh, refine_uniformly, to_quadratic
-from physconvex.reduced import eigenmode_weights, simulate as simulate_reduced
+from physconvex.reduced import eigenmode_weights
 
 NAMES, TRUTH, FRAMES = ("log10_youngs_modulus", "poisson_ratio"), np.array([4.6, 0.35]), 6
 
@@ -169,11 +170,11 @@ def test_nothing_is_added_where_a_body_may_strike_something(tmp_path):
 
 def test_weights_refined_by_the_full_motion_follow_it_more_closely(bar):
     twin = base_twin(bar[0].capture, TwinOptions(weights=10, steps_per_frame=4))
-    nodes = simulate(twin.with_values(NAMES, TRUTH).full_scene(), **twin.timing(FRAMES)).positions
+    nodes = simulate(twin.with_values(NAMES, TRUTH).full_scene(), twin.timing(FRAMES)).positions
     fitted = twin.with_values(NAMES, TRUTH)
     gaps = []
     for trial in (fitted, enriched(fitted, nodes)):
-        run = simulate_reduced(trial.scene, **twin.timing(FRAMES))
+        run = simulate(trial.scene, twin.timing(FRAMES))
         gaps.append(np.sqrt(np.square(run.positions(twin.mesh.vertices) - nodes).sum(-1).mean()))
     assert trial.scene.body.space.field.count == 10
     assert gaps[1] < 0.6 * gaps[0]

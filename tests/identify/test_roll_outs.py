@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from physconvex import ConvergenceError
-from physconvex.fem import simulate
+from physconvex.dynamics import Guide, Timing, simulate
 from physconvex.identify import FullModel, RollOuts, TwinOptions, base_twin, roll_out_together, roll_outs
 from physconvex.io import Capture, Floor, Workers, load_capture, save_capture
 from physconvex.mesh import TetMesh, box_mesh, refine_uniformly
@@ -57,7 +57,7 @@ def test_no_roll_out_is_made_twice_and_failures_are_remembered(tmp_path, monkeyp
     def fail(*arguments, **options):
         raise ConvergenceError("no")
 
-    monkeypatch.setattr("physconvex.identify.roll_outs.simulate_full", fail)
+    monkeypatch.setattr("physconvex.identify.roll_outs.simulate", fail)
     for _ in range(2):
         with pytest.raises(ConvergenceError, match="no"):
             model.positions(TRUTH + SCALES)
@@ -97,7 +97,7 @@ def test_a_failure_is_a_result(tmp_path, monkeypatch):
     def fail(*arguments, **options):
         raise ConvergenceError("no")
 
-    monkeypatch.setattr(roll_outs, "simulate_full", fail)
+    monkeypatch.setattr(roll_outs, "simulate", fail)
     made = roll_outs._rolled_out(box(tmp_path, RollOuts()).roll_out(TRUTH))
     assert str(pickle.loads(pickle.dumps(made))) == "no"
 
@@ -105,12 +105,13 @@ def test_a_failure_is_a_result(tmp_path, monkeypatch):
 def test_a_guided_roll_out_is_the_same_in_fewer_iterations(tmp_path):
     model = box(tmp_path, RollOuts())
     scene, beside = (model.scene(values) for values in (TRUTH, TRUTH + 0.01 * SCALES))
-    how = {"frames": 6, "fps": 48.0, "steps_per_frame": 8, "contact_solver": "condensed"}
-    guide = simulate(scene, **how, keep_guide=True).guide
-    alone, guided = simulate(beside, **how), simulate(beside, **how, guide=guide)
-    assert len(guide) == 40 and alone.guide is None
+    how = Timing(frames=6, fps=48.0, steps_per_frame=8, contact_solver="condensed")
+    guide = Guide()
+    simulate(scene, how, noted=guide)
+    alone, guided = simulate(beside, how), simulate(beside, how, guide=guide)
+    assert len(guide) == 40
     assert np.abs(alone.positions - guided.positions).max() < 1e-6 * 0.3
-    assert np.abs(alone.positions - simulate(scene, **how).positions).max() > 1e-5 * 0.3  # they do differ
+    assert np.abs(alone.positions - simulate(scene, how).positions).max() > 1e-5 * 0.3  # they do differ
     assert guided.statistics.newton_iterations < 0.8 * alone.statistics.newton_iterations
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.fem import simulate
+from physconvex.dynamics import simulate
 from physconvex.identify import FullModel, TwinOptions, base_twin
 from physconvex.io import Capture, Floor, load_capture, save_capture
 from physconvex.mesh import TetMesh, box_mesh
@@ -48,11 +48,11 @@ def test_slopes_are_the_same_over_small_and_large_changes(tmp_path, friction):
 def test_contact_and_friction_are_solved_for_together_where_the_law_allows_it(tmp_path):
     full = model(tmp_path, 0.6)
     timing = full.roll_out(VALUES).timing
-    expected = simulate(full.scene(VALUES), contact_solver="condensed", **timing)
+    expected = simulate(full.scene(VALUES), timing)
     np.testing.assert_array_equal(full.node_positions(VALUES), expected.positions)
     assert replace(full, names=(*NAMES, "contact_damping")).linearise(np.append(VALUES, 0.0))[1].shape[1] == 4
     damped = replace(full, twin=full.twin.with_scene(contact_damping=1e-3))
-    expected = simulate(damped.scene(VALUES), **timing)
+    expected = simulate(damped.scene(VALUES), damped.roll_out(VALUES).timing)
     np.testing.assert_array_equal(damped.node_positions(VALUES), expected.positions)
 
 

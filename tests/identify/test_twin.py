@@ -5,7 +5,8 @@ import pytest
 import trimesh
 
 from physconvex import InputError
-from physconvex.fem import ElasticBody, simulate
+from physconvex.dynamics import Timing, simulate
+from physconvex.fem import ElasticBody
 from physconvex.identify import (
     MarkerObservations,
     TwinOptions,
@@ -23,7 +24,7 @@ from physconvex.identify import (
 )
 from physconvex.io import Boundary, Capture, Floor, Tracks, load_capture, save_capture
 from physconvex.mesh import TetMesh, box_mesh, to_quadratic
-from physconvex.reduced import eigenmode_weights, simulate as simulate_reduced
+from physconvex.reduced import eigenmode_weights
 
 SIZE = (0.2, 0.05, 0.05)
 BOX = np.array([[-1e-6, -1.0, -1.0], [1e-6, 1.0, 1.0]])
@@ -71,11 +72,11 @@ def test_world_and_boundary_go_to_both_models(tmp_path):
 
 def test_few_weights_follow_a_clamped_body_since_they_are_of_its_own_vibrations(tmp_path):
     twin = base_twin(saved(tmp_path / "c", boundary=Boundary(clamped_box=BOX)), TwinOptions(weights=6))
-    timing = {"frames": 6, "fps": 48.0, "steps_per_frame": 4}
-    truth = simulate(twin.full_scene(), **timing).positions
+    timing = Timing(frames=6, fps=48.0, steps_per_frame=4)
+    truth = simulate(twin.full_scene(), timing).positions
 
     def distance(trial) -> float:
-        return float(np.linalg.norm(simulate_reduced(trial.scene, **timing).positions(twin.mesh.vertices) - truth))
+        return float(np.linalg.norm(simulate(trial.scene, timing).positions(twin.mesh.vertices) - truth))
 
     assert distance(twin) < 0.1 * distance(with_weights(twin, eigenmode_weights(ElasticBody(twin.mesh), 6)))
     assert base_twin(twin.capture, TwinOptions(weights=64)).scene.body.space.field.count < 64  # the mesh has no more

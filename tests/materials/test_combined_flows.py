@@ -5,18 +5,11 @@ import pytest
 import torch
 
 from physconvex import InputError
-from physconvex.fem import ElasticBody, Pins, Scene, simulate
+from physconvex.dynamics import Timing, simulate, simulate_with_sensitivities
+from physconvex.fem import ElasticBody, Pins, Scene
 from physconvex.materials import Flows, Plasticine, Sand, StandardLinearSolid, stored_flows
 from physconvex.mesh import box_mesh
-from physconvex.reduced import (
-    BodySamples,
-    ReducedBody,
-    ReducedScene,
-    ReducedSpace,
-    eigenmode_weights,
-    simulate as simulate_reduced,
-    simulate_with_sensitivities,
-)
+from physconvex.reduced import BodySamples, NamedParameters, ReducedBody, ReducedScene, ReducedSpace, eigenmode_weights
 
 PLASTIC, RELAXING = Plasticine(2e3, "neo_hookean"), StandardLinearSolid(2.0, 0.03)
 
@@ -55,10 +48,10 @@ def bent(mesh, flow, reduced):
     held = np.flatnonzero(mesh.vertices[:, 0] < mesh.vertices[:, 0].min() + 1e-9)
     body = ElasticBody(mesh, youngs_modulus=4e4, poisson_ratio=0.3, flow=flow)
     if not reduced:
-        return simulate(Scene(body, pins=Pins(held)), frames=6, fps=40.0, steps_per_frame=4).positions[1:]
+        return simulate(Scene(body, pins=Pins(held)), Timing(frames=6, fps=40.0, steps_per_frame=4)).positions[1:]
     space = ReducedSpace(eigenmode_weights(ElasticBody(mesh), 6), BodySamples.of_mesh(mesh))
     made = ReducedBody(space, youngs_modulus=4e4, poisson_ratio=0.3, flow=flow)
-    run = simulate_reduced(ReducedScene(made), frames=6, fps=40.0, steps_per_frame=4)
+    run = simulate(ReducedScene(made), Timing(frames=6, fps=40.0, steps_per_frame=4))
     assert flow is None or run.flowed.shape == (6, len(made.mu), *stored_flows(flow), 3, 3)
     return run.positions(mesh.vertices)[1:]
 
@@ -89,4 +82,6 @@ def test_derivatives_of_roll_outs_are_refused(mesh):
     space = ReducedSpace(eigenmode_weights(ElasticBody(mesh), 4), BodySamples.of_mesh(mesh))
     body = ReducedBody(space, youngs_modulus=4e4, poisson_ratio=0.3, flow=Flows(PLASTIC, RELAXING))
     with pytest.raises(InputError, match="one way of flowing"):
-        simulate_with_sensitivities(ReducedScene(body), ["log10_youngs_modulus"], frames=3, fps=40.0)
+        simulate_with_sensitivities(
+            NamedParameters(ReducedScene(body), ["log10_youngs_modulus"]), Timing(frames=3, fps=40.0)
+        )

@@ -7,7 +7,8 @@ import pytest
 import trimesh
 
 from physconvex import InputError
-from physconvex.fem import ElasticBody, Scene, simulate, vibration_modes
+from physconvex.dynamics import Timing, simulate
+from physconvex.fem import ElasticBody, Scene, vibration_modes
 from physconvex.mesh import TetMesh, box_mesh, filled, filling, tetrahedralize, to_quadratic, unit_mass
 from physconvex.reduced import BodySamples, ReducedBody, ReducedSpace, eigenmode_weights
 
@@ -153,7 +154,7 @@ def test_few_elements_vibrate_like_a_sphere():
 
 def test_a_body_falls_as_all_bodies_do(box, smaller):
     part, whole = (
-        simulate(Scene(ElasticBody(m), initial_velocity=(1.0, 0, 0)), frames=5, fps=50.0, steps_per_frame=2)
+        simulate(Scene(ElasticBody(m), initial_velocity=(1.0, 0, 0)), Timing(frames=5, fps=50.0, steps_per_frame=2))
         for m in (filled(box, *smaller[2]), box)
     )
     np.testing.assert_allclose(part.positions, whole.positions, atol=1e-9)

@@ -5,7 +5,8 @@ import os
 import pytest
 import torch
 
-from physconvex import InputError, cli, fem, mesh, reduced
+from physconvex import InputError, cli, fem, mesh
+from physconvex.dynamics import Timing, simulate
 from physconvex.numerics import one_torch_thread
 
 
@@ -27,13 +28,14 @@ def test_the_number_comes_back_after_an_error():
 def test_a_roll_out_uses_one():
     seen = []
     scene = fem.Scene(fem.ElasticBody(mesh.box_mesh((0.1, 0.1, 0.1), (1, 1, 1), order=1)))
-    fem.simulate(scene, frames=2, steps_per_frame=1, on_frame=lambda state: seen.append(torch.get_num_threads()))
+    simulate(scene, Timing(frames=2, steps_per_frame=1), on_frame=lambda state: seen.append(torch.get_num_threads()))
     assert seen == [1] and torch.get_num_threads() == 2
 
 
 def test_wrong_arguments_leave_it_too():
+    scene = fem.Scene(fem.ElasticBody(mesh.box_mesh((0.1, 0.1, 0.1), (1, 1, 1), order=1)))
     with pytest.raises(InputError):
-        reduced.simulate_with_sensitivities(object(), (), frames=0)
+        simulate(scene, Timing(energy_tolerance=1e-3))
     assert torch.get_num_threads() == 2
 
 

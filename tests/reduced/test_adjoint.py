@@ -6,17 +6,11 @@ import numpy as np
 import pytest
 
 from physconvex import InputError
-from physconvex.reduced import (
-    PARAMETERS,
-    ReducedScene,
-    ReducedTrajectory,
-    simulate,
-    simulate_with_adjoint,
-    simulate_with_sensitivities,
-)
+from physconvex.dynamics import Timing, simulate, simulate_with_sensitivities
+from physconvex.reduced import PARAMETERS, NamedParameters, ReducedScene, ReducedTrajectory, simulate_with_adjoint
 from tests.reduced.sliding_scene import sliding
 
-TIMING = {"frames": 4, "fps": 48, "steps_per_frame": 4, "tolerance": 1e-11}
+TIMING = Timing(frames=4, fps=48, steps_per_frame=4, tolerance=1e-11)
 
 
 def quadratic_loss(run: ReducedTrajectory) -> tuple[float, np.ndarray]:
@@ -29,8 +23,8 @@ def quadratic_loss(run: ReducedTrajectory) -> tuple[float, np.ndarray]:
 def test_adjoint_equals_forward_for_every_parameter(mixed_body, options):
     scene = sliding(mixed_body(1), seed=4)
     names = [name for name in PARAMETERS if name != "log10_contact_stiffness"]
-    found = simulate_with_adjoint(scene, quadratic_loss, parameters=names, **(TIMING | options))
-    forward = simulate_with_sensitivities(scene, names, **(TIMING | options))
+    found = simulate_with_adjoint(scene, quadratic_loss, replace(TIMING, **options), parameters=names)
+    forward = simulate_with_sensitivities(NamedParameters(scene, names), replace(TIMING, **options))
     value, slope = quadratic_loss(forward.trajectory)
     expected = np.einsum("tpri,tri->p", forward.coordinate_tangents, slope)
     assert found.loss == pytest.approx(value)
@@ -41,10 +35,10 @@ def test_fields_by_finite_differences(mixed_body):
     """E and ν of single cells at fixed contact stiffness, and the initial coordinates of a spinning body."""
     body = mixed_body(1)
     scene = sliding(body, seed=4, contact_stiffness=1e6)
-    found = simulate_with_adjoint(scene, quadratic_loss, **TIMING)
+    found = simulate_with_adjoint(scene, quadratic_loss, TIMING)
 
     def difference(make, step: float) -> float:
-        ends = [quadratic_loss(simulate(make(s), **TIMING))[0] for s in (step, -step)]
+        ends = [quadratic_loss(simulate(make(s), TIMING))[0] for s in (step, -step)]
         return (ends[0] - ends[1]) / (2 * step)
 
     cell = np.eye(len(body.youngs_modulus))[3]
@@ -64,7 +58,7 @@ def test_fields_by_finite_differences(mixed_body):
 def test_sum_over_cells_is_the_derivative_of_the_whole(mixed_body):
     scene = sliding(mixed_body(1), seed=4, contact_stiffness=1e6)
     names = ["log10_youngs_modulus", "poisson_ratio", "density"]
-    found = simulate_with_adjoint(scene, quadratic_loss, parameters=names, **TIMING)
+    found = simulate_with_adjoint(scene, quadratic_loss, TIMING, parameters=names)
     whole = np.log(10) * (found.youngs_modulus * scene.body.youngs_modulus).sum()
     heavier = (found.density * scene.body.density).sum() / (scene.body.total_mass / scene.body.volume)
     np.testing.assert_allclose([whole, found.poisson_ratio.sum(), heavier], found.named, rtol=1e-8)
@@ -73,5 +67,5 @@ def test_sum_over_cells_is_the_derivative_of_the_whole(mixed_body):
 def test_a_derivative_of_the_wrong_shape_is_named(mixed_body):
     with pytest.raises(InputError, match="loss"):
         simulate_with_adjoint(
-            sliding(mixed_body(1), seed=4), lambda run: (0.0, np.zeros(3)), frames=2, steps_per_frame=1
+            sliding(mixed_body(1), seed=4), lambda run: (0.0, np.zeros(3)), Timing(frames=2, steps_per_frame=1)
         )

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from physconvex.dynamics import Contact, Plane, Sphere
-from physconvex.reduced import ReducedBody, ReducedScene, compiled_body as kernel, simulate
+from physconvex.dynamics import Contact, Plane, Sphere, Timing, simulate
+from physconvex.reduced import ReducedBody, ReducedScene, compiled_body as kernel
 from physconvex.reduced.compiled_body import CompiledSurface, CompiledViscosity
 from physconvex.reduced.surface_contact import SurfaceContact
 from tests.kernels.missing import MISSING
@@ -101,7 +101,7 @@ def test_a_rough_damped_drop_is_the_same_without_a_compiler(mixed_body, monkeypa
 
     def dropped() -> np.ndarray:
         scene = ReducedScene(copied(body), obstacles=(floor,), damping_time=2e-3)
-        return simulate(scene, frames=5, fps=24.0, steps_per_frame=8).coordinates
+        return simulate(scene, Timing(frames=5, fps=24.0, steps_per_frame=8)).coordinates
 
     compiled = dropped()
     monkeypatch.setattr(kernel, "REDUCED_KERNEL", MISSING)

@@ -9,14 +9,13 @@ import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
 from physconvex import InputError
-from physconvex.dynamics import Plane, Sphere
+from physconvex.dynamics import Plane, Sphere, Timing, simulate
 from physconvex.fem import (
     ElasticBody,
     Pins as FullPins,
     Scene,
     elastic_responses,
     rigid_motions,
-    simulate as simulate_full,
     tangent_stiffness,
     vibration_modes,
 )
@@ -31,7 +30,6 @@ from physconvex.reduced import (
     elastic_weights,
     even_loads,
     held_nodes,
-    simulate,
     touched_loads,
     with_elastic_weights,
 )
@@ -186,8 +184,8 @@ def test_a_dropped_body_follows_the_full_model():
     turned = np.array([0.15, 0.05, 1.0]) / np.linalg.norm([0.15, 0.05, 1.0])
     floor = Plane(point=(mesh.vertices @ turned).min() * turned - 0.01 * turned, normal=turned)
     full = ElasticBody(mesh, youngs_modulus=5e4, poisson_ratio=0.4)
-    timing = {"frames": 9, "fps": 48.0, "steps_per_frame": 4}
-    truth = simulate_full(Scene(full, obstacles=(floor,)), **timing).positions
+    timing = Timing(frames=9, fps=48.0, steps_per_frame=4)
+    truth = simulate(Scene(full, obstacles=(floor,)), timing).positions
     samples = BodySamples.of_mesh(mesh)
 
     def scene(field) -> ReducedScene:
@@ -195,8 +193,8 @@ def test_a_dropped_body_follows_the_full_model():
         return ReducedScene(body, obstacles=(floor,), contact_stiffness=50 * 5e4 / mesh.size)
 
     rough = scene(eigenmode_weights(full, 20))
-    near = with_elastic_weights(rough, mesh, 20, loaded=12, **timing)
-    runs = [simulate(one, **timing) for one in (rough, near)]
+    near = with_elastic_weights(rough, mesh, 20, timing, loaded=12)
+    runs = [simulate(one, timing) for one in (rough, near)]
     distances = [float(np.abs(run.positions(mesh.vertices) - truth).max()) for run in runs]
     assert distances[1] < 0.3 * distances[0]
     assert near.body.space.field.count == 20 and near.obstacles == rough.obstacles
@@ -206,7 +204,7 @@ def test_a_dropped_body_follows_the_full_model():
     half = int(np.flatnonzero(energies[:most] <= energies[most] / 2)[-1]) + 1
     loads = touched_loads(mesh, positions, runs[0].times, [floor], count=12)
     expected = elastic_weights(full, 20, loads, states=positions[sorted({half, most})])
-    found = with_elastic_weights(rough, mesh, 20, loaded=12, passes=1, **timing).body.space.field
+    found = with_elastic_weights(rough, mesh, 20, timing, loaded=12, passes=1).body.space.field
     np.testing.assert_allclose(np.abs(found.nodal_values), np.abs(expected.nodal_values), atol=1e-6)
 
 
@@ -215,8 +213,8 @@ def test_a_clamped_body_vibrates_as_it_is_held():
     mesh = box_mesh((0.3, 0.1, 0.1), (6, 2, 2), order=2)
     full = ElasticBody(mesh, youngs_modulus=5e4, poisson_ratio=0.4)
     clamped = np.isclose(mesh.vertices[:, 0], mesh.vertices[:, 0].min())
-    timing = {"frames": 9, "fps": 24.0, "steps_per_frame": 4}
-    truth = simulate_full(Scene(full, pins=FullPins(np.flatnonzero(clamped))), **timing).positions
+    timing = Timing(frames=9, fps=24.0, steps_per_frame=4)
+    truth = simulate(Scene(full, pins=FullPins(np.flatnonzero(clamped))), timing).positions
     samples = BodySamples.of_mesh(mesh)
     pins = Pins(mesh.vertices[clamped], np.maximum(mesh.node_areas[clamped], 1e-9))
 
@@ -225,16 +223,16 @@ def test_a_clamped_body_vibrates_as_it_is_held():
         return ReducedScene(ReducedBody(space, youngs_modulus=5e4, poisson_ratio=0.4), pins=pins)
 
     def distance(field) -> float:
-        return float(np.abs(simulate(scene(field), **timing).positions(mesh.vertices) - truth).max())
+        return float(np.abs(simulate(scene(field), timing).positions(mesh.vertices) - truth).max())
 
     at_rest = distance(elastic_weights(full, 8, clamped=clamped))
     for free in (elastic_weights(full, 8, even_loads(mesh, 20)), eigenmode_weights(full, 8)):
         assert at_rest < 0.25 * distance(free)
     rough = scene(eigenmode_weights(full, 10))
-    found = with_elastic_weights(rough, mesh, 8, **timing)
+    found = with_elastic_weights(rough, mesh, 8, timing)
     assert distance(found.body.space.field) < at_rest
     floor = Plane(point=(0, 0, mesh.vertices[:, 2].min()))  # it carries the clamp too, where nothing gives way
-    lying = with_elastic_weights(dataclasses.replace(rough, obstacles=(floor,)), mesh, 8, **timing)
+    lying = with_elastic_weights(dataclasses.replace(rough, obstacles=(floor,)), mesh, 8, timing)
     assert lying.body.space.field.count == 8
 
 
@@ -304,15 +302,15 @@ def test_states_of_infinite_energy_are_left_out(bar):
 def test_scene_without_contact_loads_the_whole_surface(bar):
     space = ReducedSpace(eigenmode_weights(bar, 4), BodySamples.of_mesh(bar.mesh))
     scene = ReducedScene(ReducedBody(space, youngs_modulus=1e5, poisson_ratio=0.4))
-    found = with_elastic_weights(scene, bar.mesh, 6, frames=2, fps=24.0).body
+    found = with_elastic_weights(scene, bar.mesh, 6, Timing(frames=2, fps=24.0)).body
     expected = elastic_weights(bar, 6, even_loads(bar.mesh, 20))
     np.testing.assert_allclose(np.abs(found.space.field.nodal_values), np.abs(expected.nodal_values), atol=1e-6)
     np.testing.assert_array_equal(found.poisson_ratio, 0.4)
     with pytest.raises(InputError, match="mesh"):
-        with_elastic_weights(scene, box_mesh((1, 1, 1), (1, 1, 1)), 6, frames=2)
+        with_elastic_weights(scene, box_mesh((1, 1, 1), (1, 1, 1)), 6, Timing(frames=2))
     started = dataclasses.replace(scene, initial_coordinates=space.affine(np.eye(3), np.zeros(3)))
     with pytest.raises(InputError, match="starts from"):
-        with_elastic_weights(started, bar.mesh, 6, frames=2)
+        with_elastic_weights(started, bar.mesh, 6, Timing(frames=2))
 
 
 def test_errors(bar):

@@ -5,7 +5,7 @@ import pytest
 
 from physconvex.dynamics import Plane, Sphere, State, Wind, bdf2, implicit_euler
 from physconvex.numerics import NotPositiveDefiniteError
-from physconvex.reduced import Pins, ReducedBody, ReducedScene, StepEquations
+from physconvex.reduced import Pins, ReducedBody, ReducedEquations, ReducedScene
 
 STEP = 1e-6
 
@@ -33,9 +33,9 @@ def full_scene(body: ReducedBody) -> ReducedScene:
     )
 
 
-def step_equations(body: ReducedBody, *, two_step: bool) -> tuple[StepEquations, np.ndarray]:
+def step_equations(body: ReducedBody, *, two_step: bool) -> tuple[ReducedEquations, np.ndarray]:
     """Equations of one time step between random states, and a random point to look at."""
-    equations, rng = StepEquations(full_scene(body)), np.random.default_rng(3)
+    equations, rng = ReducedEquations(full_scene(body)), np.random.default_rng(3)
     states = [State(0.0, shaken(body, s, 0.004), 0.3 * rng.normal(size=body.rest.shape)) for s in (1, 2)]
     coefficients = bdf2(states[1], states[0], 0.01) if two_step else implicit_euler(states[1], 0.01)
     equations.set_step(coefficients, 0.01, shaken(body, 8, 0.004), states[1])
@@ -66,7 +66,7 @@ def test_gradient_and_hessian_of_the_incremental_potential(mixed_body, order, tw
 
 def test_indefinite_hessian_is_refused_and_its_projection_is_not(mixed_body):
     body = mixed_body()
-    equations = StepEquations(full_scene(body))  # no inertia
+    equations = ReducedEquations(full_scene(body))  # no inertia
     squeezed = body.rest * [0.3, 1.0, 1.0] + [10.0, 0, 10.0]
     with pytest.raises(NotPositiveDefiniteError):
         equations.factorise(squeezed, project=False)

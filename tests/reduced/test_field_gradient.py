@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from physconvex import InputError
+from physconvex.dynamics import Timing, simulate
 from physconvex.materials import Plasticine
 from physconvex.reduced import (
     CallableWeights,
@@ -14,12 +15,11 @@ from physconvex.reduced import (
     ReducedScene,
     ReducedSpace,
     rollout_of_weights,
-    simulate,
     untrained_neural_weights,
 )
 from tests.reduced.sliding_scene import sliding
 
-TIMING = {"frames": 4, "fps": 48, "steps_per_frame": 4, "tolerance": 1e-11}
+TIMING = Timing(frames=4, fps=48, steps_per_frame=4, tolerance=1e-11)
 COUNT = 2
 
 
@@ -65,10 +65,10 @@ def test_derivatives_by_theta_are_those_of_differences(mixed_body, name, law):
     scene = scenes(mixed_body(1, law))[name]
     points = np.random.default_rng(6).uniform((0, 0, 0), (0.3, 0.2, 0.1), (5, 3))
     network, rng = Network(1), np.random.default_rng(7)
-    target = torch.as_tensor(rng.normal(size=(TIMING["frames"], len(points), 3)))
+    target = torch.as_tensor(rng.normal(size=(TIMING.frames, len(points), 3)))
 
     def loss_of(function) -> torch.Tensor:
-        return ((rollout_of_weights(function, COUNT, scene=scene, points=points, **TIMING) - target) ** 2).sum()
+        return ((rollout_of_weights(function, COUNT, scene=scene, points=points, timing=TIMING) - target) ** 2).sum()
 
     loss_of(network).backward()
     found = torch.cat([part.grad.flatten() for part in network.parts])
@@ -89,15 +89,15 @@ def test_a_neural_field_learns_from_a_motion(mixed_body):
     scene = scenes(mixed_body(1))["held"]
     scene = replace(scene, initial_velocity=(0.0, 0.0, 0.0), initial_angular_velocity=(0.0, 0.0, 0.0))
     points = np.random.default_rng(6).uniform((0, 0, 0), (0.3, 0.2, 0.1), (20, 3))
-    timing = {"frames": 4, "fps": 24, "steps_per_frame": 4}
+    timing = Timing(frames=4, fps=24, steps_per_frame=4)
     space = ReducedSpace(CallableWeights(Network(1), COUNT), scene.body.space.samples)
-    observed = torch.as_tensor(simulate(replace(scene, body=scene.body.with_space(space)), **timing).positions(points))
+    observed = torch.as_tensor(simulate(replace(scene, body=scene.body.with_space(space)), timing).positions(points))
     field = untrained_neural_weights(scene.body.space.samples, COUNT, generator=torch.Generator().manual_seed(2))
     leaves = [part.requires_grad_() for layer in field.layers for part in layer]
     optimiser, losses = torch.optim.Adam(leaves, lr=0.01), []
     for _ in range(20):
         optimiser.zero_grad()
-        moved = rollout_of_weights(field, COUNT, scene=scene, points=points, **timing)
+        moved = rollout_of_weights(field, COUNT, scene=scene, points=points, timing=timing)
         loss = ((moved - observed) ** 2).sum() / ((observed - observed[0]) ** 2).sum()
         loss.backward()
         optimiser.step()

@@ -1,10 +1,12 @@
 """Reduced bodies that flow: what stays, what relaxes, what slumps; and the step's derivatives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
-from physconvex.dynamics import Plane, State, implicit_euler
+from physconvex.dynamics import Plane, State, Timing, implicit_euler, simulate
 from physconvex.fem import ElasticBody
 from physconvex.materials import Plasticine, Sand, StandardLinearSolid, with_fibres
 from physconvex.mesh import box_mesh, tetrahedralize
@@ -12,16 +14,15 @@ from physconvex.reduced import (
     BodySamples,
     Pins,
     ReducedBody,
+    ReducedEquations,
     ReducedScene,
     ReducedSpace,
-    StepEquations,
     eigenmode_weights,
-    simulate,
 )
 
 SIZE = (0.3, 0.2, 0.1)
 MODULUS = 2e4
-SLOW = {"steps_per_frame": 4, "integrator": "implicit_euler", "tolerance": 1e-8}
+SLOW = Timing(steps_per_frame=4, integrator="implicit_euler", tolerance=1e-8)
 
 
 def stretched(body: ReducedBody, path, across=lambda t: 0.0) -> tuple[ReducedScene, np.ndarray]:
@@ -56,7 +57,7 @@ def test_a_bar_stretched_beyond_yield_keeps_a_set_and_an_elastic_one_does_not(sp
 
     body = ReducedBody(space_of(), youngs_modulus=MODULUS, poisson_ratio=0.0, flow=Plasticine(yield_stress))
     scene, _ = stretched(body, along, across)
-    run = simulate(scene, frames=3, fps=1, **SLOW)
+    run = simulate(scene, replace(SLOW, frames=3, fps=1))
     # Kirchhoff stress τ_Y: force × stretch = τ_Y × area at rest
     assert end_force(scene, run, 1) * np.exp(0.08) == pytest.approx(yield_stress * area, rel=0.01)
     assert abs(end_force(scene, run, 2)) < 0.02 * yield_stress * area
@@ -64,7 +65,7 @@ def test_a_bar_stretched_beyond_yield_keeps_a_set_and_an_elastic_one_does_not(sp
     np.testing.assert_allclose(flowed, np.tile([0.06, -0.03, -0.03], (len(flowed), 1)), atol=1e-3)
     np.testing.assert_allclose(np.linalg.det(run.flowed[-1]), 1.0, atol=1e-9)
     elastic, _ = stretched(ReducedBody(space_of(), youngs_modulus=MODULUS, poisson_ratio=0.0), along)
-    spring = simulate(elastic, frames=3, fps=1, **SLOW)
+    spring = simulate(elastic, replace(SLOW, frames=3, fps=1))
     assert spring.flowed is None and end_force(elastic, spring, 2) > 0.9 * 0.06 * MODULUS * area
 
 
@@ -76,7 +77,7 @@ def test_a_dent_of_an_impact_stays(space_of):
         scene = ReducedScene(
             body, obstacles=(Plane(),), gravity=(0, 0, 0), initial_velocity=(0, 0, -1.0), damping_time=0.02
         )
-        run = simulate(scene, frames=5, fps=8, steps_per_frame=16, tolerance=1e-6)
+        run = simulate(scene, Timing(frames=5, fps=8, steps_per_frame=16, tolerance=1e-6))
         mean = body.deformation_gradient(run.coordinates[-1]).numpy().mean(0)
         # stretch of the rest height, whichever way the body has turned
         heights[name], flowed = np.linalg.norm(mean[:, 2]), run.flowed
@@ -92,7 +93,7 @@ def test_a_standard_linear_solid_relaxes_to_its_slow_modulus(space_of):
     ratio, tau, strain = 2.0, 0.5, 0.01
     body = ReducedBody(space_of(), youngs_modulus=MODULUS, poisson_ratio=0.0, flow=StandardLinearSolid(ratio, tau))
     scene, _ = stretched(body, lambda t: strain)
-    run = simulate(scene, frames=4, fps=4, **(SLOW | {"steps_per_frame": 6}))
+    run = simulate(scene, replace(SLOW, steps_per_frame=6, frames=4, fps=4))
     forces = np.array([end_force(scene, run, k) for k in (1, 2, 3)])
     slow = strain * MODULUS * SIZE[1] * SIZE[2]
     excess = forces / slow - 1
@@ -108,7 +109,7 @@ def test_fibres_make_a_bar_stiffer_along_than_across(space_of):
         law = with_fibres("neo_hookean", direction, 4.0)
         body = ReducedBody(space_of(), law=law, youngs_modulus=MODULUS, poisson_ratio=0.0)
         scene, _ = stretched(body, lambda t: 0.005)
-        force.append(end_force(scene, simulate(scene, frames=2, fps=1, **SLOW), 1))
+        force.append(end_force(scene, simulate(scene, replace(SLOW, frames=2, fps=1)), 1))
     expected = 0.005 * MODULUS * SIZE[1] * SIZE[2]
     # k = 4 μ = 2 E for ν = 0: three times as stiff along; across as without
     assert force[0] == pytest.approx(3 * expected, rel=0.03) and force[1] == pytest.approx(expected, rel=0.03)
@@ -119,7 +120,7 @@ def test_sand_slumps_where_an_elastic_block_stands(space_of):
     for name, flow in {"elastic": None, "sand": Sand(np.radians(10.0))}.items():
         body = ReducedBody(space_of(2, 3), youngs_modulus=5e4, poisson_ratio=0.3, flow=flow)
         scene = ReducedScene(body, obstacles=(Plane(friction=0.4),), damping_time=2e-3)
-        run = simulate(scene, frames=4, fps=16, steps_per_frame=8, tolerance=1e-6)
+        run = simulate(scene, Timing(frames=4, fps=16, steps_per_frame=8, tolerance=1e-6))
         moved = run.positions(body.space.samples.surface_points)[-1]
         heights[name] = np.ptp(moved[:, 2])
         assert np.isfinite(moved).all()
@@ -142,7 +143,7 @@ def test_layer_of_sand_rests_below_its_angle_of_repose_and_slides_above():
         angle = np.arctan(slope) + np.radians(excess)
         gravity = (9.81 * np.sin(angle), 0.0, -9.81 * np.cos(angle))
         scene = ReducedScene(body, obstacles=(Plane(friction=3.0),), gravity=gravity)
-        run = simulate(scene, frames=9, fps=40, steps_per_frame=4, tolerance=1e-6)
+        run = simulate(scene, Timing(frames=9, fps=40, steps_per_frame=4, tolerance=1e-6))
         speeds[excess] = body.first_moments @ run.velocities[:, :, 0].T / body.total_mass
     assert abs(speeds[-4.0][-1]) < 0.005  # 9.81 sin α × 0.2 s would be 1 m/s
     expected = 0.75 * 9.81 * (np.sin(angle) - slope * np.cos(angle))
@@ -157,7 +158,7 @@ def test_a_column_of_sand_becomes_a_heap_that_rests():
     space = ReducedSpace(eigenmode_weights(ElasticBody(mesh), 12), BodySamples.of_mesh(mesh))
     body = ReducedBody(space, youngs_modulus=1e5, poisson_ratio=0.3, flow=Sand(np.radians(30.0)))
     scene = ReducedScene(body, obstacles=(Plane(friction=1.0),))
-    run = simulate(scene, frames=16, fps=24, steps_per_frame=8, tolerance=1e-6)
+    run = simulate(scene, Timing(frames=16, fps=24, steps_per_frame=8, tolerance=1e-6))
     positions = run.positions(mesh.vertices)
     speeds = np.linalg.norm(np.diff(positions, axis=0), axis=2).max(axis=1) * 24
     assert speeds.max() > 0.5 and speeds[-1] < 0.1 * speeds.max()
@@ -171,7 +172,7 @@ def test_a_column_of_sand_becomes_a_heap_that_rests():
 @pytest.mark.parametrize("flow", [Plasticine(500.0), Sand(0.4), StandardLinearSolid(1.5, 0.02)])
 def test_gradient_and_hessian_of_a_step_that_flows(space_of, flow):
     body, rng = ReducedBody(space_of(), youngs_modulus=MODULUS, flow=flow), np.random.default_rng(3)
-    equations = StepEquations(ReducedScene(body))
+    equations = ReducedEquations(ReducedScene(body))
 
     def shaken(amount: float) -> np.ndarray:
         return body.rest * 0.98 + amount * rng.normal(size=body.rest.shape)

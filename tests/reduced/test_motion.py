@@ -1,25 +1,25 @@
 """Motion of reduced bodies: closed forms, contact and friction, and the full-order model."""
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from physconvex import ConvergenceError, InputError
-from physconvex.dynamics import Plane, Sphere, State
-from physconvex.fem import ElasticBody, Scene, simulate as simulate_full, surface_load
+from physconvex.dynamics import Plane, Sphere, State, Timing, simulate
+from physconvex.fem import ElasticBody, Scene, surface_load
 from physconvex.materials import LAWS
 from physconvex.mesh import box_mesh
 from physconvex.reduced import (
     BodySamples,
     CallableWeights,
     ReducedBody,
+    ReducedEquations,
     ReducedScene,
     ReducedSpace,
     ReducedTrajectory,
-    StepEquations,
     eigenmode_weights,
-    simulate,
 )
 
 G = 9.81
@@ -34,7 +34,7 @@ def mean_velocity(body: ReducedBody, run) -> np.ndarray:
 
 
 def test_rest_stays_at_rest(mixed_body):
-    run = simulate(ReducedScene(mixed_body(), gravity=(0, 0, 0)), frames=3)
+    run = simulate(ReducedScene(mixed_body(), gravity=(0, 0, 0)), Timing(frames=3))
     np.testing.assert_allclose(run.coordinates, np.broadcast_to(run.coordinates[0], run.coordinates.shape), atol=1e-9)
 
 
@@ -42,7 +42,7 @@ def test_rest_stays_at_rest(mixed_body):
 def test_free_fall(mixed_body, integrator):
     body = mixed_body()
     scene = ReducedScene(body, gravity=(0.5, 0, -G), initial_velocity=(0.2, -0.1, 1.0))
-    run = simulate(scene, frames=5, steps_per_frame=8, integrator=integrator)
+    run = simulate(scene, Timing(frames=5, steps_per_frame=8, integrator=integrator))
     points = np.random.default_rng(0).uniform(size=(6, 3)) * SIZE
     t, a = run.times[:, None], np.array([0.5, 0, -G])
     h = 1 / (24 * 8)
@@ -57,7 +57,8 @@ def test_a_stiff_body_rotates_rigidly(space_of):
     body = ReducedBody(space_of(), youngs_modulus=1e7)
     spin = np.array([0.0, 0.0, 2.0])  # about a principal axis
     run = simulate(
-        ReducedScene(body, gravity=(0, 0, 0), initial_angular_velocity=spin), frames=4, fps=10, steps_per_frame=40
+        ReducedScene(body, gravity=(0, 0, 0), initial_angular_velocity=spin),
+        Timing(frames=4, fps=10, steps_per_frame=40),
     )
     center = np.array(SIZE) / 2
     points = np.random.default_rng(0).uniform(size=(6, 3)) * SIZE
@@ -75,7 +76,7 @@ def test_bdf2_is_of_second_order_and_implicit_euler_of_first(mixed_body):
 
     def end(integrator, steps):
         return simulate(
-            scene, frames=2, fps=100, steps_per_frame=steps, integrator=integrator, tolerance=1e-10
+            scene, Timing(frames=2, fps=100, steps_per_frame=steps, integrator=integrator, tolerance=1e-10)
         ).coordinates[-1]
 
     exact = end("bdf2", 160)
@@ -95,7 +96,7 @@ def test_a_pulled_bar_settles_at_the_stretch_of_its_constants(space_of, law):
     boundary = mesh.node_areas > 0
     pull = [surface_load(mesh, lambda c, e=e: np.isclose(c[:, 0], e), (modulus * strain, 0, 0)) for e in (0, SIZE[0])]
     scene = ReducedScene(body, gravity=(0, 0, 0), loads=(pull[1] - pull[0])[boundary])
-    run = simulate(scene, frames=2, fps=0.2, steps_per_frame=5, integrator="implicit_euler", tolerance=1e-10)
+    run = simulate(scene, Timing(frames=2, fps=0.2, steps_per_frame=5, integrator="implicit_euler", tolerance=1e-10))
     low, high = run.positions(np.array([[0.05, 0.05, 0.02], [0.25, 0.15, 0.08]]))[-1]
     measured = (high - low) / [0.2, 0.1, 0.06] - 1
     np.testing.assert_allclose(measured, strain * np.array([1, -poisson, -poisson]), rtol=1e-3, atol=1e-3 * strain)
@@ -111,7 +112,7 @@ def slab(space_of, **constants) -> ReducedBody:
 def test_resting_body_carries_its_weight(space_of):
     body = slab(space_of)
     scene = ReducedScene(body, obstacles=(Plane(),))
-    run = simulate(scene, frames=2, fps=0.1, steps_per_frame=60, integrator="implicit_euler", tolerance=1e-10)
+    run = simulate(scene, Timing(frames=2, fps=0.1, steps_per_frame=60, integrator="implicit_euler", tolerance=1e-10))
     contact = scene.contact()
     _, push = contact.energy_and_gradient(body.space.surface_values @ run.coordinates[-1], 0.0)
     np.testing.assert_allclose(push.sum(0), [0, 0, -body.total_mass * G], atol=1e-4 * body.total_mass * G)
@@ -127,7 +128,7 @@ def test_slope_with_friction(space_of, angle, friction):
         obstacles=(Plane(friction=friction),),
         damping_time=2e-3,
     )
-    run = simulate(scene, frames=4, fps=10, steps_per_frame=30)
+    run = simulate(scene, Timing(frames=4, fps=10, steps_per_frame=30))
     speed = mean_velocity(body, run)[1:, 0]
     if np.tan(a) < friction:
         assert np.abs(speed).max() < scene.contact().slip_velocity
@@ -140,7 +141,7 @@ def test_slope_with_friction(space_of, angle, friction):
 def test_bounce_gains_no_energy(space_of, obstacle):
     body = slab(space_of, youngs_modulus=5e4)
     scene = ReducedScene(body, obstacles=(obstacle,))
-    run = simulate(scene, frames=12, fps=48, steps_per_frame=8)
+    run = simulate(scene, Timing(frames=12, fps=48, steps_per_frame=8))
     contact, total = scene.contact(), []
     for t, y, v in zip(run.times, run.coordinates, run.velocities, strict=True):
         touch = contact.energy_and_gradient(body.space.surface_values @ y, t)[0]
@@ -160,14 +161,14 @@ def test_dropped_soft_box_approaches_the_full_model_with_more_weights():
     constants = {"youngs_modulus": 2e4, "poisson_ratio": 0.35}
     body = ElasticBody(mesh, **constants)
     floor = (Plane(point=(0, 0, -0.05), normal=(0.15, 0.05, 1.0)),)
-    timing = {"frames": 12, "fps": 48, "steps_per_frame": 4}
-    full = simulate_full(Scene(body, obstacles=floor), **timing).positions
+    timing = Timing(frames=12, fps=48, steps_per_frame=4)
+    full = simulate(Scene(body, obstacles=floor), timing).positions
     fall = np.einsum("v,tvi->ti", body.node_masses, full)[:, None] / body.total_mass
     deformation = np.sqrt(((full - fall - (full - fall)[0]) ** 2).mean())
     errors = []
     for count in (1, 6, 16):
         space = ReducedSpace(eigenmode_weights(body, count), BodySamples.of_mesh(mesh))
-        reduced = simulate(ReducedScene(ReducedBody(space, **constants), obstacles=floor), **timing)
+        reduced = simulate(ReducedScene(ReducedBody(space, **constants), obstacles=floor), timing)
         difference = reduced.positions(mesh.vertices) - full
         errors.append(np.sqrt((difference**2).mean()) / deformation)
     assert errors[0] > errors[1] > errors[2]
@@ -182,7 +183,7 @@ def test_bad_arguments_are_named(space_of):
     scene = ReducedScene(slab(space_of))
     for options in ({"frames": 0}, {"friction_passes": 0}, {"integrator": "euler"}):
         with pytest.raises(InputError, match=next(iter(options))):
-            simulate(scene, **options)
+            simulate(scene, Timing(**options))
     with pytest.raises(InputError, match="loads"):
         ReducedScene(slab(space_of), loads=np.zeros((2, 3)))
     with pytest.raises(InputError, match="damping_time"):
@@ -193,7 +194,7 @@ def test_a_step_that_cannot_converge_is_an_error(space_of):
     body = slab(space_of, law="neo_hookean_log")
     turned_inside_out = body.space.affine(-np.eye(3), np.zeros(3))
     with pytest.raises(ConvergenceError, match="no finite energy"):
-        simulate(ReducedScene(body, initial_coordinates=turned_inside_out), frames=2)
+        simulate(ReducedScene(body, initial_coordinates=turned_inside_out), Timing(frames=2))
 
 
 def test_a_neural_field_works_without_a_mesh():
@@ -203,7 +204,7 @@ def test_a_neural_field_works_without_a_mesh():
     points = rng.uniform(size=(200, 3)) * SIZE
     field = CallableWeights(lambda x: torch.tanh(8 * x[:, :2] - 1), 2)
     body = ReducedBody(ReducedSpace(field, BodySamples.of_points(points, 0.006)), youngs_modulus=1e4)
-    run = simulate(ReducedScene(body, initial_velocity=(0, 0, 1.0)), frames=3, steps_per_frame=4)
+    run = simulate(ReducedScene(body, initial_velocity=(0, 0, 1.0)), Timing(frames=3, steps_per_frame=4))
     assert body.total_mass == pytest.approx(6.0)
     np.testing.assert_allclose(mean_velocity(body, run)[-1, 2], 1 - G / 12, rtol=1e-6)
 
@@ -224,7 +225,7 @@ def test_friction_is_taken_anew_until_velocities_settle_and_then_meets_coulomb(s
         assert all(change > slip for change in changes[:-1])
         assert len(counts) == 0 or counts[-1] in (1, 12) or changes[-1] <= slip
 
-    run = simulate(scene, frames=3, fps=16, steps_per_frame=40, observer=watch)
+    run = simulate(scene, Timing(frames=3, fps=16, steps_per_frame=40), observer=watch)
     assert max(counts) > 2 and counts[0] == 1  # in flight nothing is repeated
     start, end = (body.first_moments @ run.velocities[k] for k in (0, -1))
     assert end[2] > 0  # it has left the floor
@@ -243,14 +244,14 @@ def stiff_plate(**changes) -> ReducedScene:
 
 def energies(scene: ReducedScene, run: ReducedTrajectory) -> np.ndarray:
     """At the frames, over the scene's scale."""
-    equations = StepEquations(scene)
+    equations = ReducedEquations(scene)
     states = map(State, run.times, run.coordinates, run.velocities)
     return np.array([equations.energy(state) for state in states]) / scene.energy_scale
 
 
 def test_an_impact_shorter_than_a_step_gains_no_energy_where_steps_are_cut():
-    scene, options = stiff_plate(), {"frames": 40, "steps_per_frame": 8}
-    free, kept = simulate(scene, **options), simulate(scene, energy_tolerance=1e-3, **options)
+    scene, options = stiff_plate(), Timing(frames=40, steps_per_frame=8)
+    free, kept = simulate(scene, options), simulate(scene, replace(options, energy_tolerance=1e-3))
     gains = [np.max(e - np.minimum.accumulate(e)) for e in (energies(scene, free), energies(scene, kept))]
     assert gains[0] > 3e-3 > 1e-3 >= gains[1]
     assert free.statistics.halved_steps == 0 < kept.statistics.halved_steps < 20
@@ -266,14 +267,14 @@ def test_an_impact_shorter_than_a_step_gains_no_energy_where_steps_are_cut():
 def test_where_work_is_done_from_outside_energy_may_rise(changes):
     scene = stiff_plate(**changes)
     assert not scene.autonomous and stiff_plate().autonomous
-    options = {"frames": 12, "steps_per_frame": 8}
-    free, asked = simulate(scene, **options), simulate(scene, energy_tolerance=1e-3, **options)
+    options = Timing(frames=12, steps_per_frame=8)
+    free, asked = simulate(scene, options), simulate(scene, replace(options, energy_tolerance=1e-3))
     np.testing.assert_array_equal(free.coordinates, asked.coordinates)
 
 
 def test_the_tolerance_of_the_energy_is_a_positive_share():
     with pytest.raises(InputError, match=r"energy_tolerance: got -1\.0"):
-        simulate(stiff_plate(), frames=2, energy_tolerance=-1.0)
+        simulate(stiff_plate(), Timing(frames=2, energy_tolerance=-1.0))
 
 
 def test_a_body_that_its_weight_crushes_is_followed_though_extrapolation_turns_it_inside_out():
@@ -282,6 +283,6 @@ def test_a_body_that_its_weight_crushes_is_followed_though_extrapolation_turns_i
     space = ReducedSpace(eigenmode_weights(ElasticBody(mesh), 4), BodySamples.of_mesh(mesh))
     body = ReducedBody(space, law="neo_hookean_log", youngs_modulus=1.5e4, poisson_ratio=0.1, density=1500.0)
     scene = ReducedScene(body, obstacles=(Plane(point=(0.0, 0.0, -1.0)),), initial_velocity=(0.0, 0.0, -4.0))
-    run = simulate(scene, frames=32, steps_per_frame=8)
+    run = simulate(scene, Timing(frames=32, steps_per_frame=8))
     assert np.isfinite(run.coordinates).all()
     assert np.ptp(run.positions(mesh.vertices)[..., 2], axis=1).min() < 8.5  # of 10 m

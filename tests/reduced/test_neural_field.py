@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from physconvex import InputError
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Scene, simulate as simulate_full
+from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.fem import ElasticBody, Scene
 from physconvex.mesh import box_mesh
 from physconvex.reduced import (
     BodySamples,
@@ -17,7 +17,6 @@ from physconvex.reduced import (
     ReducedScene,
     ReducedSpace,
     eigenmode_weights,
-    simulate,
     train_neural_weights,
     untrained_neural_weights,
 )
@@ -115,13 +114,13 @@ def drop_distance(mesh, modulus, fields) -> list[float]:
     """Root mean square distance [m] of a dropped body with each of the fields to the full model."""
     constants = {"youngs_modulus": modulus, "poisson_ratio": 0.35}
     floor = (Plane(point=(0, 0, -0.01), normal=(0.2, 0.1, 1.0)),)
-    timing = {"frames": 7, "fps": 48, "steps_per_frame": 6}
-    full = simulate_full(Scene(ElasticBody(mesh, **constants), obstacles=floor, initial_velocity=(0, 0, -1)), **timing)
+    timing = Timing(frames=7, fps=48, steps_per_frame=6)
+    full = simulate(Scene(ElasticBody(mesh, **constants), obstacles=floor, initial_velocity=(0, 0, -1)), timing)
     found = []
     for field in fields:
         body = ReducedBody(ReducedSpace(field, BodySamples.of_mesh(mesh)), **constants)
         scene = ReducedScene(body, obstacles=floor, initial_velocity=(0, 0, -1))
-        moved = simulate(scene, **timing).positions(mesh.vertices)
+        moved = simulate(scene, timing).positions(mesh.vertices)
         found.append(float(np.sqrt(((moved - full.positions) ** 2).sum(-1).mean())))
     return found
 

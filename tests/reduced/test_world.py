@@ -7,23 +7,21 @@ import pytest
 import trimesh
 
 from physconvex import InputError
-from physconvex.dynamics import Contact, Plane
+from physconvex.dynamics import Contact, Plane, Timing, simulate
 from physconvex.fem import ElasticBody
 from physconvex.mesh import TetMesh, box_mesh, to_quadratic
 from physconvex.reduced import (
     BodySamples,
+    ReducedBodies,
     ReducedBody,
     ReducedScene,
     ReducedSpace,
-    ReducedWorld,
     Shell,
     eigenmode_weights,
-    simulate,
-    simulate_world,
 )
+from physconvex.reduced.bodies_equations import BodiesEquations
 from physconvex.reduced.pair_contact import PairContact
 from physconvex.reduced.shell import nearest_on_triangles
-from physconvex.reduced.world_equations import WorldEquations
 
 EDGE = 0.1
 
@@ -44,7 +42,7 @@ def scene_of(vertices, tets, *, modulus=1e5, count=3, mirrored=False, **scene) -
     return ReducedScene(body, **({"gravity": (0, 0, 0)} | scene))
 
 
-def momenta(world: ReducedWorld, run, frame: int) -> tuple[np.ndarray, np.ndarray]:
+def momenta(world: ReducedBodies, run, frame: int) -> tuple[np.ndarray, np.ndarray]:
     """Momentum [N s] and angular momentum about the origin [N m s] of all bodies."""
     linear, angular = np.zeros(3), np.zeros(3)
     for scene, body in zip(world.scenes, run.bodies, strict=True):
@@ -75,11 +73,11 @@ def test_shell_is_the_boundary_of_the_mesh():
         Shell(shell.points, shell.faces[:, ::-1])
 
 
-def overlapping() -> tuple[ReducedWorld, np.ndarray]:
+def overlapping() -> tuple[ReducedBodies, np.ndarray]:
     """Two deformed blocks, one corner of the second one inside the first."""
     first, second = block(cells=(2, 1, 1)), block((0.08, 0.07, 0.085), cells=(1, 2, 1), modulus=3e5)
     rng = np.random.default_rng(1)
-    world = ReducedWorld((first, second), friction=0.4)
+    world = ReducedBodies((first, second), friction=0.4)
     y = np.concatenate([scene.start + 1e-3 * rng.normal(size=scene.start.shape) for scene in world.scenes])
     return world, y
 
@@ -103,7 +101,7 @@ def test_inside_of_a_jagged_shell_is_where_it_winds_round():
 def test_points_inside_are_those_of_all_triangles_however_the_bodies_came_there():
     """Lists of near triangles that are kept while two bodies deform, turn and pass through each other."""
     scenes = (block(), block((0.9 * EDGE, 0.2 * EDGE, 0.1 * EDGE)))
-    world, rng = ReducedWorld(scenes), np.random.default_rng(4)
+    world, rng = ReducedBodies(scenes), np.random.default_rng(4)
     kept = [(pair, np.r_[world.slices[a], world.slices[b]]) for a, b, pair in world.pairs()]
     y = np.concatenate([scene.body.rest for scene in scenes])
     drift, found = 0.0005 * EDGE * rng.normal(size=y.shape), 0
@@ -121,7 +119,7 @@ def test_points_inside_are_those_of_all_triangles_however_the_bodies_came_there(
 
 def test_force_between_bodies_is_the_derivative_of_their_energy():
     world, y = overlapping()
-    pairs, rng = WorldEquations(world).pairs, np.random.default_rng(2)
+    pairs, rng = BodiesEquations(world).pairs, np.random.default_rng(2)
     touched = 0
     for pair in pairs:
         energy, gradient = pair.contact.energy_and_gradient(y)
@@ -139,7 +137,7 @@ def test_force_and_reaction_are_equal_and_on_one_line():
     rests = np.concatenate([scene.body.space.affine(np.zeros((3, 3)), np.array([1.0, 0, 0])) for scene in world.scenes])
     one = rests[:, 0]  # coordinates of the field that is one everywhere
     found = 0.0
-    for pair in WorldEquations(world).pairs:
+    for pair in BodiesEquations(world).pairs:
         _, gradient = pair.contact.energy_and_gradient(y[pair.where])
         size = np.abs(gradient).max()
         found = max(found, size)
@@ -150,8 +148,8 @@ def test_force_and_reaction_are_equal_and_on_one_line():
 
 def test_hessian_of_touching_bodies_against_differences_without_the_turning_normal():
     """Two faces in even contact: normals do not turn, and the Hessian is exact in the normal direction."""
-    world = ReducedWorld((block(), block((0, 0, EDGE - 1e-3), size=(0.06,) * 3)))
-    equations = WorldEquations(world)
+    world = ReducedBodies((block(), block((0, 0, EDGE - 1e-3), size=(0.06,) * 3)))
+    equations = BodiesEquations(world)
     y = np.concatenate([scene.start for scene in world.scenes])
     direction = np.concatenate(
         [
@@ -170,8 +168,8 @@ def test_hessian_of_touching_bodies_against_differences_without_the_turning_norm
 def test_collision_in_free_space_keeps_momentum_and_gains_no_energy():
     first = block((-0.08, 0, 0), initial_velocity=(0.8, 0, 0.1))
     second = block((0.05, 0.03, 0.02), cells=(2, 1, 1), modulus=2e5, initial_angular_velocity=(0, 2, 3))
-    world = ReducedWorld((first, second))
-    run = simulate_world(world, frames=9, fps=48, steps_per_frame=16)
+    world = ReducedBodies((first, second))
+    run = simulate(world, Timing(frames=9, fps=48, steps_per_frame=16))
     before, after = momenta(world, run, 0), momenta(world, run, -1)
     mass = first.body.total_mass
     assert first.body.first_moments @ run.bodies[0].velocities[-1, :, 0] < 0.5 * 0.8 * mass  # it was hit
@@ -200,11 +198,11 @@ def pad(*, mirrored: bool = False, **scene) -> ReducedScene:
 
 
 def test_collision_with_the_mirror_image_is_that_with_a_smooth_wall():
-    timing = {"frames": 5, "fps": 24, "steps_per_frame": 8}
+    timing = Timing(frames=5, fps=24, steps_per_frame=8)
     alone = pad(obstacles=(Plane(normal=(-1, 0, 0)),), initial_velocity=(0.2, 0.0, 0.0))
     image = pad(mirrored=True, initial_velocity=(-0.2, 0.0, 0.0))
-    both = simulate_world(ReducedWorld((replace(alone, obstacles=()), image)), **timing)
-    wall = simulate(alone, **timing)
+    both = simulate(ReducedBodies((replace(alone, obstacles=()), image)), timing)
+    wall = simulate(alone, timing)
     points = alone.body.space.samples.surface_points
     expected = wall.positions(points)
     travel = expected[:, :, 0].mean(1)
@@ -219,7 +217,7 @@ def test_two_stacked_blocks_rest_at_the_height_of_springs_in_a_row():
     floor = (Plane(point=(0, 0, -EDGE / 2), friction=0.5),)
     lower = block(modulus=2e5, obstacles=floor, **down)
     upper = block((0, 0, EDGE), modulus=2e5, obstacles=floor, **down)
-    run = simulate_world(ReducedWorld((lower, upper), friction=0.5), frames=13, fps=24, steps_per_frame=8)
+    run = simulate(ReducedBodies((lower, upper), friction=0.5), Timing(frames=13, fps=24, steps_per_frame=8))
     still = max(np.abs(b.velocities[-1]).max() for b in run.bodies)
     assert still < 2e-3
     kc, weight, e = 50 * 2e5 / EDGE, 1000 * 9.81 * EDGE, 2e5  # pressure of one block
@@ -241,7 +239,7 @@ def test_a_block_slides_on_another_one_by_the_friction_between_them():
             (-0.1, 0, 0.08), cells=(1, 1, 1), size=(0.06,) * 3, modulus=3e5, count=1, damping_time=5e-3, **down
         )
         heavy = replace(fixed, body=fixed.body.with_material(density=1e6))
-        run = simulate_world(ReducedWorld((heavy, rider), friction=friction), frames=9, fps=48, steps_per_frame=4)
+        run = simulate(ReducedBodies((heavy, rider), friction=friction), Timing(frames=9, fps=48, steps_per_frame=4))
         found.append(rider.body.first_moments @ run.bodies[1].velocities[:, :, 0].T / rider.body.total_mass)
     expected = 9.81 * (np.sin(0.5) - 0.2 * np.cos(0.5))
     assert (found[0][-1] - found[0][2]) / (6 / 48) == pytest.approx(expected, rel=0.03)
@@ -253,6 +251,6 @@ def test_a_body_without_shell_is_refused():
     samples = replace(scene.body.space.samples, shell=None)
     bare = replace(scene, body=ReducedBody(ReducedSpace(scene.body.space.field, samples)))
     with pytest.raises(InputError, match="no shell"):
-        ReducedWorld((scene, bare))
+        ReducedBodies((scene, bare))
     with pytest.raises(InputError, match="not symmetric"):
-        ReducedWorld((scene, scene), friction=np.array([[0.0, 0.1], [0.2, 0.0]]))
+        ReducedBodies((scene, scene), friction=np.array([[0.0, 0.1], [0.2, 0.0]]))

@@ -19,7 +19,8 @@ from data_gen import changed, changes_of
 from inference import Refinement, RefineOptions, predict, reconstruct, refine
 from physconvex import ConvergenceError, InputError
 from physconvex.convex import read_ply
-from physconvex.fem import SurfacePoints, simulate
+from physconvex.dynamics import simulate
+from physconvex.fem import SurfacePoints
 from physconvex.identify import FullModel, TwinOptions, base_twin
 from physconvex.io import Camera, Capture, load_capture
 from physconvex.mesh import Embedding
@@ -250,7 +251,7 @@ class _Object:
             usual = model.roll_out(np.array([e.value for e in found.estimates]))
             points = Embedding.of_points(found.motion.mesh, arrays["rest"])
             for change in changes_of(usual.scene):
-                run = simulate(changed(usual.scene, change), **usual.timing, contact_solver=usual.solver)
+                run = simulate(changed(usual.scene, change), usual.timing)
                 gap = points.apply(run.positions) - arrays[f"positions_{change}"]
                 moved = arrays[f"positions_{change}"] - arrays["positions"]
                 out[change] = {

@@ -6,7 +6,7 @@ that the residuals are the same as those of `physconvex refine` (followed points
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from inference import RefineOptions, Stages, observe
 from physconvex import ConvergenceError
+from physconvex.dynamics import IntegratorName, simulate
 from physconvex.identify import (
     Observations,
     ReducedModel,
@@ -27,14 +28,14 @@ from physconvex.identify import (
     with_weights,
 )
 from physconvex.io import Capture
-from physconvex.reduced import simulate, train_neural_weights
+from physconvex.reduced import train_neural_weights
 
 __all__ = ["NAMES", "PublishedFit", "fit_as_published"]
 
 NAMES = ("log10_youngs_modulus", "poisson_ratio")
 _RATES = np.array([0.02, 0.005])  # Adam's, in decades and in ν
 _BETAS, _TINY = (0.9, 0.999), 1e-12
-_EULER = (("integrator", "implicit_euler"),)
+_INTEGRATOR: IntegratorName = "implicit_euler"
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +85,10 @@ def fit_as_published(
     twin = with_weights(twin, train_neural_weights(samples, weights, generator=generator))
     observed, twin = observe(capture, twin, RefineOptions(observations="video"), Stages(None, ""))
     seen = observed.observations
-    model = ReducedModel(twin, NAMES, seen.points, int(seen.frames.max()) + 1, _EULER)
+    model = ReducedModel(twin, NAMES, seen.points, int(seen.frames.max()) + 1, _INTEGRATOR)
     values, made = _adam(model, seen, np.asarray(start, dtype=np.float64), steps)
     found = twin.with_values(NAMES, values)
-    run = simulate(found.scene, **twin.timing(), integrator="implicit_euler")
+    run = simulate(found.scene, replace(twin.timing(), integrator=_INTEGRATOR))
     misfit = misfit_of(seen, model.positions(values))
     return PublishedFit(values, misfit, made, found, run.positions(twin.mesh.vertices))
 

@@ -10,16 +10,8 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse.linalg import spsolve
 
-from physconvex.fem import (
-    ElasticBody,
-    Pins,
-    Scene,
-    simulate,
-    solve_static,
-    surface_load,
-    tangent_stiffness,
-    vibration_modes,
-)
+from physconvex.dynamics import Timing, simulate
+from physconvex.fem import ElasticBody, Pins, Scene, solve_static, surface_load, tangent_stiffness, vibration_modes
 from physconvex.mesh import Embedding, TetMesh, box_mesh, to_quadratic
 
 __all__ = [
@@ -96,7 +88,7 @@ def kaolin_beam(law: str, cells: tuple[int, int, int] = (12, 3, 3)) -> KaolinBea
     mesh = TetMesh(mesh.vertices + np.array([0.0, 0.75, 0.75]), mesh.tets)
     body = ElasticBody(mesh, law=law, youngs_modulus=1e5, poisson_ratio=0.45, density=500.0)
     scene = Scene(body, gravity=(0, -9.8, 0), pins=Pins(np.flatnonzero(mesh.vertices[:, 0] > 0.98)))
-    run = simulate(scene, frames=2, fps=20, steps_per_frame=1, integrator="implicit_euler")
+    run = simulate(scene, Timing(frames=2, fps=20, steps_per_frame=1, integrator="implicit_euler"))
     rest = solve_static(scene, load_steps=2)
     carried = Embedding.of_points(mesh, start).apply(np.stack([run.positions[1], rest]))
     distances = np.linalg.norm(carried - [first, end], axis=2)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.fem import ElasticBody, Scene
 from physconvex.mesh import box_mesh
 
 __all__ = ["GRAVITY", "Impact", "Slope", "impact", "slope"]
@@ -33,7 +33,7 @@ def slope(angles: Sequence[float], friction: float = 0.5) -> Slope:
         body = ElasticBody(box_mesh((0.2, 0.2, 0.05), (2, 2, 1)), youngs_modulus=2e5, poisson_ratio=0.3)
         gravity = (GRAVITY * np.sin(angle), 0, -GRAVITY * np.cos(angle))
         scene = Scene(body, gravity=gravity, obstacles=(Plane(friction=friction),), damping_time=2e-3)
-        run = simulate(scene, frames=4, fps=10, steps_per_frame=40)
+        run = simulate(scene, Timing(frames=4, fps=10, steps_per_frame=40))
         speed = np.einsum("v,tv->t", body.node_masses, run.velocities[:, :, 0]) / body.total_mass
         accelerations.append(float(np.polyfit(run.times[1:], speed[1:], 1)[0]))
     law = [max(0.0, GRAVITY * (np.sin(a) - friction * np.cos(a))) for a in np.radians(angles)]
@@ -56,7 +56,7 @@ def impact(youngs_modulus: float, *, passes: int, friction: float = 0.2, steps_p
     body = ElasticBody(box_mesh((0.2, 0.2, 0.1), (2, 2, 1)), youngs_modulus=youngs_modulus, poisson_ratio=0.3)
     floor = Plane(point=(0, 0, -0.02), friction=friction)
     scene = Scene(body, gravity=(0, 0, 0), obstacles=(floor,), initial_velocity=(4.0, 0, -2.0))
-    run = simulate(scene, frames=2, fps=8, steps_per_frame=steps_per_second // 8, friction_passes=passes)
+    run = simulate(scene, Timing(frames=2, fps=8, steps_per_frame=steps_per_second // 8, friction_passes=passes))
     speed = np.einsum("v,tvi->ti", body.node_masses, run.velocities) / body.total_mass
     change = speed[1] - speed[0]
     return Impact(friction, youngs_modulus, steps_per_second, passes, float(-change[0] / change[2]))

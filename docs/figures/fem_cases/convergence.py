@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
-from physconvex.dynamics import IntegratorName
-from physconvex.fem import ElasticBody, Pins, Scene, simulate, solve_static
+from physconvex.dynamics import IntegratorName, Timing, simulate
+from physconvex.fem import ElasticBody, Pins, Scene, solve_static
 from physconvex.mesh import QUADRATURE, TetMesh, box_mesh, shape_gradients, shape_values
 
 __all__ = ["Convergence", "elastic_displacement", "fitted_slope", "in_space", "in_time"]
@@ -109,8 +109,8 @@ def swinging_beam() -> Scene:
 @cache
 def _swung(integrator: IntegratorName, steps: int) -> np.ndarray:
     """Positions after the swing."""
-    options = {"frames": 2, "fps": 1 / SWING, "tolerance": 1e-11}
-    return simulate(swinging_beam(), steps_per_frame=steps, integrator=integrator, **options).positions[-1]
+    options = Timing(frames=2, fps=1 / SWING, tolerance=1e-11)
+    return simulate(swinging_beam(), replace(options, steps_per_frame=steps, integrator=integrator)).positions[-1]
 
 
 def in_time(integrator: IntegratorName, steps: Sequence[int], *, reference: int = 3200) -> Convergence:

@@ -9,7 +9,8 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import eigsh
 
 from docs.figures.fem_cases.beams import DATA, clamp, edge_load
-from physconvex.fem import ElasticBody, Scene, simulate, solve_static, tangent_stiffness
+from physconvex.dynamics import Timing, simulate
+from physconvex.fem import ElasticBody, Scene, solve_static, tangent_stiffness
 from physconvex.mesh import Embedding
 
 __all__ = [
@@ -141,5 +142,5 @@ class Release:
 def release(body: ElasticBody, *, seconds: float, damping_time: float, steps_per_frame: int = 5) -> Release:
     """Let go from straight under its own weight, frames at 100 Hz."""
     scene = Scene(body, gravity=GRAVITY, pins=clamp(body), damping_time=damping_time)
-    run = simulate(scene, frames=round(100 * seconds) + 1, fps=100, steps_per_frame=steps_per_frame)
+    run = simulate(scene, Timing(frames=round(100 * seconds) + 1, fps=100, steps_per_frame=steps_per_frame))
     return Release(run.times, marker_displacement(body, run.positions))

@@ -11,26 +11,31 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import IntegratorName
+from physconvex.dynamics import IntegratorName, Timing, simulate
 from physconvex.errors import ConvergenceError
-from physconvex.fem import Scene as FullScene, Trajectory, simulate as simulate_full
+from physconvex.fem import Scene as FullScene, Trajectory
 from physconvex.gap.base.cost import Cost
 from physconvex.gap.effects.effect import Effect, Situation
-from physconvex.gap.effects.motion import MotionCorrection, PointMotion, by_steps
+from physconvex.gap.effects.motion import MotionCorrection, PointMotion
 from physconvex.gap.thresholds import BASE_FIT
 from physconvex.identify import Parameter, Twin, default_parameter
 from physconvex.io import Camera
 from physconvex.mesh import Embedding, TetMesh
-from physconvex.reduced import ReducedScene, parameter_values, simulate
+from physconvex.reduced import ReducedScene, parameter_values
 
-__all__ = ["ACCURACY", "MODULUS", "EffectModel", "SecantModel", "reduced_like", "searches_itself"]
+__all__ = ["MODULUS", "EffectModel", "SecantModel", "accurate", "reduced_like", "searches_itself"]
 
 Positions = Float[np.ndarray, "T P 3"]
 Vector = Float[np.ndarray, " K"]
 MODULUS = "log10_youngs_modulus"  # as the parameter is called
 _BASE_STEP = 0.1  # of a typical step, for differences
 # of the full-order runs: their errors stay below 1e-5 of the size, a hundredth of what the mesh leaves
-ACCURACY: dict[str, Any] = {"tolerance": 1e-6, "friction_passes": 4}
+_TOLERANCE, _FRICTION_PASSES = 1e-6, 4
+
+
+def accurate(timing: Timing) -> Timing:
+    """As accurate as the runs of a diagnosis are."""
+    return replace(timing, tolerance=_TOLERANCE, friction_passes=_FRICTION_PASSES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,9 +161,9 @@ class EffectModel:
         looking = zip(self.effects, self.slices, strict=True)
         return max((e.ahead(self._end, values[where]) for e, where in looking if e.ahead is not None), default=0.0)
 
-    def _timing(self, steps_per_frame: int, values: Vector) -> dict[str, Any]:
-        timing = self.twin.timing(self.frames) | {"steps_per_frame": steps_per_frame}
-        return by_steps(timing, self._ahead(values))
+    def _timing(self, steps_per_frame: int, values: Vector) -> Timing:
+        timing = accurate(replace(self.twin.timing(self.frames), steps_per_frame=steps_per_frame))
+        return timing.every_step(self._ahead(values))
 
     def _motion(self, times: np.ndarray, positions: np.ndarray, velocities: np.ndarray, every: int) -> PointMotion:
         return PointMotion.of_steps(
@@ -175,12 +180,12 @@ class EffectModel:
         Raises:
             ConvergenceError: the body cannot be simulated there.
         """
-        timing, scene = self._timing(self._steps, values), self.full_scene(values)
+        timing, scene = replace(self._timing(self._steps, values), integrator=self.integrator), self.full_scene(values)
         nodes = len(scene.body.mesh.vertices)
         try:
-            run = simulate_full(scene, integrator=self.integrator, **timing, **ACCURACY)
+            run = simulate(scene, timing)
         except ConvergenceError:
-            self.cost.add_failed(scene, nodes, timing["frames"])
+            self.cost.add_failed(scene, nodes, timing.frames)
             raise
         self.cost.add(scene, nodes, run.statistics)
         positions, velocities = self.embedding.apply(run.positions), self.embedding.apply(run.velocities)
@@ -190,9 +195,9 @@ class EffectModel:
         """The same by the reduced model."""
         timing, scene = self._timing(self.twin.steps_per_frame, values), self.reduced_scene(values)
         try:
-            run = simulate(scene, **timing, **ACCURACY)
+            run = simulate(scene, timing)
         except ConvergenceError:
-            self.cost.add_failed(scene, None, timing["frames"])
+            self.cost.add_failed(scene, None, timing.frames)
             raise
         self.cost.add(scene, None, run.statistics)
         shapes = self.twin.scene.body.space.shape_values(self.points)

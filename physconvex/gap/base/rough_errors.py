@@ -10,12 +10,12 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from physconvex.dynamics import simulate
 from physconvex.errors import ConvergenceError
 from physconvex.gap.base.observed_points import Seen, in_metres, widened
 from physconvex.gap.effects.motion import PointMotion
 from physconvex.gap.thresholds import BASE_FIT
 from physconvex.identify import Twin
-from physconvex.reduced import simulate
 
 __all__ = ["rough_error_by_frame", "with_rough_errors"]
 
@@ -34,7 +34,7 @@ def with_rough_errors(seen: Seen, twin: Twin, frames: int) -> Seen:
     if twin.clamp is not None:
         return seen
     try:
-        run = simulate(twin.scene, **twin.timing(frames))
+        run = simulate(twin.scene, twin.timing(frames))
     except ConvergenceError:
         return seen
     space = twin.scene.body.space

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -11,7 +10,7 @@ from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from physconvex.io import Camera
 
-__all__ = ["MotionCorrection", "PointMotion", "by_steps"]
+__all__ = ["MotionCorrection", "PointMotion"]
 
 Positions = Float[np.ndarray, "T P 3"]
 
@@ -76,18 +75,6 @@ class PointMotion:
         if len(self.times) > 1 and apart.any():
             out = out + PchipInterpolator(self.times, apart)(np.clip(times, self.times[0], self.times[-1]))
         return np.asarray(out)
-
-
-def by_steps(timing: dict[str, Any], ahead: float) -> dict[str, Any]:
-    """Arguments of a roll-out that gives every time step, and goes on beyond the last frame.
-
-    Args:
-        timing: of one that gives the frames: `frames`, `fps`, `steps_per_frame`.
-        ahead: by so much at least [s].
-    """
-    every, beyond = timing["steps_per_frame"], int(np.ceil(ahead * timing["fps"] - 1e-9))
-    frames = (timing["frames"] - 1 + max(beyond, 0)) * every + 1
-    return {"frames": frames, "fps": timing["fps"] * every, "steps_per_frame": 1}
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
+from physconvex.dynamics import simulate
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.fem import simulate
 from physconvex.gap.base.baseline import Baseline, Report, derivatives_of_residuals
 from physconvex.gap.base.box_mesh import box_of_body
-from physconvex.gap.base.model import ACCURACY, EffectModel
+from physconvex.gap.base.model import EffectModel, accurate
 from physconvex.gap.effects.motion import MotionCorrection, PointMotion
 from physconvex.gap.errors.rebound import path_since_contact
 from physconvex.gap.errors.score_test import ErrorModel
@@ -109,7 +109,7 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
     def stiffer() -> Positions:
         scene = model.full_scene(values)
         scene = replace(scene, contact_stiffness=2 * scene.contact().stiffness)
-        run = simulate(scene, **model.twin.timing(model.frames), **ACCURACY)
+        run = simulate(scene, accurate(model.twin.timing(model.frames)))
         return np.asarray(model.embedding.apply(run.positions))
 
     fine: list[tuple[TetMesh, PointMotion]] = []

@@ -6,7 +6,8 @@ import torch
 
 from data_gen.blind.engine import World, _Body, run_explicit
 from physconvex import ConvergenceError
-from physconvex.fem import ElasticBody, Pins, Scene, simulate
+from physconvex.dynamics import Timing, simulate
+from physconvex.fem import ElasticBody, Pins, Scene
 from physconvex.materials import get_law, with_strain_stiffening
 from physconvex.mesh import Embedding, box_mesh
 
@@ -89,7 +90,7 @@ def test_a_beam_sways_as_the_full_order_model_has_it():
     fine = box_mesh((0.24, 0.06, 0.06), (12, 3, 3), order=2)
     body = ElasticBody(fine, youngs_modulus=1e5, poisson_ratio=0.41, density=1000.0)
     scene = Scene(body, pins=Pins(np.flatnonzero(fine.vertices[:, 0] < 1e-9)))
-    reference = simulate(scene, frames=13, fps=60.0, steps_per_frame=16)
+    reference = simulate(scene, Timing(frames=13, fps=60.0, steps_per_frame=16))
     theirs = Embedding.of_points(fine, points).apply(reference.positions)
     sway, apart = theirs[:, :, 2] - theirs[0, :, 2], ours.positions - theirs
     assert np.ptp(sway) > 0.03

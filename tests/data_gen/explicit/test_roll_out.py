@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from data_gen import falling_body, lay_out, roll_out
-from physconvex.dynamics import Plane
-from physconvex.fem import ElasticBody, Scene, simulate
+from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.fem import ElasticBody, Scene
 from physconvex.mesh import TetMesh
 
 FRAMES = 11
@@ -27,7 +27,7 @@ def implicit(given, mesh, steps_per_frame=48):
         initial_velocity=given.initial_velocity,
         initial_angular_velocity=given.initial_angular_velocity,
     )
-    return simulate(scene, frames=FRAMES, steps_per_frame=steps_per_frame, contact_solver="condensed").positions
+    return simulate(scene, Timing(frames=FRAMES, steps_per_frame=steps_per_frame, contact_solver="condensed")).positions
 
 
 def explicit(given, mesh):

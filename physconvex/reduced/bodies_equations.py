@@ -9,13 +9,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from physconvex.dynamics import Friction, State, StepCoefficients
+from physconvex.reduced.bodies import ReducedBodies
 from physconvex.reduced.dense_newton import DenseNewton
-from physconvex.reduced.equations import StepEquations
+from physconvex.reduced.equations import ReducedEquations
 from physconvex.reduced.pair_contact import FrozenPairs, PairContact
 from physconvex.reduced.surface_contact import add_surface_blocks
-from physconvex.reduced.world import ReducedWorld
 
-__all__ = ["WorldEquations"]
+__all__ = ["BodiesEquations"]
 
 
 class _Pair:
@@ -27,26 +27,26 @@ class _Pair:
         self.frozen: FrozenPairs | None = None
 
 
-class WorldEquations(DenseNewton):
+class BodiesEquations(DenseNewton):
     """Incremental potential of one time step; coordinates of all bodies below each other, [R_1 + R_2 + …, 3]."""
 
     viscous: Tensor | None = None  # a step's record holds no viscosity: it stays in the equations of each body
     friction: tuple[Friction, ...] = ()
 
-    def __init__(self, world: ReducedWorld) -> None:
+    def __init__(self, world: ReducedBodies) -> None:
         super().__init__(world.size)
         self.world, self.slices = world, world.slices
-        self.bodies = [StepEquations(scene) for scene in world.scenes]
+        self.bodies = [ReducedEquations(scene) for scene in world.scenes]
         self.pairs = [_Pair(contact, self.slices[a], self.slices[b]) for a, b, contact in world.pairs()]
         self.rounding = max(body.rounding for body in self.bodies)
 
-    def _parts(self, x: np.ndarray) -> list[tuple[StepEquations, np.ndarray]]:
+    def _parts(self, x: np.ndarray) -> list[tuple[ReducedEquations, np.ndarray]]:
         return [(body, x[where]) for body, where in zip(self.bodies, self.slices, strict=True)]
 
     # -- what a step holds fixed
 
     def set_step(self, coefficients: StepCoefficients, time: float, guess: np.ndarray, last: State) -> None:
-        """Fix everything that is constant during one time step, as `StepEquations` does for one body."""
+        """Fix everything that is constant during one time step, as `ReducedEquations` does for one body."""
         self.coefficients = coefficients
         if self.factorised and not math.isclose(coefficients.step, self._factorised_step, rel_tol=1e-9):
             self.factorised = False
@@ -76,6 +76,10 @@ class WorldEquations(DenseNewton):
         """Store what has flowed by the end of a step at coordinates x."""
         for body, part in self._parts(x):
             body.commit(part)
+
+    def flowed(self) -> tuple[np.ndarray | None, ...]:
+        """F_f at the interior samples of each body; None for an elastic one."""
+        return tuple(flow for body in self.bodies for flow in body.flowed())
 
     # -- value, gradient, Hessian
 

@@ -8,18 +8,19 @@ from itertools import pairwise, permutations
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import Contact
+from physconvex.dynamics import Contact, FrameStates, Prepared, Timing
 from physconvex.errors import InputError
 from physconvex.reduced.pair_contact import PairContact
 from physconvex.reduced.scene import ReducedScene
+from physconvex.reduced.trajectory import BodiesTrajectory, ReducedTrajectory
 
-__all__ = ["ReducedWorld"]
+__all__ = ["ReducedBodies"]
 
 _REACH = 0.02  # share of the smaller body's size
 
 
 @dataclass(frozen=True)
-class ReducedWorld:
+class ReducedBodies:
     """Bodies that touch each other, each with its own obstacles, forces and initial motion.
 
     Two bodies with the contact stiffnesses k₁ and k₂ [Pa/m] and smoothings ε₁ and ε₂ meet like springs in a row: with
@@ -52,6 +53,27 @@ class ReducedWorld:
         if not np.array_equal(friction, friction.T):
             raise InputError("friction: the matrix is not symmetric")
         object.__setattr__(self, "friction", np.broadcast_to(friction, (count, count)).copy())
+
+    def prepared(self, timing: Timing) -> Prepared:
+        """Made ready for `physconvex.dynamics.simulate`."""
+        from physconvex.reduced.simulation import prepared_bodies  # late: the equations of a scene know the scene
+
+        return prepared_bodies(self, timing)
+
+    def trajectory(self, frames: FrameStates) -> BodiesTrajectory:
+        """The roll-out."""
+        bodies = tuple(
+            ReducedTrajectory(
+                scene.body.space,
+                frames.times,
+                frames.positions[:, where],
+                frames.velocities[:, where],
+                frames.statistics,
+                frames.flowed(number),
+            )
+            for number, (scene, where) in enumerate(zip(self.scenes, self.slices, strict=True))
+        )
+        return BodiesTrajectory(frames.times, bodies, frames.statistics)
 
     @property
     def slices(self) -> tuple[slice, ...]:

@@ -15,10 +15,10 @@ from physconvex.fem.scene import Scene
 from physconvex.materials import FlowStep
 from physconvex.numerics import SymmetricSolver
 
-__all__ = ["StepEquations"]
+__all__ = ["NodalEquations"]
 
 
-class StepEquations:
+class NodalEquations:
     """Incremental potential of one time step (or, without inertia, the static potential) as an `Objective`."""
 
     def __init__(self, scene: Scene) -> None:
@@ -103,6 +103,10 @@ class StepEquations:
             self.hanging.commit(self.coefficients.velocity(x))
         if self.response is not None:
             self.undo = self.response.flowed(self.body.deformation_gradient(x))
+
+    def flowed(self) -> tuple[None]:
+        """Not kept."""
+        return (None,)
 
     def _freeze_flow(self, x: np.ndarray) -> None:
         if self.undo is not None:

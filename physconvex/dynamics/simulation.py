@@ -1,0 +1,152 @@
+"""Roll-out in time of anything whose time steps are minimisations: finite elements, reduced bodies, several of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol, TypeVar
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.dynamics.first_guesses import Guide
+from physconvex.dynamics.integrators import Minimum, State, frame_states
+from physconvex.dynamics.stepping import Observer, SolveStatistics, StepObjective, Stepper
+from physconvex.dynamics.timing import Timing
+from physconvex.numerics import one_torch_thread
+
+__all__ = ["FrameStates", "Prepared", "Simulated", "simulate"]
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A scene made ready for its roll-out.
+
+    Attributes:
+        equations: of its time steps.
+        start: its state at t = 0.
+        tolerance: Newton's last step [m].
+        stale_rate: contraction of Newton's steps above which a reused factorisation is renewed.
+        steps_per_frame: time steps of a frame, or a function of the state at its start.
+        solve: finds the positions at the end of a step from a first guess, in the place of passes.
+        energy: total energy [J] of a state that nothing does work on from outside; None: energies are not watched.
+        energy_tolerance: gain [J] from which a step is cut in two.
+    """
+
+    equations: StepObjective
+    start: State
+    tolerance: float
+    stale_rate: float
+    steps_per_frame: int | Callable[[State], int]
+    solve: Callable[[np.ndarray], Minimum] | None = None
+    energy: Callable[[State], float] | None = None
+    energy_tolerance: float = float("inf")
+
+
+@dataclass(frozen=True, eq=False)
+class FrameStates:
+    """What a roll-out went through: states at the frames, what had flowed of each body there, and the cost."""
+
+    states: tuple[State, ...]
+    flows: tuple[tuple[np.ndarray | None, ...], ...]
+    statistics: SolveStatistics
+
+    @cached_property
+    def times(self) -> Float[np.ndarray, " T"]:
+        """[s]."""
+        return np.array([state.time for state in self.states])
+
+    @cached_property
+    def positions(self) -> Float[np.ndarray, "T R 3"]:
+        """Of all degrees of freedom [m]."""
+        return np.stack([state.positions for state in self.states])
+
+    @cached_property
+    def velocities(self) -> Float[np.ndarray, "T R 3"]:
+        """Of all degrees of freedom [m/s]."""
+        return np.stack([state.velocities for state in self.states])
+
+    def flowed(self, body: int = 0) -> np.ndarray | None:
+        """F_f at the samples of a body at the frames; None for an elastic one."""
+        found = [flow for flow in (flows[body] for flows in self.flows) if flow is not None]
+        return np.stack(found) if found else None
+
+
+Trajectory_co = TypeVar("Trajectory_co", covariant=True)
+TrajectoryT = TypeVar("TrajectoryT")
+
+
+class Simulated(Protocol[Trajectory_co]):
+    """A scene as `simulate` needs it."""
+
+    def prepared(self, timing: Timing) -> Prepared:
+        """The scene made ready.
+
+        Raises:
+            InputError: something in the timing that the model of the scene does not have.
+        """
+
+    def trajectory(self, frames: FrameStates) -> Trajectory_co:
+        """The roll-out as the model of the scene gives it."""
+
+
+@one_torch_thread()
+def simulate(
+    scene: Simulated[TrajectoryT],
+    timing: Timing | None = None,
+    *,
+    observer: Observer | None = None,
+    on_frame: Callable[[State], None] | None = None,
+    guide: Guide | None = None,
+    noted: Guide | None = None,
+) -> TrajectoryT:
+    """Roll a scene out in time.
+
+    Several bodies are one scene, and every step is one Newton solve over the coordinates of all of them. Bodies may
+    not cross each other within one step: v h must stay well below their thickness.
+
+    Args:
+        scene: body (or bodies), forces, initial state.
+        timing: frames and time steps; the defaults of `Timing` unless given.
+        observer: called with the equations and the record of every converged step.
+        on_frame: called with the state at every frame after the first.
+        guide: of a roll-out with the same steps and nearly the same parameters (what was `noted` of it): Newton's
+            method then takes fewer steps to the same tolerance.
+        noted: takes down what guides others; it holds the positions of all steps.
+
+    Returns:
+        `physconvex.fem.Trajectory`, `physconvex.reduced.ReducedTrajectory` or `BodiesTrajectory`.
+
+    Raises:
+        InputError: an argument out of range, or one that the scene's model does not have.
+        ConvergenceError: a step failed even after eight halvings.
+    """
+    timing = timing or Timing()
+    prepared = scene.prepared(timing)
+    stepper = Stepper(
+        prepared.equations,
+        timing.integrator,
+        prepared.tolerance,
+        timing.friction_passes,
+        stale_rate=prepared.stale_rate,
+        observer=observer,
+        solve=prepared.solve,
+        energy=prepared.energy,
+        energy_tolerance=prepared.energy_tolerance,
+        guide=guide,
+        noted=noted,
+    )
+    states, flows = [], []
+    for state in frame_states(
+        stepper.advance,
+        prepared.start,
+        frames=timing.frames,
+        fps=timing.fps,
+        steps_per_frame=prepared.steps_per_frame,
+    ):
+        states.append(state)
+        flows.append(prepared.equations.flowed())
+        if on_frame is not None and state is not prepared.start:
+            on_frame(state)
+    return scene.trajectory(FrameStates(tuple(states), tuple(flows), stepper.statistics()))

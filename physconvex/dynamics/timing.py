@@ -1,0 +1,81 @@
+"""How a roll-out advances in time: frames, time steps, how exactly each step is solved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from physconvex.dynamics.integrators import IntegratorName
+from physconvex.errors import InputError
+
+__all__ = ["ContactSolver", "Timing"]
+
+ContactSolver = Literal["passes", "condensed"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timing:
+    """Frames and time steps of a roll-out.
+
+    Attributes:
+        frames: number of states to return, the first at t = 0.
+        fps: frames per second [1/s].
+        steps_per_frame: time steps between frames.
+        integrator: "bdf2" (second order, first step implicit Euler) or "implicit_euler".
+        tolerance: Newton's last step, relative to the body's size; None: the usual one of the model (1e-7 for finite
+            elements, 3e-8 for reduced bodies). Derivatives err by as much.
+        friction_passes: how often friction is linearised and solved in each step at most, and the pressure in sand
+            taken; fewer are made where the velocities no longer change by more than the scene's `slip_velocity`. One
+            is explicit in the friction weights. See docs/decisions/001-frozen-friction.md.
+        energy_tolerance: steps that raise the energy of an autonomous reduced scene by more than this share of its
+            `energy_scale` are cut in two; None: not. Impacts that take less than a step gain up to some hundredths
+            without. Derivatives by parameters jump where the number of cut steps changes.
+        contact_solver: "passes" minimises with friction frozen, again and again; "condensed" (finite elements) solves
+            for contact and friction together on the points that touch (`physconvex.fem.condensed_contact`): nothing is
+            frozen, and factors last longer. Where passes converge, both give the same.
+        flight_steps_per_frame: time steps in frames after the first in which the body (of finite elements), which has
+            touched no obstacle yet, does not come near one; `steps_per_frame` unless given.
+
+    Raises:
+        InputError: a value out of range.
+    """
+
+    frames: int = 24
+    fps: float = 24.0
+    steps_per_frame: int = 16
+    integrator: IntegratorName = "bdf2"
+    tolerance: float | None = None
+    friction_passes: int = 12
+    energy_tolerance: float | None = None
+    contact_solver: ContactSolver = "passes"
+    flight_steps_per_frame: int | None = None
+
+    def __post_init__(self) -> None:
+        steps = (self.steps_per_frame, self.flight_steps_per_frame or 1)
+        if self.frames < 1 or min(steps) < 1 or not (np.isfinite(self.fps) and self.fps > 0):
+            raise InputError(
+                f"frames, steps_per_frame, fps: got {self.frames}, {self.steps_per_frame}, {self.fps}; expected > 0"
+            )
+        if self.friction_passes < 1:
+            raise InputError(f"friction_passes: got {self.friction_passes}; expected at least 1")
+        for name in ("tolerance", "energy_tolerance"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise InputError(f"{name}: got {value}; expected a positive share, or None")
+        for name, choices in (("integrator", IntegratorName), ("contact_solver", ContactSolver)):
+            if getattr(self, name) not in get_args(choices):
+                expected = " or ".join(repr(choice) for choice in get_args(choices))
+                raise InputError(f"{name}: got {getattr(self, name)!r}; expected {expected}")
+
+    @property
+    def steps(self) -> int:
+        """Time steps of the whole roll-out, where every frame has the usual ones."""
+        return (self.frames - 1) * self.steps_per_frame
+
+    def every_step(self, ahead: float = 0.0) -> Timing:
+        """The same time steps, each of them a frame, and going on so long at least beyond the last frame [s]."""
+        beyond = max(int(np.ceil(ahead * self.fps - 1e-9)), 0)
+        frames = (self.frames - 1 + beyond) * self.steps_per_frame + 1
+        return replace(self, frames=frames, fps=self.fps * self.steps_per_frame, steps_per_frame=1)
