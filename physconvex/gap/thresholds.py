@@ -315,7 +315,8 @@ class _Pictures(Numbers):
 
 CLOCK, RUN_COST, BODY_MESH, BASE_FIT, SETTING = _Clock(), _RunCost(), _BodyMesh(), _BaseFit(), _Setting()
 NUMERICAL_ERROR, SCREENING, SEARCH, DECISION = _NumericalError(), _Screening(), _Search(), _Decision()
-EVIDENCE, VERDICT, LOCALISATION, PICTURES = _Evidence(), _Verdict(), _Localisation(), _Pictures()
+EVIDENCE, LOCALISATION, PICTURES = _Evidence(), _Localisation(), _Pictures()
+VERDICT = _Verdict()
 _GROUPS: dict[str, Numbers] = {
     "clock": CLOCK, "run_cost": RUN_COST, "body_mesh": BODY_MESH, "base_fit": BASE_FIT, "setting": SETTING,
     "numerical_error": NUMERICAL_ERROR, "screening": SCREENING, "search": SEARCH, "decision": DECISION,
