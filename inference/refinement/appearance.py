@@ -6,22 +6,23 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 import trimesh
 from jaxtyping import UInt8
+from pydantic import JsonValue
 from scipy.spatial.transform import Rotation
 
 from inference.reconstruction_views import capture_views
 from inference.refinement.options import RefineOptions
 from inference.refinement.result import RefinedMotion
-from inference.refinement.stages import Arrays, Stages
+from inference.refinement.run import RefinementRun
+from inference.refinement.stages import Arrays
 from physconvex import InputError
 from physconvex.convex import BoundField, ConvexField, bind_to_tets, read_ply
 from physconvex.identify import cast_camera_rays
-from physconvex.io import Camera, Capture, Workers
+from physconvex.io import Camera, Capture
 from physconvex.numerics import device_named
 from physconvex.reconstruction import (
     Observation,
@@ -34,7 +35,7 @@ from physconvex.reconstruction import (
 )
 from physconvex.render import render
 
-__all__ = ["Appearance", "appearance_of", "begun_field", "fitted_field"]
+__all__ = ["Appearance", "appearance_of", "fitted_field", "start_field_fit"]
 
 _PARTS = ("points", "smoothness", "sharpness", "opacity", "harmonics")
 
@@ -60,10 +61,10 @@ class Appearance:
         """Bound to the nodes of the model's mesh."""
         return bind_to_tets(self.field, self.motion.mesh)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, JsonValue]:
         """Number of convexes, source, PSNR of the first images [dB]."""
-        scores = {"first_frame_psnr_object": self.first_frame_psnr}
-        return {"convexes": len(self.field), "source": self.source, **scores}
+        scores: dict[str, JsonValue] = {**self.first_frame_psnr}
+        return {"convexes": len(self.field), "source": self.source, "first_frame_psnr_object": scores}
 
     def at(self, frame: int) -> ConvexField:
         """The field in a frame."""
@@ -77,17 +78,16 @@ class Appearance:
         return colour, found.alpha.numpy()
 
 
-def begun_field(
-    capture: Capture, options: RefineOptions, stages: Stages, workers: Workers
-) -> Callable[[], Arrays] | None:
+def start_field_fit(run: RefinementRun) -> Callable[[], Arrays] | None:
     """Begin to fit a field to the first images of the cameras, beside other work; None where none is wanted or there.
 
     A field is fitted from the capture's mesh, if there is one: one camera will then do.
     """
-    if options.field_file is not None or not options.field or not capture.filmed:
+    options = run.options
+    if options.field_file is not None or not options.field or not run.capture.filmed:
         return None
-    call = partial(fitted_field, capture, options)
-    return call if stages.known("field") else workers.start(call)
+    call = partial(fitted_field, run.capture, options)
+    return call if run.stages.known("field") else run.workers.start(call)
 
 
 def fitted_field(capture: Capture, options: RefineOptions) -> Arrays:
@@ -111,27 +111,23 @@ def fitted_field(capture: Capture, options: RefineOptions) -> Arrays:
 
 
 def appearance_of(
-    motion: RefinedMotion,
-    options: RefineOptions,
-    stages: Stages,
-    begun: Callable[[], Arrays] | None,
-    warn: Callable[[str], None],
+    run: RefinementRun, motion: RefinedMotion, field_fit: Callable[[], Arrays] | None
 ) -> Appearance | None:
-    """The field that was begun, or is given.
+    """The field that is being fitted, or is given.
 
-    None where it is not wanted, or where the first images do not say which pixels the object covers (told to `warn`).
+    None where it is not wanted, or where the first images do not say which pixels the object covers, as is warned of.
 
     Raises:
-        InputError: `options.field_file` is no field.
+        InputError: `field_file` of the options is no field.
     """
-    if options.field_file is not None:
-        return Appearance(read_ply(Path(options.field_file)), motion, "field given", {})
-    if begun is None:
+    if run.options.field_file is not None:
+        return Appearance(read_ply(Path(run.options.field_file)), motion, "field given", {})
+    if field_fit is None:
         return None
     try:
-        arrays = stages.run("field", begun)
+        arrays = run.stages.run("field", field_fit)
     except InputError as error:
-        warn(f"No convex field: {error}")
+        run.warnings.append(f"No convex field: {error}")
         return None
     field = ConvexField(*(torch.as_tensor(arrays[name]) for name in _PARTS))
     scores = dict(zip(map(str, arrays["cameras"]), map(float, arrays["psnr"]), strict=True))

@@ -1,86 +1,169 @@
-"""The fit to colours; where these lose the body, from another material too."""
+"""The last search compares colours: the first image carried by the fitted model, blurred as wide as the model errs.
+
+How a stiff body rebounds hangs on E, ν and damping together, and the points that are followed first do not tell one
+rebound from another: what they are off by passes for rigid drift. The colours do, but from afar they lead nowhere.
+Where they lose the body after a contact, the search restarts from another material.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import product
 
 import numpy as np
+from jaxtyping import Float
 
 from inference.refinement.coarse_start import misfits_of
-from inference.refinement.colour_observations import WIDE, blur_for, coloured
-from inference.refinement.fits import arrays_of_fit, fit_of
-from inference.refinement.observations import Observed
-from inference.refinement.options import RefineOptions
-from inference.refinement.problem import Problem
-from inference.refinement.reduced_search import started_from
-from inference.refinement.restart import colours_lost, materials_about
-from inference.refinement.stages import Arrays, Stages
-from physconvex import ConvergenceError
-from physconvex.identify import FULL_OPTIONS, Fit, FullModel, ReducedModel, RollOuts, fit
-from physconvex.io import Capture
+from inference.refinement.problem import Problem, in_pixels, material_of, started_from
+from inference.refinement.rigid_drift import drifted, with_drift
+from inference.refinement.run import RefinementRun
+from inference.refinement.stages import Arrays, arrays_of_fit, fit_of
+from physconvex import ConvergenceError, InputError
+from physconvex.identify import (
+    FULL_OPTIONS,
+    ColourObservations,
+    Fit,
+    FullModel,
+    Observations,
+    PixelObservations,
+    ReducedModel,
+    StackedObservations,
+    blurred,
+    colour_seeds,
+    fit,
+    seen_by,
+)
 
-__all__ = ["ColourSearch"]
+__all__ = ["blur_for", "colours_lost", "fit_colours", "materials_about"]
 
+_NARROW = 1.5  # pixels
+_WIDE = 6.0  # pixels: tells from afar which rebound is the nearest
 _LOST = 5.0  # times the colours' residuals in flight: after a contact they lie elsewhere
+_MODULI = (0.0, -0.08, 0.08)  # decades
+_RATIOS = (0.25, 0.42)
+_LOSSES = (0.1, 0.3)  # of energy, by the slowest wave's angular frequency times β; beside the damping that was found
 
 
-@dataclass(frozen=True, eq=False)
-class ColourSearch:
-    """The search of one refinement.
+def fit_colours(run: RefinementRun, problem: Problem, found: Fit) -> tuple[Problem, Fit]:
+    """The problem with colours in the place of the points followed, and its fit from another one."""
+    kept = problem
+    try:
+        kept, found = _fitted(run, problem, found, blur_for(problem))
+        if run.options.own_derivatives and (lost := colours_lost(kept, found)) > _LOST:
+            kept, found = _restarted(run, problem, kept, found, lost)
+    except ConvergenceError as error:
+        run.warnings.append(f"Colours were not compared, or not again: the model failed ({error}).")
+    return kept, found
 
-    Attributes:
-        capture, options, stages: of the refinement.
-        memory: of roll-outs.
-        warnings: what the user should know is added here.
-        with_drift: the problem with the rigid drift that is likely at a fit; the name is of the stage.
-    """
 
-    capture: Capture
-    options: RefineOptions
-    stages: Stages
-    memory: RollOuts
-    warnings: list[str]
-    with_drift: Callable[[Problem, Fit, str], Problem]
+def _fitted(run: RefinementRun, problem: Problem, found: Fit, blur: float, name: str = "") -> tuple[Problem, Fit]:
+    trial = with_drift(run, _coloured(run, problem, found, blur), found, f"drift_{blur:g}{name}")
+    start = started_from(problem.parameters, found)
+    model = trial.full(run.memory) if run.options.own_derivatives else trial.reduced()
 
-    def run(self, problem: Problem, found: Fit) -> tuple[Problem, Fit]:
-        """The problem with colours in the place of the points followed, and its fit from another one."""
-        kept = problem
-        try:
-            kept, found = self._fitted(problem, found, blur_for(problem))
-            if self.options.own_derivatives and (lost := colours_lost(kept, found)) > _LOST:
-                kept, found = self._elsewhere(problem, kept, found, lost)
-        except ConvergenceError as error:
-            self.warnings.append(f"Colours were not compared, or not again: the model failed ({error}).")
+    def compute() -> Arrays:
+        return arrays_of_fit(fit(model, trial.weighted, start, options=FULL_OPTIONS))
+
+    return trial, fit_of(run.stages.run(f"colours_{blur:g}{name}", compute), problem.parameters)
+
+
+def _restarted(run: RefinementRun, problem: Problem, kept: Problem, found: Fit, lost: float) -> tuple[Problem, Fit]:
+    """The fit from the material about that widely blurred colours like best, if it follows the body better."""
+    values = materials_about(problem, found)
+
+    def compute() -> Arrays:
+        colours = _coloured(run, problem, found, _WIDE).observed
+        wide = replace(kept, observed=colours)
+        return {"misfits": misfits_of(wide, wide.full(run.memory), values)}
+
+    best = int(np.argmin(run.stages.run("elsewhere", compute)["misfits"]))
+    if best == 0:
         return kept, found
+    there, moved = kept, replace(found, values=values[best])
+    for blur in dict.fromkeys((_WIDE, blur_for(problem))):
+        there, moved = _fitted(run, problem, moved, blur, "_elsewhere")
+    return (there, moved) if colours_lost(there, moved) < lost else (kept, found)
 
-    def _fitted(self, problem: Problem, found: Fit, blur: float, name: str = "") -> tuple[Problem, Fit]:
-        trial = replace(problem, observed=self._coloured(problem, found, blur))
-        trial = self.with_drift(trial, found, f"drift_{blur:g}{name}")
-        start = started_from(problem.parameters, found)
-        model = trial.full(self.memory) if self.options.own_derivatives else trial.reduced()
 
-        def compute() -> Arrays:
-            return arrays_of_fit(fit(model, trial.weighted, start, options=FULL_OPTIONS))
+def blur_for(problem: Problem) -> float:
+    """The blur [pixels], to the half, over which colours tell the body from where its model is known to put it.
 
-        return trial, fit_of(self.stages.run(f"colours_{blur:g}{name}", compute), problem.parameters)
+    As wide as the model is astray in the images of the nearest camera: what a narrower one compares lies elsewhere.
+    """
+    return float(np.clip(round(2 * in_pixels(problem, problem.astray)) / 2, _NARROW, _WIDE))
 
-    def _elsewhere(self, problem: Problem, kept: Problem, found: Fit, lost: float) -> tuple[Problem, Fit]:
-        """The fit from the material about that widely blurred colours like best, if it follows the body better."""
-        values = materials_about(problem, found)
 
-        def compute() -> Arrays:
-            wide = replace(kept, observed=self._coloured(problem, found, WIDE))
-            return {"misfits": misfits_of(wide, wide.full(self.memory), values)}
+def colours_lost(problem: Problem, found: Fit) -> float:
+    """The colours' rms residual from the first contact on over that before it, where the model is all but exact.
 
-        best = int(np.argmin(self.stages.run("elsewhere", compute)["misfits"]))
-        if best == 0:
-            return kept, found
-        there, moved = kept, replace(found, values=values[best])
-        for blur in dict.fromkeys((WIDE, blur_for(problem))):
-            there, moved = self._fitted(problem, moved, blur, "_elsewhere")
-        return (there, moved) if colours_lost(there, moved) < lost else (kept, found)
+    One where nothing is struck, or no colour is compared on both sides.
+    """
+    if problem.drift_limit is None:
+        return 1.0
+    stack, positions, begin = problem.observed.observations, drifted(problem, found), problem.drift_limit[0]
+    before, after = [], []
+    for part, where in zip(stack.parts, stack.point_slices, strict=True):
+        if isinstance(part, ColourObservations):
+            squares = np.square(part.residuals(positions[:, where]))
+            before.append(squares[part.frames < begin])
+            after.append(squares[part.frames >= begin])
+    flight, rest = (np.concatenate(part) if part else np.zeros(0) for part in (before, after))
+    if not len(flight) or not len(rest):
+        return 1.0
+    return float(np.sqrt(rest.mean() / max(flight.mean(), 1e-12)))
 
-    def _coloured(self, problem: Problem, found: Fit, blur: float) -> Observed:
-        model: FullModel | ReducedModel = problem.full(self.memory) if self.options.correction else problem.reduced()
-        return coloured(problem.observed, self.capture, problem.twin, model, found, self.options, blur)
+
+def materials_about(problem: Problem, found: Fit) -> list[Float[np.ndarray, " K"]]:
+    """Values at which to look for another rebound, those of the fit first."""
+    parameters = started_from(problem.parameters, found)
+    modulus, density = material_of(problem.twin, found)
+    slowest = np.pi * np.sqrt(10.0**modulus / density) / problem.twin.mesh.size  # half a wave along the body [rad/s]
+    kept = {p.name: p.start for p in parameters}
+    others = {
+        "log10_youngs_modulus": [modulus + change for change in _MODULI],
+        "poisson_ratio": _RATIOS,
+        "damping_time": [kept.get("damping_time", 0.0), *(loss / slowest for loss in _LOSSES)],
+    }
+    choices = ([p.at(float(value)).start for value in others.get(p.name, [p.start])] for p in parameters)
+    return [found.values, *map(np.array, product(*choices))]
+
+
+def _coloured(run: RefinementRun, problem: Problem, found: Fit, blur: float) -> Problem:
+    """The problem with the colours of surface points in the place of the points followed.
+
+    Which points are seen where is taken from the fitted model. A camera that sees none keeps its followed points.
+    """
+    model: FullModel | ReducedModel = problem.full(run.memory) if run.options.correction else problem.reduced()
+    observed, (vertices, triangles) = problem.observed, problem.twin.surface
+    parts: list[Observations] = []
+    sources = []
+    for part, source in zip(observed.observations.parts, observed.sources, strict=True):
+        added = None
+        if isinstance(part, PixelObservations):
+            images = run.capture.video(part.camera.name).frames[: len(part.pixels)]
+            masks = run.capture.mask(part.camera.name)
+            mask = None if masks is None else masks[0] > 0
+            margin = round(2 * blur)
+            seeds = colour_seeds(part.camera, images[0], vertices, triangles, mask=mask, margin=margin)
+            points = seeds.on(vertices, triangles)
+            if len(points):
+                everything = np.concatenate([vertices, points])
+                moved = replace(model, points=everything).positions(found.values)
+                surface, carried = moved[:, : len(vertices)], moved[:, len(vertices) :]
+                visible = seen_by(part.camera, surface, triangles, carried, seeds.faces, margin=margin)
+                added = _colours(part, points, blurred(images, blur), visible, run.options.exposure)
+        parts.append(part if added is None else added)
+        sources.append(
+            source if added is None else f"camera {added.camera.name}: colours of {len(added.points)} points"
+        )
+    observed = replace(observed, observations=StackedObservations.of(parts), sources=tuple(sources))
+    return replace(problem, observed=observed)
+
+
+def _colours(
+    part: PixelObservations, points: np.ndarray, images: np.ndarray, visible: np.ndarray, exposure: bool
+) -> ColourObservations | None:
+    try:
+        return ColourObservations(part.camera, points, images, visible, exposure=exposure)
+    except InputError:  # nothing is seen again
+        return None

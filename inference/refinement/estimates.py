@@ -8,15 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from inference.refinement.fits import arrays_of_fit, fit_of
-from inference.refinement.meshes import finer_mesh, is_of_capture
-from inference.refinement.options import RefineOptions
-from inference.refinement.result import Estimate, interval_of
-from inference.refinement.stages import Stages
+from inference.refinement.meshes import comparison_mesh, is_of_capture
+from inference.refinement.result import FittedParameter, interval_of
+from inference.refinement.run import RefinementRun
+from inference.refinement.stages import Arrays, arrays_of_fit, fit_of
 from physconvex import ConvergenceError
 from physconvex.identify import (
     LEFT_BY_FITTED,
-    FinerFit,
     Fit,
     FullModel,
     Identifiability,
@@ -30,14 +28,14 @@ from physconvex.identify import (
 )
 from physconvex.mesh import TetMesh
 
-__all__ = ["Judged", "estimates_of", "judge"]
+__all__ = ["FitWithError", "fitted_parameters", "with_model_error"]
 
 # standard deviation by the choice of a mesh that is made of a surface, of bodies that strike something: what E
 # [decades] and ν are off by if fitted, to first order, to motions of other meshes (benchmarks/twin_meshes.py)
 _BY_MESH = {"log10_youngs_modulus": 0.012, "poisson_ratio": 0.03}
 
 
-def estimates_of(
+def fitted_parameters(
     found: Fit,
     left: Float[np.ndarray, " K"],
     told: Identifiability,
@@ -46,7 +44,7 @@ def estimates_of(
     *,
     stated: Sequence[bool],
     followed: bool = True,
-) -> tuple[Estimate, ...]:
+) -> tuple[FittedParameter, ...]:
     """Each parameter with its deviations.
 
     Args:
@@ -70,7 +68,7 @@ def estimates_of(
         if np.isfinite(parameter.prior_sigma):
             prior = (parameter.prior_mean, parameter.prior_sigma)
         out.append(
-            Estimate(
+            FittedParameter(
                 parameter.name, value, float(sigmas[i]), float(left[i]), interval,
                 parameter.lower, parameter.upper, prior,
             )
@@ -90,8 +88,8 @@ def _variances(found: Fit, sources: Sequence[slice], stated: Sequence[bool]) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
-    """A fit judged by a finer model.
+class FitWithError:
+    """A fit, and what a finer model says of it.
 
     Attributes:
         fit: the last one; with the correction on, of the finer model.
@@ -106,16 +104,9 @@ class Judged:
     mesh: TetMesh | None = None
 
 
-def judge(
-    full: FullModel,
-    found: Fit,
-    seen: Observations,
-    options: RefineOptions,
-    stages: Stages,
-    warnings: list[str],
-    *,
-    before: Fit | None = None,
-) -> Judged:
+def with_model_error(
+    run: RefinementRun, full: FullModel, found: Fit, seen: Observations, *, on_twin: Fit | None = None
+) -> FitWithError:
     """Compare with a finer model, let frames count by what that changes, and fit once more.
 
     With the correction the full model is compared with one of a finer mesh (the other way round, where it is that of
@@ -123,21 +114,22 @@ def judge(
     together; without it, the reduced model with the full one, and nothing is fitted again.
 
     Args:
+        run: the refinement.
         full: that was fitted.
         found: the fit.
         seen: what was seen.
-        options, stages, warnings: of the refinement.
-        before: the fit on the twin's mesh, where `full` is on a finer one.
+        on_twin: the fit on the twin's mesh, where `full` is on a finer one.
     """
+    options, warnings = run.options, run.warnings
     twin, frames = full.twin, full.frames
-    unknown = Judged(found, np.full(len(found.values), np.nan), np.zeros(frames), full.mesh)
+    unknown = FitWithError(found, np.full(len(found.values), np.nan), np.zeros(frames), full.mesh)
     if not options.model_error:
         return unknown
     mesh = full.mesh
     if mesh is None and options.correction:
-        mesh = finer_mesh(twin)
+        mesh = comparison_mesh(twin)
 
-    def compute() -> dict[str, np.ndarray]:
+    def compute() -> Arrays:
         own = replace(full, points=seen.points)
         coarse = replace(own, mesh=None)
         if not options.correction:
@@ -146,10 +138,12 @@ def judge(
             errors = frame_errors(seen, exact, found.positions)
             return {"left": np.abs(parameter_shift(found, change)), "errors": errors}
         cheap = own if options.jacobian == "full" else ReducedModel(twin, found.names, seen.points, frames)
-        return arrays_of_finer(fit_finer(cheap, coarse, mesh, seen, found))
+        finer = fit_finer(cheap, coarse, mesh, seen, found)
+        kept = {"left": finer.left, "errors": finer.frame_errors, "runs_away": np.array(finer.runs_away)}
+        return arrays_of_fit(finer.fit) | kept
 
     try:
-        arrays = stages.run("model_error", compute)
+        arrays = run.stages.run("model_error", compute)
     except ConvergenceError as error:
         warnings.append(f"The model error is unknown: the finer model failed ({error}).")
         return unknown
@@ -160,8 +154,8 @@ def judge(
     last = fit_of(arrays, found.parameters) if "values" in arrays else found
     left = arrays["left"]
     runs_away = bool(arrays.get("runs_away", False))
-    if before is not None:
-        left = np.hypot(left, LEFT_BY_FITTED * np.abs(found.values - before.values))
+    if on_twin is not None:
+        left = np.hypot(left, LEFT_BY_FITTED * np.abs(found.values - on_twin.values))
     if twin.may_strike or runs_away:  # after an impact meshes do not converge: all that a finer one moved
         left = np.hypot(left, np.abs(last.values - found.values))
     if twin.may_strike and not is_of_capture(twin):
@@ -173,11 +167,4 @@ def judge(
             "ever further. The estimates are those of the coarser model; their intervals take in what the finer one "
             "moved."
         )
-    return Judged(last, left, arrays["errors"], mesh)
-
-
-def arrays_of_finer(found: FinerFit) -> dict[str, np.ndarray]:
-    """What the stage keeps."""
-    return arrays_of_fit(found.fit) | {
-        "left": found.left, "errors": found.frame_errors, "runs_away": np.array(found.runs_away),
-    }  # fmt: skip
+    return FitWithError(last, left, arrays["errors"], mesh)

@@ -8,32 +8,29 @@ tried first.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
 from inference.refinement.coarse_start import START_OPTIONS, misfits_of
-from inference.refinement.colour_observations import in_pixels
-from inference.refinement.fits import arrays_of_fit, fit_of
 from inference.refinement.meshes import fine_mesh
-from inference.refinement.options import RefineOptions
-from inference.refinement.problem import Problem
-from inference.refinement.reduced_search import started_from
-from inference.refinement.stages import Arrays, Stages
+from inference.refinement.problem import Problem, in_pixels, started_from
+from inference.refinement.rigid_drift import with_drift
+from inference.refinement.run import RefinementRun
+from inference.refinement.stages import Arrays, arrays_of_fit, fit_of
 from physconvex.identify import (
     FULL_OPTIONS,
     LEFT_BY_FITTED,
     Fit,
     FullModel,
-    RollOuts,
     fit,
     frame_errors,
     roll_out_together,
 )
 
-__all__ = ["Refitting"]
+__all__ = ["fit_on_more_nodes"]
 
 # decades of E beside the start, then further on the side that is better, and ν with them
 _BESIDE, _FURTHER, _RATIO = 0.15, (0.3, 0.45), 0.35
@@ -41,66 +38,51 @@ _RATIOS = (0.25, 0.45)  # beside the best of these
 _ALIKE = 2.0  # pixels between the motions of both meshes, below which videos hardly tell them apart
 
 
-@dataclass(frozen=True, eq=False)
-class Refitting:
-    """The fit on more nodes of one refinement.
+def fit_on_more_nodes(run: RefinementRun, problem: Problem, found: Fit, *, last: bool) -> tuple[Problem, Fit]:
+    """The problem on a mesh of more nodes, and its fit, started at `found`; both as they are if there is no mesh.
 
-    Attributes:
-        options, stages: of the refinement.
-        memory: of roll-outs.
-        with_drift: the problem with the rigid drift that is likely at a fit; the name is of the stage.
+    Or if videos hardly tell it from the twin's.
+    Where the recording likes no modulus beside `found` better, the fit is left to the search that follows.
+
+    Args:
+        run: the refinement.
+        problem, found: on the twin's mesh.
+        last: no search follows, to which this one may leave the last digits.
+
+    Raises:
+        ConvergenceError: the body cannot be simulated on it.
     """
+    mesh = fine_mesh(run, problem.twin, found) if run.options.own_derivatives else None
+    if mesh is None:
+        return problem, found
+    few, fine = problem.full(run.memory), replace(problem, mesh=mesh)
+    more = fine.full(run.memory)
 
-    options: RefineOptions
-    stages: Stages
-    memory: RollOuts
-    with_drift: Callable[[Problem, Fit, str], Problem]
+    def both(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        roll_out_together((model, values) for model in (few, more))
+        return few.positions(values), more.positions(values)
 
-    def run(self, problem: Problem, found: Fit, *, last: bool) -> tuple[Problem, Fit]:
-        """The problem on a mesh of more nodes, and its fit, begun at `found`; both as they are if there is no mesh.
+    arrays = run.stages.run("fine_apart", lambda: {"apart": np.array(_apart(*both(found.values)))})
+    if problem.observed.cameras and in_pixels(problem, float(arrays["apart"])) < _ALIKE:
+        return problem, found
+    values = run.stages.run("fine_start", lambda: {"values": _material(problem, more, found.values)})["values"]
+    start = replace(found, values=values)
 
-        Or if videos hardly tell it from the twin's.
-        Where the recording likes no modulus beside `found` better, the fit is left to the search that follows.
+    def compare() -> Arrays:
+        here, there = both(start.values)
+        errors = LEFT_BY_FITTED * frame_errors(problem.seen, there, here)
+        return {"errors": errors, "astray": np.array(LEFT_BY_FITTED * _apart(here, there))}
 
-        Args:
-            problem, found: on the twin's mesh.
-            last: no search follows, to which this one may leave the last digits.
+    def compute() -> Arrays:
+        settings = replace(FULL_OPTIONS if last else START_OPTIONS, max_iterations=run.options.full_runs)
+        return arrays_of_fit(fit(more, fine.weighted, started_from(problem.parameters, start), options=settings))
 
-        Raises:
-            ConvergenceError: the body cannot be simulated on it.
-        """
-        mesh = fine_mesh(problem.twin, found, self.options, self.stages) if self.options.own_derivatives else None
-        if mesh is None:
-            return problem, found
-        few, fine = problem.full(self.memory), replace(problem, mesh=mesh)
-        more = fine.full(self.memory)
-
-        def part() -> Arrays:
-            roll_out_together((model, found.values) for model in (few, more))
-            return {"apart": np.array(_apart(*(model.positions(found.values) for model in (few, more))))}
-
-        apart = float(self.stages.run("fine_apart", part)["apart"])
-        if problem.observed.cameras and in_pixels(problem, apart) < _ALIKE:
-            return problem, found
-        values = self.stages.run("fine_start", lambda: {"values": _material(problem, more, found.values)})["values"]
-        start = replace(found, values=values)
-
-        def compare() -> Arrays:
-            roll_out_together((model, start.values) for model in (few, more))
-            here, there = (model.positions(start.values) for model in (few, more))
-            errors = LEFT_BY_FITTED * frame_errors(problem.seen, there, here)
-            return {"errors": errors, "astray": np.array(LEFT_BY_FITTED * _apart(here, there))}
-
-        def compute() -> Arrays:
-            settings = replace(FULL_OPTIONS if last else START_OPTIONS, max_iterations=self.options.full_runs)
-            return arrays_of_fit(fit(more, fine.weighted, started_from(problem.parameters, start), options=settings))
-
-        compared = self.stages.run("fine_errors", compare)
-        fine = replace(fine, errors=compared["errors"], astray=float(compared["astray"]))
-        if not last and np.array_equal(values, found.values):
-            return fine, found
-        fine = self.with_drift(fine, start, "drift_fine")
-        return fine, fit_of(self.stages.run("fine", compute), problem.parameters)
+    compared = run.stages.run("fine_errors", compare)
+    fine = replace(fine, errors=compared["errors"], astray=float(compared["astray"]))
+    if not last and np.array_equal(values, found.values):
+        return fine, found
+    fine = with_drift(run, fine, start, "drift_fine")
+    return fine, fit_of(run.stages.run("fine", compute), problem.parameters)
 
 
 def _apart(here: Float[np.ndarray, "T P 3"], there: Float[np.ndarray, "T P 3"]) -> float:

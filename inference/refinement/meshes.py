@@ -1,12 +1,12 @@
-"""Meshes of more nodes: of the last searches, and to compare with."""
+"""Meshes of more nodes: for the last searches, and to compare with."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from inference.refinement.options import RefineOptions
-from inference.refinement.reduced_search import material_of
-from inference.refinement.stages import Arrays, Stages
+from inference.refinement.problem import material_of
+from inference.refinement.run import RefinementRun
+from inference.refinement.stages import Arrays
 from physconvex import ConvergenceError
 from physconvex.identify import Fit, Twin, surface_of_capture
 from physconvex.mesh import (
@@ -18,7 +18,7 @@ from physconvex.mesh import (
     unfaithfulness,
 )
 
-__all__ = ["fine_mesh", "finer_mesh", "is_of_capture"]
+__all__ = ["comparison_mesh", "fine_mesh", "is_of_capture"]
 
 _FINER = 1.8  # nodes of a mesh made anew over those of the twin
 _HARDLY = 1.2  # times the nodes: no more is gained
@@ -29,7 +29,7 @@ _MOST_NODES = 4000  # of tetrahedra cut in eight
 _STIFF, _OF_STIFF, _OF_SOFT = 30.0, 2400, 1400
 
 
-def finer_mesh(twin: Twin) -> TetMesh | None:
+def comparison_mesh(twin: Twin) -> TetMesh | None:
     """A finer quadratic mesh of the same body, or None where none is found that is small enough.
 
     Tetrahedra of the capture are cut in eight each, which keeps the geometry; a mesh that was made from the capture's
@@ -48,19 +48,19 @@ def finer_mesh(twin: Twin) -> TetMesh | None:
     return _filled_alike(fine, twin, surface)
 
 
-def fine_mesh(twin: Twin, found: Fit, options: RefineOptions, stages: Stages) -> TetMesh | None:
+def fine_mesh(run: RefinementRun, twin: Twin, found: Fit) -> TetMesh | None:
     """That of the last searches of a body that strikes something, which of few nodes rebounds otherwise.
 
-    The best that is found, of several meshers, with at most `options.fine_nodes` nodes, or else 2,400, or 1,400 where E
-    is less than 30 ρ g L at the fit that was found; it is made anew from the surface of the capture. None where
-    nothing is struck, the twin's mesh is all but the body (a twentieth of their volume apart), or no mesh with more
-    nodes is found.
+    The best that is found, of several meshers, with at most `fine_nodes` nodes (of the options), or else 2,400, or
+    1,400 where E is less than 30 ρ g L at the fit that was found; it is made anew from the surface of the capture.
+    None where nothing is struck, the twin's mesh is all but the body (a twentieth of their volume apart), or no mesh
+    with more nodes is found.
     """
     surface = None if is_of_capture(twin) else surface_of_capture(twin.capture)
     if not twin.may_strike or surface is None:
         return None
-    nodes = _affordable(twin, found) if options.fine_nodes is None else options.fine_nodes
-    if nodes <= options.max_nodes:
+    nodes = _affordable(twin, found) if run.options.fine_nodes is None else run.options.fine_nodes
+    if nodes <= run.options.max_nodes:
         return None
     if unfaithfulness(twin.mesh, *surface) < _ALIKE:
         return None
@@ -72,7 +72,7 @@ def fine_mesh(twin: Twin, found: Fit, options: RefineOptions, stages: Stages) ->
             return {"vertices": np.zeros((0, 3)), "tets": np.zeros((0, 10), dtype=np.int64)}
         return {"vertices": mesh.vertices, "tets": mesh.tets}
 
-    arrays = stages.run("fine_mesh", compute)
+    arrays = run.stages.run("fine_mesh", compute)
     return _filled_alike(TetMesh(arrays["vertices"], arrays["tets"]), twin, surface) if len(arrays["tets"]) else None
 
 

@@ -6,32 +6,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from inference.refinement.options import RefineOptions
 from inference.refinement.result import RefinedMotion
-from inference.refinement.stages import Stages
+from inference.refinement.run import RefinementRun
+from inference.refinement.stages import Arrays
 from physconvex.dynamics import simulate
 from physconvex.identify import Fit, FullModel, Twin, enriched, extrapolated_nodes
 from physconvex.io import Capture
 from physconvex.mesh import Embedding, TetMesh
 
-__all__ = ["future_rms", "motion_of"]
+__all__ = ["future_rms", "refined_motion"]
 
 
-def motion_of(
-    capture: Capture,
-    full: FullModel,
-    found: Fit,
-    options: RefineOptions,
-    stages: Stages,
-    *,
-    mesh: TetMesh | None = None,
-) -> RefinedMotion:
+def refined_motion(run: RefinementRun, full: FullModel, found: Fit, *, mesh: TetMesh | None = None) -> RefinedMotion:
     """Roll the fitted model out over all frames: the full one where the correction is on, else the reduced one.
 
     Args:
-        capture, full, found, options, stages: of the refinement.
+        run: the refinement.
+        full: the full model, on any mesh.
+        found: the fit.
         mesh: of the full model, if it is not the twin's.
     """
+    capture, options = run.capture, run.options
     twin = full.twin
     vertices, faces = twin.surface
     tracks = capture.tracks()
@@ -40,25 +35,21 @@ def motion_of(
 
     fitted, nodes = twin.with_values(found.names, found.values), twin.mesh.vertices
 
-    def compute() -> dict[str, np.ndarray]:
-        run = simulate(fitted.scene, twin.timing())
+    def compute() -> Arrays:
+        reduced = simulate(fitted.scene, twin.timing())
         if not options.correction:
-            return {
-                "nodes": run.positions(nodes),
-                "handles": run.handles(),
-                "weights": _weights(twin),
-                "gap": np.zeros(0),
-            }
+            moved, handles = reduced.positions(nodes), reduced.handles()
+            return {"nodes": moved, "handles": handles, "weights": _weights(twin), "gap": np.zeros(0)}
         coarse = replace(full, frames=capture.frames)
         moved = extrapolated_nodes(coarse, replace(coarse, mesh=mesh), found.values)
         carried = Embedding.of_points(body, nodes).apply(moved)
         better = enriched(fitted, carried)
         again = simulate(better.scene, twin.timing())
-        gap = np.array([_rms(r.positions(nodes) - carried) for r in (run, again)])
-        nearer, moving = (better, again) if gap[1] < gap[0] else (fitted, run)
+        gap = np.array([_rms(r.positions(nodes) - carried) for r in (reduced, again)])
+        nearer, moving = (better, again) if gap[1] < gap[0] else (fitted, reduced)
         return {"nodes": moved, "handles": moving.handles(), "weights": _weights(nearer), "gap": gap}
 
-    arrays = stages.run("motion", compute)
+    arrays = run.stages.run("motion", compute)
     moved = Embedding.of_points(body, np.concatenate([vertices, markers])).apply(arrays["nodes"])
     return RefinedMotion(
         times=capture.times,

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from inference.refinement.options import RefineOptions
-from inference.refinement.stages import Stages
+from inference.refinement.run import RefinementRun
+from inference.refinement.stages import Arrays
 from physconvex import InputError
 from physconvex.identify import (
     FollowOptions,
@@ -25,9 +26,8 @@ from physconvex.identify import (
 )
 from physconvex.io import Camera, Capture
 
-__all__ = ["Observed", "observe"]
+__all__ = ["Observed", "observe_capture"]
 
-Arrays = dict[str, np.ndarray]
 _UNFOLLOWED = (
     "Camera {}: no point of the object can be followed, so outlines alone are fitted; they do not tell how a surface "
     "turns within them. Paint a texture on, or give marker tracks."
@@ -53,11 +53,9 @@ class Observed:
         pairs = zip(self.sources, self.observations.residual_slices, strict=True)
         return {source: float(np.sqrt(np.mean(residuals[where] ** 2))) for source, where in pairs}
 
-    def anchored(
-        self, capture: Capture, twin: Twin, move: Callable[[np.ndarray], np.ndarray], stages: Stages
-    ) -> Observed:
+    def followed_again(self, run: RefinementRun, twin: Twin, move: Callable[[np.ndarray], np.ndarray]) -> Observed:
         """The same, with the points of the videos followed again from where a model moves them: [P, 3] → [T, P, 3]."""
-        arrays = stages.run("anchored", lambda: self._follow_again(capture, twin, move))
+        arrays = run.stages.run("anchored", lambda: self._follow_again(run.capture, twin, move))
         parts: list[Observations] = []
         sources = list(self.sources)
         for number, part in enumerate(self.observations.parts):
@@ -81,12 +79,13 @@ class Observed:
         return out
 
 
-def observe(capture: Capture, twin: Twin, options: RefineOptions, stages: Stages) -> tuple[Observed, Twin]:
+def observe_capture(run: RefinementRun, twin: Twin) -> tuple[Observed, Twin]:
     """What the options take of a capture, and the twin with the initial motion that the tracks show.
 
     Raises:
         InputError: there is nothing of that kind.
     """
+    capture, options = run.capture, run.options
     if capture.observed_frames < 2:
         raise InputError(
             f"{capture.folder}: observed_frames is {capture.observed_frames}; expected at least 2, since frame 0 is "
@@ -104,7 +103,7 @@ def observe(capture: Capture, twin: Twin, options: RefineOptions, stages: Stages
         twin = start_motion(twin, markers)
     if filmed:
         cameras = _cameras(capture, options)
-        seen = _video_parts(capture, twin, cameras, options, stages)
+        seen = _video_parts(run, twin, cameras)
         notes = tuple(_UNFOLLOWED.format(camera.name) for camera in cameras if _is_unfollowed(camera, capture, seen))
         parts.extend(seen)
         sources.extend(_line(part) for part in seen)
@@ -132,22 +131,19 @@ def _cameras(capture: Capture, options: RefineOptions) -> tuple[Camera, ...]:
     return tuple(capture.camera(name) for name in options.cameras)
 
 
-def _video_parts(
-    capture: Capture, twin: Twin, cameras: Sequence[Camera], options: RefineOptions, stages: Stages
-) -> list[Observations]:
+def _video_parts(run: RefinementRun, twin: Twin, cameras: Sequence[Camera]) -> list[Observations]:
     """Points and outlines of each camera; of one without images, or where no point can be followed, outlines alone."""
-    vertices, triangles = twin.surface
-    masks = {camera.name: capture.mask(camera.name) for camera in cameras}
-    arrays = stages.run("points", lambda: _followed(capture, cameras, masks, vertices, triangles, options))
+    capture, surface = run.capture, twin.surface
+    views = [(camera, capture.mask(camera.name)) for camera in cameras]
+    arrays = run.stages.run("points", lambda: _followed(run, views, surface))
     parts: list[Observations] = []
-    sigma = FollowOptions().sigma
-    for camera in cameras:
+    for camera, mask in views:
         if f"{camera.name}/points" in arrays:
             pixels = arrays[f"{camera.name}/pixels"]
-            parts.append(PixelObservations(camera, arrays[f"{camera.name}/points"], pixels, _full(pixels, sigma)))
-        mask = masks[camera.name]
-        if options.outlines and mask is not None:
-            parts.append(OutlineObservations.of_masks(camera, mask[: capture.observed_frames], vertices, triangles))
+            sigma = np.full(pixels.shape[:2], FollowOptions().sigma)
+            parts.append(PixelObservations(camera, arrays[f"{camera.name}/points"], pixels, sigma))
+        if run.options.outlines and mask is not None:
+            parts.append(OutlineObservations.of_masks(camera, mask[: capture.observed_frames], *surface))
     return parts
 
 
@@ -158,22 +154,17 @@ def _is_unfollowed(camera: Camera, capture: Capture, parts: Sequence[Observation
 
 
 def _followed(
-    capture: Capture,
-    cameras: Sequence[Camera],
-    masks: Mapping[str, np.ndarray | None],
-    vertices: np.ndarray,
-    triangles: np.ndarray,
-    options: RefineOptions,
+    run: RefinementRun, views: Sequence[tuple[Camera, np.ndarray | None]], surface: tuple[np.ndarray, np.ndarray]
 ) -> Arrays:
+    """Rest positions and pixels of the points that are followed, by camera."""
     out = {}
-    for camera in cameras:
-        mask = masks[camera.name]
-        outlined = options.outlines and mask is not None
-        if outlined and camera not in capture.filmed:
+    for camera, mask in views:
+        outlined = run.options.outlines and mask is not None
+        if outlined and camera not in run.capture.filmed:
             continue
-        frames = capture.video(camera.name).frames[: capture.observed_frames]
+        frames = run.capture.video(camera.name).frames[: run.capture.observed_frames]
         try:
-            seeds = seed_points(camera, frames[0], vertices, triangles, mask=None if mask is None else mask[0] > 0)
+            seeds = seed_points(camera, frames[0], *surface, mask=None if mask is None else mask[0] > 0)
         except InputError:
             if not outlined:
                 raise
@@ -181,10 +172,6 @@ def _followed(
         out[f"{camera.name}/points"] = seeds.points
         out[f"{camera.name}/pixels"] = follow(frames, seeds.pixels)
     return out
-
-
-def _full(pixels: np.ndarray, sigma: float) -> np.ndarray:
-    return np.full(pixels.shape[:2], sigma)
 
 
 def _line(part: Observations) -> str:

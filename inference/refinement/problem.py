@@ -10,6 +10,7 @@ from inference.refinement.observations import Observed
 from physconvex.fem import SurfacePoints
 from physconvex.identify import (
     DriftingObservations,
+    Fit,
     FullModel,
     MarginalObservations,
     Nuisance,
@@ -21,8 +22,9 @@ from physconvex.identify import (
     WeightedObservations,
 )
 from physconvex.mesh import TetMesh
+from physconvex.reduced import parameter_values
 
-__all__ = ["Problem"]
+__all__ = ["Problem", "in_pixels", "material_of", "started_from"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +70,9 @@ class Problem:
     @property
     def seen(self) -> Observations:
         """What was seen, all nuisances eliminated."""
-        return self.drifting(self.drift) if self.drift else self.undrifted
+        return self.with_drift_of(self.drift) if self.drift else self.undrifted
 
-    def drifting(self, sigma: float) -> DriftingObservations:
+    def with_drift_of(self, sigma: float) -> DriftingObservations:
         """What was seen, with rigid drift of that deviation [m/s] eliminated too."""
         assert self.drift_limit is not None
         return DriftingObservations(self.undrifted, self.drift_limit[0], 1 / self.twin.fps, sigma)
@@ -116,3 +118,21 @@ class Problem:
         """The first frames alone."""
         part = replace(self.observed, observations=self.observed.observations.in_frames(frames))
         return replace(self, observed=part)
+
+
+def started_from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Parameter, ...]:
+    """The parameters, starting where a fit has ended."""
+    return tuple(p.at(float(v)) for p, v in zip(parameters, found.values, strict=True))
+
+
+def material_of(twin: Twin, found: Fit) -> tuple[float, float]:
+    """Log10 of E [Pa] and the density [kg/m³] at a fit, whether they were free or not."""
+    scene = twin.with_values(found.names, found.values).scene
+    modulus, density = parameter_values(scene, ["log10_youngs_modulus", "density"])
+    return float(modulus), float(density)
+
+
+def in_pixels(problem: Problem, length: float) -> float:
+    """A length [m] where the body begins, in the images of the nearest camera."""
+    centre = problem.twin.mesh.vertices.mean(axis=0)
+    return length * float(max(camera.fl_x / camera.project(centre)[1] for camera in problem.observed.cameras))

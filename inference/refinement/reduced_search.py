@@ -1,4 +1,7 @@
-"""The search with the reduced model: a scan over E and ν, then a fit from the best of it."""
+"""The search with the reduced model: a scan over E and ν, then a fit from the best of it.
+
+The scan looks closely around the network's prediction and coarsely everywhere else.
+"""
 
 from __future__ import annotations
 
@@ -7,35 +10,35 @@ from functools import partial
 
 import numpy as np
 
-from inference.refinement.fits import Scanned, arrays_of_fit, arrays_of_scan, fit_of, scan_of
-from inference.refinement.network_start import scan_range
 from inference.refinement.options import RefineOptions
-from inference.refinement.problem import Problem
-from inference.refinement.stages import Stages
-from physconvex import ConvergenceError
-from physconvex.identify import Fit, FitOptions, Parameter, Twin, TwinOptions, base_twin, coarse_mesh, fit, scan
-from physconvex.io import Capture, Workers
-from physconvex.reduced import parameter_values
+from inference.refinement.problem import Problem, started_from
+from inference.refinement.run import RefinementRun
+from inference.refinement.stages import Arrays, Scanned, arrays_of_fit, arrays_of_scan, fit_of, scan_of
+from physconvex import ConvergenceError, InputError
+from physconvex.identify import (
+    Fit,
+    FitOptions,
+    Parameter,
+    Twin,
+    TwinOptions,
+    base_twin,
+    coarse_mesh,
+    fit,
+    scan,
+    scan_values,
+)
+from physconvex.io import Capture
 
-__all__ = ["ReducedSearch", "material_of", "started_from"]
+__all__ = ["ReducedSearch", "ScanRange", "scan_range"]
 
 _MODULUS, _RATIO = "log10_youngs_modulus", "poisson_ratio"
 _CHEAP_WEIGHTS = 6
 _AROUND = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0)  # decades; eigenmodes are too stiff in contact, so that E wants more
 _USUAL_RATIO = 0.3
 _PAIRS = 10  # of E and ν that are scanned at least
-
-
-def started_from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Parameter, ...]:
-    """The parameters, starting where a fit has ended."""
-    return tuple(p.at(float(v)) for p, v in zip(parameters, found.values, strict=True))
-
-
-def material_of(twin: Twin, found: Fit) -> tuple[float, float]:
-    """Log10 of E [Pa] and the density [kg/m³] at a fit, whether they were free or not."""
-    scene = twin.with_values(found.names, found.values).scene
-    modulus, density = parameter_values(scene, [_MODULUS, "density"])
-    return float(modulus), float(density)
+_RATIOS = (0.25, 0.45)
+_LEAST = 0.4  # half width of the scan around a prediction [decades]
+_APART = 0.2  # from the predicted interval, of what is scanned besides [decades]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,30 +46,24 @@ class ReducedSearch:
     """The search of one refinement.
 
     Attributes:
-        capture, options, stages: of the refinement.
-        warnings: what the user should know is added here.
-        workers: for what can be done at once.
+        run: the refinement.
     """
 
-    capture: Capture
-    options: RefineOptions
-    stages: Stages
-    warnings: list[str]
-    workers: Workers = field(default_factory=Workers)
-    _made: dict[str, dict[str, np.ndarray]] = field(default_factory=dict, init=False, repr=False)
+    run: RefinementRun
+    _made: dict[str, Arrays] = field(default_factory=dict, init=False, repr=False)
 
-    def run(self, problem: Problem) -> Fit:
+    def start(self, problem: Problem) -> Fit:
         """Scan and fit, or fit alone where the start is known."""
         names = problem.names
-        if _MODULUS not in names or _MODULUS in self.options.initial:
-            first = replace(problem, twin=self._cheap(problem)) if self.options.own_derivatives else problem
+        if _MODULUS not in names or _MODULUS in self.run.options.initial:
+            first = replace(problem, twin=self._cheap(problem)) if self.run.options.own_derivatives else problem
             return self.fit("reduced", first, problem.parameters)
         starts = self._scanned(problem)
-        return fit_of(self.stages.run("reduced", lambda: self._best(problem, starts)), problem.parameters)
+        return fit_of(self.run.stages.run("reduced", lambda: self._best(problem, starts)), problem.parameters)
 
     def candidates(self, problem: Problem, found: Fit) -> tuple[np.ndarray, ...]:
         """Where a better model may begin: the fit, the best pairs of the scan, and moduli about that of a free body."""
-        if _MODULUS not in problem.names or _MODULUS in self.options.initial:
+        if _MODULUS not in problem.names or _MODULUS in self.run.options.initial:
             return (found.values,)
         scanned = [np.array([p.start for p in start]) for start in self._scanned(problem)]
         around = []
@@ -79,14 +76,14 @@ class ReducedSearch:
     def _scanned(self, problem: Problem) -> Scanned:
         """The best pairs of the scan, which is made once even where stages are not kept."""
         if "scan" not in self._made:
-            self._made["scan"] = self.stages.run("scan", lambda: self._scan(problem))
+            self._made["scan"] = self.run.stages.run("scan", lambda: self._scan(problem))
         return scan_of(self._made["scan"], problem.parameters)
 
     def _cheap(self, problem: Problem) -> Twin:
         """Few weights, few nodes and long steps, the same world: for the scan."""
-        given = self.options
+        given = self.run.options
         options = TwinOptions(min(_CHEAP_WEIGHTS, given.weights), given.max_nodes, given.steps_per_frame)
-        twin = base_twin(self.capture, options, mesh=coarse_mesh(self.capture, problem.twin.mesh))
+        twin = base_twin(self.run.capture, options, mesh=coarse_mesh(self.run.capture, problem.twin.mesh))
         own = problem.twin.scene
         twin = twin.with_scene(
             obstacles=own.obstacles,
@@ -97,11 +94,11 @@ class ReducedSearch:
             twin = twin.with_values(list(given.held), np.array(list(given.held.values())))
         return replace(twin, steps_per_frame=max(4, twin.steps_per_frame // 2))
 
-    def _scan(self, problem: Problem) -> dict[str, np.ndarray]:
-        self.workers.begin(_PAIRS)  # while the network looks where
-        where = scan_range(self.capture, problem.twin.mesh.size, self.options)
+    def _scan(self, problem: Problem) -> Arrays:
+        self.run.workers.begin(_PAIRS)  # while the network looks where
+        where = scan_range(self.run.capture, problem.twin.mesh.size, self.run.options)
         if where.note:
-            self.warnings.append(where.note)
+            self.run.warnings.append(where.note)
         frames = problem.windows[0]
         cheap = replace(problem, twin=self._cheap(problem)).first(frames)
         found = scan(
@@ -110,17 +107,19 @@ class ReducedSearch:
             problem.parameters,
             moduli=where.moduli,
             ratios=where.ratios,
-            workers=self.workers,
+            workers=self.run.workers,
         )
         return arrays_of_scan(found, within=where.predicted)
 
-    def _best(self, problem: Problem, starts: tuple[tuple[Parameter, ...], ...]) -> dict[str, np.ndarray]:
+    def _best(self, problem: Problem, starts: tuple[tuple[Parameter, ...], ...]) -> Arrays:
         """A few cheap iterations from the best starts, then the model itself from the best one."""
         cheap = replace(problem, twin=self._cheap(problem))
-        grown = self.workers.map(partial(_grown, cheap, self._rough_options(held=cheap.twin.clamp is not None)), starts)
+        grown = self.run.workers.map(
+            partial(_grown, cheap, self._rough_options(held=cheap.twin.clamp is not None)), starts
+        )
         trials = [trial for trial in grown if trial is not None]
         best = min(trials, key=lambda trial: trial.misfit) if trials else None
-        if best is not None and self.options.own_derivatives:
+        if best is not None and self.run.options.own_derivatives:
             # a finer reduced model would cost as much as the full one, which comes next
             return arrays_of_fit(best)
         chosen = starts[0] if best is None else started_from(problem.parameters, best)
@@ -131,19 +130,19 @@ class ReducedSearch:
 
     def _reduced_options(self) -> FitOptions:
         """Where the full model is fitted next, the reduced one need not settle to the last digit."""
-        if self.options.own_derivatives:
+        if self.run.options.own_derivatives:
             return FitOptions(max_iterations=8, relative_tolerance=1e-3, absolute_tolerance=0.1)
         return FitOptions()
 
     def _rough_options(self, *, held: bool) -> FitOptions:
         """Of the cheap fits: where the full model goes on, from several places, what few steps leave is enough."""
-        if self.options.own_derivatives and not held:
+        if self.run.options.own_derivatives and not held:
             return FitOptions(max_iterations=4, relative_tolerance=0.03)
         return FitOptions(max_iterations=6)
 
     def fit(self, name: str, problem: Problem, start: tuple[Parameter, ...]) -> Fit:
         """The fit of that stage, from a start."""
-        arrays = self.stages.run(name, lambda: arrays_of_fit(self._fitted(problem, start)))
+        arrays = self.run.stages.run(name, lambda: arrays_of_fit(self._fitted(problem, start)))
         return fit_of(arrays, problem.parameters)
 
 
@@ -162,3 +161,54 @@ def _grown(cheap: Problem, options: FitOptions, start: tuple[Parameter, ...]) ->
             return None
         start = started_from(cheap.parameters, found)
     return found
+
+
+@dataclass(frozen=True)
+class ScanRange:
+    """What is scanned.
+
+    Attributes:
+        moduli: log10 E.
+        ratios: ν.
+        predicted: ends of the prediction's log10 E, of which a start is kept whatever fits better; None: of none.
+        note: for the user, "" for none.
+    """
+
+    moduli: tuple[float, ...]
+    ratios: tuple[float, ...]
+    predicted: tuple[float, float] | None = None
+    note: str = ""
+
+
+def scan_range(capture: Capture, size: float, options: RefineOptions) -> ScanRange:
+    """Where to look for the material of a body of that size [m].
+
+    Raises:
+        InputError: a prediction was asked for and is impossible.
+    """
+    gravity = float(np.linalg.norm(capture.gravity))
+    everywhere = scan_values(density=capture.density, gravity=gravity, size=size)
+    if options.start == "scan" or (options.start == "auto" and not capture.filmed):
+        return ScanRange(everywhere, _RATIOS)
+    try:
+        moduli, ratios = _predicted(capture, options)
+    except InputError as error:
+        if options.start == "predict":
+            raise
+        return ScanRange(everywhere, _RATIOS, note=f"The network gave no start ({error}); the whole range was scanned.")
+    low, high = moduli[0], moduli[-1]
+    beyond = everywhere if options.start == "auto" else ()
+    others = [value for value in beyond if not low - _APART <= value <= high + _APART]
+    return ScanRange(tuple(sorted((*moduli, *others))), ratios, (low, high))
+
+
+def _predicted(capture: Capture, options: RefineOptions) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Five moduli over the 90 % interval, enlarged to 0.8 decades at least, and two ratios."""
+    from inference.predictor import predict
+
+    found = predict(capture.folder, checkpoint=options.checkpoint, device=options.device)
+    low, high = (float(np.log10(v)) for v in found.youngs_modulus_interval)
+    middle = 0.5 * (low + high)
+    half = max(0.5 * (high - low), _LEAST)
+    ratio = float(np.clip(found.poisson_ratio, 0.05, 0.48))
+    return tuple(np.linspace(middle - half, middle + half, 5)), tuple(dict.fromkeys((ratio, 0.3, 0.45)))[:2]

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
+from pydantic import JsonValue
 
 from physconvex.convex import ConvexField
 from physconvex.identify import FullRun, Identifiability, Iteration
 from physconvex.io import Camera
 from physconvex.mesh import TetMesh
 
-__all__ = ["REFINEMENT_SCHEMA", "UNITS", "Estimate", "MovingField", "RefinedMotion", "Refinement", "RigidDrift"]
+__all__ = ["REFINEMENT_SCHEMA", "UNITS", "FittedParameter", "MovingField", "RefinedMotion", "Refinement", "RigidDrift"]
 
 REFINEMENT_SCHEMA = "physconvex/refinement/1"
 _DRIFT_TOLD = 0.01  # of the size: from here on the user is told
@@ -42,7 +43,7 @@ def unit_of(name: str) -> str:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class FittedParameter:
     """One parameter.
 
     Attributes:
@@ -71,15 +72,14 @@ class Estimate:
         """Noise and model error together."""
         return float(np.hypot(self.noise_sigma, np.nan_to_num(self.model_error)))
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, JsonValue]:
         """Plain values; NaN and infinities become null."""
-        interval = None if self.interval is None else [float(v) for v in self.interval]
         return {
             "value": self.value,
             "unit": unit_of(self.name),
             "noise_sigma": _plain(self.noise_sigma),
             "model_error": _plain(self.model_error),
-            "interval_90": interval,
+            "interval_90": None if self.interval is None else [float(v) for v in self.interval],
             "bounds": [_plain(self.lower), _plain(self.upper)],
             "prior": None if self.prior is None else list(self.prior),
         }
@@ -108,7 +108,7 @@ class MovingField(Protocol):
     def image(self, frame: int, camera: Camera) -> tuple[UInt8[np.ndarray, "H W 3"], np.ndarray]:
         """What a camera sees of it in a frame, before white, and its alpha [H, W]."""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, JsonValue]:
         """Number of convexes, source, PSNR of the first images [dB]."""
 
 
@@ -158,7 +158,7 @@ class RigidDrift:
     rms: Float[np.ndarray, " T"]
     size: float
 
-    def to_json(self) -> dict[str, object]:
+    def to_json(self) -> dict[str, JsonValue]:
         """For `refinement.json`."""
         return {"first_frame": self.first_frame, "sigma_m_per_s": self.sigma, "rms_m": [float(r) for r in self.rms]}
 
@@ -204,7 +204,7 @@ class Refinement:
     """
 
     path: str
-    estimates: tuple[Estimate, ...]
+    estimates: tuple[FittedParameter, ...]
     fixed: dict[str, float]
     covariance: Float[np.ndarray, "K K"]
     reduced_chi_square: float
@@ -225,7 +225,7 @@ class Refinement:
     drift: RigidDrift | None = None
     followed: RefinedMotion | None = None
 
-    def __getitem__(self, name: str) -> Estimate:
+    def __getitem__(self, name: str) -> FittedParameter:
         """The estimate of a free parameter."""
         for estimate in self.estimates:
             if estimate.name == name:
@@ -245,7 +245,7 @@ class Refinement:
         """ν."""
         return self._value("poisson_ratio")
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, JsonValue]:
         """Everything but the arrays of the motion; docs/reference/refinement_files.md describes each entry."""
         names = [e.name for e in self.estimates]
         told = self.identifiability
@@ -258,9 +258,9 @@ class Refinement:
             "youngs_modulus": {"value": self.youngs_modulus, "unit": "Pa", "interval_90": interval},
             "parameters": {e.name: e.to_json() for e in self.estimates},
             "fixed": {name: {"value": value, "unit": unit_of(name)} for name, value in self.fixed.items()},
-            "noise_covariance": {"order": names, "matrix": self.covariance.tolist()},
+            "noise_covariance": {"order": [*names], "matrix": self.covariance.tolist()},
             "reduced_chi_square": self.reduced_chi_square,
-            "residual_rms": self.residual_rms,
+            "residual_rms": {**self.residual_rms},
             "model_error_by_frame": [float(e) for e in self.frame_errors],
             "future_rms_m": _plain(self.future_rms),
             "identifiability": {
@@ -296,6 +296,6 @@ class Refinement:
             "observed_frames": self.observed_frames,
             "sources": list(self.sources),
             "warnings": list(self.warnings),
-            "nuisances": self.nuisances,
+            "nuisances": {**self.nuisances},
             "rigid_drift": self.drift.to_json() if self.drift else None,
         }

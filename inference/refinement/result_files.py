@@ -9,14 +9,13 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from pydantic import JsonValue
 
 from inference.refinement.options import RefineOptions
-from inference.refinement.plots import write_plots
+from inference.refinement.pictures import write_plots, write_side_by_side
 from inference.refinement.result import Refinement
-from inference.refinement.side_by_side import write_side_by_side
 from physconvex import __version__
 from physconvex.convex import write_ply
 from physconvex.io import load_capture
@@ -61,7 +60,7 @@ def write_refinement(
         capture = load_capture(found.path)
         write_plots(found, capture, folder / "fit.png")
         write_side_by_side(found, capture, folder / "side_by_side.mp4")
-    run: dict[str, Any] = {
+    run: dict[str, JsonValue] = {
         "command": shlex.join(sys.argv if command is None else command),
         "physconvex": __version__,
         "python": platform.python_version(),
@@ -71,7 +70,7 @@ def write_refinement(
     _write_json(folder / "refinement.json", found.to_json())
 
 
-def _write_json(path: Path, content: dict[str, Any]) -> None:
+def _write_json(path: Path, content: dict[str, JsonValue]) -> None:
     partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     partial.write_text(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
     os.replace(partial, path)

@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from inference.refinement.problem import Problem
 from inference.refinement.result import RefinedMotion, RigidDrift
-from inference.refinement.stages import Stages
+from inference.refinement.run import RefinementRun
+from physconvex import ConvergenceError
 from physconvex.identify import (
     DriftingObservations,
     Fit,
@@ -21,19 +22,19 @@ from physconvex.identify import (
 )
 from physconvex.mesh import Embedding
 
-__all__ = ["drift_of", "drifted", "followed_motion", "with_drift", "with_drift_limit"]
+__all__ = ["drift_of", "drifted", "followed_motion", "with_drift", "with_drift_by", "with_drift_limit"]
 
 _LIMIT = 2.0  # times what two meshes differ by
 
 
-def with_drift_limit(problem: Problem, model: FullModel, other: FullModel, found: Fit, stages: Stages) -> Problem:
+def with_drift_limit(run: RefinementRun, problem: Problem, model: FullModel, other: FullModel, found: Fit) -> Problem:
     """The problem with the drift that two meshes of a body that strikes something differ by, as its greatest.
 
     Args:
+        run: the refinement.
         problem: what is fitted.
         model, other: on different meshes; both are run at a fit's values.
         found: the fit.
-        stages: the answer is kept there.
     """
     if not problem.twin.may_strike:
         return problem
@@ -48,18 +49,18 @@ def with_drift_limit(problem: Problem, model: FullModel, other: FullModel, found
             return {"limit": np.zeros(0)}
         return {"limit": np.array([begin, _LIMIT * model_drift(one, another, begin, interval)])}
 
-    limit = stages.run("drift_limit", compute)["limit"]
+    limit = run.stages.run("drift_limit", compute)["limit"]
     return replace(problem, drift_limit=(int(limit[0]), float(limit[1])) if len(limit) else None)
 
 
-def with_drift(problem: Problem, model: FullModel, found: Fit, stages: Stages, name: str) -> Problem:
+def with_drift_by(run: RefinementRun, problem: Problem, model: FullModel, found: Fit, name: str) -> Problem:
     """The problem with the drift that is likely where a model puts the points at a fit's values.
 
     Args:
+        run: the refinement.
         problem: a drift that it has is forgotten.
         model: of the observed points.
         found: the fit.
-        stages: the answer is kept there.
         name: of the stage.
     """
     plain = replace(problem, drift=0.0)
@@ -69,10 +70,18 @@ def with_drift(problem: Problem, model: FullModel, found: Fit, stages: Stages, n
 
     def compute() -> dict[str, np.ndarray]:
         at = model.begun(found.values)
-        likely = likely_drift(plain.undrifted, at, begin, 1 / plain.twin.fps, most=most, workers=model.memory.workers)
+        likely = likely_drift(plain.undrifted, at, begin, 1 / plain.twin.fps, most=most, workers=run.workers)
         return {"sigma": np.array(0.0 if likely is None else likely.sigma)}
 
-    return replace(plain, drift=float(stages.run(name, compute)["sigma"]))
+    return replace(plain, drift=float(run.stages.run(name, compute)["sigma"]))
+
+
+def with_drift(run: RefinementRun, problem: Problem, found: Fit, name: str) -> Problem:
+    """The same by the problem's full model; the problem as it is where that fails, as the next search will say."""
+    try:
+        return with_drift_by(run, problem, problem.full(run.memory), found, name)
+    except ConvergenceError:
+        return problem
 
 
 def drift_of(problem: Problem, found: Fit) -> RigidDrift | None:

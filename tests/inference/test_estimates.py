@@ -1,11 +1,11 @@
-"""A fit judged by a finer model."""
+"""A fit told by a finer model."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from inference import RefineOptions, Stages
+from inference import RefinementRun, RefineOptions, Stages
 from inference.refinement import estimates, meshes
 from physconvex import ConvergenceError
 from physconvex.mesh import box_mesh, filled, to_quadratic
@@ -24,16 +24,16 @@ def test_a_finer_model_that_runs_away_is_not_followed(away, strikes, monkeypatch
         "errors": np.zeros(3),
         "runs_away": np.array(away),
     }
-    monkeypatch.setattr(estimates, "finer_mesh", lambda twin: "mesh")
+    monkeypatch.setattr(estimates, "comparison_mesh", lambda twin: "mesh")
     monkeypatch.setattr(estimates, "is_of_capture", lambda twin: True)
     monkeypatch.setattr(estimates, "fit_of", lambda arrays, parameters: last)
     full, warnings = SimpleNamespace(twin=SimpleNamespace(may_strike=strikes), mesh=None, frames=3), []
     stages = SimpleNamespace(run=lambda name, compute: arrays)
-    judged = estimates.judge(full, found, None, RefineOptions(), stages, warnings)
-    assert judged.fit is (found if away else last) and judged.mesh == "mesh"
+    told = estimates.with_model_error(RefinementRun(None, stages=stages, warnings=warnings), full, found, None)
+    assert told.fit is (found if away else last) and told.mesh == "mesh"
     assert len(warnings) == away
     wide = away or strikes
-    assert judged.left == pytest.approx(np.hypot(arrays["left"], [0.04, 0.29]) if wide else arrays["left"])
+    assert told.left == pytest.approx(np.hypot(arrays["left"], [0.04, 0.29]) if wide else arrays["left"])
 
 
 @pytest.mark.parametrize("fill", [True, False])
@@ -46,7 +46,7 @@ def test_finer_meshes_are_filled_where_the_twin_s_is(fill, monkeypatch):
     monkeypatch.setattr(meshes, "tetrahedralize", lambda *surface, **how: fine)
     twin = SimpleNamespace(capture=capture, mesh=filled(coarse, *surface) if fill else coarse, may_strike=True)
     options = RefineOptions(fine_nodes=900)
-    for found in (meshes.finer_mesh(twin), meshes.fine_mesh(twin, None, options, Stages(None, ""))):
+    for found in (meshes.comparison_mesh(twin), meshes.fine_mesh(RefinementRun(None, options), twin, None)):
         assert np.array_equal(found.vertices, fine.vertices)
         assert (found.filling is not None) == fill
 
@@ -65,7 +65,9 @@ def test_the_mesh_of_the_last_searches_is_kept_with_the_stages(tmp_path, monkeyp
 
     monkeypatch.setattr(meshes, "tetrahedralize", tetrahedralize)
     options = RefineOptions(fine_nodes=900)
-    first, again = (meshes.fine_mesh(twin, None, options, Stages(tmp_path, "key")) for _ in range(2))
+    first, again = (
+        meshes.fine_mesh(RefinementRun(None, options, Stages(tmp_path, "key")), twin, None) for _ in range(2)
+    )
     assert made == [(900, 2, "auto", True)] and np.array_equal(first.tets, again.tets)
 
 
@@ -88,18 +90,18 @@ def test_where_there_is_no_mesh_for_the_last_searches(why, monkeypatch):
         return box_mesh((0.3, 0.2, 0.2), (2, 1, 1) if why == "hardly more" else (4, 2, 2))
 
     monkeypatch.setattr(meshes, "tetrahedralize", tetrahedralize)
-    assert meshes.fine_mesh(twin, None, options, Stages(None, "")) is None
+    assert meshes.fine_mesh(RefinementRun(None, options), twin, None) is None
 
 
 def test_what_the_mesh_of_the_last_searches_changed_counts_in_part_as_left(monkeypatch):
-    found, before = (SimpleNamespace(values=np.array(v), parameters=()) for v in ([6.5, 0.40], [6.3, 0.44]))
+    found, on_twin = (SimpleNamespace(values=np.array(v), parameters=()) for v in ([6.5, 0.40], [6.3, 0.44]))
     arrays = {"values": found.values, "left": np.zeros(2), "errors": np.zeros(3)}
     monkeypatch.setattr(estimates, "is_of_capture", lambda twin: True)
     monkeypatch.setattr(estimates, "fit_of", lambda arrays, parameters: found)
     full = SimpleNamespace(twin=SimpleNamespace(may_strike=True), mesh="fine", frames=3)
     stages = SimpleNamespace(run=lambda name, compute: arrays)
-    judged = estimates.judge(full, found, None, RefineOptions(), stages, [], before=before)
-    assert judged.mesh == "fine" and judged.left == pytest.approx([0.05, 0.01])
+    told = estimates.with_model_error(RefinementRun(None, stages=stages), full, found, None, on_twin=on_twin)
+    assert told.mesh == "fine" and told.left == pytest.approx([0.05, 0.01])
 
 
 @pytest.mark.parametrize(("strikes", "of_capture"), [(True, False), (True, True), (False, False)])
@@ -112,9 +114,9 @@ def test_one_mesh_made_of_a_surface_tells_a_rebound_no_better_than_such_meshes_d
     monkeypatch.setattr(estimates, "is_of_capture", lambda twin: of_capture)
     full = SimpleNamespace(twin=SimpleNamespace(may_strike=strikes), mesh="fine", frames=3)
     stages = SimpleNamespace(run=lambda name, compute: arrays)
-    judged = estimates.judge(full, found, None, RefineOptions(), stages, [])
+    told = estimates.with_model_error(RefinementRun(None, stages=stages), full, found, None)
     wide = np.hypot(arrays["left"], [0.012, 0.03, 0.0]) if strikes and not of_capture else arrays["left"]
-    assert judged.left == pytest.approx(wide)
+    assert told.left == pytest.approx(wide)
 
 
 def test_the_noise_of_images_is_what_their_residuals_are_and_that_of_markers_at_least_as_stated():

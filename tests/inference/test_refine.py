@@ -9,9 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 import physconvex
-from inference import Estimate, RefineOptions, refine
+from inference import FittedParameter, RefineOptions, refine
 from inference.refinement.command import _print
-from inference.refinement.estimates import estimates_of
+from inference.refinement.estimates import fitted_parameters
 from physconvex import InputError
 from physconvex.identify import ReducedModel, TwinOptions, base_twin
 from physconvex.io import Capture, Floor, Tracks, load_capture, read_video, save_capture
@@ -102,7 +102,7 @@ def test_no_interval_where_the_model_does_not_follow(folder, tmp_path):
 def test_a_missing_interval_is_not_blamed_on_a_bound(tmp_path, capsys):
     """The silicone beam, which is not followed to its stated noise, was said to have E at its bound."""
     told = SimpleNamespace(sentences=["The model does not follow 3 markers."])
-    estimate = Estimate("log10_youngs_modulus", 5.47, 0.0035, 0.0025, None, 3.0, 8.0, None)
+    estimate = FittedParameter("log10_youngs_modulus", 5.47, 0.0035, 0.0025, None, 3.0, 8.0, None)
     _print(SimpleNamespace(
         estimates=[estimate], youngs_modulus=10**5.47, poisson_ratio=0.49, identifiability=told, warnings=[]
     ), tmp_path)  # fmt: skip
@@ -196,4 +196,4 @@ def test_what_is_missing_is_named(folder, tmp_path):
 def test_the_package_offers_it():
     assert physconvex.refine is refine
     assert physconvex.RefineOptions is RefineOptions
-    assert callable(estimates_of)
+    assert callable(fitted_parameters)

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from inference import RefineOptions, Stages, refine
-from inference.refinement import fine_fit as refitting, meshes
-from inference.refinement.fine_fit import Refitting
+from inference import RefinementRun, RefineOptions, refine
+from inference.refinement import fine_fit, meshes
 from inference.refinement.problem import Problem
 from physconvex import ConvergenceError
 from physconvex.fem import SurfacePoints
@@ -81,9 +80,9 @@ def test_the_search_on_more_nodes_begins_at_the_best_of_the_materials_about(free
         tried.extend(candidates)
         return [sum(abs(v - wanted.get(n, v)) for n, v in zip(free, c, strict=True)) for c in candidates]
 
-    monkeypatch.setattr(refitting, "misfits_of", misfits_of)
+    monkeypatch.setattr(fine_fit, "misfits_of", misfits_of)
     problem = SimpleNamespace(parameters=tuple(default_parameter(name) for name in free))
-    assert refitting._material(problem, None, np.array(begun)) == pytest.approx(best)
+    assert fine_fit._material(problem, None, np.array(begun)) == pytest.approx(best)
     bounds = [(p.lower, p.upper) for p in problem.parameters]
     assert all(low <= v <= high for c in tried for v, (low, high) in zip(c, bounds, strict=True))
 
@@ -100,10 +99,10 @@ def test_the_fit_on_more_nodes_is_left_out_or_to_the_colours_where_that_will_do(
     observed = SimpleNamespace(cameras=(camera,))
     problem = Problem(twin, tuple(default_parameter(name) for name in NAMES), observed)
     begun = SimpleNamespace(values=np.array([6.3, 0.3]), parameters=problem.parameters)
-    monkeypatch.setattr(refitting, "fine_mesh", lambda twin, found, options, stages: "more nodes")
+    monkeypatch.setattr(fine_fit, "fine_mesh", lambda run, twin, found: "more nodes")
     monkeypatch.setattr(Problem, "full", lambda self, memory: None)
-    monkeypatch.setattr(refitting, "fit_of", lambda arrays, parameters: "fitted")
-    monkeypatch.setattr(refitting, "replace", lambda of, **changes: replace(of, **changes) if of is not begun else of)
+    monkeypatch.setattr(fine_fit, "fit_of", lambda arrays, parameters: "fitted")
+    monkeypatch.setattr(fine_fit, "replace", lambda of, **changes: replace(of, **changes) if of is not begun else of)
     kept = {
         "fine_apart": {"apart": np.array(apart)},
         "fine_start": {"values": begun.values + 0.1 * better},
@@ -111,8 +110,8 @@ def test_the_fit_on_more_nodes_is_left_out_or_to_the_colours_where_that_will_do(
         "fine": {},
     }
     stages = SimpleNamespace(run=lambda name, compute: kept[name])
-    search = Refitting(RefineOptions(), stages, None, lambda problem, found, name: problem)
-    fine, found = search.run(problem, begun, last=last)
+    monkeypatch.setattr(fine_fit, "with_drift", lambda run, problem, found, name: problem)
+    fine, found = fine_fit.fit_on_more_nodes(RefinementRun(None, stages=stages), problem, begun, last=last)
     if apart < 0.008:
         assert fine is problem and found is begun
         return
@@ -133,5 +132,5 @@ def test_a_soft_body_has_fewer_nodes_in_the_last_searches(ball, modulus, nodes, 
     monkeypatch.setattr(meshes, "tetrahedralize", tetrahedralize)
     twin = base_twin(ball, TwinOptions(weights=3, max_nodes=FEW, steps_per_frame=4))
     found = SimpleNamespace(names=NAMES, values=np.array([modulus, 0.35]))
-    assert meshes.fine_mesh(twin, found, RefineOptions(max_nodes=FEW), Stages(None, "")) is None
+    assert meshes.fine_mesh(RefinementRun(None, RefineOptions(max_nodes=FEW)), twin, found) is None
     assert asked == [nodes]

@@ -5,10 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from inference import RefinementRun
 from inference.refinement import colour_search
-from inference.refinement.colour_observations import blur_for
-from inference.refinement.colour_search import ColourSearch
-from inference.refinement.restart import colours_lost, materials_about
+from inference.refinement.colour_search import blur_for, colours_lost, materials_about
 from physconvex.identify import ColourObservations, StackedObservations, default_parameter
 from physconvex.io import look_at
 
@@ -28,7 +27,7 @@ class Twin:
 @pytest.fixture
 def problem(monkeypatch):
     monkeypatch.setattr(
-        "inference.refinement.reduced_search.parameter_values", lambda scene, names: [np.log10(scene[0]), scene[1]]
+        "inference.refinement.problem.parameter_values", lambda scene, names: [np.log10(scene[0]), scene[1]]
     )
     unknown = tuple(default_parameter(name) for name in NAMES)
     return SimpleNamespace(parameters=unknown, twin=Twin())
@@ -102,13 +101,13 @@ def test_the_material_that_wide_colours_like_best_is_kept_where_it_follows_the_b
     misfits = np.where(np.arange(3) == best, 1.0, 5.0)
     stages = SimpleNamespace(run=lambda name, compute: {"misfits": misfits})
 
-    def fit_to(self, problem, found, blur, name):
+    def fit_to(run, problem, found, blur, name):
         fitted.append((found.values, blur, name))
         return "again", SimpleNamespace(name="again", values=f"fitted at {blur:g}")
 
-    monkeypatch.setattr(ColourSearch, "_fitted", fit_to)
-    search, first = ColourSearch(None, None, stages, None, [], None), SimpleNamespace(name="first")
-    kept, found = search._elsewhere("problem", "kept", first, lost=20.0)
+    monkeypatch.setattr(colour_search, "_fitted", fit_to)
+    run, first = RefinementRun(None, stages=stages), SimpleNamespace(name="first")
+    kept, found = colour_search._restarted(run, "problem", "kept", first, lost=20.0)
     if best == 0:
         assert (kept, found) == ("kept", first) and not fitted
         return

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from inference import RefineOptions
-from inference.refinement.fits import arrays_of_scan
-from inference.refinement.network_start import scan_range
+from inference.refinement.reduced_search import scan_range
+from inference.refinement.stages import arrays_of_scan
 from physconvex import InputError
 from physconvex.identify import Candidate
 from physconvex.io import Capture, look_at

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from inference import RefineOptions, Stages, observe
+from inference import RefinementRun, RefineOptions, observe_capture
 from physconvex import ConvergenceError
 from physconvex.dynamics import IntegratorName, simulate
 from physconvex.identify import (
@@ -83,7 +83,7 @@ def fit_as_published(
     generator = torch.Generator().manual_seed(seed)
     samples = twin.scene.body.space.samples
     twin = with_weights(twin, train_neural_weights(samples, weights, generator=generator))
-    observed, twin = observe(capture, twin, RefineOptions(observations="video"), Stages(None, ""))
+    observed, twin = observe_capture(RefinementRun(capture, RefineOptions(observations="video")), twin)
     seen = observed.observations
     model = ReducedModel(twin, NAMES, seen.points, int(seen.frames.max()) + 1, _INTEGRATOR)
     values, made = _adam(model, seen, np.asarray(start, dtype=np.float64), steps)

@@ -1,0 +1,36 @@
+"""What the steps of one refinement share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from inference.refinement.options import RefineOptions
+from inference.refinement.stages import Stages
+from physconvex.identify import RollOuts
+from physconvex.io import Capture, Workers
+
+__all__ = ["RefinementRun"]
+
+
+@dataclass(eq=False)
+class RefinementRun:
+    """One refinement at work.
+
+    Attributes:
+        capture: what is refined.
+        options: the settings; the correction is switched off where the full model cannot be run.
+        stages: what is finished already.
+        workers: processes for what can be computed at once.
+        warnings: what the user should know.
+        memory: the last roll-outs of full models.
+    """
+
+    capture: Capture
+    options: RefineOptions = field(default_factory=RefineOptions)
+    stages: Stages = field(default_factory=Stages)
+    workers: Workers = field(default_factory=Workers)
+    warnings: list[str] = field(default_factory=list)
+    memory: RollOuts = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.memory = RollOuts(workers=self.workers)
