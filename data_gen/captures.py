@@ -114,7 +114,7 @@ def make_capture(task: CaptureTask) -> TaskReport:
         mesh=_rest_mesh(drop, random_stream(task.seed, LOOK, task.simulation, success.attempt, _RING)),
         tets=_corners(simulated.mesh),
         tracks=_tracks(task, success) if task.options.markers else None,
-        truth=_truth(task, success) | {"degradations": degradations},
+        truth={**_truth(task, success), "degradations": {**degradations}},
         crf=task.config.video.crf,
     )
     write_seconds = time.perf_counter() - clock
