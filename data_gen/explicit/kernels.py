@@ -13,21 +13,27 @@ from jaxtyping import Float32, Int32
 from torch import Tensor
 
 from data_gen.explicit.bodies import Layout
-from physconvex.kernels import POINTER, Kernel, launch
+from physconvex.kernels import POINTER, SOURCES, Kernel, launch
 
 __all__ = ["LOOK", "VIEW", "DrawnClips", "render_falls", "roll_out"]
 
 VIEW = 16  # numbers of a view, as in gpu/draw.h
 LOOK = 40  # numbers of a look
 _HERE = Path(__file__).parent / "gpu"
-_HEADERS = {"roll_out": "body.h", "nearest": "draw.h", "resolve": "draw.h"}
-_SOURCES = {"roll_out": "kernel.cu", "nearest": "draw.cu", "resolve": "draw.cu"}
+_SHARED = SOURCES / "shared"
+_DRAWING = (_HERE / "draw.h", _HERE / "draw.cu")
+_TEXTS = {
+    "roll_out": (_SHARED / "neo_hookean.h", _HERE / "body.h", _HERE / "kernel.cu"),
+    "nearest": _DRAWING,
+    "resolve": _DRAWING,
+}
 _KERNEL = Kernel(
     _HERE,
     {
         "roll_out": (None, [ctypes.c_int, *[POINTER] * 10, ctypes.c_int]),
         "draw": (None, [ctypes.c_int, *[POINTER] * 7, *[ctypes.c_int] * 3]),
     },
+    include=[_SHARED],
 )
 _THREADS = 256
 
@@ -102,7 +108,7 @@ def render_falls(batch: DrawnClips, *, side: int, factor: int = 2) -> Float32[Te
 @cache
 def kernel_source(name: str) -> str:
     """The CUDA text of one of the kernels."""
-    texts = [(_HERE / part).read_text(encoding="utf-8") for part in (_HEADERS[name], _SOURCES[name])]
+    texts = [part.read_text(encoding="utf-8") for part in _TEXTS[name]]
     return "#define DEVICE __device__ __forceinline__\n" + "".join(texts)
 
 

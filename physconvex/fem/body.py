@@ -18,8 +18,8 @@ from physconvex.materials import (
     FlowRule,
     FlowStep,
     Law,
+    MaterialPoints,
     get_law,
-    is_volumetric,
     lame_parameters,
     project_to_positive,
     stored_flows,
@@ -77,9 +77,9 @@ class ElasticBody:
         self._flat_gradients = self._gradients.transpose(1, 2).reshape(count, nodes, points * 3).contiguous()
         self._tets = torch.as_tensor(mesh.tets, device=self.device)
         self._quick: VolumetricElements | None = None
-        if flow is None and self.device.type == "cpu" and is_volumetric(self.law):
+        if flow is None and self.device.type == "cpu" and self.law.volumetric is not None:
             arrays = (t.numpy() for t in (self._gradients, self._weights, self._mu, self._lam))
-            self._quick = volumetric_elements(self.law, mesh.tets, len(mesh.vertices), *arrays)
+            self._quick = volumetric_elements(self.law, mesh.tets, len(mesh.vertices), MaterialPoints(*arrays))
 
     # -- set-up
 

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from physconvex.fem.volumetric import VolumetricElements
 from physconvex.kernels import POINTER, SOURCES, Kernel, address, aligned, doubles
-from physconvex.materials import KERNEL_LAWS, NEARLY_FLAT, Law
+from physconvex.materials import KERNEL_LAWS, NEARLY_FLAT, Law, MaterialPoints
 
 __all__ = ["FEM_KERNEL", "CompiledElements", "sum_into", "volumetric_elements"]
 
@@ -52,13 +52,11 @@ FEM_KERNEL = Kernel(
 )
 
 
-def volumetric_elements(
-    law: Law, tets: Int[Array, "E n"], count: int, gradients: Array, weights: Array, mu: Array, lam: Array
-) -> VolumetricElements:
+def volumetric_elements(law: Law, tets: Int[Array, "E n"], count: int, points: MaterialPoints) -> VolumetricElements:
     """The quadrature points of a body, see `VolumetricElements`; those of plain numpy where nothing can be compiled."""
-    known = law.name in KERNEL_LAWS and gradients.shape[1] <= _MOST_POINTS and gradients.shape[2] <= _MOST_NODES
-    kind = CompiledElements if known and FEM_KERNEL.available else VolumetricElements
-    return kind(law, tets, count, gradients, weights, mu, lam)
+    small = points.gradients.shape[1] <= _MOST_POINTS and points.gradients.shape[2] <= _MOST_NODES
+    kind = CompiledElements if small and FEM_KERNEL.available else VolumetricElements
+    return kind(law, tets, count, points)
 
 
 def sum_into(
@@ -79,15 +77,12 @@ class CompiledElements(VolumetricElements):
         KernelUnavailable: the kernel cannot be compiled here.
     """
 
-    def __init__(
-        self, law: Law, tets: Int[Array, "E n"], count: int, gradients: Array, weights: Array, mu: Array, lam: Array
-    ) -> None:
-        super().__init__(law, tets, count, gradients, weights, mu, lam)
+    def __init__(self, law: Law, tets: Int[Array, "E n"], count: int, points: MaterialPoints) -> None:
+        super().__init__(law, tets, count, points)
         self._law, self._lanes = KERNEL_LAWS.index(law.name), FEM_KERNEL.library.pc_lanes()
         self._blocks = self._by_block(self._gradients)  # [blocks, Q, n, 3, lanes]
         self._tets_by_block = self._by_block(np.asarray(tets, dtype=np.int32))
-        per_point = (self._weights, self._mu, self._lam)
-        self._constants = [self._by_block(array.reshape(weights.shape)) for array in per_point]
+        self._constants = [self._by_block(array) for array in (points.weights, points.mu, points.lam)]
 
     def __getstate__(self) -> dict[str, Any]:
         """Without addresses, which another process cannot use."""

@@ -18,7 +18,14 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
 
-from physconvex.materials import Law, cofactor_and_determinant, energy_and_stress, nearly_flat, volumetric_term
+from physconvex.materials import (
+    Law,
+    MaterialPoints,
+    cofactor_and_determinant,
+    energy_and_stress,
+    nearly_flat,
+    slopes_of_volume,
+)
 
 __all__ = ["VolumetricElements"]
 
@@ -30,21 +37,18 @@ class VolumetricElements:
     """The quadrature points of a body of such a law.
 
     Args:
-        law: the law, see `physconvex.materials.volumetric.is_volumetric`.
+        law: one with a `volumetric` part.
         tets: node indices, shape [E, n].
         count: V, number of nodes.
-        gradients: ∂N_a/∂X [1/m], shape [E, Q, n, 3].
-        weights: volumes [m³], shape [E, Q].
-        mu, lam: Lamé constants [Pa], shape [E, Q].
+        points: Q of each element.
     """
 
-    def __init__(
-        self, law: Law, tets: Int[Array, "E n"], count: int, gradients: Array, weights: Array, mu: Array, lam: Array
-    ) -> None:
-        self._term, self._shape = volumetric_term(law), gradients.shape
-        self._gradients = np.ascontiguousarray(gradients)
-        self._weights = weights.ravel()
-        self._mu, self._lam = mu.ravel(), lam.ravel()
+    def __init__(self, law: Law, tets: Int[Array, "E n"], count: int, points: MaterialPoints) -> None:
+        assert law.volumetric is not None
+        self._term, self._shape = law.volumetric, points.gradients.shape
+        self._gradients = np.ascontiguousarray(points.gradients)
+        self._weights = points.weights.ravel()
+        self._mu, self._lam = points.mu.ravel(), points.lam.ravel()
         self._weighted_mu, self._weighted_lam = self._weights * self._mu, self._weights * self._lam
         self._tets, self._count = tets, count
 
@@ -121,7 +125,7 @@ class VolumetricElements:
         cofactor, j = cofactor_and_determinant(self._at_points(x))
         if nearly_flat(cofactor, j):
             return None
-        _, slope, curvature = self._term(j, self._mu, self._lam)
+        _, slope, curvature = slopes_of_volume(self._term, j, self._mu, self._lam)
         elastic = _Fields(self._along(cofactor.transpose(2, 1, 0)), self._weights * slope / j)
         out = self._squares(elastic.values, self._weights * curvature, out)
         viscous = None

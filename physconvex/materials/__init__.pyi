@@ -24,9 +24,9 @@ from .strain_terms import (
 from .volumetric import (
     KERNEL_LAWS as KERNEL_LAWS,
     NEARLY_FLAT as NEARLY_FLAT,
+    MaterialPoints as MaterialPoints,
     cofactor_and_determinant as cofactor_and_determinant,
     energy_and_stress as energy_and_stress,
-    is_volumetric as is_volumetric,
     nearly_flat as nearly_flat,
-    volumetric_term as volumetric_term,
+    slopes_of_volume as slopes_of_volume,
 )

@@ -14,14 +14,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal, get_args
 
 import torch
 from torch import Tensor
 
 from physconvex.errors import InputError
+from physconvex.materials.volumetric import VOLUMETRIC_TERMS, VolumetricTerm
 
-__all__ = ["LAWS", "Law", "LawName", "get_law", "lame_parameters", "project_to_positive", "young_poisson"]
+__all__ = ["LAWS", "Law", "LawName", "get_law", "lame_parameters", "project_to_positive", "strain_stiffness"]
 
 LawName = Literal["neo_hookean", "neo_hookean_log", "stvk", "corotated", "linear"]
 Triple = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -31,7 +33,8 @@ Triple = Callable[[Tensor, Tensor, Tensor], Tensor]
 class Law:
     """An elastic law: three functions of (F, mu, lam); see the module's docstring for shapes and units.
 
-    `ground` is the law that it was made of, where something was added to one.
+    `ground` is the law that it was made of, where something was added to one. `volumetric` is f where the law is
+    Ψ = μ/2 (I₁ − 3) + f(J), which fast arithmetic takes, see `physconvex.materials.volumetric`.
     """
 
     name: str
@@ -39,6 +42,7 @@ class Law:
     stress: Triple
     hessian: Triple
     ground: Law | None = None
+    volumetric: VolumetricTerm | None = None
 
 
 def lame_parameters(youngs_modulus: Tensor, poisson_ratio: Tensor) -> tuple[Tensor, Tensor]:
@@ -46,11 +50,6 @@ def lame_parameters(youngs_modulus: Tensor, poisson_ratio: Tensor) -> tuple[Tens
     mu = youngs_modulus / (2 * (1 + poisson_ratio))
     lam = youngs_modulus * poisson_ratio / ((1 + poisson_ratio) * (1 - 2 * poisson_ratio))
     return mu, lam
-
-
-def young_poisson(mu: Tensor, lam: Tensor) -> tuple[Tensor, Tensor]:
-    """E [Pa] and ν [-] from the Lamé constants [Pa]."""
-    return mu * (3 * lam + 2 * mu) / (lam + mu), lam / (2 * (lam + mu))
 
 
 def get_law(name: str) -> Law:
@@ -112,56 +111,29 @@ def _m(x: Tensor) -> Tensor:
     return x[..., None, None]
 
 
-# --- Neo-Hookean, Smith, de Goes, Kim 2018 ("Stable Neo-Hookean Flesh Simulation"), eq. 13 without the log term:
-# Ψ = μ/2 (I₁ − 3) − μ (J − 1) + (λ + μ)/2 (J − 1)². With λ in place of λ + μ it would linearise to λ − μ.
+# --- Neo-Hookean: Ψ = μ/2 (I₁ − 3) + f(J), f of `physconvex.materials.volumetric`.
 
 
-def _neo_hookean_energy(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
-    j = _determinant(f, _cofactor(f)) - 1
-    return mu / 2 * ((f * f).sum((-1, -2)) - 3) - mu * j + (lam + mu) / 2 * j * j
+def _volumetric_energy(term: VolumetricTerm, f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+    return mu / 2 * ((f * f).sum((-1, -2)) - 3) + term(_determinant(f, _cofactor(f)), mu, lam)[0]
 
 
-def _neo_hookean_stress(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+def _volumetric_stress(term: VolumetricTerm, f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
     cofactor = _cofactor(f)
-    j = _determinant(f, cofactor) - 1
-    return _m(mu) * f + _m((lam + mu) * j - mu) * cofactor
+    return _m(mu) * f + _m(term(_determinant(f, cofactor), mu, lam)[1]) * cofactor
 
 
-def _neo_hookean_hessian(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
+def _volumetric_hessian(term: VolumetricTerm, f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
     cofactor = _cofactor(f)
-    j = _determinant(f, cofactor) - 1
-    hessian = _m((lam + mu) * j - mu) * _cofactor_hessian(f)
-    hessian += _m(lam + mu) * _outer(cofactor)
+    _, slope, curvature = term(_determinant(f, cofactor), mu, lam)
+    hessian = _m(slope) * _cofactor_hessian(f)
+    hessian += _m(curvature) * _outer(cofactor)
     return hessian + _m(mu) * _like(_EYE9, f)
 
 
-# --- Neo-Hookean with logarithms (Bonet & Wood 2008, eq. 6.27): Ψ = μ/2 (I₁ − 3) − μ ln J + λ/2 (ln J)²,
-# infinite at J ≤ 0.
-
-
-def _log_determinant(f: Tensor, cofactor: Tensor) -> Tensor:
-    j = _determinant(f, cofactor)
-    return torch.where(j > 0, j.clamp_min(torch.finfo(f.dtype).tiny).log(), torch.nan)
-
-
-def _neo_hookean_log_energy(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
-    log_j = _log_determinant(f, _cofactor(f))
-    energy = mu / 2 * ((f * f).sum((-1, -2)) - 3) - mu * log_j + lam / 2 * log_j * log_j
-    return energy.nan_to_num(nan=torch.inf)
-
-
-def _neo_hookean_log_stress(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
-    cofactor = _cofactor(f)
-    log_j = _log_determinant(f, cofactor)
-    return _m(mu) * f + _m((lam * log_j - mu) / _determinant(f, cofactor)) * cofactor
-
-
-def _neo_hookean_log_hessian(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
-    cofactor = _cofactor(f)
-    log_j = _log_determinant(f, cofactor)
-    g = cofactor / _m(_determinant(f, cofactor))  # F⁻ᵀ; ∂G_ij/∂F_kl = −G_il G_kj
-    mixed = torch.einsum("...il,...kj->...ijkl", g, g).reshape(*f.shape[:-2], 9, 9)
-    return _m(mu) * _like(_EYE9, f) + _m(lam) * _outer(g) + _m(mu - lam * log_j) * mixed
+def _volumetric_law(name: str, term: VolumetricTerm) -> Law:
+    triple = (partial(part, term) for part in (_volumetric_energy, _volumetric_stress, _volumetric_hessian))
+    return Law(name, *triple, volumetric=term)
 
 
 # --- St Venant–Kirchhoff: Ψ = μ E:E + λ/2 (tr E)², E = ½ (FᵀF − I).
@@ -268,8 +240,7 @@ def _linear_hessian(f: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
 LAWS: dict[str, Law] = {
     law.name: law
     for law in (
-        Law("neo_hookean", _neo_hookean_energy, _neo_hookean_stress, _neo_hookean_hessian),
-        Law("neo_hookean_log", _neo_hookean_log_energy, _neo_hookean_log_stress, _neo_hookean_log_hessian),
+        *(_volumetric_law(name, term) for name, term in VOLUMETRIC_TERMS.items()),
         Law("stvk", _stvk_energy, _stvk_stress, _stvk_hessian),
         Law("corotated", _corotated_energy, _corotated_stress, _corotated_hessian),
         Law("linear", _linear_energy, _linear_stress, _linear_hessian),

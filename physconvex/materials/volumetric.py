@@ -1,58 +1,79 @@
-"""Elastic laws Ψ = μ/2 (I₁ − 3) + f(J), the neo-Hookean ones, for arithmetic in arrays of one component each."""
+"""Elastic laws Ψ = μ/2 (I₁ − 3) + f(J), the neo-Hookean ones: f, and arithmetic in arrays of one component each.
+
+`sources/shared/neo_hookean.h` and `volumetric.h` hold f for C++ and CUDA.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Float
-
-from physconvex.materials.laws import LAWS, Law
+from torch import Tensor
 
 __all__ = [
     "KERNEL_LAWS",
     "NEARLY_FLAT",
+    "VOLUMETRIC_TERMS",
+    "MaterialPoints",
     "VolumetricTerm",
     "cofactor_and_determinant",
     "energy_and_stress",
-    "is_volumetric",
     "nearly_flat",
-    "volumetric_term",
+    "slopes_of_volume",
 ]
 
 Array = np.ndarray
-KERNEL_LAWS = ("neo_hookean", "neo_hookean_log")  # by their number there
 NEARLY_FLAT = 1e-4  # |J| over |C|^(3/2) below which a division by J costs digits
-VolumetricTerm = Callable[[Array, Array, Array], tuple[Array, Array, Array]]
+VolumetricTerm = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]
+"""f, f' and f'' as functions of J, μ and λ."""
 
 
-def _quadratic(j: Array, mu: Array, lam: Array) -> tuple[Array, Array, Array]:
-    """f, f', f'' of `neo_hookean`."""
+@dataclass(frozen=True)
+class MaterialPoints:
+    """Where the law of a body is asked: Q points of each of E elements, or Q samples of a reduced body.
+
+    Attributes:
+        gradients: ∂N_a/∂X [1/m] of the shape functions, shape [E, Q, n, 3], of a reduced body [Q, 3, R].
+        weights: volumes [m³], shape [E, Q] or [Q].
+        mu, lam: Lamé constants [Pa], of the shape of the weights.
+    """
+
+    gradients: Array
+    weights: Array
+    mu: Array
+    lam: Array
+
+
+def _quadratic(j: Tensor, mu: Tensor, lam: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Smith, de Goes, Kim 2018 ("Stable Neo-Hookean Flesh Simulation"), eq. 13 without the log term.
+
+    f = −μ (J − 1) + (λ + μ)/2 (J − 1)². With λ in place of λ + μ it would linearise to λ − μ.
+    """
     d = j - 1
     slope = (lam + mu) * d - mu
     return 0.5 * d * (slope - mu), slope, lam + mu
 
 
-def _logarithmic(j: Array, mu: Array, lam: Array) -> tuple[Array, Array, Array]:
-    """f, f', f'' of `neo_hookean_log`; f is infinite at J ≤ 0."""
+def _logarithmic(j: Tensor, mu: Tensor, lam: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Bonet & Wood 2008, eq. 6.27: f = −μ ln J + λ/2 (ln J)², infinite at J ≤ 0."""
     proper = j > 0
-    safe = np.where(proper, j, 1.0)
-    log = np.log(safe)
-    energy = np.where(proper, (0.5 * lam * log - mu) * log, np.inf)
-    return energy, (lam * log - mu) / safe, (lam + mu - lam * log) / safe**2
+    safe = torch.where(proper, j, 1.0)
+    log = safe.log()
+    value = torch.where(proper, (0.5 * lam * log - mu) * log, torch.inf)
+    return value, (lam * log - mu) / safe, (lam + mu - lam * log) / safe**2
 
 
-_TERMS: dict[str, VolumetricTerm] = {"neo_hookean": _quadratic, "neo_hookean_log": _logarithmic}
+VOLUMETRIC_TERMS: dict[str, VolumetricTerm] = {"neo_hookean": _quadratic, "neo_hookean_log": _logarithmic}
+KERNEL_LAWS = tuple(VOLUMETRIC_TERMS)  # by their number in the compiled arithmetic
 
 
-def is_volumetric(law: Law) -> bool:
-    """Whether the law is one of those that this module knows."""
-    return law.name in _TERMS and LAWS[law.name] is law
-
-
-def volumetric_term(law: Law) -> VolumetricTerm:
-    """f, f' and f'' as functions of J, μ and λ; of a law that `is_volumetric`."""
-    return _TERMS[law.name]
+def slopes_of_volume(term: VolumetricTerm, j: Array, mu: Array, lam: Array) -> tuple[Array, Array, Array]:
+    """f, f' and f'' of arrays."""
+    value, slope, curvature = term(torch.from_numpy(j), torch.from_numpy(mu), torch.from_numpy(lam))
+    return value.numpy(), slope.numpy(), curvature.numpy()
 
 
 def cofactor_and_determinant(f: Float[Array, "3 3 Q"]) -> tuple[Float[Array, "3 3 Q"], Float[Array, " Q"]]:
@@ -71,7 +92,7 @@ def energy_and_stress(
 ) -> tuple[float, Float[Array, "3 3 Q"]]:
     """Energy [J] (NaN without), and the stresses μ F + f' cof F times the weights; they take F's place."""
     cofactor, j = cofactor_and_determinant(f)
-    value, slope, _ = term(j, mu, lam)
+    value, slope, _ = slopes_of_volume(term, j, mu, lam)
     weighted_mu = weights * mu
     energy = float("nan")
     if with_energy:

@@ -60,7 +60,7 @@ class YieldStep:
         undo: F_f⁻¹ at the start of the step, shape [..., 3, 3].
         mu, lam: Lamé constants [Pa], shape [...].
         limit: k [Pa], shape [...].
-        law: the elastic law, one that `physconvex.materials.volumetric.is_volumetric`.
+        law: the elastic law, one with a `volumetric` part.
     """
 
     undo: Tensor

@@ -15,8 +15,8 @@ from physconvex.materials import (
     FlowRule,
     FlowStep,
     Law,
+    MaterialPoints,
     get_law,
-    is_volumetric,
     lame_parameters,
     project_to_positive,
     stored_flows,
@@ -103,8 +103,8 @@ class ReducedBody:
         self._gradients = self._tensor(np.ascontiguousarray(flat))  # [(Q, j), R]
         self._quick: VolumetricSamples | None = None  # of the law alone, also where something flows beside it
         beside = flow is None or flow.beside_law
-        if beside and self.device.type == "cpu" and is_volumetric(self.law):
-            self._quick = volumetric_samples(self.law, *self._samples)
+        if beside and self.device.type == "cpu" and self.law.volumetric is not None:
+            self._quick = volumetric_samples(self.law, self._samples)
         self.mass, self.first_moments = space.mass_matrix(self.density)
         self._virgin = None if flow is None else self.flow_step(self.unflowed(), self.space.rest, 0.0)
 
@@ -158,14 +158,13 @@ class ReducedBody:
         return array
 
     @property
-    def _samples(self) -> tuple[np.ndarray, ...]:
-        """Gradients [Q, 3, R], weights, μ and λ [Q] as arrays."""
+    def _samples(self) -> MaterialPoints:
         flat, *constants = (t.cpu().numpy() for t in (self._gradients, self._weights, self.mu, self.lam))
-        return flat.reshape(-1, 3, self.space.dimension), *constants
+        return MaterialPoints(flat.reshape(-1, 3, self.space.dimension), *constants)
 
     @cached_property
     def _viscosity(self) -> CompiledViscosity | None:
-        return compiled_viscosity(*self._samples) if self.device.type == "cpu" else None
+        return compiled_viscosity(self._samples) if self.device.type == "cpu" else None
 
     @property
     def rest(self) -> Float[np.ndarray, "R 3"]:

@@ -12,7 +12,7 @@ from scipy.linalg.blas import dsyrk
 
 from physconvex.dynamics import Contact, obstacle_rows
 from physconvex.kernels import POINTER, SOURCES, Kernel, address, aligned, doubles
-from physconvex.materials import KERNEL_LAWS, NEARLY_FLAT, Law
+from physconvex.materials import KERNEL_LAWS, NEARLY_FLAT, Law, MaterialPoints
 from physconvex.reduced.volumetric import VolumetricSamples
 
 __all__ = [
@@ -68,15 +68,14 @@ REDUCED_KERNEL = Kernel(
 )
 
 
-def volumetric_samples(law: Law, gradients: Array, weights: Array, mu: Array, lam: Array) -> VolumetricSamples:
+def volumetric_samples(law: Law, points: MaterialPoints) -> VolumetricSamples:
     """The samples of a body, see `VolumetricSamples`; those of plain numpy where nothing can be compiled."""
-    known = law.name in KERNEL_LAWS and REDUCED_KERNEL.available
-    return (CompiledSamples if known else VolumetricSamples)(law, gradients, weights, mu, lam)
+    return (CompiledSamples if REDUCED_KERNEL.available else VolumetricSamples)(law, points)
 
 
-def compiled_viscosity(gradients: Array, weights: Array, mu: Array, lam: Array) -> CompiledViscosity | None:
+def compiled_viscosity(points: MaterialPoints) -> CompiledViscosity | None:
     """The viscosity of a body, see `CompiledViscosity`; None where nothing can be compiled."""
-    return CompiledViscosity(gradients, weights, mu, lam) if REDUCED_KERNEL.available else None
+    return CompiledViscosity(points) if REDUCED_KERNEL.available else None
 
 
 def compiled_surface(contact: Contact, values: Array) -> CompiledSurface | None:
@@ -91,10 +90,9 @@ class CompiledSamples(VolumetricSamples):
         KernelUnavailable: the kernel cannot be compiled here.
     """
 
-    def __init__(self, law: Law, gradients: Array, weights: Array, mu: Array, lam: Array) -> None:
-        super().__init__(law, gradients, weights, mu, lam)
-        arrays = self._gradients, self._weights, self._mu, self._lam
-        self._compiled = _Compiled(*arrays, law=KERNEL_LAWS.index(law.name))
+    def __init__(self, law: Law, points: MaterialPoints) -> None:
+        super().__init__(law, points)
+        self._compiled = _Compiled(points, law=KERNEL_LAWS.index(law.name))
 
     def _energy_and_forces(self, body: _Body, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:
         y, forces = doubles(y), np.empty(y.shape)
@@ -126,16 +124,14 @@ class CompiledViscosity:
     """Kelvin–Voigt viscosity frozen at F*, see `ReducedBody.viscous_energy_and_gradient`.
 
     Args:
-        gradients: ∂N_a/∂X [1/m], shape [Q, 3, R].
-        weights: volumes [m³], shape [Q].
-        mu, lam: Lamé constants [Pa], shape [Q].
+        points: Q samples.
 
     Raises:
         KernelUnavailable: the kernel cannot be compiled here.
     """
 
-    def __init__(self, gradients: Array, weights: Array, mu: Array, lam: Array) -> None:
-        self._compiled = _Compiled(gradients, weights, mu, lam)
+    def __init__(self, points: MaterialPoints) -> None:
+        self._compiled = _Compiled(points)
 
     def energy_and_gradient(
         self, state: Float[Array, "Q 3 3"], velocity: Float[Array, "R 3"], damping_time: float
@@ -223,9 +219,10 @@ def _in_blocks(rows: Float[Array, "Q R ..."]) -> Array:
 class _Compiled:
     """What the kernel reads of a body's interior."""
 
-    def __init__(self, gradients: Float[Array, "Q 3 R"], weights: Array, mu: Array, lam: Array, law: int = 0) -> None:
-        self.size, self._law = gradients.shape[2], law
-        self._gradients, self._weights, self._mu, self._lam = map(doubles, (gradients, weights, mu, lam))
+    def __init__(self, points: MaterialPoints, law: int = 0) -> None:
+        self.size, self._law = points.gradients.shape[2], law
+        arrays = (points.gradients, points.weights, points.mu, points.lam)
+        self._gradients, self._weights, self._mu, self._lam = map(doubles, arrays)
         self._blocks = _in_blocks(self._gradients.transpose(0, 2, 1))
 
     def __getstate__(self) -> dict[str, Any]:

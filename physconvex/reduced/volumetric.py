@@ -17,7 +17,14 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.materials import Law, cofactor_and_determinant, energy_and_stress, nearly_flat, volumetric_term
+from physconvex.materials import (
+    Law,
+    MaterialPoints,
+    cofactor_and_determinant,
+    energy_and_stress,
+    nearly_flat,
+    slopes_of_volume,
+)
 
 __all__ = ["VolumetricSamples"]
 
@@ -28,19 +35,18 @@ class VolumetricSamples:
     """The samples of a body of such a law.
 
     Args:
-        law: the law, see `physconvex.materials.volumetric.is_volumetric`.
-        gradients: ∂N_a/∂X [1/m], shape [Q, 3, R].
-        weights: volumes [m³], shape [Q].
-        mu, lam: Lamé constants [Pa], shape [Q].
+        law: one with a `volumetric` part.
+        points: Q samples.
     """
 
-    def __init__(self, law: Law, gradients: Array, weights: Array, mu: Array, lam: Array) -> None:
-        count, _, size = gradients.shape
-        self._part, self._size = volumetric_term(law), size
-        self._gradients = np.ascontiguousarray(gradients)
-        self._weights, self._mu, self._lam = (np.ascontiguousarray(array) for array in (weights, mu, lam))
+    def __init__(self, law: Law, points: MaterialPoints) -> None:
+        assert law.volumetric is not None
+        count, _, size = points.gradients.shape
+        self._part, self._size = law.volumetric, size
+        arrays = (points.gradients, points.weights, points.mu, points.lam)
+        self._gradients, self._weights, self._mu, self._lam = map(np.ascontiguousarray, arrays)
         flat = self._gradients.reshape(3 * count, size)
-        self._constant = flat.T @ (np.repeat(weights * mu, 3)[:, None] * flat)
+        self._constant = flat.T @ (np.repeat(self._weights * self._mu, 3)[:, None] * flat)
 
     @cached_property
     def _by_function(self) -> Float[Array, "R 3Q"]:
@@ -75,7 +81,7 @@ class VolumetricSamples:
         cofactor, j = cofactor_and_determinant(self._deformation_gradient(y))
         if nearly_flat(cofactor, j):
             return None
-        _, slope, curvature = self._part(j, self._mu, self._lam)
+        _, slope, curvature = slopes_of_volume(self._part, j, self._mu, self._lam)
         first = self._weights * curvature
         convex = bool((first > 0).all())
         scale = first if convex else np.ones_like(j)

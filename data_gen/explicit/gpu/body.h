@@ -1,5 +1,5 @@
 // Forces on the nodes of one falling body: elastic and viscous in its quadratic tetrahedra, weight, floor and friction.
-// The includer defines DEVICE.
+// The includer defines DEVICE and includes neo_hookean.h.
 
 #define NODES 10
 #define POINTS 4
@@ -43,7 +43,7 @@ DEVICE void point_forces(
                         f[7] * f[2] - f[8] * f[1], f[8] * f[0] - f[6] * f[2], f[6] * f[1] - f[7] * f[0],
                         f[1] * f[5] - f[2] * f[4], f[2] * f[3] - f[0] * f[5], f[0] * f[4] - f[1] * f[3]};
     const float j = f[0] * c[0] + f[1] * c[1] + f[2] * c[2];
-    const float pressure = (m.lambda + m.mu) * (j - 1) - m.mu;
+    const float pressure = neo_hookean_term(j, m.mu, m.lambda).slope;
     float strain[9]; // Fᵀ Ḟ
     for (int k = 0; k < 3; k++)
         for (int l = 0; l < 3; l++)

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <vector>
 #define DEVICE inline
+#include "neo_hookean.h"
 #include "body.h"
 
 extern "C" void roll_out(

@@ -16,7 +16,6 @@ from typing import Any
 from physconvex.dynamics import SolveStatistics
 from physconvex.errors import ConvergenceError
 from physconvex.gap.thresholds import RUN_COST
-from physconvex.materials import is_volumetric
 
 __all__ = ["Cost", "OutOfBudget", "newton_step"]
 
@@ -40,7 +39,7 @@ def newton_step(scene: Any, nodes: int | None) -> float:
         factor += RUN_COST.other_law[model] + RUN_COST.flow[model]
     elif "corotated" in body.law.name:
         factor += RUN_COST.stretches[model]
-    elif not is_volumetric(body.law):
+    elif body.law.volumetric is None:
         factor += RUN_COST.other_law[model]
     return factor * (RUN_COST.reduced_step if nodes is None else RUN_COST.full_step * nodes)
 

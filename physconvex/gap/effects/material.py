@@ -15,7 +15,6 @@ from physconvex.materials import (
     StandardLinearSolid,
     combined,
     get_law,
-    is_volumetric,
     with_fibres,
     with_strain_stiffening,
 )
@@ -68,7 +67,7 @@ def _yielding(scene: AnyScene, doses: Doses) -> AnyScene:
     if doses[0] >= _UNYIELDING - 0.5:
         return scene
     ground = scene.body.law.ground or scene.body.law
-    elastic = ground.name if is_volumetric(ground) else "hencky"
+    elastic = ground.name if ground.volumetric is not None else "hencky"
     return with_material(scene, flow=Plasticine(float(10 ** doses[0]), elastic))
 
 

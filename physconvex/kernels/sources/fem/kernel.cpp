@@ -103,7 +103,7 @@ double pc_energy_and_forces(const Elements* given, const double* x, const double
             cofactor(f, c);
             const Lanes j = dot(f[0], c[0]);
             for (int l = 0; l < LANES; ++l) {
-                const Term term = volume_term(body.logarithmic, j[l], mu[l], lam[l]);
+                const Term<double> term = volume_term(body.logarithmic, j[l], mu[l], lam[l]);
                 value[l] = term.value, slope[l] = term.slope;
             }
             Lanes energy = weight * (0.5 * mu * (square(f) - 3) + value), stress[3][3];
@@ -163,7 +163,7 @@ int32_t pc_stiffness(const Elements* given, const double* x, const double* state
             const Lanes j = dot(f[0], c[0]), squared = square(c);
             for (int l = 0; l < LANES; ++l) {
                 if (nearly_flat(j[l], squared[l], body.flat)) return 0;
-                const Term term = volume_term(body.logarithmic, j[l], mu[l], lam[l]);
+                const Term<double> term = volume_term(body.logarithmic, j[l], mu[l], lam[l]);
                 own[l] = weight[l] * term.curvature, other[l] = weight[l] * term.slope / j[l];
             }
             linear[q] = weight * mu;

@@ -23,7 +23,7 @@ struct Body {
     const double *weights, *mu, *lam;  // [samples]
 };
 
-inline Term term(const Body& body, int q, double j) {
+inline Term<double> term(const Body& body, int q, double j) {
     return volume_term(body.logarithmic, j, body.mu[q], body.lam[q]);
 }
 
@@ -129,7 +129,7 @@ double pc_energy_and_forces(const Body* given, const double* y, double* forces) 
         Lanes linear = {}, slopes = {};  // nothing where the last block has no sample
         for (int l = 0; l < LANES && first + l < body.samples; ++l) {
             const int q = first + l;
-            const Term f = term(body, q, at.j[l]);
+            const Term<double> f = term(body, q, at.j[l]);
             linear[l] = body.weights[q] * body.mu[q], slopes[l] = body.weights[q] * f.slope;
             energies[l] += 0.5 * linear[l] * (squared[l] - 3) + body.weights[q] * f.value;
         }
@@ -257,7 +257,7 @@ int32_t pc_cofactor_gradients(const Body* given, const double* y, double* u, dou
         const Lanes squared = square(at.c);
         for (int l = 0; l < LANES && first + l < body.samples; ++l) {
             const int q = first + l;
-            const Term f = term(body, q, at.j[l]);
+            const Term<double> f = term(body, q, at.j[l]);
             if (nearly_flat(at.j[l], squared[l], body.flat) || !(f.curvature > 0)) return 0;
             const double root = std::sqrt(body.weights[q] * f.curvature);
             for (int i = 0; i < 3; ++i)

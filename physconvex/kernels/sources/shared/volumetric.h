@@ -1,4 +1,4 @@
-// The laws Ψ = μ/2 (I₁ - 3) + f(J) of volumetric_laws.py, and what acts on LANES points at once, in float64.
+// The laws Ψ = μ/2 (I₁ - 3) + f(J) of materials/volumetric.py, and what acts on LANES points at once, in float64.
 //
 // Rows of F belong to components of the positions, columns to directions.
 
@@ -7,6 +7,9 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
+
+#define DEVICE inline
+#include "neo_hookean.h"
 
 #if defined(__AVX512F__)
 constexpr int LANES = 8;
@@ -17,15 +20,8 @@ constexpr int LANES = 2;
 #endif
 typedef double Lanes __attribute__((vector_size(sizeof(double) * LANES), aligned(8), may_alias));
 
-struct Term {  // f, f' and f'' at a point
-    double value, slope, curvature;
-};
-
-inline Term volume_term(bool logarithmic, double j, double mu, double lam) {
-    if (!logarithmic) {
-        const double d = j - 1, slope = (lam + mu) * d - mu;
-        return {0.5 * d * (slope - mu), slope, lam + mu};
-    }
+inline Term<double> volume_term(bool logarithmic, double j, double mu, double lam) {
+    if (!logarithmic) return neo_hookean_term(j, mu, lam);
     const bool proper = j > 0;
     const double safe = proper ? j : 1.0, log = std::log(safe);
     const double value = proper ? (0.5 * lam * log - mu) * log : std::numeric_limits<double>::infinity();
