@@ -18,7 +18,6 @@ from .effects.effect import (
     Source as Source,
 )
 from .effects.motion import MotionCorrection as MotionCorrection, PointMotion as PointMotion
-from .effects.world import rotation_vector_matrix as rotation_vector_matrix
 from .errors.numerics import (
     correction_of as correction_of,
     error_model as error_model,

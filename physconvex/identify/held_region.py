@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from physconvex.mesh import FACE_CORNERS, nearest_on_triangles
+from physconvex.mesh import FACE_CORNERS
+from physconvex.numerics import closest_in_triangles
 
 __all__ = ["HeldRegion"]
 
@@ -61,7 +62,8 @@ class HeldRegion:
         """To the triangles [m]."""
         count = min(_NEAR, len(self.triangles))
         index = cKDTree(self.triangles.mean(1)).query(points, k=[*range(1, count + 1)])[1]
-        feet = nearest_on_triangles(self.triangles[index], points[:, None])
+        triangles = self.triangles[index]
+        feet = np.einsum("pkc,pkci->pki", closest_in_triangles(triangles, points[:, None]), triangles)
         return np.linalg.norm(points[:, None] - feet, axis=-1).min(1)
 
     def _inside(self, points: np.ndarray) -> np.ndarray:

@@ -8,7 +8,6 @@ from .elements import (
 from .embedding import (
     Embedding as Embedding,
     locate as locate,
-    nearest_on_triangles as nearest_on_triangles,
     sample_interior as sample_interior,
 )
 from .filling import filled as filled

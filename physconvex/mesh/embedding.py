@@ -13,8 +13,9 @@ from scipy.spatial import cKDTree
 from physconvex.errors import InputError
 from physconvex.mesh.elements import shape_gradients, shape_values
 from physconvex.mesh.tet_mesh import FACE_CORNERS, TetMesh
+from physconvex.numerics import closest_in_triangles
 
-__all__ = ["Embedding", "contains", "continued_shape_values", "locate", "nearest_on_triangles", "sample_interior"]
+__all__ = ["Embedding", "contains", "continued_shape_values", "locate", "sample_interior"]
 
 # Faces tried per point (nearest centres first), pairs of both handled at once, and how far outside (in barycentric
 # coordinates) still counts as inside.
@@ -199,7 +200,7 @@ def _nearest_element(
     triangles = mesh.vertices[faces]
     count = min(CANDIDATES, len(faces))
     near = cKDTree(triangles.mean(axis=1)).query(points, k=[*range(1, count + 1)])[1]
-    feet = nearest_on_triangles(triangles[near], points[:, None])
+    feet = np.einsum("pkc,pkca->pka", closest_in_triangles(triangles[near], points[:, None]), triangles[near])
     gaps = np.linalg.norm(points[:, None] - feet, axis=-1)
     row, closest = np.arange(len(points)), gaps.argmin(axis=1)
     depth = _barycentric(corners, inverse, owner[near], points[:, None]).min(axis=2)
@@ -214,22 +215,3 @@ def _boundary_faces_with_owner(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
     _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
     single = first[count == 1]
     return single // 4, faces[single]
-
-
-def nearest_on_triangles(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points of `triangles` [..., 3, 3] nearest to `points` [..., 3]."""
-    normal = np.cross(triangles[..., 1, :] - triangles[..., 0, :], triangles[..., 2, :] - triangles[..., 0, :])
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    height = np.einsum("...a,...a->...", normal, points - triangles[..., 0, :])
-    inside = np.ones(height.shape, dtype=bool)
-    nearest, gap = np.zeros((*height.shape, 3)), np.full(height.shape, np.inf)
-    for i in range(3):
-        start, along = triangles[..., i, :], triangles[..., (i + 1) % 3, :] - triangles[..., i, :]
-        offset = points - start
-        inside &= np.einsum("...a,...a->...", np.cross(along, offset), normal) >= 0
-        t = np.einsum("...a,...a->...", offset, along) / np.einsum("...a,...a->...", along, along)
-        foot = start + np.clip(t, 0, 1)[..., None] * along
-        away = np.linalg.norm(points - foot, axis=-1)
-        nearest = np.where((away < gap)[..., None], foot, nearest)
-        gap = np.minimum(gap, away)
-    return np.where(inside[..., None], points - height[..., None] * normal, nearest)

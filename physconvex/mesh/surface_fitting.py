@@ -8,6 +8,7 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 from physconvex.mesh.tet_mesh import TetMesh
+from physconvex.numerics import closest_in_triangles
 
 __all__ = ["fit_to_surface"]
 
@@ -140,26 +141,3 @@ def _nearest_on_boundary(triangles: np.ndarray, points: np.ndarray) -> tuple[np.
     gaps = np.linalg.norm(np.einsum("sck,scka->sca", weights, triangles[near]) - points[:, None], axis=2)
     best, rows = gaps.argmin(axis=1), np.arange(len(points))
     return near[rows, best], weights[rows, best]
-
-
-def closest_in_triangles(
-    triangles: Float[np.ndarray, "*#N 3 3"], points: Float[np.ndarray, "*#N 3"]
-) -> Float[np.ndarray, "*#N 3"]:
-    """Barycentric coordinates of the point of each triangle that is closest to each point."""
-    a, b, c = np.moveaxis(triangles, -2, 0)
-    u, v, w = b - a, c - a, points - a
-    uu, uv, vv = (u * u).sum(-1), (u * v).sum(-1), (v * v).sum(-1)
-    wu, wv = (w * u).sum(-1), (w * v).sum(-1)
-    square = np.maximum(uu * vv - uv * uv, 1e-300)
-    s, t = (vv * wu - uv * wv) / square, (uu * wv - uv * wu) / square
-    result = np.stack([1 - s - t, s, t], axis=-1)
-    gaps = np.where((result >= 0).all(axis=-1), 0.0, np.inf)
-    for i in range(3):
-        start, along = triangles[..., i, :], triangles[..., (i + 1) % 3, :] - triangles[..., i, :]
-        r = np.clip(((points - start) * along).sum(-1) / np.maximum((along * along).sum(-1), 1e-300), 0, 1)
-        gap = np.linalg.norm(points - start - r[..., None] * along, axis=-1)
-        better = gap < gaps
-        edge = np.zeros(result.shape)
-        edge[..., i], edge[..., (i + 1) % 3] = 1 - r, r
-        result, gaps = np.where(better[..., None], edge, result), np.where(better, gap, gaps)
-    return result

@@ -1,7 +1,12 @@
 from .devices import device_named as device_named
-from .rigid_fit import best_rotation as best_rotation, beyond_rigid as beyond_rigid
 from .robust import huber_loss as huber_loss, huber_weights as huber_weights
-from .rotation_vector import rotation_matrix as rotation_matrix, turning_rates as turning_rates
+from .rotations import (
+    best_rotation as best_rotation,
+    beyond_rigid as beyond_rigid,
+    rotation_matrix as rotation_matrix,
+    turning_rates as turning_rates,
+)
 from .secants import broyden_update as broyden_update
 from .sparse_solvers import NotPositiveDefiniteError as NotPositiveDefiniteError, SymmetricSolver as SymmetricSolver
 from .threads import one_torch_thread as one_torch_thread
+from .triangles import closest_in_triangles as closest_in_triangles

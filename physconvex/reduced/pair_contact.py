@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from scipy.spatial.distance import cdist
 
 from physconvex.dynamics import Contact
-from physconvex.reduced.shell import nearest_on_triangles
+from physconvex.numerics import closest_in_triangles
 
 __all__ = ["FrozenPairs", "PairContact", "Touch"]
 
@@ -152,9 +152,8 @@ class PairContact:
     def _nearest(self, points: np.ndarray, lists: np.ndarray, vertices: np.ndarray) -> _Nearest:
         """Of each point's list of triangles."""
         corners = vertices[self.faces[lists]]  # [N, K, 3, 3]
-        here = np.broadcast_to(points[:, None], (*corners.shape[:-2], 3))
-        shares = nearest_on_triangles(here, corners)
-        offset = here - np.einsum("nkc,nkci->nki", shares, corners)
+        shares = closest_in_triangles(corners, points[:, None])
+        offset = points[:, None] - np.einsum("nkc,nkci->nki", shares, corners)
         square = (offset**2).sum(-1)
         near = square <= square.min(1, keepdims=True) * (1 + _TIE) + 1e-300
         # of triangles that meet at the nearest point, the one whose plane is farthest tells the side
@@ -186,7 +185,7 @@ class PairContact:
         # by the triangles' balls, then by the triangles themselves; sorted by points
         numbers, faces = np.nonzero(apart - radii <= (apart + radii).min(1, keepdims=True) + self.reach)
         here = points[self._near[numbers]]
-        shares = nearest_on_triangles(here, corners[faces])
+        shares = closest_in_triangles(corners[faces], here)
         distance = np.linalg.norm(here - np.einsum("nc,nci->ni", shares, corners[faces]), axis=1)
         least = np.full(len(self._near), np.inf)
         np.minimum.at(least, numbers, distance)

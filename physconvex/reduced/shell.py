@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from physconvex.errors import InputError
 from physconvex.mesh import TetMesh
 
-__all__ = ["Shell", "nearest_on_triangles"]
+__all__ = ["Shell"]
 
 _QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])  # of a quadratic face
 
@@ -53,37 +53,3 @@ class Shell:
             faces = faces[:, _QUARTERS].reshape(-1, 3)
         used, faces = np.unique(faces, return_inverse=True)
         return cls(mesh.vertices[used], faces.reshape(-1, 3))
-
-
-def nearest_on_triangles(
-    points: Float[np.ndarray, "*B 3"], corners: Float[np.ndarray, "*B 3 3"]
-) -> Float[np.ndarray, "*B 3"]:
-    """Barycentric coordinates of the point of each triangle that is nearest to its point.
-
-    Inside where the foot of the perpendicular is inside, else on the nearest of the three edges.
-    """
-    origin, u, v = corners[..., 0, :], corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :]
-    offset = points - origin
-    uu, uv, vv, pu, pv = (
-        np.einsum("...i,...i->...", a, b) for a, b in ((u, u), (u, v), (v, v), (offset, u), (offset, v))
-    )
-    area = np.maximum(uu * vv - uv * uv, 1e-300)
-    b, c = (vv * pu - uv * pv) / area, (uu * pv - uv * pu) / area
-    best = np.stack([1 - b - c, b, c], axis=-1)
-    outside = (best < 0).any(-1)
-    if not outside.any():
-        return best
-    some, tips = points[outside], corners[outside]
-    edges = tips[:, [1, 2, 0]] - tips
-    share = np.einsum("nei,nei->ne", some[:, None] - tips, edges) / np.maximum(
-        np.einsum("nei,nei->ne", edges, edges), 1e-300
-    )
-    share = share.clip(0.0, 1.0)
-    distance = np.linalg.norm(tips + share[..., None] * edges - some[:, None], axis=-1)
-    edge = distance.argmin(1)
-    rows = np.arange(len(some))
-    clamped = np.zeros_like(some)
-    clamped[rows, edge] = 1 - share[rows, edge]
-    clamped[rows, (edge + 1) % 3] = share[rows, edge]
-    best[outside] = clamped
-    return best

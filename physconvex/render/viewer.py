@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
+from scipy.spatial.transform import Rotation
 
 from physconvex.convex import ConvexField, hull_mesh, read_ply
 from physconvex.errors import InputError
@@ -64,14 +65,7 @@ def draw_view(
         field_of_view: vertical [rad].
         width, height: [pixels].
     """
-    w, x, y, z = np.asarray(wxyz, dtype=np.float64)
-    turn = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    turn = Rotation.from_quat(wxyz, scalar_first=True).as_matrix()
     focal = 0.5 * height / np.tan(0.5 * field_of_view)
     view = View(
         width,

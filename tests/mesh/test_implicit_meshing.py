@@ -11,7 +11,7 @@ from physconvex.mesh import Embedding, TetMesh, box_mesh, overlap, tetrahedraliz
 from physconvex.mesh.implicit_meshing import _sampled, euler_characteristic, largest_piece
 from physconvex.mesh.quality import mean_ratios, mesh_quality
 from physconvex.mesh.stuffing import stuff
-from physconvex.mesh.surface_fitting import _distortion, closest_in_triangles, fit_to_surface
+from physconvex.mesh.surface_fitting import _distortion, fit_to_surface
 
 UNIT = np.array([[-0.5] * 3, [0.5] * 3])
 
@@ -89,14 +89,6 @@ def test_distortion_gradient_and_minimum():
     gradient = np.zeros((4, 3))
     assert _distortion(regular, tet, gradient) == pytest.approx(1.0)
     np.testing.assert_allclose(gradient, 0, atol=1e-12)
-
-
-def test_closest_points_in_a_triangle_by_region():
-    triangle = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    points = np.array([[0.25, 0.25, 2], [-1, -1, 0], [2, -1, 0], [0.5, -1, 1], [1, 1, 0]])
-    weights = closest_in_triangles(np.broadcast_to(triangle, (5, 3, 3)), points)
-    expected = [[0.25, 0.25, 0], [0, 0, 0], [1, 0, 0], [0.5, 0, 0], [0.5, 0.5, 0]]
-    np.testing.assert_allclose(weights @ triangle, expected, atol=1e-14)
 
 
 def test_fitting_draws_a_cube_to_a_larger_ball_without_flat_elements():

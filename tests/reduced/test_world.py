@@ -21,7 +21,6 @@ from physconvex.reduced import (
 )
 from physconvex.reduced.bodies_equations import BodiesEquations
 from physconvex.reduced.pair_contact import PairContact
-from physconvex.reduced.shell import nearest_on_triangles
 
 EDGE = 0.1
 
@@ -50,17 +49,6 @@ def momenta(world: ReducedBodies, run, frame: int) -> tuple[np.ndarray, np.ndarr
         linear += scene.body.first_moments @ v
         angular += np.einsum("ab,abi->i", scene.body.mass, np.cross(y[:, None], v[None]))
     return linear, angular
-
-
-def test_nearest_point_on_triangles_beats_a_fine_net():
-    rng = np.random.default_rng(0)
-    points, corners = rng.normal(size=(40, 3)), rng.normal(size=(40, 3, 3))
-    shares = nearest_on_triangles(points, corners)
-    assert (shares >= 0).all() and np.allclose(shares.sum(1), 1)
-    distance = np.linalg.norm(np.einsum("nc,nci->ni", shares, corners) - points, axis=1)
-    net = np.array([(i, j, 60 - i - j) for i in range(61) for j in range(61 - i)]) / 60
-    nets = np.linalg.norm(np.einsum("kc,nci->nki", net, corners) - points[:, None], axis=2).min(1)
-    assert (distance <= nets + 1e-12).all() and (distance > nets - 0.05).all()
 
 
 def test_shell_is_the_boundary_of_the_mesh():

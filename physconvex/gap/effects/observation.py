@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from physconvex.gap.effects.effect import Dose, Effect, Situation
 from physconvex.gap.effects.motion import PointMotion
-from physconvex.gap.effects.world import rotation_vector_matrix
+from physconvex.numerics import rotation_matrix
 
 __all__ = ["OBSERVATION_EFFECTS"]
 
@@ -51,7 +51,7 @@ TIME_SCALE = Effect(
 
 def _moved(motion: PointMotion, doses: Doses) -> Positions:
     pivot = motion.rest.mean(0) if motion.camera is None else motion.camera.position
-    turn = rotation_vector_matrix(np.radians(doses[:3]))
+    turn = rotation_matrix(np.radians(doses[:3]))
     return np.asarray((motion.positions - pivot) @ turn.T + pivot + doses[3:])
 
 
