@@ -132,8 +132,13 @@ def _volumetric_hessian(term: VolumetricTerm, f: Tensor, mu: Tensor, lam: Tensor
 
 
 def _volumetric_law(name: str, term: VolumetricTerm) -> Law:
-    triple = (partial(part, term) for part in (_volumetric_energy, _volumetric_stress, _volumetric_hessian))
-    return Law(name, *triple, volumetric=term)
+    return Law(
+        name,
+        partial(_volumetric_energy, term),
+        partial(_volumetric_stress, term),
+        partial(_volumetric_hessian, term),
+        volumetric=term,
+    )
 
 
 # --- St Venant–Kirchhoff: Ψ = μ E:E + λ/2 (tr E)², E = ½ (FᵀF − I).
