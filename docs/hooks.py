@@ -52,6 +52,7 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
     for face in FACES:
         files.append(File.generated(config, f"reference/api/{face}.md", content=api_page(face)))
     files.append(File.generated(config, "reference/command_line.md", content=command_line_page()))
+    files.append(File.generated(config, "reference/modules.md", content=modules_page()))
     for uri, source in OUTSIDE.items():
         files.append(File.generated(config, uri, abs_src_path=str(ROOT / source)))
     for target in sorted(_linked_files(files)):
@@ -120,6 +121,19 @@ def public_names(folder: Path) -> dict[str, list[str]]:
         if isinstance(node, ast.ImportFrom):
             found.setdefault(node.module or "", []).extend(alias.asname or alias.name for alias in node.names)
     return found
+
+
+def modules_page() -> str:
+    """Every module with the first line of its docstring."""
+    lines = ["# All modules", ""]
+    for package in dict.fromkeys(face.split(".")[0] for face in FACES):
+        for folder in sorted({path.parent for path in (ROOT / package).rglob("*.py")}):
+            name = str(folder.relative_to(ROOT)).replace("/", ".")
+            lines += [f"## {name}", "", _docstring(folder / "__init__.py").split("\n\n")[0], "", "| module | |", "|---|---|"]
+            modules = sorted(path for path in folder.glob("*.py") if path.name != "__init__.py")
+            lines += [f"| `{path.stem}` | {_text(_docstring(path).split(chr(10) * 2)[0])} |" for path in modules]
+            lines.append("")
+    return "\n".join(lines)
 
 
 def _docstring(path: Path) -> str:

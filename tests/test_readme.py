@@ -39,7 +39,7 @@ def test_commands_exist(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=_name)
 def test_python_blocks_compile(page: Path) -> None:
-    for block in re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL):
+    for block in re.findall(r"```(?:python|py)\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL):
         compile(block, _name(page), "exec")
 
 

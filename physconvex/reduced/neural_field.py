@@ -1,6 +1,6 @@
 """Data-free neural skinning weights: a network W(X) trained on the body alone, without any simulation.
 
-The network minimises (paper, eq. 6, after Modi et al. 2024, "Simplicits", eqs. 9–11)
+The network minimises (paper, eq. 4, after Modi et al. 2024, "Simplicits", eqs. 9–11)
 
     E_Z [ (1/V) ∫ Ψ(F_Z) dV ] + c ‖ (1/V) ∫ [1, W] [1, W]ᵀ dV − I ‖²,       F_Z = ∂/∂X Σ_m W_m(X) Z_m [X; 1] + I,
 
@@ -138,7 +138,7 @@ def _initial_layers(sizes: list[int], generator: torch.Generator) -> Layers:
 
 
 class _Trainer:
-    """The loss of eq. 6 on random points and transforms of one body."""
+    """The loss of eq. 4 on random points and transforms of one body."""
 
     def __init__(
         self, samples: BodySamples, youngs_modulus: PerCell, poisson_ratio: PerCell, options: NeuralFieldOptions

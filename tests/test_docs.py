@@ -1,0 +1,119 @@
+"""What the pages show is so: every command line parses, every name exists, and the code of the tutorials runs."""
+
+import dataclasses
+import importlib
+import re
+import shlex
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+import trimesh
+import typer
+
+from physconvex import cli
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.md")])
+CURRENT = [page for page in PAGES if page.name != "CHANGELOG.md" and (page.parent.name != "docs" or page.stem == "index")]
+PACKAGES = "physconvex|models|data_gen|train|inference"
+GROUPS = {"physconvex.commands", "physconvex.evaluations"}  # of entry points
+
+
+def _name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def _blocks(page: Path, kinds: str) -> list[str]:
+    return re.findall(rf"^```(?:{kinds})\n(.*?)^```", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+
+
+def _command_lines(page: Path) -> Iterator[list[str]]:
+    for block in _blocks(page, "bash|sh|console"):
+        for line in block.replace("\\\n", " ").splitlines():
+            words = shlex.split(line.removeprefix("$ "), comments=True)
+            ends = [k for k, word in enumerate(words) if word in ("|", ">", "&&", ";", "&")]
+            yield words[: ends[0]] if ends else words
+
+
+@cache
+def _command(name: str) -> typer.core.TyperCommand:
+    return cli._load(cli._commands()[name])
+
+
+def _parse(command: object, words: list[str]) -> None:
+    """Fails where the command's parser does; nothing runs."""
+    inner = getattr(command, "commands", {})
+    if inner and words and words[0] in inner:
+        _parse(inner[words[0]], words[1:])
+    elif "--help" not in words:
+        command.make_context("physconvex", list(words))
+
+
+@pytest.mark.parametrize("page", CURRENT, ids=_name)
+def test_command_lines_parse(page: Path) -> None:
+    for words in _command_lines(page):
+        if words[:1] == ["physconvex"] and len(words) > 1 and not words[1].startswith("-"):
+            _parse(_command(words[1]), words[2:])
+
+
+@pytest.mark.parametrize("page", CURRENT, ids=_name)
+def test_scripts_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    files = re.findall(r"\bpython ([\w/]+\.py)", text) + re.findall(r"\b(tests/[\w/]+\.py)", text)
+    modules = [name.replace(".", "/") + ".py" for name in re.findall(r"\bpython -m (docs[\w.]+)", text)]
+    assert not [name for name in [*files, *modules] if not (ROOT / name).exists()]
+
+
+def _exists(name: str) -> bool:
+    """Whether a dotted name can be imported, or is an attribute or a field of what can."""
+    parts = name.split(".")
+    for k in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:k]))
+        except ModuleNotFoundError:
+            continue
+        return _has(found, parts[k:])
+    return False
+
+
+def _has(owner: object, names: list[str]) -> bool:
+    if not names:
+        return True
+    if hasattr(owner, names[0]):
+        return _has(getattr(owner, names[0]), names[1:])
+    fields = getattr(owner, "model_fields", {}) or getattr(owner, "__dataclass_fields__", {})
+    return len(names) == 1 and names[0] in {*fields, *getattr(owner, "__annotations__", {})}
+
+
+@pytest.mark.parametrize("page", CURRENT, ids=_name)
+def test_dotted_names_exist(page: Path) -> None:
+    spans = re.findall(rf"`((?:{PACKAGES})(?:\.\w+)+)(?:\(.*?\))?`", page.read_text(encoding="utf-8"))
+    assert not [name for name in sorted(set(spans) - GROUPS) if not _exists(name)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "page", ["tutorials/predict", "tutorials/refine", "tutorials/diagnose", "howto/own_capture", "howto/simulate",
+             "howto/extend", "reference/prediction_files"]
+)  # fmt: skip
+def test_code_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The Python blocks of a page one after the other, in a folder that has `examples`."""
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {"__name__": "page", "out": tmp_path}
+    if page == "howto/simulate":
+        names["mesh_file"] = tmp_path / "box.obj"
+        trimesh.creation.box(extents=(0.2, 0.1, 0.1)).export(names["mesh_file"])
+    if page == "reference/prediction_files":
+        names["results"] = _predicted(tmp_path)
+    for block in _blocks(ROOT / "docs" / f"{page}.md", "python"):
+        exec(compile(block, page, "exec"), names)
+
+
+def _predicted(folder: Path) -> Path:
+    from inference import predict_batch
+
+    predict_batch("examples/clips/kong.mp4", out=folder / "results", density=1000.0, object_size=1.0)
+    return folder / "results"
