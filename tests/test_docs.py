@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib
+import json
 import re
 import shlex
 from collections.abc import Iterator
@@ -117,3 +118,12 @@ def _predicted(folder: Path) -> Path:
 
     predict_batch("examples/clips/kong.mp4", out=folder / "results", density=1000.0, object_size=1.0)
     return folder / "results"
+
+
+def test_cells_of_the_notebook_are_those_of_the_tutorials() -> None:
+    """The tutorials' code is run above; here nothing has to be."""
+    tutorials = [block for page in (ROOT / "docs" / "tutorials").glob("*.md") for block in _blocks(page, "python")]
+    notebook = json.loads((ROOT / "examples" / "first_steps.ipynb").read_text(encoding="utf-8"))
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert len(cells) == 4 and all(cell["outputs"] for cell in cells)
+    assert {cell["source"] for cell in cells} <= {block.rstrip() for block in tutorials}
