@@ -1,4 +1,4 @@
-"""The data set on disk (docs/architecture.md): writing one simulation at a time, and reading.
+"""The data set on disk (docs/reference/data_sets.md): writing one simulation at a time, and reading.
 
 `index.parquet` has one row per clip with every number of its simulation and view; `manifest.json` the SHA-256 of every
 file. Both are made from the simulation folders, so a data set that was cut off can be finished at any time.

@@ -6,6 +6,7 @@ import ast
 import posixpath
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,7 @@ OUTSIDE = {
     "examples/captures.md": "examples/captures/README.md",
     "examples/clips.md": "examples/clips/README.md",
 }
+_NAME = re.compile(r"(?<!\[)`((?:physconvex|models|data_gen|train|inference)(?:\.\w+)+)`")
 _LINK = re.compile(r"(!?\[[^\]]*\]\()([^)#\s]+)")
 
 
@@ -70,7 +72,22 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
             return match[0]
         return match[1] + posixpath.relpath(_in_site(target), posixpath.dirname(page.file.src_uri) or ".")
 
-    return _LINK.sub(moved, markdown)
+    if page.file.generated_by and page.file.src_uri not in OUTSIDE:
+        return markdown
+    return _NAME.sub(_linked_name, _LINK.sub(moved, markdown))
+
+
+def _linked_name(match: re.Match[str]) -> str:
+    """A public name in a page leads to its place in the reference."""
+    return f"[`{match[1]}`][{match[1]}]" if match[1] in _documented() else match[0]
+
+
+@cache
+def _documented() -> frozenset[str]:
+    faces = {face: public_names(ROOT / face.replace(".", "/")) for face in FACES}
+    return frozenset(
+        f"{face}.{name}" for face, modules in faces.items() for names in modules.values() for name in names
+    )
 
 
 def _linked_files(files: Files) -> Iterator[str]:
@@ -129,7 +146,14 @@ def modules_page() -> str:
     for package in dict.fromkeys(face.split(".")[0] for face in FACES):
         for folder in sorted({path.parent for path in (ROOT / package).rglob("*.py")}):
             name = str(folder.relative_to(ROOT)).replace("/", ".")
-            lines += [f"## {name}", "", _docstring(folder / "__init__.py").split("\n\n")[0], "", "| module | |", "|---|---|"]
+            lines += [
+                f"## {name}",
+                "",
+                _docstring(folder / "__init__.py").split("\n\n")[0],
+                "",
+                "| module | |",
+                "|---|---|",
+            ]
             modules = sorted(path for path in folder.glob("*.py") if path.name != "__init__.py")
             lines += [f"| `{path.stem}` | {_text(_docstring(path).split(chr(10) * 2)[0])} |" for path in modules]
             lines.append("")

@@ -17,7 +17,7 @@ from physconvex import cli
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.md")])
-CURRENT = [page for page in PAGES if page.name != "CHANGELOG.md" and (page.parent.name != "docs" or page.stem == "index")]
+CURRENT = [page for page in PAGES if page.name != "CHANGELOG.md"]
 PACKAGES = "physconvex|models|data_gen|train|inference"
 GROUPS = {"physconvex.commands", "physconvex.evaluations"}  # of entry points
 

@@ -9,6 +9,7 @@ from physconvex import cli
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+GENERATED = re.compile(r"(.*/)?(command_line|modules|api/[\w.]+)\.md")  # by docs/hooks.py
 
 
 def _name(path: Path) -> str:
@@ -20,7 +21,7 @@ def test_links_lead_to_files(page: Path) -> None:
     targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8"))
     local = [target for target in targets if "://" not in target and not target.startswith("mailto:")]
     missing = [target for target in local if not (page.parent / target).exists()]
-    assert not missing
+    assert not [target for target in missing if not GENERATED.fullmatch(target)]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=_name)

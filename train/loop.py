@@ -65,7 +65,7 @@ def train_predictor(
 
     Args:
         config: the recipe.
-        data: data-set folders (docs/architecture.md).
+        data: data-set folders (docs/reference/data_sets.md).
         out: run folder: `config.json`, `log.jsonl`, `tensorboard/`, `state.safetensors`, `best/`.
         cpu: use no accelerator. Devices and processes are otherwise those of `accelerate launch` or `torchrun`.
         resume: go on from `state.safetensors` where there is one.

@@ -9,7 +9,7 @@
 For changes that must change no result. Compared are the numbers and words of what each case writes: those of JSON and
 CSV files, and of arrays shape, largest value, root mean square, two sums and some values. They may differ by 1e-6 of
 their size, those of a list or array by 1e-6 of its largest; whether nothing differs by a bit is said too. Where a
-command promises the same bytes (docs/data.md), the files' digests must be equal.
+command promises the same bytes (docs/howto/data.md), the files' digests must be equal.
 
 Exit code 0: as stored; 1: something differs or failed; 2: wrong usage. One after the other on an idle core, all take
 a quarter of an hour: the diagnoses 5 minutes each, the bus 2½, the rest 2½.
