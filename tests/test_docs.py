@@ -1,6 +1,5 @@
 """What the pages show is so: every command line parses, every name exists, and the code of the tutorials runs."""
 
-import dataclasses
 import importlib
 import json
 import re

@@ -25,8 +25,8 @@ CELLS = (
     ("# First steps\n\nA clip is predicted, a capture is refined, and both are looked at. The cells are those of the "
      "tutorials.\n\n## Predict from a clip", "predict", 0),
     ("The truth of this clip is known:", "predict", 1),
-    ("## Refine a capture\n\nA silicone beam, clamped at one end, is let go under its own weight. The reduced model alone "
-     "takes about half a minute.", "refine", 0),
+    ("## Refine a capture\n\nA silicone beam, clamped at one end, is let go under its own weight. The reduced model "
+     "alone takes about half a minute.", "refine", 0),
     ("Dots are recorded, the line is the model. Frames to the right of the dotted line are not fitted.", "refine", 1),
 )  # fmt: skip
 
