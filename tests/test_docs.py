@@ -1,5 +1,6 @@
 """What the pages show is so: every command line parses, every name exists, and the code of the tutorials runs."""
 
+import ast
 import importlib
 import json
 import re
@@ -91,6 +92,18 @@ def _has(owner: object, names: list[str]) -> bool:
 def test_dotted_names_exist(page: Path) -> None:
     spans = re.findall(rf"`((?:{PACKAGES})(?:\.\w+)+)(?:\(.*?\))?`", page.read_text(encoding="utf-8"))
     assert not [name for name in sorted(set(spans) - GROUPS) if not _exists(name)]
+
+
+@pytest.mark.parametrize("page", CURRENT, ids=_name)
+def test_imports_exist(page: Path) -> None:
+    wanted = [
+        f"{node.module}.{alias.name}"
+        for block in _blocks(page, "python|py")
+        for node in ast.walk(ast.parse(block))
+        if isinstance(node, ast.ImportFrom) and re.fullmatch(rf"({PACKAGES})(\.\w+)*", node.module or "")
+        for alias in node.names
+    ]
+    assert not [name for name in wanted if not _exists(name)]
 
 
 @pytest.mark.slow
