@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from jaxtyping import Float, Int
@@ -15,6 +17,15 @@ from physconvex.errors import InputError
 __all__ = ["merge"]
 
 NEIGHBOURS = 8  # pairs tried per convex
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Two convexes, the points of the hull in their place, and volume that it lacks [m³]."""
+
+    convexes: tuple[int, int]
+    hull: Float[np.ndarray, "K 3"]
+    lost: float
 
 
 def merge(
@@ -36,9 +47,7 @@ def merge(
     volumes = np.array([hull_volume(some) for some in points])
     colours = field.harmonics.detach().cpu().double().flatten(1).numpy()
     free = np.ones(len(field), dtype=bool)
-    pairs: list[tuple[int, int]] = []
-    hulls: list[np.ndarray] = []
-    lost = 0.0
+    pairs: list[_Pair] = []
     for first, second in _neighbours(points.mean(axis=1)).tolist():
         if limit is not None and len(field) - len(pairs) <= limit:
             break
@@ -56,10 +65,8 @@ def merge(
         ):
             continue
         free[[first, second]] = False
-        pairs.append((first, second))
-        hulls.append(padded_points(hull, points.shape[1]))
-        lost += max(0.0, before - hull_volume(hull))
-    return _merged(field, volumes, free, pairs, hulls, lost)
+        pairs.append(_Pair((first, second), padded_points(hull, points.shape[1]), before - hull_volume(hull)))
+    return _merged(field, volumes, np.flatnonzero(free), pairs)
 
 
 def _neighbours(centres: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, "P 2"]:
@@ -74,18 +81,11 @@ def _neighbours(centres: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, "P 2"]:
     return pairs[np.sort(first)]
 
 
-def _merged(
-    field: ConvexField,
-    volumes: np.ndarray,
-    free: np.ndarray,
-    pairs: list[tuple[int, int]],
-    hulls: list[np.ndarray],
-    lost: float,
-) -> Division:
-    left = torch.as_tensor(np.flatnonzero(free))
+def _merged(field: ConvexField, volumes: np.ndarray, free: np.ndarray, pairs: list[_Pair]) -> Division:
+    left = torch.as_tensor(free)
     if not pairs:
         return Division(field, left, 0.0)
-    chosen = torch.as_tensor(pairs)
+    chosen = torch.as_tensor([pair.convexes for pair in pairs])
     weights = torch.as_tensor(volumes)[chosen] + torch.finfo(torch.float64).tiny
     weights = (weights / weights.sum(dim=1, keepdim=True)).to(field.points)
 
@@ -94,6 +94,6 @@ def _merged(
         mean = (weights.reshape(*weights.shape, *[1] * (tensor.ndim - 1)) * both).sum(dim=1)
         return torch.cat([tensor[left], mean])
 
-    new = torch.cat([field.points[left], torch.as_tensor(np.array(hulls)).to(field.points)])
+    new = torch.cat([field.points[left], torch.as_tensor(np.array([pair.hull for pair in pairs])).to(field.points)])
     merged = field.map(join).with_points(new)
-    return Division(merged, torch.cat([left, chosen[:, 0]]), lost)
+    return Division(merged, torch.cat([left, chosen[:, 0]]), sum(max(0.0, pair.lost) for pair in pairs))

@@ -21,6 +21,7 @@ from physconvex.dynamics import Minimum
 from physconvex.errors import ConvergenceError
 from physconvex.fem.carried_contact import CarriedContact
 from physconvex.fem.compiled_contact import carry
+from physconvex.fem.contact_problem import CarriedPoints
 from physconvex.fem.dense_contact import DenseContact
 from physconvex.fem.kept_factor import KeptFactor
 from physconvex.fem.nodal_equations import NodalEquations
@@ -113,9 +114,8 @@ class CondensedContact:
             self._known, self._carried = points, self._carriers(points)
         nodes, carried = self._carried
         base = (c.base if self.matrix is None else carry(self.matrix, c.base))[points]
-        compliance = self.factor.compliance(nodes)
-        goal = max(error, _EXACT * self.tolerance)
-        self._error = self.dense.solve(after[points], carried, compliance, base, c.step, time, goal=goal)
+        at = CarriedPoints(after[points], base, carried, self.factor.compliance(nodes), c.step, time)
+        self._error = self.dense.solve(at, goal=max(error, _EXACT * self.tolerance))
         return free - self.factor.pushed(nodes, carried.T @ self.dense.total())
 
     def _carriers(self, points: np.ndarray) -> tuple[np.ndarray, csr_matrix]:

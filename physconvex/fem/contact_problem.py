@@ -7,13 +7,40 @@ Alart and Curnier 1991; Jourdan, Alart and Jean 1998).
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import bsr_matrix, csr_matrix, identity, kron
 
 from physconvex.dynamics import Contact, resolve
 
-__all__ = ["ContactProblem"]
+__all__ = ["CarriedPoints", "ContactProblem"]
+
+
+@dataclass(frozen=True)
+class CarriedPoints:
+    """C points that M nodes carry, in a time step.
+
+    Attributes:
+        free: y, where they would be without forces [m].
+        base: their velocities are their distances from here over the step [m].
+        carried: B, takes the nodes to them, shape [C, M].
+        compliance: H of the nodes [m/N], N = 3 M, symmetric.
+        step: [s].
+        time: at the end of the step [s].
+    """
+
+    free: Float[np.ndarray, "C 3"]
+    base: Float[np.ndarray, "C 3"]
+    carried: csr_matrix
+    compliance: Float[np.ndarray, "N N"]
+    step: float
+    time: float
+
+    def select(self, rows: Int[np.ndarray, " D"]) -> CarriedPoints:
+        """Those points, each as often as it is named."""
+        return replace(self, free=self.free[rows], base=self.base[rows], carried=self.carried[rows])
 
 
 class ContactProblem:
@@ -23,30 +50,15 @@ class ContactProblem:
         law: of contact.
         points: of the pairs, shape [C].
         obstacles: their numbers in the law, shape [C].
-        free: y [m].
-        carried: B, takes the M nodes that carry the points to them.
-        compliance: H of these nodes [m/N], N = 3 M, symmetric.
-        base: the points' velocities are their distances from here over the step [m].
-        step: [s].
-        time: at the end of the step [s].
+        at: where the pairs' points are, and how they give.
     """
 
     def __init__(
-        self,
-        law: Contact,
-        points: Int[np.ndarray, " C"],
-        obstacles: Int[np.ndarray, " C"],
-        free: Float[np.ndarray, "C 3"],
-        carried: csr_matrix,
-        compliance: Float[np.ndarray, "N N"],
-        *,
-        base: Float[np.ndarray, "C 3"],
-        step: float,
-        time: float,
+        self, law: Contact, points: Int[np.ndarray, " C"], obstacles: Int[np.ndarray, " C"], at: CarriedPoints
     ) -> None:
-        self.law, self.obstacles, self.free, self.time = law, obstacles, free, time
-        self.areas, self.base, self.step = law.areas[points], base, step
-        self.carried, self.compliance = carried, compliance
+        self.law, self.areas, self.obstacles = law, law.areas[points], obstacles
+        self.free, self.base, self.step, self.time = at.free, at.base, at.step, at.time
+        self.carried, self.compliance = at.carried, at.compliance
         own = np.maximum(self._own_compliance(), np.finfo(float).tiny)  # a pinned point has none
         self.stiffness = 3.0 / own  # ρ
 

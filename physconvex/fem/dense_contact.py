@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
-from scipy.sparse import csr_matrix
 
 from physconvex.dynamics import Contact
 from physconvex.errors import ConvergenceError
 from physconvex.fem.compiled_contact import add_near, contact_kind
-from physconvex.fem.contact_problem import ContactProblem
+from physconvex.fem.contact_problem import CarriedPoints, ContactProblem
 
 __all__ = ["DenseContact"]
 
@@ -47,37 +46,18 @@ class DenseContact:
         """Force on each of `points`, as a gradient [N]."""
         return self._forces[:, self.points].sum(axis=0)
 
-    def solve(
-        self,
-        free: Float[np.ndarray, "C 3"],
-        carried: csr_matrix,
-        compliance: Float[np.ndarray, "N N"],
-        base: Float[np.ndarray, "C 3"],
-        step: float,
-        time: float,
-        *,
-        goal: float,
-    ) -> float:
+    def solve(self, at: CarriedPoints, *, goal: float) -> float:
         """Find the forces; the error that is left [m].
 
         Args:
-            free: where `points` would be without forces [m].
-            carried: B, takes the nodes that carry `points` to them, shape [C, M].
-            compliance: H of those nodes [m/N], N = 3 M.
-            base: their velocities are their distances from here over the step [m].
-            step: [s].
-            time: at the end of the step [s].
+            at: where `points` are, and how they give.
             goal: error asked for [m].
 
         Raises:
             ConvergenceError: not found.
         """
-        of_pair = self._of_pair
-        points = self.points[of_pair]
-        problem = contact_kind()(
-            self.law, points, self._obstacle, free[of_pair], carried[of_pair], compliance,
-            base=base[of_pair], step=step, time=time,
-        )  # fmt: skip
+        points = self.points[self._of_pair]
+        problem = contact_kind()(self.law, points, self._obstacle, at.select(self._of_pair))
         forces = self._forces[self._obstacle, points]
         left, slope = problem.residual(forces)
         for _ in range(_MOST):

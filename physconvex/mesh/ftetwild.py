@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -13,7 +14,7 @@ from physconvex.mesh.quality import mean_ratios
 from physconvex.mesh.tet_mesh import TetMesh, compact, to_quadratic
 from physconvex.mesh.volume import enclosed_volume, with_volume
 
-__all__ = ["diagonal_of", "fill", "fill_within"]
+__all__ = ["Resolution", "diagonal_of", "fill", "fill_within"]
 
 # Elements flatter than this would ruin the conditioning of the stiffness matrix.
 MIN_MEAN_RATIO = 0.02
@@ -32,17 +33,35 @@ class _NothingEnclosedError(InputError):
     """A mesh without the volume of its surface."""
 
 
+@dataclass(frozen=True)
+class Resolution:
+    """How fine a run is.
+
+    Attributes:
+        length: of edges, about [m].
+        epsilon: distance of the mesh from the surface at most, in diagonals of the surface.
+        iterations: passes of the mesh improvement at most.
+        threads: that it takes.
+    """
+
+    length: float
+    epsilon: float
+    iterations: int
+    threads: int = 1
+
+    def coarser(self, factor: float) -> Resolution:
+        """Edge length and tolerance so many times as large."""
+        return replace(self, length=self.length * factor, epsilon=self.epsilon * factor)
+
+
 def fill_within(
     vertices: np.ndarray,
     faces: np.ndarray,
+    resolution: Resolution,
     *,
-    length: float,
-    epsilon: float,
     max_nodes: int | None,
     order: Literal[1, 2],
     match_volume: bool,
-    iterations: int,
-    threads: int,
     near: bool = False,
 ) -> TetMesh:
     """A mesh of at most `max_nodes` nodes: edge length and tolerance grow until that is met.
@@ -56,7 +75,7 @@ def fill_within(
     volume = enclosed_volume(vertices, faces) if match_volume else None
 
     def meshed(factor: float) -> TetMesh:
-        mesh = fill(vertices, faces, length * factor, epsilon * factor, iterations, threads)
+        mesh = fill(vertices, faces, resolution.coarser(factor))
         return to_quadratic(mesh) if order == 2 else mesh
 
     factor, sound, lost, nodes = 1.0, 1.0, np.inf, 0
@@ -74,9 +93,10 @@ def fill_within(
             return mesh if volume is None else with_volume(mesh, volume)
         nodes, sound = len(mesh.vertices), factor
         factor = min(factor * COARSENING_FACTOR, float(np.sqrt(factor * lost)))
-    thin = "" if np.isinf(lost) else f" (at {epsilon * lost:.3f} its walls are lost)"
+    reached = resolution.coarser(sound).epsilon
+    thin = "" if np.isinf(lost) else f" (at {resolution.coarser(lost).epsilon:.3f} its walls are lost)"
     raise ConvergenceError(
-        f"tetrahedralize: still {nodes} nodes at epsilon {epsilon * sound:.3f}{thin} after {COARSENINGS} attempts, "
+        f"tetrahedralize: still {nodes} nodes at epsilon {reached:.3f}{thin} after {COARSENINGS} attempts, "
         f"max_nodes is {max_nodes}; allow more nodes or simplify the surface"
     )
 
@@ -108,10 +128,8 @@ def _finer(
     return mesh
 
 
-def fill(
-    vertices: np.ndarray, faces: np.ndarray, length: float, epsilon: float, iterations: int, threads: int
-) -> TetMesh:
-    """One run of fTetWild, checked: edges of about `length` [m], at most `epsilon` diagonals from the surface."""
+def fill(vertices: np.ndarray, faces: np.ndarray, resolution: Resolution) -> TetMesh:
+    """One run of fTetWild, checked."""
     import pytetwild  # here: it loads VTK, which takes a while
 
     centre, scale = vertices.mean(axis=0), float(np.ptp(vertices, axis=0).max())
@@ -121,11 +139,11 @@ def fill(
         nodes, tets = pytetwild.tetrahedralize(
             (vertices - centre) / scale,
             faces,
-            edge_length_abs=length / scale,
-            epsilon=epsilon,
+            edge_length_abs=resolution.length / scale,
+            epsilon=resolution.epsilon,
             coarsen=True,
-            num_opt_iter=iterations,
-            num_threads=threads,
+            num_opt_iter=resolution.iterations,
+            num_threads=resolution.threads,
         )
     except RuntimeError as error:
         raise ConvergenceError(f"tetrahedralize: fTetWild failed: {error}; repair or simplify the surface") from error
@@ -134,7 +152,8 @@ def fill(
             left_behind.unlink(missing_ok=True)
     nodes = np.asarray(nodes, dtype=np.float64).reshape(-1, 3)
     tets = _positive(nodes, np.asarray(tets, dtype=np.int64).reshape(-1, 4))
-    if _volume(nodes, tets) * scale**3 < LEAST_THICKNESS * epsilon * diagonal_of(vertices) * _area(vertices, faces):
+    least = LEAST_THICKNESS * resolution.epsilon * diagonal_of(vertices) * _area(vertices, faces)
+    if _volume(nodes, tets) * scale**3 < least:
         raise _NothingEnclosedError(
             "surface: it encloses no volume that a mesh of this resolution could fill; "
             "close its holes, orient its faces outwards, or lower epsilon"

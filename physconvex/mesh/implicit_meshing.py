@@ -43,12 +43,25 @@ GOOD_MEAN_RATIO = 0.25
 
 @dataclass(frozen=True)
 class _Target:
-    """What a mesh is drawn to: surface samples with normals, volume, Euler characteristic of the surface."""
+    """What a mesh is drawn to, and how large it may be.
 
+    Attributes:
+        field: signed distance.
+        bounds: of the body.
+        points, normals: samples of its surface.
+        volume: [m³].
+        euler: Euler characteristic of the surface.
+        max_nodes, order: of the mesh.
+    """
+
+    field: SignedDistance
+    bounds: np.ndarray
     points: np.ndarray
     normals: np.ndarray
     volume: float
     euler: int
+    max_nodes: int
+    order: Literal[1, 2]
 
 
 def tetrahedralize_implicit(
@@ -86,10 +99,16 @@ def tetrahedralize_implicit(
         raise InputError(f"max_nodes: got {max_nodes}; expected at least 30")
     size = float((bounds[1] - bounds[0]).max())
     field = _gridded(signed_distance, bounds, size / GRID_CELLS)
-    target = _target(field, bounds, size, surface)
-    best, least = _best_mesh(field, bounds, target, max_nodes, order, 0.6 * max_deviation * size, same_topology=True)
+    vertices, faces = _fine_surface(field, bounds, size / REFERENCE_CELLS) if surface is None else surface
+    volume = enclosed_volume(vertices, faces)
+    if volume is None:
+        raise InputError("surface: not closed and outward oriented; close it, or use fTetWild")
+    _, index = np.unique(vertices, axis=0, return_inverse=True)
+    euler = euler_characteristic(index.reshape(-1)[faces])
+    target = _Target(field, bounds, *_sampled(vertices, faces), volume, euler, max_nodes, order)
+    best, least = _best_mesh(target, 0.6 * max_deviation * size, same_topology=True)
     if least > max_deviation * size:  # small holes may close, as long as the surface stays near
-        best, least = _best_mesh(field, bounds, target, max_nodes, order, max_deviation * size, same_topology=False)
+        best, least = _best_mesh(target, max_deviation * size, same_topology=False)
     least /= size
     if best is None or least > max_deviation:
         raise ConvergenceError(
@@ -99,25 +118,16 @@ def tetrahedralize_implicit(
     return to_quadratic(best) if order == 2 else best
 
 
-def _best_mesh(
-    field: SignedDistance,
-    bounds: np.ndarray,
-    target: _Target,
-    max_nodes: int,
-    order: Literal[1, 2],
-    good_enough: float,
-    *,
-    same_topology: bool,
-) -> tuple[TetMesh | None, float]:
+def _best_mesh(target: _Target, good_enough: float, *, same_topology: bool) -> tuple[TetMesh | None, float]:
     """The first fitted mesh whose deviation [m] is good enough, else the best, and its deviation."""
     best, least = None, np.inf
     for inflation, offset in LATTICES:
-        mesh = _stuffed(field, bounds, target, max_nodes, order, inflation, offset, same_topology=same_topology)
+        mesh = _stuffed(target, inflation, offset, same_topology=same_topology)
         if mesh is None:
             continue
         mesh = with_volume(fit_to_surface(mesh, target.points, target.normals), target.volume)
         quality = float(mean_ratios(mesh.vertices, mesh.tets).min())
-        deviation = _deviation(mesh, field, target) * max(1.0, GOOD_MEAN_RATIO / quality)
+        deviation = _deviation(mesh, target) * max(1.0, GOOD_MEAN_RATIO / quality)
         if deviation < least:
             best, least = mesh, deviation
         if least <= good_enough:
@@ -137,21 +147,11 @@ def _gridded(signed_distance: SignedDistance, bounds: np.ndarray, spacing: float
     return lambda p: map_coordinates(values, ((p - origin) / spacing).T, order=1, mode="nearest")
 
 
-def _target(
-    field: SignedDistance, bounds: np.ndarray, size: float, surface: tuple[np.ndarray, np.ndarray] | None
-) -> _Target:
-    """Samples of the given surface, or of a fine stuffed lattice."""
-    if surface is None:
-        fine = largest_piece(stuff(field, bounds, size / REFERENCE_CELLS), share=0.0)
-        assert fine is not None
-        surface = (fine.vertices, fine.boundary_faces)
-    vertices, faces = surface
-    volume = enclosed_volume(vertices, faces)
-    if volume is None:
-        raise InputError("surface: not closed and outward oriented; close it, or use fTetWild")
-    _, index = np.unique(vertices, axis=0, return_inverse=True)
-    points, normals = _sampled(vertices, faces)
-    return _Target(points=points, normals=normals, volume=volume, euler=euler_characteristic(index.reshape(-1)[faces]))
+def _fine_surface(field: SignedDistance, bounds: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of a stuffed lattice."""
+    fine = largest_piece(stuff(field, bounds, cell), share=0.0)
+    assert fine is not None
+    return fine.vertices, fine.boundary_faces
 
 
 def _sampled(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -181,21 +181,14 @@ def euler_characteristic(faces: Int[np.ndarray, "F 3"]) -> int:
 
 
 def _stuffed(
-    field: SignedDistance,
-    bounds: np.ndarray,
-    target: _Target,
-    max_nodes: int,
-    order: Literal[1, 2],
-    inflation: float,
-    offset: tuple[float, float, float],
-    *,
-    same_topology: bool,
+    target: _Target, inflation: float, offset: tuple[float, float, float], *, same_topology: bool
 ) -> TetMesh | None:
     """Linear mesh in one piece, of the right topology if asked, with the most nodes within the budget, if any."""
+    max_nodes, order = target.max_nodes, target.order
     cell, best, most = float(np.cbrt(NODES_PER_CELL[order] * target.volume / max_nodes)), None, 0
     for _ in range(TRIALS):
         try:
-            pieces = stuff(field, bounds, cell, level=inflation * cell, offset=offset)
+            pieces = stuff(target.field, target.bounds, cell, level=inflation * cell, offset=offset)
         except InputError:  # thinner than the lattice everywhere
             cell *= 0.8
             continue
@@ -215,11 +208,11 @@ def node_count(mesh: TetMesh, order: Literal[1, 2]) -> int:
     return len(mesh.vertices) if order == 1 else len(to_quadratic(mesh).vertices)
 
 
-def _deviation(mesh: TetMesh, field: SignedDistance, target: _Target) -> float:
+def _deviation(mesh: TetMesh, target: _Target) -> float:
     """Largest distance of the surface from the mesh, or of the mesh boundary out of the surface [m]."""
     faces = mesh.boundary_faces
     boundary = np.concatenate([mesh.vertices[np.unique(faces)], mesh.vertices[faces].mean(axis=1)])
-    return max(Embedding.of_points(mesh, target.points).max_distance, float(field(boundary).max()))
+    return max(Embedding.of_points(mesh, target.points).max_distance, float(target.field(boundary).max()))
 
 
 def largest_piece(mesh: TetMesh, *, share: float = 0.98) -> TetMesh | None:

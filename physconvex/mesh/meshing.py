@@ -14,7 +14,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.mesh.ftetwild import diagonal_of, fill, fill_within
+from physconvex.mesh.ftetwild import Resolution, diagonal_of, fill, fill_within
 from physconvex.mesh.implicit_meshing import tetrahedralize_implicit
 from physconvex.mesh.kept_meshes import kept, known
 from physconvex.mesh.signed_distance import overlap, surface_distance
@@ -113,13 +113,10 @@ def tetrahedralize(
             fill_within,
             vertices,
             faces,
-            length=length,
-            epsilon=epsilon,
+            Resolution(length, epsilon, max_iterations, threads),
             max_nodes=max_nodes,
             order=order,
             match_volume=match_volume,
-            iterations=max_iterations,
-            threads=threads,
             near=method == "auto",
         ),
         "simplified": partial(_simplified_mesh, vertices, faces, limit, order),
@@ -170,7 +167,7 @@ def _simplified_mesh(vertices: np.ndarray, faces: np.ndarray, max_nodes: int, or
     for _ in range(SIMPLIFICATIONS + DRAWS):
         triangles, epsilon = settings[-1]
         coarse = simplified(vertices, faces, max(int(triangles), 20))
-        mesh = fill(*coarse, 0.5 * diagonal_of(vertices), epsilon, 20, 1)
+        mesh = fill(*coarse, Resolution(0.5 * diagonal_of(vertices), epsilon, iterations=20))
         mesh = to_quadratic(mesh) if order == 2 else mesh
         nodes = len(mesh.vertices)
         if nodes > max_nodes:

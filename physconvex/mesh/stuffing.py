@@ -8,6 +8,7 @@ elements of one size with bounded angles; parts thinner than about one lattice c
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -56,9 +57,30 @@ def stuff(
     edges = edges[values[edges[:, 0]] * values[edges[:, 1]] < 0]
     fraction = _roots(signed_distance, level, vertices, values, edges)
     long = np.isclose(np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1), cell)
-    cuts = vertices[edges[:, 0]] + fraction[:, None] * (vertices[edges[:, 1]] - vertices[edges[:, 0]])
-    alive = _warp(vertices, values, edges, fraction, cuts, long)
-    return _trim(vertices, values, tets, edges[alive], cuts[alive], long[alive])
+    points = vertices[edges[:, 0]] + fraction[:, None] * (vertices[edges[:, 1]] - vertices[edges[:, 0]])
+    cuts = _Cuts(edges, fraction, points, long)
+    return _trim(vertices, values, tets, cuts.select(_warp(vertices, values, cuts)))
+
+
+@dataclass(frozen=True)
+class _Cuts:
+    """Where edges of the lattice pass through the surface.
+
+    Attributes:
+        edges: their vertices, the lower number first, shape [C, 2].
+        fraction: way along each, in (0, 1).
+        points: [m], shape [C, 3].
+        long: whether the edge is a long one.
+    """
+
+    edges: Int[np.ndarray, "C 2"]
+    fraction: Float[np.ndarray, " C"]
+    points: Float[np.ndarray, "C 3"]
+    long: Bool[np.ndarray, " C"]
+
+    def select(self, which: Bool[np.ndarray, " C"]) -> _Cuts:
+        """Some of them."""
+        return _Cuts(self.edges[which], self.fraction[which], self.points[which], self.long[which])
 
 
 def _lattice(bounds: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
@@ -102,19 +124,13 @@ def _roots(
     return np.clip(middle, 1e-9, 1 - 1e-9)
 
 
-def _warp(
-    vertices: np.ndarray,
-    values: np.ndarray,
-    edges: np.ndarray,
-    fraction: np.ndarray,
-    cuts: np.ndarray,
-    long: Bool[np.ndarray, " C"],
-) -> Bool[np.ndarray, " C"]:
+def _warp(vertices: np.ndarray, values: np.ndarray, cuts: _Cuts) -> Bool[np.ndarray, " C"]:
     """Move lattice vertices onto near cut points (in place, their value becomes zero); which cuts remain.
 
     The nearest pairs go first; moving a vertex removes every cut on its edges (section 3 of the paper).
     """
-    alpha = np.where(long, ALPHA_LONG, ALPHA_SHORT)
+    edges, fraction = cuts.edges, cuts.fraction
+    alpha = np.where(cuts.long, ALPHA_LONG, ALPHA_SHORT)
     share = np.concatenate([fraction, 1 - fraction]) / np.concatenate([alpha, alpha])
     vertex = edges.T.ravel()
     order = np.argsort(share, kind="stable")
@@ -125,24 +141,17 @@ def _warp(
     for item in order:
         cut, node = item % len(edges), vertex[item]
         if alive[cut]:
-            vertices[node], values[node] = cuts[cut], 0.0
+            vertices[node], values[node] = cuts.points[cut], 0.0
             alive[by_vertex[starts[node] : starts[node + 1]] % len(edges)] = False
     return alive
 
 
-def _trim(
-    vertices: np.ndarray,
-    values: np.ndarray,
-    tets: np.ndarray,
-    edges: np.ndarray,
-    cuts: np.ndarray,
-    long: np.ndarray,
-) -> TetMesh:
+def _trim(vertices: np.ndarray, values: np.ndarray, tets: np.ndarray, cuts: _Cuts) -> TetMesh:
     """The part of each lattice tetrahedron inside the surface, cut into tetrahedra (figure 3 of the paper)."""
-    count = len(vertices)
-    keys = edges[:, 0] * count + edges[:, 1]
+    count, many = len(vertices), len(cuts.points)
+    keys = cuts.edges[:, 0] * count + cuts.edges[:, 1]
     # Cuts on long edges come first in the numbering that decides diagonals, then those on short edges.
-    rank = np.concatenate([np.arange(count) + len(cuts) * 2, np.where(long, 0, len(cuts)) + np.arange(len(cuts))])
+    rank = np.concatenate([np.arange(count) + many * 2, np.where(cuts.long, 0, many) + np.arange(many)])
     state = np.sign(values[tets])
     order = np.argsort(state, axis=1, kind="stable")
     tets, state = np.take_along_axis(tets, order, axis=1), np.take_along_axis(state, order, axis=1)
@@ -162,7 +171,7 @@ def _trim(
     parts += _prism([a, cut(a, c), cut(a, d)], [b, cut(b, c), cut(b, d)], rank)
     a, b, c, d = tets[(inside == 3) & (outside == 1)].T
     parts += _prism([a, b, c], [cut(a, d), cut(b, d), cut(c, d)], rank)
-    result, everything = np.concatenate(parts), np.concatenate([vertices, cuts])
+    result, everything = np.concatenate(parts), np.concatenate([vertices, cuts.points])
     if len(result) == 0:
         raise InputError("cell: the body is thinner than the lattice everywhere; take a smaller cell")
     x = everything[result]

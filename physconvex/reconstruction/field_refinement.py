@@ -93,19 +93,21 @@ def refine_field(
     large[chosen] = extent[chosen] > DIVISIBLE * footprint
     small = torch.zeros_like(large)
     small[chosen] = ~large[chosen]
-    return _divided(field, keep, large, small, extent, fixed, generator)
+    return _divided(field, _Division(keep, large, small, fixed), generator)
 
 
-def _divided(
-    field: ConvexField,
-    keep: Tensor,
-    large: Tensor,
-    small: Tensor,
-    extent: Tensor,
-    fixed: Tensor,
-    generator: torch.Generator,
-) -> RefinedField:
-    """Those kept, the large ones split, the small ones cloned."""
+@dataclass(frozen=True)
+class _Division:
+    """Which convexes are kept, split, cloned, and stay as they are, each of shape [N]."""
+
+    keep: Tensor
+    split: Tensor
+    clone: Tensor
+    fixed: Tensor
+
+
+def _divided(field: ConvexField, division: _Division, generator: torch.Generator) -> RefinedField:
+    keep, large, small, extent = division.keep, division.split, division.clone, _extent(field)
     overlap = 2.0 / (field.smoothness * field.sharpness)
     whole, parents = (keep & ~large).nonzero()[:, 0], large.nonzero()[:, 0]
     parts = halve(field.points[parents], torch.minimum(overlap, 0.2 * extent)[parents])
@@ -124,7 +126,7 @@ def _divided(
     doubled = small[sources]
     opacity = torch.where(doubled, 1 - (1 - joined.opacity).clamp(min=0).sqrt(), joined.opacity)
     new = replace(joined, opacity=opacity)
-    return RefinedField(new, sources, fresh, fixed[sources], int((~keep).sum()), len(parents), len(clones))
+    return RefinedField(new, sources, fresh, division.fixed[sources], int((~keep).sum()), len(parents), len(clones))
 
 
 @torch.no_grad()

@@ -21,9 +21,26 @@ from physconvex.errors import InputError
 from physconvex.materials import FlowRule, FlowStep, stored_flows
 from physconvex.reduced.body import ReducedBody
 
-__all__ = ["FlowTangents"]
+__all__ = ["FlowTangents", "FlowingStep"]
 
 _DIFFERENCE = 1e-6  # change of strains, and relative change of constants
+
+
+@dataclass(frozen=True)
+class FlowingStep:
+    """What the response of a time step depends on beside the coordinates at its end.
+
+    Attributes:
+        undo: F_f⁻¹ at its start, shape [Q, 3, 3].
+        step: its length [s].
+        lagged: coordinates at which what is lagged is taken [m].
+        dlagged: their derivatives by the parameters.
+    """
+
+    undo: Tensor
+    step: float
+    lagged: Float[np.ndarray, "R 3"]
+    dlagged: Float[np.ndarray, "P R 3"]
 
 
 @dataclass(frozen=True)
@@ -57,50 +74,29 @@ class FlowTangents:
         self.names = [name if hasattr(body.flow, name) else "" for name in names]
         self.dundo = torch.zeros(len(names), len(body.mu), 3, 3, dtype=torch.float64, device=body.device)
 
-    def forces(
-        self, undo: Tensor, step: float, x: np.ndarray, lagged: np.ndarray, dlagged: Float[np.ndarray, "P R 3"]
-    ) -> Float[np.ndarray, "P R 3"]:
+    def forces(self, during: FlowingStep, x: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "P R 3"]:
         """Derivatives of the flow's generalised forces at fixed coordinates x [N]."""
         f = self.body.deformation_gradient(x)
         none = torch.zeros_like(f)
         found = [
-            self._along(k, undo, step, f, none, lagged, dlagged[k], lambda response, at: response.stress(at))
-            for k in range(len(self.names))
+            self._along(k, during, f, none, lambda response, at: response.stress(at)) for k in range(len(self.names))
         ]
         return self.body.forces_of(torch.stack(found))
 
-    def advance(
-        self,
-        undo: Tensor,
-        step: float,
-        x: np.ndarray,
-        dx: Float[np.ndarray, "P R 3"],
-        lagged: np.ndarray,
-        dlagged: Float[np.ndarray, "P R 3"],
-    ) -> None:
+    def advance(self, during: FlowingStep, x: Float[np.ndarray, "R 3"], dx: Float[np.ndarray, "P R 3"]) -> None:
         """Move on over a step that has ended at coordinates x, which move by dx."""
         f, df = self.body.deformation_gradient(x), self.body.deformation_gradient(dx)
-        self.dundo = torch.stack(
-            [
-                self._along(k, undo, step, f, df[k], lagged, dlagged[k], lambda response, at: response.flowed(at))
-                for k in range(len(self.names))
-            ]
-        )
+        found = [
+            self._along(k, during, f, df[k], lambda response, at: response.flowed(at)) for k in range(len(self.names))
+        ]
+        self.dundo = torch.stack(found)
 
     def _along(
-        self,
-        k: int,
-        undo: Tensor,
-        step: float,
-        f: Tensor,
-        df: Tensor,
-        lagged: np.ndarray,
-        dlagged: np.ndarray,
-        of: Callable[[FlowStep, Tensor], Tensor],
+        self, k: int, during: FlowingStep, f: Tensor, df: Tensor, of: Callable[[FlowStep, Tensor], Tensor]
     ) -> Tensor:
         """Derivative of something of the response along the tangents of parameter k."""
         body = self.body
-        state, dstate = body.deformation_gradient(lagged), body.deformation_gradient(dlagged)
+        state, dstate = (body.deformation_gradient(y) for y in (during.lagged, during.dlagged[k]))
         along = _Along(self.dundo[k], dstate, self.dmu[k], self.dlam[k], self._rule_change(k))
         largest = max(
             *(float(t.abs().max()) for t in (along.undo, along.state, along.mu / body.mu, along.lam / body.lam, df)),
@@ -115,7 +111,11 @@ class FlowTangents:
             h = sign * length
             rule: FlowRule = self._moved_rule({name: h * change for name, change in along.rule.items()})
             response = rule.during(
-                undo + h * along.undo, state + h * along.state, body.mu + h * along.mu, body.lam + h * along.lam, step
+                during.undo + h * along.undo,
+                state + h * along.state,
+                body.mu + h * along.mu,
+                body.lam + h * along.lam,
+                during.step,
             )
             return of(response, f + h * df)
 

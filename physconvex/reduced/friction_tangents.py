@@ -61,10 +61,12 @@ def friction_tangent(
         nodes, depth = contact.touching(obstacle, frozen.x, frozen.time)
         if not len(nodes):
             continue
+        here = _Touching.of(obstacle, nodes, depth, frozen)
+        now, dnow = velocity[nodes] - here.belt, dvelocity[:, nodes]
         if obstacle.friction:
-            out[:, nodes] += _of_obstacle(contact, obstacle, frozen, nodes, depth, velocity, dvelocity)
+            out[:, nodes] += _rubbed(contact, here, now, dnow)
         if contact.damping:
-            out[:, nodes] += _of_dashpot(contact, obstacle, frozen, nodes, depth, velocity, dvelocity)
+            out[:, nodes] += _damped(contact, here, now, dnow)
     return out
 
 
@@ -72,23 +74,45 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (a * b).sum(-1, keepdims=True)
 
 
-def _normals(obstacle: Obstacle, frozen: FreezeTangent, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Normals at some points, their derivatives, and those of the positions."""
-    x, dx = frozen.x[nodes], frozen.dx[:, nodes]
-    n = obstacle.normals(x, frozen.time)
-    return n, obstacle.curvature(x, frozen.time)[:, None] * (dx - n * _dot(n, dx)), dx
+@dataclass(frozen=True)
+class _Touching:
+    """Points that touched an obstacle where friction was frozen, and how that moves with the parameters.
+
+    Attributes:
+        nodes: which.
+        depth: p [m].
+        friction: coefficient of the obstacle.
+        belt: its velocity [m/s].
+        normals, dnormals: n and its derivatives.
+        dx: derivatives of the positions.
+        slip, dslip: velocity over the belt, and the derivatives of the points' velocities.
+        frozen: where friction was frozen.
+    """
+
+    nodes: np.ndarray
+    depth: np.ndarray
+    friction: float
+    belt: np.ndarray
+    normals: np.ndarray
+    dnormals: np.ndarray
+    dx: np.ndarray
+    slip: np.ndarray
+    dslip: np.ndarray
+    frozen: FreezeTangent
+
+    @classmethod
+    def of(cls, obstacle: Obstacle, nodes: np.ndarray, depth: np.ndarray, frozen: FreezeTangent) -> _Touching:
+        """At some points."""
+        x, dx, time = frozen.x[nodes], frozen.dx[:, nodes], frozen.time
+        n, belt = obstacle.normals(x, time), obstacle.velocity_at(time)
+        dn = obstacle.curvature(x, time)[:, None] * (dx - n * _dot(n, dx))
+        slip = frozen.v[nodes] - belt
+        return cls(nodes, depth, obstacle.friction, belt, n, dn, dx, slip, frozen.dv[:, nodes], frozen)
 
 
-def _of_obstacle(
-    contact: Contact,
-    obstacle: Obstacle,
-    frozen: FreezeTangent,
-    nodes: np.ndarray,
-    depth: np.ndarray,
-    velocity: np.ndarray,
-    dvelocity: np.ndarray,
-) -> np.ndarray:
-    n, dn, dx = _normals(obstacle, frozen, nodes)
+def _rubbed(contact: Contact, here: _Touching, now: np.ndarray, dnow: np.ndarray) -> np.ndarray:
+    """Of friction, at velocities over the belt and their derivatives."""
+    n, dn = here.normals, here.dnormals
 
     def tangential(u: np.ndarray) -> np.ndarray:
         return u - n * _dot(n, u)
@@ -97,48 +121,36 @@ def _of_obstacle(
         """Change of the tangential part with the normal."""
         return -dn * _dot(n, u) - n * _dot(dn, u)
 
-    belt = obstacle.velocity_at(frozen.time)
-    slip = tangential(frozen.v[nodes] - belt)
+    slip = tangential(here.slip)
     speed = np.linalg.norm(slip, axis=1, keepdims=True)
-    dslip = tangential(frozen.dv[:, nodes]) + turned(frozen.v[nodes] - belt)
+    dslip = tangential(here.dslip) + turned(here.slip)
     s = speed / contact.slip_velocity
     ds = _dot(slip, dslip) / (np.maximum(speed, 1e-300) * contact.slip_velocity)
     ratio, slope = np.where(s < 1, 2 - s, 1 / np.maximum(s, 1)), np.where(s < 1, -1.0, -1 / np.maximum(s, 1) ** 2)
-    _, pressure, stiffness = (contact.areas[nodes] * h for h in contact.hinge(depth))  # A ψ', A ψ''
+    _, pressure, stiffness = (contact.areas[here.nodes] * h for h in contact.hinge(here.depth))  # A ψ', A ψ''
     unit = pressure[:, None] * ratio / contact.slip_velocity  # weight per friction coefficient
-    dunit = (-stiffness[:, None] * _dot(n, dx) * ratio + pressure[:, None] * slope * ds) / contact.slip_velocity
-    dunit = dunit + unit * frozen.dlog_stiffness[:, None, None]
-    dweight = obstacle.friction * dunit + unit * frozen.dfriction[:, None, None]
-    now = velocity[nodes] - belt
-    moved = turned(now) + tangential(dvelocity[:, nodes])
-    return dweight * tangential(now) + obstacle.friction * unit * moved
+    dunit = (-stiffness[:, None] * _dot(n, here.dx) * ratio + pressure[:, None] * slope * ds) / contact.slip_velocity
+    dunit = dunit + unit * here.frozen.dlog_stiffness[:, None, None]
+    dweight = here.friction * dunit + unit * here.frozen.dfriction[:, None, None]
+    return dweight * tangential(now) + here.friction * unit * (turned(now) + tangential(dnow))
 
 
-def _of_dashpot(
-    contact: Contact,
-    obstacle: Obstacle,
-    frozen: FreezeTangent,
-    nodes: np.ndarray,
-    depth: np.ndarray,
-    velocity: np.ndarray,
-    dvelocity: np.ndarray,
-) -> np.ndarray:
-    n, dn, dx = _normals(obstacle, frozen, nodes)
-    belt = obstacle.velocity_at(frozen.time)
-    outwards = _dot(n, frozen.v[nodes] - belt)
-    doutwards = _dot(n, frozen.dv[:, nodes]) + _dot(dn, frozen.v[nodes] - belt)
-    _, pressure, stiffness = (h[:, None] for h in contact.hinge(depth))
-    bend = np.where(depth < contact.smoothing, contact.stiffness / contact.smoothing, 0.0)[:, None]  # ψ'''
-    ddepth = -_dot(n, dx)
+def _damped(contact: Contact, here: _Touching, now: np.ndarray, dnow: np.ndarray) -> np.ndarray:
+    """Of dashpots, at velocities over the belt and their derivatives."""
+    n, dn = here.normals, here.dnormals
+    outwards = _dot(n, here.slip)
+    doutwards = _dot(n, here.dslip) + _dot(dn, here.slip)
+    _, pressure, stiffness = (h[:, None] for h in contact.hinge(here.depth))
+    bend = np.where(here.depth < contact.smoothing, contact.stiffness / contact.smoothing, 0.0)[:, None]  # ψ'''
+    ddepth = -_dot(n, here.dx)
     free = contact.damping * stiffness
-    dfree = contact.damping * bend * ddepth + stiffness * frozen.ddamping[:, None, None]
+    dfree = contact.damping * bend * ddepth + stiffness * here.frozen.ddamping[:, None, None]
     apart = np.maximum(outwards, 1e-30)
     most = pressure / apart
     held = (outwards > 0) & (most < free)
     weight = np.where(held, most, free)
     dweight = np.where(held, stiffness * ddepth / apart - most * doutwards / apart, dfree)
-    dweight = dweight + weight * frozen.dlog_stiffness[:, None, None]
-    now = velocity[nodes] - belt
+    dweight = dweight + weight * here.frozen.dlog_stiffness[:, None, None]
     along = _dot(n, now)
-    dalong = _dot(dn, now) + _dot(n, dvelocity[:, nodes])
-    return contact.areas[nodes][:, None] * (dweight * n * along + weight * (dn * along + n * dalong))
+    dalong = _dot(dn, now) + _dot(n, dnow)
+    return contact.areas[here.nodes][:, None] * (dweight * n * along + weight * (dn * along + n * dalong))

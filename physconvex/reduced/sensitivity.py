@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from physconvex.dynamics import State, StepCoefficients, StepRecord, Timing, bdf2, extrapolate, implicit_euler
 from physconvex.reduced.equations import ReducedEquations
-from physconvex.reduced.flow_tangents import FlowTangents
+from physconvex.reduced.flow_tangents import FlowingStep, FlowTangents
 from physconvex.reduced.friction_tangents import friction_tangent
 from physconvex.reduced.parameters import check_parameters, parameter_values
 from physconvex.reduced.scene import ReducedScene
@@ -62,13 +62,13 @@ class _Tangents:
             residual = self._residual(equations, c, change, solved.x, guess, dguess)
             if self.flow is not None and undo is not None:
                 equations.response = self.body.flow_step(undo, lagged, record.step)
-                residual += self.flow.forces(undo, record.step, solved.x, lagged, dlagged)
+                residual += self.flow.forces(FlowingStep(undo, record.step, lagged, dlagged), solved.x)
             velocity, dvelocity = self._surface_velocities(c, change, solved.x)
             residual += equations.surface.T @ friction_tangent(equations.contact, frozen, velocity, dvelocity)
             dx = -equations.exact_solve(solved.x, residual)
             frozen = freeze(solved.x, c.velocity(solved.x), record.after.time, dx, change.velocity(dx))
         if self.flow is not None and undo is not None:
-            self.flow.advance(undo, record.step, record.passes[-1].x, dx, lagged, dlagged)
+            self.flow.advance(FlowingStep(undo, record.step, lagged, dlagged), record.passes[-1].x, dx)
         self.previous, self.state = self.state, State(record.after.time, dx, change.velocity(dx))
 
     def _surface_velocities(

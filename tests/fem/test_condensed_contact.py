@@ -19,7 +19,7 @@ from physconvex.fem import (
     kept_factor,
 )
 from physconvex.fem.compiled_contact import CompiledContact, add_near, carry, contact_kind, turned_blocks
-from physconvex.fem.contact_problem import ContactProblem
+from physconvex.fem.contact_problem import CarriedPoints, ContactProblem
 from physconvex.fem.kept_factor import KeptFactor
 from physconvex.mesh import box_mesh
 from tests.kernels.missing import MISSING
@@ -187,8 +187,9 @@ def problem_of(points: int, nodes: int, obstacles=(FLOOR,)) -> tuple[ContactProb
     law = Contact(obstacles, np.full(points, 1e-3), stiffness=1e6, smoothing=1e-4, slip_velocity=1e-3)
     of_pair, obstacle = np.tile(np.arange(points), len(obstacles)), np.repeat(np.arange(len(obstacles)), points)
     free = (np.array([0, 0, -0.022]) + rng.normal(scale=0.01, size=(points, 3)))[of_pair]
-    motion = {"base": free - rng.normal(scale=1e-3, size=free.shape), "step": 1e-3, "time": 0.01}
-    problem = contact_kind()(law, of_pair, obstacle, free, carried[of_pair], compliance, **motion)
+    base = free - rng.normal(scale=1e-3, size=free.shape)
+    at = CarriedPoints(free, base, carried[of_pair], compliance, step=1e-3, time=0.01)
+    problem = contact_kind()(law, of_pair, obstacle, at)
     return problem, rng.normal(scale=0.1, size=free.shape)
 
 
@@ -211,9 +212,10 @@ def test_compiled_numbers_are_those_of_numpy():
     belt = Plane(normal=(-1.0, 0, 0.2), friction=0.7, velocity=(0, 0.5, 0))
     ball = Sphere(center=(0, 0.01, -0.33), radius=0.308, friction=0.5, velocity=(0.2, 0, 0))
     compiled, forces = problem_of(40, 8, obstacles=(FLOOR, belt, ball))
-    given = (compiled.free, compiled.carried, compiled.compliance)
-    motion = {"base": compiled.base, "step": compiled.step, "time": compiled.time}
-    plain = ContactProblem(compiled.law, np.tile(np.arange(40), 3), compiled.obstacles, *given, **motion)
+    at = CarriedPoints(
+        compiled.free, compiled.base, compiled.carried, compiled.compliance, compiled.step, compiled.time
+    )
+    plain = ContactProblem(compiled.law, np.tile(np.arange(40), 3), compiled.obstacles, at)
     assert type(compiled) is CompiledContact
     np.testing.assert_allclose(compiled.stiffness, plain.stiffness, rtol=1e-12)
     (left, slope), (expected, expected_slope) = (problem.residual(forces) for problem in (compiled, plain))

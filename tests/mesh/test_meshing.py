@@ -6,7 +6,7 @@ import trimesh
 
 from physconvex import ConvergenceError, InputError
 from physconvex.mesh import box_mesh, enclosed_volume, surface_distance, tetrahedralize, with_volume
-from physconvex.mesh.ftetwild import LEFT_BEHIND, fill_within
+from physconvex.mesh.ftetwild import LEFT_BEHIND, Resolution, fill_within
 from physconvex.mesh.quality import dihedral_angles, mean_ratios, mesh_quality
 
 
@@ -158,9 +158,9 @@ def filled(ball, monkeypatch, cells_of, *, max_nodes):
 
     monkeypatch.setattr("pytetwild.tetrahedralize", tetwild)
     surface = np.asarray(ball.vertices), np.asarray(ball.faces)
-    options = dict(length=0.1, epsilon=0.02, order=1, match_volume=False, iterations=1, threads=1)
-    mesh = fill_within(*surface, max_nodes=max_nodes, near=True, **options)
-    plain = fill_within(*surface, max_nodes=max_nodes, **options)
+    resolution, options = Resolution(0.1, 0.02, iterations=1), dict(order=1, match_volume=False, max_nodes=max_nodes)
+    mesh = fill_within(*surface, resolution, near=True, **options)
+    plain = fill_within(*surface, resolution, **options)
     return len(mesh.vertices), len(plain.vertices), tried
 
 
