@@ -1,6 +1,7 @@
-from .base.base_fit import fit_baseline as fit_baseline, rough_baseline as rough_baseline
+from .base.base_fit import fit_baseline as fit_baseline
 from .base.box_mesh import with_plane as with_plane
 from .base.model import EffectModel as EffectModel
+from .base.rough_fit import rough_baseline as rough_baseline
 from .conditions.setting import find_setting as find_setting
 from .diagnosis import diagnose as diagnose
 from .effects.catalogue import (
@@ -18,22 +19,18 @@ from .effects.effect import (
     Source as Source,
 )
 from .effects.motion import MotionCorrection as MotionCorrection, PointMotion as PointMotion
-from .errors.numerics import (
-    correction_of as correction_of,
-    error_model as error_model,
-    numerical_differences as numerical_differences,
-)
+from .errors.error_model import error_model as error_model
+from .errors.numerical_differences import correction_of as correction_of, numerical_differences as numerical_differences
 from .errors.score_test import (
     ErrorModel as ErrorModel,
     Projector as Projector,
     Score as Score,
     score_effect as score_effect,
 )
-from .judgement.naming import NamedDose as NamedDose, NamedEffect as NamedEffect
-from .judgement.verdict_input import Verdict as Verdict
+from .judgement.naming import NamedDose as NamedDose, NamedEffect as NamedEffect, Verdict as Verdict
 from .location.where import Part as Part, Where as Where
 from .options import GapOptions as GapOptions
 from .page.report import GapReport as GapReport, ImprovedTwin as ImprovedTwin
 from .search.hypothesis import Hypothesis as Hypothesis
-from .shrinkage.how_far import HowFar as HowFar
+from .shrinkage import HowFar as HowFar
 from .thresholds import VERDICT as VERDICT, thresholds_table as thresholds_table

@@ -11,22 +11,26 @@ import numpy as np
 
 import physconvex
 from physconvex.errors import ConvergenceError
-from physconvex.gap.base.base_fit import fit_baseline, rough_baseline
-from physconvex.gap.base.baseline import Baseline
+from physconvex.gap.base.base_fit import fit_baseline
+from physconvex.gap.base.baseline import Baseline, shortened
 from physconvex.gap.base.cost import Cost
 from physconvex.gap.base.observed_points import lost_points
-from physconvex.gap.base.shortening import shortened
+from physconvex.gap.base.rough_fit import rough_baseline
 from physconvex.gap.conditions.capture_elements import with_own_elements
 from physconvex.gap.conditions.setting import find_setting
 from physconvex.gap.effects.catalogue import choose
 from physconvex.gap.effects.effect import Effect
 from physconvex.gap.effects.motion import PointMotion
-from physconvex.gap.errors.absorbed_errors import with_absorbed_mesh
-from physconvex.gap.errors.error_scale import error_scale
-from physconvex.gap.errors.numerics import Numerics, correction_of, detail_errors, error_model, numerical_differences
+from physconvex.gap.errors.error_model import detail_errors, error_model, error_scale
+from physconvex.gap.errors.numerical_differences import (
+    Numerics,
+    correction_of,
+    numerical_differences,
+    with_absorbed_mesh,
+)
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.errors.screening import Screening, screen
-from physconvex.gap.judgement.advice import next_experiment
+from physconvex.gap.judgement.caveats import next_experiment
 from physconvex.gap.judgement.naming import favoured
 from physconvex.gap.judgement.residual_measures import measure, relative_gap
 from physconvex.gap.judgement.verdict import decide
@@ -36,13 +40,11 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.page.findings import Provenance
 from physconvex.gap.page.report import GapReport
 from physconvex.gap.search.effect_fits import fit_effects
+from physconvex.gap.search.full_order import as_reduced
 from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis
 from physconvex.gap.search.search_state import FAILURES
 from physconvex.gap.search.selection import select_effects
-from physconvex.gap.search.space_mapping import as_reduced
-from physconvex.gap.shrinkage.held_out_views import held_out_views
-from physconvex.gap.shrinkage.how_far import HowFar, gap_squares, shrinkage_on
-from physconvex.gap.shrinkage.second_take import second_take_shrinkage
+from physconvex.gap.shrinkage import HowFar, gap_squares, held_out_views, second_take_shrinkage, shrinkage_on
 from physconvex.gap.thresholds import BASE_FIT, CLOCK, NUMERICAL_ERROR, RUN_COST, SCREENING
 from physconvex.io import Capture, load_capture
 from physconvex.mesh import TetMesh

@@ -8,8 +8,7 @@ import pytest
 from physconvex.gap import GapOptions, PointMotion
 from physconvex.gap.base.baseline import Split
 from physconvex.gap.base.cost import Cost
-from physconvex.gap.errors.absorbed_errors import with_absorbed_mesh
-from physconvex.gap.errors.numerics import Numerics
+from physconvex.gap.errors.numerical_differences import Numerics, with_absorbed_mesh
 from physconvex.identify import default_parameter
 
 TIMES = np.arange(40) / 100
@@ -47,7 +46,7 @@ class Bending:
 @pytest.fixture
 def base(monkeypatch):
     monkeypatch.setattr(
-        "physconvex.gap.errors.absorbed_errors.replace",
+        "physconvex.gap.errors.numerical_differences.replace",
         lambda thing, **changes: (
             Bending(changes.get("frames", 40)) if isinstance(thing, Bending) else thing.changed(**changes)
         ),

@@ -12,7 +12,7 @@ from physconvex.gap import GapOptions, MotionCorrection, error_model, fit_baseli
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.model import reduced_like
 from physconvex.gap.conditions.capture_elements import own_elements, with_own_elements
-from physconvex.gap.errors.numerics import Numerics
+from physconvex.gap.errors.numerical_differences import Numerics
 from physconvex.gap.judgement.caveats import _elements
 from physconvex.gap.search.hypothesis import base_hypothesis
 from physconvex.gap.thresholds import BASE_FIT

@@ -11,7 +11,7 @@ from physconvex.gap import GapOptions
 from physconvex.gap.base.cost import Cost, OutOfBudget, newton_step
 from physconvex.gap.base.model import SecantModel
 from physconvex.gap.effects.scenes import with_material
-from physconvex.gap.search import decision
+from physconvex.gap.search import full_order as decision
 from physconvex.gap.search.search_state import EffectSearch
 from physconvex.materials import StandardLinearSolid
 

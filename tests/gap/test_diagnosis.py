@@ -122,7 +122,7 @@ def test_a_second_take_without_the_floor_is_refused(capture, second_take, tmp_pa
     from types import SimpleNamespace
 
     from physconvex.gap import DEFAULT_EFFECTS, GapOptions
-    from physconvex.gap.shrinkage.second_take import second_take_shrinkage
+    from physconvex.gap.shrinkage import second_take_shrinkage
 
     folder = tmp_path / "no_floor"
     shutil.copytree(second_take, folder)

@@ -8,7 +8,7 @@ import pytest
 from physconvex.gap import ErrorModel
 from physconvex.gap.base.baseline import Split
 from physconvex.gap.base.body_modes import BodyModes, undivided
-from physconvex.gap.errors.error_scale import error_scale
+from physconvex.gap.errors.error_model import error_scale
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from physconvex.gap import DEFAULT_EFFECTS, ErrorModel, GapOptions, rough_baseline
-from physconvex.gap.search.first_frames import early_point, early_window
+from physconvex.gap.search.starting_points import early_point, early_window
 
 OPTIONS = GapOptions(max_nodes=60, weights=4, iterations=6)
 COUNT = 20  # frames that are fitted, which derivatives are known of

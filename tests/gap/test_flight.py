@@ -9,7 +9,7 @@ import pytest
 from physconvex.gap import DEFAULT_EFFECTS, ErrorModel
 from physconvex.gap.base.baseline import Split
 from physconvex.gap.base.body_modes import BodyModes
-from physconvex.gap.judgement.flight import gain_in_flight, left_in_flight
+from physconvex.gap.judgement.residual_measures import gain_in_flight, left_in_flight
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 

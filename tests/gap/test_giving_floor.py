@@ -19,8 +19,8 @@ from physconvex.gap import (
     rough_baseline,
 )
 from physconvex.gap.base.baseline import FLOOR_LAW, Baseline
-from physconvex.gap.base.floor_depth import depth_seen
-from physconvex.gap.errors import numerics
+from physconvex.gap.base.observed_points import depth_seen
+from physconvex.gap.errors import numerical_differences as differences
 from physconvex.io import Capture, Floor, Tracks, save_capture
 from physconvex.mesh import TetMesh, box_mesh
 from physconvex.reduced import parameter_values
@@ -119,7 +119,7 @@ def test_the_fitted_stiffness_of_a_giving_floor_is_no_numerical_error(tmp_path: 
     assert base.situation.touches
     monkeypatch.setattr(EffectModel, "motion", lambda self, values: base.motion)
     monkeypatch.setattr(EffectModel, "reduced_motion", lambda self, values: base.motion)
-    monkeypatch.setattr(numerics, "other_mesh", lambda *arguments: base.model.twin.mesh)
+    monkeypatch.setattr(differences, "other_mesh", lambda *arguments: base.model.twin.mesh)
     for giving in (False, True):
         there = replace(base, situation=replace(base.situation, giving_floor=giving))
         found = numerical_differences(there, OPTIONS, lambda text: None)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from physconvex.gap import DEFAULT_EFFECTS, ErrorModel, Hypothesis
-from physconvex.gap.base.independent_residuals import temperature
-from physconvex.gap.errors.numerics import detail_errors
-from physconvex.gap.search.ranking import evidence_of_anything
+from physconvex.gap.base.body_modes import temperature
+from physconvex.gap.errors.error_model import detail_errors
+from physconvex.gap.search.hypothesis import evidence_of_anything
 
 FRAMES, COLUMNS = 40, 9
 

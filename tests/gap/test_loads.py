@@ -17,9 +17,9 @@ from physconvex.gap import (
     fit_baseline,
     rough_baseline,
 )
-from physconvex.gap.errors.numerics import Numerics
-from physconvex.gap.search.loads import _clock, loaded_starts
-from physconvex.gap.search.space_mapping import as_reduced
+from physconvex.gap.errors.numerical_differences import Numerics
+from physconvex.gap.search.full_order import as_reduced
+from physconvex.gap.search.starting_points import _clock, loaded_starts
 from physconvex.io import Capture, save_capture
 
 MODULUS = 2e5  # of the fixture `released`

@@ -9,8 +9,8 @@ from physconvex.dynamics import Plane, Timing, simulate
 from physconvex.fem import ElasticBody, Scene
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions, error_model, rough_baseline
 from physconvex.gap.base.model import reduced_like
-from physconvex.gap.errors.numerics import Numerics, exact_model
-from physconvex.gap.search.exact_corrections import with_own_correction
+from physconvex.gap.errors.numerical_differences import Numerics, exact_model
+from physconvex.gap.search.full_order import with_own_correction
 from physconvex.gap.search.hypothesis import base_hypothesis
 from physconvex.io import Capture, Floor, Tracks, save_capture
 from physconvex.mesh import TetMesh, box_mesh

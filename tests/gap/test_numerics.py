@@ -7,8 +7,8 @@ import pytest
 
 from physconvex.gap import GapOptions, PointMotion, correction_of, error_model
 from physconvex.gap.base.body_modes import body_modes
-from physconvex.gap.errors.numerics import Numerics
-from physconvex.gap.errors.rebound import path_since_contact
+from physconvex.gap.errors.error_model import path_since_contact
+from physconvex.gap.errors.numerical_differences import Numerics
 from physconvex.identify import MarkerObservations
 
 STILL = np.zeros((4, 3, 3))

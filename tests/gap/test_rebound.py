@@ -5,7 +5,7 @@ import pytest
 
 from physconvex.gap import ErrorModel, PointMotion
 from physconvex.gap.base.body_modes import BodyModes
-from physconvex.gap.errors.rebound import forgiving, path_since_contact
+from physconvex.gap.errors.error_model import forgiving, path_since_contact
 
 
 def motion_of(height):

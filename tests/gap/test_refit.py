@@ -10,7 +10,7 @@ import pytest
 
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions, error_model, rough_baseline
 from physconvex.gap.base.cost import Cost
-from physconvex.gap.errors.numerics import Numerics
+from physconvex.gap.errors.numerical_differences import Numerics
 from physconvex.gap.search import effect_fits as fitting
 from physconvex.gap.search.effect_fits import refit
 from physconvex.io import Capture

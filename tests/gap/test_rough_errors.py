@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.gap.base import rough_errors
-from physconvex.gap.base.rough_errors import with_rough_errors
+from physconvex.gap.base import rough_fit
+from physconvex.gap.base.rough_fit import with_rough_errors
 from physconvex.gap.thresholds import BASE_FIT
 from physconvex.identify import TwinOptions, base_twin, marker_observations
 from physconvex.io import Capture, Floor, Tracks, save_capture
@@ -43,7 +43,7 @@ def test_noise_is_widened_little_in_flight_and_much_from_the_impact_on(falling):
 def test_a_contact_between_two_frames_is_seen_by_what_it_does_to_the_velocity(falling, monkeypatch):
     twin, seen = falling
     once = with_rough_errors(seen, twin, FRAMES).sigma[:, 0]
-    monkeypatch.setattr(rough_errors, "BASE_FIT", replace(BASE_FIT, near=-1e9))  # never near
+    monkeypatch.setattr(rough_fit, "BASE_FIT", replace(BASE_FIT, near=-1e9))  # never near
     np.testing.assert_allclose(with_rough_errors(seen, twin, FRAMES).sigma[:, 0], once)
 
 

@@ -9,13 +9,14 @@ from physconvex.dynamics import Plane, Timing, simulate
 from physconvex.fem import ElasticBody, Scene
 from physconvex.gap import DEFAULT_EFFECTS, ErrorModel, GapOptions, rough_baseline
 from physconvex.gap.base.model import MODULUS
-from physconvex.gap.errors.numerics import Numerics
-from physconvex.gap.search import flight
-from physconvex.gap.search.expected_errors import expect_anew
-from physconvex.gap.search.flight import from_flight
+from physconvex.gap.errors.numerical_differences import Numerics
+from physconvex.gap.search import starting_points
+from physconvex.gap.search.full_order import as_reduced
 from physconvex.gap.search.hypothesis import base_hypothesis
 from physconvex.gap.search.search_state import EffectSearch
-from physconvex.gap.search.space_mapping import as_reduced
+from physconvex.gap.search.selection import expect_anew
+from physconvex.gap.search.starting_points import from_flight
+from physconvex.gap.thresholds import SEARCH
 from physconvex.io import Capture, Floor, Tracks, save_capture
 from physconvex.mesh import TetMesh, box_mesh
 
@@ -104,7 +105,7 @@ def test_no_modulus_is_looked_for_where_nothing_shows_in_flight(tmp_path, tilted
     """A body that falls as the model says, or that strikes the floor at once."""
     assert len(searched(dropped(tmp_path / "upright", 0.0, 0.12), 0.6).found) == 1
     assert len(searched(dropped(tmp_path / "low", TILT, 0.01), 0.6).found) == 1
-    monkeypatch.setattr(flight, "_OPEN", np.inf)
+    monkeypatch.setattr(starting_points, "SEARCH", replace(SEARCH, flight_open=np.inf))
     assert len(searched(tilted, 0.6).found) == 1
 
 

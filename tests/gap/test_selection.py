@@ -10,8 +10,8 @@ from physconvex import ConvergenceError
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions, Score
 from physconvex.gap.base.cost import Cost
 from physconvex.gap.errors.screening import Screened, Screening, best_pairs
-from physconvex.gap.search import decision, rounds, search_state as state
-from physconvex.gap.search.ranking import finalists
+from physconvex.gap.search import full_order, rounds, search_state as state
+from physconvex.gap.search.hypothesis import finalists
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 
@@ -126,14 +126,14 @@ def test_full_order_fits_go_on_as_long_as_they_help(monkeypatch):
     def fit(name):
         return SimpleNamespace(effects=(name,), motion=object(), seen=seen[name].pop(0), label=name)
 
-    monkeypatch.setattr(decision, "confirmed", lambda base, errors, found: found)
-    monkeypatch.setattr(decision, "improved", lambda base, errors, found, options: fit(found.label))
-    monkeypatch.setattr(decision, "judged", lambda base, errors, found: sorted(found, key=lambda h: -h.seen))
+    monkeypatch.setattr(full_order, "confirmed", lambda base, errors, found: found)
+    monkeypatch.setattr(full_order, "improved", lambda base, errors, found, options: fit(found.label))
+    monkeypatch.setattr(full_order, "judged", lambda base, errors, found: sorted(found, key=lambda h: -h.seen))
     plain = SimpleNamespace(effects=(), motion=object(), seen=-99.0, label="base model")
-    monkeypatch.setattr(decision, "base_hypothesis", lambda base, errors: plain)
+    monkeypatch.setattr(full_order, "base_hypothesis", lambda base, errors: plain)
     base = SimpleNamespace(model=SimpleNamespace(cost=Cost()), situation=SimpleNamespace(clamped=True))
     inexact = SimpleNamespace(exact=None)
-    found = decision.decided(base, None, inexact, [fit("load"), fit("clock")], GapOptions(), lambda text: None)
+    found = full_order.decided(base, None, inexact, [fit("load"), fit("clock")], GapOptions(), lambda text: None)
     assert {h.label: h.seen for h in found} == {"base model": -99.0, "load": -4.5, "clock": -8.9}
 
 
@@ -156,15 +156,15 @@ def test_fits_are_corrected_at_their_own_values_and_fitted_on_the_base_model_too
         improved.append(found.label)
         return fit(f"better {found.label}", found.evidence, -1.0) if found.seen < -1 else None
 
-    monkeypatch.setattr(decision, "confirmed", lambda base, errors, found: found)
-    monkeypatch.setattr(decision, "with_own_correction", corrected)
-    monkeypatch.setattr(decision, "improved", better)
-    monkeypatch.setattr(decision, "judged", lambda base, errors, found: sorted(found, key=lambda h: -h.evidence))
-    monkeypatch.setattr(decision, "base_hypothesis", lambda base, errors: fit("base", -40.0))
+    monkeypatch.setattr(full_order, "confirmed", lambda base, errors, found: found)
+    monkeypatch.setattr(full_order, "with_own_correction", corrected)
+    monkeypatch.setattr(full_order, "improved", better)
+    monkeypatch.setattr(full_order, "judged", lambda base, errors, found: sorted(found, key=lambda h: -h.evidence))
+    monkeypatch.setattr(full_order, "base_hypothesis", lambda base, errors: fit("base", -40.0))
     base = SimpleNamespace(model=SimpleNamespace(cost=Cost()), situation=SimpleNamespace(clamped=False))
     fits = [fit("a spin", 0.0), fit("a tilt", -30.0), fit("a drag", -20.0)]
     numerics = SimpleNamespace(exact="fine")
-    found = decision.decided(base, None, numerics, fits, GapOptions(), lambda text: None)
+    found = full_order.decided(base, None, numerics, fits, GapOptions(), lambda text: None)
     assert exact[:3] == ["base", "a spin", "a drag"] and "exact base" in improved
     assert {h.label for h in found if h.evidence == -30.0} == {"a tilt"} and "a tilt" not in improved
     assert {h.label for h in found if h.evidence == 0.0} == {"exact better exact a spin"}

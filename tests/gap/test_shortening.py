@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from physconvex.gap.base.shortening import shortened
+from physconvex.gap.base.baseline import shortened
 from physconvex.io import Boundary, Capture, Tracks, load_capture, save_capture
 
 

@@ -10,7 +10,7 @@ from physconvex.gap.judgement import verdict as rules
 from physconvex.gap.judgement.caveats import caveats_of
 from physconvex.gap.judgement.naming import favoured, probabilities
 from physconvex.gap.judgement.residual_measures import Measured
-from physconvex.gap.search.ranking import within_bounds
+from physconvex.gap.search.hypothesis import within_bounds
 
 pytestmark = pytest.mark.wrong_types  # stand-ins for models and fits
 

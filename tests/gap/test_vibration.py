@@ -8,7 +8,7 @@ import pytest
 from physconvex import InputError
 from physconvex.gap.base.baseline import Split
 from physconvex.gap.base.observed_points import _check_on_body, starts_elsewhere, with_honest_noise
-from physconvex.gap.location.impulse_and_work import _rigid_motion
+from physconvex.gap.location.body_motion import _rigid_motion
 from physconvex.gap.search.damped_sine import deformation, ringing, ringing_likelihood
 from physconvex.identify import MarkerObservations
 from physconvex.io import Capture

@@ -7,208 +7,23 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import Plane
-from physconvex.errors import ConvergenceError, InputError
-from physconvex.gap.base.baseline import FLOOR_LAW, Baseline, Report, Split, split_frames
-from physconvex.gap.base.body_modes import body_modes
-from physconvex.gap.base.box_mesh import box_of_body
-from physconvex.gap.base.cost import Cost
-from physconvex.gap.base.floor_depth import depth_seen
-from physconvex.gap.base.independent_residuals import temperature
-from physconvex.gap.base.model import EffectModel, SecantModel, reduced_like
-from physconvex.gap.base.observed_points import Seen, observations_of, starts_elsewhere, with_honest_noise
-from physconvex.gap.base.rough_errors import with_rough_errors
-from physconvex.gap.effects.effect import Situation
+from physconvex.errors import ConvergenceError
+from physconvex.gap.base.baseline import Baseline, Report
+from physconvex.gap.base.body_modes import temperature
+from physconvex.gap.base.model import SecantModel, reduced_like
+from physconvex.gap.base.rough_fit import run_base
 from physconvex.gap.effects.motion import MotionCorrection, PointMotion
 from physconvex.gap.options import GapOptions
 from physconvex.gap.thresholds import BASE_FIT
 from physconvex.identify import (
-    Fit,
     FitOptions,
-    MarkerObservations,
-    Parameter,
-    PixelObservations,
-    ReducedModel,
-    Twin,
-    TwinOptions,
-    base_twin,
-    default_parameters,
     fit,
-    scan,
-    scan_values,
-    start_motion,
 )
-from physconvex.io import Capture
 from physconvex.mesh import TetMesh
 
-__all__ = ["fit_baseline", "misfit_of_base", "rough_baseline", "run_base", "steps_per_frame"]
+__all__ = ["fit_baseline", "misfit_of_base"]
 
 _RATIO = "poisson_ratio"
-
-
-def _twin(capture: Capture, weights: int, max_nodes: int, steps: int) -> Twin:
-    """The capture's twin on a mesh of so many nodes, or of up to four times as many if the boundary needs them.
-
-    Raises:
-        InputError: the capture lacks something.
-    """
-    for factor in (1, 2, 4):
-        chosen = TwinOptions(weights=weights, max_nodes=factor * max_nodes, steps_per_frame=steps)
-        try:
-            return base_twin(capture, chosen, mesh=box_of_body(capture, chosen.max_nodes))
-        except InputError as error:
-            if factor == 4 or not str(error).startswith("boundary"):
-                raise
-    raise AssertionError("unreachable")
-
-
-def _cheap(capture: Capture, options: GapOptions) -> Twin:
-    """For the scan over E."""
-    return _twin(capture, 5, min(200, options.max_nodes), max(4, int(np.ceil(192 / capture.fps))))
-
-
-def _first_values(capture: Capture, observations: Seen, frames: int, options: GapOptions) -> tuple[Parameter, ...]:
-    """Starts of the base parameters: rigid motion from the first frames, E from a scan."""
-    twin = _cheap(capture, options)
-    if isinstance(observations, MarkerObservations):
-        twin = start_motion(twin, observations)
-    parameters = default_parameters(twin)
-    gravity = float(np.linalg.norm(capture.gravity))
-    moduli = scan_values(density=capture.density, gravity=gravity, size=twin.mesh.size)
-    if isinstance(observations, MarkerObservations):
-        middle = twin.with_values(["log10_youngs_modulus"], np.array(moduli[len(moduli) // 2 : len(moduli) // 2 + 1]))
-        observations = with_rough_errors(observations, middle, frames)
-    names = tuple(p.name for p in parameters)
-    windows = _windows(frames, held=twin.clamp is not None)
-    model = ReducedModel(twin, names, observations.points, windows[0])
-    candidates = scan(model, observations.in_frames(windows[0]), parameters, moduli=moduli, ratios=(0.35,))
-    tried = []
-    for candidate in candidates[: BASE_FIT.starts_held if twin.clamp is not None else 1]:
-        chosen = candidate.parameters
-        try:
-            for count in windows:  # a vibration that is off by a period pulls the wrong way: begin with few
-                model = ReducedModel(twin, names, observations.points, count)
-                found = fit(model, observations.in_frames(count), chosen, options=FitOptions(max_iterations=8))
-                chosen = tuple(p.at(float(v)) for p, v in zip(found.parameters, found.values, strict=True))
-        except ConvergenceError:
-            continue
-        tried.append((found.misfit, chosen))
-    if not tried:
-        return candidates[0].parameters
-    return min(tried, key=lambda pair: pair[0])[1]
-
-
-def _windows(frames: int, *, held: bool) -> tuple[int, ...]:
-    """Numbers of frames that are fitted one after the other; held bodies vibrate from the start.
-
-    Fewer than ten frames may show no more than the first fall, which any soft body makes.
-    """
-    if not held:
-        return (frames,)
-    return tuple(sorted({min(frames, max(10, frames // 2)), frames}))
-
-
-def steps_per_frame(twin: Twin, values: dict[str, float]) -> int:
-    """Time steps per frame that resolve the body's vibrations, within what can be afforded."""
-    wave = twin.mesh.size * np.sqrt(twin.capture.density / 10 ** values["log10_youngs_modulus"])
-    resolved = BASE_FIT.steps_per_wave if twin.clamp is None else BASE_FIT.steps_per_wave_held
-    wanted = int(np.ceil(resolved / (wave * twin.fps)))
-    most = max(twin.steps_per_frame, BASE_FIT.most_steps // twin.capture.frames)
-    return int(np.clip(wanted, twin.steps_per_frame, most))
-
-
-def _situation(
-    twin: Twin, seen: Seen, peak_stress: float, touches: bool, giving: bool, depth: float
-) -> Situation:  # fmt: skip
-    scene, capture = twin.scene, twin.capture
-    return Situation(
-        size=twin.mesh.size,
-        youngs_modulus=float(np.mean(scene.body.youngs_modulus)),
-        density=capture.density,
-        fps=capture.fps,
-        frames=capture.frames,
-        floor=bool(scene.obstacles),
-        clamped=twin.clamp is not None,
-        touches=touches,
-        giving_floor=giving,
-        depth=depth,
-        friction=max((o.friction for o in scene.obstacles), default=0.0),
-        states_velocity=capture.initial_velocity is not None or twin.clamp is not None,
-        states_spin=capture.initial_angular_velocity is not None or twin.clamp is not None,
-        starts_elsewhere=starts_elsewhere(seen),
-        peak_stress=peak_stress,
-        gravity=(float(capture.gravity[0]), float(capture.gravity[1]), float(capture.gravity[2])),
-        camera=seen.camera if isinstance(seen, PixelObservations) else None,
-    )
-
-
-def _stress_and_contact(model: EffectModel, values: np.ndarray) -> tuple[float, np.ndarray, PointMotion]:
-    """Peak von Mises stress [Pa] (99th percentile), normal force per frame [N], and the motion of the points."""
-    motion, scene, run = model.full_motion(values)
-    contact, peak, force = scene.contact(), 0.0, np.zeros(len(motion.times))
-    for frame, x in enumerate(run.positions[:: model.twin.steps_per_frame]):
-        stress = scene.body.stress(x).cpu().numpy()
-        deviator = stress - np.trace(stress, axis1=-2, axis2=-1)[..., None, None] / 3 * np.eye(3)
-        mises = np.sqrt(1.5 * (deviator**2).sum((-1, -2)))
-        peak = max(peak, float(np.quantile(mises, 0.99)))
-        force[frame] = np.linalg.norm(contact.energy_and_gradient(x, motion.times[frame])[1], axis=1).sum()
-    return peak, force, motion
-
-
-def rough_baseline(
-    capture: Capture, options: GapOptions, report: Report, *, cost: Cost | None = None
-) -> Baseline:  # fmt: skip
-    """Fit what the capture leaves free of the reduced base model, and run the full-order one there.
-
-    Args:
-        capture: the capture.
-        options: settings.
-        report: told what is done.
-        cost: where the runs of all models derived from it are counted.
-
-    Raises:
-        InputError: no tracks, no rest geometry, or too few frames.
-        ConvergenceError: the base model cannot be simulated.
-    """
-    observations = with_honest_noise(observations_of(capture, _cheap(capture, options)))
-    split = split_frames(capture, observations.frames)
-    count = split.end
-    fitted = observations.in_frames(count)
-    report("rough fit of the base model")
-    starts = _first_values(capture, fitted, count, options)
-    values = {p.name: p.start for p in starts}
-    twin = _twin(capture, options.weights, options.max_nodes, 6)
-    twin = replace(twin, steps_per_frame=steps_per_frame(twin, values))
-    names = tuple(values)
-    twin = twin.with_values(names, np.array(list(values.values())))
-    report("fit of the reduced base model")
-    fitted = with_rough_errors(fitted, twin, count)
-    rough = fit(ReducedModel(twin, names, fitted.points, count), fitted, starts, options=FitOptions(max_iterations=6))
-    return run_base(capture, observations, split, twin.with_values(names, rough.values), rough, cost=cost)
-
-
-def run_base(
-    capture: Capture, observations: Seen, split: Split, twin: Twin, found: Fit, *, mesh: TetMesh | None = None,
-    cost: Cost | None = None,
-) -> Baseline:  # fmt: skip
-    """The full-order model at fitted values, all frames, without tangents."""
-    giving = bool(set(FLOOR_LAW) & set(found.names))
-    depth = depth_seen(capture, observations, split.fitted)
-    situation = _situation(twin, observations, 1e3, bool(twin.scene.obstacles), giving, depth)
-    points, camera = np.asarray(observations.points), situation.camera
-    model = EffectModel(
-        twin, found.names, points, capture.frames, situation, camera=camera, mesh=mesh, cost=cost or Cost()
-    )
-    peak, force, motion = _stress_and_contact(model, found.values)
-    situation = _situation(twin, observations, peak, bool((force > 0).any()), giving, depth)
-    nothing = np.zeros((capture.frames, len(found.names), *motion.positions.shape[1:]))
-    floors = twin.scene.obstacles
-    normal = np.asarray(floors[0].normal) if len(floors) == 1 and isinstance(floors[0], Plane) else None
-    modes = body_modes(observations, free=situation.floor and not situation.clamped, force=force, normal=normal)
-    return Baseline(
-        capture, observations, split, replace(model, situation=situation), found, motion, nothing, situation, force,
-        modes,
-    )  # fmt: skip
 
 
 def fit_baseline(
@@ -221,7 +36,7 @@ def fit_baseline(
 ) -> Baseline:
     """Fit the full-order base model to the fitted frames, with what a finer model would change added.
 
-    The reduced model searches, the full-order one is run at what it found, see `gap.search.space_mapping`. Of a
+    The reduced model searches, the full-order one is run at what it found, see `physconvex.gap.search.full_order`. Of a
     free body that comes out nearly incompressible, or hardly so, the fit is made from a middling ν too, and the better
     one taken: such a ν may be a valley of its own, which an effect that is missing has opened and which no dose is
     found from.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -16,15 +16,9 @@ from physconvex.gap.effects.effect import Situation
 from physconvex.gap.effects.motion import PointMotion
 from physconvex.gap.thresholds import BASE_FIT
 from physconvex.identify import Fit, Observations, Twin
-from physconvex.io import Capture
+from physconvex.io import Boundary, Capture, Tracks
 
-__all__ = [
-    "FLOOR_LAW",
-    "Baseline",
-    "Split",
-    "derivatives_of_residuals",
-    "split_frames",
-]
+__all__ = ["FLOOR_LAW", "Baseline", "Split", "derivatives_of_residuals", "shortened", "split_frames"]
 
 Report = Callable[[str], None]
 FLOOR_LAW = ("log10_contact_stiffness", "contact_damping")  # joins the base parameters where the floor gives way
@@ -163,3 +157,42 @@ def split_frames(capture: Capture, seen: Int[np.ndarray, " n"]) -> Split:
         first, rest = frames[:cut], frames[cut:]
     half = (len(rest) + 1) // 2
     return Split(first, rest[:half], rest[half:] if len(rest) > half else rest[-1:])
+
+
+@dataclass(frozen=True, eq=False)
+class _Beginning(Capture):
+    """A capture of which only the first `frames` frames are used.
+
+    Attributes:
+        whole: all of it.
+    """
+
+    whole: Capture | None = None
+
+    def tracks(self) -> Tracks | None:
+        """Marker tracks of the first frames."""
+        assert self.whole is not None
+        tracks = self.whole.tracks()
+        if tracks is None:
+            return None
+        return replace(tracks, positions=tracks.positions[: self.frames], sigma=tracks.sigma[: self.frames])
+
+    def boundary(self) -> Boundary | None:
+        """What is held, and how it moves in the first frames."""
+        assert self.whole is not None
+        boundary = self.whole.boundary()
+        if boundary is None or boundary.motion is None:
+            return boundary
+        return replace(boundary, motion=boundary.motion[: self.frames])
+
+
+def shortened(capture: Capture, most: int = BASE_FIT.most_frames) -> Capture:
+    """A capture with no more than so many frames, of which the same share, two thirds at most, is observed.
+
+    A diagnosis simulates a capture some hundred times, and open-loop models part from long recordings anyway.
+    """
+    if capture.frames <= most:
+        return capture
+    stated = {field.name: getattr(capture, field.name) for field in fields(Capture) if field.init}
+    stated |= {"frames": most, "observed_frames": min(capture.observed_frames, 2 * most // 3)}
+    return _Beginning(**stated, whole=capture)

@@ -4,7 +4,8 @@ After an impact two meshes of one body soon differ in how it flies on, by ten ti
 strain, and that by several times what they differ by in everything finer. One size for all of these would hide a
 material in the errors of a rebound. So the residuals of each frame are turned, r → Qᵀ r with Q orthogonal: the first
 six then lie along rigid motions of the body where it was seen, the next six along its even strains, the others along
-neither. Squares stay what they are, and each kind has a numerical error of its own (`physconvex.gap.errors.numerics`).
+neither. Squares stay what they are, and each kind has a numerical error of its own
+(`physconvex.gap.errors.error_model`).
 
 Frames from the first contact on are kinds of their own: what is left of a few hundred markers before it says nothing of
 how well the model follows an impact, and a mean over both would count as if it did.
@@ -28,10 +29,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.linalg import null_space
 
-from physconvex.gap.thresholds import NUMERICAL_ERROR
+from physconvex.gap.thresholds import EVIDENCE, NUMERICAL_ERROR
 from physconvex.identify import MarkerObservations, Observations, PixelObservations, WrappedObservations
 
-__all__ = ["BodyModes", "TurnedObservations", "body_modes", "undivided"]
+__all__ = ["BodyModes", "TurnedObservations", "body_modes", "temperature", "undivided"]
 
 _RIGID, _STRAIN, _REST, _PARTS = 0, 1, 2, 3
 _DEPENDENT = 1e-3  # of its length: what is left of a motion that the ones before it make up
@@ -213,3 +214,29 @@ class TurnedObservations(WrappedObservations):
         """The first `count` frames alone."""
         modes = self.modes.in_frames(count)
         return TurnedObservations(self.seen.in_frames(count), modes, self.sigma[: len(modes.frames)])
+
+
+def temperature(
+    whitened: Float[np.ndarray, " N"], frames: Int[np.ndarray, " N"], columns: Int[np.ndarray, " N"]
+) -> float:
+    """Residuals per independent one; 1 for noise alone.
+
+    Their table of frames by columns has a participation ratio of shapes, and a correlation from frame to frame; the
+    product of the independent shapes and moments is counted for the part of the mean square that exceeds one.
+
+    Args:
+        whitened: residuals over what noise and numerical error lead one to expect.
+        frames: frame of each.
+        columns: what in the frame each is of (point and coordinate).
+    """
+    excess = 1.0 - 1.0 / max(float(np.mean(whitened**2)), 1.0) if len(whitened) else 0.0
+    seen, rows = np.unique(frames, return_inverse=True)
+    if excess <= 0 or len(seen) < 2:
+        return 1.0
+    table = np.zeros((len(seen), int(columns.max()) + 1))
+    table[rows, columns] = whitened
+    strengths = np.linalg.svd(table, compute_uv=False) ** 2
+    shapes = float(strengths.sum() ** 2 / (strengths**2).sum())
+    lasting = float(np.clip((table[1:] * table[:-1]).sum() / (table**2).sum(), 0.0, 1.0))
+    moments = len(seen) * max((1 - lasting) / (1 + lasting), EVIDENCE.smooth)
+    return max(1.0, 1.0 + excess * (len(whitened) / (shapes * moments) - 1.0))

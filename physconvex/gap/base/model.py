@@ -56,7 +56,7 @@ class EffectModel:
         refinement: factor on its time steps.
         integrator: of the full-order model.
         doubt: how much the stated noise overrates what the fit says, by which priors weigh more; see
-            `physconvex.gap.base.independent_residuals`.
+            `physconvex.gap.base.body_modes`.
         reduced: whether motions come from the reduced model; `correction` then makes up for the difference.
         stiffer: decades of E added in every run.
         surrogate_stiffer: the same for the cheaper model that `reduced_like` makes.

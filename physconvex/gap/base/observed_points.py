@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from physconvex.errors import InputError
 from physconvex.gap.effects.motion import PointMotion
@@ -16,6 +16,7 @@ from physconvex.mesh import TetMesh
 
 __all__ = [
     "Seen",
+    "depth_seen",
     "followed",
     "in_metres",
     "lost_points",
@@ -152,3 +153,24 @@ def in_metres(seen: Seen, motion: PointMotion) -> Float[np.ndarray, " N"]:
     camera = seen.camera
     local = (motion.positions[seen.frames, seen.point_indices] - camera.position) @ camera.rotation
     return np.asarray(sigma * np.abs(local[:, 2]) / np.sqrt(camera.fl_x * camera.fl_y))
+
+
+def depth_seen(capture: Capture, seen: Seen, frames: Int[np.ndarray, " F"]) -> float:
+    """How deep markers lie in the floor [m]: the second deepest, noise taken off; 0 without markers or floor.
+
+    What frame 0 lies off its rest state by counts as a shift of the markers' frame.
+
+    Args:
+        capture: of which the floor is taken.
+        seen: the observations.
+        frames: in which it is looked for.
+    """
+    if not isinstance(seen, MarkerObservations) or capture.floor is None:
+        return 0.0
+    normal = np.asarray(capture.floor.normal) / np.linalg.norm(capture.floor.normal)
+
+    first = (seen.positions[0] - seen.points) @ normal
+    shift = float(np.nanmean(first)) if np.isfinite(first).any() else 0.0
+    height = (seen.positions[frames] - np.asarray(capture.floor.point)) @ normal - shift + 4 * seen.sigma[frames]
+    deep = np.sort(-height[np.isfinite(height)])
+    return max(float(deep[-2]), 0.0) if len(deep) > 1 else 0.0

@@ -23,7 +23,7 @@ from physconvex.gap.base.lowest_mode import decades_between
 from physconvex.gap.base.model import MODULUS, EffectModel, searches_itself
 from physconvex.gap.effects.catalogue import DEFAULT_EFFECTS, applicable
 from physconvex.gap.effects.motion import MotionCorrection
-from physconvex.gap.errors.numerics import Numerics
+from physconvex.gap.errors.numerical_differences import Numerics
 from physconvex.gap.options import GapOptions
 from physconvex.gap.thresholds import SETTING
 from physconvex.mesh import TetMesh

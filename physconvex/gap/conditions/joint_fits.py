@@ -1,34 +1,45 @@
-"""Fits of the base model in the company of effects: what the recording's floor and elements are is asked with them.
+"""Fits of the base model in the company of effects, and the scans over floor and damping from which they begin.
 
-Beside a tilt of gravity, a spin or friction, a floor's give is a small share of the squares, and so is what a mesh that
-locks does; without them, both stand in for the effect. The company serves these questions alone: its doses are thrown
-away, and which effects there are is asked later.
+Beside a tilt of gravity, a spin or friction, a floor's give is a small share of the squares, and so is what a mesh
+that locks does; without them, both stand in for the effect. The company serves these questions alone: its doses are
+thrown away, and which effects there are is asked later.
+
+**A floor that gives way.** `capture.json` states neither its stiffness nor its dashpot. Programs with a soft contact
+let a body sink in by percents of its size and take energy from it there; a model with a hard floor can only answer
+with a body ten times too soft, after which everything looks like damping. Contact and body are told apart by what
+markers do below the floor, and by the ringing after lift-off, which a dashpot of the contact leaves alone and damping
+of the body does not.
+
+**Much damping.** Without damping, a soft body that hardly bounces is best followed by one a hundred times as stiff: a
+fit of E alone ends there, and from there no dose of damping looks right. Where the two together leave much less of
+the squares, numerical errors are taken in their company, and the search for effects begins at them as well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.gap.base.base_fit import steps_per_frame
-from physconvex.gap.base.baseline import Baseline
-from physconvex.gap.base.model import EffectModel, SecantModel
+from physconvex.gap.base.baseline import FLOOR_LAW, Baseline
+from physconvex.gap.base.model import MODULUS, EffectModel, SecantModel
 from physconvex.gap.base.observed_points import Seen
-from physconvex.gap.base.rough_errors import with_rough_errors
+from physconvex.gap.base.rough_fit import steps_per_frame, with_rough_errors
 from physconvex.gap.effects.catalogue import DEFAULT_EFFECTS, applicable
 from physconvex.gap.effects.effect import Effect
 from physconvex.gap.options import GapOptions
 from physconvex.gap.thresholds import SETTING
-from physconvex.identify import Fit, FitOptions, fit, misfit_of
+from physconvex.identify import Fit, FitOptions, fit, misfit_of, scan_values
 from physconvex.mesh import TetMesh
 
-__all__ = ["RIGID", "Company"]
+__all__ = ["RIGID", "Company", "damped_fit", "on_giving_floor", "sinks_in", "softness"]
 
 RIGID = ("friction", "gravity_tilt", "air_drag (linear)", "initial_velocity", "initial_spin")
+_RATIO = "poisson_ratio"
 
 
 class Company:
@@ -115,3 +126,82 @@ class Company:
             return fit(secant, self.seen, full.parameters(values), options=stop)
         except (ConvergenceError, InputError):
             return None
+
+
+def sinks_in(base: Baseline) -> bool:
+    """Whether markers lie deeper in the floor than a stiff one allows."""
+    return base.situation.depth >= SETTING.soft_depth * base.situation.size
+
+
+def on_giving_floor(company: Company, doses: Float[np.ndarray, " D"]) -> Fit | None:
+    """The reduced model's fit with stiffness and dashpot of the floor free, from the best of a scan.
+
+    None where no start can be simulated.
+
+    Args:
+        company: the rough base fit and the effects beside.
+        doses: of these, where the scan is made.
+    """
+    base = company.base
+    names = (*base.model.base, *FLOOR_LAW)
+    starts = [np.append(values, doses) for values in _starts(base)]
+    misfits = [company.misfit(names, values) for values in starts]
+    order = [i for i in np.argsort(misfits)[: SETTING.fits] if np.isfinite(misfits[i])]
+    return company.best(names, [starts[i] for i in order])
+
+
+def softness(base: Baseline, names: tuple[str, ...], values: Float[np.ndarray, " K"]) -> float:
+    """Stiffness of the floor over that which the base model gives it for the same E."""
+    own = base.model.twin.with_values(base.model.base, values[: len(base.model.base)]).scene.contact().stiffness
+    return float(10 ** values[names.index(FLOOR_LAW[0])] / own)
+
+
+def _starts(base: Baseline) -> list[np.ndarray]:
+    """Values of the base parameters, the floor's last."""
+    normal = np.asarray(base.capture.floor.normal) / np.linalg.norm(base.capture.floor.normal)  # type: ignore[union-attr]
+    speed = max(-float((base.motion.velocities.mean(1) @ normal).min()), 1e-2)
+    depth, names = base.situation.depth, base.model.base
+    at, out = names.index("log10_youngs_modulus"), []
+    for decades, shift, dashpot in product(SETTING.moduli, SETTING.stiffnesses, SETTING.dashpots):
+        values = base.fit.values.copy()
+        values[at] += decades
+        if "poisson_ratio" in names:
+            values[names.index("poisson_ratio")] = np.clip(values[names.index("poisson_ratio")], *SETTING.poisson_ratio)
+        pressure = np.sqrt(10 ** values[at] * base.capture.density) * speed  # of a body that stops within a wave's time
+        out.append(np.append(values, [np.log10(pressure / depth) + shift, dashpot * depth / speed]))
+    return out
+
+
+def damped_fit(base: Baseline, options: GapOptions) -> tuple[Company, Fit] | None:
+    """The reduced model's fit with damping, its dose the last value; None where it leaves nearly as much as without.
+
+    Args:
+        base: the rough base fit.
+        options: settings.
+    """
+    company, names, capture = Company(base, options, ["damping"]), base.model.base, base.capture
+    if MODULUS not in names or not company.effects:
+        return None
+    gravity = float(np.linalg.norm(capture.gravity))
+    moduli = scan_values(density=capture.density, gravity=gravity, size=base.situation.size)
+
+    def start(modulus: float, share: float) -> np.ndarray:
+        wave = base.situation.size * np.sqrt(capture.density / 10**modulus)
+        values = np.append(base.fit.values, share * wave)
+        values[names.index(MODULUS)] = modulus
+        if _RATIO in names:
+            values[names.index(_RATIO)] = np.clip(values[names.index(_RATIO)], *SETTING.poisson_ratio)
+        return values
+
+    tried = [(company.misfit(names, values), values) for values in (start(m, SETTING.damping) for m in moduli)]
+    best = int(np.argmin([misfit for misfit, _ in tried]))
+    near = moduli[max(best - 1, 0) : best + 2]
+    others = (start(*pair) for pair in product(near, SETTING.other_damping))
+    tried += [(company.misfit(names, values), values) for values in others]
+    first = sorted(tried, key=lambda pair: pair[0])[: SETTING.fits]
+    order = [values for misfit, values in first if np.isfinite(misfit)]
+    found = company.best(names, order)
+    if found is None:
+        return None
+    without = company.misfit(names, np.append(base.fit.values, company.nothing))
+    return None if found.misfit > SETTING.damped_better * without else (company, found)

@@ -13,12 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from physconvex.errors import ConvergenceError
-from physconvex.gap.base.base_fit import run_base
 from physconvex.gap.base.baseline import FLOOR_LAW, Baseline
+from physconvex.gap.base.rough_fit import run_base
 from physconvex.gap.conditions.capture_elements import own_elements
-from physconvex.gap.conditions.dissipation import damped_fit
-from physconvex.gap.conditions.giving_floor import on_giving_floor, sinks_in, softness
-from physconvex.gap.conditions.joint_fits import Company
+from physconvex.gap.conditions.joint_fits import Company, damped_fit, on_giving_floor, sinks_in, softness
 from physconvex.gap.options import GapOptions
 from physconvex.gap.thresholds import SETTING
 from physconvex.identify import Fit

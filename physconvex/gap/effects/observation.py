@@ -1,19 +1,22 @@
-"""Effects of the observation: cameras, markers, clocks. They act on simulated positions before these are compared.
+"""Effects of the observation: cameras, markers, clocks, and the light of pictures.
 
-A camera's errors are written as motions of the points that look the same to it: what it sees of x' = A(x) through the
-stated camera is what the true camera sees of x.
+Those of cameras, markers and clocks act on simulated positions before these are compared. A camera's errors are
+written as motions of the points that look the same to it: what it sees of x' = A(x) through the stated camera is what
+the true camera sees of x. Effects of image formation act on patches of pictures, and move no point.
 """
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.gap.effects.effect import Dose, Effect, Situation
+from physconvex.gap.effects.effect import Dose, Effect, Patches, Situation
 from physconvex.gap.effects.motion import PointMotion
 from physconvex.numerics import rotation_matrix
 
-__all__ = ["OBSERVATION_EFFECTS"]
+__all__ = ["EXPOSURE", "IMAGE_EFFECTS", "MOTION_BLUR", "OBSERVATION_EFFECTS"]
+
 
 Doses = Float[np.ndarray, " D"]
 Positions = Float[np.ndarray, "T P 3"]
@@ -126,7 +129,6 @@ ROLLING_SHUTTER = Effect(
     description="rows of the image are exposed one after the other",
     confusable=("initial_spin", "time_offset"),
 )
-
 OBSERVATION_EFFECTS: tuple[Effect, ...] = (
     TIME_OFFSET,
     TIME_SCALE,
@@ -135,3 +137,51 @@ OBSERVATION_EFFECTS: tuple[Effect, ...] = (
     LENS_DISTORTION,
     ROLLING_SHUTTER,
 )
+
+
+def _brighter(patches: Patches, doses: Float[np.ndarray, " D"]) -> Float[np.ndarray, "N h w"]:
+    return np.asarray(patches.light * np.exp(doses[0] * patches.times)[:, None, None])
+
+
+def _line(displacement: Float[np.ndarray, " 2"]) -> np.ndarray:
+    """Kernel that averages over a straight way [pixels] with its middle at the middle: bilinear samples along it."""
+    reach = int(np.ceil(np.abs(displacement).max() / 2)) + 1
+    kernel = np.zeros((2 * reach + 1, 2 * reach + 1))
+    count = 4 * int(np.ceil(np.linalg.norm(displacement))) + 1
+    places = reach + np.linspace(-0.5, 0.5, count)[:, None] * displacement[::-1]  # rows, columns
+    corner = np.floor(places).astype(int)
+    part = places - corner
+    for row in (0, 1):
+        for column in (0, 1):
+            weights = np.abs(1 - row - part[:, 0]) * np.abs(1 - column - part[:, 1])
+            np.add.at(kernel, (corner[:, 0] + row, corner[:, 1] + column), weights)
+    return kernel / count
+
+
+def _smeared(patches: Patches, doses: Float[np.ndarray, " D"]) -> Float[np.ndarray, "N h w"]:
+    if doses[0] <= 0:
+        return patches.light
+    smeared = [
+        cv2.filter2D(light, -1, _line(velocity * doses[0]), borderType=cv2.BORDER_REPLICATE)
+        for light, velocity in zip(patches.light, patches.velocities, strict=True)
+    ]
+    return np.array(smeared)
+
+
+EXPOSURE = Effect(
+    "exposure",
+    "observation",
+    (Dose("drift", "1/s", -5.0, 5.0, 0.05, lambda s: 1.0),),
+    photograph=_brighter,
+    applies=_seen_by_camera,
+    description="the picture grows brighter or darker: logarithm of its light per second",
+)
+MOTION_BLUR = Effect(
+    "motion_blur",
+    "observation",
+    (Dose("exposure_time", "s", 0.0, 0.2, 1e-3, lambda s: 0.5 / s.fps),),
+    photograph=_smeared,
+    applies=_seen_by_camera,
+    description="the shutter stays open while the body moves: edges widen along the motion",
+)
+IMAGE_EFFECTS: tuple[Effect, ...] = (EXPOSURE, MOTION_BLUR)

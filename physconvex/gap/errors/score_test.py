@@ -7,7 +7,7 @@ and V the covariance of what noise and numerical errors leave,
 
 tildes: whitened by V and projected off N (the effective score of Rao's test). V = diag(σ² + c κ² s²) + Σ_b d_b d_bᵀ:
 noise; the size s of numerical differences at each frame, widened since residuals of a frame share such errors (c, see
-`physconvex.gap.errors.numerics`); and the differences d_b themselves (runs without any effect on
+`physconvex.gap.errors.error_model`); and the differences d_b themselves (runs without any effect on
 another mesh and with other steps), so that what looks like numerical error earns no score.
 """
 

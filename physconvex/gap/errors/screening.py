@@ -13,7 +13,7 @@ from physconvex.gap.base.baseline import Baseline, Report, derivatives_of_residu
 from physconvex.gap.base.model import EffectModel
 from physconvex.gap.effects.catalogue import applicable
 from physconvex.gap.effects.effect import Effect
-from physconvex.gap.errors.numerics import Numerics
+from physconvex.gap.errors.numerical_differences import Numerics
 from physconvex.gap.errors.score_test import ErrorModel, Projector, Score, least_squares, score_effect
 
 __all__ = ["Pair", "Screened", "Screening", "best_pairs", "screen"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -17,6 +18,8 @@ __all__ = [
     "SOMETHING_ELSE",
     "NamedDose",
     "NamedEffect",
+    "Verdict",
+    "VerdictName",
     "beside_something_else",
     "by_weight",
     "favoured",
@@ -26,6 +29,7 @@ __all__ = [
 
 SOMETHING_ELSE = "something else"
 _DEFORMING = ("material", "contact")  # sources of effects that act through how the body deforms or touches
+VerdictName = Literal["none", "effect", "unknown", "inconclusive"]
 
 
 @dataclass(frozen=True)
@@ -212,3 +216,24 @@ def named_effects(
             NamedEffect(effect.name, effect.variant, effect.source, _of_name(effect.name, probability), doses, confused)
         )
     return out
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The answer.
+
+    Attributes:
+        name: none, effect, unknown or inconclusive.
+        sentence: for people.
+        effects: the named effects and those that remain possible, most probable first.
+        none_probability: of the base model.
+        share: of the held-out gap above the floor that the best effect removes.
+        caveats: what limits the answer.
+    """
+
+    name: VerdictName
+    sentence: str
+    effects: tuple[NamedEffect, ...]
+    none_probability: float
+    share: float
+    caveats: tuple[str, ...]

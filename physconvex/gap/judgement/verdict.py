@@ -6,13 +6,16 @@ from collections.abc import Sequence
 
 from physconvex.gap.effects.effect import IN_FLIGHT
 from physconvex.gap.errors.screening import Screening
-from physconvex.gap.judgement.naming import SOMETHING_ELSE, beside_something_else, favoured, probabilities
-from physconvex.gap.judgement.residual_measures import Measured
-from physconvex.gap.judgement.verdict_input import (
+from physconvex.gap.judgement.naming import (
+    SOMETHING_ELSE,
     Verdict,
-    VerdictInput,
     VerdictName,
+    beside_something_else,
+    favoured,
+    probabilities,
 )
+from physconvex.gap.judgement.residual_measures import Measured
+from physconvex.gap.judgement.verdict_input import VerdictInput
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.thresholds import VERDICT

@@ -6,47 +6,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from physconvex.gap.effects.effect import IN_FLIGHT
 from physconvex.gap.errors.screening import Screening
 from physconvex.gap.judgement.caveats import caveats_of, doses_in_sight
-from physconvex.gap.judgement.naming import NamedEffect, by_weight, named_effects
+from physconvex.gap.judgement.naming import NamedEffect, Verdict, VerdictName, by_weight, named_effects
 from physconvex.gap.judgement.residual_measures import Measured
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.thresholds import VERDICT
 
-__all__ = ["Verdict", "VerdictInput", "VerdictName"]
+__all__ = ["VerdictInput"]
 
-VerdictName = Literal["none", "effect", "unknown", "inconclusive"]
 _LATER = (
     "The flight before the first contact shows it beyond doubt. Of the held-out gap after it, it removes {:.0%}: the "
     "rest has another cause, of which a contact that works otherwise is the likeliest."
 )
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """The answer.
-
-    Attributes:
-        name: none, effect, unknown or inconclusive.
-        sentence: for people.
-        effects: the named effects and those that remain possible, most probable first.
-        none_probability: of the base model.
-        share: of the held-out gap above the floor that the best effect removes.
-        caveats: what limits the answer.
-    """
-
-    name: VerdictName
-    sentence: str
-    effects: tuple[NamedEffect, ...]
-    none_probability: float
-    share: float
-    caveats: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,7 @@ from scipy.stats import norm
 
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.effects.effect import Effect, Patches, Situation
-from physconvex.gap.judgement.naming import NamedDose, NamedEffect
-from physconvex.gap.judgement.verdict_input import Verdict
+from physconvex.gap.judgement.naming import NamedDose, NamedEffect, Verdict
 from physconvex.gap.light.patches import HALF, Compared, body_patches, light_of, still_patches
 from physconvex.gap.options import GapOptions
 from physconvex.gap.thresholds import PICTURES, VERDICT

@@ -10,9 +10,8 @@ from scipy.spatial import cKDTree
 
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.errors.score_test import ErrorModel
-from physconvex.gap.location.impulse_and_work import Entry, impulses
+from physconvex.gap.location.body_motion import Entry, Mode, impulses, vibrations
 from physconvex.gap.location.sources import budget_of, reduction_by_frame, squares_by_frame
-from physconvex.gap.location.vibration import Mode, vibrations
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.identify import PixelObservations
@@ -40,8 +39,8 @@ class Where:
         phases: gap of the base model by phase of the motion.
         regions: by region of the body.
         image: by ninth of the picture [m at the points' depth]; empty for markers.
-        modes: how the body rings, see `physconvex.gap.location.vibration`.
-        ledger: impulse and work beyond the base model, see `physconvex.gap.location.impulse_and_work`.
+        modes: how the body rings, see `physconvex.gap.location.body_motion`.
+        ledger: impulse and work beyond the base model, see `physconvex.gap.location.body_motion`.
         times: of the frames [s], shape [T].
         phase_names: phase of each frame.
         per_frame: gap of the base model [m], shape [T]; NaN where nothing is seen.

@@ -9,14 +9,13 @@ from pydantic import JsonValue
 
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.errors.screening import Screened, Screening
-from physconvex.gap.judgement.naming import NamedEffect
-from physconvex.gap.judgement.verdict_input import Verdict
+from physconvex.gap.judgement.naming import NamedEffect, Verdict
 from physconvex.gap.light.image_formation import ImageFinding
-from physconvex.gap.location.vibration import Mode
+from physconvex.gap.location.body_motion import Mode
 from physconvex.gap.location.where import Part, Where
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
-from physconvex.gap.shrinkage.how_far import HowFar
+from physconvex.gap.shrinkage import HowFar
 from physconvex.gap.thresholds import thresholds_json
 
 __all__ = ["FORMAT_VERSION", "GapFindings", "ParameterChange", "Provenance"]

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from physconvex.gap.base.baseline import Baseline
-from physconvex.gap.base.independent_residuals import temperature
+from physconvex.gap.base.body_modes import temperature
 from physconvex.gap.effects.effect import IN_FLIGHT, Effect
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.thresholds import EVIDENCE
@@ -65,7 +65,7 @@ def squares_by_kind(
 def _alike(
     base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray
 ) -> Float[np.ndarray, " D"]:  # fmt: skip
-    """Residuals per independent one, by kind, see `physconvex.gap.base.independent_residuals`."""
+    """Residuals per independent one, by kind, see `physconvex.gap.base.body_modes`."""
     rows, out = base.rows(frames), np.ones(base.modes.count)
     whitened = base.residual(positions)[rows] / np.sqrt(errors.expected[rows])
     for kind in range(base.modes.count):

@@ -8,25 +8,20 @@ from dataclasses import replace
 import numpy as np
 
 from physconvex.gap.base.baseline import Baseline
-from physconvex.gap.base.model import EffectModel, reduced_like
 from physconvex.gap.effects.catalogue import applicable
 from physconvex.gap.effects.effect import Effect
-from physconvex.gap.errors.numerics import Numerics
+from physconvex.gap.errors.numerical_differences import Numerics
 from physconvex.gap.errors.screening import Pair, Screened, Screening, best_pairs, screen
 from physconvex.gap.search.effect_fits import derivatives_at, refit
-from physconvex.gap.search.evidence import squares_by_kind
-from physconvex.gap.search.first_frames import early_point
-from physconvex.gap.search.hypothesis import Hypothesis, continued, hypothesis_at, weighed_anew
-from physconvex.gap.search.loads import loaded_starts
-from physconvex.gap.search.ranking import finalists
+from physconvex.gap.search.full_order import as_reduced, confirmed, fitted_there, improved
+from physconvex.gap.search.hypothesis import Hypothesis, continued, finalists, hypothesis_at
 from physconvex.gap.search.search_state import FAILURES, EffectSearch
-from physconvex.gap.search.space_mapping import as_reduced, confirmed, improved
+from physconvex.gap.search.starting_points import early_point, loaded_starts
 from physconvex.gap.thresholds import DECISION, RUN_COST, SCREENING, SEARCH
 
 __all__ = [
     "alone",
     "beside_in_first_frames",
-    "fitted_there",
     "from_elsewhere",
     "from_first_frames",
     "from_there",
@@ -65,26 +60,6 @@ def from_there(search: EffectSearch, full: Baseline, effects: tuple[Effect, ...]
     label = " + ".join(effect.label for effect in effects)
     model = replace(full.model, effects=effects)
     search.attempt(f"{label}, from a scan", lambda: fitted_there(search, model, values))
-
-
-def fitted_there(search: EffectSearch, full: EffectModel, values: np.ndarray, *, by_kind: bool = False) -> Hypothesis:
-    """A fit from values far from the base fit, by a reduced model that says what the full-order one does there.
-
-    Args:
-        search: for the base fit and the errors.
-        full: the full-order model.
-        values: where to begin.
-        by_kind: residuals of each kind weigh by what is left of them there, which is what fits are compared by: what
-            follows an impact, if no fit comes near it, does not draw doses away from what the flight says of them.
-    """
-    base, errors = search.base, search.errors
-    cheap, motion = reduced_like(full, full.motion(values), values)
-    tangents = derivatives_at(base, cheap, values, motion)
-    if not by_kind:
-        return refit(base, errors, cheap, values, tangents, search.options)
-    left = squares_by_kind(base, errors, cheap.observed(motion, values), base.split.fitted)
-    weights = replace(errors, variance=errors.variance * (1.0 + np.nan_to_num(left))[base.modes.kinds])
-    return weighed_anew(base, errors, refit(base, weights, cheap, values, tangents, search.options))
 
 
 def load_beside(search: EffectSearch, dictionary: tuple[Effect, ...]) -> None:

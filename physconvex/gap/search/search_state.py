@@ -13,8 +13,7 @@ from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.errors.screening import Screened
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.effect_fits import fit_effects
-from physconvex.gap.search.hypothesis import Hypothesis
-from physconvex.gap.search.ranking import judged
+from physconvex.gap.search.hypothesis import Hypothesis, judged
 from physconvex.gap.thresholds import RUN_COST, SEARCH
 
 __all__ = ["FAILURES", "EffectSearch"]

@@ -1,13 +1,7 @@
-"""Which effects, one or several: forward selection from screenings, pairs that help only together, and leaving out.
+"""What noise and numerical error lead one to expect, anew where a fit has led far from the base fit.
 
-1. Fit the effects that screening ranks first, each alone, and the pairs whose signatures explain most together; do
-   so again from where the first frames alone put the base model (`physconvex.gap.search.first_frames`). Begin with
-   damping where E was found together with it, and with a load at the end of a held body
-   (`physconvex.gap.search.loads`). Where that led far from the base fit, numerical errors are told anew
-   (`physconvex.gap.search.expected_errors`).
-2. While something is left of the best fit, screen all other effects at that fit and add those that rank first.
-3. Fit the best combination without each of its effects.
-4. Carry the best few over to the full-order model (`physconvex.gap.search.space_mapping`), which decides.
+Meshes, steps and contacts part by what they do to the body that is simulated. Where an effect had moved E of the base
+fit by a decade, they part there by four times what they do at the body's own E, and so hide a second effect.
 """
 
 from __future__ import annotations
@@ -16,19 +10,17 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from physconvex.gap.base.baseline import Baseline, Report
+from physconvex.gap.base.model import MODULUS
 from physconvex.gap.effects.catalogue import applicable
 from physconvex.gap.effects.effect import Effect
-from physconvex.gap.errors.numerics import Numerics
+from physconvex.gap.errors.error_model import error_model
+from physconvex.gap.errors.numerical_differences import Numerics, numerical_differences
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.errors.screening import Screening, screen
 from physconvex.gap.options import GapOptions
-from physconvex.gap.search.decision import decided
 from physconvex.gap.search.evidence import residuals_per_one
-from physconvex.gap.search.expected_errors import expect_anew
-from physconvex.gap.search.flight import from_flight
-from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis, continued
-from physconvex.gap.search.loads import loaded_starts
-from physconvex.gap.search.ranking import finalists, judged
+from physconvex.gap.search.full_order import as_reduced, confirmed, decided
+from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis, continued, finalists, judged, weighed_anew
 from physconvex.gap.search.rounds import (
     alone,
     beside_in_first_frames,
@@ -41,11 +33,41 @@ from physconvex.gap.search.rounds import (
     polish,
     together,
 )
-from physconvex.gap.search.search_state import EffectSearch
-from physconvex.gap.search.space_mapping import as_reduced
+from physconvex.gap.search.search_state import FAILURES, EffectSearch
+from physconvex.gap.search.starting_points import from_flight, loaded_starts
 from physconvex.gap.thresholds import CLOCK, DECISION, RUN_COST, SEARCH
 
-__all__ = ["Selected", "select_effects"]
+__all__ = ["Selected", "expect_anew", "select_effects"]
+
+
+def expect_anew(search: EffectSearch) -> Numerics | None:
+    """Weigh the fits of a free body by the differences at the best one, if its E is far from the base fit's.
+
+    Args:
+        search: its errors and fits are changed, and what it may cost.
+
+    Returns:
+        Those at the best fit; None, and nothing is changed, where E has not moved or no model can be run there.
+    """
+    base, best = search.full, search.best
+    names = base.model.base
+    if base.situation.clamped or MODULUS not in names or not best.effects or search.late:
+        return None
+    place = names.index(MODULUS)
+    if abs(best.values[place] - base.fit.values[place]) <= SEARCH.far_modulus:
+        return None
+    search.report(f"what is expected, at {best.label}")
+    cost = base.model.cost
+    before = cost.spent
+    try:
+        point = continued(base, confirmed(base, search.errors, best))
+    except FAILURES:
+        return None
+    numerics = numerical_differences(point, search.options, search.report)
+    search.errors = error_model(point, numerics, search.options)
+    search.found = [weighed_anew(search.base, search.errors, h) for h in search.found]
+    cost.limit += cost.spent - before + RUN_COST.after_moving * search.options.search_cost
+    return numerics
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +103,7 @@ def select_effects(
         options: settings.
         report: told what is done.
         screening: at the base fit, if there is one already.
-        near: the base model with an effect, near the recording: see `physconvex.gap.conditions.dissipation`.
+        near: the base model with an effect, near the recording: see `physconvex.gap.conditions.joint_fits`.
     """
     cheap, dictionary = as_reduced(base), tuple(dictionary)
     screening = screening or screen(cheap, errors, numerics, dictionary, report)

@@ -8,7 +8,7 @@ import pytest
 
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions
 from physconvex.gap.base.cost import Cost
-from physconvex.gap.search import space_mapping as mapping
+from physconvex.gap.search import full_order as mapping
 
 pytestmark = pytest.mark.wrong_types
 

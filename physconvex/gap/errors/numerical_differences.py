@@ -14,27 +14,16 @@ from jaxtyping import Float
 
 from physconvex.dynamics import simulate
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.gap.base.baseline import Baseline, Report, derivatives_of_residuals
+from physconvex.gap.base.baseline import Baseline, Report
 from physconvex.gap.base.box_mesh import box_of_body
-from physconvex.gap.base.model import EffectModel, accurate
+from physconvex.gap.base.model import MODULUS, EffectModel, SecantModel, accurate
 from physconvex.gap.effects.motion import MotionCorrection, PointMotion
-from physconvex.gap.errors.rebound import path_since_contact
-from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.options import GapOptions
 from physconvex.gap.thresholds import NUMERICAL_ERROR
-from physconvex.identify import mesh_of_capture
+from physconvex.identify import FitOptions, MarkerObservations, fit, mesh_of_capture
 from physconvex.mesh import TetMesh, refine_uniformly, tetrahedralize
-from physconvex.numerics import beyond_rigid
 
-__all__ = [
-    "Numerics",
-    "correction_of",
-    "detail_errors",
-    "error_model",
-    "exact_model",
-    "numerical_differences",
-    "other_mesh",
-]
+__all__ = ["Numerics", "correction_of", "exact_model", "numerical_differences", "other_mesh", "with_absorbed_mesh"]
 
 Positions = Float[np.ndarray, "T P 3"]
 
@@ -196,82 +185,29 @@ def correction_of(numerics: Numerics) -> MotionCorrection:
     return MotionCorrection(best if numerics.fine is not None else best + numerics.mesh)
 
 
-def error_model(
-    base: Baseline, numerics: Numerics, options: GapOptions, *, scale: float | Float[np.ndarray, " N"] = 1.0
-) -> ErrorModel:
-    """V of `physconvex.gap.errors.score_test`: noise, and by frame and kind size and shapes of numerical differences.
-
-    Such errors are smooth fields that last: few numbers (`BodyModes.freedom`), and the same ones for some frames, so
-    that n residuals hold no more than about freedom/`lasting` independent ones. Widening their variance by the ratio
-    leaves a smooth signature with the significance it deserves.
-
-    Any model of finite size is credited with a share of the distance travelled, and of a free body with what programs
-    that share neither mesh nor steps nor contact fall out of phase by once it has been struck: shares `out_of_step` of
-    how far it has come since, of its largest even strain, and of its largest finer shape, so far. Across the normal of
-    the floor it is less: that pushes there by friction alone.
-
-    Where the base model is fitted (its tangents are known), the size is that of what the differences leave once E, ν
-    and the free initial motion have absorbed what they can of them, as they do of the recording's own.
+def with_absorbed_mesh(base: Baseline, numerics: Numerics, options: GapOptions) -> Numerics:
+    """The differences with that of the meshes taken between their fits; unchanged for a free body.
 
     Args:
-        base: the base fit.
-        numerics: the differences.
+        base: the base fit, on the finer mesh.
+        numerics: differences at one set of values.
         options: settings.
-        scale: factor on the differences, one or one per residual, see `physconvex.gap.errors.error_scale`.
     """
-    here, frames = base.positions, base.observations.frames
-    directions = options.error_scale * scale * np.stack([base.change(here + d) for d in numerics.null])
-    kinds, shape = base.modes.kinds, (base.modes.count, base.model.frames)
-    place = kinds * base.model.frames + frames
-    count = np.maximum(np.bincount(place, minlength=shape[0] * shape[1]), 1).reshape(shape)
-
-    def mean_of(squares: np.ndarray) -> np.ndarray:
-        return np.bincount(place, squares, minlength=count.size).reshape(shape) / count
-
-    travelled = np.linalg.norm(base.motion.positions - base.motion.rest, axis=-1).mean(1)
-    floor = mean_of(base.change(here + (options.discretisation * travelled)[:, None, None] / np.sqrt(3)) ** 2)
-    phases = np.zeros(shape)
-    if base.modes.reflections:
-        path = path_since_contact(base.motion, base.contact_force)
-        come = mean_of(base.change(here + path[:, None, None] / np.sqrt(3)) ** 2)
-        whole = base.modes.struck & (base.modes.parts == 0)  # along and across alike, before the share
-        come[whole] = (come * count)[whole].sum(0) / count[whole].sum(0)
-        strained = mean_of(base.change(here + beyond_rigid(base.motion.rest, base.motion.positions)[0]) ** 2)
-        so_far = np.maximum.accumulate(np.where(base.modes.parts[:, None] == 0, come, strained), axis=1)
-        sideways = np.where(base.modes.across, min(NUMERICAL_ERROR.sideways + base.situation.friction, 1.0), 1.0)
-        phases = (np.array(NUMERICAL_ERROR.out_of_step)[base.modes.parts] * sideways)[:, None] ** 2 * so_far
-
-    def size_of(left: np.ndarray) -> np.ndarray:
-        size = np.maximum.accumulate(mean_of((left**2).sum(0)), axis=1)  # an error made at impact stays
-        return np.asarray((size + floor)[kinds, frames] + np.square(scale) * phases[kinds, frames])
-
-    numerical = size_of(directions)
-    if len(base.tangents) == base.model.frames and base.tangents.any():
-        numerical = size_of(_absorbed(base, directions, 1.0 + numerical))
-    shared = np.maximum(NUMERICAL_ERROR.lasting * count / np.array(base.modes.freedom)[:, None], 1.0)
-    return ErrorModel(1.0 + shared[kinds, frames] * numerical, directions, 1.0 + numerical)
-
-
-def detail_errors(base: Baseline, errors: ErrorModel, share: float) -> ErrorModel:
-    """Errors widened by a share of a held body's gap: what is smaller does not choose between effects.
-
-    Else the frames that noise and numerical error leave most certain, the first ones of a held body, decide alone,
-    although no model of a recording is as good as its numerical error: a release that lasts, or a load that hangs
-    loosely, would be explained by whatever bends those few frames.
-    """
-    if not base.situation.clamped:
-        return errors
-    rows = base.rows(base.split.fitted)
-    gap = np.maximum(base.residual(base.positions)[rows] ** 2 - errors.expected[rows], 0.0)
-    width = share**2 * float(gap.mean())
-    return ErrorModel(errors.variance + width, errors.directions, errors.expected + width)
-
-
-def _absorbed(base: Baseline, directions: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """What is left of differences, all frames, once the base parameters have been fitted to them on the fitted ones."""
-    here = base.positions
-    tangents = derivatives_of_residuals(base, here, base.tangents)
-    rows = base.rows(base.split.fitted)
-    weights = 1 / np.sqrt(variance[rows])
-    found = np.linalg.lstsq((tangents[:, rows] * weights).T, (directions[:, rows] * weights).T, rcond=1e-8)[0]
-    return np.asarray(directions - found.T @ tangents)
+    if not base.situation.clamped or numerics.fine is None or MODULUS not in base.model.base:
+        return numerics
+    count = base.split.end
+    coarse, target = replace(base.model, mesh=None, correction=None), base.motion.positions
+    shorter, values = replace(coarse, frames=count), base.fit.values
+    sigma = np.full(target.shape[:2], NUMERICAL_ERROR.absorbed * base.situation.size)
+    seen = MarkerObservations(np.asarray(base.model.points), target, sigma).in_frames(count)
+    try:
+        here = shorter.motion(values)
+        secant = SecantModel(shorter, values, here.positions, shorter.tangents(values, here))
+        stop = FitOptions(max_iterations=options.iterations, relative_tolerance=1e-2, absolute_tolerance=0.1)
+        found = fit(secant, seen, shorter.parameters(values), options=stop)
+        left = coarse.motion(found.values).positions - target
+    except ConvergenceError:
+        return numerics
+    if np.linalg.norm(left) > np.linalg.norm(numerics.mesh):
+        return numerics
+    return replace(numerics, absorbed_mesh=left)

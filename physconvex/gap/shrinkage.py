@@ -1,0 +1,285 @@
+"""How far the gap shrinks: on held-out frames, in held-out views, on a second take.
+
+Noise floor and placebo are subtracted. In views that nothing was fitted to, points are followed in the videos of the
+other cameras. On a second recording of the same body, nothing but the start is fitted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.gap.base.baseline import FLOOR_LAW, Baseline, Report
+from physconvex.gap.base.body_modes import undivided
+from physconvex.gap.base.observed_points import followed
+from physconvex.gap.base.rough_fit import rough_baseline
+from physconvex.gap.conditions.setting import find_setting
+from physconvex.gap.effects.effect import Effect
+from physconvex.gap.effects.motion import PointMotion
+from physconvex.gap.errors.numerical_differences import other_mesh
+from physconvex.gap.errors.score_test import ErrorModel
+from physconvex.gap.location.where import block_bootstrap
+from physconvex.gap.options import GapOptions
+from physconvex.gap.search.hypothesis import Hypothesis
+from physconvex.identify import PixelObservations
+from physconvex.io import Capture
+
+__all__ = ["HowFar", "Positions", "gap_squares", "held_out_views", "second_take_shrinkage", "shrinkage_on"]
+
+Positions = Float[np.ndarray, "T P 3"]
+_OF_ONE_CAMERA = ("camera_pose", "focal_length", "lens_distortion", "rolling_shutter")
+_MATERIAL = ("log10_youngs_modulus", "poisson_ratio", *FLOOR_LAW)
+
+
+@dataclass(frozen=True)
+class HowFar:
+    """Shrinkage of the gap.
+
+    Attributes:
+        data: which data it was measured on.
+        gap_before, gap_after: rms distance between model and observation [m], noise included.
+        noise_floor: what noise and numerical error lead one to expect [m].
+        shrinkage: share of the gap above the floor that the effects remove; negative where they make it worse.
+        lower, upper: its interval.
+        placebo: shrinkage by an effect that screening ranked last, fitted in the same way; NaN where none was.
+        placebo_effect: its name.
+        net_shrinkage: shrinkage less what the placebo reaches.
+    """
+
+    data: str
+    gap_before: float
+    gap_after: float
+    noise_floor: float
+    shrinkage: float
+    lower: float
+    upper: float
+    placebo: float
+    placebo_effect: str
+    net_shrinkage: float
+
+    @property
+    def above_error(self) -> float:
+        """Share that the effects remove of the gap above noise and numerical error."""
+        squares = np.square([self.gap_before, self.gap_after, self.noise_floor])
+        return float(_share(*squares))
+
+
+def gap_squares(base: Baseline, positions: Positions, frames: np.ndarray) -> Float[np.ndarray, " n"]:
+    """Mean square distance between model and observation in some frames [m²], shape [n]."""
+    rows = base.rows(frames)
+    observations = base.observations
+    at = observations.frames[rows]
+    squares = base.missed(positions)[rows] ** 2
+    total = np.bincount(at, squares, minlength=base.model.frames)
+    count = np.bincount(at, minlength=base.model.frames)
+    return np.asarray(base.components * total[frames] / np.maximum(count[frames], 1))
+
+
+def _floor(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Squares that noise alone, and noise with numerical error, lead one to expect [m²]."""
+    rows = base.rows(frames)
+    observations = base.observations
+    at = observations.frames[rows]
+    noise = base.lengths[rows] ** 2
+    count = np.maximum(np.bincount(at, minlength=base.model.frames), 1)
+    both = [
+        base.components * np.bincount(at, square, minlength=base.model.frames)[frames] / count[frames]
+        for square in (noise, noise * errors.expected[rows])
+    ]
+    return both[0], both[1]
+
+
+def _share(before: np.ndarray, after: np.ndarray, floor: np.ndarray) -> np.ndarray:
+    """1 − (after − floor)/(before − floor) of mean squares; what lies below the floor counts as at it."""
+    open_gap = np.maximum(before - floor, 1e-3 * np.maximum(before, 1e-300))
+    return 1.0 - np.maximum(after - floor, 0.0) / open_gap
+
+
+def shrinkage_on(
+    base: Baseline,
+    errors: ErrorModel,
+    improved: Positions,
+    placebo: tuple[str, Positions] | None,
+    frames: np.ndarray,
+    data: str,
+    options: GapOptions,
+) -> HowFar:
+    """Shrinkage in some frames. Noise is subtracted; the floor that is told includes numerical error.
+
+    Args:
+        base: the observations, and what the base model says.
+        errors: of the residuals.
+        improved: what is observed with the effects [m].
+        placebo: name of another effect, and what is observed with it [m].
+        frames: in which.
+        data: their name.
+        options: settings.
+    """
+    before, after = gap_squares(base, base.positions, frames), gap_squares(base, improved, frames)
+    noise, floor = _floor(base, errors, frames)
+    draws = block_bootstrap(np.stack([before, after, noise], axis=1), 3, options)
+    tail = (1 - options.confidence) / 2
+    low, high = np.quantile(_share(draws[:, 0], draws[:, 1], draws[:, 2]), [tail, 1 - tail])
+    share = float(_share(before.mean(), after.mean(), noise.mean()))
+    other = float("nan")
+    if placebo is not None:
+        other = float(_share(before.mean(), gap_squares(base, placebo[1], frames).mean(), noise.mean()))
+    return HowFar(
+        data=data,
+        gap_before=float(np.sqrt(before.mean())),
+        gap_after=float(np.sqrt(after.mean())),
+        noise_floor=float(np.sqrt(floor.mean())),
+        shrinkage=share,
+        lower=float(low),
+        upper=float(high),
+        placebo=other,
+        placebo_effect="" if placebo is None else placebo[0],
+        net_shrinkage=share - (max(other, 0.0) if np.isfinite(other) else 0.0),
+    )
+
+
+def held_out_views(
+    base: Baseline, best: Hypothesis, placebo: Hypothesis | None, options: GapOptions
+) -> tuple[HowFar, ...]:
+    """Shrinkage in all frames of each further camera that has a video in which points can be followed.
+
+    Every model is run once more, for the points that the other cameras see. An error of the fitted camera shows in no
+    other view, and is left out there.
+
+    Args:
+        base: base fit to the markers, or to the first camera.
+        best: the best fit with effects.
+        placebo: a fit of an effect that is not there.
+        options: settings.
+
+    Returns:
+        One per view; none where the models cannot be run, or the best effects are errors of one camera or numerical.
+    """
+    views = _other_views(base)
+    if not views or not _kept(best):
+        return ()
+    points = np.concatenate([view.points for view in views])
+    ends = np.cumsum([0, *(len(view.points) for view in views)]).tolist()
+    try:
+        plain = _positions(base, None, points)
+        improved = _positions(base, best, points)
+        other = (placebo.label, _positions(base, placebo, points)) if placebo is not None and _kept(placebo) else None
+    except ConvergenceError:
+        return ()
+    found = []
+    for view, part in zip(views, (slice(*pair) for pair in pairwise(ends)), strict=True):
+        motion = PointMotion(view.points, base.motion.times, plain[:, part], np.zeros_like(plain[:, part]))
+        model = replace(base.model, points=view.points, correction=None, directions={}, camera=view.camera)
+        seen = replace(base, observations=view, model=model, motion=motion, modes=undivided(view.frames))
+        found.append(
+            shrinkage_on(
+                seen,
+                ErrorModel.of_noise(len(view.frames)),
+                improved[:, part],
+                None if other is None else (other[0], other[1][:, part]),
+                np.unique(view.frames),
+                f"held-out view {view.camera.name}, all frames",
+                options,
+            )
+        )
+    return tuple(found)
+
+
+def _other_views(base: Baseline) -> list[PixelObservations]:
+    """Points in the videos of cameras that were not compared."""
+    seen, views = base.observations, []
+    fitted = seen.camera.name if isinstance(seen, PixelObservations) else None
+    for camera in base.capture.cameras:
+        if camera.name == fitted:
+            continue
+        try:
+            views.append(followed(base.capture, camera, base.model.twin))
+        except InputError:  # no video, or nothing to follow in it: the diagnosis does not need it
+            continue
+    return views
+
+
+def _kept(hypothesis: Hypothesis) -> tuple[Effect, ...]:
+    """Effects that another camera sees."""
+    return tuple(e for e in hypothesis.effects if e.name not in _OF_ONE_CAMERA and e.source != "numerical")
+
+
+def _positions(base: Baseline, hypothesis: Hypothesis | None, points: np.ndarray) -> Positions:
+    """What is observed of other points [m], by the base model at its fit or at that of a hypothesis.
+
+    Raises:
+        ConvergenceError: it cannot be run.
+    """
+    effects, values = () if hypothesis is None else _kept(hypothesis), base.fit.values
+    if hypothesis is not None:
+        own = hypothesis.values[: len(hypothesis.model.base)]
+        values = np.concatenate([own, *(hypothesis.doses(effect)[0] for effect in effects)])
+    model = replace(base.model, points=points, effects=effects, correction=None, directions={}, camera=None)
+    return model.positions(values)
+
+
+def second_take_shrinkage(
+    base: Baseline, best: Hypothesis, take: Capture, options: GapOptions, report: Report
+) -> HowFar | None:
+    """Shrinkage on another take: E, ν and doses from the first, the unstated initial motion from the second's start.
+
+    Args:
+        base: base fit of the first take.
+        best: its best fit with effects.
+        take: the second capture.
+        options: settings.
+        report: told what is done.
+
+    Returns:
+        None where one of the two models cannot be run on it.
+
+    Raises:
+        InputError: the take lacks something, or an effect of the fit makes no sense there (no floor, not held).
+    """
+    own = rough_baseline(take, options, report)
+    if base.situation.giving_floor:
+        own = find_setting(own, options, report).base
+    lost = [e.label for e in best.effects if not e.applies(replace(own.situation, touches=own.situation.floor))]
+    if lost:
+        raise InputError(
+            f"second take {take.folder}: {', '.join(lost)} cannot act there; record the same kind of motion again"
+        )
+    report("second take")
+    own = _as_fine(own, base, options)
+    try:
+        plain = _with_material(own, base.fit.values, base.model.base)
+        values = np.concatenate([_with_material(own, best.values, best.model.base).fit.values, *(
+            best.doses(effect)[0] for effect in best.effects
+        )])  # fmt: skip
+        model = replace(own.model, effects=best.effects)
+        plain = replace(plain, motion=plain.model.motion(plain.fit.values))
+        improved = model.positions(values)
+    except ConvergenceError:
+        return None
+    errors = ErrorModel.of_noise(len(plain.residual(plain.positions)))
+    frames = np.unique(plain.observations.frames)
+    return shrinkage_on(plain, errors, improved, None, frames, "second take, all frames", options)
+
+
+def _as_fine(own: Baseline, first: Baseline, options: GapOptions) -> Baseline:
+    """The second take's model on as fine a mesh as the first one's, since a coarser one would be stiffer."""
+    if first.model.mesh is None:
+        return own
+    try:
+        mesh = other_mesh(own, options, own.model.frames * own.model.twin.steps_per_frame)
+    except InputError:
+        return own
+    return replace(own, model=replace(own.model, mesh=mesh))
+
+
+def _with_material(own: Baseline, values: np.ndarray, names: tuple[str, ...]) -> Baseline:
+    """The second take's baseline with the first one's material."""
+    changed = own.fit.values.copy()
+    for name in _MATERIAL:
+        if name in names and name in own.model.base:
+            changed[own.model.base.index(name)] = values[names.index(name)]
+    return replace(own, fit=replace(own.fit, values=changed))

@@ -1,1 +1,0 @@
-"""How far the gap shrinks: on held-out frames, in held-out views, on a second take."""
