@@ -66,8 +66,8 @@ def _measure(clips: list[LabelledClip], data: Path, repeats: int) -> ForegroundR
         frames, truth = clip.record.frames(), clip.record.mask()
         found = locate_foreground(frames)
         missing += found.source == "whole_frame"
-        overlaps.append(_overlap(found.mask > 0, truth))
-        spreads.append(_size_spread(found.mask > 0, truth))
+        overlaps.append(_overlap(found.mask, truth))
+        spreads.append(_size_spread(found.mask, truth))
         times.append(min(_seconds(frames) for _ in range(repeats)))
     return ForegroundResult(
         command=f"python benchmarks/foreground.py --data data/{data.name}",

@@ -66,7 +66,7 @@ def _moments(mask: np.ndarray, edge: int) -> np.ndarray:
     """Of the true mask as a picture of that edge would show it."""
     whole = mask.astype(np.uint8) * np.uint8(255)
     small = np.stack([cv2.resize(frame, (edge, edge), interpolation=cv2.INTER_AREA) for frame in whole])
-    return silhouette_moments((small > 127) * np.uint8(255), touches_border=touches_border(whole)).moments
+    return silhouette_moments((small > 127) * np.uint8(255), touches_border=touches_border(mask)).moments
 
 
 def measure(clips: Clips, edge: int, simulations: int | None, steps: int) -> dict[str, float]:

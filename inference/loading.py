@@ -192,7 +192,7 @@ def _load_capture(folder: Path) -> LoadedClip:
         frames=video.frames[:count],
         fps=capture.fps,
         timestamps=capture.times[:count],
-        mask=None if mask is None else mask[:count] > 127,
+        mask=None if mask is None else mask[:count],
         density=capture.density if "density" in stated else None,
         object_size=capture.object_size,
         warnings=(*warnings, *_capture_warnings(capture)),

@@ -59,9 +59,9 @@ def _observation(capture: Capture, name: str) -> tuple[Observation, str]:
     if (capture.folder / f"{name}_mask.mp4").exists():
         mask = capture.mask(name)
         assert mask is not None
-        return observation_of(camera, frame, mask[0], fractional=False), "mask"
+        return observation_of(camera, frame, mask[0]), "mask"
     if video.alpha is not None:
-        return observation_of(camera, frame, video.alpha[0], fractional=True), "alpha"
+        return observation_of(camera, frame, video.alpha[0]), "alpha"
     from models import plain_background_masks
 
     masks = plain_background_masks(frame[None])
@@ -70,4 +70,4 @@ def _observation(capture: Capture, name: str) -> tuple[Observation, str]:
             f"camera {name!r}: no {name}_mask.mp4, no alpha channel, and its background is not plain, so the object "
             "cannot be told from it; add a mask or images with alpha"
         )
-    return observation_of(camera, frame, masks[0], fractional=False), "plain background"
+    return observation_of(camera, frame, masks[0]), "plain background"

@@ -29,9 +29,9 @@ def moving_window(frames: UInt8[np.ndarray, "T H W 3"], *, margin: int = _MARGIN
     share = float(moved.reshape(len(frames), -1).mean(axis=1).max())
     if not _LEAST_MOVED <= share <= _MOST_MOVED:
         return None
-    activity = np.asarray(moved.any(axis=0), np.uint8)
+    activity = np.asarray(moved.any(axis=0))
     cleaned = clean_mask(activity)
-    x, y, width, height = cv2.boundingRect(cleaned if cleaned.any() else activity)
+    x, y, width, height = cv2.boundingRect((cleaned if cleaned.any() else activity).astype(np.uint8))
     rows = slice(max(0, y - margin), min(frames.shape[1], y + height + margin))
     return rows, slice(max(0, x - margin), min(frames.shape[2], x + width + margin))
 

@@ -13,8 +13,8 @@ __all__ = ["plain_background_masks"]
 _PLAIN_CONTRAST = 14.0  # of 255
 
 
-def plain_background_masks(frames: UInt8[np.ndarray, "T H W 3"]) -> UInt8[np.ndarray, "T H W"] | None:
-    """What differs from a smooth colour field (0 or 255).
+def plain_background_masks(frames: UInt8[np.ndarray, "T H W 3"]) -> Bool[np.ndarray, "T H W"] | None:
+    """What differs from a smooth colour field.
 
     The field is fitted to the picture's border; None if the border is not plain.
     """
@@ -29,7 +29,7 @@ def plain_background_masks(frames: UInt8[np.ndarray, "T H W 3"]) -> UInt8[np.nda
     threshold = max(_PLAIN_CONTRAST, 3.0 * float(np.quantile(residual[border], 0.8)))
     if threshold > 60:
         return None
-    masks = [clean_mask((difference(planes[:, k], fitted) > threshold).astype(np.uint8)) for k in range(len(frames))]
+    masks = [clean_mask(difference(planes[:, k], fitted) > threshold) for k in range(len(frames))]
     return link_masks(np.stack(masks), np.ones(masks[0].shape, np.float32))
 
 

@@ -169,8 +169,8 @@ def _crop_square(foreground: Foreground, margin: float, size: int) -> tuple[int,
     The side can be halved as often as it will be on the way to `size` (`models.shrinking`).
     """
     height, width = foreground.mask.shape[1:]
-    union = foreground.mask.max(axis=0)
-    columns, rows = union.max(axis=0) > 0, union.max(axis=1) > 0
+    union = np.asarray(foreground.mask.any(axis=0))
+    columns, rows = np.asarray(union.any(axis=0)), np.asarray(union.any(axis=1))
     if foreground.source == "whole_frame" or not columns.any():
         side = max(width, height)
         return (width - side) // 2, (height - side) // 2, side
@@ -197,8 +197,9 @@ def _cut_out(
     )
     for k, (frame, mask) in enumerate(zip(frames, foreground.mask, strict=True)):
         canvas_image[...] = GREY
-        canvas_mask[target] = mask[inside]
-        cv2.copyTo(np.ascontiguousarray(frame[inside]), np.ascontiguousarray(mask[inside]), canvas_image[target])
+        seen = mask[inside] * np.uint8(255)
+        canvas_mask[target] = seen
+        cv2.copyTo(np.ascontiguousarray(frame[inside]), seen, canvas_image[target])
         images[k], masks[k] = _scaled(canvas_image, size), _scaled(canvas_mask, size)
     return images, masks
 
@@ -209,7 +210,7 @@ def _scaled(picture: np.ndarray, size: int) -> np.ndarray:
     return cv2.resize(picture, (size, size), interpolation=cv2.INTER_LINEAR)
 
 
-def touches_border(mask: UInt8[np.ndarray, "T H W"]) -> Bool[np.ndarray, " T"]:
+def touches_border(mask: Bool[np.ndarray, "T H W"]) -> Bool[np.ndarray, " T"]:
     """Frames in which the picture cuts the silhouette off."""
     sides = (mask[:, 0], mask[:, -1], mask[:, :, 0], mask[:, :, -1])
     return np.any([side.any(axis=1) for side in sides], axis=0)

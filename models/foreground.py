@@ -5,7 +5,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Bool, Float32, UInt8
 
 from models.activity import moving_window
 from models.background import plain_background_masks
@@ -26,9 +26,9 @@ _OBJECT_SHARE = (0.001, 0.7)  # of the picture that an object may cover
 
 @dataclass(frozen=True)
 class Foreground:
-    """The object's silhouette in each frame (0 or 255), how it was found and how sure that is (0..1)."""
+    """Where the object is in each frame, how it was found and how sure that is (0..1)."""
 
-    mask: UInt8[np.ndarray, "T H W"]
+    mask: Bool[np.ndarray, "T H W"]
     source: ForegroundSource
     confidence: float
 
@@ -65,7 +65,7 @@ def locate_foreground(
     if found is None or found.confidence < _LEAST_CONFIDENCE:
         found = _plain_silhouette(small)
     if found is None or found.confidence < _LEAST_CONFIDENCE:
-        whole = np.full(frames.shape[:3], 255, np.uint8)
+        whole = np.ones(frames.shape[:3], bool)
         return Foreground(mask=whole, source="whole_frame", confidence=0.0)
     full = _enlarged(found.coverage, frames.shape[1:3])
     return Foreground(mask=full, source="background_model", confidence=found.confidence)
@@ -87,19 +87,19 @@ def _moving_silhouette(frames: UInt8[np.ndarray, "T H W 3"]) -> _Silhouette | No
     part = np.ascontiguousarray(steady.frames[:, *window])
     coverage = np.zeros(frames.shape[:3], np.float32)
     coverage[:, *window] = refined_coverage(part, object_coverage(part))
-    likely = (coverage > 0.5).astype(np.uint8)
-    mask = link_masks(likely, coverage.sum(axis=0)) > 0
+    likely = coverage > 0.5
+    mask = link_masks(likely, coverage.sum(axis=0))
     confidence = _steadiness(mask) * _expected_overlap(coverage, mask)
-    coverage[(likely > 0) & ~mask] = 0.0
+    coverage[likely & ~mask] = 0.0
     return _Silhouette(steady.undo((coverage * 255 + 0.5).astype(np.uint8)), confidence)
 
 
 def _plain_silhouette(frames: UInt8[np.ndarray, "T H W 3"]) -> _Silhouette | None:
     masks = plain_background_masks(frames)
-    return None if masks is None else _Silhouette(masks, _PLAIN_CONFIDENCE * _steadiness(masks > 0))
+    return None if masks is None else _Silhouette(masks * np.uint8(255), _PLAIN_CONFIDENCE * _steadiness(masks))
 
 
-def _steadiness(mask: np.ndarray) -> float:
+def _steadiness(mask: Bool[np.ndarray, "T H W"]) -> float:
     """Share of frames in which the area is nearly the usual one; 0 if that is no object's size."""
     areas = mask.reshape(len(mask), -1).mean(axis=1)
     typical = float(np.median(areas))
@@ -108,19 +108,17 @@ def _steadiness(mask: np.ndarray) -> float:
     return float(np.mean(np.abs(areas / typical - 1) < 0.35))
 
 
-def _expected_overlap(coverage: Float32[np.ndarray, "T H W"], mask: np.ndarray) -> float:
+def _expected_overlap(coverage: Float32[np.ndarray, "T H W"], mask: Bool[np.ndarray, "T H W"]) -> float:
     """Intersection over union of the mask and a truth in which pixels are the object's with these probabilities."""
     inside = float(coverage[mask].sum())
     union = float(mask.sum() + coverage[~mask].sum())
     return inside / union if union > 0 else 0.0
 
 
-def _binary(coverage: np.ndarray, shape: tuple[int, ...], name: str) -> UInt8[np.ndarray, "T H W"]:
+def _binary(coverage: np.ndarray, shape: tuple[int, ...], name: str) -> Bool[np.ndarray, "T H W"]:
     if coverage.shape != shape:
         raise InputError(f"{name}: got shape {coverage.shape}, expected {shape} (frames, height, width)")
-    if coverage.dtype == bool:
-        return coverage.astype(np.uint8) * np.uint8(255)
-    return ((coverage > 127) * np.uint8(255)).astype(np.uint8)
+    return coverage if coverage.dtype == bool else coverage > 127
 
 
 def _reduced(frames: UInt8[np.ndarray, "T H W 3"]) -> UInt8[np.ndarray, "T h w 3"]:
@@ -132,8 +130,7 @@ def _reduced(frames: UInt8[np.ndarray, "T H W 3"]) -> UInt8[np.ndarray, "T h w 3
     return np.stack([shrink(frame, size) for frame in frames])
 
 
-def _enlarged(coverage: UInt8[np.ndarray, "T h w"], size: tuple[int, int]) -> UInt8[np.ndarray, "T H W"]:
+def _enlarged(coverage: UInt8[np.ndarray, "T h w"], size: tuple[int, int]) -> Bool[np.ndarray, "T H W"]:
     """Above one half after linear interpolation."""
     height, width = size
-    smooth = (cv2.resize(c, (width, height), interpolation=cv2.INTER_LINEAR) for c in coverage)
-    return np.stack([cv2.threshold(c, 127, 255, cv2.THRESH_BINARY)[1] for c in smooth])
+    return np.stack([cv2.resize(c, (width, height), interpolation=cv2.INTER_LINEAR) > 127 for c in coverage])

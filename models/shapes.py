@@ -2,26 +2,26 @@
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Bool, Float32
 
 __all__ = ["clean_mask", "link_masks"]
 
 
-def clean_mask(mask: UInt8[np.ndarray, "H W"]) -> UInt8[np.ndarray, "H W"]:
-    """Open, close and fill holes; the result is 0 or 255."""
+def clean_mask(mask: Bool[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
+    """Open, close and fill holes."""
     cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, cross)
-    mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
-    outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    return cv2.drawContours(np.zeros_like(mask), outlines, -1, 255, cv2.FILLED)
+    opened = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, cross)
+    closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    outlines, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+    return cv2.drawContours(np.zeros_like(closed), outlines, -1, 1, cv2.FILLED) > 0
 
 
-def link_masks(masks: UInt8[np.ndarray, "T H W"], weight: Float32[np.ndarray, "H W"]) -> UInt8[np.ndarray, "T H W"]:
+def link_masks(masks: Bool[np.ndarray, "T H W"], weight: Float32[np.ndarray, "H W"]) -> Bool[np.ndarray, "T H W"]:
     """Keep in each frame the component that continues its neighbour's, outward from the heaviest.
 
     A component weighs what `weight` sums to inside it.
     """
-    parts = [cv2.connectedComponents(mask, connectivity=8) for mask in masks]
+    parts = [cv2.connectedComponents(mask.astype(np.uint8), connectivity=8) for mask in masks]
     weights = [np.bincount(labels.ravel(), weight.ravel(), minlength=2)[1:] for _, labels in parts]
     start = int(np.argmax([heavy.max() for heavy in weights]))
     out = np.zeros_like(masks)
@@ -33,8 +33,8 @@ def link_masks(masks: UInt8[np.ndarray, "T H W"], weight: Float32[np.ndarray, "H
                 continue
             merit = weights[k]
             if previous is not None:
-                near = cv2.dilate(previous, np.ones((9, 9), np.uint8)) > 0
+                near = cv2.dilate(previous.view(np.uint8), np.ones((9, 9), np.uint8)) > 0
                 merit = np.bincount(labels[near], weight[near], minlength=count)[1:] + 0.2 * merit
-            out[k] = (labels == 1 + int(merit.argmax())) * np.uint8(255)
+            out[k] = labels == 1 + int(merit.argmax())
             previous = out[k]
     return out

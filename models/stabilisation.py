@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 
 __all__ = ["Stabilised", "stabilise"]
 
@@ -19,20 +19,20 @@ class Stabilised:
     frames: UInt8[np.ndarray, "T H W 3"]
     shifts: Float64[np.ndarray, "T 2"]
 
-    def undo(self, masks: UInt8[np.ndarray, "T H W"]) -> UInt8[np.ndarray, "T H W"]:
-        """Move masks of the stabilised frames back to where the original frames show them."""
-        return _moved(masks, self.shifts)
+    def undo(self, coverage: UInt8[np.ndarray, "T H W"]) -> UInt8[np.ndarray, "T H W"]:
+        """Move coverage (0..255) of the stabilised frames back to where the original frames show it.
 
-    def follow(self, masks: UInt8[np.ndarray, "T H W"]) -> UInt8[np.ndarray, "T H W"]:
+        What is moved is 0 or 255 after it.
+        """
+        return _moved(coverage, self.shifts) * np.uint8(255) if self.shifts.any() else coverage
+
+    def follow(self, masks: Bool[np.ndarray, "T H W"]) -> Bool[np.ndarray, "T H W"]:
         """Move masks of the original frames to where the stabilised frames show them."""
-        return _moved(masks, -self.shifts)
+        return _moved(masks * np.uint8(255), -self.shifts) if self.shifts.any() else masks
 
 
-def _moved(masks: UInt8[np.ndarray, "T H W"], shifts: Float64[np.ndarray, "T 2"]) -> UInt8[np.ndarray, "T H W"]:
-    if not shifts.any():
-        return masks
-    moved = [_translate(mask, shift) for mask, shift in zip(masks, shifts, strict=True)]
-    return np.stack([cv2.threshold(mask, 127, 255, cv2.THRESH_BINARY)[1] for mask in moved])
+def _moved(coverage: UInt8[np.ndarray, "T H W"], shifts: Float64[np.ndarray, "T 2"]) -> Bool[np.ndarray, "T H W"]:
+    return np.stack([_translate(frame, shift) > 127 for frame, shift in zip(coverage, shifts, strict=True)])
 
 
 def stabilise(frames: UInt8[np.ndarray, "T H W 3"]) -> Stabilised:

@@ -176,7 +176,7 @@ def _prepare_chunk(
 def _prepare(clip: LabelledClip, settings: ClipSettings, true_mask_share: float) -> dict[str, object]:
     frames, fps, truth = clip.record.frames(), clip.fps, clip.record.mask()
     config = settings.clip_config()
-    known = prepare_clip(frames, fps=fps, mask=truth.astype(np.uint8) * np.uint8(255), config=config)
+    known = prepare_clip(frames, fps=fps, mask=truth, config=config)
     found = prepare_clip(frames, fps=fps, config=config)
     draw = int.from_bytes(hashlib.sha256(clip.name.encode()).digest()[:4], "big") / 2**32
     shown = known if draw < true_mask_share else found

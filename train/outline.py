@@ -108,7 +108,7 @@ def _examples(
         clip = replace(clip, frames=coloured.frames)
         shown = np.sort(generator.permutation(len(clip.frames))[: config.frames])
         planes = outline_input(clip.frames, clip.coverage, shown=shown)
-        yield planes, torch.from_numpy(clip.mask[shown] > 127)
+        yield planes, torch.from_numpy(clip.mask[shown])
 
 
 def outline_loss(logits: Float[Tensor, "T H W"], truth: Bool[Tensor, "T H W"]) -> Float[Tensor, ""]:
@@ -124,7 +124,7 @@ def outline_loss(logits: Float[Tensor, "T H W"], truth: Bool[Tensor, "T H W"]) -
 
 def _mean_overlap(clips: Sequence[RoughClip], find: Callable[[RoughClip], np.ndarray]) -> float:
     """Intersection over union, mean over frames in which the object is seen."""
-    return float(np.mean([overlap_of_frames(find(clip) > 0.5, clip.mask > 127) for clip in clips]))
+    return float(np.mean([overlap_of_frames(find(clip) > 0.5, clip.mask) for clip in clips]))
 
 
 def _model_card(

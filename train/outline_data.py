@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Bool, Float32, UInt8
 
 from models import object_coverage
 from train.records import LabelledClip
@@ -18,6 +18,7 @@ from train.segmentation_data import (
     moving_part,
     new_size,
     read_masked_clips,
+    resized_masks,
 )
 
 __all__ = ["RoughClip", "degraded", "read_rough_clips", "rearranged"]
@@ -32,7 +33,7 @@ class RoughClip:
     """The part of the picture in which something moves, the true mask, and the coverage that the segmenter finds."""
 
     frames: UInt8[np.ndarray, "T H W 3"]
-    mask: UInt8[np.ndarray, "T H W"]
+    mask: Bool[np.ndarray, "T H W"]
     rough: UInt8[np.ndarray, "T H W"]
 
     @property
@@ -66,10 +67,8 @@ def rearranged(clip: RoughClip, options: SegmentationAugmentation, generator: np
     size = new_size(height, width, options, generator)
     if size != (width, height):
         method = cv2.INTER_AREA if size[0] < width else cv2.INTER_LINEAR
-        frames, mask, rough = (
-            np.stack([cv2.resize(x, size, interpolation=method) for x in a]) for a in (frames, mask, rough)
-        )
-        mask = ((mask > 127) * np.uint8(255)).astype(np.uint8)
+        frames, rough = (np.stack([cv2.resize(x, size, interpolation=method) for x in a]) for a in (frames, rough))
+        mask = resized_masks(mask, size, method)
     return RoughClip(*(np.ascontiguousarray(a) for a in (frames, mask, rough)))
 
 

@@ -103,7 +103,7 @@ def _clip_loss(network: SilhouetteSegmenter, clip: MaskedClip) -> Tensor:
     height, width = clip.mask.shape[1:]
     padded = pad_pictures(clip.frames)
     logits = network(block_pixels(padded), block_pixels(clip_references(padded)))[:, :height, :width]
-    return segmentation_loss(logits, torch.from_numpy(clip.mask > 127))
+    return segmentation_loss(logits, torch.from_numpy(clip.mask))
 
 
 def segmentation_loss(logits: Float[Tensor, "T H W"], truth: Bool[Tensor, "T H W"]) -> Tensor:
@@ -121,7 +121,7 @@ def mean_overlap(network: SilhouetteSegmenter, clips: Sequence[MaskedClip]) -> f
     values = []
     for clip in clips:
         part = moving_part(clip)
-        values.append(overlap_of_frames(object_coverage(part.frames, segmenter=network) > 0.5, part.mask > 127))
+        values.append(overlap_of_frames(object_coverage(part.frames, segmenter=network) > 0.5, part.mask))
     return float(np.mean(values))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Int64, UInt8
+from jaxtyping import Bool, Float32, Int64, UInt8
 
 from models import moving_window, stabilise
 from train.records import LabelledClip
@@ -21,15 +21,16 @@ __all__ = [
     "new_size",
     "read_masked_clips",
     "recoloured",
+    "resized_masks",
 ]
 
 
 @dataclass(frozen=True)
 class MaskedClip:
-    """Frames of a camera that stands still, and the object in them (0 or 255)."""
+    """Frames of a camera that stands still, and where the object is in them."""
 
     frames: UInt8[np.ndarray, "T H W 3"]
-    mask: UInt8[np.ndarray, "T H W"]
+    mask: Bool[np.ndarray, "T H W"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,8 +59,7 @@ def read_masked_clips(
     out = []
     for clip in clips:
         steady = stabilise(clip.record.frames())
-        mask = clip.record.mask().astype(np.uint8) * np.uint8(255)
-        out.append(MaskedClip(steady.frames, steady.follow(mask)))
+        out.append(MaskedClip(steady.frames, steady.follow(clip.record.mask())))
         if progress is not None:
             progress(len(out))
     return out
@@ -125,13 +125,17 @@ def _resized(clip: MaskedClip, options: SegmentationAugmentation, generator: np.
         return clip
     method = cv2.INTER_AREA if size[0] < width else cv2.INTER_LINEAR
     frames = np.stack([cv2.resize(frame, size, interpolation=method) for frame in clip.frames])
-    masks = np.stack([cv2.resize(mask, size, interpolation=method) for mask in clip.mask])
-    return MaskedClip(frames, ((masks > 127) * np.uint8(255)).astype(np.uint8))
+    return MaskedClip(frames, resized_masks(clip.mask, size, method))
+
+
+def resized_masks(masks: Bool[np.ndarray, "T H W"], size: tuple[int, int], method: int) -> Bool[np.ndarray, "T h w"]:
+    """Where masks scaled to `size` (width, height) by a method of OpenCV are above one half."""
+    return np.stack([cv2.resize(mask * np.uint8(255), size, interpolation=method) > 127 for mask in masks])
 
 
 def _recoloured(
     frames: Float32[np.ndarray, "T H W 3"],
-    mask: UInt8[np.ndarray, "T H W"],
+    mask: Bool[np.ndarray, "T H W"],
     generator: np.random.Generator,
     *,
     apart: bool,
@@ -139,7 +143,7 @@ def _recoloured(
     mixed = _mixed(frames, generator)
     if not apart:
         return mixed
-    cover = np.stack([cv2.blur(m, (2, 2)) for m in mask]).astype(np.float32)[..., None] / 255
+    cover = np.stack([cv2.blur(m * np.uint8(255), (2, 2)) for m in mask]).astype(np.float32)[..., None] / 255
     return mixed * (1 - cover) + _mixed(frames, generator) * cover
 
 

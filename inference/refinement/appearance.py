@@ -145,4 +145,4 @@ def _unseen(seen: Observation, mesh: trimesh.Trimesh, degrees: float) -> Observa
     inside = cast_camera_rays(camera, vertices, faces).faces >= 0
     mean = seen.image[seen.coverage > 0.99].mean(0).numpy()
     frame = np.where(inside[..., None], 255 * mean, 255.0).round().astype(np.uint8)
-    return observation_of(camera, frame, np.where(inside, np.uint8(255), np.uint8(0)), fractional=True)
+    return observation_of(camera, frame, np.where(inside, np.uint8(255), np.uint8(0)))

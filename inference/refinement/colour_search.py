@@ -142,9 +142,10 @@ def _coloured(run: RefinementRun, problem: Problem, found: Fit, blur: float) -> 
         if isinstance(part, PixelObservations):
             images = run.capture.video(part.camera.name).frames[: len(part.pixels)]
             masks = run.capture.mask(part.camera.name)
-            mask = None if masks is None else masks[0] > 0
             margin = round(2 * blur)
-            seeds = colour_seeds(part.camera, images[0], vertices, triangles, mask=mask, margin=margin)
+            seeds = colour_seeds(
+                part.camera, images[0], vertices, triangles, mask=None if masks is None else masks[0], margin=margin
+            )
             points = seeds.on(vertices, triangles)
             if len(points):
                 everything = np.concatenate([vertices, points])

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Bool
 
 from inference.refinement.options import RefineOptions
 from inference.refinement.run import RefinementRun
@@ -154,7 +155,9 @@ def _is_unfollowed(camera: Camera, capture: Capture, parts: Sequence[Observation
 
 
 def _followed(
-    run: RefinementRun, views: Sequence[tuple[Camera, np.ndarray | None]], surface: tuple[np.ndarray, np.ndarray]
+    run: RefinementRun,
+    views: Sequence[tuple[Camera, Bool[np.ndarray, "T H W"] | None]],
+    surface: tuple[np.ndarray, np.ndarray],
 ) -> Arrays:
     """Rest positions and pixels of the points that are followed, by camera."""
     out = {}
@@ -164,7 +167,7 @@ def _followed(
             continue
         frames = run.capture.video(camera.name).frames[: run.capture.observed_frames]
         try:
-            seeds = seed_points(camera, frames[0], *surface, mask=None if mask is None else mask[0] > 0)
+            seeds = seed_points(camera, frames[0], *surface, mask=None if mask is None else mask[0])
         except InputError:
             if not outlined:
                 raise

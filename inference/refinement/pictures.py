@@ -60,7 +60,7 @@ def _outline_frames(found: Refinement, capture: Capture) -> UInt8[np.ndarray, "T
     assert masks is not None
     for frame, mask in enumerate(masks):
         inside = cast_camera_rays(camera, motion.vertices[frame], motion.faces).faces >= 0
-        shapes = (mask > 0, inside, (mask > 0) != inside)
+        shapes = (mask, inside, mask != inside)
         out.append(_labelled([np.where(shape, _GREY, 255)[..., None].repeat(3, -1) for shape in shapes], frame, found))
     return np.stack(out)
 

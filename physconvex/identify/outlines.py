@@ -8,7 +8,7 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from physconvex.errors import InputError
@@ -23,9 +23,11 @@ _RIM = 1.6  # pixels inside the model's mask that still count as its outline
 _BORDER = 3.0  # pixels from the border of the image within which an outline is cut off by it
 
 
-def outline_of_mask(mask: np.ndarray, count: int) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
-    """At most `count` points of the outline of a mask [H, W] in pixel coordinates, and the outward normals there."""
-    solid = (np.asarray(mask) > 0).astype(np.uint8)
+def outline_of_mask(
+    mask: Bool[np.ndarray, "H W"], count: int
+) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+    """At most `count` points of the outline of a mask in pixel coordinates, and the outward normals there."""
+    solid = mask.astype(np.uint8)
     contours, _ = cv2.findContours(solid, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     empty = np.zeros((0, 2))
     if not contours:
@@ -84,14 +86,14 @@ class OutlineObservations:
     def of_masks(
         cls,
         camera: Camera,
-        masks: np.ndarray,
+        masks: Bool[np.ndarray, "T H W"],
         points: Float[np.ndarray, "P 3"],
         triangles: Int[np.ndarray, "F 3"],
         *,
         per_frame: int = 60,
         sigma: float = 0.7,
     ) -> OutlineObservations:
-        """From masks [T, H, W]; frame 0, which shows the known rest state, is left out."""
+        """From masks; frame 0, which shows the known rest state, is left out."""
         found = [outline_of_mask(mask, per_frame) for mask in masks[1:]]
         frames = np.repeat(np.arange(1, len(masks)), [len(pixels) for pixels, _ in found])
         pixels, normals = (np.concatenate([pair[k] for pair in found]) for k in (0, 1))
@@ -162,8 +164,8 @@ class OutlineObservations:
         """Which pixels lie on the border of the silhouette."""
         drawn, _ = self.camera.project(x)
         border = self._borders.of(facing & np.isfinite(drawn).all(1)[self.triangles].all(1))
-        canvas = filled_border(drawn[border[:, 0]], drawn[border[:, 1]], self.camera.h, self.camera.w)
-        depth = cv2.distanceTransform(cv2.copyMakeBorder(canvas, 1, 1, 1, 1, cv2.BORDER_CONSTANT), cv2.DIST_L2, 3)
+        inside = filled_border(drawn[border[:, 0]], drawn[border[:, 1]], self.camera.h, self.camera.w).view(np.uint8)
+        depth = cv2.distanceTransform(cv2.copyMakeBorder(inside, 1, 1, 1, 1, cv2.BORDER_CONSTANT), cv2.DIST_L2, 3)
         columns = np.clip(np.nan_to_num(pixels[:, 0], nan=-9), -1, self.camera.w).astype(int) + 1
         rows = np.clip(np.nan_to_num(pixels[:, 1], nan=-9), -1, self.camera.h).astype(int) + 1
         return np.isfinite(pixels).all(1) & (depth[rows, columns] <= _RIM)

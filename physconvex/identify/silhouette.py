@@ -12,7 +12,7 @@ from functools import cached_property
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 
 __all__ = ["Borders", "filled_border"]
@@ -51,8 +51,8 @@ class Borders:
 
 def filled_border(
     starts: Float[np.ndarray, "B 2"], ends: Float[np.ndarray, "B 2"], height: int, width: int
-) -> UInt8[np.ndarray, "H W"]:
-    """1 where closed polygons wind about the centre of a pixel, or their edges pass through it, else 0.
+) -> Bool[np.ndarray, "H W"]:
+    """Where closed polygons wind about the centre of a pixel, or their edges pass through it.
 
     Args:
         starts, ends: of directed edges, in pixels (the first pixel reaches from 0 to 1).
@@ -69,4 +69,4 @@ def filled_border(
     canvas = (np.cumsum(turns.reshape(height, width + 1), axis=1)[:, :width] != 0).astype(np.uint8)
     fixed = np.round(np.stack([starts, ends], axis=1) * 2**_SHIFT).astype(np.int32)
     cv2.polylines(canvas, list(fixed), False, 1, shift=_SHIFT)
-    return canvas
+    return canvas.view(bool)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from physconvex.errors import InputError
@@ -78,14 +78,12 @@ class Observation:
 def observation_of(
     camera: Camera,
     frame: UInt8[np.ndarray, "H W 3"],
-    coverage: UInt8[np.ndarray, "H W"],
-    *,
-    fractional: bool,
+    coverage: UInt8[np.ndarray, "H W"] | Bool[np.ndarray, "H W"],
 ) -> Observation:
     """An observation from a picture and the object's silhouette.
 
-    With `fractional` coverage (the alpha of an image, colours not multiplied by it) the object is put before white. A
-    mask of zeros and ones says nothing of how much of the pixels at its rim the object covers: there the picture stays
+    With 8-bit coverage (the alpha of an image, colours not multiplied by it) the object is put before white. A mask
+    says nothing of how much of the pixels at its rim the object covers: there the picture stays
     as it is, and the background is continued from outside, so that a soft edge before it explains the mixed pixels.
 
     Raises:
@@ -101,13 +99,13 @@ def observation_of(
     colours = frame.astype(np.float32) / 255
     share: np.ndarray
     background: np.ndarray
-    if fractional:
+    if coverage.dtype != bool:
         share = coverage.astype(np.float32)[..., None] / 255
         background = np.ones_like(colours)
         colours = share * colours + (1 - share) * background
     else:
-        share = (coverage > 127).astype(np.float32)[..., None]
-        background = _continued(colours, share[..., 0] > 0)
+        share = coverage.astype(np.float32)[..., None]
+        background = _continued(colours, coverage)
     return Observation(camera, *(torch.as_tensor(values) for values in (colours, background, share[..., 0])))
 
 

@@ -99,11 +99,11 @@ def test_nothing_to_follow_is_said(film):
 def test_the_outline_of_a_disk():
     canvas = np.zeros((60, 80), np.uint8)
     cv2.circle(canvas, (40, 30), 20, 1, -1)
-    pixels, normals = outline_of_mask(canvas, 50)
+    pixels, normals = outline_of_mask(canvas > 0, 50)
     radius = pixels - [40.5, 30.5]
     assert np.abs(np.linalg.norm(radius, axis=1) - 20.3).max() < 0.8
     assert ((radius / np.linalg.norm(radius, axis=1, keepdims=True)) * normals).sum(1).min() > 0.97
-    assert len(outline_of_mask(np.zeros((9, 9)), 5)[0]) == 0
+    assert len(outline_of_mask(np.zeros((9, 9), bool), 5)[0]) == 0
 
 
 def test_outline_residuals_vanish_at_the_truth_and_measure_a_shift(film):

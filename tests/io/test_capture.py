@@ -31,10 +31,10 @@ def _capture(folder: Path, **changes: Any) -> Capture:
 def _frames() -> tuple[np.ndarray, np.ndarray]:
     """A bright square that moves over grey, and where it is."""
     images = np.full((FRAMES, HEIGHT, WIDTH, 3), 90, np.uint8)
-    mask = np.zeros((FRAMES, HEIGHT, WIDTH), np.uint8)
+    mask = np.zeros((FRAMES, HEIGHT, WIDTH), bool)
     for k in range(FRAMES):
-        mask[k, 7 + 3 * k : 19 + 3 * k, 20:37] = 255
-    images[mask > 0] = (230, 200, 40)
+        mask[k, 7 + 3 * k : 19 + 3 * k, 20:37] = True
+    images[mask] = (230, 200, 40)
     return images, mask
 
 
@@ -65,7 +65,7 @@ def test_whole_capture_round_trip(tmp_path: Path) -> None:
     save_capture(
         written,
         videos={"front": images, "side": images[:, :, ::-1]},
-        masks={"front": mask, "side": mask[:, :, ::-1] > 0},
+        masks={"front": mask, "side": mask[:, :, ::-1]},
         mesh=box,
         tets=_tets(),
         tracks=_tracks(),
@@ -123,10 +123,16 @@ def test_image_folder_with_alpha(tmp_path: Path) -> None:
     images, mask = _frames()
     (tmp_path / "c/front").mkdir()
     for k in range(FRAMES):
-        Image.fromarray(np.dstack([images[k], mask[k]])).save(tmp_path / f"c/front/{k:06d}.png")
+        Image.fromarray(np.dstack([images[k], mask[k] * np.uint8(255)])).save(tmp_path / f"c/front/{k:06d}.png")
     capture = load_capture(tmp_path / "c")
     np.testing.assert_array_equal(capture.video("front").frames, images)
     np.testing.assert_array_equal(capture.mask("front"), mask)
+
+
+def test_masks_are_true_or_false(tmp_path: Path) -> None:
+    _, mask = _frames()
+    with pytest.raises(InputError, match=r"masks\['front'\]: got uint8; expected bool"):
+        save_capture(_capture(tmp_path / "c"), masks={"front": mask * np.uint8(255)}, tracks=_tracks())
 
 
 def test_video_without_mask_has_none(tmp_path: Path) -> None:

@@ -52,6 +52,4 @@ def pictures(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
 
 def views(count: int, *, size: int = 48, phase: float = 0.0) -> list[Observation]:
     """Observations of the ball."""
-    return [
-        observation_of(camera, *pictures(camera), fractional=True) for camera in ring(count, size=size, phase=phase)
-    ]
+    return [observation_of(camera, *pictures(camera)) for camera in ring(count, size=size, phase=phase)]

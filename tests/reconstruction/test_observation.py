@@ -13,7 +13,7 @@ from tests.reconstruction.scenes import pictures, ring
 def test_an_image_with_alpha_is_put_before_white():
     camera = ring(1)[0]
     frame, alpha = pictures(camera)
-    seen = observation_of(camera, frame, alpha, fractional=True)
+    seen = observation_of(camera, frame, alpha)
     half = alpha.astype(np.float32)[..., None] / 255
     np.testing.assert_allclose(seen.image, half * frame / 255 + 1 - half, atol=1e-6)
     assert torch.equal(seen.background, torch.ones_like(seen.image))
@@ -25,7 +25,7 @@ def test_behind_a_binary_mask_the_background_is_continued():
     wall = np.broadcast_to(np.linspace(100, 200, 48).astype(np.uint8)[:, None, None], (48, 48, 3))
     share = alpha[..., None] / 255
     mixed = (share * frame + (1 - share) * wall).round().astype(np.uint8)
-    seen = observation_of(camera, mixed, np.where(alpha > 127, 255, 0).astype(np.uint8), fractional=False)
+    seen = observation_of(camera, mixed, alpha > 127)
     outside = binary_dilation(alpha > 0, iterations=5) == 0
     np.testing.assert_allclose(seen.image, mixed / np.float32(255), atol=1e-6)
     np.testing.assert_allclose(seen.background[outside], wall[outside] / 255, atol=1e-6)
@@ -35,7 +35,7 @@ def test_behind_a_binary_mask_the_background_is_continued():
 
 
 def test_cropping_and_resizing_keep_where_points_are_seen():
-    seen = observation_of(ring(1)[0], *pictures(ring(1)[0]), fractional=True)
+    seen = observation_of(ring(1)[0], *pictures(ring(1)[0]))
     part = seen.cropped()
     assert part.image.shape[0] < 48 and part.coverage.sum() == seen.coverage.sum()
     point = np.array([0.01, 0.02, 0.03])
@@ -53,9 +53,9 @@ def test_what_does_not_fit_is_refused():
     camera = ring(1)[0]
     frame, alpha = pictures(camera)
     with pytest.raises(InputError, match="expected 48×48"):
-        observation_of(camera, frame[:-1], alpha, fractional=True)
+        observation_of(camera, frame[:-1], alpha)
     with pytest.raises(InputError, match="silhouette is empty"):
-        observation_of(camera, frame, np.zeros_like(alpha), fractional=True)
+        observation_of(camera, frame, np.zeros_like(alpha))
 
 
 def test_structural_similarity_is_that_of_the_paper():

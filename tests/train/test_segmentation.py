@@ -64,23 +64,23 @@ def test_loss_prefers_the_truth() -> None:
 
 def test_augmentation_moves_frames_and_mask_together() -> None:
     frames = np.full((24, 64, 64, 3), 90, np.uint8)
-    mask = np.zeros((24, 64, 64), np.uint8)
+    mask = np.zeros((24, 64, 64), bool)
     for k in range(24):
-        mask[k, 10 + k : 30 + k, 8:28] = 255
-    frames[mask > 0] = [220, 40, 130]
+        mask[k, 10 + k : 30 + k, 8:28] = True
+    frames[mask] = [220, 40, 130]
     options = SegmentationAugmentation(recoloured=0.0, noise=0.0)
     for seed in range(8):
         example = augmented(MaskedClip(frames, mask), options, np.random.default_rng(seed))
         assert example.frames.shape[:3] == example.mask.shape and 6 <= len(example.mask) <= 16
         seen = np.abs(example.frames.astype(int) - [220, 40, 130]).sum(axis=-1) < 100
-        assert (seen == (example.mask > 0)).mean() > 0.98
+        assert (seen == example.mask).mean() > 0.98
 
 
 def test_augmentation_depends_on_the_seed_alone() -> None:
     generator = np.random.default_rng(0)
     clip = MaskedClip(
         generator.integers(0, 255, (12, 32, 32, 3), dtype=np.uint8),
-        (generator.random((12, 32, 32)) > 0.5).astype(np.uint8) * np.uint8(255),
+        generator.random((12, 32, 32)) > 0.5,
     )
     first, second, other = (
         augmented(clip, SegmentationAugmentation(), np.random.default_rng(seed)) for seed in (1, 1, 2)

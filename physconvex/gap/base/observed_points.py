@@ -56,7 +56,7 @@ def followed(capture: Capture, camera: Camera, twin: Twin) -> PixelObservations:
     frames = capture.video(camera.name).frames[: capture.frames]
     masks = capture.mask(camera.name)
     vertices, triangles = twin.surface
-    seeds = seed_points(camera, frames[0], vertices, triangles, mask=None if masks is None else masks[0] > 0)
+    seeds = seed_points(camera, frames[0], vertices, triangles, mask=None if masks is None else masks[0])
     if len(seeds.points) < BASE_FIT.fewest_points:
         raise InputError(
             f"{capture.folder}: camera {camera.name!r}: {len(seeds.points)} points to follow in its first image; "

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Bool, Float64
 
 from physconvex.errors import InputError
 from physconvex.io.camera import Camera
@@ -130,8 +130,8 @@ class Capture:
         alpha = None if video.alpha is None else video.alpha[: self.frames]
         return replace(video, frames=video.frames[: self.frames], alpha=alpha, fps=self.fps, timestamps=self.times)
 
-    def mask(self, camera: str) -> UInt8[np.ndarray, "T H W"] | None:
-        """Silhouettes (0 or 255) from `<camera>_mask.mp4` or the images' alpha; None where there are none."""
+    def mask(self, camera: str) -> Bool[np.ndarray, "T H W"] | None:
+        """Where the object is seen, from `<camera>_mask.mp4` or the images' alpha; None where there are none."""
         size, path = self.camera(camera), self.folder / f"{camera}_mask.mp4"
         if path.exists():
             frames = read_video(path, max_frames=max(2, self.frames)).frames[..., 0]
@@ -139,7 +139,7 @@ class Capture:
             coverage: np.ndarray | None = frames[: self.frames]
         else:
             coverage = self.video(camera).alpha
-        return None if coverage is None else np.where(coverage > 127, np.uint8(255), np.uint8(0))
+        return None if coverage is None else coverage > 127
 
     def tracks(self) -> Tracks | None:
         """Marker tracks, or None."""

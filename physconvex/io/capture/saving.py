@@ -36,7 +36,7 @@ def save_capture(
     Args:
         capture: metadata; `capture.folder` is where it goes.
         videos: frames by camera name, uint8 [T, H, W, 3], written as H.264 with quality `crf`.
-        masks: silhouettes by camera name, bool or uint8 [T, H, W], written without loss.
+        masks: where the object is seen, by camera name, bool [T, H, W], written without loss.
         mesh: rest geometry, written as OBJ with its texture if it has one.
         tets: tetrahedra of the rest geometry.
         tracks: marker tracks.
@@ -58,8 +58,8 @@ def save_capture(
         for name, frames in (videos or {}).items():
             write_video(partial / f"{name}.mp4", frames, fps=capture.fps, crf=crf)
         for name, mask in (masks or {}).items():
-            grey = np.where(np.asarray(mask) > (0 if mask.dtype == bool else 127), np.uint8(255), np.uint8(0))
-            write_video(partial / f"{name}_mask.mp4", np.repeat(grey[..., None], 3, axis=-1), fps=capture.fps, crf=0)
+            grey = np.where(mask[..., None], np.uint8(255), np.uint8(0))
+            write_video(partial / f"{name}_mask.mp4", np.repeat(grey, 3, axis=-1), fps=capture.fps, crf=0)
         if mesh is not None:
             mesh.export(partial / "mesh.obj")
         if truth is not None:
@@ -76,6 +76,9 @@ def _check_pictures(capture: Capture, videos: Mapping[str, np.ndarray], masks: M
             expected = (capture.frames, camera.h, camera.w)
             if frames.shape[:3] != expected:
                 raise InputError(f"{kind}[{name!r}]: got shape {frames.shape}, expected {expected} (frames, h, w)")
+    for name, mask in masks.items():
+        if mask.dtype != bool:
+            raise InputError(f"masks[{name!r}]: got {mask.dtype}; expected bool, true where the object is seen")
 
 
 def _metadata(capture: Capture) -> dict[str, JsonValue]:
