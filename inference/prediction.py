@@ -8,7 +8,10 @@ from os import PathLike
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, UInt8
+
+from inference.units import format_pascals, format_pascals_range
+from physconvex.io import Picture, html_summary
 
 __all__ = ["PREDICTION_SCHEMA", "PREDICTION_UNITS", "Estimated", "Prediction", "Weights"]
 
@@ -96,6 +99,29 @@ class Prediction:
     """What may make the prediction worse than its intervals say, one line each."""
     truncated: str = ""
     """One line that names a file that is cut short and says how much was decoded (also a warning); else empty."""
+
+    silhouette: UInt8[np.ndarray, "S S"] | None = None
+    """Coverage of the object in the first frame, 0 to 255, as the network reads it."""
+
+    def _repr_html_(self) -> str:
+        """Numbers with their 90 % intervals and a section through the skinning weights, for a notebook."""
+        from inference.weight_pictures import weight_maps  # loads OpenCV
+
+        low, high = self.poisson_ratio_interval
+        rows = [
+            (
+                "Young's modulus (90 %)",
+                f"{format_pascals(self.youngs_modulus)} ({format_pascals_range(*self.youngs_modulus_interval)})",
+            ),
+            ("Poisson's ratio (90 %)", f"{self.poisson_ratio:.2f} ({low:.2f}–{high:.2f})"),
+            ("density, size, rate", f"{self.density:g} kg/m³, {self.object_size:g} m, {self.fps:g} frames/s"),
+            ("object found by", f"{self.foreground.replace('_', ' ')} ({self.foreground_confidence:.0%} sure)"),
+        ]
+        seen = self.silhouette
+        section = b"" if seen is None else weight_maps(self.skinning_field, seen, self.object_size)
+        pictures = [Picture(section, "skinning weights, middle section")] if section else []
+        notes = [*(f"assumed {value}" for value in self.assumed), *self.warnings]
+        return html_summary(f"Prediction of {self.path or 'an array'}", rows, pictures=pictures, notes=notes)
 
     def to_record(self) -> dict[str, object]:
         """Return everything but the skinning field as JSON-ready values (for files and lines)."""

@@ -75,6 +75,7 @@ def load_predictor(checkpoint: str = "default", device: str = "cpu") -> Predicto
 
 def _load(path_or_array: Any, *, mask: Any, timestamps: Any) -> tuple[ClipSource | None, LoadedClip]:
     if not isinstance(path_or_array, str | os.PathLike):
+        _refuse_paths(path_or_array)
         return None, load_array(path_or_array, mask=mask, timestamps=timestamps)
     if timestamps is not None:
         raise InputError("timestamps is given for a file; expected None, since files have their own. Leave it out.")
@@ -85,3 +86,16 @@ def _load(path_or_array: Any, *, mask: Any, timestamps: Any) -> tuple[ClipSource
     if mask is not None:
         loaded = loaded.with_mask(mask)
     return source, loaded
+
+
+def _refuse_paths(given: object) -> None:
+    """Say what predicts several clips.
+
+    Raises:
+        InputError: there are paths in `given`.
+    """
+    if isinstance(given, list | tuple | set | frozenset) and any(isinstance(one, str | os.PathLike) for one in given):
+        raise InputError(
+            f"path_or_array: got {len(given)} paths; expected one clip. Use `physconvex.predict_batch(paths, out=…)`, "
+            "which predicts several."
+        )

@@ -108,6 +108,7 @@ def to_prediction(ready: ReadyClip, estimate: Estimated) -> Prediction:
         frames_used=int(prepared.valid.sum()),
         warnings=tuple(warnings),
         truncated=ready.truncated,
+        silhouette=prepared.mask[0],
     )
 
 

@@ -22,7 +22,7 @@ from inference.reconstruction_pictures import write_comparison
 from inference.reconstruction_views import CaptureViews, capture_views
 from physconvex import InputError
 from physconvex.convex import ConvexField, read_ply, write_glb, write_ply
-from physconvex.io import load_capture, write_video
+from physconvex.io import Picture, html_summary, load_capture, png_bytes, write_video
 from physconvex.numerics import device_named
 from physconvex.reconstruction import (
     FitProgress,
@@ -51,6 +51,7 @@ STATE, RESULT, FIELD, HULLS, FILM = (
     "turntable.mp4",
 )
 _STORE_EVERY = 20.0  # seconds
+_SHOWN_SCORES = ("psnr", "psnr_object", "ssim")
 _FILM_FRAMES, _FILM_RATE = 48, 24.0
 
 
@@ -100,6 +101,18 @@ class Reconstruction:
     seconds: float
     config: ReconstructionConfig
     out: Path | None = None
+
+    def _repr_html_(self) -> str:
+        """Scores of the views and a picture of the field, for a notebook."""
+        rows = [("convexes", f"{len(self.field)}, from the {self.start}"), ("seconds", f"{self.seconds:.0f}")]
+        for name, scores in (("fitted", self.training), ("held out", self.held_out)):
+            if scores:
+                psnr, inside, ssim = (float(np.mean([getattr(s, of) for s in scores])) for of in _SHOWN_SCORES)
+                text = f"PSNR {psnr:.2f} dB ({inside:.2f} dB on the object), SSIM {ssim:.4f}"
+                rows.append((f"{name} ({len(scores)} views)", text))
+        (image,) = film([self.field], orbit(self.field, 1))
+        pictures = [Picture(png_bytes(image), "the field from one side")]
+        return html_summary("Reconstruction", rows, pictures=pictures)
 
     def to_json(self) -> ReconstructionRecord:
         """What `reconstruction.json` holds."""

@@ -1,43 +1,30 @@
 """Material parameters of soft objects from video: one light face over the packages of the repository.
 
-Importing this package loads nothing heavy; the names below are resolved on first use (PEP 562).
+Importing this package loads nothing heavy; the names below are resolved on first use (PEP 562). `__init__.pyi` tells
+their types.
 """
 
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
 
 from physconvex.errors import ConvergenceError, InputError, PhysconvexError
 
 _LAZY = {
-    "GapReport": "physconvex.gap",
-    "PhysicsPredictor": "models",
-    "Prediction": "inference",
-    "diagnose": "physconvex.gap",
-    "RefineOptions": "inference",
-    "Refinement": "inference",
-    "predict": "inference",
-    "predict_batch": "inference",
-    "reconstruct": "inference",
-    "refine": "inference",
+    "GapReport": ("physconvex.gap", "GapReport"),
+    "PhysicsPredictor": ("models", "PhysicsPredictor"),
+    "Prediction": ("inference", "Prediction"),
+    "Reconstruction": ("inference", "Reconstruction"),
+    "RefineOptions": ("inference", "RefineOptions"),
+    "Refinement": ("inference", "Refinement"),
+    "diagnose": ("physconvex.gap", "diagnose"),
+    "predict": ("inference", "predict"),
+    "predict_batch": ("inference", "predict_batch"),
+    "reconstruct": ("inference", "reconstruct"),
+    "refine": ("inference", "refine"),
+    "simulate": ("physconvex.play", "simulate_assets"),
 }
 
-__all__ = [
-    "ConvergenceError",
-    "GapReport",
-    "InputError",
-    "PhysconvexError",
-    "PhysicsPredictor",
-    "Prediction",
-    "RefineOptions",
-    "Refinement",
-    "__version__",
-    "diagnose",
-    "predict",
-    "predict_batch",
-    "reconstruct",
-    "refine",
-]
+__all__ = ["ConvergenceError", "InputError", "PhysconvexError", "__version__", *_LAZY]
 
 try:
     __version__ = version("physconvex")
@@ -45,10 +32,11 @@ except PackageNotFoundError:  # a checkout on the path that was never installed
     __version__ = "0+unknown"
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(_LAZY[name]), name)
+    package, there = _LAZY[name]
+    value: object = getattr(import_module(package), there)
     globals()[name] = value
     return value
 

@@ -14,6 +14,7 @@ from .configuration import (
     set_value as set_value,
     validated as validated,
 )
+from .notebook import Picture as Picture, html_summary as html_summary, png_bytes as png_bytes
 from .options import (
     CommandLine as CommandLine,
     Options as Options,

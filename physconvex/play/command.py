@@ -60,9 +60,8 @@ def simulate_command(
     """
     from tqdm import tqdm
 
-    from physconvex.play.assets import read_asset
-    from physconvex.play.config import load_play_config, overrides_of
     from physconvex.play.roll_out import play_together
+    from physconvex.play.simulation import configure_assets
     from physconvex.play.writing import summary_of, write_played
 
     chosen = {
@@ -78,13 +77,7 @@ def simulate_command(
         "time.fps": fps,
     }
     overrides = [f"{name}={json.dumps(value)}" for name, value in chosen.items() if value is not None]
-    objects = [read_asset(path) for path in assets]
-    configs = [
-        load_play_config(
-            preset, overrides=[*overrides, *overrides_of(k, len(assets), settings or [])], found=asset.settings
-        )
-        for k, asset in enumerate(objects, start=1)
-    ]
+    objects, configs = configure_assets(assets, preset=preset, settings=[*overrides, *(settings or [])])
     quiet = as_json or not progress or not sys.stderr.isatty()
     with tqdm(total=configs[0].time.frames - 1, unit="frame", disable=quiet) as bar:
         played = play_together(objects, configs, on_frame=lambda _: bar.update())

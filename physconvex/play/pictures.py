@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from physconvex.io import Picture, html_summary
 from physconvex.play.config import FloorConfig
 from physconvex.play.roll_out import PlayedObject
 
-__all__ = ["floor_displacement", "frames_of"]
+__all__ = ["floor_displacement", "frames_of", "played_html"]
 
 _OBJECTS = ("#d8743c", "#3c7ad8", "#4f9d69", "#b5539c", "#d8b13c")
 _LIGHT, _DARK = "#e9e6df", "#c9c4b8"
+_SHOWN = 5  # frames in a notebook
 _TILES = 24  # tiles along the floor, twice as wide as what is seen of it
 
 
@@ -110,3 +113,37 @@ def frames_of(
             yield np.ascontiguousarray(plotter.screenshot(return_img=True))
     finally:
         plotter.close()
+
+
+def played_html(played: PlayedObject) -> str:
+    """Numbers, and the objects from the side at some frames."""
+    heights, times = played.positions[:, :, 2], played.trajectory.times
+    rows = [
+        ("objects, mass, volume", f"{len(played.masses)}, {played.mass:.3g} kg, {played.volume:.3g} m³"),
+        ("frames", f"{len(times)}, {times[-1]:.3g} s"),
+        ("height, first and last", f"{np.ptp(heights[0]):.3g} m, {np.ptp(heights[-1]):.3g} m"),
+        ("lowest point", f"{heights.min():.3g} m"),
+    ]
+    return html_summary("Simulation", rows, pictures=[Picture(_side_views(played), "the motion from the side")])
+
+
+def _side_views(played: PlayedObject) -> bytes:
+    """PNG of some frames seen along y, drawn by matplotlib, which needs no OpenGL."""
+    from matplotlib.collections import PolyCollection
+    from matplotlib.figure import Figure
+
+    faces, owners = played.surface.faces, played.owners[played.surface.faces[:, 0]]
+    shown = np.unique(np.linspace(0, len(played.positions) - 1, _SHOWN).round().astype(int))
+    figure = Figure(figsize=(2 * len(shown), 2.2), layout="constrained")
+    low, high = played.positions[..., [0, 2]].min((0, 1)), played.positions[..., [0, 2]].max((0, 1))
+    for axes, frame in zip(np.atleast_1d(figure.subplots(1, len(shown), sharey=True)), shown, strict=True):
+        corners = played.positions[frame][faces]
+        order = np.argsort(-corners[:, :, 1].mean(1))  # the farthest first
+        colours = [_OBJECTS[k % len(_OBJECTS)] for k in owners[order]]
+        outlines = corners[order][:, :, [0, 2]]
+        axes.add_collection(PolyCollection(outlines, facecolors=colours, edgecolors="#0003", lw=0.2))
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x [m]")
+        axes.set_title(f"{played.trajectory.times[frame]:.2f} s", fontsize=9)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=90)
+    return buffer.getvalue()

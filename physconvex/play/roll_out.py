@@ -69,6 +69,12 @@ class PlayedObject:
     volumes: tuple[float, ...]
     convexes: tuple[ConvexField | None, ...]
 
+    def _repr_html_(self) -> str:
+        """Numbers and pictures, for a notebook."""
+        from physconvex.play.pictures import played_html  # loads matplotlib
+
+        return played_html(self)
+
     @property
     def trajectory(self) -> ReducedTrajectory:
         """That of the first body."""

@@ -26,6 +26,18 @@ def test_defaults_are_named_as_assumed(tmp_path: Path, make_clip: MakeClip) -> N
     assert given.youngs_modulus == pytest.approx(prediction.youngs_modulus)
 
 
+def test_a_notebook_shows_numbers_intervals_and_weights(tmp_path: Path, make_clip: MakeClip) -> None:
+    shown = predict(make_clip(tmp_path / "<a>.mp4"), predictor=PredictorDouble())._repr_html_()
+    assert "&lt;a&gt;.mp4" in shown and "Pa (" in shown and "assumed density=1000 kg/m^3" in shown
+    assert shown.count("data:image/png;base64,") == 1
+
+
+@pytest.mark.parametrize("paths", [["a.mp4", "b.mp4"], (Path("a.mp4"),), {"a.mp4"}])
+def test_several_paths_are_for_predict_batch(paths: object) -> None:
+    with pytest.raises(InputError, match="predict_batch"):
+        predict(paths, predictor=PredictorDouble())
+
+
 def test_fps_overrides_the_files(tmp_path: Path, make_clip: MakeClip) -> None:
     path = make_clip(tmp_path / "a.mp4", fps=24)
     slow, fast = (predict(path, fps=fps, predictor=PredictorDouble()) for fps in (12.0, 24.0))

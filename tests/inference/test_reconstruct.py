@@ -94,6 +94,8 @@ def test_a_run_that_was_killed_goes_on_to_the_same_field(capture, tmp_path, monk
     assert steps == [8, 9, 10, 11, 12]
     whole = reconstruct(capture, config=TINY)
     assert [one.psnr for one in resumed.training] == [one.psnr for one in whole.training]
+    shown = whole._repr_html_()
+    assert f"{len(whole.field)}, from the mesh" in shown and shown.count("data:image/png;base64,") == 1
 
 
 def test_videos_with_masks_before_a_busy_wall_do_as_well(tmp_path):

@@ -8,7 +8,7 @@ import trimesh
 from typer import Typer
 from typer.testing import CliRunner
 
-from physconvex import InputError
+from physconvex import InputError, simulate
 from physconvex.io import read_video
 from physconvex.io.configuration import preset_names
 from physconvex.play import PlayConfig, load_play_config, play, read_surface
@@ -71,6 +71,19 @@ def test_the_command_writes_trajectory_frames_and_summary(ball, tmp_path):
     assert PlayConfig.model_validate(record["configuration"]) == load_play_config(
         "soft", overrides=["object.drop_height=0.3", "object.size=0.4", *QUICK]
     )
+
+
+def test_the_function_does_what_the_command_does(ball, tmp_path):
+    out = tmp_path / "played"
+    played = simulate(ball, preset="soft", settings=[*QUICK, "object.drop_height=0.3"], out=out, ply=False)
+    with np.load(out / "trajectory.npz") as arrays:
+        np.testing.assert_array_equal(arrays["positions"], played.positions)
+    assert (out / "animation.glb").exists() and not (out / "frames").exists()
+    shown = played._repr_html_()
+    assert f"1, {played.mass:.3g} kg" in shown and shown.count("data:image/png;base64,") == 1
+    heavy = ["1:material.density=2000", *QUICK]
+    pair = simulate([ball, ball], settings=heavy)
+    assert pair.masses[0] == pytest.approx(2 * pair.masses[1])
 
 
 def test_presets_are_what_their_names_say():

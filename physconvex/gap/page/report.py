@@ -14,8 +14,9 @@ from physconvex.fem import Scene
 from physconvex.gap.light.image_formation import ImageFinding
 from physconvex.gap.page.findings import GapFindings
 from physconvex.gap.page.html import write_html
-from physconvex.gap.page.pictures import write_body
+from physconvex.gap.page.pictures import body_map, svg_of, write_body
 from physconvex.gap.search.hypothesis import Hypothesis
+from physconvex.io import Picture, html_summary
 from physconvex.reduced import ReducedScene
 
 __all__ = ["GapReport", "ImprovedTwin"]
@@ -57,6 +58,21 @@ class ImprovedTwin:
 @dataclass(frozen=True, eq=False)
 class GapReport(GapFindings):
     """`GapFindings` that can be applied and saved."""
+
+    def _repr_html_(self) -> str:
+        """Verdict, shrinkage and doses with their intervals, and a picture of the gap on the body, for a notebook."""
+        main = self.how_far[0]
+        rows = [
+            ("verdict", self.verdict.sentence),
+            ("gap shrinks by", f"{main.shrinkage:.0%} ({main.lower:.0%} to {main.upper:.0%}), by {main.data}"),
+        ]
+        rows += [
+            (f"{effect.name}: {dose.name}", f"{dose.value:.4g} {dose.unit} ({dose.lower:.4g} to {dose.upper:.4g})")
+            for effect in self.verdict.effects
+            for dose in effect.doses
+        ]
+        body = Picture(svg_of(body_map(self.where)), "the gap on the body")
+        return html_summary("Diagnosis", rows, pictures=[body], notes=self.verdict.caveats)
 
     def apply(self) -> ImprovedTwin:
         """The twin with the named effects added.

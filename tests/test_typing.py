@@ -1,0 +1,46 @@
+"""A user's script outside the checkout sees the types of the public functions."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+SCRIPT = """\
+import physconvex
+from physconvex import diagnose, predict, reconstruct, refine, simulate
+
+reveal_type(predict("clip.mp4"))
+reveal_type(refine("capture"))
+reveal_type(diagnose("capture"))
+reveal_type(reconstruct("capture"))
+reveal_type(simulate("ball.obj"))
+reveal_type(physconvex.predict("clip.mp4").youngs_modulus_interval)
+predict("clip.mp4", density="heavy")
+"""
+
+REVEALED = [
+    "inference.prediction.Prediction",
+    "inference.refinement.result.Refinement",
+    "physconvex.gap.page.report.GapReport",
+    "inference.reconstruction.Reconstruction",
+    "physconvex.play.roll_out.PlayedObject",
+]
+
+
+@pytest.mark.slow
+def test_public_functions_reveal_their_types(tmp_path: Path) -> None:
+    script = tmp_path / "users_script.py"
+    script.write_text(SCRIPT)
+    result = subprocess.run(
+        [sys.executable, "-m", "mypy", "--follow-imports=silent", "--ignore-missing-imports", script.name],
+        capture_output=True, text=True, cwd=tmp_path, check=False,
+        env={"MYPYPATH": str(ROOT), "MYPY_CACHE_DIR": str(ROOT / ".mypy_cache" / "user"), "PATH": "/usr/bin:/bin"},
+    )  # fmt: skip
+    notes = [line for line in result.stdout.splitlines() if "Revealed type" in line]
+    for note, expected in zip(notes, REVEALED, strict=False):
+        assert expected in note, result.stdout + result.stderr
+    assert "tuple[float, float]" in notes[5].replace("builtins.", "")
+    assert 'Argument "density" to "predict" has incompatible type "str"' in result.stdout
