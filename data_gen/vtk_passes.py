@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
-import importlib.util
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -17,7 +15,7 @@ from jaxtyping import Float
 from data_gen.lighting import Backdrop, Lighting
 from data_gen.surface import DrawnSurface
 from physconvex import PhysconvexError
-from physconvex.io import Camera
+from physconvex.io import Camera, load_triton_first
 
 if TYPE_CHECKING:
     from pyvista import PolyData, Texture
@@ -62,18 +60,6 @@ def without_display() -> Iterator[None]:
         vtkLogger.SetStderrVerbosity(verbosity)
         if chosen is None:
             del os.environ["VTK_DEFAULT_OPENGL_WINDOW"]
-
-
-def load_triton_first() -> None:
-    """Load triton's library, if it is installed, before Mesa's.
-
-    Both bring an LLVM. Where Mesa renders in software, loading triton after it ends in a segmentation fault (seen with
-    triton 3.9 and Mesa 22.3), and torch loads triton when it makes its first optimiser. The other order is fine.
-    """
-    package = importlib.util.find_spec("triton")
-    for folder in (package.submodule_search_locations or ()) if package is not None else ():
-        for library in sorted(Path(folder, "_C").glob("libtriton*.so")):
-            ctypes.CDLL(str(library))
 
 
 def open_window(width: int, height: int) -> vtkRenderWindow:

@@ -15,6 +15,7 @@ from .configuration import (
     validated as validated,
 )
 from .notebook import Picture as Picture, html_summary as html_summary, png_bytes as png_bytes
+from .opengl import load_triton_first as load_triton_first
 from .options import (
     CommandLine as CommandLine,
     Options as Options,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from physconvex.io import Picture, html_summary
+from physconvex.io import Picture, html_summary, load_triton_first
 from physconvex.play.config import FloorConfig
 from physconvex.play.roll_out import PlayedObject
 
@@ -87,6 +87,7 @@ def frames_of(
     """
     import pyvista
 
+    load_triton_first()
     low, high = played.positions.min((0, 1)), played.positions.max((0, 1))
     center, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
     plotter: Any = pyvista.Plotter(off_screen=True, window_size=[size, size], lighting="three lights")

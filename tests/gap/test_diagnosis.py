@@ -114,6 +114,8 @@ def test_an_inert_effect_is_never_named(capture, diagnosed):
     assert all("inert" not in h.names for h in report.hypotheses[:1]) and "inert" not in report.verdict.sentence
     entry = next(e for e in report.screening.ranked if e.effect.name == "inert")
     assert entry.score.statistic == pytest.approx(0.0, abs=1e-9) and not np.any(entry.score.amounts)
+    shown = report._repr_html_()
+    assert "gap shrinks by" in shown and "friction: " in shown and "<svg" in shown
 
 
 @pytest.mark.slow

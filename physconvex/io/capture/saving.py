@@ -28,7 +28,7 @@ def save_capture(
     tets: TetMesh | None = None,
     tracks: Tracks | None = None,
     boundary: Boundary | None = None,
-    truth: Mapping[str, JsonValue] | None = None,
+    truth: Mapping[str, object] | None = None,
     crf: int = 18,
 ) -> None:
     """Write `capture` to its folder, which must not exist; a kill leaves no half folder under that name.
@@ -100,7 +100,7 @@ def _metadata(capture: Capture) -> dict[str, JsonValue]:
     return content | {"cameras": [camera.to_json() for camera in capture.cameras]}
 
 
-def _write_json(path: Path, content: Mapping[str, JsonValue]) -> None:
+def _write_json(path: Path, content: Mapping[str, object]) -> None:
     path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 

@@ -1,0 +1,21 @@
+"""What has to happen before a process draws with OpenGL."""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+from pathlib import Path
+
+__all__ = ["load_triton_first"]
+
+
+def load_triton_first() -> None:
+    """Load triton's library, if it is installed, before Mesa's.
+
+    Both bring an LLVM. Where Mesa renders in software, loading triton after it ends in a segmentation fault (seen with
+    triton 3.9 and Mesa 22.3), and torch loads triton when it makes its first optimiser. The other order is fine.
+    """
+    package = importlib.util.find_spec("triton")
+    for folder in (package.submodule_search_locations or ()) if package is not None else ():
+        for library in sorted(Path(folder, "_C").glob("libtriton*.so")):
+            ctypes.CDLL(str(library))
