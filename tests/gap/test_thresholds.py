@@ -18,7 +18,9 @@ ELSEWHERE = {
         "_RIGID": "an index", "_STRAIN": "an index", "_REST": "an index", "_PARTS": "a count of indices",
         "_DEPENDENT": "tolerance of a rank",
     },
-    "base/model.py": {"_BASE_STEP": "step of a difference quotient", "ACCURACY": "tolerances of a solve"},
+    "base/model.py": {
+        "_BASE_STEP": "step of a difference quotient", "_TOLERANCE": "of a solve", "_FRICTION_PASSES": "of a solve",
+    },
     "light/image_formation.py": {"_TINY": "keeps a logarithm finite"},
     "light/patches.py": {
         "HALF": "size of an array", "_MARGIN": "size of an array", "_SPACING": "of a grid",
