@@ -21,7 +21,9 @@ from physconvex.identify.parameters import Parameter
 
 __all__ = ["FULL_OPTIONS", "fit_full"]
 
-FULL_OPTIONS = FitOptions(max_iterations=6, max_step=1.5, absolute_tolerance=0.02)  # a fifth of a deviation is left
+FULL_OPTIONS: FitOptions = FitOptions(
+    max_iterations=6, max_step=1.5, absolute_tolerance=0.02
+)  # a fifth of a deviation is left
 
 _TRIED = (0.1, 0.2, 0.35, -0.1)  # decades of E about the start
 _MODULUS = "log10_youngs_modulus"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from physconvex.dynamics import State
 from physconvex.play.assets import Asset, read_asset
 from physconvex.play.config import PlayConfig, load_play_config, overrides_of
 from physconvex.play.roll_out import PlayedObject, play_together
@@ -22,7 +23,7 @@ def simulate_assets(
     ply: bool = True,
     glb: bool = True,
     video: bool = False,
-    on_frame: Callable[[int], None] | None = None,
+    on_frame: Callable[[State], None] | None = None,
 ) -> PlayedObject:
     """Drop, push or shake one object or several of any material; `physconvex simulate` as a function.
 
@@ -37,7 +38,7 @@ def simulate_assets(
         ply: write one PLY file per frame.
         glb: write animation.glb.
         video: render video.mp4, which needs OpenGL but no display.
-        on_frame: called with the number of every finished frame.
+        on_frame: called with the state at every finished frame.
 
     Returns:
         The surfaces in motion: `positions` [m], shape [T, V, 3], with `trajectories` of the reduced bodies.

@@ -21,7 +21,10 @@ from physconvex.io import Boundary, Capture, Tracks
 __all__ = ["FLOOR_LAW", "Baseline", "Split", "derivatives_of_residuals", "shortened", "split_frames"]
 
 Report = Callable[[str], None]
-FLOOR_LAW = ("log10_contact_stiffness", "contact_damping")  # joins the base parameters where the floor gives way
+FLOOR_LAW: tuple[str, str] = (
+    "log10_contact_stiffness",
+    "contact_damping",
+)  # joins the base parameters where the floor gives way
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -18,7 +18,7 @@ from physconvex.reduced import ReducedScene
 
 __all__ = ["IN_FLIGHT", "SOURCES", "AnyScene", "Dose", "Effect", "Patches", "Situation", "Source"]
 
-AnyScene = ReducedScene | Scene
+AnyScene: TypeAlias = ReducedScene | Scene
 Source = Literal["material", "contact", "external", "initial state", "observation", "numerical", "gauge"]
 SOURCES: tuple[Source, ...] = (
     "material", "contact", "external", "initial state", "observation", "numerical", "gauge",
