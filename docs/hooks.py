@@ -15,6 +15,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
+import physconvex
 from physconvex import cli
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -79,7 +80,19 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
 
 def _linked_name(match: re.Match[str]) -> str:
     """A public name in a page leads to its place in the reference."""
-    return f"[`{match[1]}`][{match[1]}]" if match[1] in _documented() else match[0]
+    name = _shortcuts().get(match[1].removeprefix("physconvex."), match[1])
+    return f"[`{match[1]}`][{name}]" if name in _documented() else match[0]
+
+
+@cache
+def _shortcuts() -> dict[str, str]:
+    """The names of `physconvex` itself, and where each is documented."""
+    found = {}
+    for name in set(physconvex.__all__) - {"__version__"}:
+        module = getattr(physconvex, name).__module__
+        faces = [face for face in FACES[1:] if module.startswith(f"{face}.") and f"{face}.{name}" in _documented()]
+        found[name] = f"{faces[0]}.{name}" if faces else f"{module}.{name}"
+    return found
 
 
 @cache
@@ -122,6 +135,10 @@ def api_page(face: str) -> str:
     """The public names of a package, under the modules that define them."""
     folder = ROOT / face.replace(".", "/")
     lines = [f"# `{face}`", "", _docstring(folder / "__init__.py"), ""]
+    if face == "physconvex":
+        rows = [f"| `physconvex.{name}` | [`{place}`][{place}] |" for name, place in sorted(_shortcuts().items())]
+        own = [f"\n::: {place}" for place in sorted(_shortcuts().values()) if place not in _documented()]
+        return "\n".join([*lines, "| name | is |", "|---|---|", *rows, *own])
     for module, names in public_names(folder).items():
         path = folder / f"{module.replace('.', '/')}.py"
         title = _docstring(path if path.exists() else path.with_suffix("") / "__init__.py").split("\n\n")[0]
@@ -205,7 +222,7 @@ def _flags(option: Any) -> str:
 def _value(option: Any, context: typer.Context) -> str:
     if option.is_flag:
         return ""
-    return _text(option.display_type(context)) + (" …" if option.multiple else "")
+    return f"`{_text(option.display_type(context)).strip('<>')}`" + (" …" if option.multiple else "")
 
 
 def _default(option: Any) -> str:
