@@ -26,7 +26,8 @@ from docs.figures.fem_cases.beam_capture import SIGMA, beam_capture
 from docs.figures.fem_cases.beams import edge_load
 from docs.figures.fem_cases.measured import GRAVITY, LOAD
 from inference import interval_of
-from physconvex.fem import HangingLoad, Scene
+from physconvex.dynamics import HangingLoad
+from physconvex.fem import Scene
 from physconvex.identify import (
     Fit,
     FitOptions,
@@ -68,7 +69,7 @@ class LoadedModel(FullModel):
     def scene(self, values: np.ndarray) -> Scene:
         """The scene with the parameters set, and the load."""
         masses = edge_load(self.rolled_mesh, (0.0, 0.0, MASS))[:, 2]
-        return replace(super().scene(values), hanging=HangingLoad(masses, self.slack))
+        return replace(super().scene(values), hanging=HangingLoad(self.rolled_mesh.vertices, masses, self.slack))
 
 
 @dataclass(frozen=True)

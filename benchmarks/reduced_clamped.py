@@ -17,12 +17,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from physconvex.dynamics import Timing, simulate
-from physconvex.fem import ElasticBody, Pins as FullPins, Scene
+from physconvex.dynamics import Pins, Timing, simulate
+from physconvex.fem import ElasticBody, NodePins, Scene
 from physconvex.mesh import box_mesh
 from physconvex.reduced import (
     BodySamples,
-    Pins,
     ReducedBody,
     ReducedScene,
     ReducedSpace,
@@ -43,7 +42,7 @@ def main() -> None:
     mesh = box_mesh((0.3, 0.06, 0.06), (9, 2, 2), order=2)
     full = ElasticBody(mesh, youngs_modulus=1e5, poisson_ratio=0.4)
     clamped = np.isclose(mesh.vertices[:, 0], mesh.vertices[:, 0].min())
-    truth = simulate(Scene(full, pins=FullPins(np.flatnonzero(clamped))), TIMING).positions
+    truth = simulate(Scene(full, node_pins=NodePins(np.flatnonzero(clamped))), TIMING).positions
     samples = BodySamples.of_mesh(mesh)
     space = ReducedSpace(eigenmode_weights(full, 20), samples, interpolated=True)
     body = ReducedBody(space, youngs_modulus=1e5, poisson_ratio=0.4)

@@ -28,7 +28,7 @@ from scipy.stats import binomtest
 
 from inference import Refinement, RefineOptions, refine
 from physconvex.dynamics import Plane, Timing, simulate
-from physconvex.fem import ElasticBody, Pins, Scene, SurfacePoints
+from physconvex.fem import ElasticBody, NodePins, Scene, SurfacePoints
 from physconvex.io import Boundary, Capture, Floor, Tracks, load_capture, save_capture
 from physconvex.mesh import Embedding, TetMesh, box_mesh, to_quadratic
 
@@ -150,7 +150,7 @@ def simulated(scene: str, case: int) -> Made:
             body,
             obstacles=() if scene == "bar" else (floor,),
             damping_time=truth["damping_time"],
-            pins=None if held is None else Pins(held),
+            node_pins=None if held is None else NodePins(held),
             initial_velocity=throw.velocity,
             contact_points=None if scene == "bar" else SurfacePoints.of_triangles(*fine.surface),
         ),

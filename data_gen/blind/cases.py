@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from physconvex import ConvergenceError
 from physconvex.dynamics import Plane, Timing, simulate
-from physconvex.fem import ElasticBody, Pins, Scene
+from physconvex.fem import ElasticBody, NodePins, Scene
 from physconvex.gap import DEFAULT_EFFECTS, Effect, PointMotion, Situation
 from physconvex.io import Boundary, Capture, Floor, Tracks
 from physconvex.mesh import Embedding, TetMesh, tetrahedralize
@@ -194,9 +194,9 @@ def _scene(case: Case, mesh: TetMesh) -> Scene:
     pins = None
     if case.clamped is not None:
         held = ((mesh.vertices >= case.clamped[0]) & (mesh.vertices <= case.clamped[1])).all(1)
-        pins = Pins(np.flatnonzero(held))
+        pins = NodePins(np.flatnonzero(held))
     return Scene(
-        body, obstacles=obstacles, pins=pins, initial_velocity=case.velocity, initial_angular_velocity=case.spin,
+        body, obstacles=obstacles, node_pins=pins, initial_velocity=case.velocity, initial_angular_velocity=case.spin,
         contact_stiffness=90.0 * case.youngs_modulus / mesh.size, contact_smoothing=2e-4 * mesh.size,
     )  # fmt: skip
 

@@ -20,7 +20,7 @@ from physconvex import ConvergenceError
 from physconvex.gap import PointMotion
 from physconvex.mesh import TetMesh
 
-__all__ = ["World", "run_explicit"]
+__all__ = ["ExplicitWorld", "run_explicit"]
 
 _COURANT = 0.7
 _MOST_STEPS = 1000  # per frame
@@ -30,7 +30,7 @@ _NOW = 1e-6  # steps within which a frame is taken at a step
 
 
 @dataclass(frozen=True, eq=False)
-class World:
+class ExplicitWorld:
     """What moves and what acts on it.
 
     Attributes:
@@ -126,9 +126,9 @@ def _edges(tets: np.ndarray) -> np.ndarray:
 
 
 class _Body:
-    """Forces of a `World`."""
+    """Forces of a `ExplicitWorld`."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: ExplicitWorld) -> None:
         self.world = world
         mesh = world.mesh
         tets = mesh.tets[:, :4]
@@ -294,7 +294,13 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def run_explicit(
-    world: World, points: Float[np.ndarray, "P 3"], *, frames: int, fps: float, late: float = 0.0, fast: float = 0.0
+    world: ExplicitWorld,
+    points: Float[np.ndarray, "P 3"],
+    *,
+    frames: int,
+    fps: float,
+    late: float = 0.0,
+    fast: float = 0.0,
 ) -> PointMotion:
     """Leapfrog; the motion of material points, given at t = 0. Velocities are those of half a step before.
 

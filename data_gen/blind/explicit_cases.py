@@ -11,7 +11,7 @@ import trimesh
 from jaxtyping import Float
 
 from data_gen.blind.cases import Case, HiddenEffect, floor_height
-from data_gen.blind.engine import World, run_explicit
+from data_gen.blind.engine import ExplicitWorld, run_explicit
 from physconvex import ConvergenceError
 from physconvex.gap import PointMotion, with_plane
 from physconvex.mesh import TetMesh, tetrahedralize
@@ -45,7 +45,7 @@ class Dosed:
     The clock's arguments are those of `run_explicit`.
     """
 
-    world: Callable[[World], World] | None
+    world: Callable[[ExplicitWorld], ExplicitWorld] | None
     observe: Observe | None
     doses: tuple[float, ...]
     units: tuple[str, ...]
@@ -119,7 +119,7 @@ def _field_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> 
         decades = float(rng.choice([-1.0, 1.0])) * min(0.4 * s, 1.5)
         radius = 0.4 * (high - low)
 
-        def stiffer(world: World) -> World:
+        def stiffer(world: ExplicitWorld) -> ExplicitWorld:
             cells = world.mesh.vertices[world.mesh.tets[:, :4]].mean(1)
             inside = (((cells - centre) / radius) ** 2).sum(1) < 1
             return replace(world, youngs_modulus=np.asarray(world.youngs_modulus) * np.where(inside, 10**decades, 1.0))
@@ -128,7 +128,7 @@ def _field_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> 
     if name == "attached_mass":
         ratio = 0.3 * s
 
-        def loaded(world: World) -> World:
+        def loaded(world: ExplicitWorld) -> ExplicitWorld:
             x = world.mesh.vertices[:, 0]
             end = x > x.max() - 0.12 * np.ptp(x)
             mass = world.density * float(np.abs(world.mesh.element_volumes).sum())
@@ -138,7 +138,7 @@ def _field_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> 
     if name == "tether":  # a soft spring between one side of the body and where it started
         side = _direction(rng)
 
-        def tied(world: World) -> World:
+        def tied(world: ExplicitWorld) -> ExplicitWorld:
             x = world.mesh.vertices @ side
             end = x > np.quantile(x, 0.8)
             mass = world.density * float(np.abs(world.mesh.element_volumes).sum())
@@ -185,11 +185,11 @@ def _mesh(case: Case, nodes: int) -> TetMesh:
     return TetMesh(mesh.vertices[used], tets.reshape(-1, 4))
 
 
-def _world(case: Case, mesh: TetMesh) -> World:
+def _world(case: Case, mesh: TetMesh) -> ExplicitWorld:
     held = None
     if case.clamped is not None:
         held = np.flatnonzero(((mesh.vertices >= case.clamped[0]) & (mesh.vertices <= case.clamped[1])).all(1))
-    return World(
+    return ExplicitWorld(
         mesh, case.youngs_modulus, case.poisson_ratio, case.density, velocity=case.velocity, spin=case.spin,
         floor=None if case.height is None else floor_height(case), held=held,
     )  # fmt: skip
@@ -291,7 +291,7 @@ class _Yardstick:
         ratio = (len(fine.mesh.vertices) / len(coarse.mesh.vertices)) ** (_ORDER / 3)
         errors = [(fine()[1] - start) / (ratio - 1)]
         if case.height is not None:
-            errors.append(coarse(contact_modulus=_HARDER * World.contact_modulus)[1] - start)
+            errors.append(coarse(contact_modulus=_HARDER * ExplicitWorld.contact_modulus)[1] - start)
         return replace(still, floor=3 * case.noise**2 + sum(still.left(error) for error in errors))
 
     def left(self, change: Positions) -> float:

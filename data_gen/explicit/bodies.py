@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from data_gen.explicit.chebyshev import reach, stages_for, step_coefficients
 from data_gen.landing import mass_properties, turning
 from data_gen.scene import Drop
-from physconvex.fem import ElasticBody, contact_defaults
+from physconvex.dynamics import contact_defaults
+from physconvex.fem import ElasticBody
 from physconvex.io import Workers
 from physconvex.materials import lame_parameters
 from physconvex.mesh import TetMesh, linear_part, to_quadratic

@@ -1,4 +1,11 @@
-from .contact import Contact as Contact, Friction as Friction, Obstacle as Obstacle, Plane as Plane, Sphere as Sphere
+from .contact import (
+    Contact as Contact,
+    Friction as Friction,
+    Obstacle as Obstacle,
+    Plane as Plane,
+    Sphere as Sphere,
+    contact_defaults as contact_defaults,
+)
 from .contact_resolvent import resolve as resolve
 from .first_guesses import Guide as Guide
 from .integrators import (
@@ -12,14 +19,16 @@ from .integrators import (
     implicit_euler as implicit_euler,
     minimise as minimise,
 )
+from .loads import HangingLoad as HangingLoad, Loads as Loads
 from .obstacle_table import obstacle_rows as obstacle_rows
+from .pins import Pins as Pins
 from .sensitivity import (
     SensitiveTrajectory as SensitiveTrajectory,
     simulate_with_sensitivities as simulate_with_sensitivities,
 )
 from .simulation import (
     FrameStates as FrameStates,
-    Prepared as Prepared,
+    PreparedRollOut as PreparedRollOut,
     simulate as simulate,
 )
 from .stepping import (
@@ -31,3 +40,4 @@ from .stepping import (
 )
 from .timing import ContactSolver as ContactSolver, Timing as Timing
 from .wind import Wind as Wind
+from .world import World as World, in_world as in_world

@@ -16,11 +16,11 @@ from physconvex.dynamics.stepping import Observer, SolveStatistics, StepObjectiv
 from physconvex.dynamics.timing import Timing
 from physconvex.numerics import one_torch_thread
 
-__all__ = ["FrameStates", "Prepared", "Simulated", "simulate"]
+__all__ = ["FrameStates", "PreparedRollOut", "Simulated", "simulate"]
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class PreparedRollOut:
     """A scene made ready for its roll-out.
 
     Attributes:
@@ -80,7 +80,7 @@ TrajectoryT = TypeVar("TrajectoryT")
 class Simulated(Protocol[Trajectory_co]):
     """A scene as `simulate` needs it."""
 
-    def prepared(self, timing: Timing) -> Prepared:
+    def prepared(self, timing: Timing) -> PreparedRollOut:
         """The scene made ready.
 
         Raises:

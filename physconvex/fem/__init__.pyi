@@ -1,6 +1,5 @@
 from .body import ElasticBody as ElasticBody
 from .carried_contact import CarriedContact as CarriedContact, SurfacePoints as SurfacePoints
-from .hanging_load import HangingLoad as HangingLoad
 from .modes import (
     elastic_responses as elastic_responses,
     rigid_motions as rigid_motions,
@@ -11,12 +10,7 @@ from .modes import (
     vibration_modes as vibration_modes,
 )
 from .nodal_equations import NodalEquations as NodalEquations
-from .scene import (
-    CONTACT_STIFFNESS_RATIO as CONTACT_STIFFNESS_RATIO,
-    Pins as Pins,
-    Scene as Scene,
-    contact_defaults as contact_defaults,
-)
+from .scene import NodePins as NodePins, Scene as Scene
 from .sensitivity import SceneFamily as SceneFamily
 from .simulation import solve_static as solve_static
 from .surface_loads import surface_load as surface_load

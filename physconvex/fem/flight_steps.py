@@ -34,7 +34,9 @@ class Flight:
         self._matrix = contact.carried.matrix if isinstance(contact, CarriedContact) else None
         law = contact.law if isinstance(contact, CarriedContact) else contact
         self._nodes = law.nodes
-        self._flying = self.in_flight != self.usual and scene.pins is None and scene.loads is None
+        self._flying = self.in_flight != self.usual and all(
+            driven is None for driven in (scene.held, scene.loads, scene.push)
+        )
 
     def steps(self, state: State) -> int:
         """Steps of the frame that begins with a state."""

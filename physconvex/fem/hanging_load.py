@@ -10,48 +10,33 @@ velocity it has from the start.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import State, StepCoefficients
-from physconvex.errors import InputError
+from physconvex.dynamics import HangingLoad, State, StepCoefficients
 
-__all__ = ["Hanging", "HangingLoad"]
-
-
-@dataclass(frozen=True, eq=False)
-class HangingLoad:
-    """Masses [kg] by node, shape [V], and the slack of the string they hang by [m]; fixed to the nodes without any.
-
-    Raises:
-        InputError: a negative mass or slack, or no mass at all.
-    """
-
-    masses: Float[np.ndarray, " V"]
-    slack: float = 0.0
-
-    def __post_init__(self) -> None:
-        masses = np.asarray(self.masses, dtype=np.float64)
-        if not (np.isfinite(masses).all() and (masses >= 0).all() and masses.sum() > 0):
-            raise InputError("hanging.masses: expected finite masses ≥ 0 [kg], at least one of them positive")
-        if not (np.isfinite(self.slack) and self.slack >= 0):
-            raise InputError(f"hanging.slack: got {self.slack}; expected a finite length ≥ 0 [m]")
+__all__ = ["Hanging"]
 
 
 class Hanging:
     """State of a hanging load from step to step.
 
     Args:
-        load: masses and slack.
+        load: its slack.
+        masses: that hang on the nodes [kg], shape [V].
         gravity: [m/s²].
         start: positions of the nodes at t = 0 [m], shape [V, 3].
     """
 
-    def __init__(self, load: HangingLoad, gravity: Float[np.ndarray, " 3"], start: Float[np.ndarray, "V 3"]) -> None:
+    def __init__(
+        self,
+        load: HangingLoad,
+        masses: Float[np.ndarray, " V"],
+        gravity: Float[np.ndarray, " 3"],
+        start: Float[np.ndarray, "V 3"],
+    ) -> None:
         self.load, self.gravity, self.start = load, np.asarray(gravity, dtype=np.float64), start
-        self.masses = np.asarray(load.masses, dtype=np.float64)
+        self.masses = masses
         size = float(np.linalg.norm(self.gravity))
         self._down = self.gravity / size if size > 0 else np.zeros(3)
         self._last: np.ndarray | None = None  # the load's velocity at the nodes, once taut

@@ -44,7 +44,7 @@ class NodalEquations:
         self.response: FlowStep | None = None
         self._duration = 0.0
         gravity, load = np.asarray(scene.gravity, dtype=np.float64), scene.hanging
-        self.hanging = None if load is None else Hanging(load, gravity, scene.start)
+        self.hanging = None if load is None else Hanging(load, scene.hanging_masses, gravity, scene.start)
 
     def _assemble_mass(self) -> np.ndarray:
         pattern = self.assembler.pattern.tocoo()
@@ -62,7 +62,7 @@ class NodalEquations:
 
     def first_guess(self, guess: np.ndarray, time: float) -> np.ndarray:
         """The guess with pinned nodes where they are at the time [s]."""
-        if (pins := self.scene.pins) is not None:
+        if (pins := self.scene.held) is not None:
             guess[pins.nodes] = pins.positions(time, self.scene.start)
         return guess
 

@@ -1,36 +1,31 @@
-"""What happens to a body: obstacles, forces, damping, pins, initial motion."""
+"""A body of finite elements in its world."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
 
-from physconvex.dynamics import Contact, FrameStates, Obstacle, Prepared, Timing, Wind
+from physconvex.dynamics import Contact, FrameStates, PreparedRollOut, Timing, World
 from physconvex.errors import InputError
 from physconvex.fem.body import ElasticBody
 from physconvex.fem.carried_contact import CarriedContact, SurfacePoints
-from physconvex.fem.hanging_load import HangingLoad
 from physconvex.fem.trajectory import Trajectory
 from physconvex.mesh import Embedding, TetMesh
+from physconvex.numerics import rotation_matrix
 
-__all__ = ["Loads", "Pins", "Scene", "contact_defaults"]
+__all__ = ["NodePins", "Scene"]
 
-Vector = Sequence[float] | Float[np.ndarray, " 3"]
-Loads = Float[np.ndarray, "V 3"] | Callable[[float], Float[np.ndarray, "V 3"]]
-CONTACT_STIFFNESS_RATIO = 50.0  # kc·L / E: measured bias of E below 0.01 decades
-
-
-def contact_defaults(youngs_modulus: float, size: float) -> tuple[float, float, float]:
-    """Stiffness kc [Pa/m], smoothing ε [m] and slip velocity v_s [m/s] of a body of that E [Pa] and size [m]."""
-    return CONTACT_STIFFNESS_RATIO * youngs_modulus / size, 5e-4 * size, 2e-3 * np.sqrt(9.81 * size)
+_AT_NODE = 1e-6  # of the body's size: a point so near to a node is at it
 
 
 @dataclass(frozen=True)
-class Pins:
+class NodePins:
     """Nodes whose positions are prescribed.
 
     Attributes:
@@ -48,15 +43,15 @@ class Pins:
         nodes = np.asarray(self.nodes)
         if nodes.ndim != 1 or not np.issubdtype(nodes.dtype, np.integer) or not len(nodes):
             raise InputError(
-                f"pins.nodes: got {nodes.dtype} of shape {nodes.shape}; expected at least one integer index, [C]. "
+                f"node_pins.nodes: got {nodes.dtype} of shape {nodes.shape}; expected at least one integer index, [C]. "
                 "Turn a mask into indices with numpy.flatnonzero; leave pins out for a free body"
             )
         values, counts = np.unique(nodes, return_counts=True)
         if values[0] < 0:
-            raise InputError(f"pins.nodes: got {values[0]}; expected indices ≥ 0, counted from the first node")
+            raise InputError(f"node_pins.nodes: got {values[0]}; expected indices ≥ 0, counted from the first node")
         if counts.max() > 1:
             raise InputError(
-                f"pins.nodes: got node {values[counts.argmax()]} {counts.max()} times; expected each node once. "
+                f"node_pins.nodes: got node {values[counts.argmax()]} {counts.max()} times; expected each node once. "
                 "Remove what numpy.unique would"
             )
 
@@ -72,97 +67,91 @@ class Pins:
         if targets.shape != (len(self.nodes), 3) or not np.isfinite(targets).all():
             what = f"shape {targets.shape}" if np.isfinite(targets).all() else "values that are not finite"
             raise InputError(
-                f"pins.motion: got {what} at t = {time:g} s; expected finite positions [m] of shape "
+                f"node_pins.motion: got {what} at t = {time:g} s; expected finite positions [m] of shape "
                 f"{(len(self.nodes), 3)}, one row per pinned node. Check the function at that time"
             )
         return targets
 
 
 @dataclass(frozen=True)
-class Scene:
-    """A body and everything that acts on it, in SI units.
+class Scene(World):
+    """A body of finite elements and everything that acts on it: a `World`, and what only nodes can state.
 
     Attributes:
         body: the elastic body.
-        obstacles: planes and spheres with friction.
-        gravity: acceleration [m/s²].
-        damping_time: Kelvin–Voigt time β [s]: viscosities are β μ and β λ (stiffness-proportional Rayleigh).
-        air_drag: mass-proportional damping α [1/s] (force −α m v).
-        wind: moving or still air around the body.
-        pins: nodes with prescribed motion.
-        loads: forces on the nodes [N], shape [V, 3], constant or a function of time.
-        hanging: a load that hangs on nodes, loosely at first.
+        node_pins: nodes with prescribed motion, in the place of `pins`, which must lie at nodes.
         initial_positions: state at t = 0 [m], shape [V, 3]; the rest state unless given.
-        initial_velocity: of the centre of mass [m/s].
-        initial_angular_velocity: about the centre of mass [rad/s].
-        contact_stiffness: kc [Pa/m]; 50 × (largest E) / (size of the body) unless given.
-        contact_smoothing: depth over which contact sets in [m]; 5e-4 of the body's size unless given.
-        slip_velocity: speed below which friction ramps to zero [m/s]; 2e-3 √(9.81 × size) unless given.
-        contact_damping: τ [s] of a dashpot beside the contact's spring: pressure kc (depth + τ v), never below zero.
         contact_points: points of the surface at which obstacles act, in the place of the boundary's nodes.
+
+    Raises:
+        InputError: a value out of its range or of the wrong shape, or one that finite elements do not have.
     """
 
-    body: ElasticBody
-    obstacles: tuple[Obstacle, ...] = ()
-    gravity: Vector = (0.0, 0.0, -9.81)
-    damping_time: float = 0.0
-    air_drag: float = 0.0
-    wind: Wind | None = None
-    pins: Pins | None = None
-    loads: Loads | None = None
-    initial_positions: Float[np.ndarray, "V 3"] | None = None
-    initial_velocity: Vector = (0.0, 0.0, 0.0)
-    initial_angular_velocity: Vector = (0.0, 0.0, 0.0)
-    contact_stiffness: float | None = None
-    contact_smoothing: float | None = None
-    slip_velocity: float | None = None
-    contact_damping: float = 0.0
-    contact_points: SurfacePoints | None = None
-    hanging: HangingLoad | None = None
+    body: ElasticBody = field(kw_only=False)
+    node_pins: NodePins | None = field(default=None, kw_only=True)
+    initial_positions: Float[np.ndarray, "V 3"] | None = field(default=None, kw_only=True)
+    contact_points: SurfacePoints | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        for name in ("gravity", "initial_velocity", "initial_angular_velocity"):
-            value = np.asarray(getattr(self, name), dtype=np.float64)
-            if value.shape != (3,) or not np.isfinite(value).all():
-                raise InputError(f"{name}: got {getattr(self, name)!r}; expected three finite numbers")
-        for name in ("damping_time", "air_drag", "contact_damping"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise InputError(f"{name}: got {getattr(self, name)}; expected a finite number ≥ 0")
+        super().__post_init__()
         shape = self.body.mesh.vertices.shape
-        for name in ("initial_positions", "loads"):
-            value = getattr(self, name)
-            if value is not None and not callable(value) and np.shape(value) != shape:
-                raise InputError(f"{name}: got shape {np.shape(value)}; expected {shape}")
-        if self.hanging is not None and np.shape(self.hanging.masses) != shape[:1]:
-            raise InputError(f"hanging.masses: got shape {np.shape(self.hanging.masses)}; expected {shape[:1]}")
+        if self.initial_positions is not None and np.shape(self.initial_positions) != shape:
+            raise InputError(f"initial_positions: got shape {np.shape(self.initial_positions)}; expected {shape}")
         if self.hanging is not None and self.contact_points is not None:
             raise InputError("hanging: got a load and contact_points; expected contact at the nodes where a load hangs")
-        if self.pins is not None:
-            self._check_pins(self.pins)
+        if self.pins is not None and self.node_pins is not None:
+            raise InputError("pins: got pins and node_pins; expected one of them")
+        if self.held is not None:
+            self._check_pins(self.held)
 
-    def _check_pins(self, pins: Pins) -> None:
+    def _check_pins(self, pins: NodePins) -> None:
         count, largest = len(self.body.mesh.vertices), int(np.max(pins.nodes))
         if largest >= count:
             raise InputError(
-                f"pins.nodes: got node {largest}; expected indices below {count}, the number of nodes of the mesh. "
-                "Take them from the mesh of this body"
+                f"node_pins.nodes: got node {largest}; expected indices below {count}, the number of nodes of the "
+                "mesh. Take them from the mesh of this body"
             )
         pins.positions(0.0, self.start)
 
-    def prepared(self, timing: Timing) -> Prepared:
+    def prepared(self, timing: Timing) -> PreparedRollOut:
         """Made ready for `physconvex.dynamics.simulate`."""
-        from physconvex.fem.simulation import prepared  # late: the equations of a scene know the scene
+        from physconvex.fem.simulation import prepared_scene  # late: the equations of a scene know the scene
 
-        return prepared(self, timing)
+        return prepared_scene(self, timing)
 
     def trajectory(self, frames: FrameStates) -> Trajectory:
         """The roll-out."""
         return Trajectory(frames.times, frames.positions, frames.velocities, frames.statistics)
 
-    @property
+    @cached_property
+    def held(self) -> NodePins | None:
+        """The nodes with prescribed motion.
+
+        Raises:
+            InputError: pins that lie at no node.
+        """
+        if self.pins is None:
+            return self.node_pins
+        return NodePins(self._nodes_at("pins.points", self.pins.points), self.pins.motion)
+
+    def _nodes_at(self, name: str, points: Float[np.ndarray, "P 3"]) -> Int[np.ndarray, " P"]:
+        distance, nodes = cKDTree(self.body.mesh.vertices).query(points)
+        if distance.max(initial=0.0) > _AT_NODE * self.body.mesh.size:
+            raise InputError(
+                f"{name}: one lies {distance.max():.3g} m from the nearest node; finite elements expect points at "
+                "nodes. Take them from the vertices of this body's mesh"
+            )
+        return np.asarray(nodes)
+
+    @cached_property
     def start(self) -> Float[np.ndarray, "V 3"]:
         """Positions at t = 0 [m]."""
-        return self.body.mesh.vertices if self.initial_positions is None else np.asarray(self.initial_positions)
+        x = self.body.mesh.vertices if self.initial_positions is None else np.asarray(self.initial_positions)
+        vector = np.asarray(self.initial_orientation, dtype=np.float64)
+        if not vector.any():
+            return x
+        center = self.body.node_masses @ x / self.body.node_masses.sum()
+        return center + (x - center) @ rotation_matrix(vector).T
 
     def start_velocities(self) -> Float[np.ndarray, "V 3"]:
         """Velocities at t = 0 [m/s]: rigid motion about the centre of mass, zero at pinned nodes."""
@@ -170,8 +159,8 @@ class Scene:
         center = masses @ self.start / masses.sum()
         spin = np.cross(np.asarray(self.initial_angular_velocity, dtype=np.float64), self.start - center)
         velocities = np.asarray(self.initial_velocity, dtype=np.float64) + spin
-        if self.pins is not None:
-            velocities[self.pins.nodes] = 0.0
+        if self.held is not None:
+            velocities[self.held.nodes] = 0.0
         return velocities
 
     def contact(self) -> Contact | CarriedContact:
@@ -182,28 +171,44 @@ class Scene:
         return CarriedContact(self._contact(points.areas), _carried(mesh, points))
 
     def _contact(self, areas: Float[np.ndarray, " S"]) -> Contact:
-        stiffness, smoothing, slip = contact_defaults(float(self.body.youngs_modulus.max()), self.body.mesh.size)
-        return Contact(
-            obstacles=tuple(self.obstacles),
-            areas=areas,
-            stiffness=stiffness if self.contact_stiffness is None else self.contact_stiffness,
-            smoothing=smoothing if self.contact_smoothing is None else self.contact_smoothing,
-            slip_velocity=slip if self.slip_velocity is None else self.slip_velocity,
-            damping=self.contact_damping,
-        )
+        return self.contact_law(areas, youngs_modulus=float(self.body.youngs_modulus.max()), size=self.body.mesh.size)
+
+    @cached_property
+    def _loaded(self) -> csr_matrix | None:
+        """What takes the loads' points to the nodes, shape [V, P]; None where they are the nodes."""
+        assert self.loads is not None
+        mesh = self.body.mesh
+        if np.array_equal(self.loads.points, mesh.vertices):
+            return None
+        return Embedding.of_points(mesh, self.loads.points).matrix.T
 
     def external_forces(self, time: float) -> Float[np.ndarray, "V 3"]:
-        """Gravity and loads on the nodes [N]."""
-        forces = self.body.node_masses[:, None] * np.asarray(self.gravity, dtype=np.float64)
-        if self.loads is not None:
-            forces = forces + (self.loads(time) if callable(self.loads) else self.loads)
-        return forces
+        """Gravity, push and loads on the nodes [N]."""
+        forces = self.body.node_masses[:, None] * self.uniform_acceleration(time)
+        if self.loads is None:
+            return forces
+        loads = self.loads.at(time)
+        return forces + (loads if self._loaded is None else self._loaded @ loads)
+
+    @cached_property
+    def hanging_masses(self) -> Float[np.ndarray, " V"]:
+        """Masses that hang on the nodes [kg].
+
+        Raises:
+            InputError: a load that hangs on no node.
+        """
+        masses = np.zeros(len(self.body.mesh.vertices))
+        if self.hanging is not None:
+            carrying = np.asarray(self.hanging.masses) > 0
+            nodes = self._nodes_at("hanging.points", self.hanging.points[carrying])
+            np.add.at(masses, nodes, np.asarray(self.hanging.masses)[carrying])
+        return masses
 
     def free_nodes(self) -> np.ndarray:
         """Which nodes move freely, shape [V]."""
         free = np.ones(len(self.body.mesh.vertices), dtype=bool)
-        if self.pins is not None:
-            free[self.pins.nodes] = False
+        if self.held is not None:
+            free[self.held.nodes] = False
         return free
 
 

@@ -57,8 +57,8 @@ class _Side:
 
     def pinned(self, time: float) -> np.ndarray:
         """Where the pinned nodes are [m]."""
-        assert self.scene.pins is not None
-        return self.scene.pins.positions(time, self.scene.start)
+        assert self.scene.held is not None
+        return self.scene.held.positions(time, self.scene.start)
 
     def freeze_friction(self, x: np.ndarray, tangent: np.ndarray) -> None:
         """Take friction anew, at the solution of a pass moved along its tangent."""
@@ -94,7 +94,7 @@ class _Tangent:
         for side in (self.ahead, self.behind):
             side.set_step(record, self.state, history)
         guess = extrapolate(self.state, history, record.step)
-        if (pins := self.ahead.scene.pins) is not None:
+        if (pins := self.ahead.scene.held) is not None:
             time = record.after.time
             guess[pins.nodes] = (self.ahead.pinned(time) - self.behind.pinned(time)) / self.span
         return guess

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import Prepared, State, Timing, minimise
+from physconvex.dynamics import PreparedRollOut, State, Timing, minimise
 from physconvex.errors import InputError
 from physconvex.fem.condensed_contact import CondensedContact
 from physconvex.fem.flight_steps import Flight
@@ -13,19 +13,19 @@ from physconvex.fem.nodal_equations import NodalEquations
 from physconvex.fem.scene import Scene
 from physconvex.numerics import one_torch_thread
 
-__all__ = ["prepared", "solve_static"]
+__all__ = ["prepared_scene", "solve_static"]
 
 _STALE_RATE = 0.25
 _TOLERANCE = 1e-7  # of Newton's last step, over the size
 
 
-def prepared(scene: Scene, timing: Timing) -> Prepared:
+def prepared_scene(scene: Scene, timing: Timing) -> PreparedRollOut:
     """A scene made ready for its roll-out, as `physconvex.dynamics.simulate` asks for it."""
     _check(scene, timing)
     length = (timing.tolerance or _TOLERANCE) * scene.body.mesh.size
     equations = NodalEquations(scene)
     condensed = CondensedContact(equations, length) if timing.contact_solver == "condensed" else None
-    return Prepared(
+    return PreparedRollOut(
         equations,
         State(0.0, scene.start.copy(), scene.start_velocities()),
         length,
@@ -65,8 +65,8 @@ def solve_static(scene: Scene, *, tolerance: float = 1e-9, load_steps: int = 1) 
         raise InputError(f"load_steps: got {load_steps}; expected at least 1")
     equations = NodalEquations(scene)
     x = scene.start.copy()
-    if scene.pins is not None:
-        x[scene.pins.nodes] = scene.pins.positions(0.0, scene.start)
+    if scene.held is not None:
+        x[scene.held.nodes] = scene.held.positions(0.0, scene.start)
     total = equations.forces
     for part in range(1, load_steps + 1):
         equations.forces = total * (part / load_steps)

@@ -10,12 +10,12 @@ from jaxtyping import Float, Int
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
+from physconvex.dynamics import Pins
 from physconvex.errors import InputError
-from physconvex.fem import Pins as NodePins
+from physconvex.fem import NodePins
 from physconvex.identify.held_region import HeldRegion
 from physconvex.io import Boundary
 from physconvex.mesh import EDGE_CORNERS, TetMesh
-from physconvex.reduced import Pins
 
 __all__ = ["Clamp", "clamp_of"]
 

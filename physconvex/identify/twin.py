@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from physconvex.dynamics import Plane, Timing
+from physconvex.dynamics import Plane, Timing, in_world
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import ElasticBody, Scene
 from physconvex.identify.clamping import Clamp, clamp_of
@@ -67,7 +67,6 @@ class Twin:
         scene: the reduced scene; its cells are the tetrahedra of `mesh`.
         clamp: what is held, or None.
         steps_per_frame: time steps per frame.
-        law: name of the elastic law.
     """
 
     capture: Capture
@@ -75,7 +74,6 @@ class Twin:
     scene: ReducedScene
     clamp: Clamp | None
     steps_per_frame: int
-    law: str
 
     @property
     def fps(self) -> float:
@@ -115,27 +113,22 @@ class Twin:
             mesh: another mesh of the same geometry (constants must then be uniform); the twin's own unless given.
         """
         scene, body = self.scene, self.scene.body
-        own = mesh is None
-        mesh = self.mesh if mesh is None else mesh
         constants = {name: getattr(body, name) for name in ("youngs_modulus", "poisson_ratio", "density")}
-        if not own:
+        clamp = self.clamp
+        if mesh is None:
+            mesh = self.mesh
+        else:
             constants = {name: _uniform(name, value) for name, value in constants.items()}
-        start = body.space.shape_values(mesh.vertices) @ scene.start
-        clamp = self.clamp if own else self._clamp_on(mesh)
-        if scene.wind is not None or scene.push is not None or scene.loads is not None:
-            raise InputError("full_scene: wind, push and loads exist in the reduced model only; leave them out")
-        return Scene(
-            ElasticBody(mesh, law=self.law, **constants),
-            obstacles=scene.obstacles,
-            gravity=scene.gravity,
-            damping_time=scene.damping_time,
-            air_drag=scene.air_drag,
-            pins=None if clamp is None else clamp.node_pins(),
-            initial_positions=start,
-            initial_velocity=scene.initial_velocity,
-            initial_angular_velocity=scene.initial_angular_velocity,
+            clamp = self._clamp_on(mesh)
+        held = {} if clamp is None or scene.pins is None else {"pins": None, "node_pins": clamp.node_pins()}
+        return in_world(
+            Scene,
+            ElasticBody(mesh, law=body.law, flow=body.flow, **constants),
+            scene,
+            initial_positions=body.space.shape_values(mesh.vertices) @ scene.start,
+            initial_orientation=(0.0, 0.0, 0.0),  # those positions are turned
             contact_stiffness=scene.contact().stiffness,
-            contact_damping=scene.contact_damping,
+            **held,
         )
 
     def _clamp_on(self, mesh: TetMesh) -> Clamp | None:
@@ -273,7 +266,7 @@ def base_twin(capture: Capture, options: TwinOptions | None = None, *, mesh: Tet
         initial_angular_velocity=_vector(capture.initial_angular_velocity),
     )
     steps = options.steps_per_frame or max(4, int(np.ceil(RATE / capture.fps)))
-    return Twin(capture, mesh, scene, clamp, steps, options.law)
+    return Twin(capture, mesh, scene, clamp, steps)
 
 
 def _vector(value: np.ndarray | None) -> tuple[float, float, float]:

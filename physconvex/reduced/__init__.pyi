@@ -31,7 +31,6 @@ from .parameters import (
     parameter_values as parameter_values,
     with_parameters as with_parameters,
 )
-from .pins import Pins as Pins
 from .scene import ReducedScene as ReducedScene
 from .scene_weights import with_elastic_weights as with_elastic_weights
 from .sensitivity import NamedParameters as NamedParameters

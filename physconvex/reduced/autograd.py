@@ -82,7 +82,7 @@ class _WeightsRollOut(torch.autograd.Function):
     """Positions of material points as a function of the weights at all points at which a body is sampled.
 
     The points: interior samples (at which `slopes` are given), surface samples, the points that integrate the mass,
-    pins, and the material points.
+    pins, points of loads, and the material points.
     """
 
     @staticmethod
@@ -100,7 +100,7 @@ class _WeightsRollOut(torch.autograd.Function):
         ctx.recorded.swept(sweep, trajectory.space.shape_values(ctx.points).T @ by_position)
         seen = np.einsum("tni,tri->nr", by_position, trajectory.coordinates)
         found = field.finish(sweep.products)
-        parts = (found.interior, found.surface, found.mass, found.pins)
+        parts = (found.interior, found.surface, found.mass, found.pins, found.loads)
         values = np.concatenate([*parts, trajectory.space.weights_of_values(ctx.points, seen)])
         return torch.as_tensor(values).to(ctx.like), torch.as_tensor(found.interior_slopes).to(ctx.like), None, None
 
@@ -138,11 +138,13 @@ def rollout_of_weights(
     points, samples = checked_points(points), scene.body.space.samples
     body = scene.body.with_space(ReducedSpace(CallableWeights(function, count), samples))
     recorded = RecordedRollOut(replace(scene, body=body), timing)
-    pins = np.zeros((0, 3)) if scene.pins is None else scene.pins.points
+    none = np.zeros((0, 3))
+    pins = none if scene.pins is None else scene.pins.points
+    loads = none if scene.loads is None else scene.loads.points
     interior = torch.tensor(samples.interior.points, dtype=torch.float64, requires_grad=True)
     inside = function(interior)
     slopes = torch.stack([_slope(inside[:, m], interior) for m in range(count)], dim=1)
-    others = np.concatenate([samples.surface_points, samples.mass.points, pins, points])
+    others = np.concatenate([samples.surface_points, samples.mass.points, pins, loads, points])
     values = torch.cat([inside, function(torch.tensor(others, dtype=torch.float64))])
     return _WeightsRollOut.apply(values, slopes, recorded, points)
 

@@ -8,7 +8,7 @@ from itertools import pairwise, permutations
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import Contact, FrameStates, Prepared, Timing
+from physconvex.dynamics import Contact, FrameStates, PreparedRollOut, Timing
 from physconvex.errors import InputError
 from physconvex.reduced.pair_contact import PairContact
 from physconvex.reduced.scene import ReducedScene
@@ -54,7 +54,7 @@ class ReducedBodies:
             raise InputError("friction: the matrix is not symmetric")
         object.__setattr__(self, "friction", np.broadcast_to(friction, (count, count)).copy())
 
-    def prepared(self, timing: Timing) -> Prepared:
+    def prepared(self, timing: Timing) -> PreparedRollOut:
         """Made ready for `physconvex.dynamics.simulate`."""
         from physconvex.reduced.simulation import prepared_bodies  # late: the equations of a scene know the scene
 

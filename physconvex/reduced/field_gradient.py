@@ -30,8 +30,8 @@ class FieldGradient:
 
     Attributes:
         interior_slopes: by ∂W_m/∂X at the interior samples [m], shape [Q, M, 3].
-        interior, surface, mass, pins: by W_m at the interior samples, the surface samples, the points at which the mass
-            is integrated and the pins, shape [·, M].
+        interior, surface, mass, pins, loads: by W_m at the interior samples, the surface samples, the points at which
+            the mass is integrated, the pins and the points of the loads, shape [·, M].
     """
 
     interior_slopes: Float[np.ndarray, "Q M 3"]
@@ -39,6 +39,7 @@ class FieldGradient:
     surface: Float[np.ndarray, "S M"]
     mass: Float[np.ndarray, "B M"]
     pins: Float[np.ndarray, "C M"]
+    loads: Float[np.ndarray, "P M"]
 
 
 class FieldBars:
@@ -54,6 +55,7 @@ class FieldBars:
         self._interior = np.zeros((3 * len(space.interior_gradients), space.dimension))  # [(Q, j), R]
         self._surface = np.zeros_like(space.surface_values)
         self._pins = np.zeros((0 if scene.pins is None else len(scene.pins.points), space.dimension))
+        self._loads = np.zeros((0 if scene.loads is None else len(scene.loads.points), space.dimension))
         self._weights = torch.as_tensor(space.samples.interior.weights, device=scene.body.device)
 
     def add_solve(
@@ -79,8 +81,7 @@ class FieldBars:
             lever = equations.pins.weights[:, None] * (equations.pins.values @ force_bar)
             self._pins += lever @ x.T - equations.pins.pull(x, equations.time) @ force_bar.T
         if self.scene.loads is not None:
-            loads = self.scene.loads(equations.time) if callable(self.scene.loads) else self.scene.loads
-            self._surface -= np.asarray(loads) @ force_bar.T
+            self._loads -= self.scene.loads.at(equations.time) @ force_bar.T
 
     def add_surface(self, bar: Float[np.ndarray, "S 3"], coordinates: Float[np.ndarray, "R 3"]) -> None:
         """The derivative `bar` by a field on the surface that has these coordinates."""
@@ -125,11 +126,14 @@ class FieldBars:
         heavier = density[:, None] * (space.shape_values(mass.points) @ (products + products.T))
         by_gradients = self._interior.reshape(-1, 3, space.dimension).transpose(0, 2, 1)
         values, slopes = space.weights_of_gradients(space.samples.interior.points, by_gradients)
-        pins = np.zeros((0, 3)) if self.scene.pins is None else self.scene.pins.points
+        none = np.zeros((0, 3))
+        pins = none if self.scene.pins is None else self.scene.pins.points
+        loads = none if self.scene.loads is None else self.scene.loads.points
         return FieldGradient(
             interior_slopes=slopes,
             interior=values,
             surface=space.weights_of_values(space.samples.surface_points, self._surface),
             mass=space.weights_of_values(mass.points, heavier),
             pins=space.weights_of_values(pins, self._pins),
+            loads=space.weights_of_values(loads, self._loads),
         )

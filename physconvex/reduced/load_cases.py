@@ -8,10 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from physconvex.dynamics import Obstacle
+from physconvex.dynamics import Obstacle, Pins
 from physconvex.errors import InputError
 from physconvex.mesh import TetMesh
-from physconvex.reduced.pins import Pins
 
 __all__ = ["even_loads", "held_nodes", "surface_patches", "touched_loads"]
 

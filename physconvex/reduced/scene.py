@@ -1,97 +1,54 @@
-"""What happens to a reduced body: obstacles, forces, damping, initial motion."""
+"""A reduced body in its world."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import Contact, FrameStates, Obstacle, Prepared, Timing, Wind
+from physconvex.dynamics import Contact, FrameStates, PreparedRollOut, Timing, World
 from physconvex.errors import InputError
-from physconvex.fem import CONTACT_STIFFNESS_RATIO
 from physconvex.numerics import rotation_matrix
 from physconvex.reduced.body import ReducedBody
-from physconvex.reduced.pins import PIN_STIFFNESS_RATIO, Pins, PinSprings
+from physconvex.reduced.pins import PIN_STIFFNESS_RATIO, PinSprings
 from physconvex.reduced.trajectory import ReducedTrajectory
 
 __all__ = ["ReducedScene"]
 
-Vector = Sequence[float] | Float[np.ndarray, " 3"]
-Acceleration = Vector | Callable[[float], Vector]
-SurfaceLoads = Float[np.ndarray, "S 3"] | Callable[[float], Float[np.ndarray, "S 3"]]
-
 
 @dataclass(frozen=True)
-class ReducedScene:
-    """A reduced body and everything that acts on it, in SI units; the laws and defaults of `physconvex.fem.Scene`.
+class ReducedScene(World):
+    """A reduced body and everything that acts on it: a `World`; obstacles and wind act on the surface samples.
 
     Attributes:
         body: the reduced body.
-        obstacles: planes and spheres with friction; they act on the surface samples.
-        gravity: acceleration [m/s²].
-        damping_time: Kelvin–Voigt time β [s]: viscosities are β μ and β λ.
-        air_drag: mass-proportional damping α [1/s] (force −α m v).
-        push: further uniform acceleration [m/s²], constant or a function of time [s]: a force on every part of the body
-            in proportion to its mass.
-        wind: moving or still air around the body.
-        pins: points that are held or led along a path.
-        loads: forces on the surface samples [N], shape [S, 3], constant or a function of time.
         initial_coordinates: state at t = 0 [m], shape [R, 3]; the rest state unless given, see `ReducedSpace.affine`.
-        initial_orientation: rotation vector [rad] that turns that state about its centre of mass.
-        initial_velocity: of the centre of mass [m/s].
-        initial_angular_velocity: about the centre of mass [rad/s].
-        contact_stiffness: kc [Pa/m]; 50 × (largest E) / (size of the body) unless given.
-        contact_smoothing: depth over which contact sets in [m]; 5e-4 of the body's size unless given.
-        slip_velocity: speed below which friction ramps to zero [m/s]; 2e-3 √(9.81 × size) unless given.
-        contact_damping: τ [s] of a dashpot beside the contact's spring: pressure kc (depth + τ v), never below zero.
 
     Raises:
-        InputError: a value out of its range or of the wrong shape.
+        InputError: a value out of its range or of the wrong shape, or a hanging load, which no reduced body carries.
     """
 
-    body: ReducedBody
-    obstacles: tuple[Obstacle, ...] = ()
-    gravity: Vector = (0.0, 0.0, -9.81)
-    damping_time: float = 0.0
-    air_drag: float = 0.0
-    push: Acceleration | None = None
-    wind: Wind | None = None
-    pins: Pins | None = None
-    loads: SurfaceLoads | None = None
-    initial_coordinates: Float[np.ndarray, "R 3"] | None = None
-    initial_velocity: Vector = (0.0, 0.0, 0.0)
-    initial_angular_velocity: Vector = (0.0, 0.0, 0.0)
-    contact_stiffness: float | None = None
-    contact_smoothing: float | None = None
-    slip_velocity: float | None = None
-    contact_damping: float = 0.0
-    initial_orientation: Vector = (0.0, 0.0, 0.0)
+    body: ReducedBody = field(kw_only=False)
+    initial_coordinates: Float[np.ndarray, "R 3"] | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        for name in ("gravity", "initial_orientation", "initial_velocity", "initial_angular_velocity"):
-            value = np.asarray(getattr(self, name), dtype=np.float64)
-            if value.shape != (3,) or not np.isfinite(value).all():
-                raise InputError(f"{name}: got {getattr(self, name)!r}; expected three finite numbers")
-        for name in ("damping_time", "air_drag", "contact_damping"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise InputError(f"{name}: got {getattr(self, name)}; expected a finite number ≥ 0")
-        self.uniform_acceleration(0.0)
-        shapes = {
-            "loads": self.body.space.samples.surface_points.shape,
-            "initial_coordinates": (self.body.space.dimension, 3),
-        }
-        for name, shape in shapes.items():
-            value = getattr(self, name)
-            if value is not None and not callable(value) and np.shape(value) != shape:
-                raise InputError(f"{name}: got shape {np.shape(value)}; expected {shape}")
+        super().__post_init__()
+        shape = (self.body.space.dimension, 3)
+        if self.initial_coordinates is not None and np.shape(self.initial_coordinates) != shape:
+            raise InputError(f"initial_coordinates: got shape {np.shape(self.initial_coordinates)}; expected {shape}")
+        if self.hanging is not None:
+            raise InputError(
+                "hanging: got a load that hangs on a reduced body; it exists with finite elements only. Leave it out, "
+                "or make the body's cells heavier where it hangs"
+            )
 
-    def prepared(self, timing: Timing) -> Prepared:
+    def prepared(self, timing: Timing) -> PreparedRollOut:
         """Made ready for `physconvex.dynamics.simulate`."""
-        from physconvex.reduced.simulation import prepared  # late: the equations of a scene know the scene
+        from physconvex.reduced.simulation import prepared_body  # late: the equations of a scene know the scene
 
-        return prepared(self, timing)
+        return prepared_body(self, timing)
 
     def trajectory(self, frames: FrameStates) -> ReducedTrajectory:
         """The roll-out."""
@@ -106,7 +63,13 @@ class ReducedScene:
         moving += [] if self.wind is None else [self.wind.velocity]
         still = not any(callable(velocity) or np.any(velocity) for velocity in moving)
         led = self.pins is not None and self.pins.motion is not None
-        return still and not led and not callable(self.push) and not callable(self.loads) and self.body.flow is None
+        return (
+            still
+            and not led
+            and not callable(self.push)
+            and (self.loads is None or not callable(self.loads.forces))
+            and self.body.flow is None
+        )
 
     @property
     def energy_scale(self) -> float:
@@ -140,15 +103,8 @@ class ReducedScene:
     def contact(self) -> Contact:
         """The contact law of the surface samples with its defaults resolved."""
         samples = self.body.space.samples
-        size = samples.size
-        stiffness = CONTACT_STIFFNESS_RATIO * float(self.body.youngs_modulus.max()) / size
-        return Contact(
-            obstacles=tuple(self.obstacles),
-            areas=samples.surface_areas,
-            stiffness=stiffness if self.contact_stiffness is None else self.contact_stiffness,
-            smoothing=5e-4 * size if self.contact_smoothing is None else self.contact_smoothing,
-            slip_velocity=2e-3 * np.sqrt(9.81 * size) if self.slip_velocity is None else self.slip_velocity,
-            damping=self.contact_damping,
+        return self.contact_law(
+            samples.surface_areas, youngs_modulus=float(self.body.youngs_modulus.max()), size=samples.size
         )
 
     def pin_springs(self) -> PinSprings | None:
@@ -160,25 +116,16 @@ class ReducedScene:
         stiffness = default if self.pins.stiffness is None else self.pins.stiffness
         return PinSprings(values, stiffness * np.asarray(self.pins.areas), values @ self.start, self.pins.motion)
 
-    def uniform_acceleration(self, time: float) -> Float[np.ndarray, " 3"]:
-        """Gravity and push [m/s²]."""
-        gravity = np.asarray(self.gravity, dtype=np.float64)
-        if self.push is None:
-            return gravity
-        push = np.asarray(self.push(time) if callable(self.push) else self.push, dtype=np.float64)
-        if push.shape != (3,) or not np.isfinite(push).all():
-            raise InputError(f"push: got {push!r} at t = {time:g} s; expected three finite numbers in m/s²")
-        return gravity + push
+    @cached_property
+    def load_values(self) -> Float[np.ndarray, "P R"]:
+        """Shape functions at the points of the loads."""
+        assert self.loads is not None
+        space = self.body.space
+        if np.array_equal(self.loads.points, space.samples.surface_points):
+            return space.surface_values
+        return space.shape_values(self.loads.points)
 
     def external_forces(self, time: float) -> Float[np.ndarray, "R 3"]:
         """Gravity, push and loads as generalised forces [N]."""
         forces = self.body.first_moments[:, None] * self.uniform_acceleration(time)
-        if self.loads is None:
-            return forces
-        loads = np.asarray(self.loads(time) if callable(self.loads) else self.loads)
-        if loads.shape != self.body.space.samples.surface_points.shape:
-            raise InputError(
-                f"loads: the function gave shape {loads.shape} at t = {time:g} s; expected "
-                f"{self.body.space.samples.surface_points.shape}, one force per surface sample"
-            )
-        return forces + self.body.space.surface_values.T @ loads
+        return forces if self.loads is None else forces + self.load_values.T @ self.loads.at(time)

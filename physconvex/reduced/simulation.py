@@ -4,32 +4,32 @@ from __future__ import annotations
 
 import numpy as np
 
-from physconvex.dynamics import Prepared, State, Timing
+from physconvex.dynamics import PreparedRollOut, State, Timing
 from physconvex.errors import InputError
 from physconvex.reduced.bodies import ReducedBodies
 from physconvex.reduced.bodies_equations import BodiesEquations
 from physconvex.reduced.equations import ReducedEquations
 from physconvex.reduced.scene import ReducedScene
 
-__all__ = ["prepared", "prepared_bodies"]
+__all__ = ["prepared_bodies", "prepared_body"]
 
 _STALE_RATE = 0.5  # secants make up for a factor that has grown old
 _TOLERANCE = 3e-8  # of Newton's last step, over the size
 
 
-def prepared(scene: ReducedScene, timing: Timing) -> Prepared:
+def prepared_body(scene: ReducedScene, timing: Timing) -> PreparedRollOut:
     """A scene made ready for its roll-out, as `physconvex.dynamics.simulate` asks for it."""
     return _made(ReducedEquations(scene), (scene,), scene.body.space.samples.size, timing)
 
 
-def prepared_bodies(bodies: ReducedBodies, timing: Timing) -> Prepared:
+def prepared_bodies(bodies: ReducedBodies, timing: Timing) -> PreparedRollOut:
     """The same for several bodies; tolerances are relative to the smallest one."""
     return _made(BodiesEquations(bodies), bodies.scenes, bodies.size, timing)
 
 
 def _made(
     equations: ReducedEquations | BodiesEquations, scenes: tuple[ReducedScene, ...], size: float, timing: Timing
-) -> Prepared:
+) -> PreparedRollOut:
     if timing.contact_solver != "passes" or timing.flight_steps_per_frame is not None:
         raise InputError(
             "contact_solver, flight_steps_per_frame: got "
@@ -42,7 +42,7 @@ def _made(
         np.concatenate([scene.start for scene in scenes]),
         np.concatenate([scene.start_velocities() for scene in scenes]),
     )
-    return Prepared(
+    return PreparedRollOut(
         equations,
         start,
         (timing.tolerance or _TOLERANCE) * size,

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from physconvex import InputError
 from physconvex.dynamics import Plane, Timing, simulate
-from physconvex.fem import ElasticBody, NodalEquations, Pins, Scene, SurfacePoints
+from physconvex.fem import ElasticBody, NodalEquations, NodePins, Scene, SurfacePoints
 from physconvex.mesh import Embedding, TetMesh, box_mesh, to_quadratic
 
 
@@ -43,7 +43,7 @@ def test_points_stand_for_the_whole_area_and_keep_the_corners(shown):
 
 def test_forces_are_the_derivative_of_the_energy_and_stiffness_that_of_the_forces(shown, inner):
     top = np.flatnonzero(inner.vertices[:, 2] > 0.059)
-    scene = scene_of(inner, SurfacePoints.of_triangles(*shown), pins=Pins(top))
+    scene = scene_of(inner, SurfacePoints.of_triangles(*shown), node_pins=NodePins(top))
     equations, rng = NodalEquations(scene), np.random.default_rng(0)
     x = inner.vertices * 1.02 - [0, 0, 0.004]
     direction, step = rng.normal(size=x.shape), 1e-7

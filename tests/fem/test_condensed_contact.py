@@ -12,7 +12,7 @@ from physconvex.dynamics import Contact, Plane, Sphere, State, Timing, Wind, bdf
 from physconvex.fem import (
     ElasticBody,
     NodalEquations,
-    Pins,
+    NodePins,
     Scene,
     SurfacePoints,
     compiled_contact as contact_kernel,
@@ -51,7 +51,7 @@ SCENES = {
     "wind": thrown(FLOOR, wind=Wind(velocity=(5.0, 0, 0)), air_drag=0.5),
     "pinned": thrown(
         Plane(point=(0, 0, 0.005), friction=0.5, velocity=(0.3, 0, 0)),
-        pins=Pins(np.flatnonzero(box_mesh(BOX, (2, 2, 1)).vertices[:, 2] > 0.099)),
+        node_pins=NodePins(np.flatnonzero(box_mesh(BOX, (2, 2, 1)).vertices[:, 2] > 0.099)),
     ),
 }
 

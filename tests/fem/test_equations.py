@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from physconvex.dynamics import Plane, Sphere, State, bdf2, implicit_euler
-from physconvex.fem import ElasticBody, NodalEquations, Pins, Scene
+from physconvex.dynamics import Loads, Plane, Sphere, State, bdf2, implicit_euler
+from physconvex.fem import ElasticBody, NodalEquations, NodePins, Scene
 from physconvex.materials import LAWS
 from physconvex.mesh import box_mesh
 
@@ -123,8 +123,8 @@ def full_scene(order: int, *, sphere: bool = False, pins: bool = True) -> Scene:
         obstacles=tuple(obstacles),
         damping_time=0.01,
         air_drag=0.7,
-        pins=Pins(np.flatnonzero(body.mesh.vertices[:, 0] == 0)) if pins else None,
-        loads=lambda t: np.full(body.mesh.vertices.shape, 0.01 * (1 + t)),
+        node_pins=NodePins(np.flatnonzero(body.mesh.vertices[:, 0] == 0)) if pins else None,
+        loads=Loads(body.mesh.vertices, lambda t: np.full(body.mesh.vertices.shape, 0.01 * (1 + t))),
         contact_smoothing=0.02,
         slip_velocity=0.3,
     )

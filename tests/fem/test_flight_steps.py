@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.dynamics import Plane, Sphere, State, Stepper, Timing, bdf2, simulate
-from physconvex.fem import ElasticBody, Pins, Scene
+from physconvex.dynamics import Loads, Plane, Sphere, State, Stepper, Timing, bdf2, simulate
+from physconvex.fem import ElasticBody, NodePins, Scene
 from physconvex.fem.flight_steps import Flight
 from physconvex.mesh import box_mesh
 
@@ -57,8 +57,8 @@ def test_steps_are_short_again_before_it_lands_and_ever_after():
         ({}, 0, 12),  # starts the integrator
         ({"initial_velocity": (0, 0, -20.0)}, 1, 12),
         ({"obstacles": (Sphere(center=(0.1, 0.1, 2.0), radius=0.2, velocity=(0, 0, -30.0)),)}, 1, 12),
-        ({"pins": Pins(np.array([0]))}, 1, 12),
-        ({"loads": np.ones((75, 3))}, 1, 12),
+        ({"node_pins": NodePins(np.array([0]))}, 1, 12),
+        ({"loads": Loads(np.zeros((75, 3)), np.ones((75, 3)))}, 1, 12),
     ],
 )
 def test_when_a_frame_is_flight(fields, frame, steps):
@@ -67,7 +67,7 @@ def test_when_a_frame_is_flight(fields, frame, steps):
     scene = Scene(
         scene.body,
         obstacles=scene.obstacles + obstacles,
-        pins=scene.pins,
+        node_pins=scene.node_pins,
         loads=scene.loads,
         initial_velocity=scene.initial_velocity,
     )

@@ -5,7 +5,7 @@ import pytest
 
 from physconvex import InputError
 from physconvex.dynamics import Plane, Timing, Wind, simulate
-from physconvex.fem import ElasticBody, Pins, Scene
+from physconvex.fem import ElasticBody, NodePins, Scene
 from physconvex.materials import Plasticine, StandardLinearSolid, with_strain_stiffening
 from physconvex.mesh import box_mesh
 
@@ -43,7 +43,7 @@ def led(mesh, flow):
 
     body = ElasticBody(mesh, youngs_modulus=1e5, poisson_ratio=0.3, flow=flow)
     return simulate(
-        Scene(body, gravity=(0, 0, 0), pins=Pins(ends, motion)), Timing(frames=5, fps=20.0, steps_per_frame=10)
+        Scene(body, gravity=(0, 0, 0), node_pins=NodePins(ends, motion)), Timing(frames=5, fps=20.0, steps_per_frame=10)
     )
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from physconvex.dynamics import Timing, simulate
-from physconvex.fem import ElasticBody, Pins, Scene, Trajectory, solve_static
+from physconvex.dynamics import Loads, Timing, simulate
+from physconvex.fem import ElasticBody, NodePins, Scene, Trajectory, solve_static
 from physconvex.mesh import box_mesh
 
 G = np.array([0.0, 0.0, -9.81])
@@ -225,7 +225,7 @@ def test_pins_follow_their_motion_and_drag_the_body_along():
         return rest + np.array([0.2 * t**2, 0.0, 0.1 * t])
 
     run = simulate(
-        Scene(body, gravity=(0, 0, 0), pins=Pins(nodes, motion)), Timing(frames=5, fps=8, steps_per_frame=40)
+        Scene(body, gravity=(0, 0, 0), node_pins=NodePins(nodes, motion)), Timing(frames=5, fps=8, steps_per_frame=40)
     )
     for x, t in zip(run.positions, run.times, strict=True):
         np.testing.assert_allclose(x[nodes], motion(t) if t else rest, atol=1e-12)
@@ -237,7 +237,7 @@ def test_pins_follow_their_motion_and_drag_the_body_along():
 def test_held_pins_stay_and_do_no_work():
     body = block(youngs_modulus=3e4)
     nodes = np.flatnonzero(body.mesh.vertices[:, 0] == 0)
-    scene = Scene(body, pins=Pins(nodes))
+    scene = Scene(body, node_pins=NodePins(nodes))
     run = simulate(scene, Timing(frames=6, steps_per_frame=40))
     assert (run.positions[:, nodes] == body.mesh.vertices[nodes]).all()
     total = energies(scene, run)  # zero at the start
@@ -248,7 +248,7 @@ def test_held_pins_stay_and_do_no_work():
 def test_a_damped_swing_comes_to_rest_in_the_static_solution():
     body = block(youngs_modulus=3e4)
     nodes = np.flatnonzero(body.mesh.vertices[:, 0] == 0)
-    scene = Scene(body, pins=Pins(nodes), damping_time=0.05)
+    scene = Scene(body, node_pins=NodePins(nodes), damping_time=0.05)
     last = simulate(scene, Timing(frames=2, fps=0.05, steps_per_frame=400, tolerance=1e-10)).positions[-1]
     np.testing.assert_allclose(last, solve_static(scene), atol=1e-5)
 
@@ -256,7 +256,7 @@ def test_a_damped_swing_comes_to_rest_in_the_static_solution():
 def test_loads_may_change_with_time():
     body = block(density=500.0, youngs_modulus=1e6)
     share = body.node_masses[:, None] / body.total_mass * np.array([1.0, 0, 0])
-    scene = Scene(body, gravity=(0, 0, 0), loads=lambda t: 6.0 * t * share)
+    scene = Scene(body, gravity=(0, 0, 0), loads=Loads(body.mesh.vertices, lambda t: 6.0 * t * share))
     run = simulate(scene, Timing(frames=2, fps=2, steps_per_frame=100))
     # m v = 3 t²; BDF2 of a quadratic velocity: (h/t)² = 1e-4, the first step adds as much
     np.testing.assert_allclose(momentum(body, run)[1], [3 * 0.25, 0, 0], rtol=5e-4, atol=1e-9)

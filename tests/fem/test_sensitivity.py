@@ -7,7 +7,7 @@ import pytest
 
 from physconvex import InputError
 from physconvex.dynamics import Plane, Timing, simulate, simulate_with_sensitivities
-from physconvex.fem import ElasticBody, Pins, Scene, SceneFamily
+from physconvex.fem import ElasticBody, NodePins, Scene, SceneFamily
 from physconvex.mesh import box_mesh
 
 TIMING = Timing(frames=4, fps=48.0, steps_per_frame=4, tolerance=1e-11)
@@ -39,8 +39,8 @@ def held(values):
     mesh = box_mesh((0.3, 0.1, 0.1), (3, 1, 1), order=2)
     nodes = np.flatnonzero(mesh.vertices[:, 0] < 1e-9)
     body = ElasticBody(mesh, youngs_modulus=10 ** values[0], poisson_ratio=values[1], density=1000.0)
-    pins = Pins(nodes, lambda t: mesh.vertices[nodes] + [0.0, values[3] * t, 0.0])
-    return Scene(body, pins=pins, damping_time=values[2])
+    pins = NodePins(nodes, lambda t: mesh.vertices[nodes] + [0.0, values[3] * t, 0.0])
+    return Scene(body, node_pins=pins, damping_time=values[2])
 
 
 @pytest.mark.parametrize("scene_of", [thrown, held])

@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import brentq
 
 from physconvex import ConvergenceError, InputError
-from physconvex.dynamics import Timing, simulate
-from physconvex.fem import ElasticBody, Pins, Scene, solve_static, surface_load
+from physconvex.dynamics import Loads, Timing, simulate
+from physconvex.fem import ElasticBody, NodePins, Scene, solve_static, surface_load
 from physconvex.materials import LAWS
 from physconvex.mesh import TetMesh, box_mesh
 
@@ -38,7 +38,7 @@ def pull(mesh: TetMesh, stresses) -> np.ndarray:
 def equilibrium(body: ElasticBody, forces: np.ndarray, ramp: int = 1) -> np.ndarray:
     """Equilibrium of a body without support: implicit Euler with steps of 1 s, in which inertia only holds the rigid
     motions. A vibration (150 rad/s at least) shrinks by 1e4 in each of the four steps after the ramp."""
-    scene = Scene(body, gravity=(0, 0, 0), loads=lambda t: min(t / ramp, 1.0) * forces)
+    scene = Scene(body, gravity=(0, 0, 0), loads=Loads(body.mesh.vertices, lambda t: min(t / ramp, 1.0) * forces))
     options = Timing(fps=1.0, steps_per_frame=1, integrator="implicit_euler", tolerance=1e-11)
     return simulate(scene, replace(options, frames=ramp + 5)).positions[-1]
 
@@ -83,8 +83,8 @@ def test_clamped_bar_by_the_static_solver(law):
     mesh = box_mesh((0.6, 0.1, 0.1), (10, 2, 2))
     body = ElasticBody(mesh, law=law, youngs_modulus=E, poisson_ratio=NU)
     load = surface_load(mesh, lambda c: np.isclose(c[:, 0], 0.6), (1e-4 * E, 0, 0))
-    clamped = Pins(np.flatnonzero(mesh.vertices[:, 0] == 0))
-    x = solve_static(Scene(body, gravity=(0, 0, 0), loads=load, pins=clamped))
+    clamped = NodePins(np.flatnonzero(mesh.vertices[:, 0] == 0))
+    x = solve_static(Scene(body, gravity=(0, 0, 0), loads=Loads(mesh.vertices, load), node_pins=clamped))
     u = x - mesh.vertices
     # two widths from either end, where the clamp's disturbance has died out to about exp(−2 × 4) = 3e-4
     left, right = (np.isclose(mesh.vertices[:, 0], at) for at in (0.24, 0.36))
@@ -120,8 +120,8 @@ def test_hanging_by_its_own_weight(law):
     # ν = 0 makes it one-dimensional: u = ρ g (L s − s²/2)/E at the distance s below the clamp, exact in P2
     mesh = box_mesh((0.1, 0.1, 0.3), (1, 1, 3))
     body = ElasticBody(mesh, law=law, youngs_modulus=1e8, poisson_ratio=0.0, density=1200.0)
-    top = Pins(np.flatnonzero(mesh.vertices[:, 2] == 0.3))
-    u = solve_static(Scene(body, gravity=(0, 0, -9.81), pins=top)) - mesh.vertices
+    top = NodePins(np.flatnonzero(mesh.vertices[:, 2] == 0.3))
+    u = solve_static(Scene(body, gravity=(0, 0, -9.81), node_pins=top)) - mesh.vertices
     s = 0.3 - mesh.vertices[:, 2]
     expected = -1200 * 9.81 * (0.3 * s - s**2 / 2) / 1e8
     # strains of 3.5e-5, and the nonlinear laws differ from the linear one by about that share
@@ -188,7 +188,7 @@ def test_patch(law, order):
     boundary = mesh.node_areas > 0
     start = np.where(boundary[:, None], target, target + 0.002)
     body = ElasticBody(mesh, law=law, youngs_modulus=E, poisson_ratio=NU)
-    scene = Scene(body, gravity=(0, 0, 0), initial_positions=start, pins=Pins(np.flatnonzero(boundary)))
+    scene = Scene(body, gravity=(0, 0, 0), initial_positions=start, node_pins=NodePins(np.flatnonzero(boundary)))
     np.testing.assert_allclose(solve_static(scene), target, atol=1e-10)
 
 
@@ -217,7 +217,7 @@ def test_body_without_support_is_an_error():
 def test_unreachable_tolerance_is_an_error():
     mesh = box_mesh((0.1, 0.1, 0.1), (1, 1, 1))
     body = ElasticBody(mesh, youngs_modulus=E)
-    scene = Scene(body, pins=Pins(np.flatnonzero(mesh.vertices[:, 0] == 0)))
+    scene = Scene(body, node_pins=NodePins(np.flatnonzero(mesh.vertices[:, 0] == 0)))
     with pytest.raises(ConvergenceError, match=r"no descent|iterations left"):
         solve_static(scene, tolerance=1e-30)
 
@@ -225,7 +225,7 @@ def test_unreachable_tolerance_is_an_error():
 def test_load_steps_reach_the_same_equilibrium():
     mesh = box_mesh((0.3, 0.05, 0.05), (4, 1, 1))
     body = ElasticBody(mesh, youngs_modulus=5e4, poisson_ratio=0.4)
-    scene = Scene(body, pins=Pins(np.flatnonzero(mesh.vertices[:, 0] == 0)))
+    scene = Scene(body, node_pins=NodePins(np.flatnonzero(mesh.vertices[:, 0] == 0)))
     once, often = solve_static(scene), solve_static(scene, load_steps=4)
     assert (mesh.vertices - once)[:, 2].max() > 0.05  # it bends a lot
     np.testing.assert_allclose(often, once, atol=1e-8)

@@ -65,7 +65,8 @@ def rng() -> np.random.Generator:
 @pytest.fixture(scope="session")
 def released() -> Callable[[Path, float], Capture]:
     """Writes the capture of a beam of 0.2 MPa into a folder."""
-    from physconvex.fem import ElasticBody, HangingLoad, Pins, Scene
+    from physconvex.dynamics import HangingLoad
+    from physconvex.fem import ElasticBody, NodePins, Scene
     from physconvex.io import Boundary, Capture, Tracks, save_capture
     from physconvex.mesh import TetMesh, box_mesh
 
@@ -76,8 +77,10 @@ def released() -> Callable[[Path, float], Capture]:
         body = ElasticBody(mesh, youngs_modulus=2e5, poisson_ratio=0.4, density=1000.0)
         x = mesh.vertices[:, 0]
         end, held = x < x.min() + 1e-9, np.flatnonzero(x > x.max() - 1e-9)
-        load = HangingLoad(np.where(end, ratio * body.total_mass / end.sum(), 0.0)) if ratio else None
-        run = simulate(Scene(body, pins=Pins(held), hanging=load), Timing(frames=30, fps=80.0, steps_per_frame=8))
+        load = HangingLoad(mesh.vertices, np.where(end, ratio * body.total_mass / end.sum(), 0.0)) if ratio else None
+        run = simulate(
+            Scene(body, node_pins=NodePins(held), hanging=load), Timing(frames=30, fps=80.0, steps_per_frame=8)
+        )
         shown = np.flatnonzero(x < x.min() + 0.06)[::5]
         positions = run.positions[:, shown] + 5e-5 * np.random.default_rng(1).normal(size=(30, len(shown), 3))
         capture = Capture(folder / "capture", 80.0, 30, 20, gravity=np.array([0.0, 0.0, -9.81]), density=1000.0)

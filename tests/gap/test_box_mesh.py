@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from physconvex.fem import ElasticBody, Pins, Scene, solve_static
+from physconvex.fem import ElasticBody, NodePins, Scene, solve_static
 from physconvex.gap import with_plane
 from physconvex.gap.base.box_mesh import box_cells, box_of_body
 from physconvex.io import Boundary, Capture, save_capture
@@ -59,8 +59,8 @@ def test_a_bar_with_a_stiff_core_sags_and_does_not_swerve(tmp_path):
         x = body.quadrature_points[..., 1:] / 0.015
         factor = 10 ** (decades * (1 - (x**2).sum(-1)))
         uneven = ElasticBody(mesh, youngs_modulus=1e5 * factor, poisson_ratio=0.3, density=1000.0)
-        pins = Pins(np.flatnonzero(mesh.vertices[:, 0] < 1e-3))
-        moved = solve_static(Scene(body=uneven, pins=pins)) - mesh.vertices
+        pins = NodePins(np.flatnonzero(mesh.vertices[:, 0] < 1e-3))
+        moved = solve_static(Scene(body=uneven, node_pins=pins)) - mesh.vertices
         return moved[mesh.vertices[:, 0] > 0.1 - 1e-9].mean(0)
 
     change = sag(0.3) - sag(0.0)
@@ -97,6 +97,6 @@ def test_a_held_bar_is_as_stiff_on_few_cells_as_on_many():
         mesh = with_plane(np.zeros(3), np.array([1.0, 0.25, 0.25]), cells, 0, 0.04)
         body = ElasticBody(mesh, youngs_modulus=1e6, poisson_ratio=0.3, density=1000.0)
         held = np.flatnonzero(mesh.vertices[:, 0] <= 0.04 + 1e-9)
-        found = solve_static(Scene(body, pins=Pins(held)))
+        found = solve_static(Scene(body, node_pins=NodePins(held)))
         tips.append(float((found - mesh.vertices)[mesh.vertices[:, 0] > 1 - 1e-9, 2].mean()))
     assert tips[0] == pytest.approx(tips[1], rel=0.03)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from physconvex.dynamics import Timing, simulate
-from physconvex.fem import ElasticBody, Pins, Scene
+from physconvex.fem import ElasticBody, NodePins, Scene
 from physconvex.gap import GapOptions, MotionCorrection, error_model, fit_baseline, rough_baseline
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.model import reduced_like
@@ -31,7 +31,9 @@ def released(folder: Path, order: int, *, particles: bool = False, tilt: float =
     body = ElasticBody(mesh, youngs_modulus=MODULUS, poisson_ratio=0.4, density=1000.0)
     held = np.flatnonzero(mesh.vertices[:, 0] < mesh.vertices[:, 0].min() + 1e-9)
     gravity = 9.81 * np.array([0.0, np.sin(tilt), -np.cos(tilt)])
-    run = simulate(Scene(body, pins=Pins(held), gravity=gravity), Timing(frames=FRAMES, fps=FPS, steps_per_frame=16))
+    run = simulate(
+        Scene(body, node_pins=NodePins(held), gravity=gravity), Timing(frames=FRAMES, fps=FPS, steps_per_frame=16)
+    )
     shown = np.flatnonzero(mesh.vertices[:, 0] > mesh.vertices[:, 0].max() - 0.03)
     rng = np.random.default_rng(1)
     positions = run.positions[:, shown] + SIGMA * rng.normal(size=(FRAMES, len(shown), 3))

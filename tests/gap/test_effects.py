@@ -168,7 +168,7 @@ def test_saint_venant_and_kirchhoff_lengthen_the_squeeze(scene, plain):
 def added_mass(scene, loaded):
     """What a load adds [kg], and its mean place along x from the end at +x, over the length, by either model."""
     if loaded.body is scene.body:  # on the nodes of the full-order model
-        x, masses = scene.body.mesh.vertices[:, 0], loaded.hanging.masses
+        x, masses = scene.body.mesh.vertices[:, 0], loaded.hanging_masses
         return masses.sum(), (x.max() - masses @ x / masses.sum()) / np.ptp(x)
     x = scene.body.space.samples.surface_points[:, 0]
     moments = [s.body.total_mass * run(s)[0][0, 0] for s in (scene, loaded)]

@@ -63,7 +63,7 @@ def test_world_and_boundary_go_to_both_models(tmp_path):
         assert scene.gravity == (0.0, 1.0, -9.0)
         assert scene.obstacles[0].friction == 0.4
         np.testing.assert_allclose(scene.obstacles[0].point, [0, 0, -0.1])
-    held = twin.mesh.vertices[full.pins.nodes]
+    held = twin.mesh.vertices[full.held.nodes]
     assert len(held) == 9 and np.abs(held[:, 0]).max() == 0
     np.testing.assert_allclose(np.sort(reduced.pins.points, axis=0), np.sort(held, axis=0))
     assert reduced.pins.areas.sum() > 0.9 * SIZE[1] * SIZE[2]
@@ -87,7 +87,7 @@ def test_another_mesh_is_held_at_the_same_place(tmp_path):
     twin = base_twin(saved(tmp_path / "c", boundary=Boundary(clamped_box=BOX)), TwinOptions(weights=2))
     finer = box_mesh(SIZE, (6, 2, 2))
     scene = twin.full_scene(finer)
-    assert np.abs(finer.vertices[scene.pins.nodes, 0]).max() == 0 and len(scene.pins.nodes) == 25
+    assert np.abs(finer.vertices[scene.held.nodes, 0]).max() == 0 and len(scene.held.nodes) == 25
     np.testing.assert_allclose(scene.start, finer.vertices, atol=1e-12)
 
 

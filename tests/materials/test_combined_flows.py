@@ -6,7 +6,7 @@ import torch
 
 from physconvex import InputError
 from physconvex.dynamics import Timing, simulate, simulate_with_sensitivities
-from physconvex.fem import ElasticBody, Pins, Scene
+from physconvex.fem import ElasticBody, NodePins, Scene
 from physconvex.materials import Flows, Plasticine, Sand, StandardLinearSolid, stored_flows
 from physconvex.mesh import box_mesh
 from physconvex.reduced import BodySamples, NamedParameters, ReducedBody, ReducedScene, ReducedSpace, eigenmode_weights
@@ -48,7 +48,9 @@ def bent(mesh, flow, reduced):
     held = np.flatnonzero(mesh.vertices[:, 0] < mesh.vertices[:, 0].min() + 1e-9)
     body = ElasticBody(mesh, youngs_modulus=4e4, poisson_ratio=0.3, flow=flow)
     if not reduced:
-        return simulate(Scene(body, pins=Pins(held)), Timing(frames=6, fps=40.0, steps_per_frame=4)).positions[1:]
+        return simulate(Scene(body, node_pins=NodePins(held)), Timing(frames=6, fps=40.0, steps_per_frame=4)).positions[
+            1:
+        ]
     space = ReducedSpace(eigenmode_weights(ElasticBody(mesh), 6), BodySamples.of_mesh(mesh))
     made = ReducedBody(space, youngs_modulus=4e4, poisson_ratio=0.3, flow=flow)
     run = simulate(ReducedScene(made), Timing(frames=6, fps=40.0, steps_per_frame=4))

@@ -9,10 +9,10 @@ import scipy.sparse as sp
 from scipy.spatial.transform import Rotation
 
 from physconvex import InputError
-from physconvex.dynamics import Plane, Sphere, Timing, simulate
+from physconvex.dynamics import Pins, Plane, Sphere, Timing, simulate
 from physconvex.fem import (
     ElasticBody,
-    Pins as FullPins,
+    NodePins,
     Scene,
     elastic_responses,
     rigid_motions,
@@ -22,7 +22,6 @@ from physconvex.fem import (
 from physconvex.mesh import TetMesh, box_mesh
 from physconvex.reduced import (
     BodySamples,
-    Pins,
     ReducedBody,
     ReducedScene,
     ReducedSpace,
@@ -214,7 +213,7 @@ def test_a_clamped_body_vibrates_as_it_is_held():
     full = ElasticBody(mesh, youngs_modulus=5e4, poisson_ratio=0.4)
     clamped = np.isclose(mesh.vertices[:, 0], mesh.vertices[:, 0].min())
     timing = Timing(frames=9, fps=24.0, steps_per_frame=4)
-    truth = simulate(Scene(full, pins=FullPins(np.flatnonzero(clamped))), timing).positions
+    truth = simulate(Scene(full, node_pins=NodePins(np.flatnonzero(clamped))), timing).positions
     samples = BodySamples.of_mesh(mesh)
     pins = Pins(mesh.vertices[clamped], np.maximum(mesh.node_areas[clamped], 1e-9))
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from physconvex.dynamics import Plane, Sphere, State, Wind, bdf2, implicit_euler
+from physconvex.dynamics import Loads, Pins, Plane, Sphere, State, Wind, bdf2, implicit_euler
 from physconvex.numerics import NotPositiveDefiniteError
-from physconvex.reduced import Pins, ReducedBody, ReducedEquations, ReducedScene
+from physconvex.reduced import ReducedBody, ReducedEquations, ReducedScene
 
 STEP = 1e-6
 
@@ -27,7 +27,7 @@ def full_scene(body: ReducedBody) -> ReducedScene:
         push=lambda t: (t, 0.3, 0.0),
         wind=Wind(lambda t: (2.0, 10 * t, 0.0), drag_coefficient=5.0),
         pins=Pins(body.space.samples.surface_points[:4], 1e-3, motion=lambda t: np.full((4, 3), 0.1 * t)),
-        loads=lambda t: 0.01 * (1 + t) * loads,
+        loads=Loads(body.space.samples.surface_points, lambda t: 0.01 * (1 + t) * loads),
         contact_smoothing=0.02,
         slip_velocity=0.3,
     )

@@ -7,11 +7,10 @@ import pytest
 import torch
 
 from physconvex import InputError
-from physconvex.dynamics import Timing, simulate
+from physconvex.dynamics import Loads, Pins, Timing, simulate
 from physconvex.materials import Plasticine
 from physconvex.reduced import (
     CallableWeights,
-    Pins,
     ReducedScene,
     ReducedSpace,
     rollout_of_weights,
@@ -54,7 +53,7 @@ def scenes(body) -> dict[str, ReducedScene]:
     return {
         "sliding": sliding(body, seed=4, initial_coordinates=None),
         "undamped": sliding(body, seed=4, initial_coordinates=None, damping_time=0.0),
-        "held": sliding(body, seed=4, **free, pins=Pins(end, 1e-3), loads=loads),
+        "held": sliding(body, seed=4, **free, pins=Pins(end, 1e-3), loads=Loads(surface, loads)),
         "led": sliding(body, seed=4, **free, pins=Pins(end, 1e-3, lambda t: end + np.array([0.3 * t, 0.0, 0.0]))),
     }
 

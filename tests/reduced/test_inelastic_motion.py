@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from physconvex.dynamics import Plane, State, Timing, implicit_euler, simulate
+from physconvex.dynamics import Pins, Plane, State, Timing, implicit_euler, simulate
 from physconvex.fem import ElasticBody
 from physconvex.materials import Plasticine, Sand, StandardLinearSolid, with_fibres
 from physconvex.mesh import box_mesh, tetrahedralize
 from physconvex.reduced import (
     BodySamples,
-    Pins,
     ReducedBody,
     ReducedEquations,
     ReducedScene,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from physconvex import ConvergenceError, InputError
-from physconvex.dynamics import Plane, Sphere, State, Timing, simulate
+from physconvex.dynamics import Loads, Plane, Sphere, State, Timing, simulate
 from physconvex.fem import ElasticBody, Scene, surface_load
 from physconvex.materials import LAWS
 from physconvex.mesh import box_mesh
@@ -95,7 +95,7 @@ def test_a_pulled_bar_settles_at_the_stretch_of_its_constants(space_of, law):
     body = ReducedBody(space, law=law, youngs_modulus=modulus, poisson_ratio=poisson)
     boundary = mesh.node_areas > 0
     pull = [surface_load(mesh, lambda c, e=e: np.isclose(c[:, 0], e), (modulus * strain, 0, 0)) for e in (0, SIZE[0])]
-    scene = ReducedScene(body, gravity=(0, 0, 0), loads=(pull[1] - pull[0])[boundary])
+    scene = ReducedScene(body, gravity=(0, 0, 0), loads=Loads(mesh.vertices[boundary], (pull[1] - pull[0])[boundary]))
     run = simulate(scene, Timing(frames=2, fps=0.2, steps_per_frame=5, integrator="implicit_euler", tolerance=1e-10))
     low, high = run.positions(np.array([[0.05, 0.05, 0.02], [0.25, 0.15, 0.08]]))[-1]
     measured = (high - low) / [0.2, 0.1, 0.06] - 1
@@ -185,7 +185,7 @@ def test_bad_arguments_are_named(space_of):
         with pytest.raises(InputError, match=next(iter(options))):
             simulate(scene, Timing(**options))
     with pytest.raises(InputError, match="loads"):
-        ReducedScene(slab(space_of), loads=np.zeros((2, 3)))
+        ReducedScene(slab(space_of), loads=Loads(np.zeros((3, 3)), np.zeros((2, 3))))
     with pytest.raises(InputError, match="damping_time"):
         ReducedScene(slab(space_of), damping_time=-1.0)
 

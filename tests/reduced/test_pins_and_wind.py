@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from physconvex import InputError
-from physconvex.dynamics import Plane, Timing, Wind, simulate, simulate_with_sensitivities
+from physconvex.dynamics import Pins, Plane, Timing, Wind, simulate, simulate_with_sensitivities
 from physconvex.reduced import (
     NamedParameters,
-    Pins,
     ReducedBody,
     ReducedScene,
     parameter_values,

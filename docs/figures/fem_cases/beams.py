@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse.linalg import spsolve
 
-from physconvex.dynamics import Timing, simulate
-from physconvex.fem import ElasticBody, Pins, Scene, solve_static, surface_load, tangent_stiffness, vibration_modes
+from physconvex.dynamics import Loads, Timing, simulate
+from physconvex.fem import ElasticBody, NodePins, Scene, solve_static, surface_load, tangent_stiffness, vibration_modes
 from physconvex.mesh import Embedding, TetMesh, box_mesh, to_quadratic
 
 __all__ = [
@@ -51,7 +51,7 @@ def cantilever(slenderness: float, *, order: int = 2, cells: tuple[int, int, int
     height, e, rho, g = 1.0 / slenderness, 1e9, 1000.0, 9.81
     mesh = box_mesh((1.0, height, height), cells or (max(4, round(2 * slenderness)), 2, 2), order=order)
     body = ElasticBody(mesh, law="linear", youngs_modulus=e, poisson_ratio=0.0, density=rho)
-    x = solve_static(Scene(body, gravity=(0, 0, -g), pins=Pins(np.flatnonzero(mesh.vertices[:, 0] == 0))))
+    x = solve_static(Scene(body, gravity=(0, 0, -g), node_pins=NodePins(np.flatnonzero(mesh.vertices[:, 0] == 0))))
     tip = (mesh.vertices - x)[np.isclose(mesh.vertices[:, 0], 1.0), 2].mean()
     weight, inertia, shear = rho * g * height**2, height**4 / 12, e / 2 * height**2
     bending = weight / (8 * e * inertia)
@@ -87,7 +87,7 @@ def kaolin_beam(law: str, cells: tuple[int, int, int] = (12, 3, 3)) -> KaolinBea
     mesh = box_mesh((1.0, 0.25, 0.25), cells)
     mesh = TetMesh(mesh.vertices + np.array([0.0, 0.75, 0.75]), mesh.tets)
     body = ElasticBody(mesh, law=law, youngs_modulus=1e5, poisson_ratio=0.45, density=500.0)
-    scene = Scene(body, gravity=(0, -9.8, 0), pins=Pins(np.flatnonzero(mesh.vertices[:, 0] > 0.98)))
+    scene = Scene(body, gravity=(0, -9.8, 0), node_pins=NodePins(np.flatnonzero(mesh.vertices[:, 0] > 0.98)))
     run = simulate(scene, Timing(frames=2, fps=20, steps_per_frame=1, integrator="implicit_euler"))
     rest = solve_static(scene, load_steps=2)
     carried = Embedding.of_points(mesh, start).apply(np.stack([run.positions[1], rest]))
@@ -115,9 +115,9 @@ def silicone_beam(cells: tuple[int, int, int] = (10, 3, 3), *, poisson_ratio: fl
     return ElasticBody(mesh, poisson_ratio=poisson_ratio, **(SILICONE | options))
 
 
-def clamp(body: ElasticBody) -> Pins:
+def clamp(body: ElasticBody) -> NodePins:
     """The nodes of the clamped end."""
-    return Pins(np.flatnonzero(np.isclose(body.mesh.vertices[:, 0], -0.1)))
+    return NodePins(np.flatnonzero(np.isclose(body.mesh.vertices[:, 0], -0.1)))
 
 
 def edge_load(mesh: TetMesh, force: Sequence[float]) -> np.ndarray:
@@ -141,8 +141,8 @@ def face_load(mesh: TetMesh, force: Sequence[float]) -> np.ndarray:
 def silicone_sag(body: ElasticBody, *, load: float = 0.0, where: str = "edge") -> np.ndarray:
     """Static displacement [3, 3] (points × axes, m) at the three points of the reference."""
     spread = {"edge": edge_load, "face": face_load}[where]
-    forces = spread(body.mesh, (0, 0, -load)) if load else None
-    scene = Scene(body, gravity=(0, 0, -9.80709), pins=clamp(body), loads=forces)
+    forces = Loads(body.mesh.vertices, spread(body.mesh, (0, 0, -load))) if load else None
+    scene = Scene(body, gravity=(0, 0, -9.80709), node_pins=clamp(body), loads=forces)
     displacement = solve_static(scene, load_steps=2 if load else 1) - body.mesh.vertices
     return Embedding.of_points(body.mesh, SILICONE_POINTS).apply(displacement)
 

@@ -8,8 +8,8 @@ from functools import cache
 
 import numpy as np
 
-from physconvex.dynamics import IntegratorName, Timing, simulate
-from physconvex.fem import ElasticBody, Pins, Scene, solve_static
+from physconvex.dynamics import IntegratorName, Loads, Timing, simulate
+from physconvex.fem import ElasticBody, NodePins, Scene, solve_static
 from physconvex.mesh import QUADRATURE, TetMesh, box_mesh, shape_gradients, shape_values
 
 __all__ = ["Convergence", "elastic_displacement", "fitted_slope", "in_space", "in_time"]
@@ -85,7 +85,7 @@ def in_space(order: int, cells: Sequence[int]) -> Convergence:
         exact, _ = elastic_displacement(mesh.vertices)
         start = mesh.vertices + np.where(boundary[:, None], exact, 0.0)
         body = ElasticBody(mesh, law="linear", youngs_modulus=1e5, poisson_ratio=NU)
-        scene = Scene(body, gravity=(0, 0, 0), initial_positions=start, pins=Pins(np.flatnonzero(boundary)))
+        scene = Scene(body, gravity=(0, 0, 0), initial_positions=start, node_pins=NodePins(np.flatnonzero(boundary)))
         errors = _errors(mesh, solve_static(scene) - mesh.vertices)
         sizes.append(1.0 / n)
         displacement.append(errors[0])
@@ -101,8 +101,8 @@ def swinging_beam() -> Scene:
     return Scene(
         body,
         gravity=(0, 0, 0),
-        loads=lambda t: weight * np.sin(2 * np.pi * t) ** 2,
-        pins=Pins(np.flatnonzero(mesh.vertices[:, 0] == 0)),
+        loads=Loads(mesh.vertices, lambda t: weight * np.sin(2 * np.pi * t) ** 2),
+        node_pins=NodePins(np.flatnonzero(mesh.vertices[:, 0] == 0)),
     )
 
 

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import eigsh
 
 from docs.figures.fem_cases.beams import DATA, clamp, edge_load
-from physconvex.dynamics import Timing, simulate
+from physconvex.dynamics import Loads, Timing, simulate
 from physconvex.fem import ElasticBody, Scene, solve_static, tangent_stiffness
 from physconvex.mesh import Embedding
 
@@ -87,8 +87,9 @@ def held_zero_scatter() -> float:
 
 def static_state(body: ElasticBody, load: float = 0.0) -> np.ndarray:
     """Positions at rest under the body's weight and a load [N] on the top edge of the free end."""
-    forces = edge_load(body.mesh, (0, 0, -load)) if load else None
-    return solve_static(Scene(body, gravity=GRAVITY, pins=clamp(body), loads=forces), load_steps=2 if load else 1)
+    forces = Loads(body.mesh.vertices, edge_load(body.mesh, (0, 0, -load))) if load else None
+    scene = Scene(body, gravity=GRAVITY, node_pins=clamp(body), loads=forces)
+    return solve_static(scene, load_steps=2 if load else 1)
 
 
 def marker_displacement(body: ElasticBody, positions: np.ndarray) -> np.ndarray:
@@ -141,6 +142,6 @@ class Release:
 
 def release(body: ElasticBody, *, seconds: float, damping_time: float, steps_per_frame: int = 5) -> Release:
     """Let go from straight under its own weight, frames at 100 Hz."""
-    scene = Scene(body, gravity=GRAVITY, pins=clamp(body), damping_time=damping_time)
+    scene = Scene(body, gravity=GRAVITY, node_pins=clamp(body), damping_time=damping_time)
     run = simulate(scene, Timing(frames=round(100 * seconds) + 1, fps=100, steps_per_frame=steps_per_frame))
     return Release(run.times, marker_displacement(body, run.positions))

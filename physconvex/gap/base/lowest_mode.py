@@ -18,9 +18,9 @@ def decades_between(one: EffectModel, other: EffectModel, values: np.ndarray) ->
 def lowest_frequency(model: EffectModel, values: np.ndarray) -> float:
     """Lowest frequency of the body's vibrations on the model's mesh [Hz], with what hangs on it."""
     scene = model.full_scene(values)
-    carried = None if scene.hanging is None else scene.hanging.masses
-    if scene.pins is None:
+    carried = None if scene.hanging is None else scene.hanging_masses
+    if scene.held is None:
         return float(vibration_modes(scene.body, 7, carried=carried)[0][6])
     held = np.zeros(len(scene.body.mesh.vertices), dtype=bool)
-    held[scene.pins.nodes] = True
+    held[scene.held.nodes] = True
     return float(vibration_modes(scene.body, 1, clamped=held, carried=carried)[0][0])

@@ -9,8 +9,9 @@ from jaxtyping import Float
 from scipy.optimize import brentq
 from scipy.spatial import cKDTree
 
+from physconvex.dynamics import HangingLoad
 from physconvex.errors import InputError
-from physconvex.fem import HangingLoad, Scene
+from physconvex.fem import Scene
 from physconvex.gap.effects.effect import AnyScene, Dose, Effect
 from physconvex.gap.effects.scenes import cell_masses, scaled_coordinates, with_material
 from physconvex.reduced import ReducedScene
@@ -23,15 +24,18 @@ _REACH = 0.15  # of the half size of the body: how far from the held points its 
 
 def _held(scene: AnyScene) -> np.ndarray:
     """Held points, scaled as the fields of `with_material` are."""
-    assert scene.pins is not None
-    held = scene.pins.points if isinstance(scene, ReducedScene) else scene.body.mesh.vertices[scene.pins.nodes]
+    if isinstance(scene, ReducedScene):
+        held = np.zeros((0, 3)) if scene.pins is None else scene.pins.points
+    else:
+        held = scene.body.mesh.vertices[[] if scene.held is None else scene.held.nodes]
     return scaled_coordinates(scene, held)
 
 
 def _giving(scene: AnyScene, doses: Float[np.ndarray, " D"]) -> AnyScene:
-    if doses[0] <= 0 or scene.pins is None:
+    points = _held(scene)
+    if doses[0] <= 0 or not len(points):
         return scene
-    held = cKDTree(_held(scene))
+    held = cKDTree(points)
 
     def factor(x: Float[np.ndarray, "N 3"]) -> np.ndarray:
         distance = held.query(x)[0]
@@ -97,7 +101,7 @@ def _on_nodes(scene: Scene, axis: int, side: int, ratio: float, inset: float, sl
     parts = np.repeat(masses / mesh.tets.shape[1], mesh.tets.shape[1])
     carried = np.bincount(mesh.tets.reshape(-1), parts, minlength=len(mesh.vertices))
     shares = _shares((along.max() - along) / np.ptp(along), carried, inset)
-    return replace(scene, hanging=HangingLoad(ratio * masses.sum() * shares, slack))
+    return replace(scene, hanging=HangingLoad(mesh.vertices, ratio * masses.sum() * shares, slack))
 
 
 _RATIO = Dose("mass_ratio", "", 0.0, 10.0, 0.02, lambda s: 0.3, plausible=2.0)

@@ -210,10 +210,10 @@ def _clock(base: Baseline) -> float:
 def _free_end(base: Baseline) -> str:
     """The end that is farthest from what is held, as variants of the effect call it."""
     scene = base.model.full_scene(base.fit.values)
-    assert scene.pins is not None
+    assert scene.held is not None
     vertices = scene.body.mesh.vertices
     low, high = vertices.min(0), vertices.max(0)
-    away = 0.5 * (low + high) - vertices[scene.pins.nodes].mean(0)
+    away = 0.5 * (low + high) - vertices[scene.held.nodes].mean(0)
     axis = int(np.argmax(np.abs(away)))
     return f"{'-' if away[axis] < 0 else '+'}{'xyz'[axis]}"
 

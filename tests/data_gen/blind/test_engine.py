@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
-from data_gen.blind.engine import World, _Body, run_explicit
+from data_gen.blind.engine import ExplicitWorld, _Body, run_explicit
 from physconvex import ConvergenceError
 from physconvex.dynamics import Timing, simulate
-from physconvex.fem import ElasticBody, Pins, Scene
+from physconvex.fem import ElasticBody, NodePins, Scene
 from physconvex.materials import get_law, with_strain_stiffening
 from physconvex.mesh import Embedding, box_mesh
 
@@ -17,7 +17,7 @@ POINTS = MESH.vertices[[0, 5, 20, -1]]
 
 def world(**changes):
     start = {"floor": float(MESH.vertices[:, 2].min()), "velocity": (0.5, 0.0, -1.0)}
-    return World(MESH, 4e4, 0.3, 1000.0, **(start | changes))
+    return ExplicitWorld(MESH, 4e4, 0.3, 1000.0, **(start | changes))
 
 
 def run(frames=13, **changes):
@@ -86,10 +86,10 @@ def test_a_beam_sways_as_the_full_order_model_has_it():
     mesh = box_mesh((0.24, 0.06, 0.06), (16, 4, 4), order=1)
     held = np.flatnonzero(mesh.vertices[:, 0] < 1e-9)
     points = mesh.vertices[mesh.vertices[:, 0] > 0.239]
-    ours = run_explicit(World(mesh, 1e5, 0.41, 1000.0, held=held), points, frames=13, fps=60.0)
+    ours = run_explicit(ExplicitWorld(mesh, 1e5, 0.41, 1000.0, held=held), points, frames=13, fps=60.0)
     fine = box_mesh((0.24, 0.06, 0.06), (12, 3, 3), order=2)
     body = ElasticBody(fine, youngs_modulus=1e5, poisson_ratio=0.41, density=1000.0)
-    scene = Scene(body, pins=Pins(np.flatnonzero(fine.vertices[:, 0] < 1e-9)))
+    scene = Scene(body, node_pins=NodePins(np.flatnonzero(fine.vertices[:, 0] < 1e-9)))
     reference = simulate(scene, Timing(frames=13, fps=60.0, steps_per_frame=16))
     theirs = Embedding.of_points(fine, points).apply(reference.positions)
     sway, apart = theirs[:, :, 2] - theirs[0, :, 2], ours.positions - theirs

@@ -1,0 +1,83 @@
+"""Forces and masses at material points of a body."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.errors import InputError
+
+__all__ = ["HangingLoad", "Loads"]
+
+
+def _points(name: str, points: np.ndarray) -> np.ndarray:
+    array = np.asarray(points, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 3 or not np.isfinite(array).all():
+        raise InputError(f"{name}: got shape {array.shape}; expected finite [P, 3] in metres")
+    return array
+
+
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """Forces at material points.
+
+    Attributes:
+        points: rest positions of the points [m], shape [P, 3].
+        forces: on them [N], shape [P, 3], constant or a function of time [s].
+
+    Raises:
+        InputError: a wrong shape.
+    """
+
+    points: Float[np.ndarray, "P 3"]
+    forces: Float[np.ndarray, "P 3"] | Callable[[float], Float[np.ndarray, "P 3"]]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", _points("loads.points", self.points))
+        if not callable(self.forces):
+            self.at(0.0)
+
+    def at(self, time: float) -> Float[np.ndarray, "P 3"]:
+        """Forces at a time [N].
+
+        Raises:
+            InputError: the function gave another shape.
+        """
+        forces = np.asarray(self.forces(time) if callable(self.forces) else self.forces, dtype=np.float64)
+        if forces.shape != self.points.shape:
+            where = f" at t = {time:g} s" if callable(self.forces) else ""
+            raise InputError(
+                f"loads: got shape {forces.shape}{where}; expected {self.points.shape}, one force per point"
+            )
+        return forces
+
+
+@dataclass(frozen=True, eq=False)
+class HangingLoad:
+    """Masses that hang on a body by a string.
+
+    Attributes:
+        points: rest positions of the points that it hangs on [m], shape [P, 3].
+        masses: that hang there [kg], shape [P].
+        slack: of the string [m]; the masses are fixed to the body without any.
+
+    Raises:
+        InputError: a wrong shape, a negative mass or slack, or no mass at all.
+    """
+
+    points: Float[np.ndarray, "P 3"]
+    masses: Float[np.ndarray, " P"]
+    slack: float = 0.0
+
+    def __post_init__(self) -> None:
+        points, masses = _points("hanging.points", self.points), np.asarray(self.masses, dtype=np.float64)
+        object.__setattr__(self, "points", points)
+        if masses.shape != points.shape[:1]:
+            raise InputError(f"hanging.masses: got shape {masses.shape}; expected {points.shape[:1]}, one per point")
+        if not (np.isfinite(masses).all() and (masses >= 0).all() and masses.sum() > 0):
+            raise InputError("hanging.masses: expected finite masses ≥ 0 [kg], at least one of them positive")
+        if not (np.isfinite(self.slack) and self.slack >= 0):
+            raise InputError(f"hanging.slack: got {self.slack}; expected a finite length ≥ 0 [m]")
