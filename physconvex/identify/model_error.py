@@ -55,8 +55,8 @@ class _Share:
         return np.array([self.left_of_modulus if p.name == "log10_youngs_modulus" else self.left for p in parameters])
 
 
-# bars of quadratic elements, halved twice, leave .37 to .54 of a halving's difference (benchmarks/mesh_order.py): of
-# the modulus at most .54 − .42 is left
+# 0.42 is left of a halving's difference at the order 1.75. What counts as left of it beside was set on the sixty bars of
+# docs/results/refinement.md; four bars that are halved twice leave 0.58 to 0.73 (benchmarks/mesh_order.py)
 _HALVED, _OTHERWISE = _Share(0.42, 0.3, 0.12), _Share(0.0, 0.5, 0.5)
 # of meshes with two to three times the nodes, and the best of several meshers
 LEFT_BY_FITTED = 0.25
