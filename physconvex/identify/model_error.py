@@ -55,7 +55,7 @@ class _Share:
         return np.array([self.left_of_modulus if p.name == "log10_youngs_modulus" else self.left for p in parameters])
 
 
-# 0.42 is left of a halving's difference at the order 1.75. What counts as left of it beside was set on the sixty bars of
+# 0.42 is left of a halving's difference at the order 1.75. What counts as left beside it was set on the sixty bars of
 # docs/results/refinement.md; four bars that are halved twice leave 0.58 to 0.73 (benchmarks/mesh_order.py)
 _HALVED, _OTHERWISE = _Share(0.42, 0.3, 0.12), _Share(0.0, 0.5, 0.5)
 # of meshes with two to three times the nodes, and the best of several meshers
