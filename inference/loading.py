@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float64, UInt8
 
 from inference.sources import ClipSource, displayed_path
 from physconvex import InputError
-from physconvex.io import CAPTURE_FILE, Capture, Video, load_capture, read_image_sequence, read_json_object, read_video
+from physconvex.io import CAPTURE_FILE, Capture, Video, load_capture, read_capture_file, read_image_sequence, read_video
 
 __all__ = [
     "DEFAULT_DENSITY",
@@ -182,7 +182,7 @@ def _read_mask_video(path: Path, shape: tuple[int, ...]) -> Bool[np.ndarray, "T 
 def _load_capture(folder: Path) -> LoadedClip:
     """Read the observed frames of a capture's first camera; the later ones are there to be predicted."""
     capture = load_capture(folder)
-    stated = read_json_object(folder / CAPTURE_FILE).values
+    stated = read_capture_file(folder / CAPTURE_FILE).model_fields_set
     if not capture.cameras:
         raise InputError(f"{folder}: the capture has no camera; prediction needs a video. Add one to {CAPTURE_FILE}.")
     name, count = _used(capture), capture.observed_frames

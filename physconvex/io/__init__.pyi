@@ -1,10 +1,14 @@
 from .camera import UNDISTORT_ITERATIONS as UNDISTORT_ITERATIONS, Camera as Camera, look_at as look_at
-from .capture.fields import read_json_object as read_json_object
 from .capture.folder import (
-    CAPTURE_FILE as CAPTURE_FILE,
     Capture as Capture,
     Floor as Floor,
     load_capture as load_capture,
+)
+from .capture.metadata import (
+    CAPTURE_FILE as CAPTURE_FILE,
+    CaptureFile as CaptureFile,
+    capture_schema as capture_schema,
+    read_capture_file as read_capture_file,
 )
 from .capture.parts import Boundary as Boundary, Tracks as Tracks
 from .capture.saving import save_capture as save_capture

@@ -9,18 +9,52 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import JsonValue
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from physconvex.errors import InputError
+from physconvex.io.configuration import Expected, in_words
 
-__all__ = ["Camera", "look_at"]
+__all__ = ["Camera", "CameraEntry", "look_at"]
 
 Vector = Sequence[float] | np.ndarray
 UNDISTORT_ITERATIONS = 20
+
+
+_Row = tuple[float, float, float, float]
+Pixels = Annotated[int, Field(gt=0), Expected("a positive whole number")]
+Length = Annotated[float, Field(gt=0, allow_inf_nan=False), Expected("a positive number")]
+Finite = Annotated[float, Field(allow_inf_nan=False), Expected("a number")]
+
+
+class CameraEntry(BaseModel):
+    """A pinhole camera in `capture.json`: nerfstudio's names, and a name of its own."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", use_attribute_docstrings=True)
+
+    name: Annotated[str, Expected("a name")]
+    """Name of the camera, also of its files."""
+    w: Pixels
+    """Width of its images [pixels]."""
+    h: Pixels
+    """Height of its images [pixels]."""
+    fl_x: Length
+    """Focal length along x [pixels]."""
+    fl_y: Length
+    """Focal length along y [pixels]."""
+    cx: Finite
+    """Principal point, from the left border of the image [pixels]."""
+    cy: Finite
+    """Principal point, from the upper border of the image [pixels]."""
+    transform_matrix: Annotated[tuple[_Row, _Row, _Row, _Row], Expected("a finite 4×4 matrix")]
+    """Camera-to-world, rigid [m]; the camera looks along −z, x to the right, y up (OpenGL axes)."""
+    k1: Finite = 0.0
+    """Radial distortion (OpenCV: r → r (1 + k1 r² + k2 r⁴))."""
+    k2: Finite = 0.0
+    """Radial distortion of fourth order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,20 +183,23 @@ class Camera:
         Raises:
             InputError: a field is missing or has the wrong type.
         """
-        needed = ("name", "w", "h", "fl_x", "fl_y", "cx", "cy", "transform_matrix")
-        missing = [key for key in needed if key not in entry]
-        if missing:
-            raise InputError(f"camera {entry.get('name', '(unnamed)')!r}: missing {', '.join(missing)}")
         try:
-            return cls(
-                name=str(entry["name"]), w=int(entry["w"]), h=int(entry["h"]),
-                fl_x=float(entry["fl_x"]), fl_y=float(entry["fl_y"]),
-                cx=float(entry["cx"]), cy=float(entry["cy"]),
-                transform_matrix=np.array(entry["transform_matrix"], dtype=np.float64),
-                k1=float(entry.get("k1", 0.0)), k2=float(entry.get("k2", 0.0)),
-            )  # fmt: skip
-        except (TypeError, ValueError) as error:
-            raise InputError(f"camera {entry['name']!r}: {error}") from error
+            return cls.of_entry(CameraEntry.model_validate(entry))
+        except ValidationError as error:
+            wrong = list(dict.fromkeys(str(place["loc"][0]) for place in error.errors()))
+        missing = [name for name in wrong if name not in entry]
+        told = [f"missing {', '.join(missing)}"] if missing else []
+        told += [f"{name}: {in_words(CameraEntry, name, entry)}" for name in wrong if name in entry]
+        raise InputError(f"camera {entry.get('name', '(unnamed)')!r}: {'; '.join(told)}")
+
+    @classmethod
+    def of_entry(cls, entry: CameraEntry) -> Camera:
+        """The camera that an entry describes.
+
+        Raises:
+            InputError: the matrix is no rigid motion.
+        """
+        return cls(**dict(entry))
 
 
 def look_at(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar
@@ -12,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from physconvex.errors import InputError
 
-__all__ = ["FrozenConfig", "preset_names", "read_tree", "set_value", "validated"]
+__all__ = ["Expected", "FrozenConfig", "in_words", "preset_names", "read_tree", "set_value", "validated"]
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -21,6 +22,19 @@ class FrozenConfig(BaseModel):
     """An immutable section of a configuration, strict about unknown names; docstrings of fields describe them."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What a field should hold, as metadata of its annotation, for error messages."""
+
+    words: str
+
+
+def in_words(model: type[BaseModel], field: str, values: Mapping[str, Any]) -> str:
+    """What came in a field and what was expected, as the field's `Expected` says."""
+    expected = next(part.words for part in model.model_fields[field].metadata if isinstance(part, Expected))
+    return f"got {repr(values[field])[:80] if field in values else 'nothing'}, expected {expected}"
 
 
 def preset_names(package: str) -> list[str]:

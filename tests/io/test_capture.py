@@ -13,7 +13,19 @@ import trimesh
 from PIL import Image
 
 from physconvex import InputError
-from physconvex.io import Boundary, Capture, Floor, Tracks, VideoError, load_capture, look_at, save_capture, write_video
+from physconvex.io import (
+    Boundary,
+    Capture,
+    CaptureFile,
+    Floor,
+    Tracks,
+    VideoError,
+    capture_schema,
+    load_capture,
+    look_at,
+    save_capture,
+    write_video,
+)
 from physconvex.mesh import TetMesh
 
 FRAMES, WIDTH, HEIGHT = 6, 64, 48
@@ -302,3 +314,22 @@ def test_saving_refuses_what_does_not_fit_and_leaves_nothing(tmp_path: Path) -> 
     with pytest.raises(InputError, match="exists"):
         save_capture(_capture(tmp_path / "c"))
     assert [path.name for path in tmp_path.iterdir()] == ["c"]
+
+
+def test_the_schema_describes_every_field() -> None:
+    schema = capture_schema()
+    assert schema["required"] == ["fps", "frames"]
+    fields = schema["properties"]
+    assert set(fields) == set(CaptureFile.model_fields)
+    assert all("description" in field for field in fields.values())
+    assert fields["gravity"]["default"] == [0.0, 0.0, -9.81] and "[m/s²]" in fields["gravity"]["description"]
+    camera = schema["$defs"]["CameraEntry"]
+    assert camera["required"] == ["name", "w", "h", "fl_x", "fl_y", "cx", "cy", "transform_matrix"]
+    assert all("description" in field for field in camera["properties"].values())
+
+
+def test_what_is_written_obeys_the_schema(tmp_path: Path) -> None:
+    save_capture(_capture(tmp_path / "c", floor=Floor(np.zeros(3), np.array([0, 0, 1.0]))))
+    written = json.loads((tmp_path / "c/capture.json").read_text())
+    assert set(written) <= set(capture_schema()["properties"])
+    assert CaptureFile.model_validate_json((tmp_path / "c/capture.json").read_text()).frames == FRAMES

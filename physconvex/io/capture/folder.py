@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float64
 
 from physconvex.errors import InputError
 from physconvex.io.camera import Camera
-from physconvex.io.capture.fields import JsonFields, read_json_object
+from physconvex.io.capture.metadata import CAPTURE_FILE, CaptureFile, read_capture_file
 from physconvex.io.capture.parts import Boundary, Tracks, read_arrays, read_boundary, read_tracks
 from physconvex.io.video.frames import Video
 from physconvex.io.video.images import read_image_sequence
@@ -22,16 +22,10 @@ if TYPE_CHECKING:
 
     from physconvex.mesh import TetMesh
 
-__all__ = ["CAPTURE_FILE", "GRAVITY", "Capture", "Floor", "load_capture"]
+__all__ = ["Capture", "Floor", "load_capture"]
 
-CAPTURE_FILE = "capture.json"
-GRAVITY = (0.0, 0.0, -9.81)  # [m/s²]
-DENSITY = 1000.0  # [kg/m³]
+_DEFAULTS = CaptureFile.model_fields
 MESH_SUFFIXES = (".obj", ".ply", ".glb")
-FIELDS = (
-    "fps", "frames", "observed_frames", "gravity", "density", "floor", "initial_velocity",
-    "initial_angular_velocity", "cameras",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +58,8 @@ class Capture:
     frames: int
     observed_frames: int
     cameras: tuple[Camera, ...] = ()
-    gravity: Float64[np.ndarray, " 3"] = field(default_factory=lambda: np.array(GRAVITY))  # [m/s²]
-    density: float = DENSITY  # [kg/m³]
+    gravity: Float64[np.ndarray, " 3"] = field(default_factory=lambda: np.array(_DEFAULTS["gravity"].default))  # [m/s²]
+    density: float = _DEFAULTS["density"].default  # [kg/m³]
     floor: Floor | None = None
     initial_velocity: Float64[np.ndarray, " 3"] | None = None  # [m/s] of the centre of mass
     initial_angular_velocity: Float64[np.ndarray, " 3"] | None = None  # [rad/s]
@@ -192,43 +186,28 @@ def load_capture(path: Path | str) -> Capture:
     folder = Path(path)
     if folder.name == CAPTURE_FILE:
         folder = folder.parent
-    fields = read_json_object(folder / CAPTURE_FILE)
-    fields.check_names(FIELDS)
-    frames = fields.count("frames")
-    gravity = fields.vector("gravity")
+    path = folder / CAPTURE_FILE
+    stated = read_capture_file(path)
+    floor = stated.floor
     try:
         return Capture(
             folder=folder,
-            fps=fields.number("fps", positive=True),
-            frames=frames,
-            observed_frames=fields.count("observed_frames", default=frames),
-            cameras=_cameras(fields),
-            gravity=np.array(GRAVITY) if gravity is None else gravity,
-            density=fields.number("density", default=DENSITY, positive=True),
-            floor=_floor(fields.object("floor")),
-            initial_velocity=fields.vector("initial_velocity"),
-            initial_angular_velocity=fields.vector("initial_angular_velocity"),
+            fps=stated.fps,
+            frames=stated.frames,
+            observed_frames=stated.frames if stated.observed_frames is None else stated.observed_frames,
+            cameras=tuple(map(Camera.of_entry, stated.cameras)),
+            gravity=np.array(stated.gravity),
+            density=stated.density,
+            floor=None if floor is None else Floor(np.array(floor.point), np.array(floor.normal), floor.friction),
+            initial_velocity=_vector(stated.initial_velocity),
+            initial_angular_velocity=_vector(stated.initial_angular_velocity),
         )
     except InputError as error:
-        located = str(error).startswith(str(fields.path))
-        raise InputError(str(error) if located else f"{fields.path}: {error}") from None
+        raise InputError(f"{path}: {error}") from None
 
 
-def _floor(fields: JsonFields | None) -> Floor | None:
-    if fields is None:
-        return None
-    fields.check_names(("point", "normal", "friction"))
-    point, normal = fields.vector("point"), fields.vector("normal")
-    if point is None or normal is None:
-        raise fields.error("point" if point is None else "normal", "three numbers")
-    return Floor(point=point, normal=normal, friction=fields.number("friction", default=0.0))
-
-
-def _cameras(fields: JsonFields) -> tuple[Camera, ...]:
-    entries = fields.values.get("cameras", [])
-    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise fields.error("cameras", "a list of objects")
-    return tuple(Camera.from_json(entry) for entry in entries)
+def _vector(values: tuple[float, float, float] | None) -> Float64[np.ndarray, " 3"] | None:
+    return None if values is None else np.array(values)
 
 
 def _is_there(path: Path) -> bool:

@@ -11,7 +11,8 @@ import trimesh
 from pydantic import JsonValue
 
 from physconvex.errors import InputError
-from physconvex.io.capture.folder import CAPTURE_FILE, Capture
+from physconvex.io.capture.folder import Capture
+from physconvex.io.capture.metadata import CAPTURE_FILE
 from physconvex.io.capture.parts import Boundary, Tracks
 from physconvex.io.video.writing import write_video
 from physconvex.mesh import TetMesh
