@@ -89,9 +89,10 @@ def _shortcuts() -> dict[str, str]:
     """The names of `physconvex` itself, and where each is documented."""
     found = {}
     for name in set(physconvex.__all__) - {"__version__"}:
-        module = getattr(physconvex, name).__module__
-        faces = [face for face in FACES[1:] if module.startswith(f"{face}.") and f"{face}.{name}" in _documented()]
-        found[name] = f"{faces[0]}.{name}" if faces else f"{module}.{name}"
+        value = getattr(physconvex, name)
+        module, there = value.__module__, value.__name__
+        faces = [face for face in FACES[1:] if module.startswith(f"{face}.") and f"{face}.{there}" in _documented()]
+        found[name] = f"{faces[0]}.{there}" if faces else f"{module}.{there}"
     return found
 
 

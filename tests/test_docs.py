@@ -60,6 +60,15 @@ def test_command_lines_parse(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", CURRENT, ids=_name)
+def test_pages_are_short_and_wrapped(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    prose = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    assert len(re.findall(r"[^\W_][\w’'.-]*", prose)) <= 1500
+    assert not [line for line in prose.splitlines() if len(line) > 120 and not line.startswith("|")]
+    assert not re.findall(r"(?<![\w.\d/])\.\d+\b", prose)  # numbers have a leading zero
+
+
+@pytest.mark.parametrize("page", CURRENT, ids=_name)
 def test_scripts_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     files = re.findall(r"\bpython ([\w/]+\.py)", text) + re.findall(r"\b(tests/[\w/]+\.py)", text)
