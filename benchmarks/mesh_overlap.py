@@ -23,7 +23,7 @@ import numpy as np
 
 from data_gen import BenchmarkMotion, ObjectMesh, load_user_mesh, objects_from_folder, placed, rolled, scene_of
 from physconvex import ConvergenceError
-from physconvex.mesh import Embedding, TetMesh, merged, overlap, tetrahedralize
+from physconvex.mesh import Embedding, TetMesh, overlap, tetrahedralize, with_merged_vertices
 
 RESULT = Path(__file__).parent / "results" / "mesh_overlap.json"
 NODES = (500, 1500)
@@ -59,7 +59,7 @@ def judged(body: ObjectMesh, way: str, nodes: int) -> dict[str, Any]:
     except ConvergenceError as error:
         return {"failure": str(error).split(";")[0]}
     seconds = time.perf_counter() - clock
-    surface = merged(body.vertices, body.faces)
+    surface = with_merged_vertices(body.vertices, body.faces)
     away = np.linalg.norm(centre(mesh.vertices, mesh.corner_tets) - centre(*surface)) / np.ptp(surface[0], axis=0).max()
     return {
         "nodes": len(mesh.vertices),

@@ -11,11 +11,11 @@ from physconvex import ConvergenceError
 from physconvex.identify import Fit, Twin, surface_of_capture
 from physconvex.mesh import (
     TetMesh,
-    faithful_mesh,
     filled,
+    mesh_of_few_nodes,
     refine_uniformly as subdivided,
+    shape_mismatch,
     tetrahedralize,
-    unfaithfulness,
 )
 
 __all__ = ["comparison_mesh", "fine_mesh", "is_of_capture"]
@@ -42,7 +42,7 @@ def comparison_mesh(twin: Twin) -> TetMesh | None:
     if surface is None:
         return None
     try:
-        fine = faithful_mesh(*surface, max_nodes=int(_FINER * len(twin.mesh.vertices)))
+        fine = mesh_of_few_nodes(*surface, max_nodes=int(_FINER * len(twin.mesh.vertices)))
     except ConvergenceError:
         return None
     return _filled_alike(fine, twin, surface)
@@ -62,7 +62,7 @@ def fine_mesh(run: RefinementRun, twin: Twin, found: Fit) -> TetMesh | None:
     nodes = _affordable(twin, found) if run.options.fine_nodes is None else run.options.fine_nodes
     if nodes <= run.options.max_nodes:
         return None
-    if unfaithfulness(twin.mesh, *surface) < _ALIKE:
+    if shape_mismatch(twin.mesh, *surface) < _ALIKE:
         return None
 
     def compute() -> Arrays:

@@ -4,9 +4,7 @@ from .halfspaces import (
     half_spaces as half_spaces,
     hull_faces as hull_faces,
     occupancy as occupancy,
-    support as support,
 )
-from .halving import halve as halve
 from .merging import merge as merge
 from .mesh import hull_mesh as hull_mesh, write_glb as write_glb
 from .motion import (
@@ -16,14 +14,13 @@ from .motion import (
     affine_map as affine_map,
     bind_to_space as bind_to_space,
     bind_to_tets as bind_to_tets,
+    polar_rotation as polar_rotation,
     space_map as space_map,
     tet_map as tet_map,
 )
 from .parameters import FreeParameters as FreeParameters
 from .ply import read_ply as read_ply, write_ply as write_ply
-from .rotation import polar_rotation as polar_rotation, rotate_harmonics as rotate_harmonics
 from .solidity import (
-    hull_volumes as hull_volumes,
     inside_union as inside_union,
     occupancies as occupancies,
     union_volume as union_volume,
@@ -31,10 +28,12 @@ from .solidity import (
 from .spherical_harmonics import (
     coefficients_of_colour as coefficients_of_colour,
     harmonic_basis as harmonic_basis,
+    rotate_harmonics as rotate_harmonics,
     view_colours as view_colours,
 )
 from .splitting import (
     Division as Division,
+    halve as halve,
     non_affinity as non_affinity,
     split as split,
     split_until_affine as split_until_affine,

@@ -1,4 +1,4 @@
-"""Convexes as intersections of half-spaces, their occupancy in space, their support function."""
+"""Convexes as intersections of half-spaces, and their occupancy in space."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch import Tensor
 from physconvex.convex.field import ConvexField
 from physconvex.errors import InputError
 
-__all__ = ["HalfSpaces", "half_spaces", "hull_faces", "occupancy", "support"]
+__all__ = ["HalfSpaces", "half_spaces", "hull_faces", "occupancy"]
 
 COPLANAR = 1e-9  # faces closer than this, in units of the convex's size, count once
 FLAT = 1e-6  # ratio of least to greatest extent below which a convex has no volume that could be relied on
@@ -103,8 +103,3 @@ def occupancy(
     spaces = half_spaces(field) if spaces is None else spaces
     scaled = field.smoothness[:, None] * spaces.distances(positions)
     return torch.sigmoid(-field.sharpness * torch.logsumexp(scaled, dim=-1))
-
-
-def support(field: ConvexField, directions: Float[Tensor, "Q 3"]) -> Float[Tensor, "Q N"]:
-    """Support function max_k n · p_k [m] of the hulls in unit directions n."""
-    return torch.einsum("qi,nki->qnk", directions, field.points).amax(dim=-1)

@@ -13,7 +13,7 @@ from scipy.sparse import csr_matrix
 from torch import Tensor
 
 from physconvex.convex.field import ConvexField
-from physconvex.convex.rotation import polar_rotation, rotate_harmonics
+from physconvex.convex.spherical_harmonics import rotate_harmonics
 from physconvex.errors import InputError
 from physconvex.mesh import Embedding, TetMesh, locate, shape_gradients
 from physconvex.reduced import ReducedSpace
@@ -25,6 +25,7 @@ __all__ = [
     "affine_map",
     "bind_to_space",
     "bind_to_tets",
+    "polar_rotation",
     "space_map",
     "tet_map",
 ]
@@ -58,6 +59,17 @@ def advect(field: ConvexField, deform: DeformationMap) -> ConvexField:
 
 def _carried(field: ConvexField, points: Tensor, gradients: Float[Tensor, "N 3 3"]) -> ConvexField:
     return replace(field, points=points, harmonics=rotate_harmonics(field.harmonics, polar_rotation(gradients)))
+
+
+def polar_rotation(gradients: Float[Tensor, "N 3 3"]) -> Float[Tensor, "N 3 3"]:
+    """The rotations R of F = R U (polar decomposition), by F = V Σ Wᵀ, R = V diag(1, 1, det V det W) Wᵀ.
+
+    The nearest rotation also where F turns the body inside out.
+    """
+    left, _, right = torch.linalg.svd(gradients)
+    sign = torch.det(left @ right).sign()
+    flip = torch.stack([torch.ones_like(sign), torch.ones_like(sign), sign], dim=-1)
+    return (left * flip[:, None]) @ right
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,18 +11,12 @@ from scipy.spatial import cKDTree
 
 from physconvex.convex.field import ConvexField
 from physconvex.convex.halfspaces import HalfSpaces, half_spaces
-from physconvex.convex.hull_points import hull_volume
 
-__all__ = ["hull_volumes", "inside_union", "occupancies", "union_volume"]
+__all__ = ["inside_union", "occupancies", "union_volume"]
 
 PAIRS = 400_000  # point-convex pairs evaluated at once
 LARGEST = (30, 300, 2000)  # convexes looked at one set after the other
 SOFT_REACH = 8.0  # an edge is neglected beyond this many widths 1/(αβ)
-
-
-def hull_volumes(field: ConvexField) -> Float[np.ndarray, " N"]:
-    """Volume of each hull [m³]."""
-    return np.array([hull_volume(points) for points in field.points.detach().cpu().double().numpy()])
 
 
 def inside_union(

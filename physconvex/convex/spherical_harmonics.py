@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from math import factorial, isqrt, pi, sqrt
 
 import torch
@@ -10,10 +11,18 @@ from torch import Tensor
 
 from physconvex.errors import InputError
 
-__all__ = ["GREATEST_DEGREE", "coefficients_of_colour", "degree_of", "harmonic_basis", "view_colours"]
+__all__ = [
+    "GREATEST_DEGREE",
+    "coefficients_of_colour",
+    "degree_of",
+    "harmonic_basis",
+    "rotate_harmonics",
+    "view_colours",
+]
 
 GREATEST_DEGREE = 3
 MIDDLE = 0.5  # colour where all coefficients are zero
+DIRECTIONS = 49  # at which rotated functions are read off, three times as many as there are harmonics
 
 
 def degree_of(count: int) -> int:
@@ -75,3 +84,37 @@ def _odd_product(order: int) -> float:
     for factor in range(1, 2 * order, 2):
         product *= factor
     return product
+
+
+def rotate_harmonics(harmonics: Float[Tensor, "N S 3"], rotations: Float[Tensor, "N 3 3"]) -> Float[Tensor, "N S 3"]:
+    """Coefficients of the rotated functions: what was seen along d is seen along R d.
+
+    Harmonics of one degree span a space that rotations leave alone, so Y_l(Rᵀ d) = M_lᵀ Y_l(d) with an orthogonal
+    matrix M_l for all d. M_l is read off by least squares from fixed directions, which is exact up to rounding; the new
+    coefficients are M_l c_l. Differentiable by both.
+    """
+    degree = degree_of(harmonics.shape[1])
+    directions, inverse = _rule(degree)
+    directions, inverse = directions.to(harmonics), inverse.to(harmonics)
+    turned = torch.einsum("qj,nji->nqi", directions, rotations)  # Rᵀ d
+    values = harmonic_basis(turned, degree)
+    parts = [harmonics[:, :1]]
+    for level in range(1, degree + 1):
+        block = slice(level**2, (level + 1) ** 2)
+        matrix = inverse[block] @ values[..., block]  # column a: coefficients of Y_a(Rᵀ ·)
+        parts.append(matrix @ harmonics[:, block])
+    return torch.cat(parts, dim=1)
+
+
+@cache
+def _rule(degree: int) -> tuple[Tensor, Tensor]:
+    """Directions on a Fibonacci spiral and, row by row, what reads a coefficient off the values there."""
+    index = torch.arange(DIRECTIONS, dtype=torch.float64) + 0.5
+    z, angle = 1 - 2 * index / DIRECTIONS, pi * (1 + sqrt(5)) * index
+    radius = (1 - z.square()).sqrt()
+    directions = torch.stack([radius * angle.cos(), radius * angle.sin(), z], dim=-1)
+    basis = harmonic_basis(directions, degree)
+    rows = [
+        torch.linalg.pinv(basis[:, level**2 : (level + 1) ** 2]) for level in range(degree + 1)
+    ]  # each degree alone, since rotations do not mix them
+    return directions, torch.cat(rows)

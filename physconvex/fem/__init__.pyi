@@ -4,7 +4,6 @@ from .modes import (
     elastic_responses as elastic_responses,
     rigid_motions as rigid_motions,
     skinning_eigenmodes as skinning_eigenmodes,
-    skinning_responses as skinning_responses,
     skinning_stiffness as skinning_stiffness,
     tangent_stiffness as tangent_stiffness,
     vibration_modes as vibration_modes,

@@ -20,7 +20,6 @@ __all__ = [
     "elastic_responses",
     "rigid_motions",
     "skinning_eigenmodes",
-    "skinning_responses",
     "skinning_stiffness",
     "tangent_stiffness",
     "vibration_modes",
@@ -222,21 +221,3 @@ def skinning_eigenmodes(body: ElasticBody, count: int) -> tuple[Float[np.ndarray
     vectors = vectors[:, 1:] * np.sqrt(body.total_mass)
     signs = np.sign(vectors[np.abs(vectors).argmax(0), np.arange(count)])
     return vectors * signs, values[1:]
-
-
-def skinning_responses(body: ElasticBody, loads: Float[np.ndarray, "V K"]) -> Float[np.ndarray, "V K"]:
-    """Static answers of the scalar problem of `skinning_eigenmodes` to loads on a free body.
-
-    Solves −∇·(E A ∇w) = load − ρ ∫load / mass with ∫ ρ w = 0: the attachment modes with inertia relief of component
-    mode synthesis (Craig & Kurdila 2006, §17.3), for the weights instead of the displacements.
-
-    Args:
-        body: mesh, stiffness and density.
-        loads: at the nodes, any unit.
-
-    Returns:
-        answers at the nodes, normalised to ∫ ρ w² = total mass.
-    """
-    constant = np.full((1, len(body.mesh.vertices)), 1 / np.sqrt(body.total_mass))
-    answers, _ = _relieved(skinning_stiffness(body), body.mass, constant, loads)
-    return answers * np.sqrt(body.total_mass / np.einsum("vk,vk->k", answers, body.mass @ answers))

@@ -15,7 +15,7 @@ from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem import ElasticBody, Scene
 from physconvex.identify.clamping import Clamp, clamp_of
 from physconvex.io import Capture
-from physconvex.mesh import TetMesh, enclosed_volume, faithful_mesh, filled, to_quadratic, unfaithfulness
+from physconvex.mesh import TetMesh, enclosed_volume, filled, mesh_of_few_nodes, shape_mismatch, to_quadratic
 from physconvex.reduced import (
     BodySamples,
     NodalWeights,
@@ -173,8 +173,8 @@ def surface_of_capture(capture: Capture) -> tuple[np.ndarray, np.ndarray] | None
 def mesh_of_capture(capture: Capture, *, max_nodes: int = 700, fill: bool = False) -> TetMesh:
     """Quadratic tetrahedra of a capture's rest geometry, of about `max_nodes` nodes at most.
 
-    Those of `tets.npz` are taken if they are few enough, else its boundary (or `mesh.*`) is meshed (`faithful_mesh`),
-    and filled as far as that goes if asked for.
+    Those of `tets.npz` are taken if they are few enough, else its boundary (or `mesh.*`) is meshed
+    (`mesh_of_few_nodes`), and filled as far as that goes if asked for.
 
     Raises:
         InputError: the capture has no rest geometry, or none that encloses a volume.
@@ -190,7 +190,7 @@ def mesh_of_capture(capture: Capture, *, max_nodes: int = 700, fill: bool = Fals
             f"{capture.folder}: no rest geometry; expected tets.npz (vertices, tets) or mesh.obj, .ply or .glb of the "
             "closed surface where it is at t = 0. Points alone do not tell what body carries them"
         )
-    mesh = faithful_mesh(*pair, max_nodes=max_nodes)
+    mesh = mesh_of_few_nodes(*pair, max_nodes=max_nodes)
     return filled(mesh, *pair) if fill else mesh
 
 
@@ -200,7 +200,7 @@ def _follows(mesh: TetMesh, capture: Capture) -> bool:
     if surface is None:
         return True
     pair = np.asarray(surface.vertices, dtype=np.float64), np.asarray(surface.faces)
-    return enclosed_volume(*pair) is None or unfaithfulness(mesh, *pair) < _LOST
+    return enclosed_volume(*pair) is None or shape_mismatch(mesh, *pair) < _LOST
 
 
 @lru_cache(maxsize=2)  # one refinement asks three times

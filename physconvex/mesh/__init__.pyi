@@ -1,4 +1,4 @@
-from .coarse_mesh import faithful_mesh as faithful_mesh, unfaithfulness as unfaithfulness
+from .coarse_meshing import mesh_of_few_nodes as mesh_of_few_nodes, shape_mismatch as shape_mismatch
 from .elements import (
     QUADRATURE as QUADRATURE,
     shape_gradients as shape_gradients,
@@ -12,9 +12,11 @@ from .embedding import (
 )
 from .filling import filled as filled
 from .implicit_meshing import tetrahedralize_implicit as tetrahedralize_implicit
-from .local_refinement import refine_locally as refine_locally
 from .meshing import TriangleSurface as TriangleSurface, tetrahedralize as tetrahedralize
-from .signed_distance import merged as merged, overlap as overlap, surface_distance as surface_distance
+from .refinement import refine_locally as refine_locally, refine_uniformly as refine_uniformly
+from .signed_distance import overlap as overlap, surface_distance as surface_distance
+from .surface_fitting import with_volume as with_volume
+from .surfaces import enclosed_volume as enclosed_volume, with_merged_vertices as with_merged_vertices
 from .tet_mesh import (
     EDGE_CORNERS as EDGE_CORNERS,
     FACE_CORNERS as FACE_CORNERS,
@@ -22,7 +24,5 @@ from .tet_mesh import (
     box_mesh as box_mesh,
     compact as compact,
     linear_part as linear_part,
-    refine_uniformly as refine_uniformly,
     to_quadratic as to_quadratic,
 )
-from .volume import enclosed_volume as enclosed_volume, with_volume as with_volume

@@ -21,8 +21,8 @@ from scipy.stats import qmc
 from physconvex.mesh.elements import QUADRATURE, unit_mass
 from physconvex.mesh.embedding import continued_shape_values, locate
 from physconvex.mesh.signed_distance import surface_distance
+from physconvex.mesh.surfaces import enclosed_volume
 from physconvex.mesh.tet_mesh import Filling, TetMesh
-from physconvex.mesh.volume import enclosed_volume
 
 __all__ = ["filled"]
 

@@ -10,9 +10,9 @@ from typing import Literal
 import numpy as np
 
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.mesh.quality import mean_ratios
-from physconvex.mesh.tet_mesh import TetMesh, compact, to_quadratic
-from physconvex.mesh.volume import enclosed_volume, with_volume
+from physconvex.mesh.surface_fitting import with_volume
+from physconvex.mesh.surfaces import enclosed_volume
+from physconvex.mesh.tet_mesh import TetMesh, compact, mean_ratios, to_quadratic
 
 __all__ = ["Resolution", "diagonal_of", "fill", "fill_within"]
 

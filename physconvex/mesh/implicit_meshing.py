@@ -11,11 +11,10 @@ from scipy.ndimage import map_coordinates
 
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.mesh.embedding import Embedding
-from physconvex.mesh.quality import mean_ratios
 from physconvex.mesh.stuffing import SignedDistance, stuff
-from physconvex.mesh.surface_fitting import fit_to_surface
-from physconvex.mesh.tet_mesh import TetMesh, compact, to_quadratic
-from physconvex.mesh.volume import enclosed_volume, with_volume
+from physconvex.mesh.surface_fitting import fit_to_surface, with_volume
+from physconvex.mesh.surfaces import enclosed_volume
+from physconvex.mesh.tet_mesh import TetMesh, compact, mean_ratios, to_quadratic
 
 __all__ = ["tetrahedralize_implicit"]
 

@@ -16,12 +16,12 @@ import numpy as np
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.mesh.ftetwild import Resolution, diagonal_of, fill, fill_within
 from physconvex.mesh.implicit_meshing import tetrahedralize_implicit
-from physconvex.mesh.kept_meshes import kept, known
+from physconvex.mesh.mesh_cache import cached_mesh, cached_or_made
 from physconvex.mesh.signed_distance import overlap, surface_distance
-from physconvex.mesh.simplified import simplified
 from physconvex.mesh.stuffing import SignedDistance
+from physconvex.mesh.surface_fitting import with_volume
+from physconvex.mesh.surfaces import enclosed_volume, with_fewer_triangles
 from physconvex.mesh.tet_mesh import TetMesh, to_quadratic
-from physconvex.mesh.volume import enclosed_volume, with_volume
 
 __all__ = ["TriangleSurface", "tetrahedralize", "tetrahedralize_implicit"]
 
@@ -133,7 +133,7 @@ def _best_mesh(
     """That of the lattice where it is good enough, else the best of all; fTetWild's where the surface is open."""
     if enclosed_volume(vertices, faces) is None:
         return ways["ftetwild"]()
-    before = known((vertices, faces), settings)
+    before = cached_mesh((vertices, faces), settings)
     if before is not None:
         return before
     found: list[tuple[float, TetMesh]] = []
@@ -154,7 +154,7 @@ def _best_mesh(
             raise failures[1]
         return max(found, key=lambda pair: pair[0])[1]
 
-    return found[0][1] if reached("lattice", ENOUGH) else kept((vertices, faces), settings, best_of_others)
+    return found[0][1] if reached("lattice", ENOUGH) else cached_or_made((vertices, faces), settings, best_of_others)
 
 
 def _simplified_mesh(vertices: np.ndarray, faces: np.ndarray, max_nodes: int, order: Literal[1, 2]) -> TetMesh:
@@ -166,7 +166,7 @@ def _simplified_mesh(vertices: np.ndarray, faces: np.ndarray, max_nodes: int, or
     found: list[tuple[float, TetMesh]] = []
     for _ in range(SIMPLIFICATIONS + DRAWS):
         triangles, epsilon = settings[-1]
-        coarse = simplified(vertices, faces, max(int(triangles), 20))
+        coarse = with_fewer_triangles(vertices, faces, max(int(triangles), 20))
         mesh = fill(*coarse, Resolution(0.5 * diagonal_of(vertices), epsilon, iterations=20))
         mesh = to_quadratic(mesh) if order == 2 else mesh
         nodes = len(mesh.vertices)

@@ -7,21 +7,12 @@ from jaxtyping import Float, Int
 
 from physconvex.mesh.embedding import contains
 from physconvex.mesh.stuffing import SignedDistance
+from physconvex.mesh.surfaces import with_merged_vertices
 from physconvex.mesh.tet_mesh import TetMesh
 
-__all__ = ["merged", "overlap", "surface_distance"]
+__all__ = ["overlap", "surface_distance"]
 
 _SAMPLES = 20_000
-
-
-def merged(
-    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
-) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "G 3"]]:
-    """The same surface with one vertex per place, without triangles that this makes flat: seams of a texture close."""
-    vertices, index = np.unique(vertices, axis=0, return_inverse=True)
-    faces = index.reshape(-1)[faces]
-    sound = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    return vertices, faces[sound]
 
 
 def surface_distance(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> SignedDistance:
@@ -29,7 +20,7 @@ def surface_distance(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, 
     import vtk
     from vtk.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
 
-    vertices, faces = merged(vertices, faces)
+    vertices, faces = with_merged_vertices(vertices, faces)
     points, cells, data = vtk.vtkPoints(), vtk.vtkCellArray(), vtk.vtkPolyData()
     points.SetData(numpy_to_vtk(vertices, deep=True))
     cells.SetData(3, numpy_to_vtkIdTypeArray(faces.astype(np.int64).ravel(), deep=True))

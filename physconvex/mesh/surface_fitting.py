@@ -1,4 +1,4 @@
-"""Coarse meshes drawn to a surface while their elements stay well shaped."""
+"""Coarse meshes drawn to a surface, or to a volume, while their elements stay well shaped."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from physconvex.mesh.tet_mesh import TetMesh
+from physconvex.mesh.tet_mesh import TetMesh, mean_ratios, to_quadratic
 from physconvex.numerics import closest_in_triangles
 
-__all__ = ["fit_to_surface"]
+__all__ = ["fit_to_surface", "with_volume"]
 
 # Edges of a regular tetrahedron as columns, inverted: maps the edges of an element to a deformation gradient.
 REGULAR_INVERSE = np.linalg.inv(
@@ -141,3 +141,39 @@ def _nearest_on_boundary(triangles: np.ndarray, points: np.ndarray) -> tuple[np.
     gaps = np.linalg.norm(np.einsum("sck,scka->sca", weights, triangles[near]) - points[:, None], axis=2)
     best, rows = gaps.argmin(axis=1), np.arange(len(points))
     return near[rows, best], weights[rows, best]
+
+
+def with_volume(mesh: TetMesh, volume: float, *, iterations: int = 5) -> TetMesh:
+    """`mesh` with its boundary moved along the normals until it encloses `volume` [m³].
+
+    Steps that would make an element flatter than half its previous mean ratio are shortened, so the volume
+    is met as far as the elements allow.
+    """
+    corners = mesh.corner_tets
+    nodes, tets = np.unique(corners, return_inverse=True)
+    linear = TetMesh(mesh.vertices[nodes], tets.reshape(-1, 4))
+    faces = linear.boundary_faces[:, :3]
+    x = linear.vertices.copy()
+    floor = np.minimum(0.5 * mean_ratios(x, linear.tets), 0.2)
+    for _ in range(iterations):
+        current = np.linalg.det(x[linear.tets[:, 1:]] - x[linear.tets[:, :1]]).sum() / 6.0
+        if abs(current / volume - 1) < 1e-6:
+            break
+        normals = _area_normals(x, faces)
+        area = np.linalg.norm(normals, axis=1)
+        direction = normals / np.maximum(area, np.finfo(float).tiny)[:, None]
+        step = (volume - current) / max(area.sum(), np.finfo(float).tiny)
+        while np.any(mean_ratios(x + step * direction, linear.tets) < floor) and abs(step) > 1e-9 * linear.size:
+            step *= 0.5
+        x = x + step * direction
+    moved = TetMesh(x, linear.tets)
+    return to_quadratic(moved) if mesh.order == 2 else moved
+
+
+def _area_normals(x: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Outward area vector of each node, a third of those of its faces: the gradient of the volume."""
+    cross = np.cross(x[faces[:, 1]] - x[faces[:, 0]], x[faces[:, 2]] - x[faces[:, 0]]) / 6.0
+    normals = np.zeros_like(x)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], cross)
+    return normals

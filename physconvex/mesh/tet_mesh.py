@@ -10,26 +10,13 @@ from jaxtyping import Float, Int
 
 from physconvex.errors import InputError
 
-__all__ = ["EDGE_CORNERS", "Filling", "TetMesh", "box_mesh", "refine_uniformly", "to_quadratic"]
+__all__ = ["EDGE_CORNERS", "Filling", "TetMesh", "box_mesh", "compact", "linear_part", "mean_ratios", "to_quadratic"]
 
 # Corners joined by mid-edge nodes 4..9 of a quadratic tetrahedron.
 EDGE_CORNERS = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 # Faces with outward normals (corners), and the mid-edge nodes opposite to none: (01, 12, 20) of each face.
 FACE_CORNERS = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 FACE_MIDDLES = np.array([[6, 5, 4], [4, 8, 7], [5, 9, 8], [7, 9, 6]])
-# The eight children of a tetrahedron in terms of its ten quadratic nodes (Bey's red refinement).
-CHILDREN = np.array(
-    [
-        [0, 4, 6, 7],
-        [4, 1, 5, 8],
-        [6, 5, 2, 9],
-        [7, 8, 9, 3],
-        [4, 6, 7, 8],
-        [4, 5, 6, 8],
-        [6, 7, 8, 9],
-        [5, 6, 8, 9],
-    ]
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,17 +170,6 @@ def to_quadratic(mesh: TetMesh) -> TetMesh:
     return TetMesh(np.vstack([mesh.vertices, middles]), tets)
 
 
-def refine_uniformly(mesh: TetMesh) -> TetMesh:
-    """Each tetrahedron split into eight (Bey 1995); same geometry, same order; a filling is not kept."""
-    quadratic = to_quadratic(TetMesh(mesh.vertices, mesh.tets) if mesh.order == 1 else linear_part(mesh))
-    children = quadratic.tets[:, CHILDREN].reshape(-1, 4)
-    x = quadratic.vertices[children]
-    flipped = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
-    children[flipped] = children[flipped][:, [0, 2, 1, 3]]
-    fine = TetMesh(quadratic.vertices, children)
-    return fine if mesh.order == 1 else to_quadratic(fine)
-
-
 def linear_part(mesh: TetMesh) -> TetMesh:
     """The linear mesh on the corner nodes of a quadratic one."""
     return compact(mesh.vertices, mesh.corner_tets)
@@ -224,3 +200,12 @@ def box_mesh(
         tets.append(found)
     mesh = TetMesh(grid.reshape(-1, 3), np.concatenate(tets))
     return to_quadratic(mesh) if order == 2 else mesh
+
+
+def mean_ratios(vertices: Float[np.ndarray, "V 3"], tets: Int[np.ndarray, "E n"]) -> Float[np.ndarray, " E"]:
+    """12 (3V)^(2/3) / Σ edge², with the sign of V: 1 if regular, ≤ 0 if inverted (Liu and Joe 1994)."""
+    x = vertices[tets[:, :4]]
+    volume = np.linalg.det(x[:, 1:] - x[:, :1]) / 6.0
+    edges = x[:, EDGE_CORNERS[:, 0]] - x[:, EDGE_CORNERS[:, 1]]
+    squares = np.einsum("eka,eka->e", edges, edges)
+    return 12.0 * np.sign(volume) * np.cbrt(3.0 * np.abs(volume)) ** 2 / np.maximum(squares, np.finfo(float).tiny)

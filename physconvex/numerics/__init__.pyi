@@ -1,4 +1,3 @@
-from .devices import device_named as device_named
 from .robust import huber_loss as huber_loss, huber_weights as huber_weights
 from .rotations import (
     best_rotation as best_rotation,
@@ -8,5 +7,5 @@ from .rotations import (
 )
 from .secants import broyden_update as broyden_update
 from .sparse_solvers import NotPositiveDefiniteError as NotPositiveDefiniteError, SymmetricSolver as SymmetricSolver
-from .threads import one_torch_thread as one_torch_thread
+from .torch_settings import device_named as device_named, one_torch_thread as one_torch_thread
 from .triangles import closest_in_triangles as closest_in_triangles

@@ -1,4 +1,3 @@
-from .adam import RowAdam as RowAdam
 from .carving import footprint as footprint, visual_hull as visual_hull
 from .config import (
     ReconstructionConfig as ReconstructionConfig,
@@ -17,10 +16,15 @@ from .field_refinement import (
     refine_field as refine_field,
     simplify as simplify,
 )
-from .filling import fill_gaps as fill_gaps
+from .fit_file import load_fit as load_fit, save_fit as save_fit
+from .gap_filling import fill_gaps as fill_gaps
 from .observation import Observation as Observation, observation_of as observation_of
-from .scores import ViewScore as ViewScore, score_views as score_views
-from .similarity import psnr as psnr, structural_similarity as structural_similarity
+from .row_adam import RowAdam as RowAdam
+from .scores import (
+    ViewScore as ViewScore,
+    psnr as psnr,
+    score_views as score_views,
+    structural_similarity as structural_similarity,
+)
 from .start import Start as Start, body_surface as body_surface, start_field as start_field, start_kind as start_kind
-from .state import load_fit as load_fit, save_fit as save_fit
 from .triangles import even_triangles as even_triangles, welded as welded

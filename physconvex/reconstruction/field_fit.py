@@ -12,11 +12,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from physconvex.convex import ConvexField, FreeParameters
-from physconvex.reconstruction.adam import RowAdam
 from physconvex.reconstruction.config import ReconstructionConfig
 from physconvex.reconstruction.field_refinement import hidden, refine_field
 from physconvex.reconstruction.observation import Observation
-from physconvex.reconstruction.similarity import structural_similarity
+from physconvex.reconstruction.row_adam import RowAdam
+from physconvex.reconstruction.scores import structural_similarity
 from physconvex.reconstruction.start import Start
 from physconvex.render import RenderedImage, render
 

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from physconvex.convex import ConvexField, halve
 from physconvex.errors import InputError
-from physconvex.reconstruction.attribution import gather
 from physconvex.reconstruction.observation import Observation
+from physconvex.reconstruction.pixel_weights import gather
 from physconvex.render import render
 
 __all__ = ["RefinedField", "hidden", "refine_field", "simplify"]

@@ -1,19 +1,24 @@
-"""How well a field explains views."""
+"""How alike two images are, and how well a field explains views."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional
 
 from physconvex.convex import ConvexField
 from physconvex.reconstruction.observation import Observation
-from physconvex.reconstruction.similarity import psnr, structural_similarity
 from physconvex.render import render
 
-__all__ = ["ViewScore", "score_views"]
+__all__ = ["ViewScore", "psnr", "score_views", "structural_similarity"]
+
+WINDOW, SPREAD = 11, 1.5  # pixels; Wang et al. 2004
+STABILISERS = (0.01**2, 0.03**2)
 
 
 @dataclass(frozen=True)
@@ -56,3 +61,38 @@ def score_views(field: ConvexField, observations: Iterable[Observation]) -> list
         )
         found.append((result, colour.cpu()))
     return found
+
+
+def psnr(image: Float[Tensor, "*pixels 3"], reference: Float[Tensor, "*pixels 3"]) -> float:
+    """Peak signal-to-noise ratio −10 log10(mean squared difference) of images, or of pixels, from 0 to 1 [dB]."""
+    return float(-10 * torch.log10((image - reference).double().square().mean().clamp(min=1e-12)))
+
+
+def structural_similarity(image: Float[Tensor, "H W 3"], reference: Float[Tensor, "H W 3"]) -> Float[Tensor, ""]:
+    """Mean SSIM over pixels and channels (Wang et al. 2004): Gaussian windows of 11 pixels, dynamic range 1.
+
+    Differentiable by the first image. Near the border the windows see zeros in both images.
+    """
+    x, y = image.movedim(-1, 0)[:, None], reference.movedim(-1, 0)[:, None]
+    parts = torch.cat([x, x * x, x * y])
+    fixed = torch.cat([y, y * y]).detach()
+    mean_x, square_x, product = _blurred(parts).chunk(3)
+    mean_y, square_y = _blurred(fixed).chunk(2)
+    c1, c2 = STABILISERS
+    variance = (square_x - mean_x**2) + (square_y - mean_y**2)
+    covariance = product - mean_x * mean_y
+    values = (2 * mean_x * mean_y + c1) * (2 * covariance + c2)
+    return (values / ((mean_x**2 + mean_y**2 + c1) * (variance + c2))).mean()
+
+
+def _blurred(images: Tensor) -> Tensor:
+    line = _window(images.dtype, images.device)
+    rows = functional.conv2d(images, line[None, None, :, None], padding=(WINDOW // 2, 0))
+    return functional.conv2d(rows, line[None, None, None], padding=(0, WINDOW // 2))
+
+
+@cache
+def _window(dtype: torch.dtype, device: torch.device) -> Tensor:
+    offset = torch.arange(WINDOW, dtype=torch.float64, device=device) - WINDOW // 2
+    values = torch.exp(-offset.square() / (2 * SPREAD**2))
+    return (values / values.sum()).to(dtype)

@@ -13,11 +13,11 @@ from scipy.spatial import cKDTree
 
 from physconvex.convex import ConvexField, coefficients_of_colour
 from physconvex.errors import InputError
-from physconvex.reconstruction.attribution import Gathered, gather
 from physconvex.reconstruction.carving import footprint, visual_hull
 from physconvex.reconstruction.config import ReconstructionConfig, StartKind
+from physconvex.reconstruction.first_convexes import UNPAINTED, fillers, octahedra, prisms, with_count
 from physconvex.reconstruction.observation import Observation
-from physconvex.reconstruction.shell import UNPAINTED, fillers, octahedra, prisms, with_count
+from physconvex.reconstruction.pixel_weights import Gathered, gather
 from physconvex.reconstruction.triangles import even_triangles, welded
 
 __all__ = ["Start", "body_surface", "start_field", "start_kind"]

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.special import roots_jacobi
 
 from physconvex.errors import InputError
-from physconvex.mesh import QUADRATURE, TetMesh, TriangleSurface, tetrahedralize
+from physconvex.mesh import QUADRATURE, TetMesh
 from physconvex.reduced.shell import Shell
 
 __all__ = ["BodySamples", "Cubature", "tet_cubature"]
@@ -138,13 +137,6 @@ class BodySamples:
             surface_areas=mesh.node_areas[boundary],
             shell=Shell.of_mesh(mesh),
         )
-
-    @classmethod
-    def of_surface(
-        cls, surface: TriangleSurface | tuple[np.ndarray, np.ndarray], *, degree: int = 2, **meshing: Any
-    ) -> BodySamples:
-        """Samples of the inside of a watertight surface; `meshing` goes to `physconvex.fem.tetrahedralize`."""
-        return cls.of_mesh(tetrahedralize(surface, **meshing), degree=degree)
 
     @classmethod
     def of_points(

@@ -8,17 +8,18 @@ whose products W_m(X) [X; 1] come nearest to all of them.
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Bool, Float
 
 from physconvex.errors import InputError
 from physconvex.fem import ElasticBody, elastic_responses, rigid_motions, skinning_stiffness, vibration_modes
 from physconvex.numerics import best_rotation
 from physconvex.reduced.basis import MAX_WEIGHTS, NodalWeights
-from physconvex.reduced.proper_orthogonal_modes import principal_fields
 
-__all__ = ["elastic_weights"]
+__all__ = ["elastic_weights", "principal_fields"]
 
 _AT_ONCE = 10  # weights that are taken before what their products give is taken out of the rest
+_NEGLIGIBLE = 1e-10  # share of the square norm below which a field is rounding
 _LOOSE = 1e-3  # of the highest vibration's frequency, below which one counts as a motion of loose parts
 
 
@@ -113,3 +114,22 @@ def _covering_weights(fields: np.ndarray, vertices: np.ndarray, body: ElasticBod
             products = products - given @ (given.T @ (norm @ products))
         given = np.hstack([given, principal_fields(products, norm)])
     return weights
+
+
+def principal_fields(
+    fields: Float[np.ndarray, "V K"], norm: sp.csr_matrix, *, largest: float | None = None
+) -> Float[np.ndarray, "V R"]:
+    """What fields span, orthonormal in a norm, those that carry most of them first (Sirovich 1987).
+
+    Args:
+        fields: as columns.
+        norm: symmetric and positive, shape [V, V].
+        largest: square norm against which rounding is judged; that of the first result unless given.
+
+    Returns:
+        as many columns as the fields have independent directions.
+    """
+    squares, mixing = np.linalg.eigh(fields.T @ (norm @ fields))
+    squares, mixing = squares[::-1], mixing[:, ::-1]
+    kept = squares > _NEGLIGIBLE * (squares.max(initial=0.0) if largest is None else largest)
+    return np.asarray(fields @ (mixing[:, kept] / np.sqrt(squares[kept])))

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from physconvex.errors import InputError
 from physconvex.fem import ElasticBody
 from physconvex.reduced.basis import MAX_WEIGHTS, NodalWeights, WeightField
-from physconvex.reduced.proper_orthogonal_modes import principal_fields
+from physconvex.reduced.elastic_basis import principal_fields
 
 __all__ = ["ArrayWeights", "PredictedField", "StackedWeights", "predicted_weights", "snapshot_weights"]
 

@@ -17,9 +17,9 @@ from physconvex.io import Camera
 from physconvex.kernels import KernelUnavailable
 from physconvex.render.compiled import RENDER_KERNEL, composite_kernel, planar_hulls_kernel
 from physconvex.render.cuda import composite_cuda, planar_hulls_cuda
+from physconvex.render.cuda_trial import cuda_draws_rightly
 from physconvex.render.projection import NEAR, Splats, project_field
 from physconvex.render.reference import Layers, composite_reference
-from physconvex.render.trial import draws_rightly
 from physconvex.render.view import View
 
 __all__ = ["Backend", "RenderedImage", "render", "splat"]
@@ -63,7 +63,7 @@ def splat(
 
 def _is_fast_on(tensor: Tensor) -> bool:
     """Whether the CUDA kernel draws such tensors, and rightly."""
-    return tensor.device.type == "cuda" and tensor.dtype == torch.float32 and draws_rightly(tensor.device)
+    return tensor.device.type == "cuda" and tensor.dtype == torch.float32 and cuda_draws_rightly(tensor.device)
 
 
 def _uses_kernel(tensor: Tensor, backend: Backend) -> bool:

@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from physconvex import InputError
-from physconvex.convex import ConvexField, FreeParameters, half_spaces, hull_faces, occupancies, occupancy, support
+from physconvex.convex import ConvexField, FreeParameters, half_spaces, hull_faces, occupancies, occupancy
 from tests.convex.fields import cube, random_field
+from tests.convex.hulls import support
 
 
 def test_six_points_and_degree_three_are_69_parameters() -> None:

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from physconvex.convex import halve, hull_volumes, inside_union
+from physconvex.convex import halve, inside_union
 from tests.convex.fields import random_field
+from tests.convex.hulls import hull_volumes
 
 
 def prism_field(count: int = 40):

@@ -8,12 +8,13 @@ import pytest
 import torch
 
 from physconvex import InputError
-from physconvex.convex import advect, affine_map, bind_to_space, bind_to_tets, half_spaces, support
+from physconvex.convex import advect, affine_map, bind_to_space, bind_to_tets, half_spaces
 from physconvex.fem import ElasticBody
 from physconvex.mesh import box_mesh
 from physconvex.reduced import BodySamples, ReducedSpace, eigenmode_weights
 from physconvex.render import View, render
 from tests.convex.fields import random_field
+from tests.convex.hulls import support
 from tests.convex.scenes import camera
 
 TURN = torch.linalg.matrix_exp(

@@ -9,7 +9,6 @@ from physconvex.convex import (
     ConvexField,
     advect,
     affine_map,
-    hull_volumes,
     inside_union,
     merge,
     non_affinity,
@@ -19,6 +18,7 @@ from physconvex.convex import (
 )
 from physconvex.convex.hull_points import _protrusions
 from tests.convex.fields import cube, random_field
+from tests.convex.hulls import hull_volumes
 
 
 def bend(points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

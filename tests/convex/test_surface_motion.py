@@ -10,12 +10,11 @@ from physconvex.convex import (
     advect,
     affine_map,
     half_spaces,
-    hull_volumes,
     move_half_spaces,
     points_of_half_spaces,
-    support,
 )
 from tests.convex.fields import cube, random_field
+from tests.convex.hulls import hull_volumes, support
 
 
 @pytest.mark.parametrize("points", [4, 6, 10])

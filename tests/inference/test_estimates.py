@@ -42,7 +42,7 @@ def test_finer_meshes_are_filled_where_the_twin_s_is(fill, monkeypatch):
     coarse, fine = box_mesh((0.3, 0.2, 0.2), (2, 1, 1)), box_mesh((0.3, 0.2, 0.2), (4, 2, 2))
     shown = SimpleNamespace(vertices=surface[0], faces=surface[1])
     capture = SimpleNamespace(mesh=lambda: shown, tets=lambda: None)
-    monkeypatch.setattr(meshes, "faithful_mesh", lambda *surface, max_nodes: fine)
+    monkeypatch.setattr(meshes, "mesh_of_few_nodes", lambda *surface, max_nodes: fine)
     monkeypatch.setattr(meshes, "tetrahedralize", lambda *surface, **how: fine)
     twin = SimpleNamespace(capture=capture, mesh=filled(coarse, *surface) if fill else coarse, may_strike=True)
     options = RefineOptions(fine_nodes=900)

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from physconvex import ConvergenceError
-from physconvex.mesh import TetMesh, box_mesh, coarse_mesh as faithful, faithful_mesh, to_quadratic, unfaithfulness
+from physconvex.mesh import TetMesh, box_mesh, coarse_meshing, mesh_of_few_nodes, shape_mismatch, to_quadratic
 
 
 @pytest.fixture(scope="module")
@@ -20,17 +20,17 @@ def meshed(scale):
 
 
 def test_what_only_one_of_body_and_mesh_has_counts(box):
-    assert unfaithfulness(meshed(1.0), *box) == pytest.approx(0.0, abs=1e-9)
-    assert unfaithfulness(meshed(np.array([0.75, 1.0, 1.0])), *box) == pytest.approx(0.25, abs=0.01)
-    thicker = unfaithfulness(meshed(np.array([1.0, 1.0, 1.5])), *box)  # all of the surface lies in the mesh
+    assert shape_mismatch(meshed(1.0), *box) == pytest.approx(0.0, abs=1e-9)
+    assert shape_mismatch(meshed(np.array([0.75, 1.0, 1.0])), *box) == pytest.approx(0.25, abs=0.01)
+    thicker = shape_mismatch(meshed(np.array([1.0, 1.0, 1.5])), *box)  # all of the surface lies in the mesh
     assert thicker == pytest.approx(1 / 3, abs=0.01)
 
 
 def test_an_open_surface_is_judged_by_distance(box):
     vertices, faces = box
     lid = (np.abs(vertices[faces][..., 2] - 0.1) < 1e-9).all(1)
-    assert unfaithfulness(meshed(1.0), vertices, faces[~lid]) == pytest.approx(0.0, abs=1e-9)
-    shorter = unfaithfulness(meshed(np.array([0.75, 1.0, 1.0])), vertices, faces[~lid])  # half of them are 0.1 m away
+    assert shape_mismatch(meshed(1.0), vertices, faces[~lid]) == pytest.approx(0.0, abs=1e-9)
+    shorter = shape_mismatch(meshed(np.array([0.75, 1.0, 1.0])), vertices, faces[~lid])  # half of them are 0.1 m away
     assert shorter == pytest.approx(np.sqrt(0.5) * 0.1 / 0.4, rel=1e-6)
 
 
@@ -43,21 +43,21 @@ def test_more_nodes_are_tried_until_the_body_is_there(box, monkeypatch):
             raise made[max_nodes]
         return made[max_nodes]
 
-    monkeypatch.setattr(faithful, "tetrahedralize", tetrahedralize)
-    assert faithful_mesh(*box, max_nodes=10) is made[20]  # neither is good: the better one
+    monkeypatch.setattr(coarse_meshing, "tetrahedralize", tetrahedralize)
+    assert mesh_of_few_nodes(*box, max_nodes=10) is made[20]  # neither is good: the better one
     assert asked == [10, 20]
     made[10] = meshed(0.7)
-    assert faithful_mesh(*box, max_nodes=10) is made[20]
+    assert mesh_of_few_nodes(*box, max_nodes=10) is made[20]
     made[10] = meshed(1.0)
-    assert faithful_mesh(*box, max_nodes=10) is made[10]
+    assert mesh_of_few_nodes(*box, max_nodes=10) is made[10]
     made.update(dict.fromkeys(made, ConvergenceError("no mesh")))
     with pytest.raises(ConvergenceError, match="no mesh"):
-        faithful_mesh(*box, max_nodes=10)
+        mesh_of_few_nodes(*box, max_nodes=10)
 
 
 def test_near_an_open_surface_means_nearer_than_a_share_of_the_volume(box, monkeypatch):
     vertices, faces = box
     lid = (np.abs(vertices[faces][..., 2] - 0.1) < 1e-9).all(1)
     made = {10: meshed(np.array([0.9, 1.0, 1.0])), 20: meshed(1.0)}  # .07 of the size off, and not at all
-    monkeypatch.setattr(faithful, "tetrahedralize", lambda surface, *, max_nodes, order, method: made[max_nodes])
-    assert faithful_mesh(vertices, faces[~lid], max_nodes=10) is made[20]
+    monkeypatch.setattr(coarse_meshing, "tetrahedralize", lambda surface, *, max_nodes, order, method: made[max_nodes])
+    assert mesh_of_few_nodes(vertices, faces[~lid], max_nodes=10) is made[20]

@@ -9,9 +9,10 @@ from scipy.spatial import cKDTree
 from physconvex import ConvergenceError, InputError
 from physconvex.mesh import Embedding, TetMesh, box_mesh, overlap, tetrahedralize, tetrahedralize_implicit
 from physconvex.mesh.implicit_meshing import _sampled, euler_characteristic, largest_piece
-from physconvex.mesh.quality import mean_ratios, mesh_quality
 from physconvex.mesh.stuffing import stuff
 from physconvex.mesh.surface_fitting import _distortion, fit_to_surface
+from physconvex.mesh.tet_mesh import mean_ratios
+from tests.mesh.quality import mesh_quality
 
 UNIT = np.array([[-0.5] * 3, [0.5] * 3])
 

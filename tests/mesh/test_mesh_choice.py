@@ -5,9 +5,18 @@ import pytest
 import trimesh
 
 from physconvex import ConvergenceError, InputError
-from physconvex.mesh import TetMesh, box_mesh, enclosed_volume, merged, meshing, overlap, tetrahedralize, with_volume
-from physconvex.mesh.kept_meshes import kept
-from physconvex.mesh.simplified import simplified
+from physconvex.mesh import (
+    TetMesh,
+    box_mesh,
+    enclosed_volume,
+    meshing,
+    overlap,
+    tetrahedralize,
+    with_merged_vertices,
+    with_volume,
+)
+from physconvex.mesh.mesh_cache import cached_or_made
+from physconvex.mesh.surfaces import with_fewer_triangles
 
 SIZE = (0.4, 0.2, 0.1)
 
@@ -76,7 +85,7 @@ def test_a_body_with_legs_keeps_them(table):
 def test_a_simplified_surface_that_is_filled_badly_is_filled_again(box, monkeypatch, made, best, runs):
     """fTetWild gives another mesh each time, of a slab on legs now and then one with less than .9 of it."""
     todo = list(made)
-    monkeypatch.setattr(meshing, "simplified", lambda vertices, faces, count: (vertices, faces))
+    monkeypatch.setattr(meshing, "with_fewer_triangles", lambda vertices, faces, count: (vertices, faces))
     monkeypatch.setattr(meshing, "fill", lambda *arguments: stretched(x=todo.pop(0)))
     mesh = tetrahedralize(box, method="simplified", max_nodes=500, order=1)
     np.testing.assert_array_equal(mesh.vertices, with_volume(stretched(x=best), enclosed_volume(*box)).vertices)
@@ -87,7 +96,9 @@ def test_a_mesh_that_had_too_many_nodes_by_chance_is_tried_again(box, monkeypatc
     """Coarser ones stay worse, however often they are made."""
     asked, fine = [], box_mesh(SIZE, (4, 4, 4), order=1)
     todo = [fine, stretched(x=0.8), fine, stretched(x=0.85), stretched(x=0.95)]
-    monkeypatch.setattr(meshing, "simplified", lambda vertices, faces, count: asked.append(count) or (vertices, faces))
+    monkeypatch.setattr(
+        meshing, "with_fewer_triangles", lambda vertices, faces, count: asked.append(count) or (vertices, faces)
+    )
     monkeypatch.setattr(meshing, "fill", lambda *arguments: todo.pop(0))
     mesh = tetrahedralize(box, method="simplified", max_nodes=100, order=1)
     np.testing.assert_array_equal(mesh.vertices, with_volume(stretched(x=0.95), enclosed_volume(*box)).vertices)
@@ -138,46 +149,46 @@ def test_a_mesh_is_kept_for_its_surface_and_settings(box, cache):
         made.append(stretched(x=1.0 + 0.1 * len(made)))
         return made[-1]
 
-    first = kept(box, (1, "a"), make)
-    np.testing.assert_array_equal(kept(box, (1, "a"), make).vertices, first.vertices)
+    first = cached_or_made(box, (1, "a"), make)
+    np.testing.assert_array_equal(cached_or_made(box, (1, "a"), make).vertices, first.vertices)
     assert len(made) == 1
-    kept(box, (2, "a"), make)
-    kept((box[0] * 2, box[1]), (1, "a"), make)
+    cached_or_made(box, (2, "a"), make)
+    cached_or_made((box[0] * 2, box[1]), (1, "a"), make)
     assert len(made) == 3
     for file in (cache / "meshes").iterdir():
         file.write_bytes(file.read_bytes()[:100])  # cut short
-    assert kept(box, (1, "a"), make) is made[3]
+    assert cached_or_made(box, (1, "a"), make) is made[3]
 
 
 def test_of_two_that_are_made_at_once_the_first_counts(box):
     first, second = stretched(), stretched(x=1.1)
 
     def make():
-        kept(box, "settings", lambda: first)  # another process is faster
+        cached_or_made(box, "settings", lambda: first)  # another process is faster
         return second
 
-    np.testing.assert_array_equal(kept(box, "settings", make).vertices, first.vertices)
+    np.testing.assert_array_equal(cached_or_made(box, "settings", make).vertices, first.vertices)
 
 
 def test_where_nothing_can_be_kept_the_mesh_is_made(box, cache):
     cache.write_text("no folder")
     mesh = stretched()
-    assert kept(box, "settings", lambda: mesh) is mesh
+    assert cached_or_made(box, "settings", lambda: mesh) is mesh
 
 
 def test_simplified_surfaces_stay_closed_and_keep_thin_parts(table):
-    vertices, faces = simplified(*table, 120)
+    vertices, faces = with_fewer_triangles(*table, 120)
     assert len(faces) <= 120 < len(table[1])
     assert enclosed_volume(vertices, faces) == pytest.approx(enclosed_volume(*table), rel=0.02)
     np.testing.assert_allclose(np.ptp(vertices, axis=0), np.ptp(table[0], axis=0), rtol=0.02)
-    few = simplified(vertices, faces, 500)
+    few = with_fewer_triangles(vertices, faces, 500)
     np.testing.assert_array_equal(few[0][few[1]], vertices[faces])
 
 
 def test_seams_close(box):
     vertices, faces = box
     cut = vertices[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)
-    closed = merged(*cut)
+    closed = with_merged_vertices(*cut)
     assert len(closed[0]) == 8 and enclosed_volume(*closed) == pytest.approx(np.prod(SIZE))
 
 

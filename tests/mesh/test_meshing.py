@@ -7,7 +7,8 @@ import trimesh
 from physconvex import ConvergenceError, InputError
 from physconvex.mesh import box_mesh, enclosed_volume, surface_distance, tetrahedralize, with_volume
 from physconvex.mesh.ftetwild import LEFT_BEHIND, Resolution, fill_within
-from physconvex.mesh.quality import dihedral_angles, mean_ratios, mesh_quality
+from physconvex.mesh.tet_mesh import mean_ratios
+from tests.mesh.quality import dihedral_angles, mesh_quality
 
 
 @pytest.fixture(scope="module")

@@ -4,11 +4,12 @@ import numpy as np
 import torch
 import trimesh
 
-from physconvex.convex import ConvexField, hull_volumes, inside_union
+from physconvex.convex import ConvexField, inside_union
 from physconvex.io import look_at
 from physconvex.reconstruction import ReconstructionConfig, fill_gaps, start_field
-from physconvex.reconstruction.filling import grown_boxes
+from physconvex.reconstruction.gap_filling import grown_boxes
 from physconvex.render import render
+from tests.convex.hulls import hull_volumes
 from tests.reconstruction.scenes import RADIUS, ball_mesh, views
 from train import measure_coverage
 

@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from physconvex import InputError
-from physconvex.convex import ConvexField, coefficients_of_colour, hull_volumes, inside_union
+from physconvex.convex import ConvexField, coefficients_of_colour, inside_union
 from physconvex.io import look_at
 from physconvex.reconstruction import (
     ReconstructionConfig,
@@ -23,9 +23,10 @@ from physconvex.reconstruction import (
     visual_hull,
     welded,
 )
-from physconvex.reconstruction.attribution import gather
-from physconvex.reconstruction.shell import fillers, octahedra, prisms, with_count
+from physconvex.reconstruction.first_convexes import fillers, octahedra, prisms, with_count
+from physconvex.reconstruction.pixel_weights import gather
 from physconvex.render import render
+from tests.convex.hulls import hull_volumes
 from tests.reconstruction.scenes import RADIUS, ball_mesh, striped_ball
 from train import measure_coverage
 

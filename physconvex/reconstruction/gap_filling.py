@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from physconvex.convex import ConvexField, half_spaces, inside_union
-from physconvex.reconstruction.shell import BOX_POINTS, UNPAINTED, WEDGES
+from physconvex.reconstruction.first_convexes import BOX_POINTS, UNPAINTED, WEDGES
 
 __all__ = ["fill_gaps", "grown_boxes"]
 

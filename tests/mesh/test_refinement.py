@@ -5,7 +5,7 @@ import pytest
 
 from physconvex import InputError
 from physconvex.mesh import EDGE_CORNERS, TetMesh, box_mesh, refine_locally
-from physconvex.mesh.quality import mean_ratios
+from physconvex.mesh.tet_mesh import mean_ratios
 
 
 def edge_lengths(mesh: TetMesh, near: np.ndarray) -> np.ndarray:

@@ -16,19 +16,19 @@ from physconvex import __version__
 from physconvex.kernels import cache_folder
 from physconvex.mesh.tet_mesh import TetMesh
 
-__all__ = ["kept", "known"]
+__all__ = ["cached_mesh", "cached_or_made"]
 
 _GENERATION = 4  # of the meshers: one more whenever they, or the choice between them, change
 Surface = tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]
 
 
-def known(surface: Surface, settings: object) -> TetMesh | None:
+def cached_mesh(surface: Surface, settings: object) -> TetMesh | None:
     """The mesh that was kept of the same surface with the same settings on this machine, if there is one."""
     return _read(_path(surface, settings))
 
 
-def kept(surface: Surface, settings: object, make: Callable[[], TetMesh]) -> TetMesh:
-    """The mesh that is `known`, else a new one, which is kept.
+def cached_or_made(surface: Surface, settings: object, make: Callable[[], TetMesh]) -> TetMesh:
+    """The mesh that is `cached_mesh`, else a new one, which is kept.
 
     Processes that make it at the same time all get that of the first. Where the cache cannot be written the mesh is
     just made.

@@ -1,4 +1,4 @@
-"""One thread of torch for arithmetic on small matrices."""
+"""Torch's devices by name, and one thread of it for arithmetic on small matrices."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from contextlib import contextmanager
 
 import torch
 
-__all__ = ["one_torch_thread"]
+from physconvex.errors import InputError
+
+__all__ = ["device_named", "one_torch_thread"]
 
 
 @contextmanager
@@ -23,3 +25,17 @@ def one_torch_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+def device_named(name: str) -> torch.device:
+    """The device of a name such as "cpu" or "cuda:0".
+
+    Raises:
+        InputError: there is none, or it cannot be used here.
+    """
+    try:
+        device = torch.device(name)
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise InputError(f"device: {name!r} cannot be used ({error}); try 'cpu'") from error
+    return device

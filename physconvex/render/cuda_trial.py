@@ -19,14 +19,14 @@ from physconvex.render.projection import project_field
 from physconvex.render.reference import composite_reference
 from physconvex.render.view import View
 
-__all__ = ["draws_rightly"]
+__all__ = ["cuda_draws_rightly"]
 
 _CONVEXES, _SIZE = 300, (37, 21)  # more than one round of candidates in a tile, and tiles that are cut off
 _IMAGE, _GRADIENT = 1e-3, 1e-2  # largest differences beside the largest value
 
 
 @cache
-def draws_rightly(device: torch.device) -> bool:
+def cuda_draws_rightly(device: torch.device) -> bool:
     """Whether the kernel gives image and gradients of the reference on a device; warns once where it does not."""
     try:
         with torch.inference_mode(False), torch.enable_grad():  # whatever whoever draws first has switched off

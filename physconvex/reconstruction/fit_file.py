@@ -13,8 +13,8 @@ from safetensors.torch import save_file
 
 from physconvex.convex import FreeParameters
 from physconvex.errors import InputError
-from physconvex.reconstruction.adam import RowAdam
 from physconvex.reconstruction.field_fit import FitState
+from physconvex.reconstruction.row_adam import RowAdam
 
 __all__ = ["load_fit", "save_fit"]
 

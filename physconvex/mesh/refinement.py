@@ -1,4 +1,4 @@
-"""Tetrahedral meshes made finer where they should be: longest edges bisected."""
+"""Tetrahedral meshes made finer: everywhere, or where they should be, by longest edges bisected."""
 
 from __future__ import annotations
 
@@ -8,9 +8,33 @@ from jaxtyping import Float
 from physconvex.errors import InputError
 from physconvex.mesh.tet_mesh import EDGE_CORNERS, TetMesh, linear_part, to_quadratic
 
-__all__ = ["refine_locally"]
+__all__ = ["refine_locally", "refine_uniformly"]
 
 _EQUAL = 1.0 + 1e-9  # ratio of lengths up to which edges count as equally long
+# The eight children of a tetrahedron in terms of its ten quadratic nodes (Bey's red refinement).
+CHILDREN = np.array(
+    [
+        [0, 4, 6, 7],
+        [4, 1, 5, 8],
+        [6, 5, 2, 9],
+        [7, 8, 9, 3],
+        [4, 6, 7, 8],
+        [4, 5, 6, 8],
+        [6, 7, 8, 9],
+        [5, 6, 8, 9],
+    ]
+)
+
+
+def refine_uniformly(mesh: TetMesh) -> TetMesh:
+    """Each tetrahedron split into eight (Bey 1995); same geometry, same order; a filling is not kept."""
+    quadratic = to_quadratic(TetMesh(mesh.vertices, mesh.tets) if mesh.order == 1 else linear_part(mesh))
+    children = quadratic.tets[:, CHILDREN].reshape(-1, 4)
+    x = quadratic.vertices[children]
+    flipped = np.linalg.det(x[:, 1:] - x[:, :1]) < 0
+    children[flipped] = children[flipped][:, [0, 2, 1, 3]]
+    fine = TetMesh(quadratic.vertices, children)
+    return fine if mesh.order == 1 else to_quadratic(fine)
 
 
 def refine_locally(mesh: TetMesh, spacing: Float[np.ndarray, " V"], *, max_nodes: int) -> TetMesh:

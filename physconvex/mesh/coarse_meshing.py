@@ -9,17 +9,19 @@ from physconvex.errors import ConvergenceError
 from physconvex.mesh.embedding import locate
 from physconvex.mesh.meshing import tetrahedralize
 from physconvex.mesh.signed_distance import overlap
+from physconvex.mesh.surfaces import enclosed_volume
 from physconvex.mesh.tet_mesh import TetMesh
-from physconvex.mesh.volume import enclosed_volume
 
-__all__ = ["faithful_mesh", "unfaithfulness"]
+__all__ = ["mesh_of_few_nodes", "shape_mismatch"]
 
 _GROWTH = (1.0, 2.0)  # of the number of nodes asked for
 _GOOD, _GOOD_OPEN = 0.25, 0.03  # of the volume; of the size, where the surface is open
 _SAMPLES = 600
 
 
-def faithful_mesh(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"], *, max_nodes: int) -> TetMesh:
+def mesh_of_few_nodes(
+    vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"], *, max_nodes: int
+) -> TetMesh:
     """Quadratic tetrahedra of a surface with at most `max_nodes` nodes, or more where so few lose parts of the body.
 
     Thin parts vanish from meshes that are too coarse for them. Up to twice the nodes are tried then, and the
@@ -38,7 +40,7 @@ def faithful_mesh(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray,
         except ConvergenceError as error:
             failure = error
             continue
-        wrong = unfaithfulness(mesh, vertices, triangles)
+        wrong = shape_mismatch(mesh, vertices, triangles)
         if best is None or wrong < best[0]:
             best = (wrong, mesh)
         if wrong < good:
@@ -49,7 +51,7 @@ def faithful_mesh(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray,
     return best[1]
 
 
-def unfaithfulness(mesh: TetMesh, vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> float:
+def shape_mismatch(mesh: TetMesh, vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> float:
     """Share of the volume of body and mesh together that only one of them has.
 
     Of a surface that is open: the rms distance of its vertices from the mesh, in its size.

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from physconvex.kernels import KernelUnavailable
-from physconvex.render import composite_reference, trial
+from physconvex.render import composite_reference, cuda_trial
 from physconvex.render.hull import planar_hulls
 from physconvex.render.reference import Layers
 
@@ -18,13 +18,13 @@ def asked(monkeypatch):
     """The trial with another function in the place of the CUDA kernel, and hulls in plain torch."""
 
     def ask(composite):
-        monkeypatch.setattr(trial, "composite_cuda", composite)
-        monkeypatch.setattr(trial, "planar_hulls_cuda", planar_hulls)
-        trial.draws_rightly.cache_clear()
-        return trial.draws_rightly(CPU)
+        monkeypatch.setattr(cuda_trial, "composite_cuda", composite)
+        monkeypatch.setattr(cuda_trial, "planar_hulls_cuda", planar_hulls)
+        cuda_trial.cuda_draws_rightly.cache_clear()
+        return cuda_trial.cuda_draws_rightly(CPU)
 
     yield ask
-    trial.draws_rightly.cache_clear()
+    cuda_trial.cuda_draws_rightly.cache_clear()
 
 
 def test_the_right_picture_is_accepted_without_a_word(asked):

@@ -1,4 +1,4 @@
-"""Shape quality of tetrahedral meshes."""
+"""Shapes of elements."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float, Int
 
-from physconvex.mesh.tet_mesh import EDGE_CORNERS, FACE_CORNERS, TetMesh
-
-__all__ = ["MeshQuality", "dihedral_angles", "mean_ratios", "mesh_quality"]
+from physconvex.mesh import FACE_CORNERS, TetMesh
+from physconvex.mesh.tet_mesh import mean_ratios
 
 
 @dataclass(frozen=True)
@@ -38,15 +37,6 @@ def dihedral_angles(vertices: Float[np.ndarray, "V 3"], tets: Int[np.ndarray, "E
     normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), np.finfo(float).tiny)
     i, j = np.array(list(combinations(range(4), 2))).T
     return np.arccos(np.clip(-np.einsum("eka,eka->ek", normals[:, i], normals[:, j]), -1.0, 1.0))
-
-
-def mean_ratios(vertices: Float[np.ndarray, "V 3"], tets: Int[np.ndarray, "E n"]) -> Float[np.ndarray, " E"]:
-    """12 (3V)^(2/3) / Σ edge², with the sign of V: 1 if regular, ≤ 0 if inverted (Liu and Joe 1994)."""
-    x = vertices[tets[:, :4]]
-    volume = np.linalg.det(x[:, 1:] - x[:, :1]) / 6.0
-    edges = x[:, EDGE_CORNERS[:, 0]] - x[:, EDGE_CORNERS[:, 1]]
-    squares = np.einsum("eka,eka->e", edges, edges)
-    return 12.0 * np.sign(volume) * np.cbrt(3.0 * np.abs(volume)) ** 2 / np.maximum(squares, np.finfo(float).tiny)
 
 
 def mesh_quality(mesh: TetMesh) -> MeshQuality:
