@@ -6,7 +6,6 @@ from .colours import (
     seen_by as seen_by,
 )
 from .correction import (
-    CorrectedModel as CorrectedModel,
     Correction as Correction,
     FullRun as FullRun,
     correct as correct,
@@ -25,8 +24,6 @@ from .held_region import HeldRegion as HeldRegion
 from .levenberg_marquardt import Fit as Fit, FitOptions as FitOptions, Iteration as Iteration, fit as fit
 from .model import (
     FullModel as FullModel,
-    LinearModel as LinearModel,
-    Model as Model,
     ReducedModel as ReducedModel,
     roll_out_together as roll_out_together,
 )
@@ -53,6 +50,12 @@ from .parameters import (
     default_parameter as default_parameter,
     lower_bounds as lower_bounds,
     upper_bounds as upper_bounds,
+)
+from .point_models import (
+    CorrectedModel as CorrectedModel,
+    LinearModel as LinearModel,
+    PointModel as PointModel,
+    SecantModel as SecantModel,
 )
 from .rigid_drift import (
     DriftingObservations as DriftingObservations,

@@ -21,15 +21,14 @@ from jaxtyping import Float, Int
 
 from physconvex.errors import ConvergenceError
 from physconvex.identify.levenberg_marquardt import Fit, FitOptions, fit
-from physconvex.identify.model import Model
 from physconvex.identify.observations import MarkerObservations, Observations, misfit_of
 from physconvex.identify.parameters import Parameter, lower_bounds, step_scales, upper_bounds
+from physconvex.identify.point_models import CorrectedModel, PointModel
 from physconvex.identify.uncertainty import noise_covariance
 from physconvex.numerics import broyden_update
 
 __all__ = [
     "FAR",
-    "CorrectedModel",
     "Correction",
     "FullRun",
     "correct",
@@ -41,42 +40,6 @@ _STEP_DONE = 0.01  # of a typical step: 0.002 decades of E
 _NOISE_DONE = 0.2  # of a standard deviation
 FAR = 3.0  # times the reduced model's misfit
 _ALIGNED = (0.0, 0.12, -0.12, -0.24, -0.36)  # decades of E; reduced models are too stiff, so that they want less
-
-
-@dataclass(frozen=True, eq=False)
-class CorrectedModel:
-    """A model shifted by a difference that was seen at one place.
-
-    Attributes:
-        model: the cheap model.
-        anchor: values at which the shift is exact, shape [K].
-        shift: δ [m], shape [T, P, 3].
-        slope: D, shape [T, K, P, 3].
-    """
-
-    model: Model
-    anchor: Float[np.ndarray, " K"]
-    shift: Float[np.ndarray, "T P 3"]
-    slope: Float[np.ndarray, "T K P 3"]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return self.model.names
-
-    def _correction(self, values: np.ndarray) -> np.ndarray:
-        return self.shift + np.einsum("tkpi,k->tpi", self.slope, values - self.anchor)
-
-    def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
-        """Corrected positions [m]."""
-        return self.model.positions(values) + self._correction(values)
-
-    def linearise(
-        self, values: Float[np.ndarray, " K"]
-    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
-        """Corrected positions and their derivatives."""
-        positions, tangents = self.model.linearise(values)
-        return positions + self._correction(values), tangents + self.slope
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,14 +63,14 @@ class Correction:
     """
 
     fit: Fit
-    model: Model
+    model: PointModel
     runs: tuple[FullRun, ...]
     converged: bool
 
 
 def correct(
-    model: Model,
-    full: Model,
+    model: PointModel,
+    full: PointModel,
     observations: Observations,
     start: Fit,
     *,
@@ -173,7 +136,7 @@ def correct(
     return Correction(best[2], best[1], tuple(runs), converged)
 
 
-def _aligned(model: Model, points: np.ndarray, exact: np.ndarray, start: Fit) -> np.ndarray:
+def _aligned(model: PointModel, points: np.ndarray, exact: np.ndarray, start: Fit) -> np.ndarray:
     """θ_0 + (θ_0 − θ̃), with θ̃ the reduced model's fit to the full run at θ_0."""
     sigma = 1e-3 * float(np.ptp(exact, axis=(0, 1)).max())
     seen = MarkerObservations(points, exact, np.full(exact.shape[:2], sigma))
@@ -185,7 +148,7 @@ def _aligned(model: Model, points: np.ndarray, exact: np.ndarray, start: Fit) ->
     return np.clip(2 * start.values - found.values, lower, upper)
 
 
-def _nearest(model: Model, seen: MarkerObservations, parameters: list[Parameter]) -> list[Parameter]:
+def _nearest(model: PointModel, seen: MarkerObservations, parameters: list[Parameter]) -> list[Parameter]:
     """The parameters with log10 E moved to the best of a few values around it: a swing has a minimum per period."""
     if "log10_youngs_modulus" not in model.names:
         return parameters

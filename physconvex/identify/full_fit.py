@@ -15,9 +15,10 @@ import numpy as np
 from physconvex.errors import ConvergenceError
 from physconvex.identify.correction import FAR, Correction, FullRun
 from physconvex.identify.levenberg_marquardt import Fit, FitOptions, Iteration, fit
-from physconvex.identify.model import FullModel, Model
+from physconvex.identify.model import FullModel
 from physconvex.identify.observations import Observations, misfit_of
 from physconvex.identify.parameters import Parameter
+from physconvex.identify.point_models import PointModel
 
 __all__ = ["FULL_OPTIONS", "fit_full"]
 
@@ -30,7 +31,7 @@ _MODULUS = "log10_youngs_modulus"
 
 
 def fit_full(
-    full: Model,
+    full: PointModel,
     observations: Observations,
     start: Fit,
     *,
@@ -64,7 +65,7 @@ def fit_full(
 
 
 def _start(
-    full: Model, observations: Observations, parameters: tuple[Parameter, ...], start: Fit, *, look_around: bool
+    full: PointModel, observations: Observations, parameters: tuple[Parameter, ...], start: Fit, *, look_around: bool
 ) -> tuple[tuple[Parameter, ...], np.ndarray | None]:
     """Where to begin, and the full model's positions at the reduced model's fit (None where it fails there)."""
     first = _first(full, parameters)
@@ -81,7 +82,7 @@ def _start(
     return chosen, first
 
 
-def _first(full: Model, parameters: tuple[Parameter, ...]) -> np.ndarray | None:
+def _first(full: PointModel, parameters: tuple[Parameter, ...]) -> np.ndarray | None:
     """With derivatives, which the search wants next if it begins here, where they come with the positions."""
     values = np.array([p.start for p in parameters])
     try:
@@ -90,7 +91,7 @@ def _first(full: Model, parameters: tuple[Parameter, ...]) -> np.ndarray | None:
         return None
 
 
-def _run(full: Model, parameters: tuple[Parameter, ...] | list[Parameter]) -> np.ndarray | None:
+def _run(full: PointModel, parameters: tuple[Parameter, ...] | list[Parameter]) -> np.ndarray | None:
     try:
         return full.positions(np.array([p.start for p in parameters]))
     except ConvergenceError:

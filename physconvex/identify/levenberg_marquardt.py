@@ -17,9 +17,9 @@ from jaxtyping import Float
 from scipy.optimize import lsq_linear
 
 from physconvex.errors import ConvergenceError, InputError
-from physconvex.identify.model import Model, check_names
 from physconvex.identify.observations import Observations, misfit_of
 from physconvex.identify.parameters import Parameter, lower_bounds, starts, step_scales, upper_bounds
+from physconvex.identify.point_models import PointModel, check_names
 from physconvex.identify.search_coordinates import SearchCoordinates
 from physconvex.numerics import huber_loss, huber_weights
 
@@ -121,7 +121,7 @@ class _Point:
 
 
 def fit(
-    model: Model,
+    model: PointModel,
     observations: Observations,
     parameters: Sequence[Parameter],
     *,
@@ -201,7 +201,7 @@ def _curvature(step: np.ndarray, last: tuple[np.ndarray, np.ndarray] | None) -> 
 
 class _Search:
     def __init__(
-        self, model: Model, observations: Observations, parameters: tuple[Parameter, ...], options: FitOptions
+        self, model: PointModel, observations: Observations, parameters: tuple[Parameter, ...], options: FitOptions
     ) -> None:
         self.model, self.observations, self.parameters = model, observations, parameters
         self.scales = step_scales(parameters)

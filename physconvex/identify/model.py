@@ -1,17 +1,16 @@
-"""From parameter values to positions of material points: what an identification compares with what was seen."""
+"""The simulators as models of a fit: positions of material points by parameter values."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import ContactSolver, IntegratorName, Timing, simulate, simulate_with_sensitivities
-from physconvex.errors import ConvergenceError, InputError
+from physconvex.dynamics import ContactSolver, Timing, simulate, simulate_with_sensitivities
+from physconvex.errors import ConvergenceError
 from physconvex.fem import Scene, SceneFamily, SurfacePoints
 from physconvex.identify.parameters import default_parameter, lower_bounds, step_scales, upper_bounds
 from physconvex.identify.roll_outs import RollOut, RollOuts
@@ -19,29 +18,12 @@ from physconvex.identify.twin import Twin
 from physconvex.mesh import Embedding, TetMesh
 from physconvex.reduced import NamedParameters
 
-__all__ = ["FullModel", "LinearModel", "Model", "ReducedModel", "roll_out_together"]
+__all__ = ["FullModel", "ReducedModel", "roll_out_together"]
 
 _DIFFERENCE = 1e-6  # of a typical step: half width of the central differences of gradients
 # of a typical step, of whole roll-outs; friction by passes makes them rough at smaller scales
 _WHOLE_DIFFERENCE: dict[ContactSolver, float] = {"condensed": 1e-2, "passes": 0.1}
 _TOLERANCE = 1e-6  # of Newton's last step, over the size: a thousandth of what such a difference moves
-
-
-@runtime_checkable
-class Model(Protocol):
-    """Positions of chosen points in all frames, by named parameters."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the K parameters."""
-
-    def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
-        """Positions of the points at the frames [m]."""
-
-    def linearise(
-        self, values: Float[np.ndarray, " K"]
-    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
-        """Positions and their derivatives by the parameters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,14 +35,14 @@ class ReducedModel:
         names: the parameters.
         points: rest positions of the points [m], shape [P, 3].
         frames: number of frames T, the first at t = 0.
-        integrator: of the time steps.
+        timing: of the roll-outs, but for the number of frames; the twin's own unless given.
     """
 
     twin: Twin
     names: tuple[str, ...]
     points: Float[np.ndarray, "P 3"]
     frames: int
-    integrator: IntegratorName = "bdf2"
+    timing: Timing | None = None
 
     @cached_property
     def _shapes(self) -> np.ndarray:
@@ -68,7 +50,7 @@ class ReducedModel:
 
     @property
     def _timing(self) -> Timing:
-        return replace(self.twin.timing(self.frames), integrator=self.integrator)
+        return replace(self.timing or self.twin.timing(), frames=self.frames)
 
     def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
         """Positions of the points at the frames [m]."""
@@ -236,40 +218,3 @@ def roll_out_together(wanted: Iterable[_Wanted], *, beside: Iterable[_Wanted] = 
     if wanted:
         jobs = {model.key(values): partial(model.roll_out, values) for model, values in wanted}
         wanted[0][0].memory.prepare(jobs, near)
-
-
-@dataclass(frozen=True, eq=False)
-class LinearModel:
-    """Positions and tangents known at one place, straight on from there.
-
-    Attributes:
-        names: the parameters.
-        anchor: values at that place, shape [K].
-        at: positions there [m], shape [T, P, 3].
-        tangents: their derivatives there, shape [T, K, P, 3].
-    """
-
-    names: tuple[str, ...]
-    anchor: Float[np.ndarray, " K"]
-    at: Float[np.ndarray, "T P 3"]
-    tangents: Float[np.ndarray, "T K P 3"]
-
-    def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
-        """Positions of the points at the frames [m]."""
-        return self.at + np.einsum("tkpi,k->tpi", self.tangents, values - self.anchor)
-
-    def linearise(
-        self, values: Float[np.ndarray, " K"]
-    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
-        """Positions and the derivatives."""
-        return self.positions(values), self.tangents
-
-
-def check_names(names: Sequence[str], expected: Sequence[str]) -> None:
-    """A model and a list of parameters speak of the same unknowns, in one order.
-
-    Raises:
-        InputError: they do not.
-    """
-    if tuple(names) != tuple(expected):
-        raise InputError(f"parameters: got {list(expected)}; expected those of the model, {list(names)}")

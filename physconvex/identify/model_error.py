@@ -25,9 +25,10 @@ from physconvex.identify.correction import parameter_shifts
 from physconvex.identify.frame_weights import WeightedObservations, frame_errors
 from physconvex.identify.full_fit import FULL_OPTIONS
 from physconvex.identify.levenberg_marquardt import Fit, fit
-from physconvex.identify.model import FullModel, LinearModel, Model, roll_out_together
+from physconvex.identify.model import FullModel, roll_out_together
 from physconvex.identify.observations import Observations
 from physconvex.identify.parameters import Parameter
+from physconvex.identify.point_models import LinearModel, PointModel
 from physconvex.identify.uncertainty import noise_covariance
 from physconvex.mesh import Embedding, TetMesh
 
@@ -82,7 +83,7 @@ class FinerFit:
 
 
 def fit_finer(
-    cheap: Model,
+    cheap: PointModel,
     coarse: FullModel,
     mesh: TetMesh | None,
     observations: Observations,
@@ -168,7 +169,7 @@ def _near(parameter: Parameter) -> Parameter:
 
 
 def _differences(
-    cheap: Model, coarse: FullModel, finest: FullModel, observations: Observations, values: np.ndarray
+    cheap: PointModel, coarse: FullModel, finest: FullModel, observations: Observations, values: np.ndarray
 ) -> _Differences:
     fitted = isinstance(cheap, FullModel) and cheap.rolled_mesh is not coarse.rolled_mesh
     stepped = finest if fitted else coarse  # after an impact another mesh's difference is another one

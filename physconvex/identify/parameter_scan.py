@@ -10,9 +10,9 @@ import numpy as np
 
 from physconvex.errors import ConvergenceError
 from physconvex.identify.levenberg_marquardt import FitOptions, fit
-from physconvex.identify.model import Model
 from physconvex.identify.observations import Observations, misfit_of
 from physconvex.identify.parameters import Parameter
+from physconvex.identify.point_models import PointModel
 from physconvex.io import Workers
 
 __all__ = ["Candidate", "scan", "scan_values"]
@@ -37,7 +37,7 @@ def scan_values(*, density: float, gravity: float, size: float) -> tuple[float, 
 
 
 def scan(
-    model: Model,
+    model: PointModel,
     observations: Observations,
     parameters: Sequence[Parameter],
     *,
@@ -76,7 +76,7 @@ def scan(
     return sorted(found, key=lambda candidate: candidate.misfit)
 
 
-def _misfit(model: Model, observations: Observations, start: tuple[Parameter, ...]) -> float | None:
+def _misfit(model: PointModel, observations: Observations, start: tuple[Parameter, ...]) -> float | None:
     """Of the model there; None where the body is too soft to be simulated, which is no start."""
     try:
         return misfit_of(observations, model.positions(np.array([p.start for p in start])))
@@ -85,7 +85,7 @@ def _misfit(model: Model, observations: Observations, start: tuple[Parameter, ..
 
 
 def _rigid_fitted(
-    model: Model, observations: Observations, parameters: Sequence[Parameter], modulus: float, ratio: float
+    model: PointModel, observations: Observations, parameters: Sequence[Parameter], modulus: float, ratio: float
 ) -> tuple[Parameter, ...]:
     """The parameters with those that shift or turn the body where a few steps bring them."""
     if not any(p.name.startswith("initial_") for p in parameters):

@@ -5,9 +5,14 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-__all__ = ["broyden_update"]
+__all__ = ["broyden_update", "moved_along"]
 
 _STILL = 1e-8  # square of a step, in typical ones, that tells nothing
+
+
+def moved_along(slope: Float[np.ndarray, "T K P 3"], step: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
+    """What a step changes by derivatives."""
+    return np.einsum("tkpi,k->tpi", slope, step)
 
 
 def broyden_update(
@@ -15,6 +20,8 @@ def broyden_update(
     step: Float[np.ndarray, " K"],
     change: Float[np.ndarray, "T P 3"],
     scales: Float[np.ndarray, " K"],
+    *,
+    still: float = _STILL,
 ) -> Float[np.ndarray, "T K P 3"]:
     """The slope nearest to the given one, steps in typical lengths, that explains a change.
 
@@ -23,10 +30,11 @@ def broyden_update(
         step: Δp.
         change: what the function changed by.
         scales: typical lengths of the K steps.
+        still: square of a step, in typical ones, below which it tells nothing.
     """
     scaled = step / scales
     square = float(scaled @ scaled)
-    if square < _STILL:
+    if square < still:
         return slope
-    unexplained = change - np.einsum("tkpi,k->tpi", slope, step)
+    unexplained = change - moved_along(slope, step)
     return np.asarray(slope + unexplained[:, None] * (scaled / scales / square)[None, :, None, None])

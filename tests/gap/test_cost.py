@@ -9,10 +9,10 @@ import pytest
 from physconvex.dynamics import SolveStatistics
 from physconvex.gap import GapOptions
 from physconvex.gap.base.cost import Cost, OutOfBudget, newton_step
-from physconvex.gap.base.model import SecantModel
 from physconvex.gap.effects.scenes import with_material
 from physconvex.gap.search import full_order as decision
 from physconvex.gap.search.search_state import EffectSearch
+from physconvex.identify import SecantModel
 from physconvex.materials import StandardLinearSolid
 
 
@@ -59,8 +59,10 @@ def test_a_fit_in_progress_ends_where_it_is():
         runs.append(values)
         return np.zeros((2, 1, 3))
 
-    model = SimpleNamespace(cost=cost, parameters=lambda v: [SimpleNamespace(step=1.0)], positions=positions)
-    secant = SecantModel(model, np.zeros(1), np.zeros((2, 1, 3)), np.ones((2, 1, 1, 3)))
+    model = SimpleNamespace(positions=positions)
+    secant = SecantModel(
+        model, np.zeros(1), np.zeros((2, 1, 3)), np.ones((2, 1, 1, 3)), scales=np.ones(1), check=cost.check
+    )
     with cost.at_most(5.0):
         secant.linearise(np.ones(1))
         cost.spent = 6.0

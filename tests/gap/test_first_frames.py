@@ -26,7 +26,7 @@ def at(base, change, *effects):
         [base.fit.values + np.array([change, 0.0, 0.0])[: len(base.fit.values)], *(e.null for e in effects)]
     )
     motion = model.motion(values)
-    tangents = replace(model, frames=COUNT).tangents(values, motion.first(COUNT))
+    tangents = replace(model, frames=COUNT).linearise(values, motion.first(COUNT))[1]
     fit = replace(base.fit, parameters=model.parameters(values), values=values)
     return replace(base, model=model, fit=fit, motion=motion, tangents=tangents)
 

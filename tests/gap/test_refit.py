@@ -10,6 +10,7 @@ import pytest
 
 from physconvex.gap import DEFAULT_EFFECTS, GapOptions, error_model, rough_baseline
 from physconvex.gap.base.cost import Cost
+from physconvex.gap.base.model import EffectModel
 from physconvex.gap.errors.numerical_differences import Numerics
 from physconvex.gap.search import effect_fits as fitting
 from physconvex.gap.search.effect_fits import refit
@@ -33,7 +34,7 @@ def test_a_far_start_does_not_decide_where_a_fit_ends(
     start = np.array([*rough.fit.values, RATIO, 0.0])
     start[0] = np.log10(2e5) + off
     motion = model.motion(start)
-    found = refit(rough, errors, model, start, model.tangents(start, motion), OPTIONS)
+    found = refit(rough, errors, model, start, model.linearise(start, motion)[1], OPTIONS)
     assert found.fitted < 10 and found.selecting < 10  # 60 and 20 before; what is left is the coarse mesh
     assert found.values[:3] == pytest.approx([5.34, 0.34, 0.376], abs=0.01)  # from either start
 
@@ -51,6 +52,8 @@ class Model:
         return np.full((self.frames, 1, 3), values[0])
 
     motion = positions
+    cost = Cost()
+    secant = EffectModel.secant
 
     @property
     def slices(self):
@@ -62,9 +65,9 @@ class Model:
     def parameters(self, values):
         return [SimpleNamespace(step=1.0)] * len(values)
 
-    def tangents(self, values, motion):
+    def linearise(self, values, motion=None):
         self.taken.append(float(values[0]))
-        return np.ones((self.frames, len(values), 1, 3))
+        return self.positions(values), np.ones((self.frames, len(values), 1, 3))
 
 
 def base_of_three_frames(*, clamped: bool) -> SimpleNamespace:

@@ -56,7 +56,7 @@ def searched(capture, change, *, told=False):
     values[base.model.base.index(MODULUS)] = np.log10(TRUE) + change
     motion = base.model.motion(values)
     count = int(base.split.fitted[-1]) + 1
-    tangents = replace(base.model, frames=count).tangents(values, motion.first(count))
+    tangents = replace(base.model, frames=count).linearise(values, motion.first(count))[1]
     fit = replace(base.fit, parameters=base.model.parameters(values), values=values)
     base = replace(base, fit=fit, motion=motion, tangents=tangents)
     rows = len(base.residual(base.positions))

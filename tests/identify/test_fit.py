@@ -89,7 +89,7 @@ def test_a_scan_escapes_a_wrong_start(model, seen, unknowns):
 
 def test_the_model_s_jacobian_against_differences(model, seen):
     values = np.array([4.35, 0.3, -0.45])
-    tight = replace(model, options=(("tolerance", 1e-10),))
+    tight = replace(model, timing=replace(model.twin.timing(), tolerance=1e-10))
     _, jacobian = seen.linearise(*tight.linearise(values))
     for k, step in enumerate((1e-5, 1e-5, 1e-5)):
         shift = step * np.eye(3)[k]

@@ -85,10 +85,11 @@ def fit_as_published(
     twin = with_weights(twin, train_neural_weights(samples, weights, generator=generator))
     observed, twin = observe_capture(RefinementRun(capture, RefineOptions(observations="video")), twin)
     seen = observed.observations
-    model = ReducedModel(twin, NAMES, seen.points, int(seen.frames.max()) + 1, _INTEGRATOR)
+    timing = replace(twin.timing(), integrator=_INTEGRATOR)
+    model = ReducedModel(twin, NAMES, seen.points, int(seen.frames.max()) + 1, timing)
     values, made = _adam(model, seen, np.asarray(start, dtype=np.float64), steps)
     found = twin.with_values(NAMES, values)
-    run = simulate(found.scene, replace(twin.timing(), integrator=_INTEGRATOR))
+    run = simulate(found.scene, timing)
     misfit = misfit_of(seen, model.positions(values))
     return PublishedFit(values, misfit, made, found, run.positions(twin.mesh.vertices))
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from physconvex.errors import ConvergenceError
 from physconvex.gap.base.baseline import Baseline, Report
 from physconvex.gap.base.body_modes import temperature
-from physconvex.gap.base.model import SecantModel, reduced_like
+from physconvex.gap.base.model import reduced_like
 from physconvex.gap.base.rough_fit import run_base
 from physconvex.gap.effects.motion import MotionCorrection, PointMotion
 from physconvex.gap.options import GapOptions
@@ -93,11 +93,11 @@ def _fit_from(
     for number in range(BASE_FIT.rounds):
         report(f"fit of the full-order base model, round {number + 1}")
         model, motion = reduced_like(here.model, here.motion, here.fit.values)
-        tangents = model.tangents(here.fit.values, motion)
+        tangents = model.linearise(here.fit.values, motion)[1]
         here = replace(here, tangents=tangents)
         best = here if best.motion is here.motion else best
         shorter = replace(model, frames=count, doubt=_doubt(here, variance))
-        secant = SecantModel(shorter, here.fit.values, here.positions[:count], tangents[:count])
+        secant = shorter.secant(here.fit.values, here.positions[:count], tangents[:count])
         found = fit(secant, weighted, shorter.parameters(here.fit.values), options=stop)
         if np.abs((found.values - here.fit.values) / scales).max() < BASE_FIT.still:
             return replace(here, fit=found) if here is best else best
@@ -112,7 +112,7 @@ def _fit_from(
             break
     if not best.tangents.any():
         model, motion = reduced_like(best.model, best.motion, best.fit.values)
-        best = replace(best, tangents=model.tangents(best.fit.values, motion))
+        best = replace(best, tangents=model.linearise(best.fit.values, motion)[1])
     return best
 
 

@@ -18,12 +18,12 @@ from physconvex.gap.base.cost import Cost
 from physconvex.gap.effects.effect import Effect, Situation
 from physconvex.gap.effects.motion import MotionCorrection, PointMotion
 from physconvex.gap.thresholds import BASE_FIT
-from physconvex.identify import Parameter, Twin, default_parameter
+from physconvex.identify import Parameter, SecantModel, Twin, default_parameter
 from physconvex.io import Camera
 from physconvex.mesh import Embedding, TetMesh
 from physconvex.reduced import ReducedScene, parameter_values
 
-__all__ = ["MODULUS", "EffectModel", "SecantModel", "accurate", "reduced_like", "searches_itself"]
+__all__ = ["MODULUS", "EffectModel", "accurate", "reduced_like", "searches_itself"]
 
 Positions = Float[np.ndarray, "T P 3"]
 Vector = Float[np.ndarray, " K"]
@@ -230,13 +230,16 @@ class EffectModel:
 
     # -- differences
 
-    def tangents(self, values: Vector, motion: PointMotion) -> Float[np.ndarray, "T K P 3"]:
-        """Derivatives by all parameters, doses included, by differences of runs.
+    def linearise(
+        self, values: Vector, motion: PointMotion | None = None
+    ) -> tuple[Positions, Float[np.ndarray, "T K P 3"]]:
+        """Observed positions and their derivatives by all parameters, doses included, by differences of runs.
 
         Args:
             values: where.
-            motion: the motion there.
+            motion: the motion there, if it is known.
         """
+        motion = self.motion(values) if motion is None else motion
         here, columns = self.observed(motion, values), []
         for index, parameter in enumerate(self.parameters(values)):
             step = _BASE_STEP * parameter.step
@@ -246,8 +249,12 @@ class EffectModel:
             changed[index] += step
             moved = self._motion_at(changed, values, motion)
             columns.append((self.observed(moved, changed) - here) / step)
-        shape = (len(here), 0, *here.shape[1:])
-        return np.stack(columns, axis=1) if columns else np.zeros(shape)
+        return here, np.stack(columns, axis=1) if columns else np.zeros((len(here), 0, *here.shape[1:]))
+
+    def secant(self, values: Vector, positions: Positions, tangents: Float[np.ndarray, "T K P 3"]) -> SecantModel:
+        """With derivatives carried on from known ones; a fit of it ends where its runs have cost what they may."""
+        scales = np.array([p.step for p in self.parameters(values)])
+        return SecantModel(self, values, positions, tangents, scales=scales, check=self.cost.check)
 
     def signature(self, changed: Vector, values: Vector, motion: PointMotion) -> Positions:
         """What a change of the doses does to the observed positions [m].
@@ -318,52 +325,3 @@ def searches_itself(full: EffectModel) -> bool:
     if mesh is None or not full.situation.clamped:
         return False
     return len(mesh.vertices) <= BASE_FIT.searches_itself * len(coarse.vertices) and mesh.order <= coarse.order
-
-
-class SecantModel:
-    """A model whose derivatives are carried along by Broyden's update: one run per linearisation.
-
-    Args:
-        model: gives positions.
-        values: where the derivatives were taken, shape [K].
-        positions: there, shape [T, P, 3].
-        tangents: the derivatives, shape [T, K, P, 3].
-    """
-
-    def __init__(self, model: EffectModel, values: Vector, positions: Positions, tangents: np.ndarray) -> None:
-        self.model = model
-        self._last, self._tangents = (values.copy(), positions), tangents
-        self._scales = np.array([p.step for p in model.parameters(values)])
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters."""
-        return self.model.names
-
-    @property
-    def tangents(self) -> Float[np.ndarray, "T K P 3"]:
-        """The derivatives as they are now."""
-        return self._tangents
-
-    def positions(self, values: Vector) -> Positions:
-        """Observed positions [m]."""
-        return self.model.positions(values)
-
-    def linearise(self, values: Vector) -> tuple[Positions, Float[np.ndarray, "T K P 3"]]:
-        """Positions, and the derivatives updated by what the last step showed.
-
-        Raises:
-            ConvergenceError: the model cannot be run there, or the runs have cost what they may.
-        """
-        old, before = self._last
-        if np.array_equal(values, old):
-            return before, self._tangents
-        self.model.cost.check()
-        positions = self.model.positions(values)
-        if not np.isfinite(positions).all():
-            raise ConvergenceError("the motion is not finite")
-        step = (values - old) / self._scales
-        missed = positions - before - np.einsum("tkpi,k->tpi", self._tangents, values - old)
-        change = missed[:, None] * (step / self._scales / float(step @ step))[None, :, None, None]
-        self._tangents, self._last = self._tangents + change, (values.copy(), positions)
-        return positions, self._tangents

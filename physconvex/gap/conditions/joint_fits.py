@@ -26,7 +26,7 @@ from jaxtyping import Float
 
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.base.baseline import FLOOR_LAW, Baseline
-from physconvex.gap.base.model import MODULUS, EffectModel, SecantModel
+from physconvex.gap.base.model import MODULUS, EffectModel
 from physconvex.gap.base.observed_points import Seen
 from physconvex.gap.base.rough_fit import steps_per_frame, with_rough_errors
 from physconvex.gap.effects.catalogue import DEFAULT_EFFECTS, applicable
@@ -100,7 +100,7 @@ class Company:
         stop = FitOptions(max_iterations=self._iterations + 3, relative_tolerance=1e-3, absolute_tolerance=0.05)
         for _ in range(SETTING.rounds):
             motion = model.motion(values)
-            secant = SecantModel(model, values, motion.positions, model.tangents(values, motion))
+            secant = model.secant(values, motion.positions, model.linearise(values, motion)[1])
             found = fit(secant, self.seen, model.parameters(values), options=stop)
             values = found.values
         return found
@@ -121,8 +121,8 @@ class Company:
         full = replace(cheap, reduced=False, mesh=mesh)
         stop = FitOptions(max_iterations=SETTING.full_runs, relative_tolerance=1e-2, absolute_tolerance=0.05)
         try:
-            tangents = cheap.tangents(values, cheap.motion(values))
-            secant = SecantModel(full, values, full.positions(values), tangents)
+            tangents = cheap.linearise(values)[1]
+            secant = full.secant(values, full.positions(values), tangents)
             return fit(secant, self.seen, full.parameters(values), options=stop)
         except (ConvergenceError, InputError):
             return None

@@ -16,7 +16,7 @@ from physconvex.dynamics import simulate
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.base.baseline import Baseline, Report
 from physconvex.gap.base.box_mesh import box_of_body
-from physconvex.gap.base.model import MODULUS, EffectModel, SecantModel, accurate
+from physconvex.gap.base.model import MODULUS, EffectModel, accurate
 from physconvex.gap.effects.motion import MotionCorrection, PointMotion
 from physconvex.gap.options import GapOptions
 from physconvex.gap.thresholds import NUMERICAL_ERROR
@@ -202,7 +202,7 @@ def with_absorbed_mesh(base: Baseline, numerics: Numerics, options: GapOptions) 
     seen = MarkerObservations(np.asarray(base.model.points), target, sigma).in_frames(count)
     try:
         here = shorter.motion(values)
-        secant = SecantModel(shorter, values, here.positions, shorter.tangents(values, here))
+        secant = shorter.secant(values, here.positions, shorter.linearise(values, here)[1])
         stop = FitOptions(max_iterations=options.iterations, relative_tolerance=1e-2, absolute_tolerance=0.1)
         found = fit(secant, seen, shorter.parameters(values), options=stop)
         left = coarse.motion(found.values).positions - target

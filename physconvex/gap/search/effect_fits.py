@@ -10,7 +10,7 @@ import numpy as np
 
 from physconvex.errors import ConvergenceError
 from physconvex.gap.base.baseline import Baseline, derivatives_of_residuals
-from physconvex.gap.base.model import EffectModel, SecantModel
+from physconvex.gap.base.model import EffectModel
 from physconvex.gap.effects.motion import PointMotion
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.errors.screening import Screened
@@ -63,7 +63,7 @@ def derivatives_at(base: Baseline, model: EffectModel, values: np.ndarray, motio
     Raises:
         ConvergenceError: the body cannot be simulated near there.
     """
-    return replace(model, frames=base.split.end).tangents(values, motion.first(base.split.end))
+    return replace(model, frames=base.split.end).linearise(values, motion.first(base.split.end))[1]
 
 
 def _beside(base: Baseline, errors: ErrorModel, point: Baseline, chosen: Sequence[Screened]) -> np.ndarray:
@@ -193,8 +193,8 @@ def _settled(
                 break
         model, tangents = replace(shorter, doubt=doubt), point.tangents
         if number:
-            tangents = model.tangents(point.values, model.motion(point.values))
-        secant = SecantModel(model, point.values, point.here, tangents)
+            tangents = model.linearise(point.values)[1]
+        secant = model.secant(point.values, point.here, tangents)
         found = fit(secant, weighted, model.parameters(point.values), options=stop)
         point = _Point(found.values, found.positions, secant.tangents, found)
         misfit = found.reduced_chi_square if held else negative_log_likelihood(base, errors, point.here)

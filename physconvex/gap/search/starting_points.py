@@ -27,7 +27,7 @@ import numpy as np
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.gap.base.baseline import Baseline, Report, derivatives_of_residuals
 from physconvex.gap.base.lowest_mode import lowest_frequency
-from physconvex.gap.base.model import MODULUS, EffectModel, SecantModel
+from physconvex.gap.base.model import MODULUS, EffectModel
 from physconvex.gap.effects.effect import IN_FLIGHT, Effect
 from physconvex.gap.errors.numerical_differences import Numerics
 from physconvex.gap.errors.score_test import ErrorModel
@@ -76,7 +76,7 @@ def early_point(base: Baseline, errors: ErrorModel, options: GapOptions, report:
     report("fit of the base model to the first frames")
     shorter, values = replace(base.model, frames=window), base.fit.values
     weighted = base.weighted(errors.variance, window)
-    secant = SecantModel(shorter, values, base.positions[:window], base.tangents[:window])
+    secant = shorter.secant(values, base.positions[:window], base.tangents[:window])
     stop = FitOptions(max_iterations=options.iterations + 3, relative_tolerance=2e-3, absolute_tolerance=0.1)
     try:
         found = fit(secant, weighted, shorter.parameters(values), options=stop)

@@ -1,0 +1,163 @@
+"""From parameter values to positions of material points: what a fit needs, and models that are made of others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from physconvex.errors import ConvergenceError, InputError
+from physconvex.numerics import broyden_update, moved_along
+
+__all__ = ["CorrectedModel", "LinearModel", "PointModel", "SecantModel", "check_names"]
+
+
+@runtime_checkable
+class PointModel(Protocol):
+    """Positions of chosen points in all frames by named parameters, and their derivatives.
+
+    The reduced and the full simulator obey it (`physconvex.identify.model`), the models made of them below, and a twin
+    with effects (`physconvex.gap`).
+    """
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the K parameters."""
+
+    def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
+        """Positions of the points at the frames [m]."""
+
+    def linearise(
+        self, values: Float[np.ndarray, " K"]
+    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
+        """Positions and their derivatives by the parameters."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """Positions and tangents known at one place, straight on from there.
+
+    Attributes:
+        names: the parameters.
+        anchor: values at that place, shape [K].
+        at: positions there [m], shape [T, P, 3].
+        tangents: their derivatives there, shape [T, K, P, 3].
+    """
+
+    names: tuple[str, ...]
+    anchor: Float[np.ndarray, " K"]
+    at: Float[np.ndarray, "T P 3"]
+    tangents: Float[np.ndarray, "T K P 3"]
+
+    def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
+        """Positions of the points at the frames [m]."""
+        return self.at + moved_along(self.tangents, values - self.anchor)
+
+    def linearise(
+        self, values: Float[np.ndarray, " K"]
+    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
+        """Positions and the derivatives."""
+        return self.positions(values), self.tangents
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectedModel:
+    """A model shifted by a difference that was seen at one place.
+
+    Attributes:
+        model: the cheap model.
+        anchor: values at which the shift is exact, shape [K].
+        shift: δ [m], shape [T, P, 3].
+        slope: D, shape [T, K, P, 3].
+    """
+
+    model: PointModel
+    anchor: Float[np.ndarray, " K"]
+    shift: Float[np.ndarray, "T P 3"]
+    slope: Float[np.ndarray, "T K P 3"]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.model.names
+
+    def _correction(self, values: np.ndarray) -> np.ndarray:
+        return self.shift + moved_along(self.slope, values - self.anchor)
+
+    def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
+        """Corrected positions [m]."""
+        return self.model.positions(values) + self._correction(values)
+
+    def linearise(
+        self, values: Float[np.ndarray, " K"]
+    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
+        """Corrected positions and their derivatives."""
+        positions, tangents = self.model.linearise(values)
+        return positions + self._correction(values), tangents + self.slope
+
+
+class SecantModel:
+    """A model whose derivatives are carried along by Broyden's update: one run per linearisation.
+
+    Args:
+        model: gives positions.
+        values: where the derivatives were taken, shape [K].
+        positions: there [m], shape [T, P, 3].
+        tangents: the derivatives, shape [T, K, P, 3].
+        scales: typical steps of the parameters, shape [K].
+        check: called before each run; it ends a fit by raising ConvergenceError.
+    """
+
+    def __init__(
+        self,
+        model: PointModel,
+        values: Float[np.ndarray, " K"],
+        positions: Float[np.ndarray, "T P 3"],
+        tangents: Float[np.ndarray, "T K P 3"],
+        *,
+        scales: Float[np.ndarray, " K"],
+        check: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.model, self.tangents, self.scales, self.check = model, tangents, scales, check
+        self._last = values.copy(), positions
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.model.names
+
+    def positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
+        """Positions of the points at the frames [m]."""
+        return self.model.positions(values)
+
+    def linearise(
+        self, values: Float[np.ndarray, " K"]
+    ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
+        """Positions, and the derivatives updated by what the last step showed.
+
+        Raises:
+            ConvergenceError: the model cannot be run there, or `check` ends the fit.
+        """
+        old, before = self._last
+        if np.array_equal(values, old):
+            return before, self.tangents
+        self.check()
+        positions = self.model.positions(values)
+        if not np.isfinite(positions).all():
+            raise ConvergenceError("the motion is not finite")
+        self.tangents = broyden_update(self.tangents, values - old, positions - before, self.scales, still=0.0)
+        self._last = values.copy(), positions
+        return positions, self.tangents
+
+
+def check_names(names: Sequence[str], expected: Sequence[str]) -> None:
+    """A model and a list of parameters speak of the same unknowns, in one order.
+
+    Raises:
+        InputError: they do not.
+    """
+    if tuple(names) != tuple(expected):
+        raise InputError(f"parameters: got {list(expected)}; expected those of the model, {list(names)}")
