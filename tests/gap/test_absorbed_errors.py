@@ -8,6 +8,7 @@ import pytest
 from physconvex.gap import GapOptions, PointMotion
 from physconvex.gap.base.baseline import Split
 from physconvex.gap.base.cost import Cost
+from physconvex.gap.base.model import EffectModel
 from physconvex.gap.errors.numerical_differences import Numerics, with_absorbed_mesh
 from physconvex.identify import default_parameter
 
@@ -39,8 +40,10 @@ class Bending:
     def positions(self, values):
         return self.motion(values).positions
 
-    def tangents(self, values, motion):
-        return ((self.positions(values + 0.01) - motion.positions) / 0.01)[:, None]
+    def linearise(self, values, motion):
+        return motion.positions, ((self.positions(values + 0.01) - motion.positions) / 0.01)[:, None]
+
+    secant = EffectModel.secant
 
 
 @pytest.fixture

@@ -28,9 +28,9 @@ class Model:
         self.made.append(float(values[0]))
         return SimpleNamespace(first=lambda count: count)
 
-    def tangents(self, values, motion):
+    def linearise(self, values, motion):
         assert motion == self.frames == 5
-        return f"taken at {values[0]:g}"
+        return motion, f"taken at {values[0]:g}"
 
 
 @pytest.fixture
