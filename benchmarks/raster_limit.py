@@ -22,11 +22,14 @@ from pathlib import Path
 import torch
 from raster_speed import SIZE, least
 
-from physconvex.kernels import POINTER, SOURCES, loaded
+from physconvex.kernels import POINTER, SOURCES, Kernel
 from physconvex.render import RENDER_FLAGS, Splats, composite_kernel, composite_reference
 
 RESULT = Path(__file__).parent / "results" / "raster_limit.json"
 LOOP = Path(__file__).parent / "raster_limit_kernel"
+KERNEL = Kernel(
+    LOOP, {"blend_loop": (None, [ctypes.c_int] * 4 + [POINTER] * 6)}, include=[SOURCES / "render"], flags=RENDER_FLAGS
+)
 
 
 @dataclass(frozen=True)
@@ -59,14 +62,10 @@ def octagons(count: int = 64, *, seed: int = 0) -> tuple[Splats, torch.Tensor]:
 
 def bare_loop(splats: Splats, pixels: torch.Tensor) -> torch.Tensor:
     """Colours by the bare loop, shape [H, W, 3]; every polygon must have as many sides."""
-    count: type = ctypes.c_int
-    library = loaded(
-        LOOP, (("blend_loop", None, [count] * 4 + [POINTER] * 6),), include=[SOURCES / "render"], flags=RENDER_FLAGS
-    )
     image = torch.empty((*pixels.shape[:2], 3))
     arrays = [tensor.contiguous() for tensor in (pixels, *splats.differentiable())]
     sizes = pixels.shape[1], pixels.shape[0], len(splats), len(splats.lines) // len(splats)
-    library.blend_loop(*sizes, *(tensor.data_ptr() for tensor in (*arrays, image)))
+    KERNEL.library.blend_loop(*sizes, *(tensor.data_ptr() for tensor in (*arrays, image)))
     return image
 
 

@@ -1,6 +1,9 @@
 """Each benchmark, stored result and figure belongs to a page: a number stands beside what prints it."""
 
+import ast
+import importlib
 import re
+from importlib.util import find_spec
 from itertools import chain
 from pathlib import Path
 
@@ -9,6 +12,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 PAGES = "\n".join(path.read_text(encoding="utf-8") for path in [*ROOT.glob("README.md"), *DOCS.rglob("*.md")])
+PACKAGES = ("physconvex", "models", "data_gen", "train", "inference")
 SCRIPTS = {path.stem: path for path in (ROOT / "benchmarks").glob("*.py")}
 IMPORTED = {
     name
@@ -36,3 +40,12 @@ def test_what_pages_run_exists() -> None:
 def test_pictures_and_data_are_shown() -> None:
     files = chain((DOCS / "images").iterdir(), (DOCS / "results" / "data").iterdir())
     assert not [path.name for path in files if path.name not in PAGES]
+
+
+@pytest.mark.parametrize("path", [*SCRIPTS.values(), *DOCS.glob("figures/**/*.py")], ids=lambda path: path.stem)
+def test_what_a_script_imports_exists(path: Path) -> None:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in PACKAGES:
+            module = importlib.import_module(str(node.module))
+            missing = [alias.name for alias in node.names if not hasattr(module, alias.name)]
+            assert not [name for name in missing if find_spec(f"{node.module}.{name}") is None]
