@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from physconvex import InputError
 from physconvex.io import load_capture
 from train import PaperOptions, evaluate_paper
+from train.paper.rows import ObjectRow
 from train.paper.tables import markdown, summary
 
 SMALL = PaperOptions(
@@ -22,7 +23,7 @@ SMALL = PaperOptions(
 def row(name, error, covered, psnr):
     picture = {"psnr": psnr, "ssim": 0.9, "psnr_object": psnr - 8, "fovvdp": None}
     motion = {"pictures": {"observed": {"front": picture}, "future": {"front": picture}}}
-    return {
+    stored = {
         "object": name,
         "truth": {"log10_youngs_modulus": 5.0, "poisson_ratio": 0.3},
         "constant": {"errors": [0.5, 0.045], "process_seconds": 0.0},
@@ -38,17 +39,18 @@ def row(name, error, covered, psnr):
         "reduced_M8": {"errors": [-0.1, 0.0], "process_seconds": 3.0},
         "truth_itself": {"nodes": 900, "pictures": {"future": {"front": {"psnr": psnr - 10, "ssim": 0.8}}}},
     }
+    return ObjectRow.of_json(stored)
 
 
 def test_means_are_of_absolutes_and_failures_are_named():
     rows = [row("mug", [0.02, -0.01], [True, None], 30.0), row("lion", [-0.04, 0.03], [False, True], 34.0)]
     told = summary(rows)
-    assert told["identification"]["refined"]["log10_error"] == pytest.approx(0.03)
-    assert told["identification"]["refined"]["poisson_error"] == pytest.approx(0.02)
-    assert "network" not in told["identification"] and told["failures"][0] == "mug: network: InputError: dark"
-    assert (told["coverage_90"], told["intervals"]) == (pytest.approx(2 / 3), 3)
-    assert told["pictures"]["refined"]["future"]["front"]["psnr"] == pytest.approx(32.0)
-    assert told["changes"]["pushed"]["change_rms_m"] == pytest.approx(0.2)
+    assert told.identification["refined"].log10_error == pytest.approx(0.03)
+    assert told.identification["refined"].poisson_error == pytest.approx(0.02)
+    assert "network" not in told.identification and told.failures[0] == "mug: network: InputError: dark"
+    assert (told.coverage_90, told.intervals) == (pytest.approx(2 / 3), 3)
+    assert told.pictures["refined"]["future"]["front"]["psnr"] == pytest.approx(32.0)
+    assert told.changes["pushed"]["change_rms_m"] == pytest.approx(0.2)
     page = markdown(rows, "two objects")
     assert "| mug | 5.00, 0.30 | +0.500 / +0.045 | failed | +0.020 / -0.010 |" in page
     assert "| truth of half the nodes | future | front | 22.00 | 0.8000 | – | – |" in page
@@ -59,9 +61,9 @@ def test_means_are_of_absolutes_and_failures_are_named():
 
 def test_an_object_that_is_not_finished_counts_where_it_can():
     truth = {"log10_youngs_modulus": 6.0, "poisson_ratio": 0.4}
-    begun = {"object": "bus", "truth": truth, "constant": {"errors": [-0.5, 0.0], "process_seconds": 0.0}}
+    begun = ObjectRow("bus", truth, parts={"constant": {"errors": [-0.5, 0.0], "process_seconds": 0.0}})
     told = summary([row("mug", [0.02, -0.01], [True, None], 30.0), begun])
-    assert told["identification"]["constant"]["objects"] == 2 and told["identification"]["refined"]["objects"] == 1
+    assert told.identification["constant"].objects == 2 and told.identification["refined"].objects == 1
     assert "| bus | 6.00, 0.40 | -0.500 / +0.000 | – | – | – |" in markdown(
         [row("mug", [0, 0], [True], 30.0), begun], ""
     )
@@ -133,7 +135,7 @@ def test_what_is_not_made_yet_is_left_for_later_and_comparisons_come_last(benchm
         tmp_path / "made", tmp_path / "out", SMALL, comparisons=False, on_part=lambda *names: parts.append(names)
     )
     assert parts == [("ball", part) for part in ("constant", "network", "field", "refined", "followed")]
-    assert found["truth_itself"]["nodes"] <= 120 and 0.5 < found["truth_itself"]["overlap"] <= 1
+    assert found.truth_itself["nodes"] <= 120 and 0.5 < found.truth_itself["overlap"] <= 1
 
 
 @pytest.mark.slow
@@ -142,14 +144,17 @@ def test_an_object_is_evaluated_part_by_part(benchmark, tmp_path):
     parts = []
     (found,) = evaluate_paper(benchmark, tmp_path, options, on_part=lambda *names: parts.append(names[1]))
     assert parts == ["constant", "network", "field", "refined", "followed", "published_way", "points_K4"]
-    assert "failure" not in found["refined"], found["refined"]
-    assert abs(found["refined"]["errors"][0]) < abs(found["constant"]["errors"][0])
-    assert len(found["refined"]["rms_m"]) == 10
-    assert set(found["refined"]["pictures"]) == {"observed", "future"}
-    assert set(found["followed"]["pictures"]) == {"observed", "future"} and "drift" in found["followed"]
-    assert set(found["refined"]["changes"]) == {"softer", "pushed", "moving_floor"}
-    assert found["published_way"]["steps"] == 3
-    assert set(found["points_K4"]["observed"]) == {"refined"} and found["points_K4"]["first_images"]["psnr"] > 10
+    assert "failure" not in found.parts["refined"], found.parts["refined"]
+    assert abs(found.parts["refined"]["errors"][0]) < abs(found.parts["constant"]["errors"][0])
+    assert len(found.parts["refined"]["rms_m"]) == 10
+    assert set(found.parts["refined"]["pictures"]) == {"observed", "future"}
+    assert set(found.parts["followed"]["pictures"]) == {"observed", "future"} and "drift" in found.parts["followed"]
+    assert set(found.parts["refined"]["changes"]) == {"softer", "pushed", "moving_floor"}
+    assert found.parts["published_way"]["steps"] == 3
+    assert (
+        set(found.parts["points_K4"]["observed"]) == {"refined"}
+        and found.parts["points_K4"]["first_images"]["psnr"] > 10
+    )
     assert "| 4 | " in markdown([found], "One object.")
     again = []
     evaluate_paper(benchmark, tmp_path, options, on_part=lambda *names: again.append(names))

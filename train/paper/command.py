@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -48,7 +49,7 @@ def paper_command(
         f"{made['observed_frames']} of {made['frames']} frames observed from the front; truth of at most "
         f"{made['nodes']} nodes and {made['steps_per_frame']} steps per frame."
     )
-    content = {"benchmark": made, "summary": summary(rows), "objects": rows}
+    content = {"benchmark": made, "summary": asdict(summary(rows)), "objects": [row.to_json() for row in rows]}
     (out / "paper.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     (out / "tables.md").write_text(markdown(rows, note), encoding="utf-8")
     typer.echo((out / "tables.md").read_text(encoding="utf-8"))

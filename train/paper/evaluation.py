@@ -8,26 +8,26 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 import numpy as np
 
 from data_gen import changed, changes_of
 from inference import Refinement, RefineOptions, predict, reconstruct, refine
 from physconvex import ConvergenceError, InputError
-from physconvex.convex import read_ply
+from physconvex.convex import ConvexField, bind_to_tets, read_ply
 from physconvex.dynamics import simulate
 from physconvex.fem import SurfacePoints
 from physconvex.identify import FullModel, TwinOptions, base_twin
 from physconvex.io import Camera, Capture, load_capture
-from physconvex.mesh import Embedding
+from physconvex.mesh import Embedding, TetMesh
 from physconvex.reconstruction import ReconstructionConfig
 from train.paper.options import PaperOptions
 from train.paper.pictures import score_pictures
 from train.paper.published_way import NAMES, fit_as_published
+from train.paper.rows import Change, ObjectRow, Part, Picture
 
 __all__ = ["evaluate_paper"]
 
@@ -42,7 +42,7 @@ def evaluate_paper(
     names: Sequence[str] | None = None,
     comparisons: bool = True,
     on_part: Callable[[str, str], None] | None = None,
-) -> list[dict[str, Any]]:
+) -> list[ObjectRow]:
     """Evaluate (or go on with) all objects whose truth is there.
 
     Args:
@@ -74,7 +74,7 @@ def evaluate_paper(
         for name in made:
             _Object(benchmark, out, name, options, on_part).evaluate(comparing)
     files = [out / "objects" / f"{name}.json" for name in every]
-    return [json.loads(file.read_text(encoding="utf-8")) for file in files if file.exists()]
+    return [ObjectRow.read(file) for file in files if file.exists()]
 
 
 def _claim(file: Path, options: PaperOptions) -> None:
@@ -109,16 +109,16 @@ class _Object:
         self.true = json.loads((self.truth / "truth.json").read_text(encoding="utf-8"))
         self.cameras = [Camera.from_json(c) for c in json.loads((self.truth / "cameras.json").read_text("utf-8"))]
         self.refinements: dict[str, Refinement] = {}
-        self.content: dict[str, Any] = json.loads(self.file.read_text("utf-8")) if self.file.exists() else {}
+        self.row = ObjectRow.read(self.file) if self.file.exists() else ObjectRow(name)
 
     def evaluate(self, comparing: bool) -> None:
-        self.content |= {"object": self.name, "truth": {name: self._true(name) for name in NAMES}}
-        self.content |= {"truth_itself": self._truth_itself()}
-        self._store()
+        self.row.truth = {name: self._true(name) for name in NAMES}
+        self.row.truth_itself = self._truth_itself()
+        self.row.write(self.file)
         for part, compute in self._comparisons() if comparing else self._main():
             self._part(part, compute)
 
-    def _main(self) -> list[tuple[str, Callable[[], dict[str, Any]]]]:
+    def _main(self) -> list[tuple[str, Callable[[], Part]]]:
         return [
             ("constant", lambda: self._errors(np.array(CONSTANT))),
             ("network", self._network),
@@ -127,14 +127,14 @@ class _Object:
             ("followed", self._followed),
         ]
 
-    def _comparisons(self) -> list[tuple[str, Callable[[], dict[str, Any]]]]:
+    def _comparisons(self) -> list[tuple[str, Callable[[], Part]]]:
         options = self.options
         published = [("published_way", self._published_way)] if options.adam_steps else []
         over_weights = [(f"reduced_M{m}", partial(self._reduced, m)) for m in options.ablation]
         return published + over_weights + [(f"points_K{k}", partial(self._points, k)) for k in options.ablation_points]
 
-    def _part(self, part: str, compute: Callable[[], dict[str, Any]]) -> None:
-        if part in self.content:
+    def _part(self, part: str, compute: Callable[[], Part]) -> None:
+        if part in self.row.parts:
             return
         if self.on_part is not None:
             self.on_part(self.name, part)
@@ -142,44 +142,39 @@ class _Object:
         try:
             found = compute()
         except (ConvergenceError, InputError) as error:  # a failure is a result here, and named
-            found = {"failure": f"{type(error).__name__}: {error}"}
+            found = Part(failure=f"{type(error).__name__}: {error}")
         found["process_seconds"] = round(time.process_time() - clock, 1)
         found["seconds"] = round(time.perf_counter() - wall, 1)
-        self.content[part] = found
-        self._store()
-
-    def _store(self) -> None:
-        unfinished = self.file.with_suffix(".part")
-        unfinished.write_text(json.dumps(self.content, indent=1) + "\n", encoding="utf-8")
-        unfinished.replace(self.file)
+        self.row.parts[part] = found
+        self.row.write(self.file)
 
     def _true(self, name: str) -> float:
         return float(np.log10(self.true["youngs_modulus"])) if name == NAMES[0] else float(self.true[name])
 
-    def _errors(self, values: np.ndarray) -> dict[str, Any]:
+    def _errors(self, values: np.ndarray) -> Part:
         wanted = np.array([self._true(name) for name in NAMES])
-        return {"values": [float(v) for v in values], "errors": [float(v) for v in values - wanted]}
+        return Part(values=[float(v) for v in values], errors=[float(v) for v in values - wanted])
 
-    def _truth_itself(self) -> dict[str, Any]:
+    def _truth_itself(self) -> Part:
         """What the truth says of its own errors, and its future pictures beside those of half the nodes."""
         kept = ("nodes", "overlap", "rms_to_half_steps_m", "rms_to_half_nodes_m")
-        out = {name: self.true[name] for name in kept if name in self.true}
+        out = cast(Part, {name: self.true[name] for name in kept if name in self.true})
         future = slice(self.capture.observed_frames, self.capture.frames)
         if "psnr_to_half_nodes" in self.true and self.true["psnr_to_half_nodes"][future]:
-            scores = {n: float(np.mean(self.true[f"{n}_to_half_nodes"][future])) for n in ("psnr", "ssim")}
-            out["pictures"] = {"future": {"front": scores}}
+            means = [float(np.mean(self.true[f"{n}_to_half_nodes"][future])) for n in ("psnr", "ssim")]
+            out["pictures"] = {"future": {"front": Picture(psnr=means[0], ssim=means[1])}}
         return out
 
     # -- parts
 
-    def _network(self) -> dict[str, Any]:
+    def _network(self) -> Part:
         found = predict(self.capture.folder, checkpoint=self.options.checkpoint)
         return self._errors(np.array([np.log10(found.youngs_modulus), found.poisson_ratio]))
 
-    def _field(self) -> dict[str, Any]:
+    def _field(self) -> Part:
         config = ReconstructionConfig(budget=self.options.field_budget, steps=self.options.field_steps)
         found = reconstruct(self.first, out=self.work / "field", config=config)
-        return {"convexes": len(found.field), "psnr": float(np.mean([score.psnr for score in found.training]))}
+        return Part(convexes=len(found.field), psnr=float(np.mean([score.psnr for score in found.training])))
 
     def _refine(self, options: RefineOptions, name: str) -> Refinement:
         if name not in self.refinements:
@@ -200,7 +195,7 @@ class _Object:
             checkpoint=options.checkpoint,
         )
 
-    def _refined(self) -> dict[str, Any]:
+    def _refined(self) -> Part:
         found = self._refine(self._settings(), "refined")
         estimates = [found[name] for name in NAMES]
         wanted = [self._true(name) for name in NAMES]
@@ -212,33 +207,40 @@ class _Object:
         ]
         out["in_words"] = [*found.identifiability.sentences, *found.warnings]
         out["reduced_model_rms_m"] = list(found.motion.reduced_gap)
-        out |= self._motion(found.motion.mesh, found.motion.nodes)
-        return out | {"changes": self._changes(found)}
+        out.update(self._motion(found.motion.mesh, found.motion.nodes))
+        out["changes"] = self._changes(found)
+        return out
 
-    def _followed(self) -> dict[str, Any]:
+    def _followed(self) -> Part:
         """The same with the rigid drift after the contact."""
         found = self._refine(self._settings(), "refined")
         motion = found.followed or found.motion
-        return {"drift": found.drift.to_json() if found.drift else None} | self._motion(motion.mesh, motion.nodes)
+        out = Part(drift=found.drift.to_json() if found.drift else None)
+        out.update(self._motion(motion.mesh, motion.nodes))
+        return out
 
-    def _motion(self, mesh: Any, nodes: np.ndarray) -> dict[str, Any]:
+    def _motion(self, mesh: TetMesh, nodes: np.ndarray) -> Part:
         """Distance of the surface from the truth, and scores of the pictures, observed and future."""
         seen = self.capture.observed_frames
         parts = {"observed": range(0, seen), "future": range(seen, self.capture.frames)}
         with np.load(self.truth / "points.npz") as arrays:
             gaps = Embedding.of_points(mesh, arrays["rest"]).apply(nodes) - arrays["positions"]
         distance = np.sqrt(np.square(gaps).sum(-1).mean(-1))
-        out: dict[str, Any] = {"rms_m": distance.tolist(), "pictures": {}}
-        if "failure" in self.content["field"]:
+        out = Part(rms_m=distance.tolist(), pictures={})
+        if "failure" in self.row.parts["field"]:
             return out
         field = read_ply(self.work / "field" / "field.ply")
         for label, frames in parts.items():
             if len(frames):
-                scores = score_pictures(field, mesh, nodes, self.cameras, self.truth, frames)
-                out["pictures"][label] = {view: asdict(score) for view, score in scores.items()}
+                out["pictures"][label] = self._scores(field, mesh, nodes, frames)
         return out
 
-    def _changes(self, found: Refinement) -> dict[str, Any]:
+    def _scores(self, field: ConvexField, mesh: TetMesh, nodes: np.ndarray, frames: range) -> dict[str, Picture]:
+        """Of the pictures of a field that moves as a mesh does."""
+        bound = bind_to_tets(field, mesh)
+        return score_pictures([bound.at(nodes[t]) for t in frames], self.cameras, self.truth, frames)
+
+    def _changes(self, found: Refinement) -> dict[str, Change]:
         """Rms distance [m] from the truth under the same change, beside how far the change moved the truth."""
         options, names = self.options, tuple(e.name for e in found.estimates)
         twin = base_twin(
@@ -254,38 +256,40 @@ class _Object:
                 run = simulate(changed(usual.scene, change), usual.timing)
                 gap = points.apply(run.positions) - arrays[f"positions_{change}"]
                 moved = arrays[f"positions_{change}"] - arrays["positions"]
-                out[change] = {
-                    "rms_m": float(np.sqrt(np.square(gap).sum(-1).mean())),
-                    "change_rms_m": float(np.sqrt(np.square(moved).sum(-1).mean())),
-                }
+                distances = [float(np.sqrt(np.square(way).sum(-1).mean())) for way in (gap, moved)]
+                out[change] = Change(rms_m=distances[0], change_rms_m=distances[1])
         return out
 
-    def _published_way(self) -> dict[str, Any]:
-        network = self.content["network"]
+    def _published_way(self) -> Part:
+        network = self.row.parts["network"]
         start = np.array(network["values"] if "values" in network else CONSTANT)
         found = fit_as_published(self.capture, start, steps=self.options.adam_steps, max_nodes=self.options.max_nodes)
-        out = self._errors(found.values) | {"misfit": found.misfit, "steps": found.steps}
-        return out | self._motion(found.twin.mesh, found.nodes)
+        out = self._errors(found.values)
+        out["misfit"], out["steps"] = found.misfit, found.steps
+        out.update(self._motion(found.twin.mesh, found.nodes))
+        return out
 
-    def _points(self, count: int) -> dict[str, Any]:
+    def _points(self, count: int) -> Part:
         """A field of K points per convex: its first images, and its pictures in the motions of several models."""
         budget = max(50, self.options.field_budget // 4)
         config = ReconstructionConfig(budget=budget, steps=self.options.field_steps, points_per_convex=count)
         found = reconstruct(self.first, out=self.work / f"field_{count}", config=config, turntable=False)
-        still = {name: float(np.mean([getattr(s, name) for s in found.training])) for name in ("psnr", "ssim")}
+        means = [float(np.mean([getattr(score, name) for score in found.training])) for name in ("psnr", "ssim")]
         motions = {"refined": self._refine(self._settings(), "refined").motion}
         motions |= {f"M{m}": self._reduced_refinement(m).motion for m in self.options.ablation}
         observed = range(0, self.capture.observed_frames)
-        moving = {}
-        for name, motion in motions.items():
-            scores = score_pictures(found.field, motion.mesh, motion.nodes, self.cameras, self.truth, observed)
-            moving[name] = {view: asdict(one) for view, one in scores.items()}
-        return {"convexes": len(found.field), "first_images": still, "observed": moving}
+        return Part(
+            convexes=len(found.field),
+            first_images=Picture(psnr=means[0], ssim=means[1]),
+            observed={
+                name: self._scores(found.field, motion.mesh, motion.nodes, observed) for name, motion in motions.items()
+            },
+        )
 
     def _reduced_refinement(self, weights: int) -> Refinement:
         settings = self._settings().replace(weights=weights, correction=False, model_error=False, colours=False)
         return self._refine(settings, f"reduced_{weights}")
 
-    def _reduced(self, weights: int) -> dict[str, Any]:
+    def _reduced(self, weights: int) -> Part:
         found = self._reduced_refinement(weights)
         return self._errors(np.array([found[name].value for name in NAMES]))

@@ -5,58 +5,33 @@ from __future__ import annotations
 import importlib.util
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
-from physconvex.convex import ConvexField, bind_to_tets
+from physconvex.convex import ConvexField
 from physconvex.io import Camera, read_video
-from physconvex.mesh import TetMesh
 from physconvex.reconstruction import psnr, structural_similarity
 from physconvex.render import render
+from train.paper.rows import Picture
 
-__all__ = ["PictureScore", "perceptual_score", "score_pictures"]
-
-
-@dataclass(frozen=True)
-class PictureScore:
-    """Means over the frames of a part of the motion, of the front view and of the others.
-
-    Attributes:
-        psnr, ssim: over whole images [dB], [-].
-        psnr_object: over pixels that are not white in either image [dB].
-        fovvdp: quality in JOD (Mantiuk et al. 2021) of the front view, where `pyfvvdp` is installed.
-    """
-
-    psnr: float
-    ssim: float
-    psnr_object: float
-    fovvdp: float | None = None
+__all__ = ["perceptual_score", "score_pictures"]
 
 
 def score_pictures(
-    field: ConvexField,
-    mesh: TetMesh,
-    nodes: Float[np.ndarray, "T V 3"],
-    cameras: Sequence[Camera],
-    truth: Path,
-    frames: range,
-) -> dict[str, PictureScore]:
-    """Scores by view ("front", the first camera; "others") in some frames.
+    fields: Sequence[ConvexField], cameras: Sequence[Camera], truth: Path, frames: range
+) -> dict[str, Picture]:
+    """Scores by view ("front", the first camera; "others"), means over frames.
 
     Args:
-        field: at rest.
-        mesh, nodes: the body that carries it, and its motion [m].
+        fields: in those frames.
         cameras: the front one first.
         truth: folder with `<camera>.mp4` before white.
         frames: which.
     """
-    bound = bind_to_tets(field, mesh)
-    fields = [bound.at(nodes[t]) for t in frames]
     out = {}
     for label, chosen in (("front", cameras[:1]), ("others", cameras[1:])):
         rows, quality = [], None
@@ -67,8 +42,8 @@ def score_pictures(
             if label == "front":
                 quality = perceptual_score(np.stack(drawn), seen)
         if rows:
-            mean = np.mean(rows, axis=0)
-            out[label] = PictureScore(float(mean[0]), float(mean[1]), float(mean[2]), quality)
+            similarity = [float(mean) for mean in np.mean(rows, axis=0)]
+            out[label] = Picture(psnr=similarity[0], ssim=similarity[1], psnr_object=similarity[2], fovvdp=quality)
     return out
 
 

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import cast
 
 import numpy as np
 
-__all__ = ["markdown", "summary"]
+from train.paper.rows import ObjectRow, Part
+
+__all__ = ["Summary", "markdown", "summary"]
 
 _WAYS = {"constant": "constant guess", "network": "network alone", "published_way": "published way, run here",
          "refined": "refined"}  # fmt: skip
 
 
+_SCORES = {"psnr": ".2f", "ssim": ".4f", "psnr_object": ".2f", "fovvdp": ".2f"}
 _FOLLOWED, _POINTS, _ITSELF = "followed", "points_K", "truth_itself"
 # Not seen in the paper itself, whose tables were not at hand.
 PUBLISHED = (
@@ -30,137 +35,213 @@ def _label(part: str) -> str:
     return _WAYS.get(part, part.replace("reduced_M", "reduced model alone, M = "))
 
 
-def _ways(rows: Sequence[dict[str, Any]]) -> list[str]:
-    return [part for part in dict.fromkeys(p for row in rows for p in row) if part in _WAYS or "reduced_M" in part]
+@dataclass(frozen=True)
+class WayMeans:
+    """Of one way of fitting: mean |Δ log10 E|, |Δν| and processor time [s] over so many objects."""
+
+    log10_error: float
+    poisson_error: float
+    process_seconds: float
+    objects: int
 
 
-def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+@dataclass(frozen=True)
+class FieldMeans:
+    """Of the fields: primitives, PSNR of the first images [dB], processor time [s]."""
+
+    convexes: float
+    psnr: float
+    process_seconds: float
+
+
+@dataclass(frozen=True)
+class PointMeans:
+    """Of fields of K points per convex: primitives, PSNR of the first images and of the front view by motion [dB]."""
+
+    convexes: float
+    first_images_psnr: float
+    front_psnr: dict[str, float]
+
+
+Pictures = dict[str, dict[str, dict[str, dict[str, float]]]]
+
+
+@dataclass
+class Summary:
+    """Means over the objects.
+
+    Attributes:
+        objects: their number.
+        identification: by way.
+        pictures: scores by way, stretch of the motion and view.
+        changes: distances by change [m].
+        failures: object, way and what happened.
+        field: None without any.
+        points: by K.
+        coverage_90: share of `intervals` 90 % intervals that hold the truth; None of none.
+    """
+
+    objects: int
+    identification: dict[str, WayMeans]
+    pictures: Pictures
+    changes: dict[str, dict[str, float]]
+    failures: list[str]
+    field: FieldMeans | None
+    points: dict[str, PointMeans]
+    coverage_90: float | None
+    intervals: int
+
+
+def _ways(rows: Sequence[ObjectRow]) -> list[str]:
+    return [
+        part for part in dict.fromkeys(p for row in rows for p in row.parts) if part in _WAYS or "reduced_M" in part
+    ]
+
+
+def _parts(rows: Sequence[ObjectRow], name: str, key: str) -> list[Part]:
+    """A part of each object where it was made and holds that entry."""
+    return [part for row in rows if (part := row.with_part(name, key)) is not None]
+
+
+def summary(rows: Sequence[ObjectRow]) -> Summary:
     """Means over the objects: |Δlog10 E|, |Δν|, coverage, pictures, changes, time, primitives; failures by name."""
-    out: dict[str, Any] = {"objects": len(rows), "identification": {}, "pictures": {}, "changes": {}, "failures": []}
+    identification, failures, pictures = {}, [], Pictures()
     for way in _ways(rows):
-        good = [row[way] for row in rows if "errors" in row.get(way, {})]
-        out["failures"] += [
-            f"{row['object']}: {way}: {row[way]['failure']}" for row in rows if "failure" in row.get(way, {})
-        ]
-        if not good:
-            continue
-        errors = np.abs([row["errors"] for row in good])
-        out["identification"][way] = {
-            "log10_error": float(errors[:, 0].mean()),
-            "poisson_error": float(errors[:, 1].mean()),
-            "process_seconds": float(np.mean([row["process_seconds"] for row in good])),
-            "objects": len(good),
-        }
-        _add_pictures(out["pictures"], way, good)
-    _add_pictures(out["pictures"], _FOLLOWED, [row[_FOLLOWED] for row in rows if _FOLLOWED in row])
-    _add_pictures(out["pictures"], _ITSELF, [row[_ITSELF] for row in rows if _ITSELF in row])
-    fields = [row["field"] for row in rows if "convexes" in row.get("field", {})]
-    kinds = ("convexes", "psnr", "process_seconds")
-    out["field"] = {kind: float(np.mean([one[kind] for one in fields])) for kind in kinds} if fields else None
-    out["points"] = _points_of(rows)
-    refined = [row["refined"] for row in rows if "errors" in row.get("refined", {})]
-    covered = [c for row in refined for c in row["covered"] if c is not None]
-    out["coverage_90"], out["intervals"] = (float(np.mean(covered)) if covered else None), len(covered)
-    for change in refined[0]["changes"] if refined else ():
-        values = [(row["changes"][change]["rms_m"], row["changes"][change]["change_rms_m"]) for row in refined]
-        out["changes"][change] = dict(zip(("rms_m", "change_rms_m"), np.mean(values, axis=0).tolist(), strict=True))
-    return out
+        failed = [(row.object, part["failure"]) for row in rows if (part := row.with_part(way, "failure")) is not None]
+        failures += [f"{name}: {way}: {failure}" for name, failure in failed]
+        good = _parts(rows, way, "errors")
+        if good:
+            errors = np.abs([part["errors"] for part in good]).mean(axis=0)
+            seconds = float(np.mean([part["process_seconds"] for part in good]))
+            identification[way] = WayMeans(float(errors[0]), float(errors[1]), seconds, len(good))
+            _add_pictures(pictures, way, good)
+    _add_pictures(pictures, _FOLLOWED, _parts(rows, _FOLLOWED, "pictures"))
+    _add_pictures(pictures, _ITSELF, [row.truth_itself for row in rows])
+    refined = _parts(rows, "refined", "errors")
+    covered = [c for part in refined for c in part["covered"] if c is not None]
+    return Summary(
+        objects=len(rows),
+        identification=identification,
+        pictures=pictures,
+        changes={change: _mean_change(refined, change) for change in (refined[0]["changes"] if refined else ())},
+        failures=failures,
+        field=_field_means(_parts(rows, "field", "convexes")),
+        points=_point_means(rows),
+        coverage_90=float(np.mean(covered)) if covered else None,
+        intervals=len(covered),
+    )
 
 
-def _points_of(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Means of the ablation over K: PSNR of the first images, and of the front view in each motion [dB]."""
+def _mean_change(refined: Sequence[Part], change: str) -> dict[str, float]:
+    values = [part["changes"][change] for part in refined]
+    return {
+        "rms_m": float(np.mean([value["rms_m"] for value in values])),
+        "change_rms_m": float(np.mean([value["change_rms_m"] for value in values])),
+    }
+
+
+def _field_means(fields: Sequence[Part]) -> FieldMeans | None:
+    if not fields:
+        return None
+    rows = [(one["convexes"], one["psnr"], one["process_seconds"]) for one in fields]
+    return FieldMeans(*(float(mean) for mean in np.mean(rows, axis=0)))
+
+
+def _point_means(rows: Sequence[ObjectRow]) -> dict[str, PointMeans]:
+    """Of the ablation over K."""
     out = {}
-    for part in dict.fromkeys(p for row in rows for p in row if p.startswith(_POINTS)):
-        good = [row[part] for row in rows if "observed" in row.get(part, {})]
+    for part in dict.fromkeys(p for row in rows for p in row.parts if p.startswith(_POINTS)):
+        good = _parts(rows, part, "observed")
         if good:
             names = dict.fromkeys(name for one in good for name in one["observed"])
             front = {n: float(np.mean([g["observed"][n]["front"]["psnr"] for g in good])) for n in names}
             still = float(np.mean([g["first_images"]["psnr"] for g in good]))
             convexes = float(np.mean([g["convexes"] for g in good]))
-            out[part.removeprefix(_POINTS)] = {"convexes": convexes, "first_images_psnr": still, "front_psnr": front}
+            out[part.removeprefix(_POINTS)] = PointMeans(convexes, still, front)
     return out
 
 
-def _points_table(points: dict[str, Any]) -> list[str]:
+def _add_pictures(target: Pictures, way: str, good: Sequence[Part]) -> None:
+    for stretch, view in product(("observed", "future"), ("front", "others")):
+        views = [part.get("pictures", {}).get(stretch, {}) for part in good]
+        found = [dict(scores[view]) for scores in views if view in scores]
+        means = {}
+        for name in _SCORES:
+            values = [cast(float, one[name]) for one in found if one.get(name) is not None]
+            if values and (name == "fovvdp" or len(values) == len(found)):
+                means[name] = float(np.mean(values))
+        if found:
+            target.setdefault(way, {}).setdefault(stretch, {})[view] = means
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    first, *others = ["|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|" for cells in (heads, *rows)]
+    return [first, "|" + "---|" * len(heads), *others]
+
+
+def _points_table(points: Mapping[str, PointMeans]) -> list[str]:
     if not points:
         return []
-    motions = list(dict.fromkeys(n for p in points.values() for n in p["front_psnr"]))
+    motions = list(dict.fromkeys(name for means in points.values() for name in means.front_psnr))
     heads = ["refined" if name == "refined" else f"M = {name[1:]}, reduced" for name in motions]
-    lines = [
-        "",
-        "## Points per convex K",
-        "",
-        "PSNR [dB] of the first images, and of the observed frames' front view in",
+    rows = [
+        [count, f"{p.convexes:.0f}", f"{p.first_images_psnr:.2f}"]
+        + [f"{p.front_psnr[name]:.2f}" if name in p.front_psnr else "–" for name in motions]
+        for count, p in points.items()
     ]
-    lines += ["the motion of each model.", "", "| K | convexes | first images | " + " | ".join(heads) + " |"]
-    lines += ["|---|---|---|" + "---|" * len(motions)]
-    for count, p in points.items():
-        cells = [f"{p['front_psnr'][name]:.2f}" if name in p["front_psnr"] else "–" for name in motions]
-        lines.append(f"| {count} | {p['convexes']:.0f} | {p['first_images_psnr']:.2f} | " + " | ".join(cells) + " |")
-    return lines
+    lines = ["", "## Points per convex K", ""]
+    lines += [
+        "PSNR [dB] of the first images, and of the observed frames' front view in",
+        "the motion of each model.",
+        "",
+    ]
+    return lines + _table(["K", "convexes", "first images", *heads], rows)
 
 
-def _add_pictures(target: dict[str, Any], way: str, good: Sequence[dict[str, Any]]) -> None:
-    for part in ("observed", "future"):
-        for view in ("front", "others"):
-            found = [row["pictures"][part][view] for row in good if view in row.get("pictures", {}).get(part, {})]
-            if found:
-                known = [n for n in ("psnr", "ssim", "psnr_object") if all(n in f for f in found)]
-                means = {n: float(np.mean([f[n] for f in found])) for n in known}
-                quality = [f["fovvdp"] for f in found if f.get("fovvdp") is not None]
-                means |= {"fovvdp": float(np.mean(quality))} if quality else {}
-                target.setdefault(way, {}).setdefault(part, {})[view] = means
-
-
-def markdown(rows: Sequence[dict[str, Any]], note: str) -> str:
+def markdown(rows: Sequence[ObjectRow], note: str) -> str:
     """The tables, as a page."""
-    told = summary(rows)
+    told, ways = summary(rows), _ways(rows)
     lines = ["# Tables", "", note, "", "Errors are fit less truth; E in decades (log10).", "", "## Identification", ""]
-    ways = _ways(rows)
-    lines += ["| object | log10 E, ν | " + " | ".join(_label(way) for way in ways) + " |"]
-    lines += ["|---|---|" + "---|" * len(ways)]
+    cells = []
     for row in rows:
-        truth = list(row["truth"].values())
-        cells = [_pair(row.get(way)) for way in ways]
-        lines.append(f"| {row['object']} | {truth[0]:.2f}, {truth[1]:.2f} | " + " | ".join(cells) + " |")
-    means = [told["identification"].get(way) for way in ways]
-    cells = ["–" if m is None else f"{m['log10_error']:.3f} / {m['poisson_error']:.3f}" for m in means]
-    lines.append("| **mean of absolutes** | | " + " | ".join(cells) + " |")
-    seconds = ["–" if m is None else f"{m['process_seconds']:.0f} s" for m in means]
-    lines.append("| processor time | | " + " | ".join(seconds) + " |")
-    share = told["coverage_90"]
+        truth = list(row.truth.values())
+        cells.append([row.object, f"{truth[0]:.2f}, {truth[1]:.2f}", *(_pair(row.parts.get(way)) for way in ways)])
+    means = [told.identification.get(way) for way in ways]
+    pairs = ["–" if m is None else f"{m.log10_error:.3f} / {m.poisson_error:.3f}" for m in means]
+    seconds = ["–" if m is None else f"{m.process_seconds:.0f} s" for m in means]
+    cells += [["**mean of absolutes**", "", *pairs], ["processor time", "", *seconds]]
+    lines += _table(["object", "log10 E, ν", *map(_label, ways)], cells)
+    share = told.coverage_90
     lines += [
         "",
-        f"90 % intervals that hold the truth: {'–' if share is None else f'{share:.2f}'} of {told['intervals']}.",
+        f"90 % intervals that hold the truth: {'–' if share is None else f'{share:.2f}'} of {told.intervals}.",
         "",
         PUBLISHED,
     ]
-    lines += ["", "## Pictures", "", "| | frames | views | PSNR | SSIM | PSNR on the object | FovVideoVDP |"]
-    lines += ["|---|---|---|---|---|---|---|"]
-    for way, parts in told["pictures"].items():
-        for part, views in parts.items():
-            for view, s in views.items():
-                forms = {"psnr": ".2f", "ssim": ".4f", "psnr_object": ".2f", "fovvdp": ".2f"}
-                numbers = " | ".join(format(s[n], form) if n in s else "–" for n, form in forms.items())
-                lines.append(f"| {_label(way)} | {part} | {view} | {numbers} |")
-    if (field := told["field"]) is not None:
+    shown = [
+        [_label(way), stretch, view, *(format(s[n], form) if n in s else "–" for n, form in _SCORES.items())]
+        for way, parts in told.pictures.items()
+        for stretch, views in parts.items()
+        for view, s in views.items()
+    ]
+    lines += ["", "## Pictures", ""]
+    lines += _table(["", "frames", "views", "PSNR", "SSIM", "PSNR on the object", "FovVideoVDP"], shown)
+    if told.field is not None:
         lines += [
             "",
-            f"Drawn with fields of {field['convexes']:.0f} convexes in the mean, fitted to the first images of all "
-            f"cameras ({field['psnr']:.1f} dB) in {field['process_seconds']:.0f} s of a processor.",
+            f"Drawn with fields of {told.field.convexes:.0f} convexes in the mean, fitted to the first images of all "
+            f"cameras ({told.field.psnr:.1f} dB) in {told.field.process_seconds:.0f} s of a processor.",
         ]
-    lines += ["", "## Generalisation", "", "| change | distance from the truth [mm] | how far the change goes [mm] |"]
-    lines += ["|---|---|---|"]
-    lines += [
-        f"| {name} | {1e3 * c['rms_m']:.1f} | {1e3 * c['change_rms_m']:.1f} |" for name, c in told["changes"].items()
-    ]
-    lines += _points_table(told["points"])
-    if told["failures"]:
-        lines += ["", "## Failures", "", *(f"- {text}" for text in told["failures"])]
+    changes = [[n, f"{1e3 * c['rms_m']:.1f}", f"{1e3 * c['change_rms_m']:.1f}"] for n, c in told.changes.items()]
+    lines += ["", "## Generalisation", ""]
+    lines += _table(["change", "distance from the truth [mm]", "how far the change goes [mm]"], changes)
+    lines += _points_table(told.points)
+    if told.failures:
+        lines += ["", "## Failures", "", *(f"- {text}" for text in told.failures)]
     return "\n".join(lines) + "\n"
 
 
-def _pair(part: dict[str, Any] | None) -> str:
+def _pair(part: Part | None) -> str:
     """Errors of a way for one object; a dash where it was not run."""
     if part is None:
         return "–"

@@ -1,0 +1,115 @@
+"""What an evaluation stores of each object, `OUT/objects/NAME.json`: one part per way of fitting it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypedDict, cast
+
+from pydantic import JsonValue
+
+__all__ = ["Change", "ObjectRow", "Part", "Picture"]
+
+_OWN = ("object", "truth", "truth_itself")
+
+
+class Picture(TypedDict, total=False):
+    """Means over the frames of a part of the motion, of the front view or of the others.
+
+    PSNR [dB] and SSIM are of whole images, `psnr_object` of the pixels that are not white in either image; `fovvdp` is
+    the quality in JOD (Mantiuk et al. 2021) of the front view, where `pyfvvdp` is installed.
+    """
+
+    psnr: float
+    ssim: float
+    psnr_object: float
+    fovvdp: float | None
+
+
+class Change(TypedDict):
+    """Rms distance from the truth under a change, and how far the change moved the truth [m]."""
+
+    rms_m: float
+    change_rms_m: float
+
+
+class Part(TypedDict, total=False):
+    """What one way of fitting gave of an object, or why it failed; each way has some of these.
+
+    Views are "front" and "others", stretches of the motion "observed" and "future".
+    """
+
+    failure: str
+    process_seconds: float
+    seconds: float
+    # of what was fitted: log10 E and ν, and fit less truth
+    values: list[float]
+    errors: list[float]
+    intervals_90: list[list[float] | None]
+    covered: list[bool | None]
+    misfit: float
+    steps: int
+    in_words: list[str]
+    reduced_model_rms_m: list[float]
+    # of the motion
+    rms_m: list[float]
+    pictures: dict[str, dict[str, Picture]]
+    changes: dict[str, Change]
+    drift: dict[str, JsonValue] | None
+    # of a field: its first images, and in the motion of each model its observed pictures by view
+    convexes: int
+    psnr: float
+    first_images: Picture
+    observed: dict[str, dict[str, Picture]]
+    # of the truth itself, beside half its nodes and half its steps
+    nodes: int
+    overlap: float
+    rms_to_half_steps_m: list[float]
+    rms_to_half_nodes_m: list[float]
+
+
+@dataclass
+class ObjectRow:
+    """One object.
+
+    Attributes:
+        object: its name.
+        truth: log10 E and ν.
+        truth_itself: what the truth says of its own errors.
+        parts: by name, as they are finished.
+    """
+
+    object: str
+    truth: dict[str, float] = field(default_factory=dict)
+    truth_itself: Part = field(default_factory=Part)
+    parts: dict[str, Part] = field(default_factory=dict)
+
+    @classmethod
+    def of_json(cls, content: Mapping[str, JsonValue]) -> ObjectRow:
+        """From what is stored."""
+        own = [content.get(name, {}) for name in _OWN]
+        parts = {name: part for name, part in content.items() if name not in _OWN}
+        return cls(str(own[0]), cast("dict[str, float]", own[1]), cast(Part, own[2]), cast("dict[str, Part]", parts))
+
+    @classmethod
+    def read(cls, file: Path) -> ObjectRow:
+        """From its file."""
+        return cls.of_json(json.loads(file.read_text(encoding="utf-8")))
+
+    def to_json(self) -> dict[str, JsonValue]:
+        """What is stored."""
+        own = {"object": self.object, "truth": self.truth, "truth_itself": self.truth_itself}
+        return cast("dict[str, JsonValue]", own | self.parts)
+
+    def write(self, file: Path) -> None:
+        """To its file, whole or not at all."""
+        unfinished = file.with_suffix(".part")
+        unfinished.write_text(json.dumps(self.to_json(), indent=1) + "\n", encoding="utf-8")
+        unfinished.replace(file)
+
+    def with_part(self, name: str, key: str) -> Part | None:
+        """A part that holds an entry; None where it was not made, or has failed."""
+        part = self.parts.get(name)
+        return part if part is not None and key in part else None
