@@ -75,7 +75,9 @@ class Observed:
         for part in parts:
             frames = capture.video(part.camera.name).frames[: len(moved)]
             predicted = everything[:, places : places + len(part.points)]
-            out[part.camera.name] = follow_from_model(frames, part.camera, moved, triangles, predicted)
+            out[part.camera.name] = follow_from_model(
+                frames, part.camera, moved=moved, triangles=triangles, predicted=predicted
+            )
             places += len(part.points)
         return out
 

@@ -9,7 +9,6 @@ import numpy as np
 from inference.refinement.observations import Observed
 from physconvex.fem import SurfacePoints
 from physconvex.identify import (
-    DriftingObservations,
     Fit,
     FullModel,
     MarginalObservations,
@@ -17,6 +16,7 @@ from physconvex.identify import (
     Observations,
     Parameter,
     ReducedModel,
+    RigidDriftObservations,
     RollOuts,
     Twin,
     WeightedObservations,
@@ -72,10 +72,10 @@ class Problem:
         """What was seen, all nuisances eliminated."""
         return self.with_drift_of(self.drift) if self.drift else self.undrifted
 
-    def with_drift_of(self, sigma: float) -> DriftingObservations:
+    def with_drift_of(self, sigma: float) -> RigidDriftObservations:
         """What was seen, with rigid drift of that deviation [m/s] eliminated too."""
         assert self.drift_limit is not None
-        return DriftingObservations(self.undrifted, self.drift_limit[0], 1 / self.twin.fps, sigma)
+        return RigidDriftObservations(self.undrifted, self.drift_limit[0], 1 / self.twin.fps, sigma)
 
     @property
     def weighted(self) -> Observations:

@@ -12,9 +12,9 @@ from inference.refinement.result import RefinedMotion, RigidDrift
 from inference.refinement.run import RefinementRun
 from physconvex import ConvergenceError
 from physconvex.identify import (
-    DriftingObservations,
     Fit,
     FullModel,
+    RigidDriftObservations,
     first_contact,
     likely_drift,
     model_drift,
@@ -87,7 +87,7 @@ def with_drift(run: RefinementRun, problem: Problem, found: Fit, name: str) -> P
 def drift_of(problem: Problem, found: Fit) -> RigidDrift | None:
     """The drift of a fit; None where there is none."""
     seen = problem.seen
-    if not isinstance(seen, DriftingObservations):
+    if not isinstance(seen, RigidDriftObservations):
         return None
     moved = np.linalg.norm(seen.drift(found.positions), axis=-1)
     return RigidDrift(seen.begin, seen.sigma, np.sqrt(np.square(moved).mean(axis=1)), problem.twin.mesh.size)
@@ -96,14 +96,14 @@ def drift_of(problem: Problem, found: Fit) -> RigidDrift | None:
 def drifted(problem: Problem, found: Fit) -> Float[np.ndarray, "T P 3"]:
     """Where the points were by the fit, the rigid drift with them [m]."""
     seen = problem.seen
-    drift = seen.drift(found.positions) if isinstance(seen, DriftingObservations) else 0.0
+    drift = seen.drift(found.positions) if isinstance(seen, RigidDriftObservations) else 0.0
     return np.asarray(found.positions + drift)
 
 
 def followed_motion(problem: Problem, motion: RefinedMotion) -> RefinedMotion:
     """The motion with the rigid drift added: where the recording has the body; beyond its end the drift goes on."""
     seen = problem.seen
-    if not isinstance(seen, DriftingObservations):
+    if not isinstance(seen, RigidDriftObservations):
         return motion
     points = Embedding.of_points(motion.mesh, seen.points).apply(motion.nodes)
 

@@ -58,7 +58,7 @@ from .point_models import (
     SecantModel as SecantModel,
 )
 from .rigid_drift import (
-    DriftingObservations as DriftingObservations,
+    RigidDriftObservations as RigidDriftObservations,
     first_contact as first_contact,
     likely_drift as likely_drift,
     model_drift as model_drift,

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from physconvex.errors import InputError
-from physconvex.identify.observations import PointwiseObservations, camera_jacobian
+from physconvex.identify.observations import EvaluatedObservations, PointwiseObservations, camera_jacobian
 from physconvex.identify.visible_points import Hits, cast_camera_rays, cast_rays, unit_normals
 from physconvex.io import Camera
 
@@ -116,8 +116,10 @@ def seen_by(
 
 
 @dataclass(frozen=True, eq=False)
-class ColourObservations(PointwiseObservations):
+class ColourObservations(EvaluatedObservations, PointwiseObservations):
     """Colours of material points in the images of one camera.
+
+    A residual is the image where the model puts a point, less the point's colour in the first image, over σ.
 
     Attributes:
         camera: the camera.
@@ -160,16 +162,6 @@ class ColourObservations(PointwiseObservations):
     def in_frames(self, count: int) -> ColourObservations:
         """The first `count` frames alone."""
         return replace(self, images=self.images[:count], visible=self.visible[:count])
-
-    def residuals(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
-        """(image where the model puts the points − their first colour)/σ."""
-        return self._evaluate(positions, None)[0]
-
-    def linearise(
-        self, positions: Float[np.ndarray, "T P 3"], tangents: Float[np.ndarray, "T K P 3"]
-    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
-        """The residuals and their derivatives."""
-        return self._evaluate(positions, tangents)
 
     def _evaluate(self, positions: np.ndarray, tangents: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         count = 0 if tangents is None else tangents.shape[1]

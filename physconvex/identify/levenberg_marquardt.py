@@ -18,9 +18,8 @@ from scipy.optimize import lsq_linear
 
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.identify.observations import Observations, misfit_of
-from physconvex.identify.parameters import Parameter, lower_bounds, starts, step_scales, upper_bounds
+from physconvex.identify.parameters import Parameter, SearchCoordinates, lower_bounds, starts, step_scales, upper_bounds
 from physconvex.identify.point_models import PointModel, check_names
-from physconvex.identify.search_coordinates import SearchCoordinates
 from physconvex.numerics import huber_loss, huber_weights
 
 __all__ = ["Fit", "FitOptions", "Iteration", "fit"]

@@ -19,11 +19,10 @@ from jaxtyping import Float
 from pydantic import Field
 
 from physconvex.identify.colours import ColourObservations
-from physconvex.identify.elimination import Elimination
 from physconvex.identify.observations import Observations, PixelObservations, StackedObservations, WrappedObservations
 from physconvex.io import Camera, CommandLine, Options
 
-__all__ = ["MarginalObservations", "Nuisance"]
+__all__ = ["Elimination", "MarginalObservations", "Nuisance"]
 
 
 _Deviation = Annotated[float, Field(ge=0), CommandLine(panel="What was observed")]
@@ -43,6 +42,37 @@ class Nuisance(Options):
     def any(self) -> bool:
         """Whether one is free."""
         return max(self.camera_rotation, self.camera_position, self.time_offset) > 0
+
+
+@dataclass(frozen=True, eq=False)
+class Elimination:
+    """(I + N Nᵀ)^(−½) and the determinant, by the singular values of N.
+
+    Attributes:
+        left: left singular vectors, shape [N, C].
+        values: singular values, shape [C].
+    """
+
+    left: Float[np.ndarray, "N C"]
+    values: Float[np.ndarray, " C"]
+
+    @classmethod
+    def of(cls, directions: Float[np.ndarray, "N C"]) -> Elimination:
+        """Of unknowns with unit variance, the columns of N the residuals' derivatives by them."""
+        if not directions.shape[1]:
+            return cls(np.zeros_like(directions), np.zeros(0))
+        left, values, _ = np.linalg.svd(directions, full_matrices=False)
+        return cls(left, values)
+
+    def whitened(self, columns: Float[np.ndarray, "N K"]) -> Float[np.ndarray, "N K"]:
+        """(I + N Nᵀ)^(−½) times the columns."""
+        shrunk = 1 / np.sqrt(1 + self.values**2) - 1
+        return np.asarray(columns + self.left @ (shrunk[:, None] * (self.left.T @ columns)))
+
+    @property
+    def log_determinant(self) -> float:
+        """log det(I + N Nᵀ)."""
+        return float(np.log1p(self.values**2).sum())
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ from physconvex.io import Camera
 from physconvex.numerics import huber_loss
 
 __all__ = [
+    "EvaluatedObservations",
     "MarkerObservations",
     "Observations",
     "PixelObservations",
@@ -106,6 +107,24 @@ class PointwiseObservations:
     def robust_scales(self) -> Float[np.ndarray, " N"]:
         """Huber's thresholds."""
         return np.full(len(self.frames), self.robust_scale)
+
+
+class EvaluatedObservations:
+    """Observations whose residuals and derivatives come of one function, which makes no derivatives that none wants."""
+
+    def _evaluate(self, positions: np.ndarray, tangents: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals [N], and derivatives [N, K]; K = 0 without tangents."""
+        raise NotImplementedError
+
+    def residuals(self, positions: Positions) -> Float[np.ndarray, " N"]:
+        """(model − seen)/σ."""
+        return self._evaluate(positions, None)[0]
+
+    def linearise(
+        self, positions: Positions, tangents: Tangents
+    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
+        """The residuals and their derivatives."""
+        return self._evaluate(positions, tangents)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,13 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from physconvex.errors import InputError
-from physconvex.identify.observations import Observations, StackedObservations, WrappedObservations, camera_jacobian
+from physconvex.identify.observations import (
+    EvaluatedObservations,
+    Observations,
+    StackedObservations,
+    WrappedObservations,
+    camera_jacobian,
+)
 from physconvex.identify.silhouette import Borders, filled_border
 from physconvex.io import Camera
 
@@ -46,12 +52,12 @@ def outline_of_mask(
 
 
 @dataclass(frozen=True, eq=False)
-class OutlineObservations:
+class OutlineObservations(EvaluatedObservations):
     """Outlines of the masks of one camera.
 
     The residual of an outline point is its distance, along the outward normal of the mask, to the nearest point of the
-    model's outline. The model's outline is sought anew at each evaluation, among the edges between triangles that face
-    the camera and triangles that do not.
+    model's outline, over σ; the matched points move with the surface. The model's outline is sought anew at each
+    evaluation, among the edges between triangles that face the camera and triangles that do not.
 
     Attributes:
         camera: the camera.
@@ -169,16 +175,6 @@ class OutlineObservations:
         columns = np.clip(np.nan_to_num(pixels[:, 0], nan=-9), -1, self.camera.w).astype(int) + 1
         rows = np.clip(np.nan_to_num(pixels[:, 1], nan=-9), -1, self.camera.h).astype(int) + 1
         return np.isfinite(pixels).all(1) & (depth[rows, columns] <= _RIM)
-
-    def residuals(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
-        """(model − seen)/σ along the normals."""
-        return self._evaluate(positions, None)[0]
-
-    def linearise(
-        self, positions: Float[np.ndarray, "T P 3"], tangents: Float[np.ndarray, "T K P 3"]
-    ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
-        """The residuals and their derivatives (the matched points move with the surface)."""
-        return self._evaluate(positions, tangents)
 
     def _evaluate(self, positions: np.ndarray, tangents: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         residuals = np.zeros(len(self.frames))

@@ -14,9 +14,19 @@ from jaxtyping import Float
 from physconvex.errors import InputError
 from physconvex.reduced import PARAMETERS
 
-__all__ = ["Parameter", "default_parameter", "lower_bounds", "starts", "step_scales", "upper_bounds"]
+__all__ = [
+    "Parameter",
+    "SearchCoordinates",
+    "default_parameter",
+    "lower_bounds",
+    "starts",
+    "step_scales",
+    "upper_bounds",
+]
 
 _INF = float("inf")
+_RATIO_LENGTH = 0.15
+_LEAST_SLOPE = 1e-9  # of 1 − 2ν
 # start, lowest, highest, typical step
 _MATERIAL = {
     "log10_youngs_modulus": (5.0, 3.0, 8.0, 0.2),
@@ -113,3 +123,33 @@ def upper_bounds(parameters: Sequence[Parameter]) -> Float[np.ndarray, " K"]:
 def step_scales(parameters: Sequence[Parameter]) -> Float[np.ndarray, " K"]:
     """Typical steps."""
     return np.array([p.step for p in parameters])
+
+
+class SearchCoordinates:
+    """Coordinates in which a search goes straight where values bend; all but ν are their own.
+
+    What a body resists besides shear is λ = 2 μ ν/(1 − 2ν), which grows without end towards ν = ½: along a valley of E
+    and ν that all explain a motion, log E is nearly linear in log(1 − 2ν), and in ν a hook that Levenberg–Marquardt
+    must creep around. So ν is searched as u = −0.15 log(1 − 2ν), a step of which is a step of ν at ν = .35.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._bent = np.array([name == "poisson_ratio" for name in names], dtype=bool)
+
+    def of(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
+        """Coordinates of values."""
+        out = np.array(values, dtype=np.float64)
+        out[self._bent] = -_RATIO_LENGTH * np.log(np.maximum(1 - 2 * out[self._bent], _LEAST_SLOPE))
+        return out
+
+    def values(self, coordinates: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
+        """Values of coordinates."""
+        out = np.array(coordinates, dtype=np.float64)
+        out[self._bent] = -0.5 * np.expm1(-out[self._bent] / _RATIO_LENGTH)
+        return out
+
+    def slopes(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
+        """Derivatives of values by coordinates."""
+        out = np.ones(len(values))
+        out[self._bent] = np.maximum(1 - 2 * values[self._bent], _LEAST_SLOPE) / (2 * _RATIO_LENGTH)
+        return out

@@ -25,14 +25,13 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from physconvex.dynamics import Plane, Sphere
-from physconvex.identify.elimination import Elimination
-from physconvex.identify.nuisance import MarginalObservations
+from physconvex.identify.nuisance import Elimination, MarginalObservations
 from physconvex.identify.observations import Observations, WrappedObservations
 from physconvex.identify.outlines import with_drawn_outlines
 from physconvex.io import Workers
 from physconvex.numerics import best_rotation, huber_loss, huber_weights
 
-__all__ = ["DriftingObservations", "first_contact", "likely_drift", "model_drift"]
+__all__ = ["RigidDriftObservations", "first_contact", "likely_drift", "model_drift"]
 
 _TURNS, _SETTLED = 6, 1e-3  # Gauss–Newton steps of the kicks, and the last of them in standard deviations
 _DRAWN = 2  # of these, in which a model's outline is sought anew
@@ -66,7 +65,7 @@ def first_contact(
 
 
 @dataclass(frozen=True, eq=False)
-class DriftingObservations(WrappedObservations):
+class RigidDriftObservations(WrappedObservations):
     """Observations with rigid drift since the first contact eliminated.
 
     Attributes:
@@ -81,7 +80,7 @@ class DriftingObservations(WrappedObservations):
     interval: float
     sigma: float
 
-    def in_frames(self, count: int) -> DriftingObservations:
+    def in_frames(self, count: int) -> RigidDriftObservations:
         """The first `count` frames alone."""
         return replace(self, seen=self.seen.in_frames(count))
 
@@ -208,7 +207,7 @@ def likely_drift(
     *,
     most: float,
     workers: Workers | None = None,
-) -> DriftingObservations | None:
+) -> RigidDriftObservations | None:
     """The observations with the drift that is likeliest where the model puts the points; None where none is.
 
     Args:
@@ -221,13 +220,13 @@ def likely_drift(
     """
     if begin >= len(positions):
         return None
-    trials = [DriftingObservations(seen, begin, interval, share * most) for share in (0.0, *_SHARES)]
+    trials = [RigidDriftObservations(seen, begin, interval, share * most) for share in (0.0, *_SHARES)]
     likelihoods = (workers or Workers()).map(partial(_log_likelihood, positions), trials)
     best = int(np.argmax(likelihoods))
     return trials[best] if best else None
 
 
-def _log_likelihood(positions: np.ndarray, seen: DriftingObservations) -> float:
+def _log_likelihood(positions: np.ndarray, seen: RigidDriftObservations) -> float:
     return seen.log_likelihood(positions)
 
 

@@ -164,6 +164,7 @@ def appearance_map(
 def follow_from_model(
     frames: UInt8[np.ndarray, "T H W 3"],
     camera: Camera,
+    *,
     moved: Float[np.ndarray, "T V 3"],
     triangles: Int[np.ndarray, "F 3"],
     predicted: Float[np.ndarray, "T P 3"],

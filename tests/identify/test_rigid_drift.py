@@ -5,11 +5,11 @@ import pytest
 
 from physconvex.dynamics import Plane, Sphere
 from physconvex.identify import (
-    DriftingObservations,
     LinearModel,
     MarginalObservations,
     MarkerObservations,
     Nuisance,
+    RigidDriftObservations,
     StackedObservations,
     default_parameter,
     first_contact,
@@ -64,7 +64,7 @@ def bending(positions):
 def test_whitened_squares_are_those_of_the_covariance(rng):
     x = falling(rng, count=6)
     seen = markers(x + 0.01 * rng.standard_normal(x.shape), rng)
-    drifting = DriftingObservations(seen, BEGIN, INTERVAL, 0.02)
+    drifting = RigidDriftObservations(seen, BEGIN, INTERVAL, 0.02)
     axes, still = np.eye(3), np.zeros(3)
     units = [*((axis, still) for axis in axes), *((still, axis) for axis in axes)]
     directions = np.stack([kicked(x, *unit, frame) - x for frame in range(BEGIN, FRAMES) for unit in units], axis=1)
@@ -80,7 +80,7 @@ def test_whitened_squares_are_those_of_the_covariance(rng):
 
 def test_derivatives_agree_with_differences(rng):
     x, t = falling(rng, count=8), 0.1
-    drifting = DriftingObservations(markers(kicked(x, (0.02, 0, 0), (0, 0.04, 0)), rng), BEGIN, INTERVAL, 0.05)
+    drifting = RigidDriftObservations(markers(kicked(x, (0.02, 0, 0), (0, 0.04, 0)), rng), BEGIN, INTERVAL, 0.05)
     tangents = bending(x)
     jacobian = drifting.linearise(x, tangents)[1]
     for k in range(2):
@@ -115,7 +115,7 @@ def test_six_motions_in_each_frame_say_what_all_kicks_do(rng):
     x = falling(rng, count=8)
     seen = StackedObservations((markers(kicked(x, (0.1, 0, 0), (0, 0.2, 0)), rng),))
     mixed = MarginalObservations(seen, Nuisance(time_offset=1e-12), INTERVAL)
-    short, full = (DriftingObservations(s, BEGIN, INTERVAL, 0.05) for s in (seen, mixed))
+    short, full = (RigidDriftObservations(s, BEGIN, INTERVAL, 0.05) for s in (seen, mixed))
     for one, other in zip(short.linearise(x, bending(x)), full.linearise(x, bending(x)), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * np.abs(other).max())
     assert short.log_likelihood(x) == pytest.approx(full.log_likelihood(x), rel=1e-9)
@@ -130,7 +130,7 @@ def test_where_the_model_follows_no_drift_is_likely(rng):
 def test_before_the_contact_nothing_changes(rng):
     x = falling(rng)
     seen = markers(kicked(x, (1, 0, 0), (0, 0, 0)), rng)
-    drifting = DriftingObservations(seen, BEGIN, INTERVAL, 0.1)
+    drifting = RigidDriftObservations(seen, BEGIN, INTERVAL, 0.1)
     early = seen.frames < BEGIN
     np.testing.assert_allclose(drifting.residuals(x)[early], seen.residuals(x)[early], rtol=1e-12)
     assert likely_drift(seen.in_frames(BEGIN), x[:BEGIN], BEGIN, INTERVAL, most=0.4) is None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from physconvex.identify import FitOptions, MarkerObservations, Parameter, fit
-from physconvex.identify.search_coordinates import SearchCoordinates
+from physconvex.identify.parameters import SearchCoordinates
 
 NAMES = ("log10_youngs_modulus", "poisson_ratio", "damping_time")
 UNKNOWN = (

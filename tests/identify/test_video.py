@@ -82,7 +82,10 @@ def test_from_a_model_that_is_off_points_are_found_where_they_are(film):
     vertices, faces, moved, images, masks = film
     seeds = seed_points(CAMERA, images[0], vertices, faces, mask=masks[0])
     lag = np.array([0.01, 0, 0.01]) * np.linspace(0, 1, 5)[:, None, None]
-    found = follow_from_model(images, CAMERA, moved + lag, faces, truth_of(seeds) + lag, FollowOptions(window=9))
+    options = FollowOptions(window=9)
+    found = follow_from_model(
+        images, CAMERA, moved=moved + lag, triangles=faces, predicted=truth_of(seeds) + lag, options=options
+    )
     exact = CAMERA.project(truth_of(seeds))[0]
     error = np.linalg.norm(found - exact, axis=-1)[-1]
     assert np.isfinite(error).sum() > 10
