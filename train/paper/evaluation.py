@@ -27,7 +27,7 @@ from physconvex.reconstruction import ReconstructionConfig
 from train.paper.options import PaperOptions
 from train.paper.pictures import score_pictures
 from train.paper.published_way import NAMES, fit_as_published
-from train.paper.rows import Change, ObjectRow, Part, Picture
+from train.paper.rows import Change, ObjectRow, PaperPart, PictureScores
 
 __all__ = ["evaluate_paper"]
 
@@ -118,7 +118,7 @@ class _Object:
         for part, compute in self._comparisons() if comparing else self._main():
             self._part(part, compute)
 
-    def _main(self) -> list[tuple[str, Callable[[], Part]]]:
+    def _main(self) -> list[tuple[str, Callable[[], PaperPart]]]:
         return [
             ("constant", lambda: self._errors(np.array(CONSTANT))),
             ("network", self._network),
@@ -127,13 +127,13 @@ class _Object:
             ("followed", self._followed),
         ]
 
-    def _comparisons(self) -> list[tuple[str, Callable[[], Part]]]:
+    def _comparisons(self) -> list[tuple[str, Callable[[], PaperPart]]]:
         options = self.options
         published = [("published_way", self._published_way)] if options.adam_steps else []
         over_weights = [(f"reduced_M{m}", partial(self._reduced, m)) for m in options.ablation]
         return published + over_weights + [(f"points_K{k}", partial(self._points, k)) for k in options.ablation_points]
 
-    def _part(self, part: str, compute: Callable[[], Part]) -> None:
+    def _part(self, part: str, compute: Callable[[], PaperPart]) -> None:
         if part in self.row.parts:
             return
         if self.on_part is not None:
@@ -142,7 +142,7 @@ class _Object:
         try:
             found = compute()
         except (ConvergenceError, InputError) as error:  # a failure is a result here, and named
-            found = Part(failure=f"{type(error).__name__}: {error}")
+            found = PaperPart(failure=f"{type(error).__name__}: {error}")
         found["process_seconds"] = round(time.process_time() - clock, 1)
         found["seconds"] = round(time.perf_counter() - wall, 1)
         self.row.parts[part] = found
@@ -151,30 +151,30 @@ class _Object:
     def _true(self, name: str) -> float:
         return float(np.log10(self.true["youngs_modulus"])) if name == NAMES[0] else float(self.true[name])
 
-    def _errors(self, values: np.ndarray) -> Part:
+    def _errors(self, values: np.ndarray) -> PaperPart:
         wanted = np.array([self._true(name) for name in NAMES])
-        return Part(values=[float(v) for v in values], errors=[float(v) for v in values - wanted])
+        return PaperPart(values=[float(v) for v in values], errors=[float(v) for v in values - wanted])
 
-    def _truth_itself(self) -> Part:
+    def _truth_itself(self) -> PaperPart:
         """What the truth says of its own errors, and its future pictures beside those of half the nodes."""
         kept = ("nodes", "overlap", "rms_to_half_steps_m", "rms_to_half_nodes_m")
-        out = cast(Part, {name: self.true[name] for name in kept if name in self.true})
+        out = cast(PaperPart, {name: self.true[name] for name in kept if name in self.true})
         future = slice(self.capture.observed_frames, self.capture.frames)
         if "psnr_to_half_nodes" in self.true and self.true["psnr_to_half_nodes"][future]:
             means = [float(np.mean(self.true[f"{n}_to_half_nodes"][future])) for n in ("psnr", "ssim")]
-            out["pictures"] = {"future": {"front": Picture(psnr=means[0], ssim=means[1])}}
+            out["pictures"] = {"future": {"front": PictureScores(psnr=means[0], ssim=means[1])}}
         return out
 
     # -- parts
 
-    def _network(self) -> Part:
+    def _network(self) -> PaperPart:
         found = predict(self.capture.folder, checkpoint=self.options.checkpoint)
         return self._errors(np.array([np.log10(found.youngs_modulus), found.poisson_ratio]))
 
-    def _field(self) -> Part:
+    def _field(self) -> PaperPart:
         config = ReconstructionConfig(budget=self.options.field_budget, steps=self.options.field_steps)
         found = reconstruct(self.first, out=self.work / "field", config=config)
-        return Part(convexes=len(found.field), psnr=float(np.mean([score.psnr for score in found.training])))
+        return PaperPart(convexes=len(found.field), psnr=float(np.mean([score.psnr for score in found.training])))
 
     def _refine(self, options: RefineOptions, name: str) -> Refinement:
         if name not in self.refinements:
@@ -195,7 +195,7 @@ class _Object:
             checkpoint=options.checkpoint,
         )
 
-    def _refined(self) -> Part:
+    def _refined(self) -> PaperPart:
         found = self._refine(self._settings(), "refined")
         estimates = [found[name] for name in NAMES]
         wanted = [self._true(name) for name in NAMES]
@@ -211,22 +211,22 @@ class _Object:
         out["changes"] = self._changes(found)
         return out
 
-    def _followed(self) -> Part:
+    def _followed(self) -> PaperPart:
         """The same with the rigid drift after the contact."""
         found = self._refine(self._settings(), "refined")
         motion = found.followed or found.motion
-        out = Part(drift=found.drift.to_json() if found.drift else None)
+        out = PaperPart(drift=found.drift.to_json() if found.drift else None)
         out.update(self._motion(motion.mesh, motion.nodes))
         return out
 
-    def _motion(self, mesh: TetMesh, nodes: np.ndarray) -> Part:
+    def _motion(self, mesh: TetMesh, nodes: np.ndarray) -> PaperPart:
         """Distance of the surface from the truth, and scores of the pictures, observed and future."""
         seen = self.capture.observed_frames
         parts = {"observed": range(0, seen), "future": range(seen, self.capture.frames)}
         with np.load(self.truth / "points.npz") as arrays:
             gaps = Embedding.of_points(mesh, arrays["rest"]).apply(nodes) - arrays["positions"]
         distance = np.sqrt(np.square(gaps).sum(-1).mean(-1))
-        out = Part(rms_m=distance.tolist(), pictures={})
+        out = PaperPart(rms_m=distance.tolist(), pictures={})
         if "failure" in self.row.parts["field"]:
             return out
         field = read_ply(self.work / "field" / "field.ply")
@@ -235,7 +235,7 @@ class _Object:
                 out["pictures"][label] = self._scores(field, mesh, nodes, frames)
         return out
 
-    def _scores(self, field: ConvexField, mesh: TetMesh, nodes: np.ndarray, frames: range) -> dict[str, Picture]:
+    def _scores(self, field: ConvexField, mesh: TetMesh, nodes: np.ndarray, frames: range) -> dict[str, PictureScores]:
         """Of the pictures of a field that moves as a mesh does."""
         bound = bind_to_tets(field, mesh)
         return score_pictures([bound.at(nodes[t]) for t in frames], self.cameras, self.truth, frames)
@@ -260,7 +260,7 @@ class _Object:
                 out[change] = Change(rms_m=distances[0], change_rms_m=distances[1])
         return out
 
-    def _published_way(self) -> Part:
+    def _published_way(self) -> PaperPart:
         network = self.row.parts["network"]
         start = np.array(network["values"] if "values" in network else CONSTANT)
         found = fit_as_published(self.capture, start, steps=self.options.adam_steps, max_nodes=self.options.max_nodes)
@@ -269,7 +269,7 @@ class _Object:
         out.update(self._motion(found.twin.mesh, found.nodes))
         return out
 
-    def _points(self, count: int) -> Part:
+    def _points(self, count: int) -> PaperPart:
         """A field of K points per convex: its first images, and its pictures in the motions of several models."""
         budget = max(50, self.options.field_budget // 4)
         config = ReconstructionConfig(budget=budget, steps=self.options.field_steps, points_per_convex=count)
@@ -278,9 +278,9 @@ class _Object:
         motions = {"refined": self._refine(self._settings(), "refined").motion}
         motions |= {f"M{m}": self._reduced_refinement(m).motion for m in self.options.ablation}
         observed = range(0, self.capture.observed_frames)
-        return Part(
+        return PaperPart(
             convexes=len(found.field),
-            first_images=Picture(psnr=means[0], ssim=means[1]),
+            first_images=PictureScores(psnr=means[0], ssim=means[1]),
             observed={
                 name: self._scores(found.field, motion.mesh, motion.nodes, observed) for name, motion in motions.items()
             },
@@ -290,6 +290,6 @@ class _Object:
         settings = self._settings().replace(weights=weights, correction=False, model_error=False, colours=False)
         return self._refine(settings, f"reduced_{weights}")
 
-    def _reduced(self, weights: int) -> Part:
+    def _reduced(self, weights: int) -> PaperPart:
         found = self._reduced_refinement(weights)
         return self._errors(np.array([found[name].value for name in NAMES]))

@@ -16,14 +16,14 @@ from physconvex.convex import ConvexField
 from physconvex.io import Camera, read_video
 from physconvex.reconstruction import psnr, structural_similarity
 from physconvex.render import render
-from train.paper.rows import Picture
+from train.paper.rows import PictureScores
 
 __all__ = ["perceptual_score", "score_pictures"]
 
 
 def score_pictures(
     fields: Sequence[ConvexField], cameras: Sequence[Camera], truth: Path, frames: range
-) -> dict[str, Picture]:
+) -> dict[str, PictureScores]:
     """Scores by view ("front", the first camera; "others"), means over frames.
 
     Args:
@@ -43,7 +43,9 @@ def score_pictures(
                 quality = perceptual_score(np.stack(drawn), seen)
         if rows:
             similarity = [float(mean) for mean in np.mean(rows, axis=0)]
-            out[label] = Picture(psnr=similarity[0], ssim=similarity[1], psnr_object=similarity[2], fovvdp=quality)
+            out[label] = PictureScores(
+                psnr=similarity[0], ssim=similarity[1], psnr_object=similarity[2], fovvdp=quality
+            )
     return out
 
 

@@ -10,12 +10,12 @@ from typing import TypedDict, cast
 
 from pydantic import JsonValue
 
-__all__ = ["Change", "ObjectRow", "Part", "Picture"]
+__all__ = ["Change", "ObjectRow", "PaperPart", "PictureScores"]
 
 _OWN = ("object", "truth", "truth_itself")
 
 
-class Picture(TypedDict, total=False):
+class PictureScores(TypedDict, total=False):
     """Means over the frames of a part of the motion, of the front view or of the others.
 
     PSNR [dB] and SSIM are of whole images, `psnr_object` of the pixels that are not white in either image; `fovvdp` is
@@ -35,7 +35,7 @@ class Change(TypedDict):
     change_rms_m: float
 
 
-class Part(TypedDict, total=False):
+class PaperPart(TypedDict, total=False):
     """What one way of fitting gave of an object, or why it failed; each way has some of these.
 
     Views are "front" and "others", stretches of the motion "observed" and "future".
@@ -55,14 +55,14 @@ class Part(TypedDict, total=False):
     reduced_model_rms_m: list[float]
     # of the motion
     rms_m: list[float]
-    pictures: dict[str, dict[str, Picture]]
+    pictures: dict[str, dict[str, PictureScores]]
     changes: dict[str, Change]
     drift: dict[str, JsonValue] | None
     # of a field: its first images, and in the motion of each model its observed pictures by view
     convexes: int
     psnr: float
-    first_images: Picture
-    observed: dict[str, dict[str, Picture]]
+    first_images: PictureScores
+    observed: dict[str, dict[str, PictureScores]]
     # of the truth itself, beside half its nodes and half its steps
     nodes: int
     overlap: float
@@ -83,15 +83,17 @@ class ObjectRow:
 
     object: str
     truth: dict[str, float] = field(default_factory=dict)
-    truth_itself: Part = field(default_factory=Part)
-    parts: dict[str, Part] = field(default_factory=dict)
+    truth_itself: PaperPart = field(default_factory=PaperPart)
+    parts: dict[str, PaperPart] = field(default_factory=dict)
 
     @classmethod
     def of_json(cls, content: Mapping[str, JsonValue]) -> ObjectRow:
         """From what is stored."""
         own = [content.get(name, {}) for name in _OWN]
         parts = {name: part for name, part in content.items() if name not in _OWN}
-        return cls(str(own[0]), cast("dict[str, float]", own[1]), cast(Part, own[2]), cast("dict[str, Part]", parts))
+        return cls(
+            str(own[0]), cast("dict[str, float]", own[1]), cast(PaperPart, own[2]), cast("dict[str, PaperPart]", parts)
+        )
 
     @classmethod
     def read(cls, file: Path) -> ObjectRow:
@@ -109,7 +111,7 @@ class ObjectRow:
         unfinished.write_text(json.dumps(self.to_json(), indent=1) + "\n", encoding="utf-8")
         unfinished.replace(file)
 
-    def with_part(self, name: str, key: str) -> Part | None:
+    def with_part(self, name: str, key: str) -> PaperPart | None:
         """A part that holds an entry; None where it was not made, or has failed."""
         part = self.parts.get(name)
         return part if part is not None and key in part else None

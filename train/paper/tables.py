@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 
-from train.paper.rows import ObjectRow, Part
+from train.paper.rows import ObjectRow, PaperPart
 
 __all__ = ["Summary", "markdown", "summary"]
 
@@ -98,7 +98,7 @@ def _ways(rows: Sequence[ObjectRow]) -> list[str]:
     ]
 
 
-def _parts(rows: Sequence[ObjectRow], name: str, key: str) -> list[Part]:
+def _parts(rows: Sequence[ObjectRow], name: str, key: str) -> list[PaperPart]:
     """A part of each object where it was made and holds that entry."""
     return [part for row in rows if (part := row.with_part(name, key)) is not None]
 
@@ -132,7 +132,7 @@ def summary(rows: Sequence[ObjectRow]) -> Summary:
     )
 
 
-def _mean_change(refined: Sequence[Part], change: str) -> dict[str, float]:
+def _mean_change(refined: Sequence[PaperPart], change: str) -> dict[str, float]:
     values = [part["changes"][change] for part in refined]
     return {
         "rms_m": float(np.mean([value["rms_m"] for value in values])),
@@ -140,7 +140,7 @@ def _mean_change(refined: Sequence[Part], change: str) -> dict[str, float]:
     }
 
 
-def _field_means(fields: Sequence[Part]) -> FieldMeans | None:
+def _field_means(fields: Sequence[PaperPart]) -> FieldMeans | None:
     if not fields:
         return None
     rows = [(one["convexes"], one["psnr"], one["process_seconds"]) for one in fields]
@@ -161,7 +161,7 @@ def _point_means(rows: Sequence[ObjectRow]) -> dict[str, PointMeans]:
     return out
 
 
-def _add_pictures(target: Pictures, way: str, good: Sequence[Part]) -> None:
+def _add_pictures(target: Pictures, way: str, good: Sequence[PaperPart]) -> None:
     for stretch, view in product(("observed", "future"), ("front", "others")):
         views = [part.get("pictures", {}).get(stretch, {}) for part in good]
         found = [dict(scores[view]) for scores in views if view in scores]
@@ -241,7 +241,7 @@ def markdown(rows: Sequence[ObjectRow], note: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _pair(part: Part | None) -> str:
+def _pair(part: PaperPart | None) -> str:
     """Errors of a way for one object; a dash where it was not run."""
     if part is None:
         return "–"
