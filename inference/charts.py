@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
+
+from markupsafe import Markup, escape
 
 from inference.table import ResultRow
 from inference.units import format_pascals, format_pascals_range
@@ -45,7 +46,7 @@ def poisson_axis() -> Axis:
     return Axis(0.0, 0.5, tuple((value, f"{value:g}") for value in (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)))
 
 
-def stiffness_bar(row: ResultRow, axis: Axis) -> str:
+def stiffness_bar(row: ResultRow, axis: Axis) -> Markup:
     """Draw the distribution of E of one clip with its 90 % interval."""
     assert row.youngs_modulus and row.youngs_modulus_low and row.youngs_modulus_high
     return _bar(
@@ -58,7 +59,7 @@ def stiffness_bar(row: ResultRow, axis: Axis) -> str:
     )
 
 
-def poisson_bar(row: ResultRow, axis: Axis) -> str:
+def poisson_bar(row: ResultRow, axis: Axis) -> Markup:
     """Draw the distribution of ν of one clip with its 90 % interval."""
     assert row.poisson_ratio is not None and row.poisson_ratio_low is not None
     assert row.poisson_ratio_high is not None
@@ -70,7 +71,7 @@ def poisson_bar(row: ResultRow, axis: Axis) -> str:
 _WIDTH, _CURVE, _HEIGHT, _SIDE = 300, 26, 56, 20  # [px]
 
 
-def _bar(axis: Axis, centre: float, std: float, interval: tuple[float, float], title: str) -> str:
+def _bar(axis: Axis, centre: float, std: float, interval: tuple[float, float], title: str) -> Markup:
     def x(value: float) -> float:
         return round(_SIDE + axis.share(value) * (_WIDTH - 2 * _SIDE), 1)
 
@@ -81,7 +82,7 @@ def _bar(axis: Axis, centre: float, std: float, interval: tuple[float, float], t
         f'<text x="{x(v)}" y="{base + 22}">{escape(label)}</text>'
         for v, label in axis.ticks
     )
-    return (
+    return Markup(
         f'<svg class="bar" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img"><title>{escape(title)}</title>'
         f'<path class="density" d="{_bell(axis, centre, std, x, base)}"/>'
         f'<line class="axis" x1="{_SIDE}" x2="{_WIDTH - _SIDE}" y1="{base + 7}" y2="{base + 7}"/>{ticks}'
@@ -104,7 +105,7 @@ def _bell(axis: Axis, centre: float, std: float, x: object, base: float) -> str:
     return f"M{points[0][0]},{base} {line} L{points[-1][0]},{base} Z" if points else ""
 
 
-def overview_chart(rows: Sequence[ResultRow], *, stiffness: Axis, poisson: Axis) -> str:
+def overview_chart(rows: Sequence[ResultRow], *, stiffness: Axis, poisson: Axis) -> Markup:
     """Draw every clip as a cross of its two 90 % intervals; each links to its card."""
     width, height, left, bottom = 860, 300, 44, 34
 
@@ -126,7 +127,7 @@ def overview_chart(rows: Sequence[ResultRow], *, stiffness: Axis, poisson: Axis)
     crosses = "".join(_cross(number, row, x, y) for number, row in enumerate(rows))
     axes = f'<text class="name" x="{(width + left) / 2}" y="{height - 3}">Young’s modulus E</text>'
     axes += f'<text class="name" transform="translate(11 {(height - bottom) / 2}) rotate(-90)">ν</text>'
-    return f'<svg class="overview" viewBox="0 0 {width} {height}" role="img">{grid}{axes}{crosses}</svg>'
+    return Markup(f'<svg class="overview" viewBox="0 0 {width} {height}" role="img">{grid}{axes}{crosses}</svg>')
 
 
 def _cross(number: int, row: ResultRow, x: object, y: object) -> str:

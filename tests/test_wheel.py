@@ -55,7 +55,7 @@ def test_wheel_holds_exactly_the_packages_and_their_data(wheel: Path) -> None:
         sources = {
             str(path.relative_to(ROOT))
             for path in (ROOT / package).rglob("*")
-            if path.suffix in (".py", ".yaml", ".cpp", ".cu", ".h") or path.name == "py.typed"
+            if path.suffix in (".py", ".pyi", ".yaml", ".html", ".cpp", ".cu", ".h") or path.name == "py.typed"
         }
         assert sources <= set(names)
     checkpoints = [p for p in (ROOT / "models" / "checkpoints").rglob("*") if p.is_file()]

@@ -18,7 +18,7 @@ from .configuration import (
     set_value as set_value,
     validated as validated,
 )
-from .notebook import Picture as Picture, html_summary as html_summary, png_bytes as png_bytes
+from .notebook import Picture as Picture, data_uri as data_uri, html_summary as html_summary, png_bytes as png_bytes
 from .opengl import load_triton_first as load_triton_first
 from .options import (
     CommandLine as CommandLine,

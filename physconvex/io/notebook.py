@@ -15,7 +15,7 @@ from jaxtyping import UInt8
 if TYPE_CHECKING:
     from jinja2 import Template
 
-__all__ = ["Picture", "html_summary", "png_bytes"]
+__all__ = ["Picture", "data_uri", "html_summary", "png_bytes"]
 
 _TEMPLATE = """<div class="physconvex"><strong>{{ title }}</strong>
 <table>{% for name, value in rows %}<tr><th style="text-align:left">{{ name }}</th>\
@@ -41,11 +41,13 @@ class Picture:
 
         if isinstance(self.content, str):
             return Markup(self.content)
-        kind = "png" if self.content[:4] == b"\x89PNG" else "jpeg"
-        data = base64.b64encode(self.content).decode("ascii")
-        return Markup('<img alt="{}" style="max-width:100%" src="data:image/{};base64,{}">').format(
-            self.label, kind, data
-        )
+        return Markup('<img alt="{}" style="max-width:100%" src="{}">').format(self.label, data_uri(self.content))
+
+
+def data_uri(image: bytes) -> str:
+    """A PNG or JPEG file as an address that holds it."""
+    kind = "png" if image[:4] == b"\x89PNG" else "jpeg"
+    return f"data:image/{kind};base64,{base64.b64encode(image).decode('ascii')}"
 
 
 def png_bytes(image: UInt8[np.ndarray, "H W C"]) -> bytes:
