@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from models import ClipEstimate, PhysicsPredictor, PreparedClip
 from train.cache import PreparedClips, prepare_clips
+from train.evaluation_options import EvaluationOptions, Shown
 from train.progress import Report
-from train.records import LabelledClip, Split, read_clips
+from train.records import LabelledClip, read_clips
 
-__all__ = ["HeldOut", "Shown", "held_out", "held_out_estimates"]
+__all__ = ["HeldOut", "evaluated_clips", "held_out", "held_out_estimates"]
 
-Shown = Split | Literal["all"]
 _BATCH = 16
 
 
@@ -29,6 +28,17 @@ class HeldOut:
 
     def __len__(self) -> int:
         return len(self.labels)
+
+
+def evaluated_clips(
+    data: Sequence[Path | str], options: EvaluationOptions, *, out: Path, report: Report | None = None
+) -> tuple[PhysicsPredictor, HeldOut]:
+    """The predictor and the clips as it reads them; they are cached in `out/cache` unless the options say where."""
+    predictor = PhysicsPredictor.from_pretrained(options.checkpoint, device=options.device)
+    cache = options.cache or out / "cache"
+    return predictor, held_out(
+        data, predictor, split=options.split, cache=cache, limit=options.limit, workers=options.workers, report=report
+    )
 
 
 def held_out(

@@ -13,9 +13,10 @@ import numpy as np
 from jaxtyping import Float64
 
 import physconvex
-from models import ClipEstimate, PhysicsPredictor, PreparedClip, freeze_time, shuffle_time
+from models import ClipEstimate, PreparedClip, freeze_time, shuffle_time
 from physconvex import InputError
-from train.held_out import HeldOut, Shown, held_out, held_out_estimates
+from train.evaluation_options import EvaluationOptions
+from train.held_out import HeldOut, evaluated_clips, held_out_estimates
 from train.metrics import DensityMetrics, density_metrics
 from train.progress import Report
 from train.records import LabelledClip, dataset_checksum, read_clips
@@ -84,14 +85,9 @@ def _row(name: str, stiffness: DensityMetrics, poisson: DensityMetrics) -> str:
 
 def evaluate_predictor(
     data: Sequence[Path | str],
+    options: EvaluationOptions,
     *,
-    checkpoint: str,
-    split: Shown,
-    cache: Path,
-    limit: int | None = None,
-    device: str = "cpu",
-    seed: int = 0,
-    workers: int = 1,
+    out: Path,
     training_data: Sequence[Path | str] | None = None,
     report: Report | None = None,
 ) -> PredictorEvaluation:
@@ -100,14 +96,13 @@ def evaluate_predictor(
     The constant predictor says the median of the training clips of `training_data`, or of `data` unless given; where
     these have no training clips, of those for validation.
     """
-    predictor = PhysicsPredictor.from_pretrained(checkpoint, device=device)
-    clips = held_out(data, predictor, split=split, cache=cache, limit=limit, workers=workers, report=report)
+    predictor, clips = evaluated_clips(data, options, out=out, report=report)
     training = _not_tested(training_data or data)
     constants = (
         float(np.median([np.log10(clip.youngs_modulus) for clip in training])),
         float(np.median([clip.poisson_ratio for clip in training])),
     )
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(options.seed)
     ways: dict[str, Callable[[PreparedClip], PreparedClip]] = {
         "frames in order": lambda clip: clip,
         "frames shuffled": partial(shuffle_time, generator=generator),
@@ -121,8 +116,8 @@ def evaluate_predictor(
         readings.append(_reading(name, clips, *tables[-1], constants))
     truth = _truth(clips)
     return PredictorEvaluation(
-        checkpoint=checkpoint,
-        split=split,
+        checkpoint=options.checkpoint,
+        split=options.split,
         data={str(folder): dataset_checksum(folder) for folder in data},
         objects=len({clip.record.row["object_id"] for clip in clips.labels}),
         readings=tuple(readings),

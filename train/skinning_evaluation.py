@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Float64
 
 import physconvex
-from models import PhysicsPredictor, captured_energy, random_basis
-from train.held_out import Shown, held_out, held_out_estimates
+from models import captured_energy, random_basis
+from train.evaluation_options import EvaluationOptions
+from train.held_out import evaluated_clips, held_out_estimates
 from train.progress import Report
 from train.records import ClipSamples, dataset_checksum
 
@@ -51,20 +52,14 @@ class SkinningEvaluation:
 
 def evaluate_skinning(
     data: Sequence[Path | str],
+    options: EvaluationOptions,
     *,
-    checkpoint: str,
-    split: Shown,
-    cache: Path,
-    limit: int | None = None,
-    device: str = "cpu",
-    seed: int = 0,
-    workers: int = 1,
+    out: Path,
     report: Report | None = None,
 ) -> SkinningEvaluation:
     """Fit the FEM motion of every clip's sample points with three bases of as many handles."""
-    predictor = PhysicsPredictor.from_pretrained(checkpoint, device=device)
-    clips = held_out(data, predictor, split=split, cache=cache, limit=limit, workers=workers, report=report)
-    handles, generator = predictor.config.network.skinning.handles, np.random.default_rng(seed)
+    predictor, clips = evaluated_clips(data, options, out=out, report=report)
+    handles, generator = predictor.config.network.skinning.handles, np.random.default_rng(options.seed)
     of_all, beyond = [], []
     progress = None if report is None else partial(report, "fitting motion")
     for label, estimate in zip(clips.labels, held_out_estimates(predictor, clips, report=progress), strict=True):
@@ -77,8 +72,8 @@ def evaluate_skinning(
         of_all.append([_share(samples, weights, "nothing") for weights in bases])
         beyond.append([_share(samples, weights, "affine") for weights in bases])
     return SkinningEvaluation(
-        checkpoint=checkpoint,
-        split=split,
+        checkpoint=options.checkpoint,
+        split=options.split,
         data={str(folder): dataset_checksum(folder) for folder in data},
         handles=handles,
         of_all=np.array(of_all),

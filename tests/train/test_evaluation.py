@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import train.predictor_evaluation
+import train.held_out
 from models import ClipEstimate, PhysicsPredictor, PreparedClip, SkinningField
 from physconvex import InputError
 from train import TrainConfig, read_clips
+from train.evaluation_options import EvaluationOptions
 from train.held_out import held_out
 from train.predictor_evaluation import evaluate_predictor, write_predictor_report
 from train.skinning_evaluation import evaluate_skinning, write_skinning_report
@@ -54,10 +55,10 @@ def test_an_oracle_gets_its_score_and_loses_it_without_time(
         prepared = predictor.prepare(clip.record.frames(), fps=clip.fps)
         known[prepared.mask.tobytes()] = (clip.youngs_modulus, clip.poisson_ratio)
     oracle = Oracle(known, predictor.config)
-    monkeypatch.setattr(
-        train.predictor_evaluation, "PhysicsPredictor", type("P", (), {"from_pretrained": oracle_of(oracle)})
-    )
-    result = evaluate_predictor([tiny_data], checkpoint="oracle", split="test", cache=tiny_cache, workers=0)
+    known = type("P", (), {"from_pretrained": oracle_of(oracle)})
+    monkeypatch.setattr(train.held_out, "PhysicsPredictor", known)
+    options = EvaluationOptions(checkpoint="oracle", cache=tiny_cache, workers=0)
+    result = evaluate_predictor([tiny_data], options, out=tmp_path)
     ordered, shuffled, frozen = result.readings
     assert ordered.log10_youngs_modulus.mae == pytest.approx(0.1, abs=1e-6)
     assert ordered.log10_youngs_modulus.coverage == 1.0 and ordered.poisson_ratio.coverage == 0.0
@@ -68,9 +69,7 @@ def test_an_oracle_gets_its_score_and_loses_it_without_time(
     median = np.median([np.log10(clip.youngs_modulus) for clip in read_clips([tiny_data], "train")])
     assert ordered.log10_youngs_modulus.constant_mae == pytest.approx(np.abs(truth - median).mean())
     with pytest.raises(InputError, match="nowhere"):  # whose median the constant is can be told
-        evaluate_predictor(
-            [tiny_data], checkpoint="oracle", split="test", cache=tiny_cache, workers=0, training_data=["nowhere"]
-        )
+        evaluate_predictor([tiny_data], options, out=tmp_path, training_data=["nowhere"])
     write_predictor_report(tmp_path / "out", result)
     tree = json.loads((tmp_path / "out" / "predictor.json").read_text())
     assert [r["name"] for r in tree["readings"]] == ["frames in order", "frames shuffled", "a single frame"]
@@ -85,8 +84,8 @@ def oracle_of(oracle: Oracle) -> staticmethod:
 
 
 def test_skinning_report(tiny_data: Path, tiny_cache: Path, checkpoint: Path, tmp_path: Path) -> None:
-    options = {"checkpoint": str(checkpoint), "cache": tiny_cache, "workers": 0}
-    result = evaluate_skinning([tiny_data], split="test", limit=5, **options)
+    options = EvaluationOptions(checkpoint=str(checkpoint), cache=tiny_cache, limit=5, workers=0)
+    result = evaluate_skinning([tiny_data], options, out=tmp_path)
     assert result.of_all.shape == result.beyond_affine.shape == (5, 3)
     assert ((result.beyond_affine >= 0) & (result.beyond_affine <= 1)).all()
     assert (result.of_all >= result.beyond_affine - 1e-9).all()

@@ -15,7 +15,7 @@ from models import dimensionless_interval, log10_dimensionless_stiffness
 from physconvex import ConvergenceError
 from physconvex.mesh import QUADRATURE, shape_values
 
-__all__ = ["Falls", "Index", "joined", "motion_states", "simulate_falls", "turned"]
+__all__ = ["Falls", "Index", "joined", "simulate_falls", "turned"]
 
 Index = Int[Tensor, " B"]
 """Numbers of falls."""
@@ -159,19 +159,6 @@ def _states(layout: Layout, positions: Tensor, number: int, size: float) -> Floa
     now = torch.einsum("qa,teai->teqi", _SHAPES.to(device), x[:, tets]).flatten(1, 2).double()
     share = (volumes.double() / volumes.sum()).repeat_interleave(4) / 4
     return _motion(now, share, size).float()
-
-
-def motion_states(now: Float[Tensor, "T Q 3"], share: Float[Tensor, " Q"], size: float) -> Float[Tensor, "T S"]:
-    """`models.motion.STATE_NAMES` of points of a body, at rest in the first frame, over the floor z = 0, seen along y.
-
-    As `train.states.states_of_motion`, on any device.
-
-    Args:
-        now: positions [m].
-        share: of the volume.
-        size: of the body [m].
-    """
-    return _with_stretches(_motion(now, share, size))
 
 
 def _motion(now: Float[Tensor, "T Q 3"], share: Float[Tensor, " Q"], size: float) -> Float[Tensor, "T S"]:
