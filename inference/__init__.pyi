@@ -1,5 +1,5 @@
 from .batch import predict_batch as predict_batch
-from .loading import StatedConditions as StatedConditions, load_clip as load_clip
+from .loading import load_clip as load_clip
 from .pictures import ClipPictures as ClipPictures, frame_strip as frame_strip
 from .prediction import Prediction as Prediction
 from .predictor import predict as predict
@@ -19,6 +19,7 @@ from .refinement.result_files import write_refinement as write_refinement
 from .refinement.run import RefinementRun as RefinementRun
 from .refinement.stages import Stages as Stages
 from .results import ResultsFolder as ResultsFolder
+from .settings import StatedConditions as StatedConditions
 from .sources import ClipSource as ClipSource, find_sources as find_sources
 from .streaming import ClipResult as ClipResult, iter_predictions as iter_predictions
 from .summary import BatchSummary as BatchSummary

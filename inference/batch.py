@@ -6,18 +6,17 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 
 from inference.decoding import failure_from
 from inference.gallery import write_gallery
-from inference.loading import StatedConditions
 from inference.predictor import load_predictor
 from inference.preparation import Predictor
 from inference.result_names import assign_names
 from inference.results import ResultsFolder
 from inference.run_record import checkpoint_digest, finish_run, start_run
+from inference.settings import BatchOptions, StatedConditions
 from inference.sources import ClipSource, Found, displayed_path, find_sources, fingerprint
-from inference.streaming import BatchOptions, ClipResult, Paths, as_list, stream_results
+from inference.streaming import ClipResult, Paths, as_list, stream_results
 from inference.summary import BatchSummary
 from inference.table import ResultRow
 
@@ -75,8 +74,8 @@ def predict_batch(
             command=command,
             configuration={
                 "paths": [displayed_path(path) for path in as_list(paths)],
-                **asdict(settings),
-                **asdict(options),
+                **dict(settings),
+                **dict(options),
                 "readers": options.readers,
                 "checkpoint": displayed_path(checkpoint),
                 "checkpoint_digest": checkpoint_digest(predictor),
@@ -165,5 +164,5 @@ def _fingerprint_or_empty(source: ClipSource) -> str:
 
 
 def _settings_digest(settings: StatedConditions, predictor: Predictor) -> str:
-    text = json.dumps([asdict(settings), checkpoint_digest(predictor)], sort_keys=True)
+    text = json.dumps([dict(settings), checkpoint_digest(predictor)], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -10,14 +10,17 @@ from typing import Annotated
 
 import typer
 
+from inference.settings import BatchOptions, StatedConditions
 from inference.summary import BatchSummary
 from inference.table import ResultRow
+from physconvex.io import command
 
 __all__ = ["predict_command"]
 
 _ROWS_SHOWN = 40
 
 
+@command
 def predict_command(
     *,
     paths: Annotated[
@@ -29,18 +32,10 @@ def predict_command(
         ),
     ],
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("predictions"),
-    fps: Annotated[
-        float | None, typer.Option(help="Frames per second of the motion [1/s]. Default: the file's.")
-    ] = None,
-    density: Annotated[float | None, typer.Option(help="Density [kg/m³]. Default: the capture's, else 1000.")] = None,
-    object_size: Annotated[
-        float | None,
-        typer.Option(help="Largest edge of the object at rest [m]. Default: the capture's mesh, else 1."),
-    ] = None,
+    conditions: StatedConditions,
     checkpoint: Annotated[str, typer.Option(help="Name or folder of a checkpoint.")] = "default",
     device: Annotated[str, typer.Option(help="Torch device, such as cpu or cuda.")] = "cpu",
-    batch_size: Annotated[int, typer.Option(help="Most clips in one pass of the network.")] = 8,
-    workers: Annotated[int | None, typer.Option(help="Clips read at once. Default: 2, or 1 on a single core.")] = None,
+    work: BatchOptions,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object per clip to standard output, nothing else.")
     ] = False,
@@ -64,16 +59,13 @@ def predict_command(
         summary = predict_batch(
             paths,
             out=out,
-            fps=fps,
-            density=density,
-            object_size=object_size,
             checkpoint=checkpoint,
             device=device,
-            batch_size=batch_size,
-            workers=workers,
             redo=redo,
             on_start=reporter.start,
             on_row=reporter.report,
+            **dict(conditions),
+            **dict(work),
         )
     if not summary.rows:
         names = ", ".join(str(path) for path in paths)

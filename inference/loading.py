@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
+from inference.settings import StatedConditions
 from inference.sources import ClipSource, displayed_path
 from physconvex import InputError
 from physconvex.io import CAPTURE_FILE, Capture, Video, load_capture, read_capture_file, read_image_sequence, read_video
@@ -20,7 +20,6 @@ __all__ = [
     "DEFAULT_OBJECT_SIZE",
     "Conditions",
     "LoadedClip",
-    "StatedConditions",
     "load_array",
     "load_clip",
     "resolve_conditions",
@@ -35,38 +34,6 @@ DEFAULT_OBJECT_SIZE = 1.0
 _GRAVITY = 9.81  # [m/s²]
 MAX_SIDE = 1280
 """Larger frames are scaled down to this longer side while they are decoded [px]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class StatedConditions:
-    """What the user states about clips; None leaves it to the clip's own data, then to the default."""
-
-    fps: float | None = None
-    """Frames per second of the motion [1/s]; overrides the file's."""
-    density: float | None = None
-    """Density [kg/m³]; overrides the capture's."""
-    object_size: float | None = None
-    """Largest edge of the rest bounding box [m]; overrides that of the capture's mesh."""
-
-    def __post_init__(self) -> None:
-        """Check that every number is positive and finite.
-
-        Raises:
-            InputError: one of them is not.
-        """
-        for name, unit in (("fps", "1/s"), ("density", "kg/m³"), ("object_size", "m")):
-            value = getattr(self, name)
-            if value is not None:
-                _require_positive(name, value, unit)
-
-
-def _require_positive(name: str, value: object, unit: str) -> None:
-    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if not is_number or not math.isfinite(value) or value <= 0:  # type: ignore[arg-type,operator]
-        raise InputError(
-            f"{name} is {value!r}; expected a positive, finite number [{unit}]. "
-            f"Give the measured value, or leave {name} out to use the default."
-        )
 
 
 @dataclass(frozen=True, kw_only=True)

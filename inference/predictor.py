@@ -7,9 +7,10 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any, cast
 
-from inference.loading import LoadedClip, StatedConditions, load_array, load_clip
+from inference.loading import LoadedClip, load_array, load_clip
 from inference.prediction import Prediction
 from inference.preparation import Predictor, ready_clip, to_prediction
+from inference.settings import StatedConditions
 from inference.sources import ClipSource, SourceProblem, displayed_path, source_at
 from physconvex import InputError
 

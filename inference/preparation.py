@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from inference.loading import Conditions, LoadedClip, StatedConditions, load_clip, resolve_conditions, retimed
+from inference.loading import Conditions, LoadedClip, load_clip, resolve_conditions, retimed
 from inference.pictures import frame_strip
 from inference.prediction import Estimated, Prediction
+from inference.settings import StatedConditions
 from inference.sources import ClipSource, displayed_path
 from models import ClipConfig, PreparedClip
 

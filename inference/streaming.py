@@ -8,50 +8,21 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from inference.decoding import BackgroundReader, Failure, Reader, failure_from
-from inference.loading import StatedConditions
 from inference.pictures import ClipPictures
 from inference.prediction import Prediction
 from inference.predictor import load_predictor
 from inference.preparation import Predictor, ReadyClip, ready_source, to_prediction
 from inference.read_ahead import read_ahead
+from inference.settings import BatchOptions, StatedConditions
 from inference.sources import ClipSource, Found, SourceProblem, displayed_path, find_sources
 from inference.weight_pictures import weight_maps
 from inference.worker import WorkerReader
-from physconvex import InputError
 
-__all__ = ["BatchOptions", "ClipResult", "Paths", "as_list", "iter_predictions", "stream_results"]
+__all__ = ["ClipResult", "Paths", "as_list", "iter_predictions", "stream_results"]
 
 _LEAST_CLIPS_FOR_PROCESSES = 4  # below it, starting processes takes longer than reading
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
-
-
-@dataclass(frozen=True, kw_only=True)
-class BatchOptions:
-    """How the work is done; none of it changes a prediction."""
-
-    batch_size: int = 8
-    """Most clips in one pass of the network."""
-    workers: int | None = None
-    """Clips read at once; None: two, or one on a single core."""
-    processes: bool = True
-    """Read in worker processes, so that a codec that crashes takes one clip with it; else in threads."""
-
-    def __post_init__(self) -> None:
-        """Check that both are positive whole numbers.
-
-        Raises:
-            InputError: one is not.
-        """
-        for name in ("batch_size", "workers"):
-            value = getattr(self, name)
-            if value is not None and (not isinstance(value, int) or value < 1):
-                raise InputError(f"{name} is {value!r}; expected a whole number of at least 1.")
-
-    @property
-    def readers(self) -> int:
-        """Number of clips read at once."""
-        return self.workers or min(2, os.cpu_count() or 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,8 +18,8 @@ from multiprocessing.connection import Connection, Pipe
 import cv2
 
 from inference.decoding import Failure, failure_from
-from inference.loading import StatedConditions
 from inference.preparation import ReadyClip, ready_source
+from inference.settings import StatedConditions
 from inference.sources import ClipSource
 from models import ClipConfig, prepare_clip
 from physconvex import PhysconvexError
