@@ -1,4 +1,4 @@
-from .batch import predict_batch as predict_batch
+from .batch import BatchSummary as BatchSummary, predict_batch as predict_batch
 from .loading import load_clip as load_clip
 from .pictures import ClipPictures as ClipPictures, frame_strip as frame_strip
 from .prediction import Prediction as Prediction
@@ -22,6 +22,5 @@ from .results import ResultsFolder as ResultsFolder
 from .settings import StatedConditions as StatedConditions
 from .sources import ClipSource as ClipSource, find_sources as find_sources
 from .streaming import ClipResult as ClipResult, iter_predictions as iter_predictions
-from .summary import BatchSummary as BatchSummary
 from .units import format_pascals as format_pascals, format_pascals_range as format_pascals_range
 from .weight_pictures import weight_maps as weight_maps

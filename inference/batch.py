@@ -6,6 +6,8 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 from inference.decoding import failure_from
 from inference.gallery import write_gallery
@@ -17,10 +19,34 @@ from inference.run_record import checkpoint_digest, finish_run, start_run
 from inference.settings import BatchOptions, StatedConditions
 from inference.sources import ClipSource, Found, displayed_path, find_sources, fingerprint
 from inference.streaming import ClipResult, Paths, as_list, stream_results
-from inference.summary import BatchSummary
 from inference.table import ResultRow
 
-__all__ = ["predict_batch"]
+__all__ = ["BatchSummary", "predict_batch"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchSummary:
+    """What came of a batch."""
+
+    out: Path
+    rows: tuple[ResultRow, ...]
+    """The clips of this run, in the order they were found."""
+    predicted: int
+    """Clips predicted in this run."""
+    resumed: int
+    """Clips that an earlier run had finished."""
+    failed: int
+    """Clips without prediction."""
+
+    @property
+    def truncated(self) -> int:
+        """Clips of this run that were predicted from the part that is left of a file."""
+        return sum(bool(row.truncated) for row in self.rows)
+
+    @property
+    def exit_code(self) -> int:
+        """0 if every clip has a prediction from its whole file, else 1."""
+        return 1 if self.failed or self.truncated else 0
 
 
 def predict_batch(

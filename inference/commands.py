@@ -6,14 +6,16 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from inference.settings import BatchOptions, StatedConditions
-from inference.summary import BatchSummary
 from inference.table import ResultRow
 from physconvex.io import command
+
+if TYPE_CHECKING:
+    from inference.batch import BatchSummary
 
 __all__ = ["predict_command"]
 

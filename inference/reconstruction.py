@@ -15,10 +15,10 @@ from typing import Any, NotRequired, TypedDict
 import numpy as np
 import torch
 import trimesh
+from PIL import Image
 from pydantic import JsonValue
 
 import physconvex
-from inference.reconstruction_pictures import write_comparison
 from inference.reconstruction_views import CaptureViews, capture_views
 from physconvex import InputError
 from physconvex.convex import ConvexField, read_ply, write_glb, write_ply
@@ -27,6 +27,7 @@ from physconvex.numerics import device_named
 from physconvex.reconstruction import (
     FitProgress,
     FitState,
+    Observation,
     ReconstructionConfig,
     ViewScore,
     begin,
@@ -52,6 +53,7 @@ STATE, RESULT, FIELD, HULLS, FILM = (
 )
 _STORE_EVERY = 20.0  # seconds
 _SHOWN_SCORES = ("psnr", "psnr_object", "ssim")
+_DIFFERENCE_GAIN = 4.0
 _FILM_FRAMES, _FILM_RATE = 48, 24.0
 
 
@@ -309,7 +311,7 @@ def _write(
     write_glb(result.field, folder / HULLS)
     (folder / "views").mkdir(exist_ok=True)
     for seen, picture in zip((*views.training, *views.held_out), pictures, strict=True):
-        write_comparison(folder / "views" / f"{seen.camera.name}.png", seen, picture)
+        _write_comparison(folder / "views" / f"{seen.camera.name}.png", seen, picture)
     if turntable:
         frames = film(itertools.repeat(result.field.to(place)), orbit(result.field, _FILM_FRAMES))
         write_video(folder / FILM, frames, fps=_FILM_RATE)
@@ -318,3 +320,10 @@ def _write(
     partial.write_text(text, encoding="utf-8")
     partial.replace(folder / RESULT)
     (folder / STATE).unlink(missing_ok=True)
+
+
+def _write_comparison(path: Path, seen: Observation, rendered: torch.Tensor) -> None:
+    """Write one PNG: the view, the rendered image [H, W, 3], four times their absolute difference on black."""
+    difference = (_DIFFERENCE_GAIN * (rendered - seen.image).abs()).clamp(0, 1)
+    row = torch.cat([seen.image, rendered.clamp(0, 1), difference], dim=1)
+    Image.fromarray((255 * row.numpy()).round().astype(np.uint8)).save(path)
