@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import tempfile
 import time
 from collections.abc import Callable
@@ -36,6 +37,8 @@ __all__ = [
     "render_view",
     "simulate_with_replacements",
 ]
+
+_LOG = logging.getLogger("physconvex")
 
 # Stream numbers below LOOK's key that are not views.
 _SAMPLING, _COLORS = 10_000, 10_001
@@ -247,6 +250,8 @@ def generate_dataset(
         with (root / "timings.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps({k: v for k, v in asdict(report).items() if k != "failures"}) + "\n")
         failed += len(report.failures)
+        for failure in report.failures:
+            _LOG.info("generate: an attempt at simulation %d failed: %s", report.simulation, failure)
         made += not report.given_up
         if on_report is not None:
             on_report(report, done)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,6 +23,8 @@ from inference.streaming import ClipResult, Paths, as_list, stream_results
 from inference.table import ResultRow
 
 __all__ = ["BatchSummary", "predict_batch"]
+
+_LOG = logging.getLogger("physconvex")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,6 +115,7 @@ def predict_batch(
         batch = _Batch(folder, found, redo=redo, on_row=on_row)
         if on_start is not None:
             on_start(len(found))
+        _LOG.info("predict: %d clips, %d of them finished earlier", len(found), len(batch.finished))
         batch.report_finished()
         for result in stream_results(batch.to_do, settings, predictor, options, picture=True):
             batch.add(result)
@@ -163,6 +167,7 @@ class _Batch:
         if row is None:
             row = self._folder.add_error(source, name, error, details=details)
             self.failed += 1
+            _LOG.warning("predict: %s", error)
         else:
             self.predicted += 1
         self._report(row)

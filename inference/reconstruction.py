@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import logging
 import shutil
 import time
 from collections.abc import Callable, Sequence
@@ -43,6 +44,8 @@ from physconvex.reconstruction import (
 from physconvex.render import film, orbit
 
 __all__ = ["Reconstruction", "reconstruct"]
+
+_LOG = logging.getLogger("physconvex")
 
 STATE, RESULT, FIELD, HULLS, FILM = (
     "state.safetensors",
@@ -184,6 +187,7 @@ def reconstruct(
     state = None if folder is None else load_fit(folder / STATE, claim=claim)
     mesh = source.mesh()
     kind = start_kind(config.start, mesh=mesh is not None, points=given is not None)
+    _LOG.info("reconstruct: %s from step %d", capture, 0 if state is None else state.step)
     if state is None:
         state = begin(start_field(views.training, config, mesh=mesh, points=given))
     state = _fit_and_store(state.to(place), views, config, folder=folder, claim=claim, on_step=on_step)
@@ -199,6 +203,7 @@ def reconstruct(
         config,
         folder,
     )
+    _LOG.info("reconstruct: %d convexes from the %s in %.0f s", len(field), kind, state.seconds)
     if folder is not None:
         pictures = [image for _, image in (*trained, *tested)]
         _write(result, folder, views, pictures, claim, turntable=turntable, place=place)

@@ -1,9 +1,12 @@
 """Material parameters of soft objects from video: one light face over the packages of the repository.
 
+Library code logs its progress to the logger "physconvex", which is silent unless a program configures it; commands
+print.
 Importing this package loads nothing heavy; the names below are resolved on first use (PEP 562). `__init__.pyi` tells
 their types.
 """
 
+import logging
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 
@@ -25,6 +28,8 @@ _LAZY = {
 }
 
 __all__ = ["ConvergenceError", "InputError", "PhysconvexError", "__version__", *_LAZY]
+
+logging.getLogger("physconvex").addHandler(logging.NullHandler())
 
 try:
     __version__ = version("physconvex")

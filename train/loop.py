@@ -6,6 +6,7 @@ same losses.
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Sequence
 from copy import deepcopy
@@ -34,6 +35,8 @@ from train.state import TrainingProgress, load_training_state, refuse_other_run,
 from train.validation import Validation, validate
 
 __all__ = ["TrainingResult", "train_predictor"]
+
+_LOG = logging.getLogger("physconvex")
 
 _EXAMPLE_SCALE = 1_000_003  # between the seeds of two runs
 _SHARES = (0.5, 0.75)  # of the way from a checkpoint to what further training made of it
@@ -241,6 +244,7 @@ class _Run:
                 stiffness=asdict(stiffness),
                 poisson=asdict(poisson),
             )
+            _LOG.info("train: step %d, validation score %.4f", progress.step, score)
             if best is None or score < best:
                 best = score
                 self._export(self.average.module, found)

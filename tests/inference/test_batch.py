@@ -136,7 +136,13 @@ def test_results_of_other_folders_stay_in_the_table(tmp_path: Path, make_clip: M
 
 
 @pytest.mark.parametrize("fail_on", ["raise", "nan"])
-def test_one_clip_that_breaks_the_network_fails_alone(tmp_path: Path, make_clip: MakeClip, fail_on: str) -> None:
+def test_one_clip_that_breaks_the_network_fails_alone(
+    tmp_path: Path,
+    make_clip: MakeClip,
+    fail_on: str,
+    caplog: pytest.LogCaptureFixture,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     for name in ("a", "b", "c"):
         make_clip(tmp_path / "clips" / f"{name}.mp4")
     red = make_clip(tmp_path / "clips" / "red.mp4", colour=(230, 20, 20))
@@ -148,6 +154,8 @@ def test_one_clip_that_breaks_the_network_fails_alone(tmp_path: Path, make_clip:
     (row,) = [row for row in table(out) if row["error"]]
     assert row["path"] == str(red) and str(red) in row["error"] and "\n" not in row["error"]
     assert row["youngs_modulus"] == ""
+    assert [(record.name, str(red) in record.message) for record in caplog.records] == [("physconvex", True)]
+    assert capsys.readouterr().err == ""  # the library logs; the command prints
     entries = [json.loads(line) for line in (out / "journal.jsonl").read_text().splitlines()]
     assert any("Traceback" in entry["details"] for entry in entries)
 

@@ -6,6 +6,7 @@ a run that was killed goes on with the same losses.
 
 from __future__ import annotations
 
+import logging
 import os
 import time
 from collections.abc import Mapping
@@ -32,6 +33,8 @@ from train.schedule import cosine_schedule
 from train.state import TrainingProgress, load_training_state, refuse_other_run, save_training_state
 
 __all__ = ["STATE", "Pretraining", "pretrain", "scores"]
+
+_LOG = logging.getLogger("physconvex")
 
 STATE = "state.safetensors"
 _STEP_SCALE = 1_000_003  # between the seeds of two runs
@@ -224,6 +227,7 @@ class _Run:
         found = {name: scores(network, batches) for name, batches in self.looked_at.items()}
         chosen_by = "real" if "real" in found else "falls"
         score = _score(found[chosen_by], self.looked_at[chosen_by])
+        _LOG.info("pretrain: step %d, score %.4f", progress.step, score)
         rate = self.optimizer.param_groups[0]["lr"]
         log.write("train", progress.step, learning_rate=rate, seconds=round(progress.seconds, 1), **losses)
         log.write("validation", progress.step, score=score, **found)
