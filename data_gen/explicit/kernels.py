@@ -109,7 +109,8 @@ def render_falls(batch: DrawnClips, *, side: int, factor: int = 2) -> Float32[Te
 def kernel_source(name: str) -> str:
     """The CUDA text of one of the kernels."""
     texts = [part.read_text(encoding="utf-8") for part in _TEXTS[name]]
-    return "#define DEVICE __device__ __forceinline__\n" + "".join(texts)
+    defined = "#define DEVICE __device__ __forceinline__\n#define bits_of __float_as_uint\n"
+    return defined + "".join(texts)
 
 
 def _launch(name: str, blocks: int, arguments: Sequence[Tensor | int]) -> None:

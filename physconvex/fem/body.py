@@ -11,7 +11,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from physconvex.errors import InputError
 from physconvex.fem.compiled_elements import volumetric_elements
 from physconvex.fem.volumetric import VolumetricElements
 from physconvex.materials import (
@@ -19,10 +18,13 @@ from physconvex.materials import (
     FlowStep,
     Law,
     MaterialPoints,
+    checked_constant,
     get_law,
+    inner_viscous_stress,
     lame_parameters,
     project_to_positive,
     stored_flows,
+    strain_rate,
     strain_stiffness,
 )
 from physconvex.mesh import QUADRATURE, TetMesh, shape_gradients, unit_mass
@@ -65,10 +67,11 @@ class ElasticBody:
         self.flow = flow
         self.device = torch.device(device)
         self._barycentric, volumes = _rule(mesh)
-        shape = volumes.shape if np.ndim(youngs_modulus) == 2 else None
-        self.youngs_modulus = self._checked("youngs_modulus", youngs_modulus, 0.0, np.inf, shape=shape)
-        self.poisson_ratio = self._checked("poisson_ratio", poisson_ratio, -1.0, 0.5)
-        self.density = self._checked("density", density, 0.0, np.inf)
+        each = (len(mesh.tets),)
+        modulus_shape = volumes.shape if np.ndim(youngs_modulus) == 2 else each
+        self.youngs_modulus = checked_constant("youngs_modulus", youngs_modulus, modulus_shape)
+        self.poisson_ratio = checked_constant("poisson_ratio", poisson_ratio, each)
+        self.density = checked_constant("density", density, each)
         self._weights = self._tensor(volumes)  # [E, Q]
         ratio = self._tensor(self.poisson_ratio)[:, None]
         self._mu, self._lam = lame_parameters(self._tensor(self.modulus_at_points), ratio)  # [E, Q]
@@ -85,17 +88,6 @@ class ElasticBody:
 
     def _tensor(self, array: np.ndarray) -> Tensor:
         return torch.as_tensor(array, dtype=torch.float64, device=self.device)
-
-    def _checked(
-        self, name: str, value: PerPoint, low: float, high: float, *, shape: tuple[int, ...] | None = None
-    ) -> np.ndarray:
-        """Values inside (low, high) of a shape, [E] unless given."""
-        array, shape = np.asarray(value, dtype=np.float64), shape or (len(self.mesh.tets),)
-        if array.shape not in ((), shape):
-            raise InputError(f"{name}: got shape {array.shape}; expected a number or {list(shape)}")
-        if not ((array > low) & (array < high)).all():
-            raise InputError(f"{name}: got values in [{array.min()}, {array.max()}]; expected inside ({low}, {high})")
-        return np.broadcast_to(array, shape).copy()
 
     def _rest_gradients(self) -> np.ndarray:
         """∂N/∂X at the quadrature points, [E, Q, n, 3]; straight-edged elements have constant ∂b/∂X."""
@@ -254,7 +246,7 @@ class ElasticBody:
         full = (half @ self._flat_gradients.mT).reshape(count, nodes, 3, 3, nodes)  # [E, a, i, k, b]
         return full.permute(0, 1, 2, 4, 3).reshape(count, nodes * 3, nodes * 3).cpu().numpy()
 
-    # -- Kelvin–Voigt viscosity: rate potential w/2 (2 μ_v Ė:Ė + λ_v (tr Ė)²), Ė = sym(F*ᵀ Ḟ), frozen F*
+    # -- viscosity, see `physconvex.materials.viscosity`
 
     def viscous_state(self, x: Float[np.ndarray, "V 3"]) -> Tensor:
         """F* at which the viscosity of one time step is frozen, [E, Q, 3, 3]."""
@@ -303,12 +295,8 @@ class ElasticBody:
 
     def _viscous_pair(self, state: Tensor, rate: Tensor, damping_time: float) -> tuple[Tensor, Tensor]:
         """Ė, and 2 μ_v Ė + λ_v tr Ė."""
-        strain = state.mT @ rate
-        strain = 0.5 * (strain + strain.mT)
-        trace = strain.diagonal(dim1=-2, dim2=-1).sum(-1)
-        inner = (2 * damping_time * self._mu)[..., None, None] * strain
-        inner.diagonal(dim1=-2, dim2=-1).add_((damping_time * self._lam * trace)[..., None])
-        return strain, inner
+        strain = strain_rate(state, rate)
+        return strain, inner_viscous_stress(strain, damping_time * self._mu, damping_time * self._lam)
 
     def _rate_potential(self, strain: Tensor, inner: Tensor) -> float:
         return 0.5 * float((self._weights * (inner * strain).sum((-1, -2))).sum())

@@ -1,4 +1,5 @@
 from .combined_flows import Flows as Flows, stored_flows as stored_flows
+from .constants import checked_constant as checked_constant
 from .inelastic import (
     FlowRule as FlowRule,
     FlowStep as FlowStep,
@@ -20,6 +21,11 @@ from .strain_terms import (
     less_ground as less_ground,
     with_fibres as with_fibres,
     with_strain_stiffening as with_strain_stiffening,
+)
+from .viscosity import (
+    inner_viscous_stress as inner_viscous_stress,
+    strain_rate as strain_rate,
+    viscous_stress as viscous_stress,
 )
 from .volumetric import (
     KERNEL_LAWS as KERNEL_LAWS,

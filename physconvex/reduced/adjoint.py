@@ -17,9 +17,8 @@ from jaxtyping import Float
 
 from physconvex.dynamics import SolvedPass, StepRecord, Timing, extrapolate, simulate
 from physconvex.errors import InputError
-from physconvex.materials import lame_parameters
+from physconvex.materials import lame_parameters, viscous_stress
 from physconvex.numerics import one_torch_thread, rotation_matrix
-from physconvex.reduced.body import viscous_stress
 from physconvex.reduced.density_gradient import DensityGradient
 from physconvex.reduced.equations import ReducedEquations
 from physconvex.reduced.field_gradient import FieldBars

@@ -16,40 +16,25 @@ from physconvex.materials import (
     FlowStep,
     Law,
     MaterialPoints,
+    checked_constant,
     get_law,
+    inner_viscous_stress,
     lame_parameters,
     project_to_positive,
     stored_flows,
+    strain_rate,
     strain_stiffness,
+    viscous_stress,
 )
 from physconvex.reduced.compiled_body import CompiledViscosity, compiled_viscosity, volumetric_samples
 from physconvex.reduced.space import ReducedSpace
 from physconvex.reduced.volumetric import VolumetricSamples
 
-__all__ = ["ReducedBody", "function_by_function", "viscous_stress"]
+__all__ = ["ReducedBody", "function_by_function"]
 
 PerCell = float | Float[np.ndarray, " C"]
 _BLOCK = 4_000_000  # numbers in the largest temporary of the Hessian
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-
-
-def viscous_stress(state: Tensor, rate: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
-    """First Piola–Kirchhoff stress [Pa] of Kelvin–Voigt viscosity, F* (2 μ_v Ė + λ_v tr Ė), Ė = sym(F*ᵀ Ḟ).
-
-    Args:
-        state: F*, at which the viscosity of one time step is frozen, [..., 3, 3].
-        rate: Ḟ [1/s], [..., 3, 3].
-        mu, lam: viscosities μ_v, λ_v [Pa·s].
-    """
-    return state @ inner_viscous_stress(state, rate, mu, lam)
-
-
-def inner_viscous_stress(state: Tensor, rate: Tensor, mu: Tensor, lam: Tensor) -> Tensor:
-    """2 μ_v Ė + λ_v tr Ė [Pa], without the F* in front."""
-    strain = state.mT @ rate
-    strain = 0.5 * (strain + strain.mT)
-    trace = strain.diagonal(dim1=-2, dim2=-1).sum(-1)
-    return 2 * mu[..., None, None] * strain + (lam * trace)[..., None, None] * torch.eye(3).to(strain)
 
 
 class ReducedBody:
@@ -89,9 +74,10 @@ class ReducedBody:
     ) -> None:
         self.space, self.flow, self.device = space, flow, torch.device(device)
         self.law = get_law(law) if isinstance(law, str) else law
-        self.youngs_modulus = self._per_cell("youngs_modulus", youngs_modulus, 0.0, np.inf)
-        self.poisson_ratio = self._per_cell("poisson_ratio", poisson_ratio, -1.0, 0.5)
-        self.density = self._per_cell("density", density, 0.0, np.inf)
+        cells = (space.samples.interior.cell_count,)
+        self.youngs_modulus = checked_constant("youngs_modulus", youngs_modulus, cells)
+        self.poisson_ratio = checked_constant("poisson_ratio", poisson_ratio, cells)
+        self.density = checked_constant("density", density, cells)
         self.regions = None if regions is None else self._checked_regions(regions)
         interior = space.samples.interior
         self.mu, self.lam = (
@@ -135,14 +121,6 @@ class ReducedBody:
 
     def _tensor(self, array: np.ndarray) -> Tensor:
         return torch.as_tensor(array, dtype=torch.float64, device=self.device)
-
-    def _per_cell(self, name: str, value: PerCell, low: float, high: float) -> np.ndarray:
-        array, count = np.asarray(value, dtype=np.float64), self.space.samples.interior.cell_count
-        if array.shape not in ((), (count,)):
-            raise InputError(f"{name}: got shape {array.shape}; expected a number or [{count}], one per cell")
-        if not ((array > low) & (array < high)).all():
-            raise InputError(f"{name}: got values in [{array.min()}, {array.max()}]; expected inside ({low}, {high})")
-        return np.broadcast_to(array, count).copy()
 
     def _checked_regions(self, regions: np.ndarray) -> np.ndarray:
         array, count = np.asarray(regions), self.space.samples.interior.cell_count
@@ -312,7 +290,7 @@ class ReducedBody:
             parts += g.reshape(-1, size).mT @ half.reshape(-1, 6 * size)
         return _from_pairs(parts.reshape(size, 6, size)).cpu().numpy()
 
-    # -- Kelvin–Voigt viscosity: rate potential w/2 (2 μ_v Ė:Ė + λ_v (tr Ė)²), Ė = sym(F*ᵀ Ḟ), frozen F*
+    # -- viscosity, see `physconvex.materials.viscosity`
 
     def viscous_energy_and_gradient(
         self, state: Tensor, velocity: Float[np.ndarray, "R 3"], damping_time: float
@@ -345,8 +323,9 @@ class ReducedBody:
             return self._viscosity.tangent(state.numpy(), velocity, step, speed_up, damping_time)
         mu, lam = damping_time * self.mu, damping_time * self.lam
         rate, moved, faster = (self.deformation_gradient(y) for y in (velocity, step, speed_up))
-        change = inner_viscous_stress(moved, rate, mu, lam) + inner_viscous_stress(state, faster, mu, lam)
-        return self.forces_of(moved @ inner_viscous_stress(state, rate, mu, lam) + state @ change)
+        change = inner_viscous_stress(strain_rate(moved, rate), mu, lam)
+        change = change + inner_viscous_stress(strain_rate(state, faster), mu, lam)
+        return self.forces_of(moved @ inner_viscous_stress(strain_rate(state, rate), mu, lam) + state @ change)
 
 
 def _from_pairs(parts: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from physconvex.reduced.body import viscous_stress
+from physconvex.materials import viscous_stress
 from physconvex.reduced.equations import ReducedEquations
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.surface_contact import contact_blocks

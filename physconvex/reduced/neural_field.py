@@ -21,7 +21,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from physconvex.errors import InputError
-from physconvex.materials import get_law, lame_parameters
+from physconvex.materials import checked_constant, get_law, lame_parameters
 from physconvex.reduced.basis import MAX_WEIGHTS
 from physconvex.reduced.cubature import BodySamples
 
@@ -148,10 +148,11 @@ class _Trainer:
         self.size = samples.size
         self.x = torch.as_tensor((interior.points - self.center) / self.size)
         self.weights = torch.as_tensor(interior.weights)
-        modulus = np.broadcast_to(np.asarray(youngs_modulus, dtype=np.float64), interior.cell_count)[interior.cells]
-        ratio = np.broadcast_to(np.asarray(poisson_ratio, dtype=np.float64), interior.cell_count)[interior.cells]
+        cells = (interior.cell_count,)
+        modulus = checked_constant("youngs_modulus", youngs_modulus, cells)[interior.cells]
+        ratio = checked_constant("poisson_ratio", poisson_ratio, cells)[interior.cells]
         mean = interior.weights @ modulus / interior.volume
-        self.mu, self.lam = lame_parameters(torch.as_tensor(modulus / mean), torch.as_tensor(ratio.copy()))
+        self.mu, self.lam = lame_parameters(torch.as_tensor(modulus / mean), torch.as_tensor(ratio))
         self.law = get_law(options.law)
 
     def terms(self, layers: Layers, generator: torch.Generator) -> tuple[Tensor, Tensor]:
@@ -219,7 +220,6 @@ def train_neural_weights(
     options = NeuralFieldOptions() if options is None else options
     if not 1 <= count <= MAX_WEIGHTS:
         raise InputError(f"count: got {count} weights; expected 1 to {MAX_WEIGHTS} beside the constant one")
-    _check_constants(samples.interior.cell_count, youngs_modulus, poisson_ratio)
     trainer = _Trainer(samples, youngs_modulus, poisson_ratio, options)
     layers = _initial_layers([3, *[options.hidden_size] * options.hidden_layers, count], generator)
     elastic, orthogonality = trainer.train(layers, generator, on_step)
@@ -236,15 +236,3 @@ def untrained_neural_weights(
     options = NeuralFieldOptions() if options is None else options
     bare = NeuralFieldOptions(hidden_size=options.hidden_size, hidden_layers=options.hidden_layers, steps=0)
     return train_neural_weights(samples, count, generator=generator, options=bare)
-
-
-def _check_constants(cells: int, youngs_modulus: PerCell, poisson_ratio: PerCell) -> None:
-    for name, value, low, high in (
-        ("youngs_modulus", youngs_modulus, 0.0, np.inf),
-        ("poisson_ratio", poisson_ratio, -1.0, 0.5),
-    ):
-        array = np.asarray(value, dtype=np.float64)
-        if array.shape not in ((), (cells,)):
-            raise InputError(f"{name}: got shape {array.shape}; expected a number or [{cells}], one per cell")
-        if not ((array > low) & (array < high)).all():
-            raise InputError(f"{name}: got values in [{array.min()}, {array.max()}]; expected inside ({low}, {high})")

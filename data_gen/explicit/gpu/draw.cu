@@ -12,19 +12,10 @@ extern "C" __global__ void nearest(
     const float *view = views + VIEW * blockIdx.x;
     const float *x = positions + 3 * ((long long)c[0] * frames + (long long)frame * c[1]);
     Sample *mine = samples + (long long)blockIdx.x * side * side;
-    for (int t = threadIdx.x; t < c[3]; t += THREADS) {
-        Screen s;
-        if (!on_screen(view, x, triangles + 3 * (c[2] + t), s)) continue;
-        int box[4];
-        box_of(s, side, box);
-        for (int row = box[2]; row <= box[3]; row++)
-            for (int column = box[0]; column <= box[1]; column++) {
-                float w[3];
-                if (!inside(s, column + 0.5f, row + 0.5f, w)) continue;
-                const float depth = w[0] * s.a[2] + w[1] * s.b[2] + w[2] * s.c[2];
-                atomicMin(mine + row * side + column, ((Sample)__float_as_uint(depth) << 32) | (unsigned)t);
-            }
-    }
+    for (int t = threadIdx.x; t < c[3]; t += THREADS)
+        cover(view, x, triangles + 3 * (c[2] + t), t, side, [=](int place, Sample found) {
+            atomicMin(mine + place, found);
+        });
 }
 
 extern "C" __global__ void resolve(

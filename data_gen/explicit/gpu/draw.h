@@ -1,5 +1,5 @@
 // Pictures of a surface of triangles: nearest triangle at every sample, then colour and coverage of every pixel.
-// The includer defines DEVICE. A view is 16 numbers: rows of the rotation, eye, focal length, centre x, y, samples per pixel.
+// The includer defines DEVICE and bits_of(float). A view is 16 numbers: rows of the rotation, eye, focal length, centre x, y, samples per pixel.
 
 #define VIEW 16
 #define LOOK 40 // colour of the body (3), of the background (3), light (3), ambient, four waves of 3 + 1 + 3, 2 unused
@@ -47,6 +47,23 @@ DEVICE bool inside(const Screen &s, float x, float y, float *w)
     w[2] = ((s.b[0] - s.a[0]) * (y - s.a[1]) - (s.b[1] - s.a[1]) * (x - s.a[0])) / s.area;
     w[0] = 1 - w[1] - w[2];
     return w[0] >= 0 && w[1] >= 0 && w[2] >= 0;
+}
+
+// Calls keep(place among the samples, sample) for all samples of a picture that a triangle covers.
+template <typename Keep>
+DEVICE void cover(const float *view, const float *positions, const int *triangle, int number, int side, Keep keep)
+{
+    Screen s;
+    if (!on_screen(view, positions, triangle, s)) return;
+    int box[4];
+    box_of(s, side, box);
+    for (int row = box[2]; row <= box[3]; row++)
+        for (int column = box[0]; column <= box[1]; column++) {
+            float w[3];
+            if (!inside(s, column + 0.5f, row + 0.5f, w)) continue;
+            const float depth = w[0] * s.a[2] + w[1] * s.b[2] + w[2] * s.c[2];
+            keep(row * side + column, ((Sample)bits_of(depth) << 32) | (unsigned)number);
+        }
 }
 
 // Colour (0..255) of a triangle at a point: waves of the rest position, lit.

@@ -56,8 +56,15 @@ extern "C" void roll_out(
     }
 }
 
-#include "draw.h"
 #include <cstring>
+
+inline unsigned bits_of(float value)
+{
+    unsigned bits;
+    std::memcpy(&bits, &value, 4);
+    return bits;
+}
+#include "draw.h"
 
 // Pictures [clips, frames, side / factor, side / factor, 4] as draw.cu makes them.
 extern "C" void draw(
@@ -71,22 +78,10 @@ extern "C" void draw(
         const float *view = views + VIEW * picture, *look = looks + LOOK * (picture / frames);
         const float *x = positions + 3 * ((long long)c[0] * frames + (long long)(picture % frames) * c[1]);
         std::fill(samples.begin(), samples.end(), ~(Sample)0);
-        for (int t = 0; t < c[3]; t++) {
-            Screen s;
-            if (!on_screen(view, x, triangles + 3 * (c[2] + t), s)) continue;
-            int box[4];
-            box_of(s, side, box);
-            for (int row = box[2]; row <= box[3]; row++)
-                for (int column = box[0]; column <= box[1]; column++) {
-                    float w[3];
-                    if (!inside(s, column + 0.5f, row + 0.5f, w)) continue;
-                    const float depth = w[0] * s.a[2] + w[1] * s.b[2] + w[2] * s.c[2];
-                    unsigned bits;
-                    std::memcpy(&bits, &depth, 4);
-                    Sample &old = samples[row * side + column];
-                    old = std::min(old, ((Sample)bits << 32) | (unsigned)t);
-                }
-        }
+        for (int t = 0; t < c[3]; t++)
+            cover(view, x, triangles + 3 * (c[2] + t), t, side, [&](int place, Sample found) {
+                samples[place] = std::min(samples[place], found);
+            });
         float *shown = pictures + 4 * (long long)picture * small * small;
         for (int pixel = 0; pixel < small * small; pixel++)
             resolve_pixel(
