@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import posixpath
 import re
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 import physconvex
+from docs.schemas import plain, schema_table, schemas
 from physconvex import cli
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -46,6 +48,7 @@ OUTSIDE = {
     "examples/captures.md": "examples/captures/README.md",
     "examples/clips.md": "examples/clips/README.md",
 }
+_SCHEMA = re.compile(r"<!-- schema: (\w+) -->")
 _NAME = re.compile(r"(?<!\[)`((?:physconvex|models|data_gen|train|inference)(?:\.\w+)+)`")
 _LINK = re.compile(r"(!?\[[^\]]*\]\()([^)#\s]+)")
 
@@ -56,6 +59,9 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, f"reference/api/{face}.md", content=api_page(face)))
     files.append(File.generated(config, "reference/command_line.md", content=command_line_page()))
     files.append(File.generated(config, "reference/modules.md", content=modules_page()))
+    for name, schema in schemas().items():
+        text = json.dumps(schema, indent=1, ensure_ascii=False)
+        files.append(File.generated(config, f"reference/{name}.schema.json", content=text))
     for uri, source in OUTSIDE.items():
         files.append(File.generated(config, uri, abs_src_path=str(ROOT / source)))
     for target in sorted(_linked_files(files)):
@@ -65,6 +71,7 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Links are written for a reader of the repository; in the site they lead to the same files."""
+    markdown = _SCHEMA.sub(lambda match: schema_table(match[1]), markdown)
     source = _in_repository(page.file.src_uri)
 
     def moved(match: re.Match[str]) -> str:
@@ -173,7 +180,7 @@ def modules_page() -> str:
                 "|---|---|",
             ]
             modules = sorted(path for path in folder.glob("*.py") if path.name != "__init__.py")
-            lines += [f"| `{path.stem}` | {_text(_docstring(path).split(chr(10) * 2)[0])} |" for path in modules]
+            lines += [f"| `{path.stem}` | {plain(_docstring(path).split(chr(10) * 2)[0])} |" for path in modules]
             lines.append("")
     return "\n".join(lines)
 
@@ -197,7 +204,7 @@ def command_line_page() -> str:
 
 
 def _command(path: str, command: Any, level: int = 2) -> Iterator[str]:
-    yield f"{'#' * level} {path}\n\n{_text(command.help)}\n"
+    yield f"{'#' * level} {path}\n\n{plain(command.help)}\n"
     inner = getattr(command, "commands", {})
     for name, each in inner.items():
         yield from _command(f"{path} {name}", each, level + 1)
@@ -209,10 +216,10 @@ def _command(path: str, command: Any, level: int = 2) -> Iterator[str]:
     yield f"```text\n{path} {' '.join(command.collect_usage_pieces(context))}\n```\n"
     if arguments:
         yield "| argument | |\n|---|---|"
-        yield from (f"| `{p.name}` | {_text(p.help)} |" for p in arguments)
+        yield from (f"| `{p.name}` | {plain(p.help)} |" for p in arguments)
         yield ""
     yield "| option | value | default | |\n|---|---|---|---|"
-    yield from (f"| {_flags(p)} | {_value(p, context)} | {_default(p)} | {_text(p.help)} |" for p in options)
+    yield from (f"| {_flags(p)} | {_value(p, context)} | {_default(p)} | {plain(p.help)} |" for p in options)
     yield ""
 
 
@@ -223,7 +230,7 @@ def _flags(option: Any) -> str:
 def _value(option: Any, context: typer.Context) -> str:
     if option.is_flag:
         return ""
-    return f"`{_text(option.display_type(context)).strip('<>')}`" + (" …" if option.multiple else "")
+    return f"`{plain(option.display_type(context)).strip('<>')}`" + (" …" if option.multiple else "")
 
 
 def _default(option: Any) -> str:
@@ -234,7 +241,3 @@ def _default(option: Any) -> str:
         return "required" if option.required else ""
     value = getattr(value, "value", value)
     return "`" + (" ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)) + "`"
-
-
-def _text(text: str | None) -> str:
-    return re.sub(r"\s+", " ", (text or "").replace("\\[", "[")).replace("|", "\\|").strip()

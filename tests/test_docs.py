@@ -8,11 +8,13 @@ import shlex
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 import trimesh
 import typer
 
+from docs.schemas import schemas
 from physconvex import cli
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -132,6 +134,13 @@ def test_code_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         names["results"] = _predicted(tmp_path)
     for block in _blocks(ROOT / "docs" / f"{page}.md", "python"):
         exec(compile(block, page, "exec"), names)
+    for name, made in (("refinement", "found"), ("report", "report")):
+        if made in names:
+            record = json.loads(json.dumps(names[made].to_json()))  # type: ignore[attr-defined]
+            assert not list(_misfits(record, schemas()[name], name))
+    if page == "reference/prediction_files":
+        record = json.loads((tmp_path / "results/clips/kong.json").read_text(encoding="utf-8"))
+        assert not list(_misfits(record, schemas()["prediction"], "prediction"))
 
 
 def _predicted(folder: Path) -> Path:
@@ -139,6 +148,33 @@ def _predicted(folder: Path) -> Path:
 
     predict_batch("examples/clips/kong.mp4", out=folder / "results", density=1000.0, object_size=1.0)
     return folder / "results"
+
+
+def _misfits(value: object, schema: dict[str, Any], place: str) -> Iterator[str]:
+    """Where a JSON value is not as a schema says, as far as docs/reference/schemas.yml goes."""
+    kinds = {"object": dict, "array": list, "string": str, "number": (int, float), "integer": int, "boolean": bool}
+    named = schema.get("type", [])
+    wanted = [named] if isinstance(named, str) else named
+    if wanted and not any(value is None if kind == "null" else isinstance(value, kinds[kind]) for kind in wanted):
+        yield f"{place}: {value!r} is no {' or '.join(wanted)}"
+    if value != schema.get("const", value) or value not in schema.get("enum", [value]):
+        yield f"{place}: {value!r}"
+    if isinstance(value, dict):
+        yield from (f"{place}.{name}: missing" for name in schema.get("required", ()) if name not in value)
+        for name, inner in value.items():
+            each = schema.get("properties", {}).get(name, schema.get("additionalProperties", {}))
+            yield from _misfits(inner, each, f"{place}.{name}")
+    if isinstance(value, list):
+        yield from (text for item in value for text in _misfits(item, schema.get("items", {}), f"{place}[]"))
+
+
+@pytest.mark.parametrize("beam", ["gravity", "load101"])
+def test_stored_reports_are_as_their_schema_says(beam: str) -> None:
+    report = json.loads((ROOT / f"benchmarks/results/gap_silicone_beam_{beam}.json").read_text(encoding="utf-8"))
+    assert not list(_misfits(report, schemas()["report"], "report"))
+    del report["which"]["verdict"]
+    report["how_far"]["gap_before"] = "much"
+    assert len(list(_misfits(report, schemas()["report"], "report"))) == 2
 
 
 def test_cells_of_the_notebook_are_those_of_the_tutorials() -> None:
