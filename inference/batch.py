@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from inference.decoding import failure_from
+from inference.background_reader import failure_from
 from inference.gallery import write_gallery
 from inference.predictor import load_predictor
 from inference.preparation import Predictor

@@ -7,16 +7,16 @@ from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
-from inference.decoding import BackgroundReader, Failure, Reader, failure_from
+from inference.background_reader import BackgroundReader, Failure, Reader, failure_from
 from inference.pictures import ClipPictures
 from inference.prediction import Prediction
 from inference.predictor import load_predictor
 from inference.preparation import Predictor, ReadyClip, ready_source, to_prediction
 from inference.read_ahead import read_ahead
+from inference.reading_process import WorkerReader
 from inference.settings import BatchOptions, StatedConditions
 from inference.sources import ClipSource, Found, SourceProblem, displayed_path, find_sources
 from inference.weight_pictures import weight_maps
-from inference.worker import WorkerReader
 
 __all__ = ["ClipResult", "Paths", "as_list", "iter_predictions", "stream_results"]
 

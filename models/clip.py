@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
+from models.downscaling import halvings, shrink
 from models.foreground import Foreground, ForegroundSource, locate_foreground
-from models.shrinking import halvings, shrink
+from models.frame_selection import motion_start, resample
 from models.silhouette import MOMENT_NAMES, silhouette_moments
-from models.timing import motion_start, resample
 from models.windows import GREY, object_windows
 from physconvex import InputError
 
@@ -85,7 +85,7 @@ def prepare_clip(
 
     A video longer than the window is shown from just before things move (`start_time`); a shorter one
     repeats its last frame with `valid` False. The output rate is the source's divided by a whole number
-    (`models.timing.resample`): no frame is made up or shown twice.
+    (`models.frame_selection.resample`): no frame is made up or shown twice.
 
     Raises:
         InputError: wrong shape or dtype, fewer than two frames, times that do not increase.
@@ -166,7 +166,7 @@ def _checked_times(frames: np.ndarray, fps: float, timestamps: np.ndarray | None
 def _crop_square(foreground: Foreground, margin: float, size: int) -> tuple[int, int, int]:
     """x0, y0, side [px] of the square around everything the object passes; may reach beyond the image.
 
-    The side can be halved as often as it will be on the way to `size` (`models.shrinking`).
+    The side can be halved as often as it will be on the way to `size` (`models.downscaling`).
     """
     height, width = foreground.mask.shape[1:]
     union = np.asarray(foreground.mask.any(axis=0))

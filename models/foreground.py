@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float32, UInt8
 
 from models.activity import moving_window
 from models.background import plain_background_masks
+from models.downscaling import shrink
 from models.shapes import link_masks
-from models.shrinking import shrink
 from models.stabilisation import stabilise
 from physconvex import InputError
 

@@ -18,7 +18,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.markup import escape
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 
 import physconvex
 from physconvex.errors import InputError, PhysconvexError
@@ -60,7 +60,7 @@ def _short_help(point: EntryPoint) -> str:
     return next((text.splitlines()[0] for text in docstrings if text), "")
 
 
-def _load(point: EntryPoint) -> Any:
+def _load(point: EntryPoint) -> TyperCommand | TyperGroup:
     """Import the object behind an entry point and turn it into a command or a group of commands."""
     try:
         target = point.load()
@@ -70,20 +70,26 @@ def _load(point: EntryPoint) -> Any:
             f"({type(error).__name__}: {error}); `physconvex --traceback {point.name}` shows where"
         ) from error
     if isinstance(target, typer.Typer):
-        command = typer.main.get_command(target)
+        command = _typer_command(target)
     else:
         single = typer.Typer(add_completion=False)
         single.command(name=point.name)(target)
-        command = typer.main.get_command(single)
+        command = _typer_command(single)
     command.name = point.name
     _escape_brackets(command)
     return command
 
 
-def _escape_brackets(command: Any) -> None:
+def _typer_command(app: typer.Typer) -> TyperCommand | TyperGroup:
+    command = typer.main.get_command(app)
+    assert isinstance(command, TyperCommand | TyperGroup)
+    return command
+
+
+def _escape_brackets(command: TyperCommand | TyperGroup) -> None:
     """Units such as [m] are text, which rich would take for markup and leave out of the help."""
     for option in command.params:
-        if getattr(option, "help", None):
+        if isinstance(option, TyperArgument | TyperOption) and option.help:
             option.help = escape(option.help)
     for inner in getattr(command, "commands", {}).values():
         _escape_brackets(inner)
@@ -92,19 +98,21 @@ def _escape_brackets(command: Any) -> None:
 class _EntryPointGroup(TyperGroup):
     """Lists commands by name and short help; imports one only when it is to run."""
 
-    def list_commands(self, ctx: Any) -> list[str]:
+    def list_commands(self, ctx: object) -> list[str]:
         return list(_commands())
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+    def get_command(self, ctx: object, cmd_name: str) -> TyperCommand | None:
         point = _commands().get(cmd_name)
         if point is None:
             return None
         return TyperCommand(cmd_name, help=_short_help(point), callback=None)
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+    def resolve_command(
+        self, ctx: Any, args: list[str]
+    ) -> tuple[str | None, TyperCommand | TyperGroup | None, list[str]]:
         name, placeholder, rest = super().resolve_command(ctx, args)
         if name is None or placeholder is None:
-            return name, placeholder, rest
+            return name, None, rest
         return name, _load(_commands()[name]), rest
 
 

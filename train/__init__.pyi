@@ -13,6 +13,7 @@ from .falls.world import Falls as Falls, simulate_falls as simulate_falls
 from .loop import train_predictor as train_predictor
 from .losses import smoothed_target as smoothed_target
 from .metrics import constant_mae as constant_mae
+from .motion_states import flipped_states as flipped_states
 from .paper.evaluation import evaluate_paper as evaluate_paper
 from .paper.options import PaperOptions as PaperOptions
 from .reconstruction_coverage import Coverage as Coverage, measure_coverage as measure_coverage
@@ -22,4 +23,3 @@ from .records import (
     dataset_checksum as dataset_checksum,
     read_clips as read_clips,
 )
-from .states import flipped_states as flipped_states

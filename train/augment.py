@@ -12,7 +12,7 @@ from torchvision.transforms.v2 import functional as transforms
 
 from models import GREY, MOMENT_NAMES, mirrored_moments
 from train.config import AugmentConfig
-from train.states import flipped_states, referred_states
+from train.motion_states import flipped_states, referred_states
 
 __all__ = ["Sample", "augment", "flipped", "reindexed"]
 

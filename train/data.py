@@ -14,10 +14,10 @@ from models import ClipBatch, dimensionless_interval, log10_dimensionless_stiffn
 from train.augment import Sample, augment
 from train.cache import PreparedClips
 from train.config import AugmentConfig
+from train.epoch_plan import Plan
 from train.losses import Targets
-from train.plan import Plan
+from train.motion_states import referred_states
 from train.records import ClipSamples, LabelledClip
-from train.states import referred_states
 
 __all__ = ["Item", "TrainingBatch", "TrainingClips", "batches", "collate"]
 

@@ -23,15 +23,15 @@ from models import PhysicsNetwork, load_checkpoint, load_pretrained_encoder
 from physconvex import InputError
 from train.config import TrainConfig
 from train.data import TrainingBatch, batches
+from train.epoch_plan import Plan, PlannedStep
 from train.export import Origin, export_best
 from train.losses import compute_losses, noisy_states
-from train.plan import Plan, PlannedStep
 from train.precision import precision_for
 from train.progress import Report
 from train.run_log import RunLog, run_fingerprint, write_config
+from train.run_state import TrainingProgress, load_training_state, refuse_other_run, save_training_state
 from train.schedule import cosine_schedule
 from train.split_clips import split_clips
-from train.state import TrainingProgress, load_training_state, refuse_other_run, save_training_state
 from train.validation import Validation, validate
 
 __all__ = ["TrainingResult", "train_predictor"]

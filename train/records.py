@@ -14,7 +14,7 @@ from jaxtyping import Float, Float32
 
 from data_gen import ClipRecord, Dataset
 from physconvex import InputError
-from train.states import states_of_motion
+from train.motion_states import states_of_motion
 
 __all__ = ["ClipSamples", "LabelledClip", "Split", "camera_aligned_axes", "dataset_checksum", "read_clips"]
 

@@ -137,7 +137,7 @@ def _fields(model: type[Options]) -> Iterator[tuple[str, FieldInfo]]:
 
 
 def _built(model: type[Options], given: dict[str, Any]) -> Options:
-    values = {}
+    values: dict[str, object] = {}
     for name, info in model.model_fields.items():
         kind = info.annotation
         if isinstance(kind, type) and issubclass(kind, Options):
@@ -147,7 +147,7 @@ def _built(model: type[Options], given: dict[str, Any]) -> Options:
     return model(**values)
 
 
-def _value(info: FieldInfo, given: Any) -> Any:
+def _value(info: FieldInfo, given: Any) -> object:
     parse = _command_line(info).parse
     if parse is not None:
         return dict(map(parse, given or ()))
@@ -168,7 +168,7 @@ def _parameter(name: str, info: FieldInfo) -> inspect.Parameter:
     )
 
 
-def _kind(annotation: Any) -> tuple[Any, bool]:
+def _kind(annotation: object) -> tuple[Any, bool]:
     """What typer is told of a field's type, and whether the option may be given several times."""
     inner = _bare(annotation)
     if get_origin(inner) in (Union, types.UnionType):
@@ -177,12 +177,13 @@ def _kind(annotation: Any) -> tuple[Any, bool]:
         return kind if repeated else kind | None, repeated
     if get_origin(inner) is tuple and get_args(inner)[-1] is Ellipsis:
         return list[_bare(get_args(inner)[0])] | None, True  # type: ignore[misc]
-    if isinstance(get_origin(inner), type) and issubclass(get_origin(inner), Mapping):
+    origin = get_origin(inner)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
         return list[str] | None, True
     return inner, False
 
 
-def _bare(annotation: Any) -> Any:
+def _bare(annotation: object) -> object:
     return get_args(annotation)[0] if get_origin(annotation) is Annotated else annotation
 
 

@@ -14,7 +14,7 @@ import pyarrow.parquet
 import pytest
 
 from inference import ClipSource, iter_predictions, predict, predict_batch
-from inference.decoding import BackgroundReader, Failure
+from inference.background_reader import BackgroundReader, Failure
 from inference.table import ResultRow
 from physconvex import InputError
 from tests.inference.conftest import MakeClip

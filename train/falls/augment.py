@@ -11,7 +11,7 @@ from torch.nn import functional
 
 from models import GREY, MOMENT_NAMES, mirrored_moments_tensor
 from train.config import AugmentConfig
-from train.states import MIRROR
+from train.motion_states import MIRROR
 
 __all__ = ["Shown", "augment_at_once"]
 
@@ -85,7 +85,7 @@ def _referred_moments(moments: Float[Tensor, "B T M"]) -> Float[Tensor, "B T M"]
 
 
 def _referred_states(states: Float[Tensor, "B T S"]) -> Float[Tensor, "B T S"]:
-    """As `train.states.referred_states`."""
+    """As `train.motion_states.referred_states`."""
     eye = torch.eye(3, device=states.device)
     gradient = states[..., 10:].unflatten(-1, (3, 3)) + eye
     left, _, right = torch.linalg.svd(gradient[:, 0])

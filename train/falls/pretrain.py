@@ -29,8 +29,8 @@ from train.falls.world import Falls
 from train.losses import density_losses, noisy_states, state_loss
 from train.progress import Report
 from train.run_log import RunLog
+from train.run_state import TrainingProgress, load_training_state, refuse_other_run, save_training_state
 from train.schedule import cosine_schedule
-from train.state import TrainingProgress, load_training_state, refuse_other_run, save_training_state
 
 __all__ = ["STATE", "Pretraining", "pretrain", "scores"]
 

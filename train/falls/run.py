@@ -22,8 +22,8 @@ from train.falls.skinning import HeadTraining, fit_skinning_head
 from train.falls.world import simulate_falls
 from train.progress import Report
 from train.run_log import run_fingerprint, write_config
+from train.run_state import refuse_other_run
 from train.split_clips import split_clips
-from train.state import refuse_other_run
 from train.validation import validate
 
 __all__ = ["train_on_falls"]

@@ -20,7 +20,7 @@ __all__ = ["Falls", "Index", "joined", "simulate_falls", "turned"]
 Index = Int[Tensor, " B"]
 """Numbers of falls."""
 
-_OUTERMOST = 0.01  # as in train.states
+_OUTERMOST = 0.01  # as in train.motion_states
 _FARTHEST = 20.0  # [m]
 _CAUTION = 3.0  # with those that became unstable
 _SHAPES = torch.from_numpy(shape_values(QUADRATURE[2][0], 2)).float()  # at the points of an element

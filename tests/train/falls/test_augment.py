@@ -8,7 +8,7 @@ from models import mirrored_moments
 from train.augment import Sample, flipped, reindexed
 from train.config import AugmentConfig
 from train.falls.augment import Shown, augment_at_once
-from train.states import MIRROR
+from train.motion_states import MIRROR
 
 STILL = {
     "flip_share": 0.0,

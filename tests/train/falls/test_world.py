@@ -12,7 +12,7 @@ from physconvex import ConvergenceError
 from physconvex.mesh import Embedding, sample_interior
 from train import simulate_falls
 from train.falls.world import joined, turned
-from train.states import states_of_motion
+from train.motion_states import states_of_motion
 
 
 def test_labels_are_the_bodies(bodies, falls):
@@ -26,7 +26,7 @@ def test_labels_are_the_bodies(bodies, falls):
 
 @pytest.mark.parametrize("azimuth", [0.0, 0.8])
 def test_states_are_those_of_points_inside(finer_body, azimuth):
-    """Against `train.states.states_of_motion` of interior samples, seen from another side."""
+    """Against `train.motion_states.states_of_motion` of interior samples, seen from another side."""
     body, falls = finer_body, simulate_falls([finer_body], frames=14)
     turn = np.array([[np.cos(azimuth), -np.sin(azimuth), 0], [np.sin(azimuth), np.cos(azimuth), 0], [0, 0, 1]])
     found = turned(falls.states, torch.from_numpy(turn).float()[None])[0].numpy()

@@ -1,6 +1,6 @@
 """Everything a run needs to go on, in one safetensors file that appears whole or not at all.
 
-All random draws are functions of seed and step (`train.plan`, `train.data`, `train.loop`), so the step number
+All random draws are functions of seed and step (`train.epoch_plan`, `train.data`, `train.loop`), so the step number
 is the state of every generator and of the sampler.
 """
 

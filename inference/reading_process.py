@@ -17,7 +17,7 @@ from multiprocessing.connection import Connection, Pipe
 
 import cv2
 
-from inference.decoding import Failure, failure_from
+from inference.background_reader import Failure, failure_from
 from inference.preparation import ReadyClip, ready_source
 from inference.settings import StatedConditions
 from inference.sources import ClipSource
@@ -26,7 +26,7 @@ from physconvex import PhysconvexError
 
 __all__ = ["ReaderCrashError", "WorkerReader", "serve"]
 
-_START = "import sys; sys.path[:] = {path!r}; from inference.worker import serve; serve({descriptor})"
+_START = "import sys; sys.path[:] = {path!r}; from inference.reading_process import serve; serve({descriptor})"
 
 
 class ReaderCrashError(PhysconvexError, RuntimeError):

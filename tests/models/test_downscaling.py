@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from models.shrinking import halvings, shrink
+from models.downscaling import halvings, shrink
 
 
 @pytest.mark.parametrize(

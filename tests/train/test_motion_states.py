@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from models import STATE_NAMES, STATE_SCALE
 from train import flipped_states
-from train.states import referred_states, states_of_motion
+from train.motion_states import referred_states, states_of_motion
 
 STRETCH = np.diag([1.2, 1.0, 0.8])
 TURN = Rotation.from_rotvec([0.3, -0.5, 0.9]).as_matrix()
