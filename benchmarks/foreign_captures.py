@@ -78,7 +78,7 @@ def base_fit(folder: Path) -> dict[str, object]:
     rough = find_setting(rough_baseline(load_capture(folder), options, silent), options, silent).base
     numerics = numerical_differences(rough, options, silent)
     variance = error_model(rough, numerics, options).variance
-    base = fit_baseline(rough, correction_of(numerics), numerics.fine, variance, options, silent)
+    base = fit_baseline(rough, correction_of(numerics), numerics.fine, variance, options=options, report=silent)
     return {
         "base_parameters": dict(zip(base.model.base, base.fit.values.tolist(), strict=True)),
         "rms_in_standard_deviations": float(np.sqrt(np.mean(base.residual(base.positions) ** 2))),

@@ -80,7 +80,7 @@ def generate_bank(
     unknown = set(names) - set(known)
     if unknown:
         raise InputError(f"effects: got {sorted(unknown)}; expected names among {', '.join(known)}")
-    plan = plan_bank(seed, count, names, visibilities, shares or Shares(), controls)
+    plan = plan_bank(seed, count, names, visibilities, shares=shares or Shares(), controls=controls)
     parts = seal.with_name(seal.name + ".parts")
     _begin(out, seal, parts, json.dumps({"seed": seed, "engine": engine, "plan": [asdict(p) for p in plan]}))
     jobs = [_Job(number, planned, seed, engine, out, parts) for number, planned in enumerate(plan)]

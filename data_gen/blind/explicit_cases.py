@@ -245,7 +245,7 @@ def simulate_explicit(
     yardstick = _Yardstick.of(case, coarse, fine)
     chosen, reached = [], []
     for number, name in enumerate(names):
-        found, dose = _scaled(name, case, coarse, yardstick, visibility, number)
+        found, dose = _scaled(name, case, coarse, yardstick, visibility=visibility, number=number)
         chosen.append((name, dose))
         reached.append(found)
     motion, positions = fine(*(dose for _, dose in chosen))
@@ -306,7 +306,7 @@ class _Yardstick:
 
 
 def _scaled(
-    name: str, case: Case, runner: _Runner, yardstick: _Yardstick, visibility: float, number: int
+    name: str, case: Case, runner: _Runner, yardstick: _Yardstick, *, visibility: float, number: int
 ) -> tuple[float, Dosed]:
     """The dose at which an effect is as visible as asked for, and how visible it then is.
 

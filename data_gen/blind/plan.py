@@ -49,7 +49,7 @@ class Shares:
 
 
 def plan_bank(
-    seed: int, count: int, effects: Sequence[str], visibilities: Sequence[float], shares: Shares,
+    seed: int, count: int, effects: Sequence[str], visibilities: Sequence[float], *, shares: Shares,
     controls: Sequence[str] = (),
 ) -> list[Planned]:  # fmt: skip
     """The captures of a bank, in random order, the controls last.

@@ -98,14 +98,16 @@ def diagnose(
     numerics = numerical_differences(near, options, report)
     rough_errors = error_model(near, numerics, options)
     fine = numerics.fine if near is rough else _motion_on_fine_mesh(rough, numerics)
-    base = fit_baseline(rough, correction_of(numerics), fine, rough_errors.variance, options, report)
-    base, numerics = with_own_elements(base, rough, numerics, rough_errors.variance, options, report, known=setting.own)
+    base = fit_baseline(rough, correction_of(numerics), fine, rough_errors.variance, options=options, report=report)
+    base, numerics = with_own_elements(
+        base, rough, numerics, rough_errors.variance, options=options, report=report, known=setting.own
+    )
     base = _with_directions(base, numerics)
     numerics = with_absorbed_mesh(base, numerics, options)
     base, errors, screening = _trusted(base, numerics, dictionary, options, report)
     weights = detail_errors(base, errors, options.detail)
     found = select_effects(
-        base, weights, numerics, dictionary, options, report, screening=screening, near=setting.damped
+        base, weights, numerics, dictionary, options=options, report=report, screening=screening, near=setting.damped
     )
     base, hypotheses, screening, numerics = found.base, found.hypotheses, found.screening, found.numerics
     if found.errors is not weights:  # anew, far from the base fit
@@ -115,7 +117,9 @@ def diagnose(
     report("placebo")
     placebo = _placebo(base, weights, screening, best, options)
     shrinkage = _shrinkages(base, errors, best, placebo, options)
-    verdict = decide(hypotheses, screening, measure(base, errors, weights, best, hypotheses, shrinkage), options)
+    verdict = decide(
+        hypotheses, screening, measure(base, errors, weights, best, hypotheses, shrinkage=shrinkage), options
+    )
     shrinkage = (*shrinkage, *held_out_views(base, best, placebo, options))
     if second_take is not None:
         other = second_take if isinstance(second_take, Capture) else load_capture(second_take)
@@ -177,7 +181,9 @@ def _trusted(
     if scale.max() > NUMERICAL_ERROR.fit_anew:  # of the frames that nothing is fitted to alone
         return base, errors, None if base.situation.clamped else screening
     fine = None if base.model.mesh is None else (base.model.mesh, base.motion)
-    base = _with_directions(fit_baseline(base, correction, fine, errors.variance, options, report), numerics)
+    base = _with_directions(
+        fit_baseline(base, correction, fine, errors.variance, options=options, report=report), numerics
+    )
     return base, error_model(base, numerics, options, scale=scale), None
 
 
@@ -222,7 +228,13 @@ def _shrinkages(
     other = None if placebo is None else (placebo.label, placebo.positions)
     return tuple(
         shrinkage_on(
-            base, errors, best.positions, other, np.unique(frames), f"{data}, {frames.min()} to {frames.max()}", options
+            base,
+            errors,
+            best.positions,
+            placebo=other,
+            frames=np.unique(frames),
+            data=f"{data}, {frames.min()} to {frames.max()}",
+            options=options,
         )
         for frames, data in pairs
         if len(gap_squares(base, base.positions, frames))

@@ -103,6 +103,7 @@ def shrinkage_on(
     base: Baseline,
     errors: ErrorModel,
     improved: Positions,
+    *,
     placebo: tuple[str, Positions] | None,
     frames: np.ndarray,
     data: str,
@@ -180,10 +181,10 @@ def held_out_views(
                 seen,
                 ErrorModel.of_noise(len(view.frames)),
                 improved[:, part],
-                None if other is None else (other[0], other[1][:, part]),
-                np.unique(view.frames),
-                f"held-out view {view.camera.name}, all frames",
-                options,
+                placebo=None if other is None else (other[0], other[1][:, part]),
+                frames=np.unique(view.frames),
+                data=f"held-out view {view.camera.name}, all frames",
+                options=options,
             )
         )
     return tuple(found)
@@ -262,7 +263,9 @@ def second_take_shrinkage(
         return None
     errors = ErrorModel.of_noise(len(plain.residual(plain.positions)))
     frames = np.unique(plain.observations.frames)
-    return shrinkage_on(plain, errors, improved, None, frames, "second take, all frames", options)
+    return shrinkage_on(
+        plain, errors, improved, placebo=None, frames=frames, data="second take, all frames", options=options
+    )
 
 
 def _as_fine(own: Baseline, first: Baseline, options: GapOptions) -> Baseline:

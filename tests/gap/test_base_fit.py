@@ -58,14 +58,14 @@ def test_an_extreme_ratio_is_doubted(starts, other, taken):
     """Fibres along a diagonal: misfit .617 at ν = .49, .535 at .373; no dose of theirs was found from the former."""
     asked, ends = starts
     ends |= {0.491: fitted([4.729, 0.49], 0.617), 0.31: fitted([4.775, 0.373], other)}
-    found = base_fit.fit_baseline(fitted([4.637, 0.491], None), None, None, None, None, None)
+    found = base_fit.fit_baseline(fitted([4.637, 0.491], None), None, None, None, options=None, report=None)
     assert found.fit.values[1] == taken and asked == [0.491, pytest.approx(0.31)]
 
 
 def test_a_usual_ratio_is_not(starts):
     asked, ends = starts
     ends |= {0.4: fitted([4.8, 0.41], 0.6)}
-    assert base_fit.fit_baseline(fitted([4.6, 0.4], None), None, None, None, None, None).misfit == 0.6
+    assert base_fit.fit_baseline(fitted([4.6, 0.4], None), None, None, None, options=None, report=None).misfit == 0.6
     assert len(asked) == 1
 
 
@@ -77,5 +77,5 @@ def test_a_start_that_cannot_be_simulated_is_left(starts, monkeypatch):
         raise ConvergenceError("no")
 
     monkeypatch.setattr(base_fit, "run_base", fails)
-    found = base_fit.fit_baseline(fitted([4.637, 0.491], None), None, None, None, None, None)
+    found = base_fit.fit_baseline(fitted([4.637, 0.491], None), None, None, None, options=None, report=None)
     assert found.misfit == 0.617 and len(asked) == 1

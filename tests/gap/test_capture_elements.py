@@ -53,7 +53,7 @@ def fitted(capture: Capture) -> tuple[Baseline, Baseline, Numerics, np.ndarray]:
     still = np.zeros_like(rough.motion.positions)
     numerics = Numerics(still, still, still, still, still)
     variance = np.ones(len(rough.residual(rough.positions)))
-    base = fit_baseline(rough, MotionCorrection(still), None, variance, OPTIONS, lambda text: None)
+    base = fit_baseline(rough, MotionCorrection(still), None, variance, options=OPTIONS, report=lambda text: None)
     return rough, base, numerics, variance
 
 
@@ -61,7 +61,7 @@ def fitted(capture: Capture) -> tuple[Baseline, Baseline, Numerics, np.ndarray]:
 def test_elements_that_lock_become_the_model(tmp_path: Path) -> None:
     rough, base, numerics, variance = fitted(released(tmp_path, 1))
     numerics = replace(numerics, exact=(base.model.twin.mesh, numerics.mesh))
-    own, left_over = with_own_elements(base, rough, numerics, variance, OPTIONS, lambda text: None)
+    own, left_over = with_own_elements(base, rough, numerics, variance, options=OPTIONS, report=lambda text: None)
     assert own.model.mesh is not None and own.model.mesh.order == 1 and own.model.mesh.mass_shares is None
     assert left_over.exact is None  # which would undo what the elements do
     assert own.fit.value("log10_youngs_modulus") == pytest.approx(np.log10(MODULUS), abs=0.01)
@@ -77,7 +77,7 @@ def test_elements_that_lock_become_the_model(tmp_path: Path) -> None:
 @pytest.mark.parametrize("tilt", [0.0, 0.5])  # beside a tilt of gravity, the masses are a small share of the squares
 def test_a_recording_of_particles_of_equal_mass_is_modelled_so(tmp_path: Path, tilt: float) -> None:
     rough, base, numerics, variance = fitted(released(tmp_path, 1, particles=True, tilt=tilt))
-    own, _ = with_own_elements(base, rough, numerics, variance, OPTIONS, lambda text: None)
+    own, _ = with_own_elements(base, rough, numerics, variance, options=OPTIONS, report=lambda text: None)
     assert own.model.mesh is not None and own.model.mesh.mass_shares is not None
     assert own.fit.value("log10_youngs_modulus") == pytest.approx(np.log10(MODULUS), abs=0.01)
     told = _elements(base_hypothesis(own, error_model(own, numerics, OPTIONS)))
@@ -88,7 +88,7 @@ def test_a_recording_of_particles_of_equal_mass_is_modelled_so(tmp_path: Path, t
 def test_a_coarser_mesh_that_searches_is_made_as_stiff(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("physconvex.gap.base.model.BASE_FIT", replace(BASE_FIT, searches_itself=0.0))
     rough, base, numerics, variance = fitted(released(tmp_path, 1))
-    own, _ = with_own_elements(base, rough, numerics, variance, OPTIONS, lambda text: None)
+    own, _ = with_own_elements(base, rough, numerics, variance, options=OPTIONS, report=lambda text: None)
     assert own.model.surrogate_stiffer > 0.05
     assert reduced_like(own.model, own.motion, own.fit.values)[0].mesh is None
 
@@ -96,7 +96,7 @@ def test_a_coarser_mesh_that_searches_is_made_as_stiff(tmp_path: Path, monkeypat
 @pytest.mark.slow
 def test_other_elements_stay_where_they_fit_better(tmp_path: Path) -> None:
     rough, base, numerics, variance = fitted(released(tmp_path, 2))
-    own, _ = with_own_elements(base, rough, numerics, variance, OPTIONS, lambda text: None)
+    own, _ = with_own_elements(base, rough, numerics, variance, options=OPTIONS, report=lambda text: None)
     assert own is base
 
 

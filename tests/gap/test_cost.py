@@ -101,6 +101,11 @@ def test_nothing_that_was_found_is_lost_when_time_is_up(monkeypatch, full_order,
     cost = Cost(deadline=10.0, begun=-1e9)
     base = SimpleNamespace(model=SimpleNamespace(cost=cost), situation=SimpleNamespace(clamped=False))
     found = decision.decided(
-        base, None, SimpleNamespace(exact=None), [hypothesis("a"), hypothesis("b")], GapOptions(), lambda _: None
+        base,
+        None,
+        SimpleNamespace(exact=None),
+        [hypothesis("a"), hypothesis("b")],
+        options=GapOptions(),
+        report=lambda _: None,
     )
     assert [h.label for h in found] == expected

@@ -34,7 +34,9 @@ def starts(
     rough = rough_baseline(capture, OPTIONS, lambda text: None)
     still = np.zeros_like(rough.motion.positions)
     variance = np.ones(len(rough.residual(rough.positions)))
-    base = as_reduced(fit_baseline(rough, MotionCorrection(still), None, variance, OPTIONS, lambda text: None))
+    base = as_reduced(
+        fit_baseline(rough, MotionCorrection(still), None, variance, options=OPTIONS, report=lambda text: None)
+    )
     errors = error_model(base, Numerics(still, still, still, still, still), OPTIONS)
     alone = base.fit.values
     known = {effect.label: effect for effect in DEFAULT_EFFECTS}

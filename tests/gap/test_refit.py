@@ -34,7 +34,7 @@ def test_a_far_start_does_not_decide_where_a_fit_ends(
     start = np.array([*rough.fit.values, RATIO, 0.0])
     start[0] = np.log10(2e5) + off
     motion = model.motion(start)
-    found = refit(rough, errors, model, start, model.linearise(start, motion)[1], OPTIONS)
+    found = refit(rough, errors, model, start, model.linearise(start, motion)[1], options=OPTIONS)
     assert found.fitted < 10 and found.selecting < 10  # 60 and 20 before; what is left is the coarse mesh
     assert found.values[:3] == pytest.approx([5.34, 0.34, 0.376], abs=0.01)  # from either start
 
@@ -107,7 +107,7 @@ def test_derivatives_by_a_direction_are_taken_anew(
     monkeypatch.setattr(fitting, "hypothesis_at", lambda base, errors, model, values, *of: values)
     start = np.zeros(1 + len(effect.doses))
     errors = SimpleNamespace(variance=None)
-    found = refit(base, errors, model, start, np.ones((3, len(start), 1, 3)), GapOptions())
+    found = refit(base, errors, model, start, np.ones((3, len(start), 1, 3)), options=GapOptions())
     assert model.taken == taken
     assert found[0] == 1.0 + len(taken)
 
@@ -142,6 +142,6 @@ def test_a_held_body_is_fitted_from_weak_priors_too(
     monkeypatch.setattr(fitting, "_doubt", lambda base, errors, here: 1.0 if here[0, 0, 0] == 2.0 else 50.0)
     monkeypatch.setattr(fitting, "deviations_of", lambda *of: np.zeros(2))
     monkeypatch.setattr(fitting, "hypothesis_at", stated)
-    found = refit(base, SimpleNamespace(variance=None), model, np.zeros(2), np.ones((3, 2, 1, 3)), GapOptions())
+    found = refit(base, SimpleNamespace(variance=None), model, np.zeros(2), np.ones((3, 2, 1, 3)), options=GapOptions())
     assert found.values[0] == ends
     assert list(dict.fromkeys(doubts)) == weights

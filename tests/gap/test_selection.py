@@ -133,7 +133,9 @@ def test_full_order_fits_go_on_as_long_as_they_help(monkeypatch):
     monkeypatch.setattr(full_order, "base_hypothesis", lambda base, errors: plain)
     base = SimpleNamespace(model=SimpleNamespace(cost=Cost()), situation=SimpleNamespace(clamped=True))
     inexact = SimpleNamespace(exact=None)
-    found = full_order.decided(base, None, inexact, [fit("load"), fit("clock")], GapOptions(), lambda text: None)
+    found = full_order.decided(
+        base, None, inexact, [fit("load"), fit("clock")], options=GapOptions(), report=lambda text: None
+    )
     assert {h.label: h.seen for h in found} == {"base model": -99.0, "load": -4.5, "clock": -8.9}
 
 
@@ -164,7 +166,7 @@ def test_fits_are_corrected_at_their_own_values_and_fitted_on_the_base_model_too
     base = SimpleNamespace(model=SimpleNamespace(cost=Cost()), situation=SimpleNamespace(clamped=False))
     fits = [fit("a spin", 0.0), fit("a tilt", -30.0), fit("a drag", -20.0)]
     numerics = SimpleNamespace(exact="fine")
-    found = full_order.decided(base, None, numerics, fits, GapOptions(), lambda text: None)
+    found = full_order.decided(base, None, numerics, fits, options=GapOptions(), report=lambda text: None)
     assert exact[:3] == ["base", "a spin", "a drag"] and "exact base" in improved
     assert {h.label for h in found if h.evidence == -30.0} == {"a tilt"} and "a tilt" not in improved
     assert {h.label for h in found if h.evidence == 0.0} == {"exact better exact a spin"}

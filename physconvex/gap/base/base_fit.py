@@ -31,6 +31,7 @@ def fit_baseline(
     correction: MotionCorrection,
     fine: tuple[TetMesh, PointMotion] | None,
     variance: Float[np.ndarray, " N"],
+    *,
     options: GapOptions,
     report: Report,
 ) -> Baseline:
@@ -50,7 +51,7 @@ def fit_baseline(
         options: settings.
         report: told what is done.
     """
-    first = _fit_from(rough, correction, fine, variance, options, report)
+    first = _fit_from(rough, correction, fine, variance, options=options, report=report)
     names = first.model.base
     if rough.situation.clamped or _RATIO not in names or first.model.cost.over:
         return first
@@ -67,7 +68,7 @@ def fit_baseline(
         )  # fmt: skip
         if fine is not None:
             fine = (fine[0], replace(start.model, mesh=fine[0]).motion(values))
-        other = _fit_from(start, correction, fine, variance, options, report)
+        other = _fit_from(start, correction, fine, variance, options=options, report=report)
     except ConvergenceError:
         return first
     return min((first, other), key=lambda base: misfit_of_base(base, variance))
@@ -78,6 +79,7 @@ def _fit_from(
     correction: MotionCorrection,
     fine: tuple[TetMesh, PointMotion] | None,
     variance: Float[np.ndarray, " N"],
+    *,
     options: GapOptions,
     report: Report,
 ) -> Baseline:

@@ -189,7 +189,7 @@ def steps_per_frame(twin: Twin, values: dict[str, float]) -> int:
 
 
 def _situation(
-    twin: Twin, seen: Seen, peak_stress: float, touches: bool, giving: bool, depth: float
+    twin: Twin, seen: Seen, *, peak_stress: float, touches: bool, giving: bool, depth: float
 ) -> Situation:  # fmt: skip
     scene, capture = twin.scene, twin.capture
     return Situation(
@@ -265,13 +265,17 @@ def run_base(
     """The full-order model at fitted values, all frames, without tangents."""
     giving = bool(set(FLOOR_LAW) & set(found.names))
     depth = depth_seen(capture, observations, split.fitted)
-    situation = _situation(twin, observations, 1e3, bool(twin.scene.obstacles), giving, depth)
+    situation = _situation(
+        twin, observations, peak_stress=1e3, touches=bool(twin.scene.obstacles), giving=giving, depth=depth
+    )
     points, camera = np.asarray(observations.points), situation.camera
     model = EffectModel(
         twin, found.names, points, capture.frames, situation, camera=camera, mesh=mesh, cost=cost or Cost()
     )
     peak, force, motion = _stress_and_contact(model, found.values)
-    situation = _situation(twin, observations, peak, bool((force > 0).any()), giving, depth)
+    situation = _situation(
+        twin, observations, peak_stress=peak, touches=bool((force > 0).any()), giving=giving, depth=depth
+    )
     nothing = np.zeros((capture.frames, len(found.names), *motion.positions.shape[1:]))
     floors = twin.scene.obstacles
     normal = np.asarray(floors[0].normal) if len(floors) == 1 and isinstance(floors[0], Plane) else None

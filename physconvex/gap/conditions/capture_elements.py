@@ -53,9 +53,9 @@ def with_own_elements(
     rough: Baseline,
     numerics: Numerics,
     variance: Float[np.ndarray, " N"],
+    *,
     options: GapOptions,
     report: Callable[[str], None],
-    *,
     known: bool | None = None,
 ) -> tuple[Baseline, Numerics]:
     """The base fit on the capture's own linear elements, if they are the recording's; else as it is.
@@ -79,7 +79,7 @@ def with_own_elements(
 
     def fitted(mesh: TetMesh, near: Baseline, most: float) -> Baseline | None:
         try:
-            return _fitted_on(mesh, near, rough, numerics, variance, options, report, most=most)
+            return _fitted_on(mesh, near, rough, numerics, variance, options=options, report=report, most=most)
         except (ConvergenceError, InputError):
             return None
 
@@ -130,9 +130,9 @@ def _fitted_on(
     rough: Baseline,
     numerics: Numerics,
     variance: Float[np.ndarray, " N"],
+    *,
     options: GapOptions,
     report: Callable[[str], None],
-    *,
     most: float,
 ) -> Baseline | None:
     """The base fit on other elements, begun where they vibrate alike; None if E alone leaves more than `most`."""
@@ -150,7 +150,9 @@ def _fitted_on(
     another = near.situation.clamped and not searches_itself(model)  # mesh searches in its place
     stiffer = _surrogate(near, mesh, values, motion.positions) if another else 0.0
     start = replace(rough, fit=replace(rough.fit, values=values), model=replace(rough.model, surrogate_stiffer=stiffer))
-    return fit_baseline(start, MotionCorrection(numerics.steps), (mesh, motion), variance, options, report)
+    return fit_baseline(
+        start, MotionCorrection(numerics.steps), (mesh, motion), variance, options=options, report=report
+    )
 
 
 def _best_modulus(

@@ -92,7 +92,7 @@ def _in_cells(scene: AnyScene, axis: int, side: int, ratio: float, inset: float)
     return with_material(scene, density=densities)
 
 
-def _on_nodes(scene: Scene, axis: int, side: int, ratio: float, inset: float, slack: float) -> Scene:
+def _on_nodes(scene: Scene, axis: int, side: int, *, ratio: float, inset: float, slack: float) -> Scene:
     """The nodes near the end carry it, by a string of that slack, or fixed to them where there is none."""
     if scene.hanging is not None:
         raise InputError("hanging: a load hangs there already; one at a time")
@@ -115,7 +115,7 @@ def _loaded(axis: int, side: int, *, loose: bool = False) -> Effect:
         if ratio <= 0:
             return scene
         if isinstance(scene, Scene) and (loose or scene.contact_points is None):
-            return _on_nodes(scene, axis, side, ratio, inset, slack)
+            return _on_nodes(scene, axis, side, ratio=ratio, inset=inset, slack=slack)
         return _in_cells(scene, axis, side, ratio, inset)  # fixed from the start
 
     end = f"{'-' if side < 0 else '+'}{'xyz'[axis]}"

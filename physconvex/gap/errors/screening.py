@@ -108,7 +108,7 @@ def screen(
             continue
         model = replace(base.model, frames=count, effects=(*base.model.effects, effect), directions=directions)
         try:
-            entries.append(_screened(base, model, effect, projector, residual, rows))
+            entries.append(_screened(base, model, effect, projector, residual, rows=rows))
         except (ConvergenceError, InputError, np.linalg.LinAlgError):
             failed.append(effect.label)
     ranked = sorted(entries, key=lambda entry: (entry.score.p_value, -entry.score.statistic))
@@ -117,7 +117,7 @@ def screen(
 
 
 def _screened(
-    base: Baseline, model: EffectModel, effect: Effect, projector: Projector, residual: np.ndarray, rows: np.ndarray
+    base: Baseline, model: EffectModel, effect: Effect, projector: Projector, residual: np.ndarray, *, rows: np.ndarray
 ) -> Screened:
     null = np.concatenate([base.fit.values, effect.null])
     motion, here = base.motion.first(model.frames), base.positions[: model.frames]

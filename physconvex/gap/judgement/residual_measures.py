@@ -125,6 +125,7 @@ def measure(
     weights: ErrorModel,
     best: Hypothesis,
     hypotheses: Sequence[Hypothesis],
+    *,
     shrinkage: Sequence[HowFar],
 ) -> Measured:
     """The numbers of one capture.

@@ -173,7 +173,7 @@ def finding_of(
     lower, upper = np.clip([dose - width, dose + width], first.lower, first.upper)
     before, after, floor = judging.missed(first.null), judging.missed(dose), float((judging.errors**2).mean())
     share = _share(before, after, floor)
-    placebo = _placebo(effect, situation, statistic, compared, before, floor)
+    placebo = _placebo(effect, situation, statistic, compared, before=before, floor=floor)
     called = (
         gain >= PICTURES.clear
         and abs(dose - first.null) >= first.smallest
@@ -260,7 +260,7 @@ def fit_series(series: Series, null: float) -> tuple[float, float, float]:
 
 
 def _placebo(
-    effect: Effect, situation: Situation, statistic: Statistic, compared: Compared, before: float, floor: float
+    effect: Effect, situation: Situation, statistic: Statistic, compared: Compared, *, before: float, floor: float
 ) -> float:
     """Share that the effect removes if the motion were at a right angle to what it is; NaN where nothing moves."""
     if not compared.sharp.velocities.any():

@@ -48,7 +48,7 @@ def fit_effects(
     values = _best_start(base, errors, model, _starts(base, errors, point, chosen, options))
     count = base.split.end
     tangents = np.concatenate([point.tangents[:count], *(_tangents(entry) for entry in chosen)], axis=1)
-    return refit(base, errors, model, values, tangents, options)
+    return refit(base, errors, model, values, tangents, options=options)
 
 
 def derivatives_at(base: Baseline, model: EffectModel, values: np.ndarray, motion: PointMotion) -> np.ndarray:
@@ -131,6 +131,7 @@ def refit(
     model: EffectModel,
     values: np.ndarray,
     tangents: np.ndarray,
+    *,
     options: GapOptions,
 ) -> Hypothesis:
     """Fit a model with effects from given values and derivatives.
@@ -157,12 +158,12 @@ def refit(
         here = shorter.positions(values)
     tangents = tangents[:count].copy()
     _add_shapes(shorter, values, here, tangents)
-    first = _settled(base, errors, shorter, _Point(values, here, tangents), _doubt(base, errors, here), options)
+    first = _settled(base, errors, shorter, _Point(values, here, tangents), _doubt(base, errors, here), options=options)
     best = _stated(base, errors, model, first)
     if not base.situation.clamped or _doubt(base, errors, first.here) < SEARCH.sure or base.model.cost.over:
         return best
     with suppress(ConvergenceError):
-        other = _stated(base, errors, model, _settled(base, errors, shorter, first, 1.0, options))
+        other = _stated(base, errors, model, _settled(base, errors, shorter, first, 1.0, options=options))
         best = max(best, other, key=lambda h: h.evidence)
     return best
 
@@ -178,7 +179,7 @@ class _Point:
 
 
 def _settled(
-    base: Baseline, errors: ErrorModel, shorter: EffectModel, start: _Point, doubt: float, options: GapOptions
+    base: Baseline, errors: ErrorModel, shorter: EffectModel, start: _Point, doubt: float, *, options: GapOptions
 ) -> _Point:  # fmt: skip
     """Rounds of fitting from some values, the first with priors that weigh so much, until both stay."""
     weighted = base.weighted(errors.variance, base.split.end)
@@ -207,7 +208,7 @@ def _stated(base: Baseline, errors: ErrorModel, model: EffectModel, point: _Poin
     assert point.found is not None
     motion = model.motion(point.values)
     deviations = deviations_of(base, errors, point.found, model.observed(motion, point.values))
-    return hypothesis_at(base, errors, model, point.values, deviations, motion, point.tangents)
+    return hypothesis_at(base, errors, model, point.values, deviations, motion=motion, tangents=point.tangents)
 
 
 def _doubt(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> float:

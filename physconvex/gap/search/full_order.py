@@ -59,7 +59,7 @@ def confirmed(base: Baseline, errors: ErrorModel, found: Hypothesis) -> Hypothes
     """
     full = replace(base.model, effects=found.model.effects)
     values = _in_step(base, full, found)
-    return hypothesis_at(base, errors, full, values, found.errors, full.motion(values), found.tangents)
+    return hypothesis_at(base, errors, full, values, found.errors, motion=full.motion(values), tangents=found.tangents)
 
 
 def _in_step(base: Baseline, full: EffectModel, found: Hypothesis) -> np.ndarray:
@@ -105,14 +105,14 @@ def improved(base: Baseline, errors: ErrorModel, here: Hypothesis, options: GapO
                 cheap, own = reduced_like(here.model, here.motion, here.values)
                 tangents = derivatives_at(base, cheap, here.values, own) if tangents is None else tangents
                 searched = here.model if saturates else cheap
-            last = refit(base, errors, searched, here.values, tangents, options)
+            last = refit(base, errors, searched, here.values, tangents, options=options)
             tangents = last.tangents
             if np.abs((last.values - here.values) / scales).max() < DECISION.still:
                 break
             motion = here.model.motion(last.values)
         except ConvergenceError:
             break
-        here = hypothesis_at(base, errors, here.model, last.values, last.errors, motion, last.tangents)
+        here = hypothesis_at(base, errors, here.model, last.values, last.errors, motion=motion, tangents=last.tangents)
         if here.fitted > DECISION.diverged * best.fitted:
             break
         best = here if here.seen > best.seen else best
@@ -142,7 +142,7 @@ def with_own_correction(base: Baseline, errors: ErrorModel, numerics: Numerics, 
         )
         run = replace(run, steps=replace(steps, steps=None))
     model = replace(found.model, correction=MotionCorrection.between(run, found.motion))
-    return hypothesis_at(base, errors, model, found.values, found.errors, found.motion, found.tangents)
+    return hypothesis_at(base, errors, model, found.values, found.errors, motion=found.motion, tangents=found.tangents)
 
 
 def fitted_there(search: EffectSearch, full: EffectModel, values: np.ndarray, *, by_kind: bool = False) -> Hypothesis:
@@ -159,14 +159,14 @@ def fitted_there(search: EffectSearch, full: EffectModel, values: np.ndarray, *,
     cheap, motion = reduced_like(full, full.motion(values), values)
     tangents = derivatives_at(base, cheap, values, motion)
     if not by_kind:
-        return refit(base, errors, cheap, values, tangents, search.options)
+        return refit(base, errors, cheap, values, tangents, options=search.options)
     left = squares_by_kind(base, errors, cheap.observed(motion, values), base.split.fitted)
     weights = replace(errors, variance=errors.variance * (1.0 + np.nan_to_num(left))[base.modes.kinds])
-    return weighed_anew(base, errors, refit(base, weights, cheap, values, tangents, search.options))
+    return weighed_anew(base, errors, refit(base, weights, cheap, values, tangents, options=search.options))
 
 
 def decided(
-    base: Baseline, errors: ErrorModel, numerics: Numerics, chosen: Sequence[Hypothesis], options: GapOptions,
+    base: Baseline, errors: ErrorModel, numerics: Numerics, chosen: Sequence[Hypothesis], *, options: GapOptions,
     report: Report,
 ) -> list[Hypothesis]:  # fmt: skip
     """The base model and the fits chosen, by the full-order model: as they were found, then fitted on while that helps.

@@ -155,7 +155,7 @@ class Hypothesis:
 
 def hypothesis_at(
     base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray, deviations: np.ndarray,
-    motion: PointMotion, tangents: np.ndarray,
+    *, motion: PointMotion, tangents: np.ndarray,
 ) -> Hypothesis:  # fmt: skip
     """A model at fitted values, with what it says and how well that fits."""
     positions = model.observed(motion, values)
@@ -179,12 +179,16 @@ def hypothesis_at(
 def base_hypothesis(base: Baseline, errors: ErrorModel) -> Hypothesis:
     """The base model as one of those compared."""
     deviations = deviations_of(base, errors, base.fit, base.positions)
-    return hypothesis_at(base, errors, base.model, base.fit.values, deviations, base.motion, base.tangents)
+    return hypothesis_at(
+        base, errors, base.model, base.fit.values, deviations, motion=base.motion, tangents=base.tangents
+    )
 
 
 def weighed_anew(base: Baseline, errors: ErrorModel, found: Hypothesis) -> Hypothesis:
     """A fit with other weights of the residuals than it was made or weighed with."""
-    return hypothesis_at(base, errors, found.model, found.values, found.errors, found.motion, found.tangents)
+    return hypothesis_at(
+        base, errors, found.model, found.values, found.errors, motion=found.motion, tangents=found.tangents
+    )
 
 
 def continued(base: Baseline, found: Hypothesis) -> Baseline:

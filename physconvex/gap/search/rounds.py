@@ -161,7 +161,7 @@ def _in_full(search: EffectSearch, stem: Hypothesis) -> Hypothesis:
         search.report(f"full-order fit: {stem.label}: {error}")
         return stem
     found = hypothesis_at(
-        search.base, search.errors, point.model, here.values, here.errors, point.motion, here.tangents
+        search.base, search.errors, point.model, here.values, here.errors, motion=point.motion, tangents=here.tangents
     ).tempered(stem.divisor)
     search.found = [*(h for h in search.found if h.motion is not stem.motion), found]
     return found
@@ -175,7 +175,7 @@ def polish(search: EffectSearch) -> None:
 
         def again(h: Hypothesis = hypothesis) -> Hypothesis:
             tangents = derivatives_at(search.base, h.model, h.values, h.motion)
-            return refit(search.base, search.errors, h.model, h.values, tangents, search.options)
+            return refit(search.base, search.errors, h.model, h.values, tangents, options=search.options)
 
         found = search.attempt(f"{hypothesis.label}, again", again)
         search.polished |= {id(hypothesis.motion)} | ({id(found.motion)} if found is not None else set())
@@ -204,5 +204,5 @@ def leave_out(search: EffectSearch) -> None:
         values, tangents = best.values[keep], best.tangents[:, keep]
         search.attempt(
             " + ".join(e.label for e in rest),
-            lambda m=model, v=values, t=tangents: refit(search.base, search.errors, m, v, t, search.options),  # type: ignore[misc]
+            lambda m=model, v=values, t=tangents: refit(search.base, search.errors, m, v, t, options=search.options),  # type: ignore[misc]
         )

@@ -90,8 +90,8 @@ class Selected:
 
 
 def select_effects(
-    base: Baseline, errors: ErrorModel, numerics: Numerics, dictionary: Iterable[Effect], options: GapOptions,
-    report: Report, *, screening: Screening | None = None, near: Baseline | None = None,
+    base: Baseline, errors: ErrorModel, numerics: Numerics, dictionary: Iterable[Effect], *, options: GapOptions,
+    report: Report, screening: Screening | None = None, near: Baseline | None = None,
 ) -> Selected:  # fmt: skip
     """Search for the effects that explain a capture.
 
@@ -141,6 +141,6 @@ def select_effects(
     decisive = max(1, options.candidates // 2) if few else options.candidates
     forms = DECISION.forms if search.placed and open_gap else 1
     best = finalists(search.ranked, decisive, tied=DECISION.tied, forms=forms)
-    chosen = judged(base, search.errors, decided(base, search.errors, numerics, best, options, report))
+    chosen = judged(base, search.errors, decided(base, search.errors, numerics, best, options=options, report=report))
     plain = next(h for h in chosen if not h.effects)
     return Selected(continued(base, plain), chosen, screening, search.errors, numerics)

@@ -377,7 +377,7 @@ def test_empty_folder(tmp_path):
 
 def test_plan_holds_what_was_asked_for():
     shares = Shares(free=0.2, two=0.2, outside=0.1, deleted=0.2)
-    plan = plan_bank(0, 20, ["friction", "wind", "attached_mass"], (3.0, 10.0), shares)
+    plan = plan_bank(0, 20, ["friction", "wind", "attached_mass"], (3.0, 10.0), shares=shares)
     assert len(plan) == 20 and sum(p.effects == () for p in plan) == 4
     pairs = [p.effects for p in plan if len(p.effects) == 2]
     assert len(pairs) == 4 and not any({"attached_mass", "friction"} <= set(names) for names in pairs)
@@ -415,7 +415,7 @@ def test_new_noise_is_put_on_a_capture_that_could_be_drawn(small, monkeypatch):
 
 
 def test_what_is_taken_out_does_not_tell_what_is_hidden():
-    plan = plan_bank(0, 20, ["friction", "wind"], (10.0,), Shares(free=0.5, deleted=0.2))
+    plan = plan_bank(0, 20, ["friction", "wind"], (10.0,), shares=Shares(free=0.5, deleted=0.2))
     deleted = [p for p in plan if p.without and p.effects]
     decoys = [p for p in plan if p.without and not p.effects]
     assert len(deleted) == len(decoys) == 4
@@ -425,7 +425,7 @@ def test_what_is_taken_out_does_not_tell_what_is_hidden():
 
 def test_shares_above_one_are_refused():
     with pytest.raises(InputError, match="at most one"):
-        plan_bank(0, 10, ["friction"], (10.0,), Shares(free=0.6, two=0.5))
+        plan_bank(0, 10, ["friction"], (10.0,), shares=Shares(free=0.6, two=0.5))
 
 
 def test_a_bank_goes_on_where_it_was_stopped(small, tmp_path, monkeypatch):
