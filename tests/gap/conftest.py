@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from physconvex.fem import Scene
     from physconvex.gap import Situation
+    from physconvex.gap.base.baseline import Baseline
     from physconvex.io import Capture
     from physconvex.mesh import TetMesh
     from physconvex.reduced import ReducedScene
@@ -60,6 +61,30 @@ def situation(mesh: TetMesh) -> Situation:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(3)
+
+
+@pytest.fixture(scope="session")
+def dropped_box(tmp_path_factory: pytest.TempPathFactory) -> Baseline:
+    """Rough base fit of a box that strikes the floor in the middle of a frame."""
+    from physconvex.dynamics import Plane, Timing, simulate
+    from physconvex.fem import ElasticBody, Scene
+    from physconvex.gap import GapOptions, rough_baseline
+    from physconvex.io import Capture, Floor, Tracks, save_capture
+    from physconvex.mesh import TetMesh, box_mesh
+
+    frames, fps, size = 14, 40.0, 0.14
+    up = np.array([0.0, 0.0, 0.5 * size + 0.05])
+    mesh, corners = (box_mesh((0.1, 0.1, size), (1, 1, 1), order=order) for order in (2, 1))
+    mesh, corners = (TetMesh(m.vertices + up, m.tets) for m in (mesh, corners))
+    body = ElasticBody(mesh, youngs_modulus=2e5, poisson_ratio=0.35, density=1000.0)
+    run = simulate(Scene(body, obstacles=(Plane(),)), Timing(frames=frames, fps=fps, steps_per_frame=10))
+    capture = Capture(
+        tmp_path_factory.mktemp("box") / "dropped", fps, frames, 10, density=1000.0,
+        floor=Floor(np.zeros(3), np.array([0.0, 0.0, 1.0])),
+        initial_velocity=np.zeros(3), initial_angular_velocity=np.zeros(3),
+    )  # fmt: skip
+    save_capture(capture, tets=corners, tracks=Tracks(mesh.vertices, run.positions, np.full((frames, 27), 1e-4)))
+    return rough_baseline(capture, GapOptions(max_nodes=60, weights=4, iterations=2), lambda text: None)
 
 
 @pytest.fixture(scope="session")

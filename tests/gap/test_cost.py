@@ -1,19 +1,21 @@
 """The search ends by what its runs have cost, counted and not timed; the clock stands behind."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from physconvex import ConvergenceError
 from physconvex.dynamics import SolveStatistics
-from physconvex.gap import GapOptions
+from physconvex.fem import Scene
+from physconvex.gap import Effect
 from physconvex.gap.base.cost import Cost, OutOfBudget, newton_step
+from physconvex.gap.base.model import MODULUS
 from physconvex.gap.effects.scenes import with_material
-from physconvex.gap.search import full_order as decision
-from physconvex.gap.search.search_state import EffectSearch
-from physconvex.identify import SecantModel
+from physconvex.gap.errors.numerical_differences import Numerics
+from physconvex.gap.search.full_order import decided
 from physconvex.materials import StandardLinearSolid
+from tests.gap.fits import OPTIONS, effect, fit_at, search_on, with_cost
 
 
 def test_cost_follows_newton_steps_and_nodes(falling, falling_reduced):
@@ -34,43 +36,43 @@ def test_what_flows_or_is_damped_costs_more(falling, falling_reduced):
         assert plain < damped < flowing and flowing > most * plain
 
 
-@pytest.mark.wrong_types
 @pytest.mark.parametrize(("spent", "begun"), [(4.0, 1), (6.0, 0)])
-def test_no_fit_is_begun_beyond_the_limit(spent, begun):
-    cost, fits = Cost(), []
+def test_no_fit_is_begun_beyond_the_limit(dropped_box, spent, begun):
+    fits, search = [], search_on(dropped_box)
+    cost = search.base.model.cost
+    search.found.append(search.found[0])  # the first fit, which is always made
+    cost.spent = 0.0
     cost.allow(5.0, 1.0)
     cost.spent = spent
-    base = SimpleNamespace(model=SimpleNamespace(cost=cost))
-    search = EffectSearch(base, base, None, GapOptions(), lambda _: None)
-    search.found += [SimpleNamespace(), SimpleNamespace()]  # the base model, and the first fit, which is always made
 
     def run():
-        fits.append(1)
-        return SimpleNamespace(positions=np.zeros(3))
+        fits.append(search.found[0])
+        return fits[-1]
 
     assert (search.attempt("a fit", run) is None) == (not begun) and len(fits) == len(search.found) - 2 == begun
 
 
-@pytest.mark.wrong_types
-def test_a_fit_in_progress_ends_where_it_is():
-    cost, runs = Cost(), []
+def test_a_fit_in_progress_ends_where_it_is(dropped_box):
+    cost, costs = Cost(), []
+    model = replace(with_cost(dropped_box, cost).model, frames=3, reduced=True)
+    values = dropped_box.fit.values
+    motion = model.motion(values)
+    secant = model.secant(values, *model.linearise(values, motion))
+    other = values + [0.1 if name == MODULUS else 0.0 for name in model.names]
 
-    def positions(values):
-        runs.append(values)
-        return np.zeros((2, 1, 3))
+    def spent_on(place):
+        before = cost.spent
+        secant.linearise(place)
+        return cost.spent - before
 
-    model = SimpleNamespace(positions=positions)
-    secant = SecantModel(
-        model, np.zeros(1), np.zeros((2, 1, 3)), np.ones((2, 1, 1, 3)), scales=np.ones(1), check=cost.check
-    )
     with cost.at_most(5.0):
-        secant.linearise(np.ones(1))
-        cost.spent = 6.0
-        secant.linearise(np.ones(1))  # known already: costs nothing
+        costs.append(spent_on(other))
+        cost.spent += 6.0
+        costs.append(spent_on(other))  # known already: costs nothing
         with pytest.raises(OutOfBudget):
-            secant.linearise(np.full(1, 2.0))
-    secant.linearise(np.full(1, 2.0))  # what may be spent on one fit does not bind the next
-    assert len(runs) == 2
+            secant.linearise(values)
+    costs.append(spent_on(values))  # what may be spent on one fit does not bind the next
+    assert costs[0] > 0 and costs[1] == 0 and costs[2] > 0
 
 
 def test_the_clock_ends_what_the_count_does_not():
@@ -80,32 +82,21 @@ def test_the_clock_ends_what_the_count_does_not():
     assert late.over and late.cut and not early.over and not early.cut
 
 
-@pytest.mark.wrong_types
-@pytest.mark.parametrize(("full_order", "expected"), [(True, ["base", "a by the full model"]), (False, ["base", "a"])])
-def test_nothing_that_was_found_is_lost_when_time_is_up(monkeypatch, full_order, expected):
+@pytest.mark.parametrize("can_run", [True, False])
+def test_nothing_that_was_found_is_lost_when_time_is_up(dropped_box, can_run):
     """The first finalist is run by the full-order model all the same; where that fails, the fit counts as it is."""
-    from physconvex import ConvergenceError
 
-    def hypothesis(label):
-        return SimpleNamespace(label=label, effects=() if label == "base" else (1,), motion=object())
-
-    def confirmed(base, errors, found):
-        if not full_order:
+    def reduced_alone(scene, doses):
+        if isinstance(scene, Scene) and not can_run:
             raise ConvergenceError("no")
-        return hypothesis(f"{found.label} by the full model")
+        return scene
 
-    monkeypatch.setattr(decision, "confirmed", confirmed)
-    monkeypatch.setattr(decision, "base_hypothesis", lambda *_: hypothesis("base"))
-    monkeypatch.setattr(decision, "judged", lambda base, errors, hypotheses: list(hypotheses))
-    monkeypatch.setattr(decision, "improved", lambda *_: None)
-    cost = Cost(deadline=10.0, begun=-1e9)
-    base = SimpleNamespace(model=SimpleNamespace(cost=cost), situation=SimpleNamespace(clamped=False))
-    found = decision.decided(
-        base,
-        None,
-        SimpleNamespace(exact=None),
-        [hypothesis("a"), hypothesis("b")],
-        options=GapOptions(),
-        report=lambda _: None,
-    )
-    assert [h.label for h in found] == expected
+    search = search_on(dropped_box)
+    doses = effect("initial_spin").doses[:1]
+    fits = [fit_at(search, [Effect(name, "external", doses, scene=reduced_alone)], [0.1]) for name in "ab"]
+    full = with_cost(search.full, Cost(deadline=10.0, begun=-1e9))
+    still = np.zeros_like(full.motion.positions)
+    numerics = Numerics(still, still, still, still, still)
+    found = decided(full, search.errors, numerics, fits, options=OPTIONS, report=lambda _: None)
+    assert [h.label for h in found] == ["base model", "a"] and full.model.cost.cut == can_run
+    assert found[1].model.reduced != can_run and (found[1] is fits[0]) != can_run

@@ -5,17 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.dynamics import Plane, Timing, simulate
-from physconvex.fem import ElasticBody, Scene
-from physconvex.gap import DEFAULT_EFFECTS, GapOptions, error_model, rough_baseline
+from physconvex.gap import DEFAULT_EFFECTS, GapOptions, error_model
 from physconvex.gap.base.model import reduced_like
 from physconvex.gap.errors.numerical_differences import Numerics, exact_model
 from physconvex.gap.search.full_order import with_own_correction
 from physconvex.gap.search.hypothesis import base_hypothesis
-from physconvex.io import Capture, Floor, Tracks, save_capture
 from physconvex.mesh import TetMesh, box_mesh
 
-FRAMES, FPS, SIZE = 14, 40.0, 0.14
+FRAMES, FPS, SIZE = 14, 40.0, 0.14  # of the fixture `dropped_box`
 UP = np.array([0.0, 0.0, 0.5 * SIZE + 0.05])
 
 
@@ -23,20 +20,10 @@ def effects(*names):
     return tuple(next(e for e in DEFAULT_EFFECTS if e.name == name) for name in names)
 
 
-@pytest.fixture(scope="module")
-def base(tmp_path_factory):
+@pytest.fixture
+def base(dropped_box):
     """Of a box that strikes the floor in the middle of a frame."""
-    mesh, corners = (box_mesh((0.1, 0.1, SIZE), (1, 1, 1), order=order) for order in (2, 1))
-    mesh, corners = (TetMesh(m.vertices + UP, m.tets) for m in (mesh, corners))
-    body = ElasticBody(mesh, youngs_modulus=2e5, poisson_ratio=0.35, density=1000.0)
-    run = simulate(Scene(body, obstacles=(Plane(),)), Timing(frames=FRAMES, fps=FPS, steps_per_frame=10))
-    capture = Capture(
-        tmp_path_factory.mktemp("box") / "dropped", FPS, FRAMES, 10, density=1000.0,
-        floor=Floor(np.zeros(3), np.array([0.0, 0.0, 1.0])),
-        initial_velocity=np.zeros(3), initial_angular_velocity=np.zeros(3),
-    )  # fmt: skip
-    save_capture(capture, tets=corners, tracks=Tracks(mesh.vertices, run.positions, np.full((FRAMES, 27), 1e-4)))
-    return rough_baseline(capture, GapOptions(max_nodes=60, weights=4, iterations=2), lambda text: None)
+    return dropped_box
 
 
 @pytest.mark.parametrize("name", ["time_scale", "time_offset"])

@@ -104,7 +104,7 @@ def test_derivatives_by_a_direction_are_taken_anew(
     monkeypatch.setattr(fitting, "negative_log_likelihood", lambda base, errors, here: next(left))
     monkeypatch.setattr(fitting, "_doubt", lambda base, errors, here: 1.0)
     monkeypatch.setattr(fitting, "deviations_of", lambda *of: np.zeros(1))
-    monkeypatch.setattr(fitting, "hypothesis_at", lambda base, errors, model, values, *of: values)
+    monkeypatch.setattr(fitting, "hypothesis_at", lambda base, errors, model, values, *of, **named: values)
     start = np.zeros(1 + len(effect.doses))
     errors = SimpleNamespace(variance=None)
     found = refit(base, errors, model, start, np.ones((3, len(start), 1, 3)), options=GapOptions())
@@ -134,7 +134,7 @@ def test_a_held_body_is_fitted_from_weak_priors_too(
         values = np.array([1.0 if secant.model.doubt > 2 else 2.0, 0.0])  # what priors of that weight let it be
         return SimpleNamespace(values=values, positions=model.positions(values), reduced_chi_square=1.0)
 
-    def stated(base, errors, model, values, *of):
+    def stated(base, errors, model, values, *of, **named):
         return SimpleNamespace(values=values, evidence=there * (values[0] - 1.0))
 
     monkeypatch.setattr(fitting, "fit", fit)

@@ -12,7 +12,7 @@ the true effects leave up to four times what they leave after an impact with the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -37,7 +37,15 @@ from physconvex.gap.search.hypothesis import (
 from physconvex.gap.search.search_state import FAILURES, EffectSearch
 from physconvex.gap.thresholds import CLOCK, DECISION
 
-__all__ = ["as_reduced", "confirmed", "decided", "fitted_there", "improved", "with_own_correction"]
+__all__ = [
+    "as_reduced",
+    "confirmed",
+    "decided",
+    "fitted_there",
+    "fitted_while_it_helps",
+    "improved",
+    "with_own_correction",
+]
 
 
 def as_reduced(base: Baseline) -> Baseline:
@@ -191,22 +199,45 @@ def decided(
         settled = {id(h.motion) for h in out} - near  # ids of motions
     else:
         settled = {id(plain.motion)}
+
+    def better(found: Hypothesis) -> Hypothesis | None:
+        report(f"full-order fit: {found.label}")
+        try:
+            further = improved(base, errors, found, options)
+        except FAILURES as error:
+            report(f"full-order fit: {found.label}: {error}")
+            return None
+        return None if further is None else _corrected(base, errors, numerics, further, report)
+
+    out = fitted_while_it_helps(out, settled, better, lambda fits: judged(base, errors, fits))
+    return out if len(out) > 1 else [*out, *chosen[:1]]
+
+
+def fitted_while_it_helps(
+    fits: Sequence[Hypothesis],
+    settled: set[int],
+    better: Callable[[Hypothesis], Hypothesis | None],
+    ranked: Callable[[Sequence[Hypothesis]], list[Hypothesis]],
+) -> list[Hypothesis]:
+    """Sweeps over fits, best first and in turn, each fitted on while that gains enough.
+
+    Args:
+        fits: at first.
+        settled: ids of the motions of fits that stay as they are.
+        better: a fit that makes the fitted frames likelier; None where there is none.
+        ranked: fits, best first.
+    """
+    out, settled = list(fits), set(settled)
     for _ in range(DECISION.sweeps):
-        for hypothesis in [h for h in judged(base, errors, out) if id(h.motion) not in settled]:
-            report(f"full-order fit: {hypothesis.label}")
-            try:
-                better = improved(base, errors, hypothesis, options)
-            except FAILURES as error:
-                report(f"full-order fit: {hypothesis.label}: {error}")
-                better = None
-            if better is None:
+        for hypothesis in [h for h in ranked(out) if id(h.motion) not in settled]:
+            further = better(hypothesis)
+            if further is None:
                 settled.add(id(hypothesis.motion))
                 continue
-            better = _corrected(base, errors, numerics, better, report)
-            out[next(i for i, h in enumerate(out) if h.motion is hypothesis.motion)] = better
-            if better.seen < hypothesis.seen + DECISION.slow:
-                settled.add(id(better.motion))
-    return out if len(out) > 1 else [*out, *chosen[:1]]
+            out[next(i for i, h in enumerate(out) if h.motion is hypothesis.motion)] = further
+            if further.seen < hypothesis.seen + DECISION.slow:
+                settled.add(id(further.motion))
+    return out
 
 
 def _near_the_best(base: Baseline, errors: ErrorModel, fits: Sequence[Hypothesis]) -> list[Hypothesis]:

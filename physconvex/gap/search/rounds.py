@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from physconvex.gap.base.baseline import Baseline
+from physconvex.gap.base.model import EffectModel
 from physconvex.gap.effects.catalogue import applicable
 from physconvex.gap.effects.effect import Effect
 from physconvex.gap.errors.numerical_differences import Numerics
@@ -28,9 +29,11 @@ __all__ = [
     "leave_out",
     "load_beside",
     "one_more",
+    "other_places",
     "plausible_pairs",
     "polish",
     "together",
+    "without_each",
 ]
 
 
@@ -47,12 +50,18 @@ def from_elsewhere(search: EffectSearch, screening: Screening, tried: Sequence[S
 
     Of a struck body screening hardly tells these: E has taken up what a stiff core does, and a soft end looks alike.
     """
-    if not search.placed:
-        return
+    if search.placed:
+        for entry in other_places(screening, tried):
+            search.fit([entry])
+
+
+def other_places(screening: Screening, tried: Sequence[Screened]) -> list[Screened]:
+    """The best forms of the same effects that were not tried, of those that are somewhere or lie along something."""
+    found = []
     for name in [entry.effect.name for entry in tried]:
         placed = [e for e in screening.ranked if e.effect.name == name and any(d.shape for d in e.effect.doses)]
-        for entry in [e for e in placed if e not in tried][: SEARCH.elsewhere]:
-            search.fit([entry])
+        found += [e for e in placed if e not in tried][: SEARCH.elsewhere]
+    return found
 
 
 def from_there(search: EffectSearch, full: Baseline, effects: tuple[Effect, ...], values: np.ndarray) -> None:
@@ -194,15 +203,24 @@ def leave_out(search: EffectSearch) -> None:
         return
     cost = search.base.model.cost
     cost.limit = max(cost.limit, cost.spent + RUN_COST.leaving_out * search.options.search_cost)
+    for model, values, tangents in without_each(best, search.found):
+        search.attempt(
+            " + ".join(e.label for e in model.effects),
+            lambda m=model, v=values, t=tangents: refit(  # type: ignore[misc]
+                search.base, search.errors, m, v, t, options=search.options
+            ),
+        )
+
+
+def without_each(best: Hypothesis, found: Sequence[Hypothesis]) -> Iterator[tuple[EffectModel, np.ndarray, np.ndarray]]:
+    """Model, values and derivatives of a combination without each of its effects in turn.
+
+    Not where a fit of the others that is nearly as likely was found already.
+    """
     for index, effect in enumerate(best.effects):
         rest = tuple(e for e in best.effects if e is not effect)
-        if any(set(h.effects) == set(rest) and h.seen >= best.seen - SEARCH.as_good for h in search.found):
+        if any(set(h.effects) == set(rest) and h.seen >= best.seen - SEARCH.as_good for h in found):
             continue
         where = best.model.slices[index]
         keep = np.r_[0 : where.start, where.stop : len(best.values)]
-        model = replace(best.model, effects=rest)
-        values, tangents = best.values[keep], best.tangents[:, keep]
-        search.attempt(
-            " + ".join(e.label for e in rest),
-            lambda m=model, v=values, t=tangents: refit(search.base, search.errors, m, v, t, options=search.options),  # type: ignore[misc]
-        )
+        yield replace(best.model, effects=rest), best.values[keep], best.tangents[:, keep]
