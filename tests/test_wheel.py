@@ -51,6 +51,8 @@ def test_wheel_holds_exactly_the_packages_and_their_data(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     tops = {name.split("/")[0] for name in names}
     assert {top for top in tops if not top.endswith(".dist-info")} == set(PACKAGES)
+    assert {f"{package}/py.typed" for package in PACKAGES} <= set(names)
+    assert {"physconvex/__init__.pyi", "inference/templates/gallery.html"} <= set(names)
     for package in PACKAGES:
         sources = {
             str(path.relative_to(ROOT))
