@@ -1,6 +1,8 @@
 """Effects told by the flight, E found beside them where the base fit has another one, and what is expected there."""
 
+import copy
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from physconvex.gap.search.search_state import EffectSearch
 from physconvex.gap.search.selection import expect_anew
 from physconvex.gap.search.starting_points import from_flight
 from physconvex.gap.thresholds import SEARCH
-from physconvex.io import Capture, Floor, Tracks, save_capture
+from physconvex.io import Capture, Floor, Tracks, load_capture, save_capture
 from physconvex.mesh import TetMesh, box_mesh
 
 OPTIONS = GapOptions(max_nodes=60, weights=4, iterations=6)
@@ -46,12 +48,17 @@ def dropped(folder, tilt, height):
     return capture
 
 
+@cache
+def fitted(folder):
+    return rough_baseline(load_capture(folder), OPTIONS, lambda text: None)
+
+
 def searched(capture, change, *, told=False):
     """The search after the flight was looked at, from a base model whose E is so many decades off.
 
     With `told`, a fit is there already that says what was seen.
     """
-    base = rough_baseline(capture, OPTIONS, lambda text: None)
+    base = fitted(capture.folder)
     values = base.fit.values.copy()
     values[base.model.base.index(MODULUS)] = np.log10(TRUE) + change
     motion = base.model.motion(values)
@@ -76,9 +83,14 @@ def tilted(tmp_path_factory):
     return dropped(tmp_path_factory.mktemp("tilted") / "capture", TILT, 0.12)
 
 
+@pytest.fixture(scope="module")
+def far_off(tilted):
+    return searched(tilted, 1.2)
+
+
 @pytest.mark.slow
-def test_the_flight_tells_the_tilt_and_the_contact_the_modulus(tilted):
-    search = searched(tilted, 1.2)
+def test_the_flight_tells_the_tilt_and_the_contact_the_modulus(far_off):
+    search = far_off
     best = min(search.found, key=lambda h: h.fitted)
     assert best.fitted < 0.05 * search.found[0].fitted
     assert "gravity_tilt" in best.names
@@ -117,9 +129,9 @@ def test_nothing_is_looked_for_where_a_fit_says_what_the_flight_shows(tilted):
 
 
 @pytest.mark.slow
-def test_numerical_error_is_told_anew_where_a_fit_led_far_from_the_base_fit(tilted):
+def test_numerical_error_is_told_anew_where_a_fit_led_far_from_the_base_fit(far_off):
     """With the wrong E the finer mesh parts from the base model by something else than with the one that is found."""
-    search = searched(tilted, 1.2)
+    search = copy.copy(far_off)
     before, far = search.ranked, search.full
     best = search.best
     assert best.effects and abs(best.values[0] - far.fit.values[0]) > 0.5
