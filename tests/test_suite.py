@@ -5,7 +5,7 @@ import subprocess
 import sys
 from contextlib import AbstractContextManager
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 import torch
@@ -50,6 +50,18 @@ def test_another_scheduling_class_fails_and_is_put_back(conftest: ModuleType) ->
     with pytest.raises(pytest.fail.Exception, match="scheduling class"), conftest.ordinary_priority():
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
     assert os.sched_getscheduler(0) == before
+
+
+@pytest.mark.wrong_types  # stand-ins for pytest's objects
+def test_files_with_most_slow_tests_are_run_first(conftest: ModuleType) -> None:
+    """Processes take whole files in this order: a long one that is begun last would leave the others idle."""
+
+    def item(path: str, number: int, mark: str | None) -> SimpleNamespace:
+        return SimpleNamespace(path=path, number=number, get_closest_marker=lambda name: name == mark or None)
+
+    items = [item("a", 0, None), item("b", 1, "slow"), item("b", 2, None), item("c", 3, "slow"), item("c", 4, "slow")]
+    conftest.pytest_collection_modifyitems(SimpleNamespace(getoption=lambda name: False), items)
+    assert [i.number for i in items] == [3, 4, 1, 2, 0]
 
 
 def typechecked(folder: Path, *statements: str) -> subprocess.CompletedProcess[str]:
