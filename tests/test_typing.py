@@ -34,10 +34,10 @@ REVEALED = [
 def test_public_functions_reveal_their_types(tmp_path: Path) -> None:
     script = tmp_path / "users_script.py"
     script.write_text(SCRIPT)
+    # the settings of the check, whose stored results are taken where the check was made
     result = subprocess.run(
-        [sys.executable, "-m", "mypy", "--follow-imports=silent", "--ignore-missing-imports", script.name],
-        capture_output=True, text=True, cwd=tmp_path, check=False,
-        env={"MYPYPATH": str(ROOT), "MYPY_CACHE_DIR": str(ROOT / ".mypy_cache" / "user"), "PATH": "/usr/bin:/bin"},
+        [sys.executable, "-m", "mypy", "--config-file", "pyproject.toml", str(script)],
+        capture_output=True, text=True, cwd=ROOT, check=False, env={"PATH": "/usr/bin:/bin"},
     )  # fmt: skip
     notes = [line for line in result.stdout.splitlines() if "Revealed type" in line]
     for note, expected in zip(notes, REVEALED, strict=False):
