@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from inference.refinement.options import RefineOptions
-from inference.refinement.result import Refinement, unit_of
+from inference.refinement.result import Refinement
 from inference.refinement.stages import stage_in_words
 from physconvex.io import command
 
@@ -66,16 +66,16 @@ def refine_command(
 
 def _print(found: Refinement, out: Path) -> None:
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     console, table = Console(), Table()
     for column in ("parameter", "value", "90 % interval", "noise σ", "model error"):
         table.add_column(column, justify="left" if column == "parameter" else "right")
     for e in found.estimates:
-        interval = "none" if e.interval is None else f"{e.interval[0]:.5g} … {e.interval[1]:.5g}"
-        unit = unit_of(e.name)
-        name = e.name if unit == "1" else f"{e.name} \\[{unit}]"
-        table.add_row(name, f"{e.value:.5g}", interval, f"{e.noise_sigma:.2g}", f"{e.model_error:.2g}")
+        table.add_row(
+            escape(e.label), f"{e.value:.5g}", e.interval_in_words, f"{e.noise_sigma:.2g}", f"{e.model_error:.2g}"
+        )
     console.print(table)
     console.print(f"Young's modulus {found.youngs_modulus:.4g} Pa, Poisson's ratio {found.poisson_ratio:.4f}")
     for sentence in (*found.identifiability.sentences, *found.warnings):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import BinaryIO
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ from inference.refinement.result import Refinement
 from physconvex.identify import appearance_map, cast_camera_rays, shaded
 from physconvex.io import Camera, Capture, look_at, write_video
 
-__all__ = ["write_plots", "write_side_by_side"]
+__all__ = ["draw_fit", "write_side_by_side"]
 
 _SHOWN = 6  # markers in a plot
 _SIZE = 320  # of a view of markers [pixels]
@@ -110,8 +111,8 @@ def _labelled(panels: Sequence[np.ndarray], frame: int, found: Refinement) -> np
     return image
 
 
-def write_plots(found: Refinement, capture: Capture, path: Path) -> None:
-    """Write the picture."""
+def draw_fit(found: Refinement, capture: Capture, to: Path | BinaryIO) -> None:
+    """One picture (PNG) of a fit: markers seen and modelled, the search, the estimates."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 7), layout="constrained")
@@ -120,7 +121,7 @@ def write_plots(found: Refinement, capture: Capture, path: Path) -> None:
     _draw_distance(axes[0, 1], found, capture)
     _draw_history(axes[1, 0], found)
     _draw_estimates(axes[1, 1], found)
-    figure.savefig(path, dpi=110)
+    figure.savefig(to, dpi=110, format="png")
 
 
 def _draw_heights(axis, found: Refinement, capture: Capture) -> None:  # type: ignore[no-untyped-def]
@@ -169,7 +170,6 @@ def _draw_estimates(axis, found: Refinement) -> None:  # type: ignore[no-untyped
     axis.axis("off")
     lines = [f"E = {found.youngs_modulus:.4g} Pa", f"ν = {found.poisson_ratio:.4f}", ""]
     for e in found.estimates:
-        interval = "none" if e.interval is None else f"[{e.interval[0]:.4g}, {e.interval[1]:.4g}]"
-        lines.append(f"{e.name} = {e.value:.5g}   90 %: {interval}")
+        lines.append(f"{e.name} = {e.value:.5g}   90 %: {e.interval_in_words}")
     lines += ["", f"χ² per degree of freedom {found.reduced_chi_square:.3g}", *found.identifiability.sentences]
     axis.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=8, transform=axis.transAxes, wrap=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -9,9 +10,11 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from pydantic import JsonValue
 
+from inference.units import format_pascals, format_pascals_range
+from physconvex import InputError
 from physconvex.convex import ConvexField
 from physconvex.identify import FullRun, Identifiability, Iteration
-from physconvex.io import Camera
+from physconvex.io import Camera, Picture, html_summary, load_capture
 from physconvex.mesh import TetMesh
 
 __all__ = ["REFINEMENT_SCHEMA", "UNITS", "FittedParameter", "MovingField", "RefinedMotion", "Refinement", "RigidDrift"]
@@ -71,6 +74,17 @@ class FittedParameter:
     def sigma(self) -> float:
         """Noise and model error together."""
         return float(np.hypot(self.noise_sigma, np.nan_to_num(self.model_error)))
+
+    @property
+    def label(self) -> str:
+        """Name and unit."""
+        unit = unit_of(self.name)
+        return self.name if unit == "1" else f"{self.name} [{unit}]"
+
+    @property
+    def interval_in_words(self) -> str:
+        """Ends of the 90 % interval, or "none"."""
+        return "none" if self.interval is None else f"{self.interval[0]:.5g} … {self.interval[1]:.5g}"
 
     def to_json(self) -> dict[str, JsonValue]:
         """Plain values; NaN and infinities become null."""
@@ -241,21 +255,50 @@ class Refinement:
         return float(10.0 ** self._value("log10_youngs_modulus"))
 
     @property
+    def youngs_modulus_interval(self) -> tuple[float, float] | None:
+        """90 % interval of E [Pa]; None where E was held, or has none."""
+        held = "log10_youngs_modulus" in self.fixed
+        ends = None if held else self["log10_youngs_modulus"].interval
+        return None if ends is None else (10.0 ** ends[0], 10.0 ** ends[1])
+
+    @property
     def poisson_ratio(self) -> float:
         """ν."""
         return self._value("poisson_ratio")
+
+    def _repr_html_(self) -> str:
+        """Numbers with their 90 % intervals and the picture of `fit.png`, for a notebook."""
+        from inference.refinement.pictures import draw_fit
+
+        ends, modulus = self.youngs_modulus_interval, format_pascals(self.youngs_modulus)
+        rows = [
+            ("Young's modulus (90 %)", modulus if ends is None else f"{modulus} ({format_pascals_range(*ends)})"),
+            ("Poisson's ratio", f"{self.poisson_ratio:.4f}"),
+        ]
+        rows += [(f"{e.label} (90 %)", f"{e.value:.5g} ({e.interval_in_words})") for e in self.estimates]
+        rows.append(("fitted", ", ".join(self.sources)))
+        drawn, pictures = io.BytesIO(), []
+        try:
+            draw_fit(self, load_capture(self.path), drawn)
+            pictures = [Picture(drawn.getvalue(), "what was seen and the model, the search, the estimates")]
+        except InputError:  # the capture is not there any more
+            pass
+        notes = [*self.identifiability.sentences, *self.warnings]
+        return html_summary(f"Refinement of {self.path}", rows, pictures=pictures, notes=notes)
 
     def to_json(self) -> dict[str, JsonValue]:
         """Everything but the arrays of the motion; docs/reference/refinement_files.md describes each entry."""
         names = [e.name for e in self.estimates]
         told = self.identifiability
-        interval = None
-        if "log10_youngs_modulus" in names and (log := self["log10_youngs_modulus"].interval):
-            interval = [10.0 ** log[0], 10.0 ** log[1]]
+        ends = self.youngs_modulus_interval
         return {
             "schema": REFINEMENT_SCHEMA,
             "path": self.path,
-            "youngs_modulus": {"value": self.youngs_modulus, "unit": "Pa", "interval_90": interval},
+            "youngs_modulus": {
+                "value": self.youngs_modulus,
+                "unit": "Pa",
+                "interval_90": None if ends is None else [*ends],
+            },
             "parameters": {e.name: e.to_json() for e in self.estimates},
             "fixed": {name: {"value": value, "unit": unit_of(name)} for name, value in self.fixed.items()},
             "noise_covariance": {"order": [*names], "matrix": self.covariance.tolist()},

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import JsonValue
 
 from inference.refinement.options import RefineOptions
-from inference.refinement.pictures import write_plots, write_side_by_side
+from inference.refinement.pictures import draw_fit, write_side_by_side
 from inference.refinement.result import Refinement
 from physconvex import __version__
 from physconvex.convex import write_ply
@@ -58,7 +58,7 @@ def write_refinement(
         write_ply(found.appearance.field, folder / "field.ply")
     if pictures:
         capture = load_capture(found.path)
-        write_plots(found, capture, folder / "fit.png")
+        draw_fit(found, capture, folder / "fit.png")
         write_side_by_side(found, capture, folder / "side_by_side.mp4")
     run: dict[str, JsonValue] = {
         "command": shlex.join(sys.argv if command is None else command),

@@ -143,6 +143,9 @@ def test_a_stopped_refinement_goes_on_and_another_setting_starts_anew(alone, fol
     assert stages == [("scan", True), ("reduced", True), ("motion", False)]
     assert again.youngs_modulus == told["youngs_modulus"]["value"]
     assert again["poisson_ratio"].value == told["parameters"]["poisson_ratio"]["value"]
+    shown = again._repr_html_()
+    assert "poisson_ratio (90 %)" in shown and f"({again['poisson_ratio'].interval_in_words})" in shown
+    assert 'src="data:image/png;base64,' in shown and str(folder) in shown
     (out / "stages" / "motion.npz").write_bytes(b"cut short")
     refine(folder, out=out, options=RefineOptions(**options), on_stage=lambda *a: stages.append(a))
     assert stages[-1] == ("motion", False)
