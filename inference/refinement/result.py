@@ -291,13 +291,14 @@ class Refinement:
         names = [e.name for e in self.estimates]
         told = self.identifiability
         ends = self.youngs_modulus_interval
+        interval: JsonValue = None if ends is None else [*ends]
         return {
             "schema": REFINEMENT_SCHEMA,
             "path": self.path,
             "youngs_modulus": {
                 "value": self.youngs_modulus,
                 "unit": "Pa",
-                "interval_90": None if ends is None else [*ends],
+                "interval_90": interval,
             },
             "parameters": {e.name: e.to_json() for e in self.estimates},
             "fixed": {name: {"value": value, "unit": unit_of(name)} for name, value in self.fixed.items()},
