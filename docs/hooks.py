@@ -59,6 +59,7 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, f"reference/api/{face}.md", content=api_page(face)))
     files.append(File.generated(config, "reference/command_line.md", content=command_line_page()))
     files.append(File.generated(config, "reference/modules.md", content=modules_page()))
+    files.append(File.generated(config, "tutorials/notebook.md", content=notebook_page()))
     for name, schema in schemas().items():
         text = json.dumps(schema, indent=1, ensure_ascii=False)
         files.append(File.generated(config, f"reference/{name}.schema.json", content=text))
@@ -187,6 +188,25 @@ def modules_page() -> str:
 
 def _docstring(path: Path) -> str:
     return ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+
+
+def notebook_page() -> str:
+    """The cells of the notebook with what they print and draw."""
+    lines: list[str] = []
+    for cell in json.loads((ROOT / "examples" / "first_steps.ipynb").read_text(encoding="utf-8"))["cells"]:
+        if cell["cell_type"] == "markdown":
+            lines += [cell["source"], ""]
+            continue
+        lines += ["```python", cell["source"], "```", ""]
+        for output in cell["outputs"]:
+            data = output.get("data", {})
+            if "text" in output:
+                lines += ["```text", output["text"].rstrip(), "```", ""]
+            elif "image/png" in data:
+                lines += [f'<img alt="figure" src="data:image/png;base64,{data["image/png"]}">', ""]
+            elif "text/html" in data:
+                lines += ["<div>" + re.sub(r"\s*\n\s*", " ", data["text/html"]) + "</div>", ""]
+    return "\n".join(lines)
 
 
 def command_line_page() -> str:

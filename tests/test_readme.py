@@ -9,7 +9,7 @@ from physconvex import cli
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
-GENERATED = re.compile(r"(.*/)?(command_line|modules|api/[\w.]+)\.md")  # by docs/hooks.py
+GENERATED = re.compile(r"(.*/)?(command_line|modules|notebook|api/[\w.]+)\.md")  # by docs/hooks.py
 
 
 def _name(path: Path) -> str:

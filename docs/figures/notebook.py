@@ -22,13 +22,20 @@ import matplotlib
 ROOT = Path(__file__).resolve().parents[2]
 NOTEBOOK = ROOT / "examples" / "first_steps.ipynb"
 CELLS = (
-    ("# First steps\n\nA clip is predicted, a capture is refined, and both are looked at. The cells are those of the "
-     "tutorials.\n\n## Predict from a clip", "predict", 0),
-    ("The truth of this clip is known:", "predict", 1),
-    ("## Refine a capture\n\nA silicone beam, clamped at one end, is let go under its own weight. The reduced model "
-     "alone takes about half a minute.", "refine", 0),
-    ("Dots are recorded, the line is the model. Frames to the right of the dotted line are not fitted.", "refine", 1),
-)  # fmt: skip
+    (
+        "# First steps\n\nA clip is predicted, a capture is refined, and both are looked at. The cells are those of "
+        "the tutorials.\n\n## Predict from a clip",
+        ("predict", 0),
+    ),
+    ("A result shows itself:", ("predict", 1)),
+    ("The truth of this clip is known:", ("predict", 2)),
+    (
+        "## Refine a capture\n\nA silicone beam, clamped at one end, is let go under its own weight. The reduced model "
+        "alone takes about half a minute.",
+        ("refine", 0),
+    ),
+    ("Dots are recorded, the line is the model. Frames to the right of the dotted line are not fitted.", ("refine", 1)),
+)
 
 
 def code_of(page: str, number: int) -> str:
@@ -68,8 +75,8 @@ def main() -> None:
     os.chdir(ROOT)
     names: dict[str, Any] = {"__name__": "__main__"}
     cells: list[dict[str, Any]] = []
-    for count, (text, page, number) in enumerate(CELLS, 1):
-        code = code_of(page, number)
+    for count, (text, place) in enumerate(CELLS, 1):
+        code = code_of(*place)
         outputs = executed(code, names)
         for output in outputs:
             if "execution_count" in output:
