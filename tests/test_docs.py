@@ -182,5 +182,5 @@ def test_cells_of_the_notebook_are_those_of_the_tutorials() -> None:
     tutorials = [block for page in (ROOT / "docs" / "tutorials").glob("*.md") for block in _blocks(page, "python")]
     notebook = json.loads((ROOT / "examples" / "first_steps.ipynb").read_text(encoding="utf-8"))
     cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
-    assert len(cells) == 5 and all(cell["outputs"] for cell in cells)
+    assert len(cells) == 6 and all(cell["outputs"] for cell in cells)
     assert {cell["source"] for cell in cells} <= {block.rstrip() for block in tutorials}

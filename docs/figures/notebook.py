@@ -34,7 +34,8 @@ CELLS = (
         "alone takes about half a minute.",
         ("refine", 0),
     ),
-    ("Dots are recorded, the line is the model. Frames to the right of the dotted line are not fitted.", ("refine", 1)),
+    ("The refinement in short:", ("refine", 1)),
+    ("Dots are recorded, the line is the model. Frames to the right of the dotted line are not fitted.", ("refine", 2)),
 )
 
 
