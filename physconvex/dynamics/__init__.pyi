@@ -15,9 +15,9 @@ from .integrators import (
     StepCoefficients as StepCoefficients,
     bdf2 as bdf2,
     extrapolate as extrapolate,
-    frame_states as frame_states,
     implicit_euler as implicit_euler,
     minimise as minimise,
+    step_coefficients as step_coefficients,
 )
 from .loads import HangingLoad as HangingLoad, Loads as Loads
 from .obstacle_table import obstacle_rows as obstacle_rows
@@ -28,11 +28,11 @@ from .sensitivity import (
 )
 from .simulation import (
     FrameStates as FrameStates,
-    PreparedRollOut as PreparedRollOut,
     simulate as simulate,
 )
 from .stepping import (
     Observer as Observer,
+    PreparedRollOut as PreparedRollOut,
     SolvedPass as SolvedPass,
     SolveStatistics as SolveStatistics,
     Stepper as Stepper,

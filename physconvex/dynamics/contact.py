@@ -13,7 +13,7 @@ velocity `v_s` and a smooth ramp below. During one solve it is frozen to a linea
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -253,30 +253,33 @@ class Contact:
             if not obstacle.friction and not self.damping:
                 continue
             nodes, depth = self.touching(obstacle, x, time)
-            if len(nodes) and self.damping:
-                frozen.append(self._dashpot(obstacle, nodes, depth, x, velocity, time))
-            if len(nodes) and obstacle.friction:
-                speed = obstacle.velocity_at(time)
-                part = Friction(nodes, np.zeros(len(nodes)), obstacle.normals(x[nodes], time), speed)
+            if not len(nodes):
+                continue
+            part = Friction(nodes, self.areas[nodes], obstacle.normals(x[nodes], time), obstacle.velocity_at(time))
+            if self.damping:
+                frozen.append(self._dashpot(part, depth, velocity))
+            if obstacle.friction:
                 relative = np.linalg.norm(part.slip(velocity), axis=1) / self.slip_velocity
                 # f₁(y)/y with f₁ = 2y − y² below one, 1 above
                 ratio = np.where(relative < 1, 2 - relative, 1 / np.maximum(relative, 1.0))
                 limits = obstacle.friction * self.areas[nodes] * self.hinge(depth)[1]
-                frozen.append(Friction(nodes, limits * ratio / self.slip_velocity, part.normals, speed))
+                frozen.append(replace(part, weights=limits * ratio / self.slip_velocity))
         return tuple(frozen)
 
-    def _dashpot(
-        self, obstacle: Obstacle, nodes: np.ndarray, depth: np.ndarray, x: np.ndarray, v: np.ndarray, time: float
-    ) -> Friction:
-        """Normal damping, frozen like friction; it does not pull: of nodes that leave it undoes the spring at most."""
-        speed, normals = obstacle.velocity_at(time), obstacle.normals(x[nodes], time)
-        outwards = ((v[nodes] - speed) * normals).sum(1)
+    def _dashpot(self, touched: Friction, depth: np.ndarray, velocity: np.ndarray) -> Friction:
+        """Normal damping, frozen like friction; it does not pull: of nodes that leave it undoes the spring at most.
+
+        Args:
+            touched: with the areas of its nodes as weights.
+            depth: of the nodes [m].
+            velocity: of all nodes [m/s].
+        """
+        outwards = ((velocity[touched.nodes] - touched.velocity) * touched.normals).sum(1)
         _, slope, curvature = self.hinge(depth)
         weights = self.damping * curvature
         leaving = outwards > 0
         weights[leaving] = np.minimum(weights[leaving], slope[leaving] / outwards[leaving])
-        weights *= self.areas[nodes]
-        return Friction(nodes, weights, normals, speed, along_normal=True)
+        return replace(touched, weights=weights * touched.weights, along_normal=True)
 
     def friction_energy_and_gradient(
         self, frozen: tuple[Friction, ...], velocity: Float[np.ndarray, "V 3"]

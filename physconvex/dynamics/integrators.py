@@ -10,8 +10,8 @@ velocity. Shared by the full-order and the reduced model: both supply an `Object
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -27,9 +27,9 @@ __all__ = [
     "StepCoefficients",
     "bdf2",
     "extrapolate",
-    "frame_states",
     "implicit_euler",
     "minimise",
+    "step_coefficients",
 ]
 
 IntegratorName = Literal["bdf2", "implicit_euler"]
@@ -46,28 +46,6 @@ class State:
     time: float
     positions: np.ndarray
     velocities: np.ndarray
-
-
-def frame_states(
-    advance: Callable[[State, float], State],
-    start: State,
-    *,
-    frames: int,
-    fps: float,
-    steps_per_frame: int | Callable[[State], int],
-) -> Iterator[State]:
-    """States at the frames: `start`, then those that `steps_per_frame` calls of advance(state, step [s]) lead to.
-
-    The number of steps may depend on the state at the frame's start.
-    """
-    state = start
-    yield state
-    for frame in range(1, frames):
-        steps = steps_per_frame if isinstance(steps_per_frame, int) else steps_per_frame(state)
-        for _ in range(steps):
-            state = advance(state, 1.0 / (fps * steps))
-        state = replace(state, time=frame / fps)
-        yield state
 
 
 @dataclass(frozen=True)
@@ -94,6 +72,11 @@ def bdf2(state: State, previous: State, step: float) -> StepCoefficients:
     base = (4.0 * state.positions - previous.positions) / 3.0
     drift = (4.0 * state.velocities - previous.velocities) / 3.0
     return StepCoefficients(short, base + short * drift, base)
+
+
+def step_coefficients(state: State, previous: State | None, step: float) -> StepCoefficients:
+    """BDF2 from the state one equal step before; implicit Euler where there is none."""
+    return implicit_euler(state, step) if previous is None else bdf2(state, previous, step)
 
 
 @runtime_checkable

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol, TypeVar
 
@@ -11,37 +11,12 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.dynamics.first_guesses import Guide
-from physconvex.dynamics.integrators import Minimum, State, frame_states
-from physconvex.dynamics.stepping import Observer, SolveStatistics, StepObjective, Stepper
+from physconvex.dynamics.integrators import State
+from physconvex.dynamics.stepping import Observer, PreparedRollOut, SolveStatistics, Stepper
 from physconvex.dynamics.timing import Timing
 from physconvex.numerics import one_torch_thread
 
-__all__ = ["FrameStates", "PreparedRollOut", "Simulated", "simulate"]
-
-
-@dataclass(frozen=True, eq=False)
-class PreparedRollOut:
-    """A scene made ready for its roll-out.
-
-    Attributes:
-        equations: of its time steps.
-        start: its state at t = 0.
-        tolerance: Newton's last step [m].
-        stale_rate: contraction of Newton's steps above which a reused factorisation is renewed.
-        steps_per_frame: time steps of a frame, or a function of the state at its start.
-        solve: finds the positions at the end of a step from a first guess, in the place of passes.
-        energy: total energy [J] of a state that nothing does work on from outside; None: energies are not watched.
-        energy_tolerance: gain [J] from which a step is cut in two.
-    """
-
-    equations: StepObjective
-    start: State
-    tolerance: float
-    stale_rate: float
-    steps_per_frame: int | Callable[[State], int]
-    solve: Callable[[np.ndarray], Minimum] | None = None
-    energy: Callable[[State], float] | None = None
-    energy_tolerance: float = float("inf")
+__all__ = ["FrameStates", "Simulated", "simulate"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +46,20 @@ class FrameStates:
         """F_f at the samples of a body at the frames; None for an elastic one."""
         found = [flow for flow in (flows[body] for flows in self.flows) if flow is not None]
         return np.stack(found) if found else None
+
+
+def _frame_states(
+    advance: Callable[[State, float], State], prepared: PreparedRollOut, timing: Timing
+) -> Iterator[State]:
+    """States at the frames: the start, then those that the time steps of each frame lead to."""
+    state = prepared.start
+    yield state
+    for frame in range(1, timing.frames):
+        steps = prepared.steps_per_frame(state) if callable(prepared.steps_per_frame) else prepared.steps_per_frame
+        for _ in range(steps):
+            state = advance(state, 1.0 / (timing.fps * steps))
+        state = replace(state, time=frame / timing.fps)
+        yield state
 
 
 Trajectory_co = TypeVar("Trajectory_co", covariant=True)
@@ -124,27 +113,9 @@ def simulate(
     """
     timing = timing or Timing()
     prepared = scene.prepared(timing)
-    stepper = Stepper(
-        prepared.equations,
-        timing.integrator,
-        prepared.tolerance,
-        timing.friction_passes,
-        stale_rate=prepared.stale_rate,
-        observer=observer,
-        solve=prepared.solve,
-        energy=prepared.energy,
-        energy_tolerance=prepared.energy_tolerance,
-        guide=guide,
-        noted=noted,
-    )
+    stepper = Stepper(prepared, timing, observer=observer, guide=guide, noted=noted)
     states, flows = [], []
-    for state in frame_states(
-        stepper.advance,
-        prepared.start,
-        frames=timing.frames,
-        fps=timing.fps,
-        steps_per_frame=prepared.steps_per_frame,
-    ):
+    for state in _frame_states(stepper.advance, prepared, timing):
         states.append(state)
         flows.append(prepared.equations.flowed())
         if on_frame is not None and state is not prepared.start:

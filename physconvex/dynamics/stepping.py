@@ -6,7 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from torch import Tensor
@@ -14,19 +14,27 @@ from torch import Tensor
 from physconvex.dynamics.contact import Friction
 from physconvex.dynamics.first_guesses import Guide
 from physconvex.dynamics.integrators import (
-    IntegratorName,
     Minimum,
     Objective,
     State,
     StepCoefficients,
-    bdf2,
     extrapolate,
-    implicit_euler,
     minimise,
+    step_coefficients,
 )
+from physconvex.dynamics.timing import Timing
 from physconvex.errors import ConvergenceError
 
-__all__ = ["MAX_HALVINGS", "Observer", "SolveStatistics", "SolvedPass", "StepObjective", "StepRecord", "Stepper"]
+__all__ = [
+    "MAX_HALVINGS",
+    "Observer",
+    "PreparedRollOut",
+    "SolveStatistics",
+    "SolvedPass",
+    "StepObjective",
+    "StepRecord",
+    "Stepper",
+]
 
 MAX_HALVINGS = 8
 _REMEMBERED = 64  # states: steps may grow so many times at once
@@ -127,48 +135,56 @@ def _between(first: State, second: State, time: float) -> State:
     return State(time, positions, first.velocities + t * (2 * bend + (3 * t - 2) * twist))
 
 
-Equations = TypeVar("Equations", bound=StepObjective)
+@dataclass(frozen=True, eq=False)
+class PreparedRollOut:
+    """A scene made ready for its roll-out.
+
+    Attributes:
+        equations: of its time steps.
+        start: its state at t = 0.
+        tolerance: Newton's last step [m].
+        stale_rate: contraction of Newton's steps above which a reused factorisation is renewed.
+        steps_per_frame: time steps of a frame, or a function of the state at its start.
+        solve: finds the positions at the end of a step from a first guess, in the place of passes.
+        energy: total energy [J] of a state that nothing does work on from outside; None: energies are not watched.
+        energy_tolerance: gain [J] from which a step is cut in two.
+    """
+
+    equations: StepObjective
+    start: State
+    tolerance: float
+    stale_rate: float
+    steps_per_frame: int | Callable[[State], int]
+    solve: Callable[[np.ndarray], Minimum] | None = None
+    energy: Callable[[State], float] | None = None
+    energy_tolerance: float = float("inf")
 
 
-class Stepper(Generic[Equations]):
+class Stepper:
     """Advances a state; a step that does not converge is cut in two.
 
     Args:
-        equations: of the steps.
-        integrator: "bdf2" (first step and the first after a cut implicit Euler) or "implicit_euler".
-        tolerance: Newton's last step [m].
-        friction_passes: how often friction is linearised and solved in each step at most.
-        stale_rate: contraction of Newton's steps above which a reused factorisation is renewed.
+        prepared: equations of the steps, and how exactly they are solved. A step that raises the energy by more than
+            its tolerance is cut in two as well, four times at most: BDF2 overshoots where an impact takes less than a
+            step.
+        timing: integrator ("bdf2": first step and the first after a cut implicit Euler) and friction passes.
         observer: called with the equations and the record of every converged step.
-        solve: finds the positions at the end of a step from a first guess, in the place of passes.
-        energy: total energy [J] of a state, of a scene in which nothing does work from outside.
-        energy_tolerance: a step that raises it by more [J] is cut in two as well, four times at most. BDF2 overshoots
-            where an impact takes less than a step.
         guide: of a roll-out that is much like this one; Newton's method begins where it says.
         noted: told what each step's first guess missed by.
     """
 
     def __init__(
         self,
-        equations: Equations,
-        integrator: IntegratorName,
-        tolerance: float,
-        friction_passes: int,
+        prepared: PreparedRollOut,
+        timing: Timing,
         *,
-        stale_rate: float,
         observer: Observer | None = None,
-        solve: Callable[[np.ndarray], Minimum] | None = None,
-        energy: Callable[[State], float] | None = None,
-        energy_tolerance: float = math.inf,
         guide: Guide | None = None,
         noted: Guide | None = None,
     ) -> None:
-        self.guide, self.noted = guide, noted
-        self.energy, self.energy_tolerance = energy, energy_tolerance
+        self.prepared, self.timing, self.equations = prepared, timing, prepared.equations
+        self.observer, self.guide, self.noted = observer, guide, noted
         self._known_energy: tuple[State, float] | None = None
-        self.equations, self.integrator = equations, integrator
-        self.tolerance, self.friction_passes, self.stale_rate = tolerance, friction_passes, stale_rate
-        self.observer, self.solve = observer, solve
         self.recent: deque[State] = deque(maxlen=_REMEMBERED)  # at the starts of the last steps
         self.steps = self.iterations = self.halved = self.projections = 0
 
@@ -180,8 +196,8 @@ class Stepper(Generic[Equations]):
         """
         try:
             record = self._try(state, step)
-            if self.energy is not None and depth < _ENERGY_HALVINGS:
-                self._check_energy(self.energy, record)
+            if self.prepared.energy is not None and depth < _ENERGY_HALVINGS:
+                self._check_energy(self.prepared.energy, record)
         except ConvergenceError as error:
             if depth == MAX_HALVINGS:
                 raise ConvergenceError(
@@ -203,14 +219,14 @@ class Stepper(Generic[Equations]):
         time = state.time + step
         history = self._history(state, step)
         guess = self.equations.first_guess(extrapolate(state, history, step), time)
-        two_step = self.integrator == "bdf2" and history is not None
-        coefficients = bdf2(state, history, step) if two_step and history else implicit_euler(state, step)
+        two_step = self.timing.integrator == "bdf2" and history is not None
+        coefficients = step_coefficients(state, history if two_step else None, step)
         self.equations.set_step(coefficients, time, guess, state)
         begin = guess if self.guide is None else self.guide.corrected(guess, time, step)
-        if self.solve is None:
+        if self.prepared.solve is None:
             passes = self._passes(begin, lambda: self.equations.first_guess(state.positions.copy(), time), step)
         else:
-            passes = self._solved_at_once(self.solve, begin)
+            passes = self._solved_at_once(self.prepared.solve, begin)
         x = passes[-1].x
         if not np.isfinite(x).all():
             raise ConvergenceError("the new state is not finite")
@@ -237,7 +253,7 @@ class Stepper(Generic[Equations]):
 
     def _passes(self, guess: np.ndarray, last: Callable[[], np.ndarray], step: float) -> list[SolvedPass]:
         passes = [self._minimise(guess, fallback=last)]
-        while len(passes) < self.friction_passes and self.equations.freeze_friction(passes[-1].x):
+        while len(passes) < self.timing.friction_passes and self.equations.freeze_friction(passes[-1].x):
             passes.append(self._minimise(passes[-1].x))
             if self.equations.settled(passes[-1].x - passes[-2].x, step):
                 break
@@ -256,13 +272,17 @@ class Stepper(Generic[Equations]):
         known = self._known_energy
         before = known[1] if known is not None and known[0] is record.before else energy(record.before)
         after = energy(record.after)
-        if after > before + self.energy_tolerance:
+        if after > before + self.prepared.energy_tolerance:
             raise ConvergenceError(f"the energy rose by {after - before:.3g} J")
         self._known_energy = record.after, after
 
     def _minimise(self, start: np.ndarray, fallback: Callable[[], np.ndarray] | None = None) -> SolvedPass:
         found: Minimum = minimise(
-            self.equations, start, tolerance=self.tolerance, stale_rate=self.stale_rate, fallback=fallback
+            self.equations,
+            start,
+            tolerance=self.prepared.tolerance,
+            stale_rate=self.prepared.stale_rate,
+            fallback=fallback,
         )
         self.iterations += found.iterations
         self.projections += found.projections

@@ -20,7 +20,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import State, StepRecord, Timing, bdf2, extrapolate, implicit_euler
+from physconvex.dynamics import State, StepRecord, Timing, extrapolate, step_coefficients
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.fem.nodal_equations import NodalEquations
 from physconvex.fem.scene import Scene
@@ -49,8 +49,7 @@ class _Side:
         past = None
         if record.history is not None and history is not None:
             past = _moved(record.history, history, self.change)
-        two_step = record.two_step and past is not None
-        coefficients = bdf2(before, past, record.step) if two_step and past else implicit_euler(before, record.step)
+        coefficients = step_coefficients(before, past if record.two_step else None, record.step)
         guess = extrapolate(before, past, record.step)
         guess = self.equations.first_guess(guess, record.after.time)
         self.equations.set_step(coefficients, record.after.time, guess, before)
@@ -116,7 +115,7 @@ class _Tangent:
     def advance(self, record: StepRecord, tangent: np.ndarray) -> None:
         """Take the new tangent over."""
         history = self.previous if record.two_step else None
-        change = bdf2(self.state, history, record.step) if history else implicit_euler(self.state, record.step)
+        change = step_coefficients(self.state, history, record.step)
         self.previous, self.state = self.state, State(record.after.time, tangent, change.velocity(tangent))
 
 

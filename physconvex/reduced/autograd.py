@@ -33,12 +33,12 @@ class _RollOut(torch.autograd.Function):
     def forward(
         ctx: Any,
         values: Tensor,
-        scene: ReducedScene,
-        names: tuple[str, ...],
+        parametrised: NamedParameters,
         points: np.ndarray,
         timing: Timing | None,
     ) -> Tensor:
-        at = with_parameters(scene, names, values.detach().double().cpu().numpy())
+        names = parametrised.names
+        at = with_parameters(parametrised.scene, names, values.detach().double().cpu().numpy())
         if not ctx.needs_input_grad[0]:
             return torch.as_tensor(simulate(at, timing).positions(points)).to(values)
         run = simulate_with_sensitivities(NamedParameters(at, names), timing)
@@ -47,9 +47,9 @@ class _RollOut(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None, None, None]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None, None]:
         (jacobian,) = ctx.saved_tensors
-        return torch.einsum("tpni,tni->p", jacobian, gradient), None, None, None, None
+        return torch.einsum("tpni,tni->p", jacobian, gradient), None, None, None
 
 
 def rollout_positions(
@@ -75,7 +75,9 @@ def rollout_positions(
     """
     if values.shape != (len(parameters),):
         raise InputError(f"values: got shape {tuple(values.shape)}; expected ({len(parameters)},), one per parameter")
-    return _RollOut.apply(values, scene, tuple(parameters), np.asarray(points, dtype=np.float64), timing)
+    return _RollOut.apply(
+        values, NamedParameters(scene, tuple(parameters)), np.asarray(points, dtype=np.float64), timing
+    )
 
 
 class _WeightsRollOut(torch.autograd.Function):

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import State, StepCoefficients, StepRecord, Timing, bdf2, extrapolate, implicit_euler
+from physconvex.dynamics import State, StepCoefficients, StepRecord, Timing, extrapolate, step_coefficients
 from physconvex.reduced.equations import ReducedEquations
 from physconvex.reduced.flow_tangents import FlowingStep, FlowTangents
 from physconvex.reduced.friction_tangents import friction_tangent
@@ -45,10 +45,7 @@ class _Tangents:
         """Advance over one converged step."""
         c, freeze = record.coefficients, self.derivatives.freeze
         history = self.previous if record.history is not None else None
-        two_step = record.two_step and history is not None
-        change = (
-            bdf2(self.state, history, record.step) if two_step and history else implicit_euler(self.state, record.step)
-        )
+        change = step_coefficients(self.state, history if record.two_step else None, record.step)
         guess = extrapolate(record.before, record.history, record.step)
         dguess = extrapolate(self.state, history, record.step)
         before = record.before
@@ -59,7 +56,7 @@ class _Tangents:
             if number:
                 lagged, dlagged = record.passes[number - 1].x, dx
             equations.friction = solved.friction
-            residual = self._residual(equations, c, change, solved.x, guess, dguess)
+            residual = self._residual(equations, (c, change), (guess, dguess), solved.x)
             if self.flow is not None and undo is not None:
                 equations.response = self.body.flow_step(undo, lagged, record.step)
                 residual += self.flow.forces(FlowingStep(undo, record.step, lagged, dlagged), solved.x)
@@ -81,13 +78,19 @@ class _Tangents:
     def _residual(
         self,
         equations: ReducedEquations,
-        c: StepCoefficients,
-        change: StepCoefficients,
+        coefficients: tuple[StepCoefficients, StepCoefficients],
+        guesses: tuple[np.ndarray, np.ndarray],
         x: np.ndarray,
-        guess: np.ndarray,
-        dguess: np.ndarray,
     ) -> np.ndarray:
-        """Derivative of the gradient at fixed x (friction apart), [P, R, 3]."""
+        """Derivative of the gradient at fixed x (friction apart), [P, R, 3].
+
+        Args:
+            equations: of the step.
+            coefficients: of the step, and their derivatives.
+            guesses: what viscosity is frozen at, and its derivatives.
+            x: the solution of a pass.
+        """
+        (c, change), (guess, dguess) = coefficients, guesses
         body, scene = self.body, self.scene
         dv = -change.base / c.step  # of the velocity at fixed x
         state = body.deformation_gradient(guess).contiguous() if self.derivatives.viscous else None

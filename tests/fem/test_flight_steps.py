@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from physconvex.dynamics import Loads, Plane, Sphere, State, Stepper, Timing, bdf2, simulate
+from physconvex.dynamics import Loads, Plane, PreparedRollOut, Sphere, State, Stepper, Timing, bdf2, simulate
 from physconvex.fem import ElasticBody, NodePins, Scene
 from physconvex.fem.flight_steps import Flight
 from physconvex.mesh import box_mesh
@@ -109,7 +109,8 @@ def test_history_between_states_follows_a_cubic_exactly(observed):
     def cubic(t: float) -> State:
         return State(t, np.array([[1 - 2 * t + 3 * t**2 - 4 * t**3]]), np.array([[-2 + 6 * t - 12 * t**2]]))
 
-    stepper = Stepper(Quiet(), "bdf2", 1e-9, 1, stale_rate=0.25, observer=(lambda *_: None) if observed else None)
+    prepared = PreparedRollOut(Quiet(), cubic(0.0), tolerance=1e-9, stale_rate=0.25, steps_per_frame=1)
+    stepper = Stepper(prepared, Timing(), observer=(lambda *_: None) if observed else None)
     stepper.recent.extend([cubic(0.0), cubic(0.5)])
     found = stepper._history(cubic(1.0), 0.2)
     equal = stepper._history(cubic(1.0), 0.5)

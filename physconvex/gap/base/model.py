@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +14,7 @@ from physconvex.dynamics import IntegratorName, Timing, simulate
 from physconvex.errors import ConvergenceError
 from physconvex.fem import Scene as FullScene, Trajectory
 from physconvex.gap.base.cost import Cost
-from physconvex.gap.effects.effect import Effect, Situation
+from physconvex.gap.effects.effect import AnyScene, Effect, Situation
 from physconvex.gap.effects.motion import MotionCorrection, PointMotion
 from physconvex.gap.thresholds import BASE_FIT
 from physconvex.identify import Parameter, SecantModel, Twin, default_parameter
@@ -119,7 +118,7 @@ class EffectModel:
 
     # -- scenes
 
-    def _in_scene(self, scene: Any, values: Vector) -> Any:
+    def _in_scene(self, scene: AnyScene, values: Vector) -> AnyScene:
         for effect, where in zip(self.effects, self.slices, strict=True):
             if effect.scene is not None:
                 scene = effect.scene(scene, values[where])
@@ -133,11 +132,15 @@ class EffectModel:
 
     def full_scene(self, values: Vector) -> FullScene:
         """Full-order scene with the effects."""
-        return self._in_scene(self._based(values).full_scene(self.mesh), values)
+        scene = self._in_scene(self._based(values).full_scene(self.mesh), values)
+        assert isinstance(scene, FullScene)
+        return scene
 
     def reduced_scene(self, values: Vector) -> ReducedScene:
         """Reduced scene with the effects."""
-        return self._in_scene(self._based(values).scene, values)
+        scene = self._in_scene(self._based(values).scene, values)
+        assert isinstance(scene, ReducedScene)
+        return scene
 
     # -- motions
 

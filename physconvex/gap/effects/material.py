@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
 
 from physconvex.gap.effects.effect import AnyScene, Dose, Effect, Situation
-from physconvex.gap.effects.scenes import with_fields, with_material
+from physconvex.gap.effects.scenes import with_material
 from physconvex.materials import (
     Law,
     Plasticine,
@@ -28,7 +29,7 @@ _UNYIELDING = 9.0  # log10 of a yield stress [Pa] that nothing here reaches
 
 
 def _damping(scene: AnyScene, doses: Doses) -> AnyScene:
-    return with_fields(scene, damping_time=scene.damping_time + float(doses[0]))
+    return replace(scene, damping_time=scene.damping_time + float(doses[0]))
 
 
 DAMPING = Effect(

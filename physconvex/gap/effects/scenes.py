@@ -15,14 +15,9 @@ from physconvex.gap.effects.effect import AnyScene
 from physconvex.materials import LAWS, FlowRule, Flows, Law, Plasticine, less_ground
 from physconvex.reduced import Cubature, ReducedBody, ReducedScene
 
-__all__ = ["cell_masses", "scaled_coordinates", "with_fields", "with_material"]
+__all__ = ["cell_masses", "scaled_coordinates", "with_material"]
 
 Points = Float[np.ndarray, "N 3"]
-
-
-def with_fields(scene: AnyScene, **changes: Any) -> AnyScene:
-    """The scene with fields replaced that both kinds have."""
-    return replace(scene, **changes)
 
 
 def scaled_coordinates(scene: AnyScene, points: Points) -> Points:

@@ -9,7 +9,6 @@ from jaxtyping import Float
 
 from physconvex.dynamics import Wind
 from physconvex.gap.effects.effect import AnyScene, Dose, Effect, Situation
-from physconvex.gap.effects.scenes import with_fields
 from physconvex.numerics import rotation_matrix
 
 __all__ = ["WORLD_EFFECTS"]
@@ -19,7 +18,7 @@ Doses = Float[np.ndarray, " D"]
 
 def _rubbing(scene: AnyScene, doses: Doses) -> AnyScene:
     rough = tuple(replace(o, friction=max(o.friction + float(doses[0]), 0.0)) for o in scene.obstacles)
-    return with_fields(scene, obstacles=rough)
+    return replace(scene, obstacles=rough)
 
 
 FRICTION = Effect(
@@ -42,7 +41,7 @@ RESTITUTION = Effect(
     "restitution",
     "contact",
     (Dose("contact_damping_time", "s", 0.0, 1.0, 2e-4, lambda s: 0.05 * s.wave_time),),
-    scene=lambda scene, doses: with_fields(scene, contact_damping=scene.contact_damping + float(doses[0])),
+    scene=lambda scene, doses: replace(scene, contact_damping=scene.contact_damping + float(doses[0])),
     applies=_touches_a_hard_floor,
     description="impact costs energy in the contact itself",
     confusable=("damping", "contact_stiffness"),
@@ -51,7 +50,7 @@ CONTACT_STIFFNESS = Effect(
     "contact_stiffness",
     "numerical",
     (Dose("log10_contact_stiffness_change", "decades", -2.5, 1.5, 0.1, lambda s: -0.3),),
-    scene=lambda scene, doses: with_fields(scene, contact_stiffness=scene.contact().stiffness * 10 ** float(doses[0])),
+    scene=lambda scene, doses: replace(scene, contact_stiffness=scene.contact().stiffness * 10 ** float(doses[0])),
     applies=_touches_a_hard_floor,
     description="the floor gives way more, or less, than the model's",
     confusable=("restitution", "nonlinear_elasticity"),
@@ -64,7 +63,7 @@ def _tilted(scene: AnyScene, doses: Doses) -> AnyScene:
     order = np.abs(across).argmax(1).argsort()
     across = across[order] * np.sign(across[order, np.abs(across[order]).argmax(1)])[:, None]
     turned = rotation_matrix(np.radians(doses) @ across) @ gravity
-    return with_fields(scene, gravity=(float(turned[0]), float(turned[1]), float(turned[2])))
+    return replace(scene, gravity=(float(turned[0]), float(turned[1]), float(turned[2])))
 
 
 def _has_gravity(situation: Situation) -> bool:
@@ -84,7 +83,7 @@ LINEAR_DRAG = Effect(
     "air_drag",
     "external",
     (Dose("rate", "1/s", 0.0, 20.0, 0.02, lambda s: 0.15, plausible=2.0),),
-    scene=lambda scene, doses: with_fields(scene, air_drag=scene.air_drag + float(doses[0])),
+    scene=lambda scene, doses: replace(scene, air_drag=scene.air_drag + float(doses[0])),
     variant="linear",
     description="the surroundings slow every motion down in proportion to its speed",
     confusable=("time_scale", "damping"),
@@ -92,7 +91,7 @@ LINEAR_DRAG = Effect(
 
 
 def _in_air(scene: AnyScene, doses: Doses) -> AnyScene:
-    return scene if doses[0] <= 0 else with_fields(scene, wind=Wind(drag_coefficient=float(doses[0])))
+    return scene if doses[0] <= 0 else replace(scene, wind=Wind(drag_coefficient=float(doses[0])))
 
 
 QUADRATIC_DRAG = Effect(
@@ -110,7 +109,7 @@ QUADRATIC_DRAG = Effect(
 def _blown(scene: AnyScene, doses: Doses) -> AnyScene:
     if not np.any(doses):
         return scene
-    return with_fields(scene, wind=Wind(velocity=(float(doses[0]), float(doses[1]), 0.0)))
+    return replace(scene, wind=Wind(velocity=(float(doses[0]), float(doses[1]), 0.0)))
 
 
 def _wind_trial(situation: Situation) -> float:
@@ -132,12 +131,12 @@ WIND = Effect(
 
 def _pushed(scene: AnyScene, doses: Doses) -> AnyScene:
     velocity = np.asarray(scene.initial_velocity, dtype=np.float64) + doses
-    return with_fields(scene, initial_velocity=(float(velocity[0]), float(velocity[1]), float(velocity[2])))
+    return replace(scene, initial_velocity=(float(velocity[0]), float(velocity[1]), float(velocity[2])))
 
 
 def _spun(scene: AnyScene, doses: Doses) -> AnyScene:
     spin = np.asarray(scene.initial_angular_velocity, dtype=np.float64) + doses
-    return with_fields(scene, initial_angular_velocity=(float(spin[0]), float(spin[1]), float(spin[2])))
+    return replace(scene, initial_angular_velocity=(float(spin[0]), float(spin[1]), float(spin[2])))
 
 
 INITIAL_VELOCITY = Effect(
