@@ -60,7 +60,7 @@ def diagnosed(capture, second_take, tmp_path_factory):
     app, out = typer.Typer(), tmp_path_factory.mktemp("diagnosed")
     app.command()(diagnose_command)
     arguments = [str(capture), "--second-take", str(second_take), "--out", str(out), "--no-progress"]
-    arguments += ["--max-nodes", "100"]
+    arguments += ["--max-nodes", "60"]
     arguments += ["--candidates", "2", "--effects", "friction,gravity_tilt,air_drag,damping"]
     ended = CliRunner().invoke(app, arguments, catch_exceptions=False)
     assert ended.exit_code == 0 and "friction" in ended.stdout
@@ -108,7 +108,8 @@ def test_an_inert_effect_is_never_named(capture, diagnosed):
         "inert", "material", (Dose("amount", "", -1.0, 1.0, 0.01, lambda s: 0.1),), scene=lambda scene, _: scene
     )
     names = ("friction", "gravity_tilt", "air_drag", "damping", "inert")
-    report = diagnose(capture, effects=names, extra=[inert], options=GapOptions(max_nodes=100, candidates=2))
+    options = GapOptions(max_nodes=60, fine_nodes=200, candidates=2)
+    report = diagnose(capture, effects=names, extra=[inert], options=options)
     before = json.loads((diagnosed / "report.json").read_text())["which"]
     assert [e.name for e in report.verdict.effects] == [e["name"] for e in before["effects"]]
     assert all("inert" not in h.names for h in report.hypotheses[:1]) and "inert" not in report.verdict.sentence
