@@ -9,6 +9,7 @@ from .benchmark_scenes import (
 from .blind.bank import (
     COMMITMENT as COMMITMENT,
     DICTIONARY as DICTIONARY,
+    BankOptions as BankOptions,
     digest as digest,
     generate_bank as generate_bank,
 )

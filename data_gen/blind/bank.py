@@ -6,21 +6,22 @@ import hashlib
 import json
 import secrets
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from pydantic import Field
 
 from data_gen.blind.cases import BLIND_EFFECTS, Case, capture_parts, draw_case, simulate_case
 from data_gen.blind.explicit_cases import EXPLICIT_EFFECTS, simulate_explicit
 from data_gen.blind.jobs import run_jobs
 from data_gen.blind.plan import Planned, Shares, plan_bank
 from physconvex import ConvergenceError, InputError
-from physconvex.io import load_capture, save_capture
+from physconvex.io import CommandLine, Options, load_capture, save_capture
 
-__all__ = ["COMMITMENT", "DICTIONARY", "EngineName", "digest", "generate_bank"]
+__all__ = ["COMMITMENT", "DICTIONARY", "BankOptions", "EngineName", "digest", "generate_bank"]
 
 COMMITMENT = "commitment.json"
 DICTIONARY = "dictionary.json"
@@ -34,20 +35,28 @@ def digest(text: str, salt: str) -> str:
     return hashlib.sha256((salt + text).encode()).hexdigest()
 
 
-def generate_bank(
-    out: Path,
-    seal: Path,
-    *,
-    count: int,
-    seed: int,
-    effects: Sequence[str] | None = None,
-    shares: Shares | None = None,
-    engine: EngineName = "explicit",
-    visibilities: Sequence[float] = (10.0,),
-    controls: Sequence[str] = (),
-    workers: int = 1,
-    report: Report = lambda _: None,
-) -> int:
+class BankOptions(Options):
+    """What a bank of captures is made of."""
+
+    count: Annotated[int, Field(ge=0)] = 16
+    """Number of captures."""
+    seed: int = 0
+    """Seed of the draws."""
+    effects: Annotated[tuple[str, ...], CommandLine(commas=True)] = ()
+    """Names to draw from, separated by commas; all that the engine knows unless given."""
+    shares: Shares = Shares()
+    controls: Annotated[tuple[str, ...], CommandLine(commas=True)] = ()
+    """Controls, one more capture each: density, numerics, camera, noise."""
+    visibilities: Annotated[tuple[float, ...], CommandLine(commas=True)] = (10.0,)
+    """Gap over noise and numerical error, in mean squares, separated by commas; taken in turn. Default: 10."""
+    engine: EngineName = "explicit"
+    """explicit (an engine of its own, doses by visibility) or fem (the full-order model on another mesh, doses by
+    their size)."""
+    workers: Annotated[int, Field(ge=1)] = 1
+    """Processes."""
+
+
+def generate_bank(out: Path, seal: Path, options: BankOptions | None = None, *, report: Report = lambda _: None) -> int:
     """Write captures into `out`, their labels into the file `seal`, and the labels' hash beside the captures.
 
     Each capture is drawn from the seed and its number, so that a bank does not depend on the number of processes. Until
@@ -57,15 +66,7 @@ def generate_bank(
     Args:
         out: folder of the captures.
         seal: file of the labels, to be kept from whoever diagnoses.
-        count: number of captures.
-        seed: of the draws.
-        effects: names that are drawn from; all that the engine knows unless given.
-        shares: of the captures that hide no effect, two, and others; a quarter without effect unless given.
-        engine: "explicit" (another engine than the diagnosis uses, doses by visibility) or "fem" (the full-order model
-            on another mesh, doses by their size).
-        visibilities: of the effects, taken in turn; see `simulate_explicit`.
-        controls: names of controls (`data_gen.blind.controls`), one more capture for each.
-        workers: processes.
+        options: what the bank is made of.
         report: told what is done.
 
     Returns:
@@ -75,12 +76,14 @@ def generate_bank(
     Raises:
         InputError: the bank is there already, one with other settings was begun there, or an unknown effect.
     """
+    options = options or BankOptions()
+    engine, seed, workers = options.engine, options.seed, options.workers
     known = EXPLICIT_EFFECTS if engine == "explicit" else BLIND_EFFECTS
-    names = list(known if effects is None else effects)
+    names = list(options.effects or known)
     unknown = set(names) - set(known)
     if unknown:
         raise InputError(f"effects: got {sorted(unknown)}; expected names among {', '.join(known)}")
-    plan = plan_bank(seed, count, names, visibilities, shares=shares or Shares(), controls=controls)
+    plan = plan_bank(seed, options.count, names, options.visibilities, shares=options.shares, controls=options.controls)
     parts = seal.with_name(seal.name + ".parts")
     _begin(out, seal, parts, json.dumps({"seed": seed, "engine": engine, "plan": [asdict(p) for p in plan]}))
     jobs = [_Job(number, planned, seed, engine, out, parts) for number, planned in enumerate(plan)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from data_gen.blind.classes import class_of, same_class
 from data_gen.blind.controls import CONTROLS, Control
 from data_gen.blind.explicit_cases import OUTSIDE
 from physconvex import InputError
+from physconvex.io import CommandLine, Options
 
 __all__ = ["Planned", "Shares", "plan_bank"]
 
@@ -38,14 +40,17 @@ class Planned:
         return self.control is not None and self.control.repeats
 
 
-@dataclass(frozen=True)
-class Shares:
-    """Shares of the captures: without effect, with two, with one that no dictionary has, with one that is taken out."""
+class Shares(Options):
+    """Shares of a bank's captures."""
 
-    free: float = 0.25
+    free: Annotated[float, CommandLine(flag="--effect-free")] = 0.25
+    """Share of captures without an effect."""
     two: float = 0.0
+    """Share of captures with two effects."""
     outside: float = 0.0
+    """Share of captures whose effect is in no dictionary."""
     deleted: float = 0.0
+    """Share of captures whose effect is taken out of the dictionary, with its class."""
 
 
 def plan_bank(

@@ -34,12 +34,14 @@ class CommandLine:
         flag: name of the option; `--` and the field's name unless given.
         panel: heading in `--help` under which it stands.
         parse: of a field that is a mapping: from NAME=VALUE, which may be given several times, to name and value.
+        commas: the values of a tuple stand in one option, separated by commas.
         hidden: the field is set from Python alone.
     """
 
     flag: str | None = None
     panel: str | None = None
     parse: Callable[[str], tuple[str, Any]] | None = None
+    commas: bool = False
     hidden: bool = False
 
 
@@ -153,12 +155,14 @@ def _value(info: FieldInfo, given: Any) -> object:
         return dict(map(parse, given or ()))
     if given is None:
         return info.get_default(call_default_factory=True)
+    if _command_line(info).commas:
+        return tuple(part.strip() for part in given.split(",") if part.strip())
     return tuple(given) if isinstance(given, list) else given
 
 
 def _parameter(name: str, info: FieldInfo) -> inspect.Parameter:
     look, default = _command_line(info), info.get_default(call_default_factory=True)
-    kind, repeated = _kind(info.annotation)
+    kind, repeated = (str | None, True) if look.commas else _kind(info.annotation)
     option = typer.Option(*([look.flag] if look.flag else []), help=info.description, rich_help_panel=look.panel)
     return inspect.Parameter(
         name,

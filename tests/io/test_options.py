@@ -99,3 +99,25 @@ def test_json_and_table_hold_every_field() -> None:
     assert FitOptions(**stored) == FitOptions(cameras=("a",))
     table = options_table(FitOptions)
     assert "| `--weights` | 20 | Number of skinning weights. |" in table and "`--time-offset`" in table
+
+
+class Listed(Options):
+    """Values in one option."""
+
+    numbers: Annotated[tuple[float, ...], CommandLine(commas=True)] = (1.0,)
+    """Some numbers."""
+
+
+def test_values_stand_in_one_option_separated_by_commas():
+    seen = []
+
+    @command
+    def run(options: Listed) -> None:
+        seen.append(options.numbers)
+
+    app = typer.Typer()
+    app.command()(run)
+    for arguments in ([], ["--numbers", "2, 3.5,"]):
+        assert CliRunner().invoke(app, arguments).exit_code == 0
+    assert seen == [(1.0,), (2.0, 3.5)]
+    assert CliRunner().invoke(app, ["--numbers", "two"]).exit_code != 0

@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from data_gen import BankOptions, generate_bank
+from physconvex.io import command
+
 if TYPE_CHECKING:
     from train.blind.scoring import BankScore
 
@@ -16,46 +19,20 @@ app = typer.Typer(no_args_is_help=True, help=__doc__)
 
 
 @app.command()
+@command
 def generate(
-    out: Annotated[Path, typer.Option(help="New folder of the captures.")],
-    seal: Annotated[Path, typer.Option(help="New file of the labels; keep it from whoever diagnoses.")],
-    count: Annotated[int, typer.Option(help="Number of captures.")] = 16,
-    seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
-    effects: Annotated[str | None, typer.Option(help="Names to draw from, separated by commas.")] = None,
-    effect_free: Annotated[float, typer.Option(help="Share of captures without an effect.")] = 0.25,
-    two: Annotated[float, typer.Option(help="Share of captures with two effects.")] = 0.0,
-    outside: Annotated[float, typer.Option(help="Share of captures whose effect is in no dictionary.")] = 0.0,
-    deleted: Annotated[
-        float, typer.Option(help="Share of captures whose effect is taken out of the dictionary, with its class.")
-    ] = 0.0,
-    controls: Annotated[
-        str | None, typer.Option(help="Controls, one more capture each: density, numerics, camera, noise.")
-    ] = None,
-    visibilities: Annotated[
-        str, typer.Option(help="Gap over noise and numerical error, in mean squares; taken in turn.")
-    ] = "10",
-    engine: Annotated[
-        str, typer.Option(help="explicit (an engine of its own) or fem (the full-order model).")
-    ] = "explicit",
-    workers: Annotated[int, typer.Option(help="Processes.")] = 1,
+    options: BankOptions,
+    *,
+    out: Annotated[Path, typer.Option(help="New folder of the captures.", show_default=False)],
+    seal: Annotated[
+        Path, typer.Option(help="New file of the labels; keep it from whoever diagnoses.", show_default=False)
+    ],
 ) -> None:
     """Simulate marker captures with hidden effects; publish the labels' hash only. Goes on where it stopped."""
     from tqdm import tqdm
 
-    from data_gen import Shares, generate_bank
-    from physconvex import InputError
-
-    names = None if effects is None else [n.strip() for n in effects.split(",")]
-    if engine not in ("explicit", "fem"):
-        raise InputError(f"engine: got {engine!r}; expected explicit or fem")
-    with tqdm(total=count, dynamic_ncols=True) as bar:
-        count = generate_bank(
-            out, seal, count=count, seed=seed, effects=names,
-            shares=Shares(effect_free, two, outside, deleted), engine="fem" if engine == "fem" else "explicit",
-            controls=[] if controls is None else [n.strip() for n in controls.split(",")],
-            visibilities=[float(v) for v in visibilities.split(",")], workers=workers,
-            report=lambda name: (bar.set_description(name), bar.update())[0],
-        )  # fmt: skip
+    with tqdm(total=options.count, dynamic_ncols=True) as bar:
+        count = generate_bank(out, seal, options, report=lambda name: (bar.set_description(name), bar.update())[0])
     typer.echo(f"{count} captures in {out}; labels in {seal}")
 
 
@@ -87,6 +64,7 @@ def diagnose_blindly(
 
 @app.command("score")
 def score_answers(
+    *,
     captures: Annotated[list[Path], typer.Option(help="Folder of the captures; several banks are counted together.")],
     seal: Annotated[list[Path], typer.Option(help="File of the labels, of each bank.")],
     answers: Annotated[list[Path], typer.Option(help="answers.json, of each bank.")],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -26,7 +27,7 @@ __all__ = [
     "with_honest_noise",
 ]
 
-Seen = MarkerObservations | PixelObservations
+Seen: TypeAlias = MarkerObservations | PixelObservations
 
 
 def observations_of(capture: Capture, twin: Twin) -> Seen:

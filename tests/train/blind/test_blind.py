@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from data_gen import Shares, generate_bank, same_class
+from data_gen import BankOptions, Shares, generate_bank, same_class
 from data_gen.blind import bank, explicit_cases
 from data_gen.blind.cases import draw_case
 from data_gen.blind.classes import class_of
@@ -44,7 +44,7 @@ def small(tmp_path, monkeypatch):
 
 def make(folder, **changes):
     settings = {"count": 3, "seed": 1, "shares": Shares(free=0.34), "engine": "fem", "controls": ["density", "noise"]}
-    return generate_bank(folder / "captures", folder / "seal.json", **settings | changes)
+    return generate_bank(folder / "captures", folder / "seal.json", BankOptions(**settings | changes))
 
 
 def scored(folder):
@@ -534,12 +534,12 @@ def test_a_dose_is_found_beyond_a_threshold(monkeypatch):
     monkeypatch.setattr(explicit_cases, "_dosed", lambda name, strength, case, seed: strength)
     runner = _Shown(lambda effects, _: max(effects[0] - 0.15, 0) * 100)  # nothing at a fifth of a moderate dose
     yardstick = explicit_cases._Yardstick(np.zeros((10, 3, 3)), np.zeros((90, 1)), 1.0)
-    seen, dose = explicit_cases._scaled("plasticity", None, runner, yardstick, 30.0, 0)
+    seen, dose = explicit_cases._scaled("plasticity", None, runner, yardstick, visibility=30.0, number=0)
     assert 15 < seen < 60 and 0.15 < dose < 0.3
     tried = []
     nothing = _Shown(lambda effects, _: tried.append(effects[0]) or 0.0)
     with pytest.raises(ConvergenceError, match="30 wanted"):
-        explicit_cases._scaled("plasticity", None, nothing, yardstick, 30.0, 0)
+        explicit_cases._scaled("plasticity", None, nothing, yardstick, visibility=30.0, number=0)
     assert tried == [1.0, 5.0, explicit_cases._STRONGEST]  # which is not run again
 
 
