@@ -19,7 +19,7 @@ from models import (
     find_checkpoint,
 )
 from train.data import TrainingClips
-from train.records import dataset_checksum
+from train.records import data_listing
 from train.validation import Validation
 
 __all__ = ["Origin", "export_best", "model_card"]
@@ -81,9 +81,6 @@ def model_card(
 ) -> str:
     """Markdown: what the network was trained on, how good it is, where it ends."""
     stiffness, poisson = validation.metrics(calibration)
-    sources = "\n".join(
-        f"- `{Path(folder).name}`, manifest SHA-256 `{dataset_checksum(folder)}`" for folder in origin.data
-    )
     low, high = ranges.log10_stiffness
     earlier = "" if origin.checkpoint is None else _earlier_training(origin.checkpoint, origin.share)
     also = f"\n{origin.beside}\n" if origin.beside else ""
@@ -95,7 +92,7 @@ Reads a clip of one soft object that falls on a floor; says Young's modulus, Poi
 
 {clips} clips, simulated by the finite-element code of this project and rendered, from
 
-{sources}
+{data_listing(origin.data)}
 {also}{earlier}
 log10(E / (ρ g L)) from {low:.2f} to {high:.2f}; ν from {ranges.poisson_ratio[0]:.2f} to {ranges.poisson_ratio[1]:.2f};
 frame interval {ranges.interval[0]:.3f} to {ranges.interval[1]:.3f} √(L/g).

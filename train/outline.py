@@ -17,7 +17,7 @@ from models import OutlineConfig, OutlineNetwork, load_outline, outline_input, r
 from train.finder_loop import overlap_of_frames, train_finder_network
 from train.outline_data import RoughClip, degraded, read_rough_clips, rearranged
 from train.progress import Report
-from train.records import Split, dataset_checksum, read_clips
+from train.records import Split, data_listing, read_clips
 from train.segmentation_data import MaskedClip, SegmentationAugmentation, recoloured
 
 __all__ = ["OutlineResult", "OutlineTraining", "outline_loss", "train_outline"]
@@ -131,7 +131,6 @@ def _model_card(
     config: OutlineTraining, data: Sequence[Path | str], counts: tuple[int, int], metrics: dict[str, float]
 ) -> str:
     begun = "from random weights" if config.start is None else "from the weights of an earlier training"
-    sources = "\n".join(f"- `{Path(folder).name}`, manifest SHA-256 `{dataset_checksum(folder)}`" for folder in data)
     return f"""# physconvex outline
 
 Corrects the rough silhouette of a moving object by the background that the object uncovers.
@@ -141,7 +140,7 @@ Corrects the rough silhouette of a moving object by the background that the obje
 Rough silhouettes of the bundled segmenter and true masks of {counts[0]} rendered clips, recoloured and disturbed at
 random, from
 
-{sources}
+{data_listing(data)}
 
 {config.steps} steps of {config.frames} frames of {config.batch} clips, seed {config.seed}, {begun}.
 

@@ -16,7 +16,15 @@ from data_gen import ClipRecord, Dataset
 from physconvex import InputError
 from train.motion_states import states_of_motion
 
-__all__ = ["ClipSamples", "LabelledClip", "Split", "camera_aligned_axes", "dataset_checksum", "read_clips"]
+__all__ = [
+    "ClipSamples",
+    "LabelledClip",
+    "Split",
+    "camera_aligned_axes",
+    "data_listing",
+    "dataset_checksum",
+    "read_clips",
+]
 
 Split = Literal["train", "validation", "test"]
 
@@ -113,6 +121,11 @@ def read_clips(datasets: Sequence[Path | str], split: Split | None = None) -> li
 def dataset_checksum(dataset: Path | str) -> str:
     """SHA-256 of the manifest, which holds that of every file."""
     return hashlib.sha256((Path(dataset) / "manifest.json").read_bytes()).hexdigest()
+
+
+def data_listing(data: Sequence[Path | str]) -> str:
+    """Data sets with their checksums, a line each, for model cards."""
+    return "\n".join(f"- `{Path(folder).name}`, manifest SHA-256 `{dataset_checksum(folder)}`" for folder in data)
 
 
 def camera_aligned_axes(transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3 3"]:

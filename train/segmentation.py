@@ -25,7 +25,7 @@ from models import (
 )
 from train.finder_loop import overlap_of_frames, train_finder_network
 from train.progress import Report
-from train.records import Split, dataset_checksum, read_clips
+from train.records import Split, data_listing, read_clips
 from train.segmentation_data import MaskedClip, SegmentationAugmentation, augmented, moving_part, read_masked_clips
 
 __all__ = ["SegmentationConfig", "SegmentationResult", "mean_overlap", "segmentation_loss", "train_segmenter"]
@@ -126,7 +126,6 @@ def mean_overlap(network: SilhouetteSegmenter, clips: Sequence[MaskedClip]) -> f
 
 
 def _model_card(config: SegmentationConfig, data: Sequence[Path | str], counts: tuple[int, int], overlap: float) -> str:
-    sources = "\n".join(f"- `{Path(folder).name}`, manifest SHA-256 `{dataset_checksum(folder)}`" for folder in data)
     begun = "from random weights" if config.start is None else "from the weights of an earlier training"
     return f"""# physconvex segmenter
 
@@ -136,7 +135,7 @@ Says which pixels of each frame show the one object that moves before a camera t
 
 True masks of {counts[0]} rendered clips, recoloured, cut and thinned at random, from
 
-{sources}
+{data_listing(data)}
 
 {config.steps} steps of {config.batch} clips, seed {config.seed}, {begun}.
 
