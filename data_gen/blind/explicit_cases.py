@@ -13,9 +13,8 @@ from jaxtyping import Float
 from data_gen.blind.cases import Case, HiddenEffect, floor_height
 from data_gen.blind.engine import ExplicitWorld, run_explicit
 from physconvex import ConvergenceError
-from physconvex.gap import PointMotion, with_plane
+from physconvex.gap import PointMotion, rotation_vector_matrix, with_plane
 from physconvex.mesh import TetMesh, tetrahedralize
-from physconvex.numerics import rotation_matrix
 
 __all__ = ["EXPLICIT_EFFECTS", "HELD_EFFECTS", "OUTSIDE", "simulate_explicit"]
 
@@ -97,7 +96,7 @@ def _world_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> 
         fields = {"wind": (0.15, (doses[0], doses[1], 0.0))}
     elif name == "gravity_tilt":
         along = np.radians(2.0 * s) * _direction(rng, 2)
-        turned = rotation_matrix(np.array([*along, 0.0])) @ np.array([0, 0, -9.81])
+        turned = rotation_vector_matrix(np.array([*along, 0.0])) @ np.array([0, 0, -9.81])
         doses, units = tuple(np.degrees(along)), ("deg", "deg")
         fields = {"gravity": tuple(turned)}
     elif name == "initial_velocity":
@@ -157,7 +156,7 @@ def _seen_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> D
         change = 0.03 * s * float(rng.choice([-1.0, 1.0]))
         return Dosed(None, None, (change,), ("",), fast=change)
     turn, shift = np.radians(1.0 * s) * _direction(rng), 0.01 * s * case.size * _direction(rng)
-    matrix = rotation_matrix(turn)
+    matrix = rotation_vector_matrix(turn)
 
     def moved(motion: PointMotion) -> Positions:  # about the markers' mean, as the dictionary has it
         pivot = motion.rest.mean(0)

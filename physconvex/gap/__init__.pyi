@@ -19,6 +19,7 @@ from .effects.effect import (
     Source as Source,
 )
 from .effects.motion import MotionCorrection as MotionCorrection, PointMotion as PointMotion
+from .effects.world import rotation_vector_matrix as rotation_vector_matrix
 from .errors.error_model import error_model as error_model
 from .errors.numerical_differences import correction_of as correction_of, numerical_differences as numerical_differences
 from .errors.score_test import (

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from physconvex.mesh import FACE_CORNERS
-from physconvex.numerics import closest_in_triangles
+from physconvex.numerics import closest_points
 
 __all__ = ["HeldRegion"]
 
@@ -62,8 +62,7 @@ class HeldRegion:
         """To the triangles [m]."""
         count = min(_NEAR, len(self.triangles))
         index = cKDTree(self.triangles.mean(1)).query(points, k=[*range(1, count + 1)])[1]
-        triangles = self.triangles[index]
-        feet = np.einsum("pkc,pkci->pki", closest_in_triangles(triangles, points[:, None]), triangles)
+        feet = closest_points(self.triangles[index], points[:, None])
         return np.linalg.norm(points[:, None] - feet, axis=-1).min(1)
 
     def _inside(self, points: np.ndarray) -> np.ndarray:

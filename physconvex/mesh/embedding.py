@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from physconvex.errors import InputError
 from physconvex.mesh.elements import shape_gradients, shape_values
 from physconvex.mesh.tet_mesh import FACE_CORNERS, TetMesh
-from physconvex.numerics import closest_in_triangles
+from physconvex.numerics import closest_points
 
 __all__ = ["Embedding", "contains", "continued_shape_values", "locate", "sample_interior"]
 
@@ -200,7 +200,7 @@ def _nearest_element(
     triangles = mesh.vertices[faces]
     count = min(CANDIDATES, len(faces))
     near = cKDTree(triangles.mean(axis=1)).query(points, k=[*range(1, count + 1)])[1]
-    feet = np.einsum("pkc,pkca->pka", closest_in_triangles(triangles[near], points[:, None]), triangles[near])
+    feet = closest_points(triangles[near], points[:, None])
     gaps = np.linalg.norm(points[:, None] - feet, axis=-1)
     row, closest = np.arange(len(points)), gaps.argmin(axis=1)
     depth = _barycentric(corners, inverse, owner[near], points[:, None]).min(axis=2)

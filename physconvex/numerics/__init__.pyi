@@ -8,4 +8,4 @@ from .rotations import (
 from .secants import broyden_update as broyden_update, moved_along as moved_along
 from .sparse_solvers import NotPositiveDefiniteError as NotPositiveDefiniteError, SymmetricSolver as SymmetricSolver
 from .torch_settings import device_named as device_named, one_torch_thread as one_torch_thread
-from .triangles import closest_in_triangles as closest_in_triangles
+from .triangles import closest_in_triangles as closest_in_triangles, closest_points as closest_points

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-__all__ = ["closest_in_triangles"]
+__all__ = ["closest_in_triangles", "closest_points"]
 
 
 def closest_in_triangles(
@@ -43,3 +43,27 @@ def _closest_on_edges(
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
+
+
+def closest_points(
+    triangles: Float[np.ndarray, "*#B 3 3"], points: Float[np.ndarray, "*#B 3"]
+) -> Float[np.ndarray, "*#B 3"]:
+    """The point of each triangle that is closest to each point, by perpendiculars; no triangle may be flat.
+
+    The weights of `closest_in_triangles` give it too, but round otherwise: where bytes are promised they do not serve.
+    """
+    normal = np.cross(triangles[..., 1, :] - triangles[..., 0, :], triangles[..., 2, :] - triangles[..., 0, :])
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    height = np.einsum("...a,...a->...", normal, points - triangles[..., 0, :])
+    inside = np.ones(height.shape, dtype=bool)
+    nearest, gap = np.zeros((*height.shape, 3)), np.full(height.shape, np.inf)
+    for i in range(3):
+        start, along = triangles[..., i, :], triangles[..., (i + 1) % 3, :] - triangles[..., i, :]
+        offset = points - start
+        inside &= np.einsum("...a,...a->...", np.cross(along, offset), normal) >= 0
+        t = np.einsum("...a,...a->...", offset, along) / np.einsum("...a,...a->...", along, along)
+        foot = start + np.clip(t, 0, 1)[..., None] * along
+        away = np.linalg.norm(points - foot, axis=-1)
+        nearest = np.where((away < gap)[..., None], foot, nearest)
+        gap = np.minimum(gap, away)
+    return np.where(inside[..., None], points - height[..., None] * normal, nearest)

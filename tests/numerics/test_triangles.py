@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from physconvex.numerics import closest_in_triangles
+from physconvex.numerics import closest_in_triangles, closest_points
 
 
 def test_closest_points_in_a_triangle_by_region():
@@ -18,7 +18,9 @@ def test_the_closest_point_of_triangles_beats_a_fine_net():
     points, corners = rng.normal(size=(40, 3)), rng.normal(size=(40, 3, 3))
     shares = closest_in_triangles(corners, points)
     assert (shares >= 0).all() and np.allclose(shares.sum(1), 1)
-    distance = np.linalg.norm(np.einsum("nc,nci->ni", shares, corners) - points, axis=1)
+    found = np.einsum("nc,nci->ni", shares, corners)
+    np.testing.assert_allclose(closest_points(corners, points), found, atol=1e-12)
+    distance = np.linalg.norm(found - points, axis=1)
     net = np.array([(i, j, 60 - i - j) for i in range(61) for j in range(61 - i)]) / 60
     nets = np.linalg.norm(np.einsum("kc,nci->nki", net, corners) - points[:, None], axis=2).min(1)
     assert (distance <= nets + 1e-12).all() and (distance > nets - 0.05).all()

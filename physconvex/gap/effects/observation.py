@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from physconvex.gap.effects.effect import Dose, Effect, Patches, Situation
 from physconvex.gap.effects.motion import PointMotion
-from physconvex.numerics import rotation_matrix
+from physconvex.gap.effects.world import rotation_vector_matrix
 
 __all__ = ["EXPOSURE", "IMAGE_EFFECTS", "MOTION_BLUR", "OBSERVATION_EFFECTS"]
 
@@ -54,7 +54,7 @@ TIME_SCALE = Effect(
 
 def _moved(motion: PointMotion, doses: Doses) -> Positions:
     pivot = motion.rest.mean(0) if motion.camera is None else motion.camera.position
-    turn = rotation_matrix(np.radians(doses[:3]))
+    turn = rotation_vector_matrix(np.radians(doses[:3]))
     return np.asarray((motion.positions - pivot) @ turn.T + pivot + doses[3:])
 
 

@@ -9,11 +9,23 @@ from jaxtyping import Float
 
 from physconvex.dynamics import Wind
 from physconvex.gap.effects.effect import AnyScene, Dose, Effect, Situation
-from physconvex.numerics import rotation_matrix
 
-__all__ = ["WORLD_EFFECTS"]
+__all__ = ["WORLD_EFFECTS", "rotation_vector_matrix"]
 
 Doses = Float[np.ndarray, " D"]
+
+
+def rotation_vector_matrix(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """Rotation by |vector| [rad] about its direction (Rodrigues).
+
+    `physconvex.numerics.rotation_matrix` rounds otherwise, and banks of blind cases are committed to by their digests.
+    """
+    angle = float(np.linalg.norm(vector))
+    if angle == 0:
+        return np.eye(3)
+    x, y, z = vector / angle
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
 
 
 def _rubbing(scene: AnyScene, doses: Doses) -> AnyScene:
@@ -62,7 +74,7 @@ def _tilted(scene: AnyScene, doses: Doses) -> AnyScene:
     across = np.linalg.svd(gravity[None])[2][1:]  # two directions across gravity
     order = np.abs(across).argmax(1).argsort()
     across = across[order] * np.sign(across[order, np.abs(across[order]).argmax(1)])[:, None]
-    turned = rotation_matrix(np.radians(doses) @ across) @ gravity
+    turned = rotation_vector_matrix(np.radians(doses) @ across) @ gravity
     return replace(scene, gravity=(float(turned[0]), float(turned[1]), float(turned[2])))
 
 
