@@ -42,7 +42,7 @@ def starts(monkeypatch):
     def run_base(capture, observations, split, twin, found, cost):
         return fitted(found.values, None)
 
-    def fit_from(rough, *rest):
+    def fit_from(rough, *rest, **named):
         asked.append(float(rough.fit.values[1]))
         return ends[asked[-1]]
 
