@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +20,7 @@ TrajectoryT = TypeVar("TrajectoryT")
 Trajectory_co = TypeVar("Trajectory_co", covariant=True)
 
 
+@runtime_checkable
 class CarriedTangents(Protocol):
     """Derivatives of the state by P parameters."""
 
@@ -31,6 +32,7 @@ class CarriedTangents(Protocol):
         """Advance over one converged step."""
 
 
+@runtime_checkable
 class Parametrised(Protocol[Trajectory_co]):
     """A scene and the parameters that it is differentiated by."""
 

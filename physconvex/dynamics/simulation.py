@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, TypeVar
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -66,6 +66,7 @@ Trajectory_co = TypeVar("Trajectory_co", covariant=True)
 TrajectoryT = TypeVar("TrajectoryT")
 
 
+@runtime_checkable
 class Simulated(Protocol[Trajectory_co]):
     """A scene as `simulate` needs it."""
 
