@@ -39,7 +39,7 @@ from data_gen import (
     roll_out,
 )
 from physconvex import ConvergenceError, InputError
-from physconvex.dynamics import Plane, Timing, simulate
+from physconvex.dynamics import Plane, Timing, World, simulate
 from physconvex.fem import ElasticBody, Scene
 from physconvex.mesh import TetMesh, linear_part, refine_uniformly, tetrahedralize_implicit
 
@@ -107,7 +107,8 @@ def draw(seed: int, index: int, count: int, solver: SolverConfig) -> tuple[Case,
         rng.normal(size=3),
     )
     gravity = load_config("training").motion.gravity
-    mesh = refine_at_landing(case.mesh, solver.landing_nodes, gravity=gravity, angular_velocity=case.angular_velocity)
+    flight = World(gravity=gravity, initial_angular_velocity=case.angular_velocity)
+    mesh = refine_at_landing(case.mesh, solver.landing_nodes, flight)
     return replace(case, mesh=mesh), thing.family
 
 

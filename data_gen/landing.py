@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
+from physconvex.dynamics import World
 from physconvex.mesh import TetMesh, refine_locally
 
 __all__ = ["landing_heights", "mass_properties", "refine_at_landing", "turning"]
@@ -17,26 +17,19 @@ _STEP = 1e-3  # [s]
 _REACH = 0.08  # of the size: wanted spacings are proportional to the height at landing plus this
 
 
-def landing_heights(
-    mesh: TetMesh,
-    *,
-    gravity: Sequence[float],
-    velocity: Sequence[float] = (0.0, 0.0, 0.0),
-    angular_velocity: Sequence[float] = (0.0, 0.0, 0.0),
-    duration: float = 2.0,
-) -> Float[np.ndarray, " V"] | None:
+def landing_heights(mesh: TetMesh, world: World, *, duration: float = 2.0) -> Float[np.ndarray, " V"] | None:
     """Height [m] of each node over the floor z = 0 when the first of them touches it; None if none does in time.
 
     Args:
         mesh: where the body starts.
-        gravity: [m/s²].
-        velocity, angular_velocity: of the body at the start [m/s], [rad/s].
+        world: its gravity, and initial velocities.
         duration: of the flight at most [s].
     """
+    gravity, velocity = np.asarray(world.gravity), np.asarray(world.initial_velocity)
     centre, inertia = mass_properties(mesh)
     arms = mesh.vertices - centre
     for time, (turn, _) in zip(
-        np.arange(0.0, duration, _STEP), turning(inertia, angular_velocity, _STEP), strict=False
+        np.arange(0.0, duration, _STEP), turning(inertia, world.initial_angular_velocity, _STEP), strict=False
     ):
         heights = turn.apply(arms)[:, 2] + centre[2] + time * velocity[2] + 0.5 * time**2 * gravity[2]
         if heights.min() <= 0.0:
@@ -72,15 +65,15 @@ def mass_properties(mesh: TetMesh) -> tuple[Float[np.ndarray, " 3"], Float[np.nd
     return centre, np.trace(second) * np.eye(3) - second
 
 
-def refine_at_landing(mesh: TetMesh, nodes: int, **flight: Any) -> TetMesh:
+def refine_at_landing(mesh: TetMesh, nodes: int, world: World) -> TetMesh:
     """The mesh with so many nodes more, where it will land: there a few nodes carry a stiff body.
 
     Args:
         mesh: where the body starts.
         nodes: added at most.
-        flight: see `landing_heights`.
+        world: as in `landing_heights`.
     """
-    heights = landing_heights(mesh, **flight) if nodes else None
+    heights = landing_heights(mesh, world) if nodes else None
     if heights is None:
         return mesh
     return refine_locally(mesh, heights + _REACH * mesh.size, max_nodes=len(mesh.vertices) + nodes)

@@ -12,7 +12,7 @@ from data_gen.config import GeneratorConfig, SolverConfig
 from data_gen.landing import refine_at_landing
 from data_gen.scene import Drop
 from physconvex import ConvergenceError, InputError
-from physconvex.dynamics import Plane, SolveStatistics, Timing, simulate
+from physconvex.dynamics import Plane, SolveStatistics, Timing, World, simulate
 from physconvex.fem import ElasticBody, Scene, SurfacePoints, Trajectory, skinning_eigenmodes
 from physconvex.mesh import Embedding, TetMesh, sample_interior, tetrahedralize, tetrahedralize_implicit
 
@@ -72,13 +72,12 @@ def make_mesh(drop: Drop, solver: SolverConfig, gravity: Sequence[float]) -> Tet
         raise ConvergenceError(f"{body.name}: {error}") from error
     x = drop.placed(mesh.vertices)
     x[:, 2] += max(0.0, 1e-3 * drop.size - x[:, 2].min())
-    return refine_at_landing(
-        TetMesh(x, mesh.tets),
-        solver.landing_nodes,
+    world = World(
         gravity=gravity,
-        velocity=drop.initial_velocity,
-        angular_velocity=drop.initial_angular_velocity,
+        initial_velocity=drop.initial_velocity,
+        initial_angular_velocity=drop.initial_angular_velocity,
     )
+    return refine_at_landing(TetMesh(x, mesh.tets), solver.landing_nodes, world)
 
 
 def simulate_drop(

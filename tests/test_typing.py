@@ -10,7 +10,8 @@ ROOT = Path(__file__).resolve().parent.parent
 
 SCRIPT = """\
 import physconvex
-from physconvex import diagnose, predict, reconstruct, refine, simulate
+from physconvex import diagnose, dynamics, fem, predict, reconstruct, refine, simulate
+from physconvex.reduced import NamedParameters, ReducedBodies, ReducedScene
 
 reveal_type(predict("clip.mp4"))
 reveal_type(refine("capture"))
@@ -19,6 +20,13 @@ reveal_type(reconstruct("capture"))
 reveal_type(simulate("ball.obj"))
 reveal_type(physconvex.predict("clip.mp4").youngs_modulus_interval)
 predict("clip.mp4", density="heavy")
+
+
+def rolled_out(full: fem.Scene, reduced: ReducedScene, bodies: ReducedBodies) -> None:
+    reveal_type(dynamics.simulate(full))
+    reveal_type(dynamics.simulate(reduced))
+    reveal_type(dynamics.simulate(bodies))
+    reveal_type(dynamics.simulate_with_sensitivities(NamedParameters(reduced, ("poisson_ratio",))))
 """
 
 REVEALED = [
@@ -43,4 +51,7 @@ def test_public_functions_reveal_their_types(tmp_path: Path) -> None:
     for note, expected in zip(notes, REVEALED, strict=False):
         assert expected in note, result.stdout + result.stderr
     assert "tuple[float, float]" in notes[5].replace("builtins.", "")
+    kinds = ("fem.trajectory.Trajectory", "reduced.trajectory.ReducedTrajectory", "reduced.trajectory.BodiesTrajectory")
+    assert all(f'"physconvex.{kind}"' in note for kind, note in zip(kinds, notes[6:9], strict=True))
+    assert "SensitiveTrajectory[physconvex.reduced.trajectory.ReducedTrajectory]" in notes[9]
     assert 'Argument "density" to "predict" has incompatible type "str"' in result.stdout
