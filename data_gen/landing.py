@@ -38,7 +38,7 @@ def landing_heights(mesh: TetMesh, world: World, *, duration: float = 2.0) -> Fl
 
 
 def turning(
-    inertia: Float[np.ndarray, "3 3"], angular_velocity: Sequence[float], step: float
+    inertia: Float[np.ndarray, "3 3"], angular_velocity: Sequence[float] | Float[np.ndarray, " 3"], step: float
 ) -> Iterator[tuple[Rotation, Float[np.ndarray, " 3"]]]:
     """Rotation since the start and angular velocity [rad/s] of a free rigid body, every `step` [s] from the start on.
 
