@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float32, Float64, Int, Int16, Int32, UInt16
 from scipy.spatial.transform import Rotation
 
-from data_gen.explicit.chebyshev import reach, stages_for, step_coefficients
+from data_gen.explicit.chebyshev import reach, stages_for, chebyshev_coefficients
 from data_gen.landing import mass_properties, turning
 from data_gen.scene import Drop
 from physconvex.dynamics import contact_defaults
@@ -240,7 +240,7 @@ def lay_out(
     layout = Layout(
         table=np.array(table, np.int32),
         materials=np.stack([one.material for one in laid]),
-        coefficients=np.concatenate([step_coefficients(s) for s in stages]).astype(np.float32),
+        coefficients=np.concatenate([chebyshev_coefficients(s) for s in stages]).astype(np.float32),
         geometry=joined("geometry"),
         corners=joined("corners"),
         incident=joined("incident"),

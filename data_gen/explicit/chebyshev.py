@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float64
 
-__all__ = ["reach", "stages_for", "step_coefficients"]
+__all__ = ["reach", "stages_for", "chebyshev_coefficients"]
 
 _DAMPING = 2 / 13
 
@@ -23,7 +23,7 @@ def stages_for(stiffness: float) -> int:
 
 
 @cache
-def step_coefficients(stages: int) -> Float64[np.ndarray, "S1 4"]:
+def chebyshev_coefficients(stages: int) -> Float64[np.ndarray, "S1 4"]:
     """μ, ν, μ̃, γ̃ of the stages 1…s (row 0 is unused) for increments over the start of the step.
 
     D_j = μ_j D_{j−1} + ν_j D_{j−2} + μ̃_j h F_{j−1} + γ̃_j h F_0, D_0 = 0 (Sommeijer, Shampine, Verwer 1997, RKC: an

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from data_gen.explicit.chebyshev import reach, stages_for, step_coefficients
+from data_gen.explicit.chebyshev import reach, stages_for, chebyshev_coefficients
 
 
 def one_step(z: np.ndarray, stages: int) -> np.ndarray:
     """y(h) / y(0) for λ h = z, by the recursion that the kernel runs."""
-    rows, older, before = step_coefficients(stages), np.zeros_like(z), np.zeros_like(z)
+    rows, older, before = chebyshev_coefficients(stages), np.zeros_like(z), np.zeros_like(z)
     for mu, nu, new, first in rows[1:]:
         older, before = before, mu * before + nu * older + new * z * (1 + before) + first * z
     return 1 + before
