@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float32, Float64, Int, Int16, Int32, UInt16
 from scipy.spatial.transform import Rotation
 
-from data_gen.explicit.chebyshev import reach, stages_for, chebyshev_coefficients
+from data_gen.explicit.chebyshev import chebyshev_coefficients, reach, stages_for
 from data_gen.landing import mass_properties, turning
 from data_gen.scene import Drop
 from physconvex.dynamics import contact_defaults

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from data_gen.explicit.chebyshev import reach, stages_for, chebyshev_coefficients
+from data_gen.explicit.chebyshev import chebyshev_coefficients, reach, stages_for
 
 
 def one_step(z: np.ndarray, stages: int) -> np.ndarray:
