@@ -56,7 +56,7 @@ ENVIRONMENT = {
 }
 # Of the machine, the clock or this run, and what was given: not compared.
 IGNORED_FILES = re.compile(r"(^|/)(run\.json|timings\.jsonl|stages/.*)$")
-IGNORED_NAMES = re.compile(r"seconds|version|^(path|config|configuration|options|units?|null)$")
+IGNORED_NAMES = re.compile(r"seconds|version|^(path|config|configuration|options|thresholds|units?|null)$")
 
 Leaf = float | int | str | bool | None
 Leaves = dict[str, Any]
