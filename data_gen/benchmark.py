@@ -44,8 +44,6 @@ from physconvex.io import Camera, Capture, Floor, save_capture, write_video
 from physconvex.mesh import Embedding, TetMesh, enclosed_volume, filled, overlap, tetrahedralize
 from physconvex.reconstruction import psnr, structural_similarity
 
-__all__ = ["drop_object", "generate_benchmark"]
-
 POINTS = 300
 BENCHMARK = "benchmark.json"
 

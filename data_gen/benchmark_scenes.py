@@ -17,18 +17,6 @@ from physconvex.fem import ElasticBody, Scene, SurfacePoints
 from physconvex.io import CommandLine, Options
 from physconvex.mesh import TetMesh
 
-__all__ = [
-    "DENSITY",
-    "FRICTION",
-    "BenchmarkMotion",
-    "BenchmarkOptions",
-    "MotionName",
-    "draw_motion",
-    "placed",
-    "rolled",
-    "scene_of",
-]
-
 DENSITY, FRICTION, HEIGHT = 1000.0, 0.4, 0.25  # kg/m³; coefficient; of the drop, in sizes
 GRAVITY = 9.81  # m/s²
 SPIN, ASKEW_DEG = (3.0, 5.0), 20.0  # rad/s; of the axis of a toss from the line of sight of the front camera, at most

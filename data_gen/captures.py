@@ -35,8 +35,6 @@ from physconvex import InputError, __version__
 from physconvex.io import Capture, Floor, Options, Tracks, save_capture
 from physconvex.mesh import TetMesh, compact
 
-__all__ = ["CaptureTask", "RingOptions", "capture_folder", "generate_captures", "make_capture", "ring_of_looks"]
-
 # Stream numbers below LOOK's key, beside those of generate.py.
 _RING, _TRACKS = 20_000, 20_001
 

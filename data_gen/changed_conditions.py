@@ -11,8 +11,6 @@ from physconvex import InputError
 from physconvex.dynamics import Plane
 from physconvex.fem import ElasticBody, Scene
 
-__all__ = ["CHANGES", "changed", "changes_of"]
-
 _SOFTER, _PUSH, _SWING, _RATE = 0.3, 4.0, 0.8, 2.0
 
 

@@ -17,8 +17,6 @@ from data_gen.engines import EngineName
 from data_gen.generate import GenerationSummary, TaskReport, generate_dataset
 from physconvex.io import command
 
-__all__ = ["app"]
-
 app = typer.Typer(help=__doc__, no_args_is_help=True)
 
 

@@ -16,21 +16,6 @@ from pydantic import BeforeValidator, Field, model_validator
 from physconvex.dynamics import ContactSolver
 from physconvex.io import FrozenConfig, read_tree, set_value, validated
 
-__all__ = [
-    "AppearanceConfig",
-    "CameraConfig",
-    "DegradationConfig",
-    "GeneratorConfig",
-    "MaterialRanges",
-    "MotionConfig",
-    "ObjectSource",
-    "Range",
-    "SampleConfig",
-    "SolverConfig",
-    "VideoConfig",
-    "load_config",
-]
-
 
 class Interval(FrozenConfig):
     """Closed interval with a uniform or log-uniform distribution."""

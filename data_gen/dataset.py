@@ -26,19 +26,6 @@ from data_gen.simulate import Samples
 from physconvex import InputError
 from physconvex.io import Camera, read_video
 
-__all__ = [
-    "FORMAT_VERSION",
-    "ClipRecord",
-    "Dataset",
-    "RenderedView",
-    "finish_dataset",
-    "is_settled",
-    "simulation_folder",
-    "write_claim",
-    "write_given_up",
-    "write_simulation",
-]
-
 FORMAT_VERSION = 1
 SPLITS = ("train", "validation", "test")
 

@@ -10,8 +10,6 @@ from jaxtyping import Float, UInt8
 
 from data_gen.config import DegradationConfig
 
-__all__ = ["Degradation", "draw_degradation", "expose", "shake", "sub_positions"]
-
 
 @dataclass(frozen=True)
 class Degradation:

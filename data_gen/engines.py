@@ -11,8 +11,6 @@ from typing import Literal, TypeVar, get_args
 from physconvex import InputError
 from physconvex.io import ONE_THREAD, end_with_parent, one_thread_each
 
-__all__ = ["EngineName", "run_tasks"]
-
 EngineName = Literal["local", "ray", "dask"]
 Task = TypeVar("Task")
 Result = TypeVar("Result")

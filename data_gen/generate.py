@@ -25,19 +25,6 @@ from physconvex import ConvergenceError, InputError, __version__
 from physconvex.io import write_video
 from physconvex.numerics import one_torch_thread
 
-__all__ = [
-    "Attempts",
-    "GenerationSummary",
-    "SimulationTask",
-    "SuccessfulDrop",
-    "TaskReport",
-    "generate_dataset",
-    "make_simulation",
-    "prepare_surface",
-    "render_view",
-    "simulate_with_replacements",
-]
-
 _LOG = logging.getLogger("physconvex")
 
 # Stream numbers below LOOK's key that are not views.

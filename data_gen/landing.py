@@ -11,8 +11,6 @@ from scipy.spatial.transform import Rotation
 from physconvex.dynamics import World
 from physconvex.mesh import TetMesh, refine_locally
 
-__all__ = ["landing_heights", "mass_properties", "refine_at_landing", "turning"]
-
 _STEP = 1e-3  # [s]
 _REACH = 0.08  # of the size: wanted spacings are proportional to the height at landing plus this
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import UInt8
 
-__all__ = ["Backdrop", "Lighting"]
-
 
 @dataclass(frozen=True)
 class Lighting:

@@ -16,7 +16,6 @@ from jaxtyping import Float, Int
 from data_gen.lighting import Backdrop, Lighting
 from data_gen.surface import DrawnSurface, corner_normals
 from data_gen.vtk_passes import (
-    RenderError,
     light_object,
     object_pass,
     open_window,
@@ -26,8 +25,6 @@ from data_gen.vtk_passes import (
 )
 from physconvex import InputError
 from physconvex.io import Camera
-
-__all__ = ["Backdrop", "Lighting", "RenderError", "Renderer"]
 
 
 class Renderer:

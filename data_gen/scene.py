@@ -17,8 +17,6 @@ from data_gen.surface import DrawnSurface
 from data_gen.textures import background_texture, floor_texture, vertex_colors
 from physconvex.io import Camera, look_at
 
-__all__ = ["Drop", "Look", "draw_drop", "draw_look", "draw_object", "split_of"]
-
 # Kinds of random streams; the first number of each stream's key.
 _OBJECT, _MOTION, LOOK = 0, 1, 2
 

@@ -16,8 +16,6 @@ from physconvex.dynamics import Plane, SolveStatistics, Timing, World, simulate
 from physconvex.fem import ElasticBody, Scene, SurfacePoints, Trajectory, skinning_eigenmodes
 from physconvex.mesh import Embedding, TetMesh, sample_interior, tetrahedralize, tetrahedralize_implicit
 
-__all__ = ["Samples", "SimulatedDrop", "make_mesh", "simulate_drop"]
-
 
 @dataclass(frozen=True, eq=False)
 class Samples:

@@ -21,8 +21,6 @@ from data_gen.surface import DrawnSurface
 from physconvex import InputError
 from physconvex.io import Camera, look_at
 
-__all__ = ["FLAT", "KEYED", "StillViews", "rendered_frames", "still_cameras", "write_still_capture"]
-
 KEYED = Lighting(direction=(0.4, -0.5, 0.768))
 FLAT = Lighting(direction=(0.0, 0.0, 1.0), key=0.0, fill=0.0, ambient=1.0, specular=0.0, bounce=0.0)
 FIELD_OF_VIEW = 0.5  # [rad]

@@ -10,8 +10,6 @@ from jaxtyping import Float, Int, UInt8
 
 from physconvex import InputError
 
-__all__ = ["CornerNormals", "DrawnSurface", "corner_normals"]
-
 
 @dataclass(frozen=True, eq=False)
 class DrawnSurface:

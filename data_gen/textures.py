@@ -14,8 +14,6 @@ from scipy.spatial import cKDTree
 
 from physconvex import InputError
 
-__all__ = ["PATTERNS", "background_texture", "floor_texture", "palette", "vertex_colors"]
-
 # Points [N, 3] in body units (size 1) -> where on the palette, [N] in 0..1
 Pattern = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 

@@ -21,16 +21,6 @@ if TYPE_CHECKING:
     from pyvista import PolyData, Texture
     from vtkmodules.vtkRenderingCore import vtkActor, vtkLight, vtkRenderer, vtkRenderWindow
 
-__all__ = [
-    "RenderError",
-    "light_object",
-    "object_pass",
-    "open_window",
-    "place_camera",
-    "plate_pass",
-    "shadow_pass",
-]
-
 FLOOR_EXTENT = 40.0  # half edge of the floor [m]
 DOME_RADIUS = 60.0  # of the background [m], so that it starts where the floor ends
 DOME_FOOT = -5.0  # lower end of the background [m], below the floor so that no gap is seen

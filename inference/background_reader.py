@@ -12,8 +12,6 @@ from inference.preparation import ReadyClip
 from inference.sources import ClipSource, displayed_path
 from physconvex import InputError
 
-__all__ = ["BackgroundReader", "Failure", "Reader", "failure_from"]
-
 
 @dataclass(frozen=True)
 class Failure:

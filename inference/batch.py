@@ -22,8 +22,6 @@ from inference.sources import ClipSource, Found, displayed_path, find_sources, f
 from inference.streaming import ClipResult, Paths, as_list, stream_results
 from inference.table import ResultRow
 
-__all__ = ["BatchSummary", "predict_batch"]
-
 _LOG = logging.getLogger("physconvex")
 
 

@@ -11,8 +11,6 @@ from markupsafe import Markup, escape
 from inference.table import ResultRow
 from inference.units import format_pascals, format_pascals_range
 
-__all__ = ["Axis", "overview_chart", "poisson_axis", "poisson_bar", "stiffness_axis", "stiffness_bar"]
-
 
 @dataclass(frozen=True)
 class Axis:

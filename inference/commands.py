@@ -17,8 +17,6 @@ from physconvex.io import command
 if TYPE_CHECKING:
     from inference.batch import BatchSummary
 
-__all__ = ["predict_command"]
-
 _ROWS_SHOWN = 40
 
 

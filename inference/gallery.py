@@ -13,8 +13,6 @@ from inference.table import ResultRow
 from inference.units import format_pascals, format_pascals_range
 from physconvex.io import data_uri
 
-__all__ = ["CLIPS_SHOWN", "write_gallery"]
-
 CLIPS_SHOWN = 300
 """Most clips on one page; the tables hold all."""
 

@@ -14,17 +14,6 @@ from inference.sources import ClipSource, displayed_path
 from physconvex import InputError
 from physconvex.io import CAPTURE_FILE, Capture, Video, load_capture, read_capture_file, read_image_sequence, read_video
 
-__all__ = [
-    "DEFAULT_DENSITY",
-    "DEFAULT_FPS",
-    "DEFAULT_OBJECT_SIZE",
-    "Conditions",
-    "LoadedClip",
-    "load_array",
-    "load_clip",
-    "resolve_conditions",
-]
-
 DEFAULT_FPS = 24.0
 """Frames per second assumed for arrays and image folders without a stated rate [1/s]."""
 DEFAULT_DENSITY = 1000.0

@@ -11,8 +11,6 @@ from jaxtyping import UInt8
 from inference.loading import LoadedClip
 from models import PreparedClip
 
-__all__ = ["ClipPictures", "frame_strip", "shown_source_frames"]
-
 
 @dataclass(frozen=True)
 class ClipPictures:

@@ -13,8 +13,6 @@ from jaxtyping import Float, Float32, UInt8
 from inference.units import format_pascals, format_pascals_range
 from physconvex.io import Picture, html_summary
 
-__all__ = ["PREDICTION_SCHEMA", "PREDICTION_UNITS", "Estimated", "Prediction", "Weights"]
-
 PREDICTION_SCHEMA = "physconvex/prediction/1"
 
 PREDICTION_UNITS: dict[str, str] = {

@@ -14,8 +14,6 @@ from inference.settings import StatedConditions
 from inference.sources import ClipSource, SourceProblem, displayed_path, source_at
 from physconvex import InputError
 
-__all__ = ["load_predictor", "predict"]
-
 
 def predict(
     path_or_array: str | os.PathLike[str] | Any,

@@ -16,8 +16,6 @@ from models import ClipConfig, PreparedClip
 if TYPE_CHECKING:
     from torch import nn
 
-__all__ = ["Predictor", "Prepare", "ReadyClip", "ready_clip", "ready_source", "to_prediction"]
-
 Prepare = Callable[..., PreparedClip]
 """Called as `prepare(frames, fps=, timestamps=, mask=, alpha=)`."""
 

@@ -8,8 +8,6 @@ from collections.abc import Generator, Iterator
 from contextlib import suppress
 from typing import TypeVar
 
-__all__ = ["read_ahead"]
-
 Item = TypeVar("Item")
 
 

@@ -24,8 +24,6 @@ from inference.sources import ClipSource
 from models import ClipConfig, prepare_clip
 from physconvex import PhysconvexError
 
-__all__ = ["ReaderCrashError", "WorkerReader", "serve"]
-
 _START = "import sys; sys.path[:] = {path!r}; from inference.reading_process import serve; serve({descriptor})"
 
 

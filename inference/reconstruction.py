@@ -43,8 +43,6 @@ from physconvex.reconstruction import (
 )
 from physconvex.render import film, orbit
 
-__all__ = ["Reconstruction", "reconstruct"]
-
 _LOG = logging.getLogger("physconvex")
 
 STATE, RESULT, FIELD, HULLS, FILM = (

@@ -12,8 +12,6 @@ import typer
 if TYPE_CHECKING:
     from inference.reconstruction import Reconstruction
 
-__all__ = ["reconstruct_command"]
-
 
 def reconstruct_command(
     *,

@@ -11,8 +11,6 @@ from physconvex import InputError
 from physconvex.io import Capture
 from physconvex.reconstruction import Observation, observation_of
 
-__all__ = ["CaptureViews", "capture_views"]
-
 _LEAST_VIEWS = 2
 
 

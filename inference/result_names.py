@@ -8,8 +8,6 @@ from collections.abc import Iterable, Mapping
 
 from inference.sources import ClipSource
 
-__all__ = ["assign_names"]
-
 _UNSAFE = re.compile(r"[^\w.+-]+", re.UNICODE)
 _MAX_BYTES = 120  # leaves room for suffixes below the 255 bytes that file systems allow
 

@@ -28,8 +28,6 @@ from inference.sources import ClipSource, SourceProblem, displayed_path
 from inference.table import ResultRow, row_of_error, row_of_prediction, write_csv, write_parquet
 from physconvex import InputError
 
-__all__ = ["JournalEntry", "ResultsFolder"]
-
 
 @dataclass(frozen=True)
 class JournalEntry:

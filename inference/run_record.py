@@ -18,8 +18,6 @@ from pydantic import JsonValue
 import physconvex
 from inference.preparation import Predictor
 
-__all__ = ["checkpoint_digest", "finish_run", "start_run"]
-
 
 def start_run(out: Path, *, command: Sequence[str] | None, configuration: Mapping[str, JsonValue]) -> int:
     """Add a run to `run.json` and return its number (a resumed batch has several runs)."""

@@ -11,8 +11,6 @@ from pydantic import ValidationInfo, field_validator
 from physconvex import InputError
 from physconvex.io import CommandLine, Options
 
-__all__ = ["BatchOptions", "StatedConditions"]
-
 _UNITS = {"fps": "1/s", "density": "kg/m³", "object_size": "m"}
 
 

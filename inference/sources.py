@@ -10,18 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-__all__ = [
-    "IMAGE_EXTENSIONS",
-    "VIDEO_EXTENSIONS",
-    "ClipSource",
-    "Found",
-    "SourceProblem",
-    "displayed_path",
-    "find_sources",
-    "fingerprint",
-    "source_at",
-]
-
 VIDEO_EXTENSIONS = frozenset(
     ".mp4 .m4v .mov .avi .mkv .webm .mpg .mpeg .wmv .flv .ts .mts .m2ts .ogv .3gp .y4m .gif".split()
 )

@@ -18,8 +18,6 @@ from inference.settings import BatchOptions, StatedConditions
 from inference.sources import ClipSource, Found, SourceProblem, displayed_path, find_sources
 from inference.weight_pictures import weight_maps
 
-__all__ = ["ClipResult", "Paths", "as_list", "iter_predictions", "stream_results"]
-
 _LEAST_CLIPS_FOR_PROCESSES = 4  # below it, starting processes takes longer than reading
 
 Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]

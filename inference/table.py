@@ -13,8 +13,6 @@ from inference.prediction import PREDICTION_UNITS, Prediction
 if TYPE_CHECKING:
     from pyarrow import Schema
 
-__all__ = ["ResultRow", "row_of_error", "row_of_prediction", "write_csv", "write_parquet"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ResultRow:

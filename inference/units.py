@@ -2,8 +2,6 @@
 
 import math
 
-__all__ = ["format_pascals", "format_pascals_range"]
-
 _PREFIXES = ((1e9, "GPa"), (1e6, "MPa"), (1e3, "kPa"))
 
 

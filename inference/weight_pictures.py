@@ -8,8 +8,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
-__all__ = ["weight_maps"]
-
 _GRID = 56  # [px] of one map
 _GAP = 4  # [px]
 _COLUMNS = 5

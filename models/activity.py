@@ -9,8 +9,6 @@ from jaxtyping import UInt8
 from models.appearance import sort_pictures
 from models.shapes import clean_mask
 
-__all__ = ["Window", "moving_window", "noise_level"]
-
 Window = tuple[slice, slice]  # rows and columns
 
 _LEAST_CONTRAST = 7.0  # of 255

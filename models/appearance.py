@@ -6,17 +6,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Shaped, UInt8, UInt16
 
-__all__ = [
-    "LARGEST_RATIO",
-    "Picture",
-    "Planes",
-    "colour_codes",
-    "colour_planes",
-    "colour_ratio",
-    "difference",
-    "sort_pictures",
-]
-
 Planes: TypeAlias = Float32[np.ndarray, "3 T H W"]  # brightness and two colour differences, of 255
 Picture: TypeAlias = Float32[np.ndarray, "3 H W"]
 

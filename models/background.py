@@ -8,8 +8,6 @@ from jaxtyping import Bool, Float32, UInt8
 from models.appearance import colour_planes, difference
 from models.shapes import clean_mask, link_masks
 
-__all__ = ["plain_background_masks"]
-
 _PLAIN_CONTRAST = 14.0  # of 255
 
 

@@ -14,8 +14,6 @@ from models.heads import BinnedDensity
 from physconvex import InputError
 from physconvex.io import FrozenConfig
 
-__all__ = ["COVERAGE", "Calibration", "DensityCalibration", "fit_density_calibration"]
-
 COVERAGE = 0.9
 
 

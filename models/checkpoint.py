@@ -19,16 +19,6 @@ from physconvex import InputError
 from physconvex.io import FrozenConfig
 from physconvex.numerics import device_named
 
-__all__ = [
-    "BUNDLED",
-    "ClipSettings",
-    "PredictorConfig",
-    "TrainingRange",
-    "find_checkpoint",
-    "load_checkpoint",
-    "save_checkpoint",
-]
-
 BUNDLED = Path(__file__).parent / "checkpoints"
 _FORMAT = "physconvex/predictor/2"
 

@@ -13,17 +13,6 @@ from models.silhouette import MOMENT_NAMES, silhouette_moments
 from models.windows import GREY, object_windows
 from physconvex import InputError
 
-__all__ = [
-    "MOMENT_NAMES",
-    "ClipConfig",
-    "PreparedClip",
-    "freeze_time",
-    "prepare_clip",
-    "shuffle_time",
-    "touches_border",
-]
-
-
 _SURE = 0.5  # confidence of the foreground
 
 

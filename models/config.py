@@ -8,15 +8,6 @@ from pydantic import Field, model_validator
 
 from physconvex.io import FrozenConfig
 
-__all__ = [
-    "BinConfig",
-    "EncoderConfig",
-    "EncoderSize",
-    "KinematicsConfig",
-    "NetworkConfig",
-    "SkinningConfig",
-]
-
 EncoderSize = Literal["tiny", "small", "base"]
 
 # hidden size, layers, heads; "base" is that of the public VideoMAE weights, "small" that of ViT-S.

@@ -6,8 +6,6 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-__all__ = ["halvings", "shrink"]
-
 
 def halvings(edge: int, target: int) -> int:
     """How often an edge can be halved and stay at least as long as `target`."""

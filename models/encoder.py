@@ -15,8 +15,6 @@ from transformers.models.videomae.modeling_videomae import get_sinusoid_encoding
 from models.config import EncoderConfig
 from physconvex import InputError
 
-__all__ = ["VideoEncoder", "load_pretrained_encoder", "normalised", "position_table", "token_coverage"]
-
 Grid = tuple[int, int, int]
 
 _MEAN = (0.485, 0.456, 0.406, 0.5)

@@ -21,8 +21,6 @@ from models.scaling import dimensionless_interval, log10_youngs_modulus
 from models.skinning import SkinningField
 from physconvex import InputError
 
-__all__ = ["ClipEstimate", "PhysicsPredictor", "collate_clips"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClipEstimate:

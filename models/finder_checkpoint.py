@@ -15,8 +15,6 @@ from torch import nn
 from physconvex import InputError
 from physconvex.io import FrozenConfig
 
-__all__ = ["FinderConfig", "load_finder_network", "save_finder_network"]
-
 _Config = TypeVar("_Config", bound="FinderConfig")
 _Network = TypeVar("_Network", bound=nn.Module)
 

@@ -14,8 +14,6 @@ from models.shapes import link_masks
 from models.stabilisation import stabilise
 from physconvex import InputError
 
-__all__ = ["Foreground", "ForegroundSource", "locate_foreground"]
-
 ForegroundSource = Literal["alpha", "mask", "background_model", "whole_frame"]
 
 _WORKING_SIDE = 128  # [px]

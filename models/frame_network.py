@@ -6,8 +6,6 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-__all__ = ["FrameNetwork"]
-
 _CONVOLUTIONS = ((8, 4, 2), (3, 2, 1), (3, 1, 1))  # kernel, stride, padding; the last one for all that follow
 
 

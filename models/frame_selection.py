@@ -6,8 +6,6 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
-__all__ = ["FrameSelection", "motion_start", "resample"]
-
 _LEAD_FRAMES = 2  # shown before the motion begins
 _THUMBNAIL = 64  # [px]
 

@@ -11,8 +11,6 @@ from torch import Tensor, nn
 
 from models.config import BinConfig
 
-__all__ = ["BinnedDensity", "DensityHead"]
-
 
 @dataclass(frozen=True, eq=False)
 class BinnedDensity:

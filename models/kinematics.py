@@ -9,8 +9,6 @@ from torch import Tensor, nn
 
 from models.silhouette import MOMENT_NAMES
 
-__all__ = ["SilhouetteFeatures", "TemporalBlock", "differences", "kinematic_features"]
-
 _FLAG = MOMENT_NAMES.index("touches_border")
 _FEATURES = 3 * _FLAG + 4
 

@@ -12,8 +12,6 @@ from torch import Tensor
 from models.network import ClipBatch, NetworkOutput, PhysicsNetwork
 from models.silhouette import MOMENT_NAMES
 
-__all__ = ["answer_both_ways", "mirrored_batch", "mirrored_moments", "mirrored_moments_tensor"]
-
 _SWAPPED = {"left": "right", "right": "left"}
 _SOURCE = np.array([MOMENT_NAMES.index(_SWAPPED.get(name, name)) for name in MOMENT_NAMES])
 _SIGN = np.array([-1.0 if name in ("centroid_x", "left", "right", "sxy") else 1.0 for name in MOMENT_NAMES], np.float32)

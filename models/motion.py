@@ -16,8 +16,6 @@ from torch import Tensor, nn
 from models.config import KinematicsConfig
 from models.kinematics import TemporalBlock, differences
 
-__all__ = ["STATE_NAMES", "STATE_SCALE", "MotionBranch", "MotionOutput"]
-
 STATE_NAMES = (
     # of the centre of mass since the first frame, over the object size: right, away from the camera, up
     *("shift_x", "shift_y", "shift_z"),

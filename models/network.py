@@ -17,8 +17,6 @@ from models.kinematics import SilhouetteFeatures
 from models.motion import MotionBranch
 from models.skinning import SkinningHead
 
-__all__ = ["ClipBatch", "NetworkOutput", "PhysicsNetwork"]
-
 _CONDITIONS = 3
 
 

@@ -25,18 +25,6 @@ from torch.nn import functional
 from models.appearance import LARGEST_RATIO, colour_codes, colour_ratio, sort_pictures
 from models.finder_checkpoint import FinderConfig, load_finder_network
 
-__all__ = [
-    "BUNDLED_OUTLINE",
-    "OutlineConfig",
-    "OutlineNetwork",
-    "UncoveredBackground",
-    "load_outline",
-    "near_object",
-    "outline_input",
-    "refined_coverage",
-    "uncovered_background",
-]
-
 BUNDLED_OUTLINE = Path(__file__).parent / "checkpoints" / "outline"
 
 _BLOCK = 2  # pixels that enter together, along each edge

@@ -12,13 +12,6 @@ from jaxtyping import Float64
 
 from physconvex import InputError
 
-__all__ = [
-    "GRAVITY",
-    "dimensionless_interval",
-    "log10_dimensionless_stiffness",
-    "log10_youngs_modulus",
-]
-
 GRAVITY = 9.81  # [m/s²]
 
 Number = TypeVar("Number", float, Float64[np.ndarray, "..."])

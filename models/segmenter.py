@@ -26,17 +26,6 @@ from torch.nn import functional
 from models.appearance import sort_pictures
 from models.finder_checkpoint import FinderConfig, load_finder_network
 
-__all__ = [
-    "BUNDLED_SEGMENTER",
-    "SegmenterConfig",
-    "SilhouetteSegmenter",
-    "block_pixels",
-    "clip_references",
-    "load_segmenter",
-    "object_coverage",
-    "pad_pictures",
-]
-
 BUNDLED_SEGMENTER = Path(__file__).parent / "checkpoints" / "segmenter"
 
 _BLOCK = 2  # pixels that enter together, along each edge

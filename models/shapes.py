@@ -4,8 +4,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32
 
-__all__ = ["clean_mask", "link_masks"]
-
 
 def clean_mask(mask: Bool[np.ndarray, "H W"]) -> Bool[np.ndarray, "H W"]:
     """Open, close and fill holes."""

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-__all__ = ["MOMENT_NAMES", "Silhouettes", "silhouette_moments"]
-
 MOMENT_NAMES = (
     "centroid_x",
     "centroid_y",

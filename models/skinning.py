@@ -18,8 +18,6 @@ from torch import Tensor, nn
 from models.config import SkinningConfig
 from physconvex import InputError
 
-__all__ = ["SkinningField", "SkinningHead", "fourier_features"]
-
 _FORMAT = "physconvex/skinning_field/1"
 _FRAME = "origin: centre of the rest bounding box; x: right in the image; y: away from the camera; z: up"
 

@@ -10,8 +10,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = ["captured_energy", "captured_energy_loss", "random_basis", "span_loss"]
-
 
 def captured_energy(
     displacements: Float[np.ndarray, "T Q 3"],

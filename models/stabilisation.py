@@ -6,8 +6,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 
-__all__ = ["Stabilised", "stabilise"]
-
 _LEAST_SHIFT = 0.08  # [px]; smaller ones are noise of the estimate
 _LARGEST_SHIFT = 4.0  # [px]
 

@@ -6,8 +6,6 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-__all__ = ["GREY", "object_windows"]
-
 GREY = 127  # what stands for "not the object"
 
 _FRAMES_FOR_UNIT = 3

@@ -23,8 +23,6 @@ from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 import physconvex
 from physconvex.errors import InputError, PhysconvexError
 
-__all__ = ["COMMAND_GROUP", "CommandLoadError", "app", "main"]
-
 COMMAND_GROUP = "physconvex.commands"
 
 

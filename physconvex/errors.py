@@ -1,7 +1,5 @@
 """Exceptions that physconvex raises on purpose."""
 
-__all__ = ["ConvergenceError", "InputError", "PhysconvexError"]
-
 
 class PhysconvexError(Exception):
     """Base of every error raised on purpose."""

@@ -14,8 +14,6 @@ from models import GREY, MOMENT_NAMES, mirrored_moments
 from train.config import AugmentConfig
 from train.motion_states import flipped_states, referred_states
 
-__all__ = ["Sample", "augment", "flipped", "reindexed"]
-
 _COLUMN = {name: k for k, name in enumerate(MOMENT_NAMES)}
 
 

@@ -20,8 +20,6 @@ from models import MOMENT_NAMES, ClipSettings, PreparedClip, prepare_clip
 from physconvex.io import end_with_parent
 from train.records import LabelledClip, dataset_checksum
 
-__all__ = ["PreparedClips", "prepare_clips"]
-
 _CHUNK = 8
 _ARRAYS = ("windows", "mask", "moments", "valid", "fps", "confidence", "start_time")
 Progress = Callable[[int, int], None]

@@ -10,8 +10,6 @@ import typer
 
 from train.progress import ProgressBar
 
-__all__ = ["calibrate_command", "pretrain_command", "train_command", "train_outline_command", "train_segmenter_command"]
-
 Data = Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")]
 RunFolder = Annotated[Path, typer.Option(help="Run folder; its `best/` is the checkpoint.")]
 CheckpointFolder = Annotated[Path, typer.Option(help="Folder of the checkpoint.")]

@@ -10,8 +10,6 @@ from pydantic import Field, model_validator
 from models import ClipSettings, NetworkConfig
 from physconvex.io import FrozenConfig, read_tree, validated
 
-__all__ = ["AugmentConfig", "LossConfig", "TrainConfig", "load_train_config"]
-
 
 class AugmentConfig(FrozenConfig):
     """Changes that leave E/(ρ g L) and ν what they are. Shares are probabilities per clip."""

@@ -19,8 +19,6 @@ from train.losses import Targets
 from train.motion_states import referred_states
 from train.records import ClipSamples, LabelledClip
 
-__all__ = ["Item", "TrainingBatch", "TrainingClips", "batches", "collate"]
-
 _POINTS, _FRAMES = 256, 8  # of the samples of a simulation, drawn anew each time
 
 

@@ -11,8 +11,6 @@ from jaxtyping import Int64
 from physconvex import InputError
 from train.config import TrainConfig
 
-__all__ = ["Plan", "PlannedStep"]
-
 
 @dataclass(frozen=True)
 class PlannedStep:

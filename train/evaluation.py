@@ -13,8 +13,6 @@ from train.evaluation_options import EvaluationOptions
 from train.paper.command import paper_command
 from train.progress import ProgressBar
 
-__all__ = ["app"]
-
 app = typer.Typer(no_args_is_help=True, help=__doc__)
 app.add_typer(gap_app, name="gap")
 app.command("paper")(paper_command)

@@ -7,8 +7,6 @@ from typing import Literal
 
 from physconvex.io import Options
 
-__all__ = ["EvaluationOptions", "Shown"]
-
 Shown = Literal["train", "validation", "test", "all"]
 
 

@@ -22,8 +22,6 @@ from train.data import TrainingClips
 from train.records import data_listing
 from train.validation import Validation
 
-__all__ = ["Origin", "export_best", "model_card"]
-
 
 @dataclass(frozen=True)
 class Origin:

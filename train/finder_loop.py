@@ -13,8 +13,6 @@ from torch import Tensor, nn
 
 from train.progress import Report
 
-__all__ = ["FinderRecipe", "overlap_of_frames", "train_finder_network"]
-
 _Network = TypeVar("_Network", bound=nn.Module)
 
 

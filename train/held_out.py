@@ -14,8 +14,6 @@ from train.evaluation_options import EvaluationOptions, Shown
 from train.progress import Report
 from train.records import LabelledClip, read_clips
 
-__all__ = ["HeldOut", "evaluated_clips", "held_out", "held_out_estimates"]
-
 _BATCH = 16
 
 

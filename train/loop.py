@@ -34,8 +34,6 @@ from train.schedule import cosine_schedule
 from train.split_clips import split_clips
 from train.validation import Validation, validate
 
-__all__ = ["TrainingResult", "train_predictor"]
-
 _LOG = logging.getLogger("physconvex")
 
 _EXAMPLE_SCALE = 1_000_003  # between the seeds of two runs

@@ -21,16 +21,6 @@ from models import (
 )
 from train.config import LossConfig
 
-__all__ = [
-    "Losses",
-    "Targets",
-    "compute_losses",
-    "density_losses",
-    "noisy_states",
-    "smoothed_target",
-    "state_loss",
-]
-
 _Scores = tuple[Float[Tensor, " B"], Float[Tensor, " B"]]
 """Negative logarithmic score and CRPS of each clip."""
 

@@ -7,8 +7,6 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from jaxtyping import Float
 
-__all__ = ["DensityMetrics", "constant_mae", "density_metrics"]
-
 Values = Float[np.ndarray, " N"]
 
 

@@ -7,8 +7,6 @@ from jaxtyping import Float, Float32, Float64
 
 from models import STATE_NAMES
 
-__all__ = ["MIRROR", "flipped_states", "referred_states", "states_of_motion"]
-
 _SHIFT, _GRADIENT = slice(0, 3), slice(10, 19)
 _TURNS = {"shift_x", "gradient_xy", "gradient_xz", "gradient_yx", "gradient_zx"}
 MIRROR = np.array([-1.0 if name in _TURNS else 1.0 for name in STATE_NAMES], np.float32)

@@ -20,8 +20,6 @@ from train.progress import Report
 from train.records import Split, data_listing, read_clips
 from train.segmentation_data import MaskedClip, SegmentationAugmentation, recoloured
 
-__all__ = ["OutlineResult", "OutlineTraining", "outline_loss", "train_outline"]
-
 _LEAST_AREA = 50.0  # [px]; errors count against the object's area and this
 
 

@@ -21,8 +21,6 @@ from train.segmentation_data import (
     resized_masks,
 )
 
-__all__ = ["RoughClip", "degraded", "read_rough_clips", "rearranged"]
-
 _RESIZED = 0.5  # share of clips whose rough silhouette is grown or shrunk by a pixel
 _PATCHED = 0.3  # share in which patches of it are filled or emptied in single frames
 _MISTAKEN = 0.3  # share in which one place is filled or emptied in all frames

@@ -8,8 +8,6 @@ from typing import Any, Literal
 
 import torch
 
-__all__ = ["precision_for"]
-
 Precision = Literal["no", "bf16"]
 
 

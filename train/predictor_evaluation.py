@@ -21,8 +21,6 @@ from train.metrics import DensityMetrics, density_metrics
 from train.progress import Report
 from train.records import LabelledClip, dataset_checksum, read_clips
 
-__all__ = ["Decade", "PredictorEvaluation", "Reading", "evaluate_predictor", "write_predictor_report"]
-
 Values = Float64[np.ndarray, " N"]
 
 

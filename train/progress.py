@@ -6,8 +6,6 @@ from collections.abc import Callable
 
 from tqdm import tqdm
 
-__all__ = ["ProgressBar", "Report"]
-
 Report = Callable[[str, int, int], None]
 """Called with the name of the work, the number done and the total."""
 

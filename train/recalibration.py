@@ -24,8 +24,6 @@ from train.progress import Report
 from train.records import dataset_checksum
 from train.validation import validate
 
-__all__ = ["Recalibration", "recalibrate"]
-
 _HEADING = "\n## Calibration\n"
 
 

@@ -16,8 +16,6 @@ from physconvex.io import Camera, look_at
 from physconvex.reconstruction import welded
 from physconvex.render import LEAST_ALPHA, render
 
-__all__ = ["Coverage", "Holes", "SoftSurface", "measure_coverage", "measure_holes"]
-
 DEPTHS = (0.0, 2.0, 4.0)  # margins below the surface at which occupancy is asked for
 SOLID = 0.5  # occupancy from which a place counts as covered
 OPEN = 0.9  # alpha below which a ray counts as passing

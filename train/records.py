@@ -16,16 +16,6 @@ from data_gen import ClipRecord, Dataset
 from physconvex import InputError
 from train.motion_states import states_of_motion
 
-__all__ = [
-    "ClipSamples",
-    "LabelledClip",
-    "Split",
-    "camera_aligned_axes",
-    "data_listing",
-    "dataset_checksum",
-    "read_clips",
-]
-
 Split = Literal["train", "validation", "test"]
 
 

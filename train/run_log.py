@@ -14,8 +14,6 @@ import physconvex
 from train.config import TrainConfig
 from train.records import dataset_checksum
 
-__all__ = ["RunLog", "run_fingerprint", "write_config"]
-
 
 class RunLog:
     """`log.jsonl`, one object a line, and `tensorboard/`; lines beyond `first_step` are of a run that was killed."""

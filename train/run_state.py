@@ -18,8 +18,6 @@ from torch import Tensor, nn
 
 from physconvex import InputError
 
-__all__ = ["TrainingProgress", "load_training_state", "read_progress", "refuse_other_run", "save_training_state"]
-
 _FORMAT = "physconvex/training_state/1"
 
 

@@ -7,8 +7,6 @@ from timm.scheduler import CosineLRScheduler
 
 from train.config import TrainConfig
 
-__all__ = ["cosine_schedule"]
-
 
 def cosine_schedule(optimizer: torch.optim.Optimizer, config: TrainConfig, steps: int) -> CosineLRScheduler:
     """By step (`step_update`): from a hundredth of `config.learning_rate` to all of it, then to its final share."""

@@ -28,8 +28,6 @@ from train.progress import Report
 from train.records import Split, data_listing, read_clips
 from train.segmentation_data import MaskedClip, SegmentationAugmentation, augmented, moving_part, read_masked_clips
 
-__all__ = ["SegmentationConfig", "SegmentationResult", "mean_overlap", "segmentation_loss", "train_segmenter"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentationConfig:

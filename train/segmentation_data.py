@@ -12,18 +12,6 @@ from jaxtyping import Bool, Float32, Int64, UInt8
 from models import moving_window, stabilise
 from train.records import LabelledClip
 
-__all__ = [
-    "MaskedClip",
-    "SegmentationAugmentation",
-    "augmented",
-    "frame_order",
-    "moving_part",
-    "new_size",
-    "read_masked_clips",
-    "recoloured",
-    "resized_masks",
-]
-
 
 @dataclass(frozen=True)
 class MaskedClip:

@@ -20,8 +20,6 @@ from train.held_out import evaluated_clips, held_out_estimates
 from train.progress import Report
 from train.records import ClipSamples, dataset_checksum
 
-__all__ = ["SkinningEvaluation", "evaluate_skinning", "write_skinning_report"]
-
 BASES = ("predicted", "eigenmodes", "random")
 
 

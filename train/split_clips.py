@@ -11,8 +11,6 @@ from train.config import TrainConfig
 from train.data import TrainingClips
 from train.records import read_clips
 
-__all__ = ["split_clips"]
-
 
 def split_clips(
     split: Literal["train", "validation"],

@@ -23,8 +23,6 @@ from models import (
 from train.data import Item, TrainingClips, collate
 from train.metrics import DensityMetrics, density_metrics
 
-__all__ = ["Validation", "validate"]
-
 
 @dataclass(frozen=True, eq=False)
 class Validation:

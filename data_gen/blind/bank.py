@@ -21,8 +21,6 @@ from data_gen.blind.plan import Planned, Shares, plan_bank
 from physconvex import ConvergenceError, InputError
 from physconvex.io import CommandLine, Options, load_capture, save_capture
 
-__all__ = ["COMMITMENT", "DICTIONARY", "BankOptions", "EngineName", "digest", "generate_bank"]
-
 COMMITMENT = "commitment.json"
 DICTIONARY = "dictionary.json"
 Report = Callable[[str], None]

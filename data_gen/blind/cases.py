@@ -18,17 +18,6 @@ from physconvex.gap import DEFAULT_EFFECTS, Effect, PointMotion, Situation
 from physconvex.io import Boundary, Capture, Floor, Tracks
 from physconvex.mesh import Embedding, TetMesh, tetrahedralize
 
-__all__ = [
-    "BLIND_EFFECTS",
-    "Case",
-    "HiddenEffect",
-    "capture_parts",
-    "draw_case",
-    "floor_height",
-    "kinds_for",
-    "simulate_case",
-]
-
 # dose ranges that are drawn from (log-uniform, in multiples of the screening trial dose)
 _MULTIPLES = (2.0, 6.0)
 BLIND_EFFECTS: tuple[str, ...] = (

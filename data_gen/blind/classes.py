@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["CONFUSION_CLASSES", "class_of", "same_class"]
-
 CONFUSION_CLASSES: tuple[frozenset[str], ...] = (
     frozenset({"damping", "viscoelasticity", "time_step", "restitution"}),
     frozenset({"gravity_tilt", "wind"}),

@@ -8,8 +8,6 @@ from typing import Any
 
 from data_gen.blind.classes import same_class
 
-__all__ = ["CONTROLS", "Control", "ControlScore", "score_controls"]
-
 
 @dataclass(frozen=True)
 class Control:

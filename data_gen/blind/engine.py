@@ -20,8 +20,6 @@ from physconvex import ConvergenceError
 from physconvex.gap import PointMotion
 from physconvex.mesh import TetMesh
 
-__all__ = ["ExplicitWorld", "run_explicit"]
-
 _COURANT = 0.7
 _MOST_STEPS = 1000  # per frame
 _POWER_STEPS = 60

@@ -16,8 +16,6 @@ from physconvex import ConvergenceError
 from physconvex.gap import PointMotion, rotation_vector_matrix, with_plane
 from physconvex.mesh import TetMesh, tetrahedralize
 
-__all__ = ["EXPLICIT_EFFECTS", "HELD_EFFECTS", "OUTSIDE", "simulate_explicit"]
-
 Positions = Float[np.ndarray, "T P 3"]
 Observe = Callable[[PointMotion], Positions]
 _MARKERS, _ROUNDS, _NEAR = 40, 5, 0.4

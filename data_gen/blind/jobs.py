@@ -8,8 +8,6 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 from physconvex.io import Workers
 
-__all__ = ["run_jobs"]
-
 
 @runtime_checkable
 class _Named(Protocol):

@@ -15,8 +15,6 @@ from data_gen.blind.explicit_cases import OUTSIDE
 from physconvex import InputError
 from physconvex.io import CommandLine, Options
 
-__all__ = ["Planned", "Shares", "plan_bank"]
-
 
 @dataclass(frozen=True)
 class Planned:

@@ -21,8 +21,6 @@ from physconvex.io import Workers
 from physconvex.materials import lame_parameters
 from physconvex.mesh import TetMesh, linear_part, to_quadratic
 
-__all__ = ["FPS", "GRAVITY", "LARGEST", "FallingBody", "Layout", "falling_body", "lay_out"]
-
 FPS = 24.0  # [1/s]
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s²]
 LARGEST = 2048  # nodes, as in gpu/kernel.cu

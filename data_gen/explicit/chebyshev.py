@@ -7,8 +7,6 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float64
 
-__all__ = ["chebyshev_coefficients", "reach", "stages_for"]
-
 _DAMPING = 2 / 13
 
 

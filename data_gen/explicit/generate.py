@@ -19,8 +19,6 @@ from physconvex import ConvergenceError, InputError, __version__
 from physconvex.mesh import tetrahedralize_implicit
 from physconvex.numerics import one_torch_thread
 
-__all__ = ["draw_falls", "generate_falls", "read_falls"]
-
 SHAPES = 20  # of one file
 _NODES = 1900
 

@@ -15,8 +15,6 @@ from torch import Tensor
 from data_gen.explicit.bodies import Layout
 from physconvex.kernels import POINTER, SOURCES, Kernel, launch
 
-__all__ = ["LOOK", "VIEW", "DrawnClips", "render_falls", "roll_out"]
-
 VIEW = 16  # numbers of a view, as in gpu/draw.h
 LOOK = 40  # numbers of a look
 _HERE = Path(__file__).parent / "gpu"

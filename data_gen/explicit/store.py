@@ -12,8 +12,6 @@ import numpy as np
 from data_gen.explicit.bodies import FallingBody
 from physconvex import ConvergenceError
 
-__all__ = ["load_bodies", "save_bodies"]
-
 _NUMBERS = ("size", "youngs_modulus", "poisson_ratio", "density", "damping_time", "friction", "stiffest")
 
 

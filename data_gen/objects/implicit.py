@@ -10,22 +10,6 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float, Int
 
-__all__ = [
-    "Field",
-    "box",
-    "capsule",
-    "cylinder",
-    "ellipsoid",
-    "moved",
-    "project_to_surface",
-    "rotation_about",
-    "smooth_difference",
-    "smooth_intersection",
-    "smooth_union",
-    "surface",
-    "torus",
-]
-
 Field = Callable[[Float[np.ndarray, "N 3"]], Float[np.ndarray, " N"]]
 
 

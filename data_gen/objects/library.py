@@ -15,8 +15,6 @@ from data_gen.objects.profiles import extruded, letter, revolved, ring
 from data_gen.objects.solids import blob, boolean, superquadric, supertoroid
 from physconvex import ConvergenceError, InputError
 
-__all__ = ["FAMILIES", "ObjectMesh", "random_object"]
-
 # Family -> shapes in it, each with equal probability.
 FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Field], ...]] = {
     "superquadric": (superquadric, superquadric, supertoroid),

@@ -6,8 +6,6 @@ import numpy as np
 
 from data_gen.objects.implicit import Field, capsule, ellipsoid, smooth_union
 
-__all__ = ["caterpillar", "humanoid", "octopus", "quadruped", "starfish"]
-
 
 def _array(*values: float) -> np.ndarray:
     return np.array(values, dtype=np.float64)

@@ -10,8 +10,6 @@ from scipy.ndimage import map_coordinates, spline_filter
 
 from data_gen.objects.implicit import Field
 
-__all__ = ["extruded", "letter", "polygon_distance", "revolved", "ring"]
-
 PlaneField = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 

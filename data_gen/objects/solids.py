@@ -17,8 +17,6 @@ from data_gen.objects.implicit import (
     torus,
 )
 
-__all__ = ["blob", "boolean", "superquadric", "supertoroid"]
-
 
 def random_rotation(rng: np.random.Generator) -> np.ndarray:
     """Rotation matrix, uniform over all rotations."""

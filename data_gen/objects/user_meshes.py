@@ -11,8 +11,6 @@ import numpy as np
 from data_gen.objects.library import ObjectMesh
 from physconvex import InputError
 
-__all__ = ["load_user_mesh", "objects_from_folder"]
-
 SUFFIXES = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
 TEXTURE_NAMES = (
     "texture.png",

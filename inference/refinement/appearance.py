@@ -35,8 +35,6 @@ from physconvex.reconstruction import (
 )
 from physconvex.render import render
 
-__all__ = ["Appearance", "appearance_of", "fitted_field", "start_field_fit"]
-
 _PARTS = ("points", "smoothness", "sharpness", "opacity", "harmonics")
 
 

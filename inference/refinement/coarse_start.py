@@ -25,8 +25,6 @@ from physconvex.identify import (
     roll_out_together,
 )
 
-__all__ = ["START_OPTIONS", "coarse_start", "misfits_of"]
-
 START_OPTIONS = FitOptions(relative_tolerance=1e-3, absolute_tolerance=0.1, max_step=1.5)
 _RUNS = 6
 _FEW = 0.7  # of the nodes: a mesh with more of them is hardly cheaper

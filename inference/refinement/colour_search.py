@@ -34,8 +34,6 @@ from physconvex.identify import (
     seen_by,
 )
 
-__all__ = ["blur_for", "colours_lost", "fit_colours", "materials_about"]
-
 _NARROW = 1.5  # pixels
 _WIDE = 6.0  # pixels: tells from afar which rebound is the nearest
 _LOST = 5.0  # times the colours' residuals in flight: after a contact they lie elsewhere

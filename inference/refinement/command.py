@@ -15,8 +15,6 @@ from inference.refinement.result import Refinement
 from inference.refinement.stages import stage_in_words
 from physconvex.io import command
 
-__all__ = ["refine_command"]
-
 _RESULT = "Results"
 
 

@@ -28,8 +28,6 @@ from physconvex.identify import (
 )
 from physconvex.mesh import TetMesh
 
-__all__ = ["FitWithError", "fitted_parameters", "with_model_error"]
-
 # standard deviation by the choice of a mesh that is made of a surface, of bodies that strike something: what E
 # [decades] and ν are off by if fitted, to first order, to motions of other meshes (benchmarks/twin_meshes.py)
 _BY_MESH = {"log10_youngs_modulus": 0.012, "poisson_ratio": 0.03}

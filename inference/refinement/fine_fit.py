@@ -30,8 +30,6 @@ from physconvex.identify import (
     roll_out_together,
 )
 
-__all__ = ["fit_on_more_nodes"]
-
 # decades of E beside the start, then further on the side that is better, and ν with them
 _BESIDE, _FURTHER, _RATIO = 0.15, (0.3, 0.45), 0.35
 _RATIOS = (0.25, 0.45)  # beside the best of these

@@ -18,8 +18,6 @@ from physconvex.mesh import (
     tetrahedralize,
 )
 
-__all__ = ["comparison_mesh", "fine_mesh", "is_of_capture"]
-
 _FINER = 1.8  # nodes of a mesh made anew over those of the twin
 _HARDLY = 1.2  # times the nodes: no more is gained
 _ALIKE = 0.05  # of the volume of body and mesh together, that only one of them has

@@ -14,8 +14,6 @@ from physconvex.identify import Fit, FullModel, Twin, enriched, extrapolated_nod
 from physconvex.io import Capture
 from physconvex.mesh import Embedding, TetMesh
 
-__all__ = ["future_rms", "refined_motion"]
-
 
 def refined_motion(run: RefinementRun, full: FullModel, found: Fit, *, mesh: TetMesh | None = None) -> RefinedMotion:
     """Roll the fitted model out over all frames: the full one where the correction is on, else the reduced one.

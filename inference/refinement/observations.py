@@ -27,8 +27,6 @@ from physconvex.identify import (
 )
 from physconvex.io import Camera, Capture
 
-__all__ = ["Observed", "observe_capture"]
-
 _UNFOLLOWED = (
     "Camera {}: no point of the object can be followed, so outlines alone are fitted; they do not tell how a surface "
     "turns within them. Paint a texture on, or give marker tracks."

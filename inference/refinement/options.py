@@ -11,8 +11,6 @@ from physconvex import InputError
 from physconvex.identify import Nuisance
 from physconvex.io import CommandLine, Options
 
-__all__ = ["RefineOptions"]
-
 _UNKNOWN, _MODEL, _RESULT = (CommandLine(panel=name) for name in ("Unknowns", "Models", "Results"))
 _SEEN = CommandLine(panel="What was observed")
 _NEED_VALUE = ("log10_youngs_modulus", "poisson_ratio")  # no capture states them

@@ -14,8 +14,6 @@ from inference.refinement.result import Refinement
 from physconvex.identify import appearance_map, cast_camera_rays, shaded
 from physconvex.io import Camera, Capture, look_at, write_video
 
-__all__ = ["draw_fit", "write_side_by_side"]
-
 _SHOWN = 6  # markers in a plot
 _SIZE = 320  # of a view of markers [pixels]
 _GREY = 160

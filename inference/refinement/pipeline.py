@@ -49,8 +49,6 @@ from physconvex.io import Capture, Workers, load_capture
 from physconvex.numerics import device_named
 from physconvex.reduced import parameter_values
 
-__all__ = ["refine"]
-
 _STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses the body; least and most per second
 _NOT_FOLLOWED = 5.0  # standard deviations rms of one source, from which no interval says anything
 _WHERE = ("processes", "device")  # settings that say where it is computed, not what

@@ -24,8 +24,6 @@ from physconvex.identify import (
 from physconvex.mesh import TetMesh
 from physconvex.reduced import parameter_values
 
-__all__ = ["Problem", "in_pixels", "material_of", "started_from"]
-
 
 @dataclass(frozen=True, eq=False)
 class Problem:

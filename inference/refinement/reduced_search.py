@@ -29,8 +29,6 @@ from physconvex.identify import (
 )
 from physconvex.io import Capture
 
-__all__ = ["ReducedSearch", "ScanRange", "scan_range"]
-
 _MODULUS, _RATIO = "log10_youngs_modulus", "poisson_ratio"
 _CHEAP_WEIGHTS = 6
 _AROUND = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0)  # decades; eigenmodes are too stiff in contact, so that E wants more

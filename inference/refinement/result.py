@@ -17,8 +17,6 @@ from physconvex.identify import FullRun, Identifiability, Iteration
 from physconvex.io import Camera, Picture, html_summary, load_capture
 from physconvex.mesh import TetMesh
 
-__all__ = ["REFINEMENT_SCHEMA", "UNITS", "FittedParameter", "MovingField", "RefinedMotion", "Refinement", "RigidDrift"]
-
 REFINEMENT_SCHEMA = "physconvex/refinement/1"
 _DRIFT_TOLD = 0.01  # of the size: from here on the user is told
 _NINETY = 1.6448536269514722  # of a normal distribution, both sides

@@ -20,8 +20,6 @@ from physconvex import __version__
 from physconvex.convex import write_ply
 from physconvex.io import load_capture
 
-__all__ = ["write_refinement"]
-
 
 def write_refinement(
     found: Refinement,

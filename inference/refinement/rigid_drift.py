@@ -22,8 +22,6 @@ from physconvex.identify import (
 )
 from physconvex.mesh import Embedding
 
-__all__ = ["drift_of", "drifted", "followed_motion", "with_drift", "with_drift_by", "with_drift_limit"]
-
 _LIMIT = 2.0  # times what two meshes differ by
 
 

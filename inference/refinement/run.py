@@ -9,8 +9,6 @@ from inference.refinement.stages import Stages
 from physconvex.identify import RollOuts
 from physconvex.io import Capture, Workers
 
-__all__ = ["RefinementRun"]
-
 
 @dataclass(eq=False)
 class RefinementRun:

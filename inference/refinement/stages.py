@@ -20,20 +20,6 @@ import numpy as np
 from physconvex import InputError, __version__
 from physconvex.identify import Candidate, Correction, Fit, FullRun, Iteration, Parameter
 
-__all__ = [
-    "Arrays",
-    "Scanned",
-    "Stages",
-    "arrays_of_correction",
-    "arrays_of_fit",
-    "arrays_of_scan",
-    "fit_of",
-    "key_of",
-    "runs_of",
-    "scan_of",
-    "stage_in_words",
-]
-
 Arrays = dict[str, np.ndarray]
 Scanned = tuple[tuple[Parameter, ...], ...]
 _KEY = "stage_key"

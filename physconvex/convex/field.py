@@ -12,8 +12,6 @@ from torch import Tensor
 from physconvex.convex.spherical_harmonics import degree_of
 from physconvex.errors import InputError
 
-__all__ = ["ConvexField"]
-
 LEAST_POINTS = 4  # fewer span no volume
 
 

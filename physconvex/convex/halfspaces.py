@@ -13,8 +13,6 @@ from torch import Tensor
 from physconvex.convex.field import ConvexField
 from physconvex.errors import InputError
 
-__all__ = ["HalfSpaces", "half_spaces", "hull_faces", "occupancy"]
-
 COPLANAR = 1e-9  # faces closer than this, in units of the convex's size, count once
 FLAT = 1e-6  # ratio of least to greatest extent below which a convex has no volume that could be relied on
 THICKENED = 1e-4  # by how much of their size the points of flat convexes are moved apart

@@ -6,8 +6,6 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
-__all__ = ["corners_of", "cut_points", "fewer_points", "hull_triangles", "hull_volume", "padded_points"]
-
 
 def hull_volume(points: Float[np.ndarray, "C 3"]) -> float:
     """Volume of the hull [m³]; zero for points in a plane."""

@@ -14,8 +14,6 @@ from physconvex.convex.hull_points import corners_of, fewer_points, hull_volume,
 from physconvex.convex.splitting import Division
 from physconvex.errors import InputError
 
-__all__ = ["merge"]
-
 NEIGHBOURS = 8  # pairs tried per convex
 
 

@@ -13,8 +13,6 @@ from physconvex.convex.hull_points import hull_triangles
 from physconvex.convex.spherical_harmonics import MIDDLE, harmonic_basis
 from physconvex.errors import InputError
 
-__all__ = ["hull_mesh", "write_glb"]
-
 
 def hull_mesh(field: ConvexField) -> trimesh.Trimesh:
     """All hulls as one mesh [m], each vertex with its convex's mean colour and opacity.

@@ -18,18 +18,6 @@ from physconvex.errors import InputError
 from physconvex.mesh import Embedding, TetMesh, locate, shape_gradients
 from physconvex.reduced import ReducedSpace
 
-__all__ = [
-    "BoundField",
-    "DeformationMap",
-    "advect",
-    "affine_map",
-    "bind_to_space",
-    "bind_to_tets",
-    "polar_rotation",
-    "space_map",
-    "tet_map",
-]
-
 DeformationMap = Callable[[Tensor], tuple[Tensor, Tensor]]
 """Rest positions X [P, 3] to positions x [P, 3], both in metres, and gradients ∂x_i/∂X_j [P, 3, 3]."""
 

@@ -10,8 +10,6 @@ from torch import Tensor
 
 from physconvex.convex.field import ConvexField
 
-__all__ = ["FreeParameters"]
-
 
 @dataclass(frozen=True, eq=False)
 class FreeParameters:

@@ -11,8 +11,6 @@ from physconvex.convex.field import ConvexField
 from physconvex.convex.spherical_harmonics import GREATEST_DEGREE
 from physconvex.errors import InputError
 
-__all__ = ["read_ply", "write_ply"]
-
 HEADER = "ply\nformat binary_little_endian 1.0\n"
 COMMENTS = (
     "convex field of physconvex; SI units, world frame",

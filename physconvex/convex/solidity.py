@@ -12,8 +12,6 @@ from scipy.spatial import cKDTree
 from physconvex.convex.field import ConvexField
 from physconvex.convex.halfspaces import HalfSpaces, half_spaces
 
-__all__ = ["inside_union", "occupancies", "union_volume"]
-
 PAIRS = 400_000  # point-convex pairs evaluated at once
 LARGEST = (30, 300, 2000)  # convexes looked at one set after the other
 SOFT_REACH = 8.0  # an edge is neglected beyond this many widths 1/(αβ)

@@ -11,15 +11,6 @@ from torch import Tensor
 
 from physconvex.errors import InputError
 
-__all__ = [
-    "GREATEST_DEGREE",
-    "coefficients_of_colour",
-    "degree_of",
-    "harmonic_basis",
-    "rotate_harmonics",
-    "view_colours",
-]
-
 GREATEST_DEGREE = 3
 MIDDLE = 0.5  # colour where all coefficients are zero
 DIRECTIONS = 49  # at which rotated functions are read off, three times as many as there are harmonics

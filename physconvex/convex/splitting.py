@@ -15,8 +15,6 @@ from physconvex.convex.hull_points import cut_points, fewer_points, hull_volume,
 from physconvex.convex.motion import DeformationMap
 from physconvex.errors import InputError
 
-__all__ = ["Division", "halve", "non_affinity", "split", "split_until_affine"]
-
 LEVELS = 6  # of splitting at most: one convex becomes up to 64
 MOST_OVERLAP = 0.2  # of the extent across the cut
 CENTRAL = 0.15  # a corner this near to the middle (in extents) becomes the place of the cut

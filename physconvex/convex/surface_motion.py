@@ -15,8 +15,6 @@ from physconvex.convex.hull_points import fewer_points, padded_points
 from physconvex.convex.motion import DeformationMap
 from physconvex.errors import InputError
 
-__all__ = ["move_half_spaces", "points_of_half_spaces"]
-
 
 def move_half_spaces(spaces: HalfSpaces, anchors: Float[Tensor, "N 3"], deform: DeformationMap) -> HalfSpaces:
     """The half-spaces carried by a deformation, each by its first-order expansion at one of its own points.

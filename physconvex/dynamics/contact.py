@@ -21,8 +21,6 @@ from jaxtyping import Float
 from physconvex.dynamics.motion_path import Travel, Velocity
 from physconvex.errors import InputError
 
-__all__ = ["Contact", "Friction", "Obstacle", "Plane", "Sphere", "contact_defaults"]
-
 Vector = Sequence[float] | Float[np.ndarray, " 3"]
 _STIFFNESS = 50.0  # kc·L / E: measured bias of E below 0.01 decades
 _SMOOTHING = 5e-4  # ε / L

@@ -15,8 +15,6 @@ from jaxtyping import Float
 
 from physconvex.dynamics.contact import Contact
 
-__all__ = ["Resolved", "resolve"]
-
 _TINY = 1e-300
 
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["Guide"]
-
 _GRAIN = 1e-9  # times nearer than that are the same [s]
 
 

@@ -19,19 +19,6 @@ import numpy as np
 from physconvex.errors import ConvergenceError
 from physconvex.numerics import NotPositiveDefiniteError
 
-__all__ = [
-    "IntegratorName",
-    "Minimum",
-    "Objective",
-    "State",
-    "StepCoefficients",
-    "bdf2",
-    "extrapolate",
-    "implicit_euler",
-    "minimise",
-    "step_coefficients",
-]
-
 IntegratorName = Literal["bdf2", "implicit_euler"]
 
 _ARMIJO = 1e-4  # sufficient decrease

@@ -10,8 +10,6 @@ from jaxtyping import Float
 
 from physconvex.errors import InputError
 
-__all__ = ["HangingLoad", "Loads"]
-
 
 def _points(name: str, points: np.ndarray) -> np.ndarray:
     array = np.asarray(points, dtype=np.float64)

@@ -11,8 +11,6 @@ from jaxtyping import Float
 
 from physconvex.errors import InputError
 
-__all__ = ["Travel", "Velocity"]
-
 Velocity = Sequence[float] | Float[np.ndarray, " 3"] | Callable[[float], Sequence[float] | Float[np.ndarray, " 3"]]
 
 _PANEL = 2e-3  # s, longest piece of the integral

@@ -9,8 +9,6 @@ from jaxtyping import Float
 
 from physconvex.dynamics.contact import Obstacle, Plane, Sphere
 
-__all__ = ["obstacle_rows"]
-
 
 def obstacle_rows(obstacles: Sequence[Obstacle], time: float) -> Float[np.ndarray, "O 9"]:
     """`struct Obstacle` of cpu/obstacle.h of each obstacle at a time [s]."""

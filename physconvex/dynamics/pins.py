@@ -10,8 +10,6 @@ from jaxtyping import Float
 
 from physconvex.errors import InputError
 
-__all__ = ["Pins"]
-
 
 @dataclass(frozen=True)
 class Pins:

@@ -14,8 +14,6 @@ from physconvex.dynamics.stepping import StepRecord
 from physconvex.dynamics.timing import Timing
 from physconvex.numerics import one_torch_thread
 
-__all__ = ["CarriedTangents", "Parametrised", "SensitiveTrajectory", "simulate_with_sensitivities"]
-
 TrajectoryT = TypeVar("TrajectoryT")
 Trajectory_co = TypeVar("Trajectory_co", covariant=True)
 

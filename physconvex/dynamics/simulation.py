@@ -16,8 +16,6 @@ from physconvex.dynamics.stepping import Observer, PreparedRollOut, SolveStatist
 from physconvex.dynamics.timing import Timing
 from physconvex.numerics import one_torch_thread
 
-__all__ = ["FrameStates", "Simulated", "simulate"]
-
 
 @dataclass(frozen=True, eq=False)
 class FrameStates:

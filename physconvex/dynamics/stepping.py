@@ -25,17 +25,6 @@ from physconvex.dynamics.integrators import (
 from physconvex.dynamics.timing import Timing
 from physconvex.errors import ConvergenceError
 
-__all__ = [
-    "MAX_HALVINGS",
-    "Observer",
-    "PreparedRollOut",
-    "SolveStatistics",
-    "SolvedPass",
-    "StepObjective",
-    "StepRecord",
-    "Stepper",
-]
-
 MAX_HALVINGS = 8
 _REMEMBERED = 64  # states: steps may grow so many times at once
 _ENERGY_HALVINGS = 4  # for the energy's sake a step is cut no further

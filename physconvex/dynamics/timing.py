@@ -10,8 +10,6 @@ import numpy as np
 from physconvex.dynamics.integrators import IntegratorName
 from physconvex.errors import InputError
 
-__all__ = ["ContactSolver", "Timing"]
-
 ContactSolver = Literal["passes", "condensed"]
 
 

@@ -10,8 +10,6 @@ from jaxtyping import Float
 from physconvex.dynamics.motion_path import Travel, Velocity
 from physconvex.errors import InputError
 
-__all__ = ["Wind"]
-
 
 @dataclass(frozen=True)
 class Wind:

@@ -15,8 +15,6 @@ from physconvex.dynamics.pins import Pins
 from physconvex.dynamics.wind import Wind
 from physconvex.errors import InputError
 
-__all__ = ["World", "in_world"]
-
 Vector = Sequence[float] | Float[np.ndarray, " 3"]
 Acceleration = Vector | Callable[[float], Vector]
 

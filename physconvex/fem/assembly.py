@@ -8,8 +8,6 @@ from jaxtyping import Bool, Float, Int
 
 from physconvex.fem.compiled_elements import sum_into
 
-__all__ = ["Assembler"]
-
 
 class Assembler:
     """Upper triangle of symmetric matrices over the free nodes of a mesh.

@@ -29,8 +29,6 @@ from physconvex.materials import (
 )
 from physconvex.mesh import QUADRATURE, TetMesh, shape_gradients, unit_mass
 
-__all__ = ["ElasticBody"]
-
 PerElement = float | Float[np.ndarray, " E"]
 PerPoint = PerElement | Float[np.ndarray, "E Q"]
 

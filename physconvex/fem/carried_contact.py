@@ -21,8 +21,6 @@ from physconvex.dynamics import Contact, Friction
 from physconvex.errors import InputError
 from physconvex.mesh import Embedding
 
-__all__ = ["CarriedContact", "SurfacePoints"]
-
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:

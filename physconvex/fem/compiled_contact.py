@@ -16,8 +16,6 @@ from physconvex.fem.compiled_elements import FEM_KERNEL
 from physconvex.fem.contact_problem import ContactProblem
 from physconvex.kernels import POINTER, address, doubles
 
-__all__ = ["CompiledContact", "add_near", "carry", "contact_kind", "turned_blocks"]
-
 Array = np.ndarray
 
 

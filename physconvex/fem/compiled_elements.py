@@ -13,8 +13,6 @@ from physconvex.fem.volumetric import VolumetricElements
 from physconvex.kernels import POINTER, SOURCES, Kernel, address, aligned, doubles
 from physconvex.materials import KERNEL_LAWS, NEARLY_FLAT, Law, MaterialPoints
 
-__all__ = ["FEM_KERNEL", "CompiledElements", "sum_into", "volumetric_elements"]
-
 Array = np.ndarray
 _MOST_NODES, _MOST_POINTS = 10, 4  # of an element there
 

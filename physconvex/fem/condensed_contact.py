@@ -26,8 +26,6 @@ from physconvex.fem.dense_contact import DenseContact
 from physconvex.fem.kept_factor import KeptFactor
 from physconvex.fem.nodal_equations import NodalEquations
 
-__all__ = ["CondensedContact"]
-
 _MOST = 60  # Newton steps per time step
 _TIRED = 14  # so many mean that the factor is renewed before the next time step
 _PATIENCE = 6  # steps before one that grows counts against the factor

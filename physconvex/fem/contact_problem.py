@@ -15,8 +15,6 @@ from scipy.sparse import bsr_matrix, csr_matrix, identity, kron
 
 from physconvex.dynamics import Contact, resolve
 
-__all__ = ["CarriedPoints", "ContactProblem"]
-
 
 @dataclass(frozen=True)
 class CarriedPoints:

@@ -14,8 +14,6 @@ from physconvex.errors import ConvergenceError
 from physconvex.fem.compiled_contact import add_near, contact_kind
 from physconvex.fem.contact_problem import CarriedPoints, ContactProblem
 
-__all__ = ["DenseContact"]
-
 _MOST = 60  # Newton steps
 _HALVINGS = 6
 

@@ -12,8 +12,6 @@ from physconvex.dynamics import State, Timing
 from physconvex.fem.carried_contact import CarriedContact
 from physconvex.fem.scene import Scene
 
-__all__ = ["Flight"]
-
 _MARGIN = 0.03  # of the size: nearer than that to an obstacle may be touching
 _LOOKS = 8  # times within a frame
 

@@ -15,8 +15,6 @@ from jaxtyping import Float
 
 from physconvex.dynamics import HangingLoad, State, StepCoefficients
 
-__all__ = ["Hanging"]
-
 
 class Hanging:
     """State of a hanging load from step to step.

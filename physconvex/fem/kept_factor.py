@@ -14,8 +14,6 @@ from physconvex.fem.compiled_contact import turned_blocks
 from physconvex.fem.nodal_equations import NodalEquations
 from physconvex.numerics import NotPositiveDefiniteError, best_rotation
 
-__all__ = ["KeptFactor"]
-
 _SECANTS = 16  # pairs of changes kept
 _CURVED = 1e-8  # cosine between change of place and of gradient below which a pair tells nothing
 _MOST_ROWS = 3e5  # numbers: more take longer to go through than a solve

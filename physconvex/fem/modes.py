@@ -16,15 +16,6 @@ from physconvex.fem.assembly import Assembler
 from physconvex.fem.body import ElasticBody
 from physconvex.numerics import SymmetricSolver
 
-__all__ = [
-    "elastic_responses",
-    "rigid_motions",
-    "skinning_eigenmodes",
-    "skinning_stiffness",
-    "tangent_stiffness",
-    "vibration_modes",
-]
-
 
 def _smallest(stiffness: sp.csr_matrix, mass: sp.csr_matrix, count: int) -> tuple[np.ndarray, np.ndarray]:
     """The `count` smallest eigenpairs, by shift-invert below zero; a fixed start makes them repeatable."""

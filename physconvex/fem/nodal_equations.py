@@ -15,8 +15,6 @@ from physconvex.fem.scene import Scene
 from physconvex.materials import FlowStep
 from physconvex.numerics import SymmetricSolver
 
-__all__ = ["NodalEquations"]
-
 
 class NodalEquations:
     """Incremental potential of one time step (or, without inertia, the static potential) as an `Objective`."""

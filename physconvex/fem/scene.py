@@ -19,8 +19,6 @@ from physconvex.fem.trajectory import Trajectory
 from physconvex.mesh import Embedding, TetMesh
 from physconvex.numerics import rotation_matrix
 
-__all__ = ["NodePins", "Scene"]
-
 _AT_NODE = 1e-6  # of the body's size: a point so near to a node is at it
 
 

@@ -26,8 +26,6 @@ from physconvex.fem.nodal_equations import NodalEquations
 from physconvex.fem.scene import Scene
 from physconvex.numerics import NotPositiveDefiniteError
 
-__all__ = ["SceneFamily"]
-
 _TOLERANCE = 1e-3  # of the largest component of a tangent
 _FLOOR = 2e-10  # of the body's size: a change of positions over the whole difference that is as good as none
 _MOST = 16  # corrections per pass

@@ -13,8 +13,6 @@ from physconvex.fem.nodal_equations import NodalEquations
 from physconvex.fem.scene import Scene
 from physconvex.numerics import one_torch_thread
 
-__all__ = ["prepared_scene", "solve_static"]
-
 _STALE_RATE = 0.25
 _TOLERANCE = 1e-7  # of Newton's last step, over the size
 

@@ -10,8 +10,6 @@ from jaxtyping import Bool, Float, Int
 from physconvex.errors import InputError
 from physconvex.mesh import TetMesh
 
-__all__ = ["surface_load"]
-
 Selector = Bool[np.ndarray, " F"] | Int[np.ndarray, " n"] | Callable[[Float[np.ndarray, "F 3"]], Bool[np.ndarray, " F"]]
 Traction = Sequence[float] | Float[np.ndarray, "..."] | Callable[[Float[np.ndarray, "P 3"]], Float[np.ndarray, "P 3"]]
 

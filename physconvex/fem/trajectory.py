@@ -9,8 +9,6 @@ from jaxtyping import Float
 
 from physconvex.dynamics import SolveStatistics
 
-__all__ = ["Trajectory"]
-
 
 @dataclass(frozen=True)
 class Trajectory:

@@ -27,8 +27,6 @@ from physconvex.materials import (
     slopes_of_volume,
 )
 
-__all__ = ["VolumetricElements"]
-
 Array = np.ndarray
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 

@@ -12,8 +12,6 @@ import typer
 from physconvex.gap.options import GapOptions
 from physconvex.io import command
 
-__all__ = ["diagnose_command"]
-
 
 @command
 def diagnose_command(

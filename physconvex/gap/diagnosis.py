@@ -49,8 +49,6 @@ from physconvex.gap.thresholds import BASE_FIT, CLOCK, NUMERICAL_ERROR, RUN_COST
 from physconvex.io import Capture, load_capture
 from physconvex.mesh import TetMesh
 
-__all__ = ["diagnose"]
-
 Report = Callable[[str], None]
 _CUT = (
     "The search was cut short after the {:.0f} seconds that it is given: this is the best of what had been found. A "

@@ -8,8 +8,6 @@ from pydantic import Field
 
 from physconvex.io import CommandLine, Options
 
-__all__ = ["GapOptions"]
-
 Count = Annotated[int, Field(ge=1)]
 HiddenCount = Annotated[int, Field(ge=1), CommandLine(hidden=True)]
 HiddenSeconds = Annotated[float, Field(gt=0), CommandLine(hidden=True)]

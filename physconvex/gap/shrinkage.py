@@ -28,8 +28,6 @@ from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.identify import PixelObservations
 from physconvex.io import Capture
 
-__all__ = ["HowFar", "Positions", "gap_squares", "held_out_views", "second_take_shrinkage", "shrinkage_on"]
-
 Positions = Float[np.ndarray, "T P 3"]
 _OF_ONE_CAMERA = ("camera_pose", "focal_length", "lens_distortion", "rolling_shutter")
 _MATERIAL = ("log10_youngs_modulus", "poisson_ratio", *FLOOR_LAW)

@@ -15,11 +15,6 @@ from typing import TypeVar
 from pydantic import JsonValue
 from pydantic_core import to_jsonable_python
 
-__all__ = [
-    "BASE_FIT", "BODY_MESH", "CLOCK", "DECISION", "EVIDENCE", "LOCALISATION", "NUMERICAL_ERROR", "PICTURES", "RUN_COST",
-    "SCREENING", "SEARCH", "SETTING", "VERDICT", "thresholds_json", "thresholds_table",
-]  # fmt: skip
-
 T = TypeVar("T")
 Pair = tuple[float, float]
 Row = tuple[float, ...]

@@ -17,8 +17,6 @@ from physconvex.identify.held_region import HeldRegion
 from physconvex.io import Boundary
 from physconvex.mesh import EDGE_CORNERS, TetMesh
 
-__all__ = ["Clamp", "clamp_of"]
-
 _NEIGHBOURS = 4
 _REACH = 0.3  # edges of the mesh within which a corner counts as part of the held region
 

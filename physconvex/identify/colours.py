@@ -22,8 +22,6 @@ from physconvex.identify.observations import EvaluatedObservations, PointwiseObs
 from physconvex.identify.visible_points import Hits, cast_camera_rays, cast_rays, unit_normals
 from physconvex.io import Camera
 
-__all__ = ["ColourObservations", "colour_seeds", "seen_by"]
-
 _GRAZING = 0.35  # least sine between surface and ray
 _BEHIND = 0.03  # of the body's size: how far behind what is drawn a point may lie and still be seen
 

@@ -27,15 +27,6 @@ from physconvex.identify.point_models import CorrectedModel, PointModel
 from physconvex.identify.uncertainty import noise_covariance
 from physconvex.numerics import broyden_update
 
-__all__ = [
-    "FAR",
-    "Correction",
-    "FullRun",
-    "correct",
-    "parameter_shift",
-    "parameter_shifts",
-]
-
 _STEP_DONE = 0.01  # of a typical step: 0.002 decades of E
 _NOISE_DONE = 0.2  # of a standard deviation
 FAR = 3.0  # times the reduced model's misfit

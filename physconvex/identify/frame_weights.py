@@ -13,8 +13,6 @@ from jaxtyping import Float
 
 from physconvex.identify.observations import Observations, WrappedObservations
 
-__all__ = ["WeightedObservations", "frame_errors"]
-
 
 def frame_errors(
     seen: Observations, fine: Float[np.ndarray, "T P 3"], coarse: Float[np.ndarray, "T P 3"]

@@ -14,8 +14,6 @@ from physconvex.identify.twin import Twin
 from physconvex.io import Capture
 from physconvex.reduced import parameter_values
 
-__all__ = ["default_parameters", "marker_observations", "start_motion", "with_free_friction"]
-
 MATERIAL = ("log10_youngs_modulus", "poisson_ratio")
 VELOCITY = tuple(f"initial_velocity_{axis}" for axis in "xyz")
 SPIN = tuple(f"initial_angular_velocity_{axis}" for axis in "xyz")

@@ -20,8 +20,6 @@ from physconvex.identify.observations import Observations, misfit_of
 from physconvex.identify.parameters import Parameter
 from physconvex.identify.point_models import PointModel
 
-__all__ = ["FULL_OPTIONS", "fit_full"]
-
 FULL_OPTIONS: FitOptions = FitOptions(
     max_iterations=6, max_step=1.5, absolute_tolerance=0.02
 )  # a fifth of a deviation is left

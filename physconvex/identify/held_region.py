@@ -11,8 +11,6 @@ from scipy.spatial import cKDTree
 from physconvex.mesh import FACE_CORNERS
 from physconvex.numerics import closest_points
 
-__all__ = ["HeldRegion"]
-
 _NEAR = 12  # held triangles whose distance to a point is taken, nearest centres first
 
 

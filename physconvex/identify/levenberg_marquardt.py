@@ -22,8 +22,6 @@ from physconvex.identify.parameters import Parameter, SearchCoordinates, lower_b
 from physconvex.identify.point_models import PointModel, check_names
 from physconvex.numerics import huber_loss, huber_weights
 
-__all__ = ["Fit", "FitOptions", "Iteration", "fit"]
-
 _ALONG = 0.7  # cosine from which on a step lies along the last one, or turns back on it
 _MOST_CURVATURE = 4.0  # times that of the linearisation
 _LEAST = 1e-3  # of what a step promises: what it must bring to be taken

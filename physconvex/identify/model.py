@@ -18,8 +18,6 @@ from physconvex.identify.twin import Twin
 from physconvex.mesh import Embedding, TetMesh
 from physconvex.reduced import NamedParameters
 
-__all__ = ["FullModel", "ReducedModel", "roll_out_together"]
-
 _DIFFERENCE = 1e-6  # of a typical step: half width of the central differences of gradients
 # of a typical step, of whole roll-outs; friction by passes makes them rough at smaller scales
 _WHOLE_DIFFERENCE: dict[ContactSolver, float] = {"condensed": 1e-2, "passes": 0.1}

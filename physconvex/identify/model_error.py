@@ -32,8 +32,6 @@ from physconvex.identify.point_models import LinearModel, PointModel
 from physconvex.identify.uncertainty import noise_covariance
 from physconvex.mesh import Embedding, TetMesh
 
-__all__ = ["LEFT_BY_FITTED", "FinerFit", "extrapolated_nodes", "fit_finer"]
-
 _EXTRAPOLATED = 4.0 / 3.0
 _STEP_LEFT = 1.0 / 3.0
 _SETTLED = 0.3  # of a standard deviation

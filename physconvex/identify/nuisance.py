@@ -22,9 +22,6 @@ from physconvex.identify.colours import ColourObservations
 from physconvex.identify.observations import Observations, PixelObservations, StackedObservations, WrappedObservations
 from physconvex.io import Camera, CommandLine, Options
 
-__all__ = ["Elimination", "MarginalObservations", "Nuisance"]
-
-
 _Deviation = Annotated[float, Field(ge=0), CommandLine(panel="What was observed")]
 
 

@@ -19,18 +19,6 @@ from physconvex.errors import InputError
 from physconvex.io import Camera
 from physconvex.numerics import huber_loss
 
-__all__ = [
-    "EvaluatedObservations",
-    "MarkerObservations",
-    "Observations",
-    "PixelObservations",
-    "PointwiseObservations",
-    "StackedObservations",
-    "WrappedObservations",
-    "camera_jacobian",
-    "misfit_of",
-]
-
 Positions = Float[np.ndarray, "T P 3"]
 Tangents = Float[np.ndarray, "T K P 3"]
 

@@ -22,8 +22,6 @@ from physconvex.identify.observations import (
 from physconvex.identify.silhouette import Borders, filled_border
 from physconvex.io import Camera
 
-__all__ = ["OutlineObservations", "outline_of_mask", "with_drawn_outlines"]
-
 _SHARES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])  # where a silhouette edge is sampled
 _RIM = 1.6  # pixels inside the model's mask that still count as its outline
 _BORDER = 3.0  # pixels from the border of the image within which an outline is cut off by it

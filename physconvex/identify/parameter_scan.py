@@ -15,8 +15,6 @@ from physconvex.identify.parameters import Parameter
 from physconvex.identify.point_models import PointModel
 from physconvex.io import Workers
 
-__all__ = ["Candidate", "scan", "scan_values"]
-
 _MODULUS, _RATIO = "log10_youngs_modulus", "poisson_ratio"
 
 

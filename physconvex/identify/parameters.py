@@ -14,16 +14,6 @@ from jaxtyping import Float
 from physconvex.errors import InputError
 from physconvex.reduced import PARAMETERS
 
-__all__ = [
-    "Parameter",
-    "SearchCoordinates",
-    "default_parameter",
-    "lower_bounds",
-    "starts",
-    "step_scales",
-    "upper_bounds",
-]
-
 _INF = float("inf")
 _RATIO_LENGTH = 0.15
 _LEAST_SLOPE = 1e-9  # of 1 − 2ν

@@ -12,8 +12,6 @@ from jaxtyping import Float
 from physconvex.errors import ConvergenceError, InputError
 from physconvex.numerics import broyden_update, moved_along
 
-__all__ = ["CorrectedModel", "LinearModel", "PointModel", "SecantModel", "check_names"]
-
 
 @runtime_checkable
 class PointModel(Protocol):

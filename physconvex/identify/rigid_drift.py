@@ -31,8 +31,6 @@ from physconvex.identify.outlines import with_drawn_outlines
 from physconvex.io import Workers
 from physconvex.numerics import best_rotation, huber_loss, huber_weights
 
-__all__ = ["RigidDriftObservations", "first_contact", "likely_drift", "model_drift"]
-
 _TURNS, _SETTLED = 6, 1e-3  # Gauss–Newton steps of the kicks, and the last of them in standard deviations
 _DRAWN = 2  # of these, in which a model's outline is sought anew
 _SHARES = (0.03, 0.1, 0.3, 1.0)  # of the most, tried as q

@@ -15,8 +15,6 @@ from physconvex.errors import ConvergenceError
 from physconvex.fem import Scene
 from physconvex.io import Workers
 
-__all__ = ["RollOut", "RollOuts"]
-
 _LIGHT = 1e4  # nodes times time steps: less work than to start a process
 
 

@@ -15,8 +15,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 
-__all__ = ["Borders", "filled_border"]
-
 _SHIFT = 4  # binary digits of a pixel, of borders that are drawn
 
 

@@ -14,8 +14,6 @@ from physconvex.fem import ElasticBody
 from physconvex.identify.twin import Twin, smooth_weights
 from physconvex.reduced import BodySamples, NodalWeights, ReducedSpace, WeightField, snapshot_weights
 
-__all__ = ["enriched", "with_weights"]
-
 
 def enriched(twin: Twin, nodes: Float[np.ndarray, "T V 3"], *, snapshots: int | None = None) -> Twin:
     """The twin with as many weights as before, some of them from a motion of the full model.

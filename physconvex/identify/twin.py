@@ -27,8 +27,6 @@ from physconvex.reduced import (
     with_parameters,
 )
 
-__all__ = ["Twin", "TwinOptions", "base_twin", "coarse_mesh", "mesh_of_capture", "smooth_weights", "surface_of_capture"]
-
 RATE = 384.0  # time steps per second at least: below 0.02 decades of E by the time step, see design notes
 _NODES_PER_WEIGHT = 5  # each weight brings four functions
 _LOST = 0.2  # of the volume of body and mesh together, from which fewer nodes are not tried

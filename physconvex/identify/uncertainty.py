@@ -9,15 +9,6 @@ from jaxtyping import Float, Int
 
 from physconvex.identify.levenberg_marquardt import Fit
 
-__all__ = [
-    "Identifiability",
-    "NullDirection",
-    "clustered_deviations",
-    "identifiability",
-    "marginal_deviations",
-    "noise_covariance",
-]
-
 _LOOSE = 1.0  # a direction is undetermined when its deviation exceeds one typical step …
 _CORRELATED = 0.95
 _AT_BOUND = 1e-6

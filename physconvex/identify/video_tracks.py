@@ -18,8 +18,6 @@ from physconvex.errors import InputError
 from physconvex.identify.visible_points import Hits, cast_camera_rays, cast_rays, unit_normals
 from physconvex.io import Camera
 
-__all__ = ["FollowOptions", "Seeds", "appearance_map", "follow", "follow_from_model", "seed_points"]
-
 
 @dataclass(frozen=True)
 class FollowOptions:

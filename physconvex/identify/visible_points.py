@@ -9,8 +9,6 @@ from jaxtyping import Float, Int
 
 from physconvex.io import Camera
 
-__all__ = ["Hits", "cast_camera_rays", "cast_rays", "shaded", "unit_normals"]
-
 
 @dataclass(frozen=True, eq=False)
 class Hits:

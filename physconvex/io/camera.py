@@ -18,8 +18,6 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 from physconvex.errors import InputError
 from physconvex.io.configuration import Expected, in_words
 
-__all__ = ["Camera", "CameraEntry", "look_at"]
-
 Vector = Sequence[float] | np.ndarray
 UNDISTORT_ITERATIONS = 20
 

@@ -13,8 +13,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from physconvex.errors import InputError
 
-__all__ = ["Expected", "FrozenConfig", "in_words", "preset_names", "read_tree", "set_value", "validated"]
-
 Model = TypeVar("Model", bound=BaseModel)
 
 

@@ -15,8 +15,6 @@ from jaxtyping import UInt8
 if TYPE_CHECKING:
     from jinja2 import Template
 
-__all__ = ["Picture", "data_uri", "html_summary", "png_bytes"]
-
 _TEMPLATE = """<div class="physconvex"><strong>{{ title }}</strong>
 <table>{% for name, value in rows %}<tr><th style="text-align:left">{{ name }}</th>\
 <td style="text-align:left">{{ value }}</td></tr>{% endfor %}</table>

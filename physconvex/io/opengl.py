@@ -6,8 +6,6 @@ import ctypes
 import importlib.util
 from pathlib import Path
 
-__all__ = ["load_triton_first"]
-
 
 def load_triton_first() -> None:
     """Load triton's library, if it is installed, before Mesa's.

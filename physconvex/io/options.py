@@ -23,8 +23,6 @@ from pydantic.fields import FieldInfo
 
 from physconvex.errors import InputError
 
-__all__ = ["CommandLine", "Options", "command", "error_in_words", "options_table"]
-
 
 @dataclass(frozen=True)
 class CommandLine:

@@ -8,8 +8,6 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-__all__ = ["ONE_THREAD", "end_with_parent", "one_thread_each"]
-
 # One thread; and MKL's conditional reproducibility, without which sums depend on where arrays lie in memory.
 ONE_THREAD = {
     "OMP_NUM_THREADS": "1",

@@ -17,8 +17,6 @@ import torch
 
 from physconvex.io.processes import end_with_parent, one_thread_each
 
-__all__ = ["Workers"]
-
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 

@@ -18,19 +18,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    "FLAGS",
-    "POINTER",
-    "SOURCES",
-    "Kernel",
-    "KernelUnavailable",
-    "address",
-    "aligned",
-    "cache_folder",
-    "compiled",
-    "doubles",
-]
-
 SOURCES = Path(__file__).with_name("sources")
 COMPILERS = ("c++", "g++", "clang++")
 FLAGS = ("-std=c++17", "-O3", "-march=native", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math")

@@ -17,8 +17,6 @@ from torch import Tensor
 
 from physconvex.kernels.build import KernelUnavailable
 
-__all__ = ["launch", "machine_code"]
-
 
 def launch(source: str, name: str, *, grid: tuple[int, int], threads: int, arguments: Sequence[Tensor | int]) -> None:
     """Run the kernel of that name in a text, which is compiled on first use for each device, on torch's stream.

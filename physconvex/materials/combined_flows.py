@@ -10,8 +10,6 @@ from torch import Tensor
 from physconvex.errors import InputError
 from physconvex.materials.inelastic import FlowRule, FlowStep
 
-__all__ = ["Flows", "FlowsStep", "stored_flows"]
-
 
 @dataclass(frozen=True)
 class FlowsStep:

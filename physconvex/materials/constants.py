@@ -7,8 +7,6 @@ from jaxtyping import Float
 
 from physconvex.errors import InputError
 
-__all__ = ["checked_constant"]
-
 _BOUNDS = {"youngs_modulus": (0.0, np.inf), "poisson_ratio": (-1.0, 0.5), "density": (0.0, np.inf)}
 
 

@@ -36,8 +36,6 @@ from physconvex.materials.principal_strains import (
 from physconvex.materials.volumetric import KERNEL_LAWS
 from physconvex.materials.yielding import YieldStep
 
-__all__ = ["FlowRule", "FlowStep", "LogarithmicStep", "Plasticine", "Sand", "StandardLinearSolid"]
-
 Strains = tuple[PrincipalFrame, Tensor, Tensor, Tensor]  # frame of F_e; t, d and r
 Response = tuple[Tensor, Tensor] | None  # energy and stress
 _TINY = 1e-100  # its square is a number still

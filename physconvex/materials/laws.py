@@ -23,8 +23,6 @@ from torch import Tensor
 from physconvex.errors import InputError
 from physconvex.materials.volumetric import VOLUMETRIC_TERMS, VolumetricTerm
 
-__all__ = ["LAWS", "Law", "LawName", "get_law", "lame_parameters", "project_to_positive", "strain_stiffness"]
-
 LawName = Literal["neo_hookean", "neo_hookean_log", "stvk", "corotated", "linear"]
 Triple = Callable[[Tensor, Tensor, Tensor], Tensor]
 

@@ -16,16 +16,6 @@ from torch import Tensor
 
 from physconvex.kernels import POINTER, SOURCES, Kernel
 
-__all__ = [
-    "STRAIN_KERNEL",
-    "PrincipalFrame",
-    "flow_response",
-    "principal_hessian",
-    "principal_stress",
-    "pulled_back",
-    "singular_values",
-]
-
 _SMALLEST = 1e-30
 _FLAT = 1e-2  # smallest stretch over the largest one
 _ALL_BUT_FLAT = 1e-12  # the same below which there is no third axis, of compiled arithmetic

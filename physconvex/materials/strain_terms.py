@@ -15,8 +15,6 @@ from torch import Tensor
 from physconvex.errors import InputError
 from physconvex.materials.laws import Law, get_law
 
-__all__ = ["combined", "less_ground", "with_fibres", "with_strain_stiffening"]
-
 
 def combined(name: str, first: tuple[float, Law], second: tuple[float, Law], ground: Law | None = None) -> Law:
     """So much of one law and so much of another."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-__all__ = ["inner_viscous_stress", "strain_rate", "viscous_stress"]
-
 
 def strain_rate(state: Tensor, rate: Tensor) -> Tensor:
     """Ė [1/s], shape [..., 3, 3], of F* and Ḟ [1/s]."""

@@ -13,18 +13,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-__all__ = [
-    "KERNEL_LAWS",
-    "NEARLY_FLAT",
-    "VOLUMETRIC_TERMS",
-    "MaterialPoints",
-    "VolumetricTerm",
-    "cofactor_and_determinant",
-    "energy_and_stress",
-    "nearly_flat",
-    "slopes_of_volume",
-]
-
 Array = np.ndarray
 NEARLY_FLAT = 1e-4  # |J| over |C|^(3/2) below which a division by J costs digits
 VolumetricTerm = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor]]

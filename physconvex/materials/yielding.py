@@ -20,8 +20,6 @@ from physconvex.errors import ConvergenceError
 from physconvex.materials.laws import Law
 from physconvex.materials.principal_strains import PrincipalFrame, principal_hessian, principal_stress, pulled_back
 
-__all__ = ["YieldStep"]
-
 _ITERATIONS, _CLOSE, _STRIDE = 60, 1e-13, 0.5  # Newton's: at most, residual of strains, longest step of a strain
 
 

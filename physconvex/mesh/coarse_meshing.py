@@ -12,8 +12,6 @@ from physconvex.mesh.signed_distance import overlap
 from physconvex.mesh.surfaces import enclosed_volume
 from physconvex.mesh.tet_mesh import TetMesh
 
-__all__ = ["mesh_of_few_nodes", "shape_mismatch"]
-
 _GROWTH = (1.0, 2.0)  # of the number of nodes asked for
 _GOOD, _GOOD_OPEN = 0.25, 0.03  # of the volume; of the size, where the surface is open
 _SAMPLES = 600

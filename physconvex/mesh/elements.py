@@ -7,8 +7,6 @@ from jaxtyping import Float
 
 from physconvex.mesh.tet_mesh import EDGE_CORNERS
 
-__all__ = ["QUADRATURE", "shape_gradients", "shape_values", "unit_mass"]
-
 _A, _B = (5 + 3 * np.sqrt(5)) / 20, (5 - np.sqrt(5)) / 20
 
 

@@ -15,8 +15,6 @@ from physconvex.mesh.elements import shape_gradients, shape_values
 from physconvex.mesh.tet_mesh import FACE_CORNERS, TetMesh
 from physconvex.numerics import closest_points
 
-__all__ = ["Embedding", "contains", "continued_shape_values", "locate", "sample_interior"]
-
 # Faces tried per point (nearest centres first), pairs of both handled at once, and how far outside (in barycentric
 # coordinates) still counts as inside.
 CANDIDATES, BLOCK, TOLERANCE = 32, 2_000_000, -1e-9

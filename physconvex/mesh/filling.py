@@ -24,8 +24,6 @@ from physconvex.mesh.signed_distance import surface_distance
 from physconvex.mesh.surfaces import enclosed_volume
 from physconvex.mesh.tet_mesh import Filling, TetMesh
 
-__all__ = ["filled"]
-
 _POINTS, _PER_ELEMENT = 20_000, 60  # inside the surface, at least
 _BLOCK, _BLOCKS = 10_000, 60  # drawn at once in the surface's box, and how often at most: of thin sheets few are inside
 _LEAST = 0.05  # of an element that counts as filled

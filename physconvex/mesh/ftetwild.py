@@ -14,8 +14,6 @@ from physconvex.mesh.surface_fitting import with_volume
 from physconvex.mesh.surfaces import enclosed_volume
 from physconvex.mesh.tet_mesh import TetMesh, compact, mean_ratios, to_quadratic
 
-__all__ = ["Resolution", "diagonal_of", "fill", "fill_within"]
-
 # Elements flatter than this would ruin the conditioning of the stiffness matrix.
 MIN_MEAN_RATIO = 0.02
 # How often the resolution is made coarser to respect `max_nodes`, and by how much.

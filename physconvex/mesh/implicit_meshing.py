@@ -16,8 +16,6 @@ from physconvex.mesh.surface_fitting import fit_to_surface, with_volume
 from physconvex.mesh.surfaces import enclosed_volume
 from physconvex.mesh.tet_mesh import TetMesh, compact, mean_ratios, to_quadratic
 
-__all__ = ["tetrahedralize_implicit"]
-
 # Cells along the longest edge of the grid that replaces the distance function, and of the lattice that replaces a
 # missing surface.
 GRID_CELLS, REFERENCE_CELLS = 40, 20

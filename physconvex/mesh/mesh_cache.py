@@ -16,8 +16,6 @@ from physconvex import __version__
 from physconvex.kernels import cache_folder
 from physconvex.mesh.tet_mesh import TetMesh
 
-__all__ = ["cached_mesh", "cached_or_made"]
-
 _GENERATION = 4  # of the meshers: one more whenever they, or the choice between them, change
 Surface = tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]
 

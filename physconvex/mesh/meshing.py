@@ -23,8 +23,6 @@ from physconvex.mesh.surface_fitting import with_volume
 from physconvex.mesh.surfaces import enclosed_volume, with_fewer_triangles
 from physconvex.mesh.tet_mesh import TetMesh, to_quadratic
 
-__all__ = ["TriangleSurface", "tetrahedralize", "tetrahedralize_implicit"]
-
 # Of the volume of body and mesh together, what both have: where the lattice's mesh will do, and where fTetWild's.
 ENOUGH, ALMOST = 0.9, 0.8
 # Of meshes of a simplified surface: nodes of the result for each triangle by order, distance from those triangles over

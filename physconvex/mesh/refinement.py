@@ -8,8 +8,6 @@ from jaxtyping import Float
 from physconvex.errors import InputError
 from physconvex.mesh.tet_mesh import EDGE_CORNERS, TetMesh, linear_part, to_quadratic
 
-__all__ = ["refine_locally", "refine_uniformly"]
-
 _EQUAL = 1.0 + 1e-9  # ratio of lengths up to which edges count as equally long
 # The eight children of a tetrahedron in terms of its ten quadratic nodes (Bey's red refinement).
 CHILDREN = np.array(

@@ -10,8 +10,6 @@ from physconvex.mesh.stuffing import SignedDistance
 from physconvex.mesh.surfaces import with_merged_vertices
 from physconvex.mesh.tet_mesh import TetMesh
 
-__all__ = ["overlap", "surface_distance"]
-
 _SAMPLES = 20_000
 
 

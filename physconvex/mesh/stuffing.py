@@ -16,8 +16,6 @@ from jaxtyping import Bool, Float, Int
 from physconvex.errors import InputError
 from physconvex.mesh.tet_mesh import EDGE_CORNERS, TetMesh, compact
 
-__all__ = ["SignedDistance", "stuff"]
-
 # Distance from points [N, 3] to a surface, negative inside; shape [N], metres.
 SignedDistance = Callable[[Float[np.ndarray, "N 3"]], Float[np.ndarray, " N"]]
 

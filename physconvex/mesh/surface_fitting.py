@@ -10,8 +10,6 @@ from scipy.spatial import cKDTree
 from physconvex.mesh.tet_mesh import TetMesh, mean_ratios, to_quadratic
 from physconvex.numerics import closest_in_triangles
 
-__all__ = ["fit_to_surface", "with_volume"]
-
 # Edges of a regular tetrahedron as columns, inverted: maps the edges of an element to a deformation gradient.
 REGULAR_INVERSE = np.linalg.inv(
     np.array([[1.0, 0.5, 0.5], [0.0, np.sqrt(3) / 2, np.sqrt(3) / 6], [0.0, 0.0, np.sqrt(2 / 3)]])

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-__all__ = ["enclosed_volume", "with_fewer_triangles", "with_merged_vertices"]
-
 
 def enclosed_volume(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> float | None:
     """Volume inside a closed, outward oriented surface [m³]; None where it is open or inside out.

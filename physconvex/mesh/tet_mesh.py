@@ -10,8 +10,6 @@ from jaxtyping import Float, Int
 
 from physconvex.errors import InputError
 
-__all__ = ["EDGE_CORNERS", "Filling", "TetMesh", "box_mesh", "compact", "linear_part", "mean_ratios", "to_quadratic"]
-
 # Corners joined by mid-edge nodes 4..9 of a quadratic tetrahedron.
 EDGE_CORNERS = np.array([[0, 1], [1, 2], [0, 2], [0, 3], [1, 3], [2, 3]])
 # Faces with outward normals (corners), and the mid-edge nodes opposite to none: (01, 12, 20) of each face.

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-__all__ = ["huber_loss", "huber_weights"]
-
 
 def huber_loss(residuals: Float[np.ndarray, " N"], limits: Float[np.ndarray, " N"]) -> float:
     """Σ r²/2 where |r| ≤ k, k (|r| − k/2) beyond (Huber 1964); k = inf is least squares."""

@@ -6,8 +6,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-__all__ = ["best_rotation", "beyond_rigid", "rotation_matrix", "turning_rates"]
-
 
 def best_rotation(
     start: Float[np.ndarray, "V 3"], now: Float[np.ndarray, "V 3"], weights: Float[np.ndarray, " V"] | None = None

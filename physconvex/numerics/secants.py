@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-__all__ = ["broyden_update", "moved_along"]
-
 _STILL = 1e-8  # square of a step, in typical ones, that tells nothing
 
 

@@ -20,8 +20,6 @@ from scipy.sparse.linalg import splu
 
 from physconvex.errors import InputError, PhysconvexError
 
-__all__ = ["NotPositiveDefiniteError", "SymmetricSolver"]
-
 Backend = Literal["auto", "pardiso", "superlu"]
 # of Pardiso: take these and no defaults, which it does unless told; nested dissection; solutions are not refined, which
 # makes them four times as fast

@@ -9,8 +9,6 @@ import torch
 
 from physconvex.errors import InputError
 
-__all__ = ["device_named", "one_torch_thread"]
-
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:

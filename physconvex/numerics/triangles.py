@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-__all__ = ["closest_in_triangles", "closest_points"]
-
 
 def closest_in_triangles(
     triangles: Float[np.ndarray, "*#B 3 3"], points: Float[np.ndarray, "*#B 3"]

@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-__all__ = ["write_animated_glb"]
-
 _FLOAT, _UNSIGNED, _VERTICES, _INDICES = 5126, 5125, 34962, 34963
 _Y_UP = [-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)]  # glTF's y axis is up
 

@@ -14,8 +14,6 @@ from physconvex.convex import ConvexField, hull_mesh, read_ply
 from physconvex.errors import InputError
 from physconvex.play.surface import RestSurface, read_surface
 
-__all__ = ["Asset", "read_asset"]
-
 _FIELD_MARK = b"element convex "
 
 

@@ -15,19 +15,6 @@ from physconvex.errors import InputError
 from physconvex.io import FrozenConfig, read_tree, set_value, validated
 from physconvex.materials import LawName
 
-__all__ = [
-    "BasisConfig",
-    "BodyMaterialConfig",
-    "ContactConfig",
-    "FloorConfig",
-    "ForceConfig",
-    "PlayConfig",
-    "StartConfig",
-    "TimeConfig",
-    "load_play_config",
-    "overrides_of",
-]
-
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]

@@ -23,8 +23,6 @@ from physconvex.play.roll_out import PlayedObject
 from physconvex.reduced import ReducedTrajectory
 from physconvex.render import film
 
-__all__ = ["frames_of_field", "moving_fields", "moving_half_spaces", "write_fields"]
-
 _FIELD_OF_VIEW = 0.52  # [rad]
 
 

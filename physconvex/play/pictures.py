@@ -13,8 +13,6 @@ from physconvex.io import Picture, html_summary, load_triton_first
 from physconvex.play.config import FloorConfig
 from physconvex.play.roll_out import PlayedObject
 
-__all__ = ["floor_displacement", "frames_of", "played_html"]
-
 _OBJECTS = ("#d8743c", "#3c7ad8", "#4f9d69", "#b5539c", "#d8b13c")
 _LIGHT, _DARK = "#e9e6df", "#c9c4b8"
 _SHOWN = 5  # frames in a notebook

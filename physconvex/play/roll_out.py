@@ -42,8 +42,6 @@ from physconvex.reduced import (
     with_elastic_weights,
 )
 
-__all__ = ["PlayedObject", "play", "play_together"]
-
 
 @dataclass(frozen=True)
 class PlayedObject:

@@ -11,8 +11,6 @@ from physconvex.play.config import PlayConfig, load_play_config, overrides_of
 from physconvex.play.roll_out import PlayedObject, play_together
 from physconvex.play.writing import write_played
 
-__all__ = ["configure_assets", "simulate_assets"]
-
 
 def simulate_assets(
     assets: str | Path | Asset | Sequence[str | Path | Asset],

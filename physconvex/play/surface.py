@@ -13,8 +13,6 @@ from scipy.spatial.transform import Rotation
 from physconvex.errors import InputError
 from physconvex.play.config import StartConfig
 
-__all__ = ["RestSurface", "read_surface"]
-
 
 @dataclass(frozen=True)
 class RestSurface:

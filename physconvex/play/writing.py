@@ -17,8 +17,6 @@ from physconvex.play.fields import frames_of_field, write_fields
 from physconvex.play.pictures import frames_of
 from physconvex.play.roll_out import PlayedObject
 
-__all__ = ["summary_of", "write_played"]
-
 
 def summary_of(played: PlayedObject) -> dict[str, JsonValue]:
     """Numbers worth a look, with their units in the names."""

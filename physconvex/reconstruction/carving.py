@@ -13,8 +13,6 @@ from scipy.ndimage import gaussian_filter
 from physconvex.errors import InputError
 from physconvex.reconstruction.observation import Observation
 
-__all__ = ["footprint", "object_box", "visual_hull"]
-
 CELLS = 96  # along an edge of the cube
 MARGIN = 1.15  # of the cube around what the views bound
 REMEDY = "check the cameras' poses (camera-to-world, OpenGL axes, metres) and the masks"

@@ -12,8 +12,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from physconvex.errors import InputError
 from physconvex.io import set_value, validated
 
-__all__ = ["ReconstructionConfig", "StartKind", "load_reconstruction_config"]
-
 StartKind = Literal["auto", "mesh", "hull", "points"]
 Share = Annotated[float, Field(ge=0, le=1)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]

@@ -20,8 +20,6 @@ from physconvex.reconstruction.scores import structural_similarity
 from physconvex.reconstruction.start import Start
 from physconvex.render import RenderedImage, render
 
-__all__ = ["FitProgress", "FitState", "begin", "fit_field", "image_loss"]
-
 WARM_UP = 20  # steps over which the rates rise at the start
 WIDEST, NARROWEST = 10.0, 0.1  # edges that are allowed, times the first width
 SHARPEST = 20.0  # β and 1/β at most

@@ -15,8 +15,6 @@ from physconvex.reconstruction.observation import Observation
 from physconvex.reconstruction.pixel_weights import gather
 from physconvex.render import render
 
-__all__ = ["RefinedField", "hidden", "refine_field", "simplify"]
-
 LEAST_OPACITY = 0.03
 OPAQUE = 0.5  # a convex that is as opaque and hardly explains a pixel is hidden
 DIVISIBLE = 2.5  # extent in footprints from which a convex is split; smaller ones are cloned

@@ -9,8 +9,6 @@ from scipy.spatial import cKDTree
 
 from physconvex.reconstruction.triangles import Triangles
 
-__all__ = ["fillers", "octahedra", "prisms", "with_count"]
-
 GREATEST_GROWTH = 2.0  # of a sliver whose edges are moved outward
 SHARE_OF_WALL = 0.4  # of the way to the other side of the body that a prism may reach
 SURFACE_SAMPLES = 40_000

@@ -16,8 +16,6 @@ from physconvex.errors import InputError
 from physconvex.reconstruction.field_fit import FitState
 from physconvex.reconstruction.row_adam import RowAdam
 
-__all__ = ["load_fit", "save_fit"]
-
 NAMES = tuple(entry.name for entry in fields(FreeParameters))
 
 

@@ -13,8 +13,6 @@ from scipy.spatial import cKDTree
 from physconvex.convex import ConvexField, half_spaces, inside_union
 from physconvex.reconstruction.first_convexes import BOX_POINTS, UNPAINTED, WEDGES
 
-__all__ = ["fill_gaps", "grown_boxes"]
-
 CELL = 2.0  # footprints
 MARGIN = 0.25  # footprints: what is this near to a hull counts as covered
 LONGEST = 112  # cells along the longest edge of the body at most

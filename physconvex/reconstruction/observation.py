@@ -14,8 +14,6 @@ from physconvex.errors import InputError
 from physconvex.io import Camera
 from physconvex.render import View
 
-__all__ = ["Observation", "observation_of"]
-
 SOFT_RIM = 2  # pixels around a binary mask that the object may touch
 MARGIN = 6  # pixels kept around the object when an observation is cropped
 

@@ -11,8 +11,6 @@ from torch import Tensor
 from physconvex.convex import ConvexField
 from physconvex.render import View, splat
 
-__all__ = ["Gathered", "gather"]
-
 
 @dataclass(frozen=True, eq=False)
 class Gathered:

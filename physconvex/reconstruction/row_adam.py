@@ -9,8 +9,6 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-__all__ = ["RowAdam"]
-
 DECAY, SQUARE_DECAY, SMALL = 0.9, 0.99, 1e-15
 
 

@@ -15,8 +15,6 @@ from physconvex.convex import ConvexField
 from physconvex.reconstruction.observation import Observation
 from physconvex.render import render
 
-__all__ = ["ViewScore", "psnr", "score_views", "structural_similarity"]
-
 WINDOW, SPREAD = 11, 1.5  # pixels; Wang et al. 2004
 STABILISERS = (0.01**2, 0.03**2)
 

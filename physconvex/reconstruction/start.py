@@ -20,8 +20,6 @@ from physconvex.reconstruction.observation import Observation
 from physconvex.reconstruction.pixel_weights import Gathered, gather
 from physconvex.reconstruction.triangles import even_triangles, welded
 
-__all__ = ["Start", "body_surface", "start_field", "start_kind"]
-
 OPACITY = 0.97
 DEPTH = 1.3  # of prisms, in mean edges of the triangles
 

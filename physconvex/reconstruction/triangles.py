@@ -9,8 +9,6 @@ import pyvista as pv
 import trimesh
 from jaxtyping import Float
 
-__all__ = ["Triangles", "even_triangles"]
-
 NEAREST_MERGE = 1e-6  # vertices nearer than this share of the size are one
 LEAST_REDUCTION = 0.02
 

@@ -27,8 +27,6 @@ from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.step_derivatives import StepDerivatives
 from physconvex.reduced.trajectory import ReducedTrajectory
 
-__all__ = ["Bar", "LossGradient", "RecordedRollOut", "Sweep", "simulate_with_adjoint"]
-
 Loss = Callable[[ReducedTrajectory], tuple[float, Float[np.ndarray, "T R 3"]]]
 
 

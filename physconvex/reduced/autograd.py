@@ -23,8 +23,6 @@ from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.sensitivity import NamedParameters
 from physconvex.reduced.space import ReducedSpace
 
-__all__ = ["rollout_of_weights", "rollout_positions"]
-
 
 class _RollOut(torch.autograd.Function):
     """Positions of material points as a function of parameter values; the Jacobian is made in the forward pass."""

@@ -20,18 +20,6 @@ from physconvex.errors import InputError
 from physconvex.fem import ElasticBody, skinning_eigenmodes
 from physconvex.mesh import TetMesh, locate, shape_gradients, shape_values
 
-__all__ = [
-    "MAX_WEIGHTS",
-    "CallableWeights",
-    "NodalFunctions",
-    "NodalWeights",
-    "SkinningBasis",
-    "WeightField",
-    "checked_points",
-    "eigenmode_weights",
-    "sample_basis",
-]
-
 MAX_WEIGHTS = 64
 _BLOCK = 20_000  # points located at once
 

@@ -14,8 +14,6 @@ from physconvex.reduced.pair_contact import PairContact
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.trajectory import BodiesTrajectory, ReducedTrajectory
 
-__all__ = ["ReducedBodies"]
-
 _REACH = 0.02  # share of the smaller body's size
 
 

@@ -15,8 +15,6 @@ from physconvex.reduced.equations import ReducedEquations
 from physconvex.reduced.pair_contact import FrozenPairs, PairContact
 from physconvex.reduced.surface_contact import add_surface_blocks
 
-__all__ = ["BodiesEquations"]
-
 
 class _Pair:
     """A pair's contact and its place among the coordinates of all bodies."""

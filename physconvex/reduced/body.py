@@ -30,8 +30,6 @@ from physconvex.reduced.compiled_body import CompiledViscosity, compiled_viscosi
 from physconvex.reduced.space import ReducedSpace
 from physconvex.reduced.volumetric import VolumetricSamples
 
-__all__ = ["ReducedBody", "function_by_function"]
-
 PerCell = float | Float[np.ndarray, " C"]
 _BLOCK = 4_000_000  # numbers in the largest temporary of the Hessian
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))

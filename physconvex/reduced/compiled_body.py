@@ -15,16 +15,6 @@ from physconvex.kernels import POINTER, SOURCES, Kernel, address, aligned, doubl
 from physconvex.materials import KERNEL_LAWS, NEARLY_FLAT, Law, MaterialPoints
 from physconvex.reduced.volumetric import VolumetricSamples
 
-__all__ = [
-    "REDUCED_KERNEL",
-    "CompiledSamples",
-    "CompiledSurface",
-    "CompiledViscosity",
-    "compiled_surface",
-    "compiled_viscosity",
-    "volumetric_samples",
-]
-
 Array = np.ndarray
 _BLOCK = 500_000  # numbers in the rows whose products are added at once: they stay in the second cache
 

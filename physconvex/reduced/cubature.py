@@ -12,8 +12,6 @@ from physconvex.errors import InputError
 from physconvex.mesh import QUADRATURE, TetMesh
 from physconvex.reduced.shell import Shell
 
-__all__ = ["BodySamples", "Cubature", "tet_cubature"]
-
 MASS_DEGREE = 6  # (quadratic weight × X)² within an element
 
 

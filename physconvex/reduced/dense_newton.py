@@ -14,8 +14,6 @@ from physconvex.numerics import NotPositiveDefiniteError
 from physconvex.reduced.body import function_by_function
 from physconvex.reduced.secant_corrections import Secants
 
-__all__ = ["DenseNewton"]
-
 _SECANTS = 8  # pairs of changes kept
 _ROUNDED = 1e-9  # share of the body's size below which a change is left out of them
 

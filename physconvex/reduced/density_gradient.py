@@ -14,8 +14,6 @@ from jaxtyping import Float
 
 from physconvex.reduced.body import ReducedBody
 
-__all__ = ["DensityGradient"]
-
 _BLOCK = 20_000
 
 

@@ -16,8 +16,6 @@ from physconvex.fem import ElasticBody, elastic_responses, rigid_motions, skinni
 from physconvex.numerics import best_rotation
 from physconvex.reduced.basis import MAX_WEIGHTS, NodalWeights
 
-__all__ = ["elastic_weights", "principal_fields"]
-
 _AT_ONCE = 10  # weights that are taken before what their products give is taken out of the rest
 _NEGLIGIBLE = 1e-10  # share of the square norm below which a field is rounding
 _LOOSE = 1e-3  # of the highest vibration's frequency, below which one counts as a motion of loose parts

@@ -14,8 +14,6 @@ from physconvex.reduced.dense_newton import DenseNewton
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.surface_contact import SurfaceContact, add_surface_blocks, contact_blocks
 
-__all__ = ["ReducedEquations"]
-
 
 class ReducedEquations(DenseNewton):
     """Incremental potential of one time step in the reduced coordinates, an `Objective` with a dense Hessian."""

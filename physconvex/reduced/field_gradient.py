@@ -21,8 +21,6 @@ from physconvex.reduced.equations import ReducedEquations
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.surface_contact import contact_blocks
 
-__all__ = ["FieldBars", "FieldGradient"]
-
 
 @dataclass(frozen=True)
 class FieldGradient:

@@ -21,8 +21,6 @@ from physconvex.errors import InputError
 from physconvex.materials import FlowRule, FlowStep, stored_flows
 from physconvex.reduced.body import ReducedBody
 
-__all__ = ["FlowTangents", "FlowingStep"]
-
 _DIFFERENCE = 1e-6  # change of strains, and relative change of constants
 
 

@@ -14,8 +14,6 @@ from jaxtyping import Float
 
 from physconvex.dynamics import Contact, Obstacle
 
-__all__ = ["FreezeTangent", "friction_tangent"]
-
 
 @dataclass(frozen=True)
 class FreezeTangent:

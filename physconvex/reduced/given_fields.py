@@ -14,8 +14,6 @@ from physconvex.fem import ElasticBody
 from physconvex.reduced.basis import MAX_WEIGHTS, NodalWeights, WeightField
 from physconvex.reduced.elastic_basis import principal_fields
 
-__all__ = ["ArrayWeights", "PredictedField", "StackedWeights", "predicted_weights", "snapshot_weights"]
-
 
 @runtime_checkable
 class PredictedField(Protocol):

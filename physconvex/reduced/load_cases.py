@@ -12,8 +12,6 @@ from physconvex.dynamics import Obstacle, Pins
 from physconvex.errors import InputError
 from physconvex.mesh import TetMesh
 
-__all__ = ["even_loads", "held_nodes", "surface_patches", "touched_loads"]
-
 
 def surface_patches(points: Float[np.ndarray, "S 3"], count: int) -> Int[np.ndarray, " S"]:
     """Number of the patch that each surface point belongs to, 0 to `count` − 1.

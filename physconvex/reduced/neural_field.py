@@ -25,8 +25,6 @@ from physconvex.materials import checked_constant, get_law, lame_parameters
 from physconvex.reduced.basis import MAX_WEIGHTS
 from physconvex.reduced.cubature import BodySamples
 
-__all__ = ["NeuralFieldOptions", "NeuralWeights", "train_neural_weights", "untrained_neural_weights"]
-
 Layers = list[tuple[Tensor, Tensor]]
 PerCell = float | Float[np.ndarray, " C"]
 

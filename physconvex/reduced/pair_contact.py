@@ -19,8 +19,6 @@ from scipy.spatial.distance import cdist
 from physconvex.dynamics import Contact
 from physconvex.numerics import closest_in_triangles
 
-__all__ = ["FrozenPairs", "PairContact", "Touch"]
-
 _TIE = 1e-9  # relative difference of distances below which triangles count as equally near
 
 

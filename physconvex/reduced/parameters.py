@@ -14,8 +14,6 @@ from physconvex.errors import InputError
 from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.scene import ReducedScene
 
-__all__ = ["FLOW_PARAMETERS", "PARAMETERS", "ParameterName", "check_parameters", "parameter_values", "with_parameters"]
-
 ParameterName = Literal[
     "log10_youngs_modulus",  # log10 of the mean E [Pa]; bodies of several materials are scaled as a whole
     "poisson_ratio",  # mean ν [-]; shifted as a whole

@@ -16,8 +16,6 @@ from jaxtyping import Float
 
 from physconvex.errors import InputError
 
-__all__ = ["PIN_STIFFNESS_RATIO", "PinSprings"]
-
 PIN_STIFFNESS_RATIO = 1000.0  # k L / E: a clamp gives way by about a thousandth of the body's displacements
 
 

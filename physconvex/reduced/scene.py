@@ -15,8 +15,6 @@ from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.pins import PIN_STIFFNESS_RATIO, PinSprings
 from physconvex.reduced.trajectory import ReducedTrajectory
 
-__all__ = ["ReducedScene"]
-
 
 @dataclass(frozen=True)
 class ReducedScene(World):

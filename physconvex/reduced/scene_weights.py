@@ -16,8 +16,6 @@ from physconvex.reduced.load_cases import even_loads, held_nodes, touched_loads
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.space import ReducedSpace
 
-__all__ = ["most_deformed", "with_elastic_weights"]
-
 _PATCHES = 20
 
 

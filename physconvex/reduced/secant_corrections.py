@@ -14,8 +14,6 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg.blas import dtrsv
 
-__all__ = ["Secants"]
-
 _CURVED = 1e-8  # cosine between change of place and of gradient below which a pair tells nothing
 
 

@@ -26,8 +26,6 @@ from physconvex.reduced.parameters import check_parameters, parameter_values
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.step_derivatives import StepDerivatives
 
-__all__ = ["NamedParameters"]
-
 
 class _Tangents:
     """Derivatives of the state with respect to P parameters, carried along step by step."""

@@ -10,8 +10,6 @@ from jaxtyping import Float, Int
 from physconvex.errors import InputError
 from physconvex.mesh import TetMesh
 
-__all__ = ["Shell"]
-
 _QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])  # of a quadratic face
 
 

@@ -11,8 +11,6 @@ from physconvex.reduced.bodies_equations import BodiesEquations
 from physconvex.reduced.equations import ReducedEquations
 from physconvex.reduced.scene import ReducedScene
 
-__all__ = ["prepared_bodies", "prepared_body"]
-
 _STALE_RATE = 0.5  # secants make up for a factor that has grown old
 _TOLERANCE = 3e-8  # of Newton's last step, over the size
 

@@ -21,8 +21,6 @@ from physconvex.errors import InputError
 from physconvex.reduced.basis import NodalFunctions, NodalWeights, WeightField, checked_points, sample_basis
 from physconvex.reduced.cubature import BodySamples, Cubature
 
-__all__ = ["ReducedSpace"]
-
 _DEPENDENT = 1e-9  # share of a function's square norm below which it counts as a combination of those before it
 _BLOCK = 20_000
 

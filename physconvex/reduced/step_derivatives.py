@@ -16,8 +16,6 @@ from physconvex.reduced.friction_tangents import FreezeTangent
 from physconvex.reduced.parameters import axis_of, cells_of, check_parameters, mean_density, region_of
 from physconvex.reduced.scene import ReducedScene
 
-__all__ = ["StepDerivatives"]
-
 _LN10 = float(np.log(10.0))
 
 

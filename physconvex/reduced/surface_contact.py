@@ -8,8 +8,6 @@ from jaxtyping import Float
 from physconvex.dynamics import Contact, Friction
 from physconvex.reduced.compiled_body import compiled_surface
 
-__all__ = ["SurfaceContact", "add_surface_blocks", "contact_blocks"]
-
 
 def contact_blocks(contact: Contact, x: Float[np.ndarray, "S 3"], time: float) -> Float[np.ndarray, "S 3 3"]:
     """Exact second derivatives of the contact energy [N/m], with the curvature of the obstacles."""

@@ -10,8 +10,6 @@ from jaxtyping import Float
 from physconvex.dynamics import SolveStatistics
 from physconvex.reduced.space import ReducedSpace
 
-__all__ = ["BodiesTrajectory", "ReducedTrajectory"]
-
 
 @dataclass(frozen=True)
 class ReducedTrajectory:

@@ -26,8 +26,6 @@ from physconvex.materials import (
     slopes_of_volume,
 )
 
-__all__ = ["VolumetricSamples"]
-
 Array = np.ndarray
 
 

@@ -9,8 +9,6 @@ from typing import Annotated
 
 import typer
 
-__all__ = ["film_command", "view_command"]
-
 
 def film_command(
     field: Annotated[Path, typer.Argument(help="field.ply, or a folder with it or with one per frame.")],

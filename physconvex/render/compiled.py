@@ -18,8 +18,6 @@ from physconvex.render.hull import Hulls
 from physconvex.render.projection import Splats
 from physconvex.render.reference import Layers
 
-__all__ = ["RENDER_FLAGS", "RENDER_KERNEL", "composite_kernel", "composite_tangents", "planar_hulls_kernel"]
-
 FEATURES = 4
 # No result may be infinite or NaN by design, which lets minima and maxima become single instructions.
 RENDER_FLAGS = (*FLAGS, "-pthread", "-fopenmp-simd", "-fno-signed-zeros", "-ffinite-math-only")

@@ -17,8 +17,6 @@ from physconvex.render.hull import Hulls
 from physconvex.render.projection import Splats
 from physconvex.render.reference import Layers
 
-__all__ = ["FUNCTIONS", "composite_cuda", "composite_tangents_cuda", "planar_hulls_cuda", "render_source"]
-
 FUNCTIONS = ("blend", "gradient", "tangent", "hulls")
 SIDE, BLOCK, FEATURES, DIRECTIONS = 16, 256, 4, 8
 

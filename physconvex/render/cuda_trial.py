@@ -19,8 +19,6 @@ from physconvex.render.projection import project_field
 from physconvex.render.reference import composite_reference
 from physconvex.render.view import View
 
-__all__ = ["cuda_draws_rightly"]
-
 _CONVEXES, _SIZE = 300, (37, 21)  # more than one round of candidates in a tile, and tiles that are cut off
 _IMAGE, _GRADIENT = 1e-3, 1e-2  # largest differences beside the largest value
 

@@ -10,8 +10,6 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
-__all__ = ["Directions", "load_forward_mode", "stacked"]
-
 Directions = Sequence[tuple[Tensor | None, ...]]
 """For each direction the derivatives of the coordinates and of `Splats.differentiable`, or None where they are zero."""
 

@@ -8,8 +8,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-__all__ = ["Hulls", "planar_hulls"]
-
 
 @dataclass(frozen=True, eq=False)
 class Hulls:

@@ -19,8 +19,6 @@ from physconvex.render.projection import NEAR, Splats
 from physconvex.render.rasterize import Backend, splat
 from physconvex.render.view import View
 
-__all__ = ["ImageJacobian", "render_jacobian"]
-
 _IN_ONE_PASS = {composite_kernel: composite_tangents, composite_cuda: composite_tangents_cuda}
 
 

@@ -14,8 +14,6 @@ from physconvex.errors import InputError
 from physconvex.io import Camera, look_at
 from physconvex.render.rasterize import render
 
-__all__ = ["film", "orbit"]
-
 FIELD_OF_VIEW = 0.6  # [rad]
 SPACE = 1.1  # around the object
 

@@ -13,8 +13,6 @@ from physconvex.convex import ConvexField, view_colours
 from physconvex.render.hull import Hulls, planar_hulls
 from physconvex.render.view import View
 
-__all__ = ["NEAR", "THIN", "Splats", "project_field"]
-
 NEAR = 0.01  # nothing nearer is seen [m]
 THIN = 0.5  # least width of what is drawn for a convex [pixels]
 

@@ -22,8 +22,6 @@ from physconvex.render.projection import NEAR, Splats, project_field
 from physconvex.render.reference import Layers, composite_reference
 from physconvex.render.view import View
 
-__all__ = ["Backend", "RenderedImage", "render", "splat"]
-
 Backend = Literal["auto", "kernel", "cuda", "reference"]
 
 

@@ -10,8 +10,6 @@ from torch import Tensor
 
 from physconvex.render.projection import Splats
 
-__all__ = ["GREATEST_ALPHA", "LEAST_ALPHA", "LEAST_TRANSMITTANCE", "Layers", "composite_reference"]
-
 LEAST_ALPHA = 1 / 255  # what is fainter is not drawn
 GREATEST_ALPHA = 0.99  # no convex hides all behind it, so the blending can be differentiated
 LEAST_TRANSMITTANCE = 1e-4  # nothing is drawn behind what lets less through

@@ -11,8 +11,6 @@ from torch.autograd import forward_ad
 
 from physconvex.io import UNDISTORT_ITERATIONS, Camera
 
-__all__ = ["View"]
-
 
 @dataclass(frozen=True, eq=False)
 class View:

@@ -19,8 +19,6 @@ from physconvex.render.rasterize import render
 from physconvex.render.reference import LEAST_ALPHA
 from physconvex.render.view import View
 
-__all__ = ["FieldViewer", "draw_view", "read_fields"]
-
 SOFT, HULLS = "soft convexes", "hulls"
 STILL = 0.2  # seconds after which a camera counts as at rest and the picture is drawn in full
 COARSE = 3  # times fewer pixels each way while it moves

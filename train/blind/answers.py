@@ -14,8 +14,6 @@ from data_gen import DICTIONARY, digest, run_jobs
 from physconvex import InputError, PhysconvexError
 from physconvex.gap import GapOptions, diagnose
 
-__all__ = ["diagnose_bank", "likeliest_known"]
-
 Report = Callable[[str], None]
 
 

@@ -13,8 +13,6 @@ from physconvex.io import command
 if TYPE_CHECKING:
     from train.blind.scoring import BankScore
 
-__all__ = ["app"]
-
 app = typer.Typer(no_args_is_help=True, help=__doc__)
 
 

@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["DoseScore", "score_doses"]
-
 # effects that the explicit engine has in another form than the dictionary: their doses are other quantities
 OTHER_FORM = frozenset({"air_drag", "viscoelasticity", "nonlinear_elasticity", "heterogeneity", "anisotropy"})
 _LOG = "log10 "

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binomtest, mannwhitneyu
 
-__all__ = ["Bin", "Proportion", "area_under_roc", "calibration_error", "proportion", "reliability"]
-
 _BINS = 10
 
 

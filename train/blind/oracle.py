@@ -12,8 +12,6 @@ from physconvex import PhysconvexError
 from physconvex.gap import GapOptions, diagnose
 from train.blind.scoring import VISIBLE, Bank, score_banks
 
-__all__ = ["run_oracle"]
-
 Report = Callable[[str], None]
 
 

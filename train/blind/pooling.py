@@ -14,8 +14,6 @@ from physconvex import InputError
 from train.blind.rows import Row
 from train.blind.scoring import BankScore, score_rows
 
-__all__ = ["pool_scores"]
-
 
 @dataclass(frozen=True)
 class _Stored:

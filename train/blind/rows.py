@@ -12,8 +12,6 @@ from data_gen import OUTSIDE, same_class
 from physconvex.gap import VERDICT
 from train.blind.doses import DoseScore, score_doses
 
-__all__ = ["Row", "scored_row", "share_of"]
-
 
 @dataclass(frozen=True)
 class Row:

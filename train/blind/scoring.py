@@ -16,18 +16,6 @@ from physconvex import InputError
 from train.blind.metrics import Bin, Proportion, area_under_roc, calibration_error, proportion, reliability
 from train.blind.rows import Row, scored_row
 
-__all__ = [
-    "VISIBLE",
-    "Bank",
-    "BankScore",
-    "Bias",
-    "EffectScore",
-    "VisibilityScore",
-    "opened",
-    "score_banks",
-    "score_rows",
-]
-
 VISIBLE = 10.0  # visibility from which on the figures count
 _LADDER = (1.5, 3.0, 10.0, 30.0)  # that accuracy is shown by
 

@@ -13,8 +13,6 @@ import numpy as np
 from train.blind.rows import Row
 from train.blind.scoring import BankScore
 
-__all__ = ["draw_score", "score_json", "score_markdown"]
-
 
 def score_json(score: BankScore) -> str:
     """All of a score; what is not known is null."""

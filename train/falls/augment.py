@@ -13,8 +13,6 @@ from models import GREY, MOMENT_NAMES, mirrored_moments_tensor
 from train.config import AugmentConfig
 from train.motion_states import MIRROR
 
-__all__ = ["Shown", "augment_at_once"]
-
 _COLUMN = {name: k for k, name in enumerate(MOMENT_NAMES)}
 _GREY_WEIGHTS = (0.2989, 0.587, 0.114)
 

@@ -16,8 +16,6 @@ from train.falls.real import RealClips
 from train.falls.views import draw_views
 from train.falls.world import Falls, turned
 
-__all__ = ["FallBatch", "draw_batch", "joined_batches", "real_batch"]
-
 
 @dataclass(frozen=True, eq=False)
 class FallBatch:

@@ -11,8 +11,6 @@ from torch.nn import functional
 
 from models import GREY, ClipSettings
 
-__all__ = ["Prepared", "prepare_clips_at_once"]
-
 _FIRST = 3  # frames that give the unit of length, as in models.silhouette and models.windows
 
 

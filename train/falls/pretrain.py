@@ -32,8 +32,6 @@ from train.run_log import RunLog
 from train.run_state import TrainingProgress, load_training_state, refuse_other_run, save_training_state
 from train.schedule import cosine_schedule
 
-__all__ = ["STATE", "Pretraining", "pretrain", "scores"]
-
 _LOG = logging.getLogger("physconvex")
 
 STATE = "state.safetensors"

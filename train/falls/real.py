@@ -12,8 +12,6 @@ from torch import Tensor
 from train.data import TrainingClips
 from train.falls.augment import Shown
 
-__all__ = ["RealClips"]
-
 
 @dataclass(frozen=True, eq=False)
 class RealClips:

@@ -26,8 +26,6 @@ from train.run_state import refuse_other_run
 from train.split_clips import split_clips
 from train.validation import validate
 
-__all__ = ["train_on_falls"]
-
 _HELD_OUT = 80  # falls that are looked at only
 
 

@@ -13,8 +13,6 @@ from train.data import Item, TrainingClips, collate
 from train.losses import Targets
 from train.progress import Report
 
-__all__ = ["HeadTraining", "fit_skinning_head"]
-
 
 @dataclass(frozen=True)
 class HeadTraining:

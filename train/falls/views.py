@@ -12,8 +12,6 @@ from torch.nn import functional
 from data_gen import LOOK, VIEW, CameraConfig, DrawnClips, render_falls
 from train.falls.world import Falls, Index
 
-__all__ = ["Views", "draw_views"]
-
 _POINTS = 64  # of a surface, that the camera keeps in sight
 
 

@@ -15,8 +15,6 @@ from models import dimensionless_interval, log10_dimensionless_stiffness
 from physconvex import ConvergenceError
 from physconvex.mesh import QUADRATURE, shape_values
 
-__all__ = ["Falls", "Index", "joined", "simulate_falls", "turned"]
-
 Index = Int[Tensor, " B"]
 """Numbers of falls."""
 

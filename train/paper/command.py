@@ -13,8 +13,6 @@ import typer
 from physconvex.io import command
 from train.paper.options import PaperOptions
 
-__all__ = ["paper_command"]
-
 
 @command
 def paper_command(

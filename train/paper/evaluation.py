@@ -29,8 +29,6 @@ from train.paper.pictures import score_pictures
 from train.paper.published_way import NAMES, fit_as_published
 from train.paper.rows import Change, ObjectRow, PaperPart, PictureScores
 
-__all__ = ["evaluate_paper"]
-
 CONSTANT = (5.5, 0.345)  # the middle of the ranges 1e4 to 1e7 Pa and .2 to .49
 
 

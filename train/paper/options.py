@@ -8,8 +8,6 @@ from pydantic import field_validator
 
 from physconvex.io import CommandLine, Options
 
-__all__ = ["PaperOptions"]
-
 
 class PaperOptions(Options):
     """Sizes of the evaluation."""

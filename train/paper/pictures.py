@@ -18,8 +18,6 @@ from physconvex.reconstruction import psnr, structural_similarity
 from physconvex.render import render
 from train.paper.rows import PictureScores
 
-__all__ = ["perceptual_score", "score_pictures"]
-
 
 def score_pictures(
     fields: Sequence[ConvexField], cameras: Sequence[Camera], truth: Path, frames: range

@@ -30,8 +30,6 @@ from physconvex.identify import (
 from physconvex.io import Capture
 from physconvex.reduced import train_neural_weights
 
-__all__ = ["NAMES", "PublishedFit", "fit_as_published"]
-
 NAMES = ("log10_youngs_modulus", "poisson_ratio")
 _RATES = np.array([0.02, 0.005])  # Adam's, in decades and in ν
 _BETAS, _TINY = (0.9, 0.999), 1e-12

@@ -10,8 +10,6 @@ from typing import TypedDict, cast
 
 from pydantic import JsonValue
 
-__all__ = ["Change", "ObjectRow", "PaperPart", "PictureScores"]
-
 _OWN = ("object", "truth", "truth_itself")
 
 

@@ -11,8 +11,6 @@ import numpy as np
 
 from train.paper.rows import ObjectRow, PaperPart
 
-__all__ = ["Summary", "markdown", "summary"]
-
 _WAYS = {"constant": "constant guess", "network": "network alone", "published_way": "published way, run here",
          "refined": "refined"}  # fmt: skip
 

@@ -21,8 +21,6 @@ from physconvex.identify import (
 )
 from physconvex.mesh import TetMesh
 
-__all__ = ["fit_baseline", "misfit_of_base"]
-
 _RATIO = "poisson_ratio"
 
 

@@ -18,8 +18,6 @@ from physconvex.gap.thresholds import BASE_FIT
 from physconvex.identify import Fit, Observations, Twin
 from physconvex.io import Boundary, Capture, Tracks
 
-__all__ = ["FLOOR_LAW", "Baseline", "Split", "derivatives_of_residuals", "shortened", "split_frames"]
-
 Report = Callable[[str], None]
 FLOOR_LAW: tuple[str, str] = (
     "log10_contact_stiffness",

@@ -32,8 +32,6 @@ from scipy.linalg import null_space
 from physconvex.gap.thresholds import EVIDENCE, NUMERICAL_ERROR
 from physconvex.identify import MarkerObservations, Observations, PixelObservations, WrappedObservations
 
-__all__ = ["BodyModes", "TurnedObservations", "body_modes", "temperature", "undivided"]
-
 _RIGID, _STRAIN, _REST, _PARTS = 0, 1, 2, 3
 _DEPENDENT = 1e-3  # of its length: what is left of a motion that the ones before it make up
 

@@ -16,8 +16,6 @@ from physconvex.gap.thresholds import BODY_MESH
 from physconvex.io import Boundary, Capture
 from physconvex.mesh import TetMesh, box_mesh
 
-__all__ = ["box_cells", "box_of_body", "with_plane"]
-
 
 def box_of_body(capture: Capture, max_nodes: int) -> TetMesh | None:
     """Quadratic mesh of a body that is a box along the axes; None for others, and where its own tets are few."""

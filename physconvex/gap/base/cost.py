@@ -17,8 +17,6 @@ from physconvex.dynamics import SolveStatistics
 from physconvex.errors import ConvergenceError
 from physconvex.gap.thresholds import RUN_COST
 
-__all__ = ["Cost", "OutOfBudget", "newton_step"]
-
 
 class OutOfBudget(ConvergenceError):
     """A fit ends where it is: its runs have cost what they may."""

@@ -7,8 +7,6 @@ import numpy as np
 from physconvex.fem import vibration_modes
 from physconvex.gap.base.model import EffectModel
 
-__all__ = ["decades_between", "lowest_frequency"]
-
 
 def decades_between(one: EffectModel, other: EffectModel, values: np.ndarray) -> float:
     """Decades of E by which another mesh must be stiffer to vibrate as the one does, by their lowest frequencies."""

@@ -22,8 +22,6 @@ from physconvex.io import Camera
 from physconvex.mesh import Embedding, TetMesh
 from physconvex.reduced import ReducedScene, parameter_values
 
-__all__ = ["MODULUS", "EffectModel", "accurate", "reduced_like", "searches_itself"]
-
 Positions = Float[np.ndarray, "T P 3"]
 Vector = Float[np.ndarray, " K"]
 MODULUS = "log10_youngs_modulus"  # as the parameter is called

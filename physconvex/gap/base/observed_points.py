@@ -15,18 +15,6 @@ from physconvex.identify import MarkerObservations, PixelObservations, Twin, fol
 from physconvex.io import Camera, Capture
 from physconvex.mesh import TetMesh
 
-__all__ = [
-    "Seen",
-    "depth_seen",
-    "followed",
-    "in_metres",
-    "lost_points",
-    "observations_of",
-    "starts_elsewhere",
-    "widened",
-    "with_honest_noise",
-]
-
 Seen: TypeAlias = MarkerObservations | PixelObservations
 
 

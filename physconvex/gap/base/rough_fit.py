@@ -52,8 +52,6 @@ from physconvex.identify import (
 from physconvex.io import Capture
 from physconvex.mesh import TetMesh
 
-__all__ = ["rough_baseline", "rough_error_by_frame", "run_base", "steps_per_frame", "with_rough_errors"]
-
 _RATIO = "poisson_ratio"
 
 

@@ -28,8 +28,6 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.thresholds import SETTING
 from physconvex.mesh import TetMesh
 
-__all__ = ["own_elements", "with_own_elements"]
-
 _COMPANY = ("gravity_tilt", "damping")  # beside which the masses are asked for
 _RATIO = "poisson_ratio"
 

@@ -36,8 +36,6 @@ from physconvex.gap.thresholds import SETTING
 from physconvex.identify import Fit, FitOptions, fit, misfit_of, scan_values
 from physconvex.mesh import TetMesh
 
-__all__ = ["RIGID", "Company", "damped_fit", "on_giving_floor", "sinks_in", "softness"]
-
 RIGID = ("friction", "gravity_tilt", "air_drag (linear)", "initial_velocity", "initial_spin")
 _RATIO = "poisson_ratio"
 

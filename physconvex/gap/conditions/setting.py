@@ -21,8 +21,6 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.thresholds import SETTING
 from physconvex.identify import Fit
 
-__all__ = ["Setting", "find_setting"]
-
 
 @dataclass(frozen=True, eq=False)
 class Setting:

@@ -11,9 +11,6 @@ from physconvex.gap.effects.material import MATERIAL_EFFECTS
 from physconvex.gap.effects.observation import IMAGE_EFFECTS, OBSERVATION_EFFECTS
 from physconvex.gap.effects.world import WORLD_EFFECTS
 
-__all__ = ["DECLARED_EFFECTS", "DEFAULT_EFFECTS", "EFFECT_NAMES", "GAUGES", "NUMERICAL", "applicable", "choose"]
-
-
 # Their directions are differences of runs of the full-order model, see `physconvex.gap.errors.numerical_differences`.
 _SHARE = Dose("share", "", -30.0, 30.0, 0.5, lambda s: 1.0, plausible=5.0)
 NUMERICAL: tuple[Effect, ...] = (

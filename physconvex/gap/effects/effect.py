@@ -16,8 +16,6 @@ from physconvex.gap.thresholds import BASE_FIT
 from physconvex.io import Camera
 from physconvex.reduced import ReducedScene
 
-__all__ = ["IN_FLIGHT", "SOURCES", "AnyScene", "Dose", "Effect", "Patches", "Situation", "Source"]
-
 AnyScene: TypeAlias = ReducedScene | Scene
 Source = Literal["material", "contact", "external", "initial state", "observation", "numerical", "gauge"]
 SOURCES: tuple[Source, ...] = (

@@ -16,9 +16,6 @@ from physconvex.gap.effects.effect import AnyScene, Dose, Effect
 from physconvex.gap.effects.scenes import cell_masses, scaled_coordinates, with_material
 from physconvex.reduced import ReducedScene
 
-__all__ = ["CLAMP_EFFECTS", "LOAD_EFFECTS"]
-
-
 _REACH = 0.15  # of the half size of the body: how far from the held points its give is spread
 
 

@@ -20,8 +20,6 @@ from physconvex.materials import (
     with_strain_stiffening,
 )
 
-__all__ = ["MATERIAL_EFFECTS"]
-
 Doses = Float[np.ndarray, " D"]
 Axis = tuple[int, int, int]
 _INCLUSION = 0.5  # standard deviation of a softer or stiffer part, over half the edges of the body

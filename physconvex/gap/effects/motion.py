@@ -10,8 +10,6 @@ from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from physconvex.io import Camera
 
-__all__ = ["MotionCorrection", "PointMotion"]
-
 Positions = Float[np.ndarray, "T P 3"]
 
 

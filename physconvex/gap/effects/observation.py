@@ -15,9 +15,6 @@ from physconvex.gap.effects.effect import Dose, Effect, Patches, Situation
 from physconvex.gap.effects.motion import PointMotion
 from physconvex.gap.effects.world import rotation_vector_matrix
 
-__all__ = ["EXPOSURE", "IMAGE_EFFECTS", "MOTION_BLUR", "OBSERVATION_EFFECTS"]
-
-
 Doses = Float[np.ndarray, " D"]
 Positions = Float[np.ndarray, "T P 3"]
 

@@ -15,8 +15,6 @@ from physconvex.gap.effects.effect import AnyScene
 from physconvex.materials import LAWS, FlowRule, Flows, Law, Plasticine, less_ground
 from physconvex.reduced import Cubature, ReducedBody, ReducedScene
 
-__all__ = ["cell_masses", "scaled_coordinates", "with_material"]
-
 Points = Float[np.ndarray, "N 3"]
 
 

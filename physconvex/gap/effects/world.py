@@ -10,8 +10,6 @@ from jaxtyping import Float
 from physconvex.dynamics import Wind
 from physconvex.gap.effects.effect import AnyScene, Dose, Effect, Situation
 
-__all__ = ["WORLD_EFFECTS", "rotation_vector_matrix"]
-
 Doses = Float[np.ndarray, " D"]
 
 

@@ -26,8 +26,6 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.thresholds import NUMERICAL_ERROR
 from physconvex.numerics import beyond_rigid
 
-__all__ = ["detail_errors", "error_model", "error_scale", "forgiving", "path_since_contact"]
-
 
 def error_model(
     base: Baseline, numerics: Numerics, options: GapOptions, *, scale: float | Float[np.ndarray, " N"] = 1.0

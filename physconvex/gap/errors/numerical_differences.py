@@ -23,8 +23,6 @@ from physconvex.gap.thresholds import NUMERICAL_ERROR
 from physconvex.identify import FitOptions, MarkerObservations, fit, mesh_of_capture
 from physconvex.mesh import TetMesh, refine_uniformly, tetrahedralize
 
-__all__ = ["Numerics", "correction_of", "exact_model", "numerical_differences", "other_mesh", "with_absorbed_mesh"]
-
 Positions = Float[np.ndarray, "T P 3"]
 
 

@@ -24,8 +24,6 @@ from scipy.stats import chi2
 
 from physconvex.errors import InputError
 
-__all__ = ["ErrorModel", "Projector", "Score", "least_squares", "score_effect"]
-
 
 @dataclass(frozen=True, eq=False)
 class ErrorModel:

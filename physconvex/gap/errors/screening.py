@@ -16,8 +16,6 @@ from physconvex.gap.effects.effect import Effect
 from physconvex.gap.errors.numerical_differences import Numerics
 from physconvex.gap.errors.score_test import ErrorModel, Projector, Score, least_squares, score_effect
 
-__all__ = ["Pair", "Screened", "Screening", "best_pairs", "screen"]
-
 
 @dataclass(frozen=True, eq=False)
 class Screened:

@@ -10,8 +10,6 @@ from physconvex.gap.judgement.naming import Verdict
 from physconvex.gap.search.hypothesis import Hypothesis, doses_at_bounds
 from physconvex.gap.thresholds import SCREENING, VERDICT
 
-__all__ = ["caveats_of", "doses_in_sight", "next_experiment"]
-
 _PAIRS: dict[frozenset[str], str] = {
     frozenset(pair): text
     for pair, text in (

@@ -14,19 +14,6 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.thresholds import VERDICT
 
-__all__ = [
-    "SOMETHING_ELSE",
-    "NamedDose",
-    "NamedEffect",
-    "Verdict",
-    "VerdictName",
-    "beside_something_else",
-    "by_weight",
-    "favoured",
-    "named_effects",
-    "probabilities",
-]
-
 SOMETHING_ELSE = "something else"
 _DEFORMING = ("material", "contact")  # sources of effects that act through how the body deforms or touches
 VerdictName = Literal["none", "effect", "unknown", "inconclusive"]

@@ -20,8 +20,6 @@ from physconvex.gap.search.hypothesis import Hypothesis, base_hypothesis, eviden
 from physconvex.gap.shrinkage import HowFar
 from physconvex.gap.thresholds import VERDICT
 
-__all__ = ["Measured", "gain_in_flight", "left_in_flight", "measure", "relative_gap"]
-
 
 def gain_in_flight(base: Baseline, errors: ErrorModel, best: Hypothesis, plain: Hypothesis) -> float:
     """Log-likelihood of the frames before the first contact that effects gain, less ½ k ln n for their k doses.

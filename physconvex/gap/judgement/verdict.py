@@ -9,7 +9,6 @@ from physconvex.gap.errors.screening import Screening
 from physconvex.gap.judgement.naming import (
     SOMETHING_ELSE,
     Verdict,
-    VerdictName,
     beside_something_else,
     favoured,
     probabilities,
@@ -19,8 +18,6 @@ from physconvex.gap.judgement.verdict_input import VerdictInput
 from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.thresholds import VERDICT
-
-__all__ = ["Verdict", "VerdictName", "decide"]
 
 
 def decide(

@@ -18,8 +18,6 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.thresholds import VERDICT
 
-__all__ = ["VerdictInput"]
-
 _LATER = (
     "The flight before the first contact shows it beyond doubt. Of the held-out gap after it, it removes {:.0%}: the "
     "rest has another cause, of which a contact that works otherwise is the likeliest."

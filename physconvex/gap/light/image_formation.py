@@ -26,18 +26,6 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.thresholds import PICTURES, VERDICT
 from physconvex.identify import PixelObservations, cast_camera_rays
 
-__all__ = [
-    "BRIGHTNESS",
-    "SMEAR",
-    "ImageFinding",
-    "Series",
-    "Statistic",
-    "finding_of",
-    "fit_series",
-    "image_findings",
-    "with_pictures",
-]
-
 Feature = Callable[[Float[np.ndarray, "N h w"], Patches], Float[np.ndarray, " N"]]
 _TINY = 1e-9
 

@@ -17,8 +17,6 @@ from physconvex.gap.effects.effect import Patches
 from physconvex.gap.thresholds import PICTURES
 from physconvex.identify import PixelObservations
 
-__all__ = ["HALF", "Compared", "body_patches", "light_of", "still_patches"]
-
 Grey = Float[np.ndarray, "T H W"]
 Outline = Bool[np.ndarray, "H W"]
 HALF = 5  # of the side of what is compared [pixels]

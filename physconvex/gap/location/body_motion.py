@@ -14,8 +14,6 @@ from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.thresholds import EVIDENCE, LOCALISATION
 from physconvex.identify import MarkerObservations
 
-__all__ = ["Entry", "Mode", "impulses", "vibrations"]
-
 
 @dataclass(frozen=True)
 class Mode:

@@ -17,8 +17,6 @@ from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.search.hypothesis import Hypothesis
 
-__all__ = ["Budget", "budget_of", "reduction_by_frame", "squares_by_frame"]
-
 Squares = Float[np.ndarray, " T"]
 _GROUPS = ("dynamics", "observation", "numerical")
 

@@ -16,8 +16,6 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.identify import PixelObservations
 
-__all__ = ["Part", "Where", "block_bootstrap", "locate_gap", "phases_of"]
-
 
 @dataclass(frozen=True)
 class Part:

@@ -18,8 +18,6 @@ from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.shrinkage import HowFar
 from physconvex.gap.thresholds import thresholds_json
 
-__all__ = ["FORMAT_VERSION", "GapFindings", "ParameterChange", "Provenance"]
-
 FORMAT_VERSION = 1
 JsonObject = dict[str, JsonValue]
 Content = dict[str, object]  # of a part of the file, which may hold arrays

@@ -12,8 +12,6 @@ from physconvex.gap.page import pictures
 from physconvex.gap.page.findings import GapFindings
 from physconvex.gap.page.video_strip import video_strip
 
-__all__ = ["write_html"]
-
 _UNKNOWN = "–"
 
 

@@ -18,11 +18,6 @@ from physconvex.gap.location.where import Where
 from physconvex.gap.page.findings import GapFindings
 from physconvex.identify import unit_normals
 
-__all__ = [
-    "body_map", "budget", "confusion", "forest", "image_series", "parameter_arrows", "png_of", "shrinkage_bars",
-    "svg_of", "timeline", "write_body",
-]  # fmt: skip
-
 _BLUE, _ORANGE, _GREY = "#2b6ca3", "#d9772b", "#8a8a8a"
 _PHASES = {
     "flight": "#e8f1fa", "impact": "#fde3cf", "contact": "#fbeedd", "rebound": "#e6f4ea", "rest": "#eeeeee",

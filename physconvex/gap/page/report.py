@@ -19,8 +19,6 @@ from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.io import Picture, html_summary
 from physconvex.reduced import ReducedScene
 
-__all__ = ["GapReport", "ImprovedTwin"]
-
 
 @dataclass(frozen=True, eq=False)
 class ImprovedTwin:

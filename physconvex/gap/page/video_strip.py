@@ -17,8 +17,6 @@ from physconvex.gap.page.findings import GapFindings
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.identify import PixelObservations, appearance_map, cast_camera_rays
 
-__all__ = ["video_strip"]
-
 _COLUMNS = 6
 _EMPTY = 235  # grey of pixels that a model's picture leaves open
 _MARGIN = 12  # pixels around the body

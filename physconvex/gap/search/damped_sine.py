@@ -18,8 +18,6 @@ from physconvex.gap.thresholds import EVIDENCE
 from physconvex.identify import MarkerObservations
 from physconvex.numerics import beyond_rigid
 
-__all__ = ["Recorded", "deformation", "recorded_ringing", "ringing", "ringing_likelihood"]
-
 
 def _damped(p: np.ndarray, t: np.ndarray) -> np.ndarray:
     """a e^(−δt) cos ωt + b e^(−δt) sin ωt + c."""

@@ -20,8 +20,6 @@ from physconvex.gap.search.hypothesis import Hypothesis, deviations_of, hypothes
 from physconvex.gap.thresholds import SEARCH
 from physconvex.identify import Fit, FitOptions, fit
 
-__all__ = ["derivatives_at", "fit_effects", "refit"]
-
 
 def fit_effects(
     base: Baseline,

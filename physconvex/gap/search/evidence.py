@@ -16,18 +16,6 @@ from physconvex.gap.effects.effect import IN_FLIGHT, Effect
 from physconvex.gap.errors.score_test import ErrorModel
 from physconvex.gap.thresholds import EVIDENCE
 
-__all__ = [
-    "evidence_of",
-    "information_by_kind",
-    "information_per_one",
-    "likelihood_by_kind",
-    "mean_square",
-    "moved_kinds",
-    "negative_log_likelihood",
-    "residuals_per_one",
-    "squares_by_kind",
-]
-
 
 def mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
     """Mean square of some frames' residuals over that of noise and numerical error; NaN without any.

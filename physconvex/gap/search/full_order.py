@@ -37,16 +37,6 @@ from physconvex.gap.search.hypothesis import (
 from physconvex.gap.search.search_state import FAILURES, EffectSearch
 from physconvex.gap.thresholds import CLOCK, DECISION
 
-__all__ = [
-    "as_reduced",
-    "confirmed",
-    "decided",
-    "fitted_there",
-    "fitted_while_it_helps",
-    "improved",
-    "with_own_correction",
-]
-
 
 def as_reduced(base: Baseline) -> Baseline:
     """The baseline with the reduced model in the place of the full-order one; it says the same at the fit."""

@@ -27,20 +27,6 @@ from physconvex.gap.search.evidence import (
 from physconvex.gap.thresholds import EVIDENCE, SEARCH
 from physconvex.identify import Fit, marginal_deviations
 
-__all__ = [
-    "Hypothesis",
-    "base_hypothesis",
-    "continued",
-    "deviations_of",
-    "doses_at_bounds",
-    "evidence_of_anything",
-    "finalists",
-    "hypothesis_at",
-    "judged",
-    "weighed_anew",
-    "within_bounds",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:

@@ -20,22 +20,6 @@ from physconvex.gap.search.search_state import FAILURES, EffectSearch
 from physconvex.gap.search.starting_points import early_point, loaded_starts
 from physconvex.gap.thresholds import DECISION, RUN_COST, SCREENING, SEARCH
 
-__all__ = [
-    "alone",
-    "beside_in_first_frames",
-    "from_elsewhere",
-    "from_first_frames",
-    "from_there",
-    "leave_out",
-    "load_beside",
-    "one_more",
-    "other_places",
-    "plausible_pairs",
-    "polish",
-    "together",
-    "without_each",
-]
-
 
 def alone(search: EffectSearch, screened: Iterable[Screened]) -> None:
     """Each by itself; a search that the clock ends here has not seen what the recording asks for."""

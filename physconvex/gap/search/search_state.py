@@ -16,8 +16,6 @@ from physconvex.gap.search.effect_fits import fit_effects
 from physconvex.gap.search.hypothesis import Hypothesis, judged
 from physconvex.gap.thresholds import RUN_COST, SEARCH
 
-__all__ = ["FAILURES", "EffectSearch"]
-
 # of a run with doses that no body can bear: such a fit is left out, and the report says so
 FAILURES = (ConvergenceError, InputError, np.linalg.LinAlgError)
 

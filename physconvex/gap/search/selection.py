@@ -37,8 +37,6 @@ from physconvex.gap.search.search_state import FAILURES, EffectSearch
 from physconvex.gap.search.starting_points import from_flight, loaded_starts
 from physconvex.gap.thresholds import CLOCK, DECISION, RUN_COST, SEARCH
 
-__all__ = ["Selected", "expect_anew", "select_effects"]
-
 
 def expect_anew(search: EffectSearch) -> Numerics | None:
     """Weigh the fits of a free body by the differences at the best one, if its E is far from the base fit's.

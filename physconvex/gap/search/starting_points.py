@@ -42,8 +42,6 @@ from physconvex.gap.search.search_state import FAILURES, EffectSearch
 from physconvex.gap.thresholds import SEARCH
 from physconvex.identify import FitOptions, fit
 
-__all__ = ["early_point", "early_window", "from_flight", "loaded_starts"]
-
 _LABELS = ("attached_mass ({})", "attached_mass ({}, loose)", "damping")
 Start = tuple[tuple[Effect, ...], np.ndarray]
 

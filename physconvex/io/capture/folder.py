@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
     from physconvex.mesh import TetMesh
 
-__all__ = ["Capture", "Floor", "load_capture"]
-
 _DEFAULTS = CaptureFile.model_fields
 MESH_SUFFIXES = (".obj", ".ply", ".glb")
 

@@ -16,8 +16,6 @@ from physconvex.errors import InputError
 from physconvex.io.camera import Camera, CameraEntry
 from physconvex.io.configuration import Expected, in_words
 
-__all__ = ["CAPTURE_FILE", "CaptureFile", "FloorEntry", "capture_schema", "read_capture_file"]
-
 CAPTURE_FILE = "capture.json"
 
 

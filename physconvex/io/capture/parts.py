@@ -10,8 +10,6 @@ from jaxtyping import Float64, Int64
 
 from physconvex.errors import InputError
 
-__all__ = ["Boundary", "Tracks", "read_arrays", "read_boundary", "read_tracks"]
-
 
 @dataclass(frozen=True)
 class Tracks:

@@ -17,8 +17,6 @@ from physconvex.io.capture.parts import Boundary, Tracks
 from physconvex.io.video.writing import write_video
 from physconvex.mesh import TetMesh
 
-__all__ = ["save_capture"]
-
 
 def save_capture(
     capture: Capture,

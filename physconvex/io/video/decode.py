@@ -12,8 +12,6 @@ from jaxtyping import Float64, UInt8
 from physconvex.io.video.errors import VideoError
 from physconvex.io.video.probe import OPEN_OPTIONS, Probe, video_stream
 
-__all__ = ["Decoded", "Limits", "decode_decord", "decode_pyav", "output_size", "suits_decord"]
-
 # Where decord 0.6 returns the same bytes as PyAV: tests/io/test_video.py compares them.
 _DECORD_CODECS = ("h264",)
 _DECORD_FORMATS = ("yuv420p", "yuvj420p")

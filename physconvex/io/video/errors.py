@@ -5,8 +5,6 @@ from typing import Literal
 
 from physconvex.errors import InputError
 
-__all__ = ["VideoCause", "VideoError"]
-
 VideoCause = Literal[
     "missing",
     "permission",

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-__all__ = ["Video", "frame_rate"]
-
 
 @dataclass(frozen=True)
 class Video:

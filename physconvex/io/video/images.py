@@ -10,8 +10,6 @@ from physconvex.errors import InputError
 from physconvex.io.video.errors import VideoError
 from physconvex.io.video.frames import Video
 
-__all__ = ["IMAGE_SUFFIXES", "read_image_sequence"]
-
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 

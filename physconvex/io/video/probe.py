@@ -14,8 +14,6 @@ from av.video.stream import VideoStream
 
 from physconvex.io.video.errors import VideoError
 
-__all__ = ["OPEN_OPTIONS", "Probe", "check_file", "probe_video", "video_stream"]
-
 # A file may be a play list that points elsewhere: never follow it off this machine's files.
 OPEN_OPTIONS = {"protocol_whitelist": "file"}
 

@@ -13,8 +13,6 @@ from physconvex.io.video.errors import VideoError
 from physconvex.io.video.frames import Video, frame_rate
 from physconvex.io.video.probe import Probe, check_file, probe_video
 
-__all__ = ["MIN_FRAMES", "MIN_FRAMES_TRUNCATED", "VideoBackend", "read_video"]
-
 VideoBackend = Literal["auto", "decord", "pyav"]
 
 MIN_FRAMES = 2  # one picture holds no motion

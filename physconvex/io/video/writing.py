@@ -11,8 +11,6 @@ import numpy as np
 
 from physconvex.errors import InputError
 
-__all__ = ["write_video"]
-
 # With macroblock trees x264 reads memory that it never wrote, unless the width is a multiple of this [px]: the same
 # frames then give other bytes from one call to the next (seen with x264 165 at widths of 48 to 240 px).
 _MACROBLOCK_TREE_WIDTH = 128
