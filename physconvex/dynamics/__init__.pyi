@@ -7,7 +7,7 @@ from .contact import (
     contact_defaults as contact_defaults,
 )
 from .contact_resolvent import resolve as resolve
-from .first_guesses import Guide as Guide
+from .first_guesses import GuessErrors as GuessErrors
 from .integrators import (
     IntegratorName as IntegratorName,
     Minimum as Minimum,

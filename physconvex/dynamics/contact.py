@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics.motion_path import Travel, Velocity
+from physconvex.dynamics.motion_path import MotionPath, Velocity
 from physconvex.errors import InputError
 
 Vector = Sequence[float] | Float[np.ndarray, " 3"]
@@ -44,12 +44,12 @@ def _check_friction(friction: float) -> None:
         raise InputError(f"friction: got {friction}; expected a finite coefficient ≥ 0")
 
 
-def _travel(obstacle: Plane | Sphere) -> Travel:
+def _path(obstacle: Plane | Sphere) -> MotionPath:
     """Its motion; a constant velocity becomes an array in place."""
-    travel = Travel(obstacle.velocity)
+    path = MotionPath(obstacle.velocity)
     if not callable(obstacle.velocity):
-        object.__setattr__(obstacle, "velocity", travel.velocity(0.0))
-    return travel
+        object.__setattr__(obstacle, "velocity", path.velocity(0.0))
+    return path
 
 
 @dataclass(frozen=True)
@@ -68,10 +68,10 @@ class Plane:
     normal: Vector = (0.0, 0.0, 1.0)
     friction: float = 0.0
     velocity: Velocity = (0.0, 0.0, 0.0)
-    _travel: Travel = field(init=False, repr=False, compare=False)
+    _path: MotionPath = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_travel", _travel(self))
+        object.__setattr__(self, "_path", _path(self))
         for name in ("point", "normal"):
             object.__setattr__(self, name, _vector(name, getattr(self, name)))
         length = np.linalg.norm(self.normal)
@@ -82,11 +82,11 @@ class Plane:
 
     def gap(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, " V"]:
         """Signed distance [m], negative inside."""
-        return (x - (np.asarray(self.point) + self._travel.displacement(time))) @ np.asarray(self.normal)
+        return (x - (np.asarray(self.point) + self._path.displacement(time))) @ np.asarray(self.normal)
 
     def velocity_at(self, time: float) -> Float[np.ndarray, " 3"]:
         """Velocity at a time [m/s]."""
-        return self._travel.velocity(time)
+        return self._path.velocity(time)
 
     def normals(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, "V 3"]:
         """Gradient of the gap."""
@@ -105,10 +105,10 @@ class Sphere:
     radius: float
     friction: float = 0.0
     velocity: Velocity = (0.0, 0.0, 0.0)
-    _travel: Travel = field(init=False, repr=False, compare=False)
+    _path: MotionPath = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_travel", _travel(self))
+        object.__setattr__(self, "_path", _path(self))
         object.__setattr__(self, "center", _vector("center", self.center))
         if not (np.isfinite(self.radius) and self.radius > 0):
             raise InputError(f"radius: got {self.radius}; expected a length > 0 in metres")
@@ -116,7 +116,7 @@ class Sphere:
 
     def center_at(self, time: float) -> Float[np.ndarray, " 3"]:
         """Where the centre is at a time [m]."""
-        return np.asarray(self.center) + self._travel.displacement(time)
+        return np.asarray(self.center) + self._path.displacement(time)
 
     def _offset(self, x: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
         offset = x - self.center_at(time)
@@ -128,7 +128,7 @@ class Sphere:
 
     def velocity_at(self, time: float) -> Float[np.ndarray, " 3"]:
         """Velocity at a time [m/s]."""
-        return self._travel.velocity(time)
+        return self._path.velocity(time)
 
     def normals(self, x: Float[np.ndarray, "V 3"], time: float) -> Float[np.ndarray, "V 3"]:
         """Gradient of the gap."""

@@ -1,8 +1,7 @@
-"""What the first guesses of a roll-out's time steps missed by: a guide for roll-outs that differ little from it.
+"""Errors of the first guesses of a roll-out's time steps, which correct those of roll-outs that differ little from it.
 
-Newton's method begins each step at positions extrapolated from the states before. Where another roll-out begins alike
-and its parameters differ by little, that misses by nearly the same, so that adding it leaves a small error of a small
-difference.
+Newton's method begins each step at positions extrapolated from earlier states. Another roll-out with nearly the same
+parameters makes nearly the same error, so adding the recorded one leaves a small error of a small difference.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import numpy as np
 _GRAIN = 1e-9  # times nearer than that are the same [s]
 
 
-class Guide:
+class GuessErrors:
     """Misses [m] of the steps of one roll-out, known by when a step ended and how long it was."""
 
     def __init__(self) -> None:

@@ -19,7 +19,7 @@ _NODES = 0.5 + 0.5 * np.array([-np.sqrt(0.6), 0.0, np.sqrt(0.6)])
 _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
 
-class Travel:
+class MotionPath:
     """Velocity [m/s] and its integral from t = 0 [m].
 
     A function is integrated piece by piece, each at most 2 ms long, from the nearest earlier time that was asked for.

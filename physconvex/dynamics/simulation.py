@@ -10,7 +10,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics.first_guesses import Guide
+from physconvex.dynamics.first_guesses import GuessErrors
 from physconvex.dynamics.integrators import State
 from physconvex.dynamics.stepping import Observer, PreparedRollOut, SolveStatistics, Stepper
 from physconvex.dynamics.timing import Timing
@@ -86,8 +86,8 @@ def simulate(
     *,
     observer: Observer | None = None,
     on_frame: Callable[[State], None] | None = None,
-    guide: Guide | None = None,
-    noted: Guide | None = None,
+    guess_errors: GuessErrors | None = None,
+    recorded_errors: GuessErrors | None = None,
 ) -> TrajectoryT:
     """Roll a scene out in time.
 
@@ -99,9 +99,9 @@ def simulate(
         timing: frames and time steps; the defaults of `Timing` unless given.
         observer: called with the equations and the record of every converged step.
         on_frame: called with the state at every frame after the first.
-        guide: of a roll-out with the same steps and nearly the same parameters (what was `noted` of it): Newton's
-            method then takes fewer steps to the same tolerance.
-        noted: takes down what guides others; it holds the positions of all steps.
+        guess_errors: recorded from a roll-out with the same steps and nearly the same parameters; Newton's method
+            then takes fewer steps to the same tolerance.
+        recorded_errors: receives those of this roll-out, for others; it holds the positions of all steps.
 
     Returns:
         `physconvex.fem.Trajectory`, `physconvex.reduced.ReducedTrajectory` or `BodiesTrajectory`.
@@ -112,7 +112,7 @@ def simulate(
     """
     timing = timing or Timing()
     prepared = scene.prepared(timing)
-    stepper = Stepper(prepared, timing, observer=observer, guide=guide, noted=noted)
+    stepper = Stepper(prepared, timing, observer=observer, guess_errors=guess_errors, recorded_errors=recorded_errors)
     states, flows = [], []
     for state in _frame_states(stepper.advance, prepared, timing):
         states.append(state)

@@ -12,7 +12,7 @@ import numpy as np
 from torch import Tensor
 
 from physconvex.dynamics.contact import Friction
-from physconvex.dynamics.first_guesses import Guide
+from physconvex.dynamics.first_guesses import GuessErrors
 from physconvex.dynamics.integrators import (
     Minimum,
     Objective,
@@ -158,8 +158,8 @@ class Stepper:
             step.
         timing: integrator ("bdf2": first step and the first after a cut implicit Euler) and friction passes.
         observer: called with the equations and the record of every converged step.
-        guide: of a roll-out that is much like this one; Newton's method begins where it says.
-        noted: told what each step's first guess missed by.
+        guess_errors: of a roll-out that is much like this one; they correct the first guesses.
+        recorded_errors: receives the errors of this roll-out's first guesses.
     """
 
     def __init__(
@@ -168,11 +168,11 @@ class Stepper:
         timing: Timing,
         *,
         observer: Observer | None = None,
-        guide: Guide | None = None,
-        noted: Guide | None = None,
+        guess_errors: GuessErrors | None = None,
+        recorded_errors: GuessErrors | None = None,
     ) -> None:
         self.prepared, self.timing, self.equations = prepared, timing, prepared.equations
-        self.observer, self.guide, self.noted = observer, guide, noted
+        self.observer, self.guess_errors, self.recorded_errors = observer, guess_errors, recorded_errors
         self._known_energy: tuple[State, float] | None = None
         self.recent: deque[State] = deque(maxlen=_REMEMBERED)  # at the starts of the last steps
         self.steps = self.iterations = self.halved = self.projections = 0
@@ -211,7 +211,7 @@ class Stepper:
         two_step = self.timing.integrator == "bdf2" and history is not None
         coefficients = step_coefficients(state, history if two_step else None, step)
         self.equations.set_step(coefficients, time, guess, state)
-        begin = guess if self.guide is None else self.guide.corrected(guess, time, step)
+        begin = guess if self.guess_errors is None else self.guess_errors.corrected(guess, time, step)
         if self.prepared.solve is None:
             passes = self._passes(begin, lambda: self.equations.first_guess(state.positions.copy(), time), step)
         else:
@@ -219,8 +219,8 @@ class Stepper:
         x = passes[-1].x
         if not np.isfinite(x).all():
             raise ConvergenceError("the new state is not finite")
-        if self.noted is not None:
-            self.noted.note(time, step, x - guess)
+        if self.recorded_errors is not None:
+            self.recorded_errors.note(time, step, x - guess)
         after = State(time, x, coefficients.velocity(x))
         return StepRecord(state, history, two_step, step, coefficients, self.equations.viscous, tuple(passes), after)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics.motion_path import Travel, Velocity
+from physconvex.dynamics.motion_path import MotionPath, Velocity
 from physconvex.errors import InputError
 
 
@@ -32,17 +32,17 @@ class Wind:
     velocity: Velocity = (0.0, 0.0, 0.0)
     drag_coefficient: float = 1.0
     air_density: float = 1.2
-    _travel: Travel = field(init=False, repr=False, compare=False)
+    _path: MotionPath = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "_travel", Travel(self.velocity))
+        object.__setattr__(self, "_path", MotionPath(self.velocity))
         for name in ("drag_coefficient", "air_density"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise InputError(f"{name}: got {getattr(self, name)}; expected a finite number ≥ 0")
 
     def velocity_at(self, time: float) -> Float[np.ndarray, " 3"]:
         """Velocity of the air [m/s]."""
-        return self._travel.velocity(time)
+        return self._path.velocity(time)
 
     def _relative(self, velocity: np.ndarray, areas: np.ndarray, time: float) -> tuple[np.ndarray, ...]:
         """r, |r|, and c A."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from physconvex.dynamics import Guide, Timing, simulate
+from physconvex.dynamics import GuessErrors, Timing, simulate
 from physconvex.errors import ConvergenceError
 from physconvex.fem import Scene
 from physconvex.io import Workers
@@ -24,7 +24,7 @@ class RollOut:
 
     scene: Scene
     timing: Timing
-    guide: Guide | None = None
+    guess_errors: GuessErrors | None = None
 
     @property
     def work(self) -> int:
@@ -32,17 +32,17 @@ class RollOut:
         return len(self.scene.body.mesh.vertices) * self.timing.frames * self.timing.steps_per_frame
 
 
-_Made = tuple[np.ndarray, Guide | None] | ConvergenceError
+_Made = tuple[np.ndarray, GuessErrors | None] | ConvergenceError
 
 
 def _rolled_out(job: RollOut) -> _Made:
     """Positions of the nodes at the frames [m], shape [T, V, 3], and a guide, or why there are none."""
-    noted = Guide()
+    recorded_errors = GuessErrors()
     try:
-        run = simulate(job.scene, job.timing, guide=job.guide, noted=noted)
+        run = simulate(job.scene, job.timing, guess_errors=job.guess_errors, recorded_errors=recorded_errors)
     except ConvergenceError as error:
         return error
-    return run.positions, noted
+    return run.positions, recorded_errors
 
 
 class RollOuts:
@@ -56,7 +56,7 @@ class RollOuts:
     def __init__(self, most: int = 32, workers: Workers | None = None) -> None:
         self.most, self.workers = most, workers or Workers()
         self._kept: dict[Hashable, np.ndarray | ConvergenceError] = {}
-        self._guides: dict[Hashable, Guide | None] = {}
+        self._guess_errors: dict[Hashable, GuessErrors | None] = {}
         self._tangents: dict[Hashable, np.ndarray] = {}
 
     def prepare(
@@ -74,11 +74,11 @@ class RollOuts:
         missing = {key: make for key, make in wanted.items() if key not in self._kept}
         later = {key for key in missing if near.get(key, key) != key and near[key] in missing}
         for keys in ([key for key in missing if key not in later], [key for key in missing if key in later]):
-            jobs = [replace(missing[key](), guide=self._guides.get(near.get(key))) for key in keys]
+            jobs = [replace(missing[key](), guess_errors=self._guess_errors.get(near.get(key))) for key in keys]
             for key, made in zip(keys, self._made(jobs), strict=True):
-                positions, guide = (made, None) if isinstance(made, ConvergenceError) else made
+                positions, guess_errors = (made, None) if isinstance(made, ConvergenceError) else made
                 self.keep(key, positions)
-                _put(self._guides, key, guide, self.most)
+                _put(self._guess_errors, key, guess_errors, self.most)
 
     def _made(self, jobs: Sequence[RollOut]) -> list[_Made]:
         if jobs and max(job.work for job in jobs) > _LIGHT:

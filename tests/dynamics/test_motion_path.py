@@ -5,22 +5,22 @@ import pytest
 
 from physconvex import InputError
 from physconvex.dynamics import Plane, Sphere
-from physconvex.dynamics.motion_path import Travel
+from physconvex.dynamics.motion_path import MotionPath
 
 
 def test_constant_velocity_and_its_function_come_equally_far():
-    steady = Travel((1.0, -2.0, 0.5))
-    same = Travel(lambda t: (1.0, -2.0, 0.5))
+    steady = MotionPath((1.0, -2.0, 0.5))
+    same = MotionPath(lambda t: (1.0, -2.0, 0.5))
     for time in (0.3, 0.0, 0.1, 1.7):
         np.testing.assert_allclose(same.displacement(time), steady.displacement(time), atol=1e-14)
 
 
 def test_displacement_is_the_integral_in_any_order_of_asking():
-    travel = Travel(lambda t: (np.sin(5 * t), 3 * t**2, 0.0))
+    path = MotionPath(lambda t: (np.sin(5 * t), 3 * t**2, 0.0))
     for time in (0.4, 1.0, 0.7, 0.4):
         expected = [(1 - np.cos(5 * time)) / 5, time**3, 0.0]
-        np.testing.assert_allclose(travel.displacement(time), expected, atol=1e-13)
-    np.testing.assert_allclose(travel.velocity(0.2), [np.sin(1.0), 0.12, 0.0])
+        np.testing.assert_allclose(path.displacement(time), expected, atol=1e-13)
+    np.testing.assert_allclose(path.velocity(0.2), [np.sin(1.0), 0.12, 0.0])
 
 
 def test_obstacles_move_with_functions():

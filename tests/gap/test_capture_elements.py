@@ -11,7 +11,7 @@ from physconvex.fem import ElasticBody, NodePins, Scene
 from physconvex.gap import GapOptions, MotionCorrection, error_model, fit_baseline, rough_baseline
 from physconvex.gap.base.baseline import Baseline
 from physconvex.gap.base.model import reduced_like
-from physconvex.gap.conditions.capture_elements import own_elements, with_own_elements
+from physconvex.gap.conditions.capture_elements import mesh_of_capture_elements, with_own_elements
 from physconvex.gap.errors.numerical_differences import Numerics
 from physconvex.gap.judgement.caveats import _elements
 from physconvex.gap.search.hypothesis import base_hypothesis
@@ -102,5 +102,5 @@ def test_other_elements_stay_where_they_fit_better(tmp_path: Path) -> None:
 
 def test_only_linear_tetrahedra_are_own_elements(tmp_path: Path) -> None:
     rough = rough_baseline(released(tmp_path, 1), OPTIONS, lambda text: None)
-    found = own_elements(rough)
+    found = mesh_of_capture_elements(rough)
     assert found is not None and found.order == 1 and len(found.vertices) == 28

@@ -26,14 +26,14 @@ def base_that(**situation):
 
 @pytest.mark.parametrize("situation", [{"clamped": True, "touches": True}, {"clamped": False, "touches": False}])
 def test_nothing_is_asked_of_held_bodies_and_of_those_that_strike_nothing(situation, monkeypatch):
-    monkeypatch.setattr(setting, "own_elements", failing)
+    monkeypatch.setattr(setting, "mesh_of_capture_elements", failing)
     base = base_that(**situation)
     found = find_setting(base, GapOptions(), silent)
     assert found.base is base and found.own is None and found.damped is None
 
 
 def test_a_setting_that_cannot_be_simulated_leaves_the_base_fit_as_it_is(monkeypatch):
-    monkeypatch.setattr(setting, "own_elements", lambda base: None)
+    monkeypatch.setattr(setting, "mesh_of_capture_elements", lambda base: None)
     monkeypatch.setattr(setting, "sinks_in", lambda base: False)
     monkeypatch.setattr(setting, "damped_fit", lambda base, options: (None, None))
     monkeypatch.setattr(setting, "_moved", failing)

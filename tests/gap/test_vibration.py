@@ -9,7 +9,7 @@ from physconvex import InputError
 from physconvex.gap.base.baseline import Split
 from physconvex.gap.base.observed_points import _check_on_body, starts_elsewhere, with_honest_noise
 from physconvex.gap.location.body_motion import _rigid_motion
-from physconvex.gap.search.damped_sine import deformation, ringing, ringing_likelihood
+from physconvex.gap.search.damped_sine import damped_sine_fit, damped_sine_likelihood, deformation
 from physconvex.identify import MarkerObservations
 from physconvex.io import Capture
 from physconvex.mesh import box_mesh
@@ -19,14 +19,14 @@ def test_a_damped_sine_is_found():
     times = np.arange(30) / 100
     omega = 2 * np.pi * 7.0
     signal = 0.02 * np.exp(-0.08 * omega * times) * np.cos(omega * times + 0.4) + 0.005
-    (frequency, ratio), errors = ringing(signal + 1e-5 * np.random.default_rng(0).normal(size=30), 100.0)
+    (frequency, ratio), errors = damped_sine_fit(signal + 1e-5 * np.random.default_rng(0).normal(size=30), 100.0)
     assert frequency == pytest.approx(7.0, rel=0.01) and ratio == pytest.approx(0.08, rel=0.05)
     assert 0 < errors[0] < 0.1
 
 
 def test_a_ramp_does_not_ring():
-    assert np.isnan(ringing(np.linspace(0, 1, 20), 50.0)[0]).all()
-    assert np.isnan(ringing(np.zeros(20), 50.0)[0]).all()
+    assert np.isnan(damped_sine_fit(np.linspace(0, 1, 20), 50.0)[0]).all()
+    assert np.isnan(damped_sine_fit(np.zeros(20), 50.0)[0]).all()
 
 
 def swinging(frequency: float, ratio: float, late: float = 0.0) -> np.ndarray:
@@ -47,15 +47,15 @@ def test_an_explanation_that_rings_otherwise_is_the_worse_one():
         split=Split(np.arange(30), np.arange(30, 38), np.arange(0)),
         capture=SimpleNamespace(fps=100.0),
     )
-    right = ringing_likelihood(base, swinging(3.4, 0.07, late=0.02))  # whatever began the motion and when
-    elastic = ringing_likelihood(base, swinging(3.4, 0.0))
-    overdamped = ringing_likelihood(base, swinging(3.6, 0.31))
-    another_frequency = ringing_likelihood(base, swinging(4.8, 0.0))
+    right = damped_sine_likelihood(base, swinging(3.4, 0.07, late=0.02))  # whatever began the motion and when
+    elastic = damped_sine_likelihood(base, swinging(3.4, 0.0))
+    overdamped = damped_sine_likelihood(base, swinging(3.6, 0.31))
+    another_frequency = damped_sine_likelihood(base, swinging(4.8, 0.0))
     assert -0.6 < right <= 0
     assert -4 < elastic < right - 1
     assert overdamped < elastic - 10 and another_frequency < elastic - 10
     base.situation.clamped = False
-    assert ringing_likelihood(base, swinging(4.8, 0.0)) == 0.0
+    assert damped_sine_likelihood(base, swinging(4.8, 0.0)) == 0.0
 
 
 def test_rigid_motion_of_markers():

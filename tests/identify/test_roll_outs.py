@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from physconvex import ConvergenceError
-from physconvex.dynamics import Guide, Timing, simulate
+from physconvex.dynamics import GuessErrors, Timing, simulate
 from physconvex.identify import FullModel, RollOuts, TwinOptions, base_twin, roll_out_together, roll_outs
 from physconvex.io import Capture, Floor, Workers, load_capture, save_capture
 from physconvex.mesh import TetMesh, box_mesh, refine_uniformly
@@ -106,10 +106,10 @@ def test_a_guided_roll_out_is_the_same_in_fewer_iterations(tmp_path):
     model = box(tmp_path, RollOuts())
     scene, beside = (model.scene(values) for values in (TRUTH, TRUTH + 0.01 * SCALES))
     how = Timing(frames=6, fps=48.0, steps_per_frame=8, contact_solver="condensed")
-    guide = Guide()
-    simulate(scene, how, noted=guide)
-    alone, guided = simulate(beside, how), simulate(beside, how, guide=guide)
-    assert len(guide) == 40
+    guess_errors = GuessErrors()
+    simulate(scene, how, recorded_errors=guess_errors)
+    alone, guided = simulate(beside, how), simulate(beside, how, guess_errors=guess_errors)
+    assert len(guess_errors) == 40
     assert np.abs(alone.positions - guided.positions).max() < 1e-6 * 0.3
     assert np.abs(alone.positions - simulate(scene, how).positions).max() > 1e-5 * 0.3  # they do differ
     assert guided.statistics.newton_iterations < 0.8 * alone.statistics.newton_iterations
@@ -119,4 +119,4 @@ def test_differences_are_guided_by_the_roll_out_they_are_taken_from(tmp_path, jo
     model = box(tmp_path, RollOuts())
     model.linearise(TRUTH)
     base, *beside = jobs
-    assert base.guide is None and all(len(job.guide) == 20 for job in beside) and len(beside) == 3
+    assert base.guess_errors is None and all(len(job.guess_errors) == 20 for job in beside) and len(beside) == 3

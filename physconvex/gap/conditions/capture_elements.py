@@ -32,7 +32,7 @@ _COMPANY = ("gravity_tilt", "damping")  # beside which the masses are asked for
 _RATIO = "poisson_ratio"
 
 
-def own_elements(base: Baseline) -> TetMesh | None:
+def mesh_of_capture_elements(base: Baseline) -> TetMesh | None:
     """The capture's linear tetrahedra, if it has some and they can be afforded."""
     mesh = base.capture.tets()
     steps = base.model.frames * base.model.twin.steps_per_frame
@@ -68,7 +68,7 @@ def with_own_elements(
         known: whether they are, where that has been asked (`physconvex.gap.conditions.setting`); else they are
             if they halve the squares.
     """
-    mesh = own_elements(base)
+    mesh = mesh_of_capture_elements(base)
     if mesh is None or not base.tangents.any() or known is False:
         return base, numerics
     if base.situation.clamped:  # the error of the other mesh, which widens the variance, is what is on trial

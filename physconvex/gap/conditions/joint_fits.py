@@ -40,7 +40,7 @@ RIGID = ("friction", "gravity_tilt", "air_drag (linear)", "initial_velocity", "i
 _RATIO = "poisson_ratio"
 
 
-class Company:
+class JointFits:
     """A rough base fit, and the effects that are fitted beside.
 
     Args:
@@ -131,21 +131,21 @@ def sinks_in(base: Baseline) -> bool:
     return base.situation.depth >= SETTING.soft_depth * base.situation.size
 
 
-def on_giving_floor(company: Company, doses: Float[np.ndarray, " D"]) -> Fit | None:
+def on_giving_floor(joint: JointFits, doses: Float[np.ndarray, " D"]) -> Fit | None:
     """The reduced model's fit with stiffness and dashpot of the floor free, from the best of a scan.
 
     None where no start can be simulated.
 
     Args:
-        company: the rough base fit and the effects beside.
+        joint: the rough base fit and the effects beside.
         doses: of these, where the scan is made.
     """
-    base = company.base
+    base = joint.base
     names = (*base.model.base, *FLOOR_LAW)
     starts = [np.append(values, doses) for values in _starts(base)]
-    misfits = [company.misfit(names, values) for values in starts]
+    misfits = [joint.misfit(names, values) for values in starts]
     order = [i for i in np.argsort(misfits)[: SETTING.fits] if np.isfinite(misfits[i])]
-    return company.best(names, [starts[i] for i in order])
+    return joint.best(names, [starts[i] for i in order])
 
 
 def softness(base: Baseline, names: tuple[str, ...], values: Float[np.ndarray, " K"]) -> float:
@@ -170,15 +170,15 @@ def _starts(base: Baseline) -> list[np.ndarray]:
     return out
 
 
-def damped_fit(base: Baseline, options: GapOptions) -> tuple[Company, Fit] | None:
+def damped_fit(base: Baseline, options: GapOptions) -> tuple[JointFits, Fit] | None:
     """The reduced model's fit with damping, its dose the last value; None where it leaves nearly as much as without.
 
     Args:
         base: the rough base fit.
         options: settings.
     """
-    company, names, capture = Company(base, options, ["damping"]), base.model.base, base.capture
-    if MODULUS not in names or not company.effects:
+    joint, names, capture = JointFits(base, options, ["damping"]), base.model.base, base.capture
+    if MODULUS not in names or not joint.effects:
         return None
     gravity = float(np.linalg.norm(capture.gravity))
     moduli = scan_values(density=capture.density, gravity=gravity, size=base.situation.size)
@@ -191,15 +191,15 @@ def damped_fit(base: Baseline, options: GapOptions) -> tuple[Company, Fit] | Non
             values[names.index(_RATIO)] = np.clip(values[names.index(_RATIO)], *SETTING.poisson_ratio)
         return values
 
-    tried = [(company.misfit(names, values), values) for values in (start(m, SETTING.damping) for m in moduli)]
+    tried = [(joint.misfit(names, values), values) for values in (start(m, SETTING.damping) for m in moduli)]
     best = int(np.argmin([misfit for misfit, _ in tried]))
     near = moduli[max(best - 1, 0) : best + 2]
     others = (start(*pair) for pair in product(near, SETTING.other_damping))
-    tried += [(company.misfit(names, values), values) for values in others]
+    tried += [(joint.misfit(names, values), values) for values in others]
     first = sorted(tried, key=lambda pair: pair[0])[: SETTING.fits]
     order = [values for misfit, values in first if np.isfinite(misfit)]
-    found = company.best(names, order)
+    found = joint.best(names, order)
     if found is None:
         return None
-    without = company.misfit(names, np.append(base.fit.values, company.nothing))
-    return None if found.misfit > SETTING.damped_better * without else (company, found)
+    without = joint.misfit(names, np.append(base.fit.values, joint.nothing))
+    return None if found.misfit > SETTING.damped_better * without else (joint, found)

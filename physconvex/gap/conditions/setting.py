@@ -15,8 +15,8 @@ import numpy as np
 from physconvex.errors import ConvergenceError
 from physconvex.gap.base.baseline import FLOOR_LAW, Baseline
 from physconvex.gap.base.rough_fit import run_base
-from physconvex.gap.conditions.capture_elements import own_elements
-from physconvex.gap.conditions.joint_fits import Company, damped_fit, on_giving_floor, sinks_in, softness
+from physconvex.gap.conditions.capture_elements import mesh_of_capture_elements
+from physconvex.gap.conditions.joint_fits import JointFits, damped_fit, on_giving_floor, sinks_in, softness
 from physconvex.gap.options import GapOptions
 from physconvex.gap.thresholds import SETTING
 from physconvex.identify import Fit
@@ -57,14 +57,14 @@ def find_setting(base: Baseline, options: GapOptions, report: Callable[[str], No
 
 
 def _asked(base: Baseline, options: GapOptions, report: Callable[[str], None]) -> Setting:
-    own, sinks = own_elements(base), sinks_in(base)
+    own, sinks = mesh_of_capture_elements(base), sinks_in(base)
     if own is None and not sinks:
         return _damped(base, options, report)
-    company, names = Company(base, options), (base.model.base, (*base.model.base, *FLOOR_LAW))
+    joint, names = JointFits(base, options), (base.model.base, (*base.model.base, *FLOOR_LAW))
     report("fits in the company of effects")
-    hard = company.best(names[0], [np.append(base.fit.values, company.nothing)])
-    doses = company.nothing if hard is None else hard.values[len(names[0]) :]
-    soft = on_giving_floor(company, doses) if sinks else None
+    hard = joint.best(names[0], [np.append(base.fit.values, joint.nothing)])
+    doses = joint.nothing if hard is None else hard.values[len(names[0]) :]
+    soft = on_giving_floor(joint, doses) if sinks else None
     if soft is not None and softness(base, names[1], soft.values) > SETTING.soft_stiffness:
         soft = None
     if own is None and soft is None:
@@ -74,7 +74,7 @@ def _asked(base: Baseline, options: GapOptions, report: Callable[[str], None]) -
     tried: dict[tuple[bool, bool], Fit] = {}  # by whether the elements are the own ones, and the floor gives way
     for mesh in (None,) if own is None else (None, own):
         for which, start in floors:
-            found = company.full(which, start, mesh)
+            found = joint.full(which, start, mesh)
             if found is not None:
                 tried[mesh is not None, which is names[1]] = found
     if not tried:
@@ -82,7 +82,7 @@ def _asked(base: Baseline, options: GapOptions, report: Callable[[str], None]) -
     misfits = {case: found.misfit for case, found in tried.items()}
     theirs, gives = _likeliest(misfits, refuted=base.situation.in_soft_floor)
     if gives:
-        return Setting(_moved(base, company, names[1], tried[theirs, gives]), None if own is None else theirs)
+        return Setting(_moved(base, joint, names[1], tried[theirs, gives]), None if own is None else theirs)
     return replace(_damped(base, options, report), own=None if own is None else theirs)
 
 
@@ -104,17 +104,17 @@ def _damped(base: Baseline, options: GapOptions, report: Callable[[str], None]) 
     damped = damped_fit(base, options)
     if damped is None:
         return Setting(base, None)
-    company, found = damped
-    base = _moved(base, company, base.model.base, found)
-    model = replace(base.model, effects=company.effects)
+    joint, found = damped
+    base = _moved(base, joint, base.model.base, found)
+    model = replace(base.model, effects=joint.effects)
     return Setting(base, None, replace(base, model=model, fit=found, motion=model.motion(found.values)))
 
 
-def _moved(base: Baseline, company: Company, names: tuple[str, ...], found: Fit) -> Baseline:
+def _moved(base: Baseline, joint: JointFits, names: tuple[str, ...], found: Fit) -> Baseline:
     """The rough base fit at the values of a fit in company, without it."""
     count = len(names)
     alone = replace(
         found, parameters=found.parameters[:count], values=found.values[:count], jacobian=found.jacobian[:, :count]
     )
-    twin = company.model(names, alone.values).twin.with_values(names, alone.values)
+    twin = joint.model(names, alone.values).twin.with_values(names, alone.values)
     return run_base(base.capture, base.observations, base.split, twin, alone, cost=base.model.cost)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from physconvex.gap.base.baseline import Baseline
-from physconvex.gap.search.damped_sine import deformation, ringing
+from physconvex.gap.search.damped_sine import damped_sine_fit, deformation
 from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.thresholds import EVIDENCE, LOCALISATION
 from physconvex.identify import MarkerObservations
@@ -58,9 +58,9 @@ def vibrations(base: Baseline, best: Hypothesis) -> tuple[Mode, ...]:
     for share, shape in zip(shares[: LOCALISATION.shapes], shapes, strict=False):
         if share < LOCALISATION.shape_share:
             break
-        found, errors = ringing((observed - mean) @ shape, fps)
-        out.append(Mode(float(share), found, errors, ringing((plain - mean) @ shape, fps)[0],
-                        ringing((improved - mean) @ shape, fps)[0]))  # fmt: skip
+        found, errors = damped_sine_fit((observed - mean) @ shape, fps)
+        out.append(Mode(float(share), found, errors, damped_sine_fit((plain - mean) @ shape, fps)[0],
+                        damped_sine_fit((improved - mean) @ shape, fps)[0]))  # fmt: skip
     return tuple(out)
 
 

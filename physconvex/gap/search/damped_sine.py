@@ -25,7 +25,7 @@ def _damped(p: np.ndarray, t: np.ndarray) -> np.ndarray:
     return np.asarray(decay * (p[2] * np.cos(p[0] * t) + p[3] * np.sin(p[0] * t)) + p[4])
 
 
-def ringing(signal: Float[np.ndarray, " T"], fps: float) -> tuple[tuple[float, float], tuple[float, float]]:
+def damped_sine_fit(signal: Float[np.ndarray, " T"], fps: float) -> tuple[tuple[float, float], tuple[float, float]]:
     """Frequency [Hz] and damping ratio of a signal, and their standard errors; NaN where no damped sine fits it.
 
     Raises nothing: a signal that does not ring has no frequency.
@@ -103,13 +103,13 @@ def recorded_ringing(base: Baseline) -> Recorded | None:
     _, strengths, shapes = np.linalg.svd(shown - mean, full_matrices=False)
     if strengths[0] ** 2 < EVIDENCE.main_shape * float((strengths**2).sum()):
         return None
-    (frequency, ratio), errors = ringing((shown - mean) @ shapes[0], base.capture.fps)
+    (frequency, ratio), errors = damped_sine_fit((shown - mean) @ shapes[0], base.capture.fps)
     if not np.isfinite(frequency) or not errors[0] < EVIDENCE.frequency_told * frequency:
         return None
     return Recorded(frequency, ratio, errors, shapes[0], mean, points, count)
 
 
-def ringing_likelihood(base: Baseline, positions: Float[np.ndarray, "T P 3"]) -> float:
+def damped_sine_likelihood(base: Baseline, positions: Float[np.ndarray, "T P 3"]) -> float:
     """Log-likelihood of the recorded frequency and damping ratio if a model rings as `positions` do; of held bodies.
 
     Zero where the recording does not ring, or is none of markers. Frames that only report are left out.
@@ -118,7 +118,7 @@ def ringing_likelihood(base: Baseline, positions: Float[np.ndarray, "T P 3"]) ->
     if recorded is None:
         return 0.0
     modelled = _displacements(base, positions, recorded.points, recorded.frames)
-    own_frequency, own_ratio = ringing((modelled - recorded.mean) @ recorded.shape, base.capture.fps)[0]
+    own_frequency, own_ratio = damped_sine_fit((modelled - recorded.mean) @ recorded.shape, base.capture.fps)[0]
     if not np.isfinite(own_frequency):
         return -0.5 * EVIDENCE.ringing_farthest**2
     (error, ratio_error), frequency, ratio = recorded.errors, recorded.frequency, recorded.ratio

@@ -13,7 +13,7 @@ from physconvex.gap.base.model import EffectModel
 from physconvex.gap.effects.effect import Effect
 from physconvex.gap.effects.motion import PointMotion
 from physconvex.gap.errors.score_test import ErrorModel
-from physconvex.gap.search.damped_sine import ringing_likelihood
+from physconvex.gap.search.damped_sine import damped_sine_likelihood
 from physconvex.gap.search.evidence import (
     evidence_of,
     information_by_kind,
@@ -48,7 +48,7 @@ class Hypothesis:
         information: number of independent fitted residuals by kind.
         moved: kinds that its effects change something of: only of these the residuals tell the doses.
         divisor: residuals per independent one that the evidence is tempered with, by kind.
-        ringing: log-likelihood of how the recording rings, part of the evidence that is not tempered.
+        vibration_likelihood: log-likelihood of how the recording rings, part of the evidence that is not tempered.
         later: the part of the likelihood that the frames make which choose, and which no fit saw.
         struck: kinds that are of frames from the first contact on; None where they are not divided.
     """
@@ -68,7 +68,7 @@ class Hypothesis:
     information: Float[np.ndarray, " D"] = field(default_factory=lambda: np.full(1, 2.0))
     moved: Bool[np.ndarray, " D"] = field(default_factory=lambda: np.ones(1, dtype=bool))
     divisor: Float[np.ndarray, " D"] = field(default_factory=lambda: np.ones(1))
-    ringing: float = 0.0
+    vibration_likelihood: float = 0.0
     later: Float[np.ndarray, " D"] = field(default_factory=lambda: np.zeros(1))
     struck: Bool[np.ndarray, " D"] | None = None
 
@@ -136,7 +136,7 @@ class Hypothesis:
         evidence = evidence_of(
             self.likelihood, told, self.effects, self.values, divisor, struck=self.struck, deviations=self.errors
         )
-        return replace(self, evidence=evidence + self.ringing, divisor=divisor)
+        return replace(self, evidence=evidence + self.vibration_likelihood, divisor=divisor)
 
 
 def hypothesis_at(
@@ -152,13 +152,17 @@ def hypothesis_at(
     likelihood = seen + later
     information = information_by_kind(base, errors, base.split.fitted)
     moved = moved_kinds(base, errors, positions)
-    ringing = ringing_likelihood(base, positions)
+    vibration_likelihood = damped_sine_likelihood(base, positions)
     struck = base.modes.struck
     told = information * moved
-    evidence = evidence_of(likelihood, told, model.effects, values, struck=struck, deviations=deviations) + ringing
+    evidence = (
+        evidence_of(likelihood, told, model.effects, values, struck=struck, deviations=deviations)
+        + vibration_likelihood
+    )
     return Hypothesis(
         model.effects, model, values, deviations, positions, motion, tangents, fitted, selecting, evidence, likelihood,
-        np.asarray(attainable), information, moved, ringing=ringing, later=later, struck=struck,
+        np.asarray(attainable), information, moved, vibration_likelihood=vibration_likelihood, later=later,
+        struck=struck,
     )  # fmt: skip
 
 
