@@ -1,4 +1,4 @@
-"""The object of a refinement as a convex field, bound to the body, so that it moves as the fitted model does."""
+"""The object of a refinement as a convex field bound to the body: it moves as the fitted model does."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Appearance:
     Attributes:
         field: at rest, world frame.
         motion: of the fitted model.
-        source: where the field comes from, in words.
+        source: origin of the field, in words.
         first_frame_psnr: of each camera's first image, over the pixels of the object [dB].
     """
 
@@ -70,16 +70,16 @@ class Appearance:
 
     @torch.no_grad()
     def image(self, frame: int, camera: Camera) -> tuple[UInt8[np.ndarray, "H W 3"], np.ndarray]:
-        """What a camera sees of it in a frame, before white, and its alpha [H, W]."""
+        """A camera's image of it in a frame, on white, and its alpha [H, W]."""
         found = render(self.at(frame), camera, background=torch.ones(3))
         colour = (255 * found.colour.clamp(0, 1)).round().to(torch.uint8).numpy()
         return colour, found.alpha.numpy()
 
 
 def start_field_fit(run: RefinementRun) -> Callable[[], Arrays] | None:
-    """Begin to fit a field to the first images of the cameras, beside other work; None where none is wanted or there.
+    """Start the fit of a field to the cameras' first images, parallel to other work; None if it is off or impossible.
 
-    A field is fitted from the capture's mesh, if there is one: one camera will then do.
+    If the capture has a mesh, the field starts from it: one camera is enough in this case.
     """
     options = run.options
     if options.field_file is not None or not options.field or not run.capture.filmed:
@@ -89,12 +89,12 @@ def start_field_fit(run: RefinementRun) -> Callable[[], Arrays] | None:
 
 
 def fitted_field(capture: Capture, options: RefineOptions) -> Arrays:
-    """Parts of a field fitted to the first images on `options.device`, and how well each camera's is drawn [dB]."""
+    """Parts of a field fitted to the first images on `options.device`, and the quality of each camera's image [dB]."""
     mesh = capture.mesh()
     views = capture_views(replace(capture, cameras=capture.filmed), least=2 if mesh is None else 1).training
     config = ReconstructionConfig(budget=options.field_budget, steps=options.field_steps)
     around = [*views]
-    if mesh is not None and len(views) == 1:  # the other sides are given the mean colour, and then not fitted
+    if mesh is not None and len(views) == 1:  # the hidden sides get the mean colour and stay fixed
         around += [_unseen(views[0], mesh, degrees) for degrees in (100.0, 180.0, 260.0)]
     start = start_field(around, config, mesh=mesh)
     state = fit_field(begin(start).to(device_named(options.device)), views, config)
@@ -111,9 +111,9 @@ def fitted_field(capture: Capture, options: RefineOptions) -> Arrays:
 def appearance_of(
     run: RefinementRun, motion: RefinedMotion, field_fit: Callable[[], Arrays] | None
 ) -> Appearance | None:
-    """The field that is being fitted, or is given.
+    """The fitted or given field.
 
-    None where it is not wanted, or where the first images do not say which pixels the object covers, as is warned of.
+    None if it is off, or if the first images do not show which pixels the object covers (with a warning).
 
     Raises:
         InputError: `field_file` of the options is no field.
@@ -133,7 +133,7 @@ def appearance_of(
 
 
 def _unseen(seen: Observation, mesh: trimesh.Trimesh, degrees: float) -> Observation:
-    """The object from another side, in the mean colour seen: the camera turned about the vertical through it."""
+    """The object from another side, in its mean colour: the camera rotated about the vertical axis through it."""
     vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
     centre = 0.5 * (vertices.min(0) + vertices.max(0))
     turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()

@@ -1,4 +1,4 @@
-"""Where the full model's search begins: the best of several places, improved on few nodes with long steps."""
+"""Start of the full model's search: the best of several candidates, improved on few nodes with long steps."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from physconvex.identify import (
 
 START_OPTIONS = FitOptions(relative_tolerance=1e-3, absolute_tolerance=0.1, max_step=1.5)
 _RUNS = 6
-_FEW = 0.7  # of the nodes: a mesh with more of them is hardly cheaper
+_FEW = 0.7  # of the nodes: a larger mesh is hardly cheaper
 
 
 def coarse_start(
@@ -37,9 +37,9 @@ def coarse_start(
 
     Args:
         run: the refinement.
-        problem: what is fitted.
+        problem: the fit's problem.
         reduced: the reduced model's fit.
-        candidates: values from which the full model may begin, that of the fit among them.
+        candidates: values at which the full model may start, including those of the fit.
 
     Raises:
         ConvergenceError: a body of few nodes cannot be simulated.
@@ -59,7 +59,7 @@ def coarse_start(
         found = fit_full(model, seen, start, max_runs=_RUNS, options=START_OPTIONS, look_around=look_around).fit
         if model is not half:
             at_start, at_end = misfits_of(problem, half, (start.values, found.values))
-            if at_start < at_end:  # few nodes have led astray
+            if at_start < at_end:  # the coarse mesh has misled the search
                 found = replace(found, values=start.values)
         return arrays_of_fit(found)
 
@@ -75,7 +75,7 @@ def _limited(run: RefinementRun, problem: Problem, half: FullModel, coarse: Full
 
 
 def _best(run: RefinementRun, problem: Problem, half: FullModel, reduced: Fit, candidates: Sequence[np.ndarray]) -> Fit:
-    """The candidate that the full model likes best: a rebound, or locking, may have led the reduced one astray."""
+    """The candidate with the full model's smallest misfit: after a rebound, or with locking, the reduced model errs."""
     if len(candidates) < 2:
         return reduced
     arrays = run.stages.run("start", lambda: {"misfits": misfits_of(problem, half, candidates)})
@@ -84,7 +84,7 @@ def _best(run: RefinementRun, problem: Problem, half: FullModel, reduced: Fit, c
 
 
 def misfits_of(problem: Problem, model: FullModel, candidates: Sequence[np.ndarray]) -> Float[np.ndarray, " C"]:
-    """Of each candidate, infinite where nothing comes out; with drift, all there may be, minus its log-likelihood."""
+    """Misfit of each candidate, infinite if it fails; with drift, minus the log-likelihood at the largest drift."""
     roll_out_together((model, values) for values in candidates)
     found: list[np.ndarray | None] = []
     for values in candidates:

@@ -1,8 +1,8 @@
-"""The last search compares colours: the first image carried by the fitted model, blurred as wide as the model errs.
+"""The last search compares colours: the fitted model moves the first image, blurred as wide as the model's error.
 
-How a stiff body rebounds hangs on E, ν and damping together, and the points that are followed first do not tell one
-rebound from another: what they are off by passes for rigid drift. The colours do, but from afar they lead nowhere.
-Where they lose the body after a contact, the search restarts from another material.
+The rebound of a stiff body depends on E, ν and damping together. The followed points cannot distinguish rebounds, since
+rigid drift absorbs the difference. The colours can, but only near the solution. If they lose the body after a contact,
+the search restarts from another material.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from physconvex.identify import (
 )
 
 _NARROW = 1.5  # pixels
-_WIDE = 6.0  # pixels: tells from afar which rebound is the nearest
-_LOST = 5.0  # times the colours' residuals in flight: after a contact they lie elsewhere
+_WIDE = 6.0  # pixels: finds the nearest rebound from far away
+_LOST = 5.0  # times the colours' residuals in flight: above it the body is lost after the contact
 _MODULI = (0.0, -0.08, 0.08)  # decades
 _RATIOS = (0.25, 0.42)
-_LOSSES = (0.1, 0.3)  # of energy, by the slowest wave's angular frequency times β; beside the damping that was found
+_LOSSES = (0.1, 0.3)  # of energy, by the slowest wave's angular frequency times β; besides the fitted damping
 
 
 def fit_colours(run: RefinementRun, problem: Problem, found: Fit) -> tuple[Problem, Fit]:
-    """The problem with colours in the place of the points followed, and its fit from another one."""
+    """The problem with colours instead of the followed points, and its fit from another one."""
     kept = problem
     try:
         kept, found = _fitted(run, problem, found, blur_for(problem))
@@ -66,7 +66,7 @@ def _fitted(run: RefinementRun, problem: Problem, found: Fit, blur: float, name:
 
 
 def _restarted(run: RefinementRun, problem: Problem, kept: Problem, found: Fit, lost: float) -> tuple[Problem, Fit]:
-    """The fit from the material about that widely blurred colours like best, if it follows the body better."""
+    """The fit from the nearby material with the smallest misfit of wide-blurred colours, if it is the better one."""
     values = materials_about(problem, found)
 
     def compute() -> Arrays:
@@ -84,17 +84,17 @@ def _restarted(run: RefinementRun, problem: Problem, kept: Problem, found: Fit, 
 
 
 def blur_for(problem: Problem) -> float:
-    """The blur [pixels], to the half, over which colours tell the body from where its model is known to put it.
+    """Width of the blur [pixels], in steps of one half.
 
-    As wide as the model is astray in the images of the nearest camera: what a narrower one compares lies elsewhere.
+    It is the model's error in the images of the nearest camera. A narrower blur compares unrelated pixels.
     """
     return float(np.clip(round(2 * in_pixels(problem, problem.astray)) / 2, _NARROW, _WIDE))
 
 
 def colours_lost(problem: Problem, found: Fit) -> float:
-    """The colours' rms residual from the first contact on over that before it, where the model is all but exact.
+    """Ratio of the colours' rms residual from the first contact on to that before it, where the model is nearly exact.
 
-    One where nothing is struck, or no colour is compared on both sides.
+    One if there is no contact, or no colour is compared on one of the two sides.
     """
     if problem.drift_limit is None:
         return 1.0
@@ -127,9 +127,9 @@ def materials_about(problem: Problem, found: Fit) -> list[Float[np.ndarray, " K"
 
 
 def _coloured(run: RefinementRun, problem: Problem, found: Fit, blur: float) -> Problem:
-    """The problem with the colours of surface points in the place of the points followed.
+    """The problem with the colours of surface points instead of the followed points.
 
-    Which points are seen where is taken from the fitted model. A camera that sees none keeps its followed points.
+    The fitted model gives the visible points. A camera that sees none keeps its followed points.
     """
     model: FullModel | ReducedModel = problem.full(run.memory) if run.options.correction else problem.reduced()
     observed, (vertices, triangles) = problem.observed, problem.twin.surface
@@ -164,5 +164,5 @@ def _colours(
 ) -> ColourObservations | None:
     try:
         return ColourObservations(part.camera, points, images, visible, exposure=exposure)
-    except InputError:  # nothing is seen again
+    except InputError:  # no point is visible again
         return None

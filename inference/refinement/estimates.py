@@ -1,4 +1,4 @@
-"""From a fit to estimates with intervals; the error that a finer model would remove."""
+"""Estimates with intervals from a fit; the error that a finer model would remove."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from physconvex.identify import (
 )
 from physconvex.mesh import TetMesh
 
-# standard deviation by the choice of a mesh that is made of a surface, of bodies that strike something: what E
-# [decades] and ν are off by if fitted, to first order, to motions of other meshes (benchmarks/twin_meshes.py)
+# standard deviation by the choice of a mesh made of a surface, of bodies that hit something: error of E [decades]
+# and ν in a first-order fit to motions of other meshes (benchmarks/twin_meshes.py)
 _BY_MESH = {"log10_youngs_modulus": 0.012, "poisson_ratio": 0.03}
 
 
@@ -43,16 +43,17 @@ def fitted_parameters(
     stated: Sequence[bool],
     followed: bool = True,
 ) -> tuple[FittedParameter, ...]:
-    """Each parameter with its deviations.
+    """Each parameter with its standard deviations.
 
     Args:
         found: the fit.
         left: deviation by model error, NaN where unknown.
         told: which parameters are at a bound.
         frames: frame of each residual.
-        sources: the residuals of each source: one that is not followed is not hidden by many of another.
-        stated: whether the recording states the noise of each source; that of images is what their residuals are.
-        followed: whether the model follows the recording; if not, no interval around it says where the truth is.
+        sources: the residuals of each source; each is tested on its own, so that many good ones do not hide a bad one.
+        stated: whether the recording states the noise of each source; the noise of images is the size of their
+            residuals.
+        followed: whether the model fits the recording; if not, there are no intervals.
     """
     sigmas = marginal_deviations(found, _variances(found, sources, stated))
     sigmas = np.maximum(sigmas, clustered_deviations(found, frames))
@@ -75,7 +76,7 @@ def fitted_parameters(
 
 
 def _variances(found: Fit, sources: Sequence[slice], stated: Sequence[bool]) -> Float[np.ndarray, " N"]:
-    """Of the residuals: each source's own, at least one where it is stated; the worst one for all if above one."""
+    """Variances of the residuals by source, at least one if stated; the worst one for all if it is above one."""
     squares = [float(np.mean(found.residuals[where] ** 2)) for where in sources]
     worst = max(found.reduced_chi_square, *squares)
     out = np.full(len(found.residuals), max(worst, 1.0))
@@ -87,13 +88,13 @@ def _variances(found: Fit, sources: Sequence[slice], stated: Sequence[bool]) -> 
 
 @dataclass(frozen=True, eq=False)
 class FitWithError:
-    """A fit, and what a finer model says of it.
+    """A fit, and its comparison with a finer model.
 
     Attributes:
         fit: the last one; with the correction on, of the finer model.
-        left: standard deviation of each value by the model error that is left, shape [K]; NaN where unknown.
-        frame_errors: rms model error that is left in each frame, in standard deviations of the noise, [T].
-        mesh: the finer mesh; None where there is none.
+        left: standard deviation of each value by the remaining model error, shape [K]; NaN where unknown.
+        frame_errors: rms remaining model error in each frame, in standard deviations of the noise, [T].
+        mesh: the finer mesh; None if there is none.
     """
 
     fit: Fit
@@ -105,18 +106,18 @@ class FitWithError:
 def with_model_error(
     run: RefinementRun, full: FullModel, found: Fit, seen: Observations, *, on_twin: Fit | None = None
 ) -> FitWithError:
-    """Compare with a finer model, let frames count by what that changes, and fit once more.
+    """Compare with a finer model, weight the frames by the difference, and fit once more.
 
-    With the correction the full model is compared with one of a finer mesh (the other way round, where it is that of
-    the finer mesh itself) and with one of half the time step, and the last fit takes its residuals from what both say
-    together; without it, the reduced model with the full one, and nothing is fitted again.
+    With the correction, the full model is compared with one on a finer mesh (or a coarser one, if it is on the finer
+    mesh already) and with one of half the time step. The last fit extrapolates from these. Without the correction, the
+    reduced model is compared with the full one, and there is no further fit.
 
     Args:
         run: the refinement.
-        full: that was fitted.
+        full: the fitted model.
         found: the fit.
-        seen: what was seen.
-        on_twin: the fit on the twin's mesh, where `full` is on a finer one.
+        seen: the observations.
+        on_twin: the fit on the twin's mesh, if `full` is on a finer one.
     """
     options, warnings = run.options, run.warnings
     twin, frames = full.twin, full.frames
@@ -154,7 +155,7 @@ def with_model_error(
     runs_away = bool(arrays.get("runs_away", False))
     if on_twin is not None:
         left = np.hypot(left, LEFT_BY_FITTED * np.abs(found.values - on_twin.values))
-    if twin.may_strike or runs_away:  # after an impact meshes do not converge: all that a finer one moved
+    if twin.may_strike or runs_away:  # after an impact meshes do not converge: the whole difference counts
         left = np.hypot(left, np.abs(last.values - found.values))
     if twin.may_strike and not is_of_capture(twin):
         left = np.hypot(left, [_BY_MESH.get(p.name, 0.0) for p in found.parameters])

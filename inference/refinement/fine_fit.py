@@ -1,9 +1,8 @@
-"""The search goes on on a mesh of more nodes: how a body rebounds hangs on its shape where it lands.
+"""Continues the search on a mesh of more nodes, since the rebound of a body depends on its shape at the contact.
 
-Of few nodes, thin legs are too thick or missing, and the twin's motion parts from the body's by a centimetre per frame
-from the landing on, which E and ν then make up for. Meshes of two to five times the nodes, the best of several
-meshers, come two to five times as near. The few nodes may have led to another rebound, so that materials about are
-tried first.
+With few nodes, thin legs are too thick or missing. The twin's motion then deviates from the body's by a centimetre per
+frame after the landing, and E and ν compensate for it. The best of several meshes with two to five times the nodes is
+two to five times as accurate. The coarse mesh may lead to another rebound, so that nearby materials are tried first.
 """
 
 from __future__ import annotations
@@ -30,22 +29,22 @@ from physconvex.identify import (
     roll_out_together,
 )
 
-# decades of E beside the start, then further on the side that is better, and ν with them
+# decades of E from the start, then further on the better side, and ν with them
 _BESIDE, _FURTHER, _RATIO = 0.15, (0.3, 0.45), 0.35
-_RATIOS = (0.25, 0.45)  # beside the best of these
+_RATIOS = (0.25, 0.45)  # besides the best of these
 _ALIKE = 2.0  # pixels between the motions of both meshes, below which videos hardly tell them apart
 
 
 def fit_on_more_nodes(run: RefinementRun, problem: Problem, found: Fit, *, last: bool) -> tuple[Problem, Fit]:
-    """The problem on a mesh of more nodes, and its fit, started at `found`; both as they are if there is no mesh.
+    """The problem on a mesh of more nodes, and its fit, started at `found`.
 
-    Or if videos hardly tell it from the twin's.
-    Where the recording likes no modulus beside `found` better, the fit is left to the search that follows.
+    Both stay as they are if there is no mesh, or if videos hardly distinguish it from the twin's. If no nearby modulus
+    has a smaller misfit, the fit is left to the next search.
 
     Args:
         run: the refinement.
         problem, found: on the twin's mesh.
-        last: no search follows, to which this one may leave the last digits.
+        last: no search follows that could refine the last digits.
 
     Raises:
         ConvergenceError: the body cannot be simulated on it.
@@ -88,7 +87,7 @@ def _apart(here: Float[np.ndarray, "T P 3"], there: Float[np.ndarray, "T P 3"]) 
 
 
 def _material(problem: Problem, model: FullModel, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
-    """Of a fit's values and those of materials about, what the recording likes best."""
+    """The values with the smallest misfit, of a fit's values and those of nearby materials."""
     beside = [_moved(problem, values, change, _RATIO) for change in (-_BESIDE, _BESIDE)]
     best = _best(problem, model, [values, *beside])
     if best is values:
@@ -99,7 +98,7 @@ def _material(problem: Problem, model: FullModel, values: Float[np.ndarray, " K"
 
 
 def _moved(problem: Problem, values: np.ndarray, change: float, ratio: float) -> Float[np.ndarray, " K"]:
-    """Values with E changed by so many decades and that ν, as far as these are free and within their bounds."""
+    """Values with E changed by that many decades and that ν, as far as these are free and within their bounds."""
     wanted = {"log10_youngs_modulus": lambda value: value + change, "poisson_ratio": lambda value: ratio}
     pairs = zip(problem.parameters, map(float, values), strict=True)
     return np.array([p.at(wanted[p.name](value)).start if p.name in wanted else value for p, value in pairs])

@@ -18,20 +18,20 @@ from physconvex.mesh import (
     tetrahedralize,
 )
 
-_FINER = 1.8  # nodes of a mesh made anew over those of the twin
-_HARDLY = 1.2  # times the nodes: no more is gained
-_ALIKE = 0.05  # of the volume of body and mesh together, that only one of them has
-_MOST_NODES = 4000  # of tetrahedra cut in eight
-# most nodes of the last searches, of bodies of so many times their own weight's pressure and of softer ones: these lie
-# on the floor with hundreds of points, and a roll-out takes minutes
+_FINER = 1.8  # nodes of a new mesh over those of the twin
+_HARDLY = 1.2  # least gain in nodes that makes a new mesh worthwhile
+_ALIKE = 0.05  # of the joint volume of body and mesh: part that belongs to only one of them
+_MOST_NODES = 4000  # of tetrahedra split into eight
+# most nodes of the last searches, of bodies whose E is that many times the pressure of their weight, and of softer
+# ones: these rest on the floor with hundreds of points, and a roll-out takes minutes
 _STIFF, _OF_STIFF, _OF_SOFT = 30.0, 2400, 1400
 
 
 def comparison_mesh(twin: Twin) -> TetMesh | None:
-    """A finer quadratic mesh of the same body, or None where none is found that is small enough.
+    """A finer quadratic mesh of the same body, or None if none is small enough.
 
-    Tetrahedra of the capture are cut in eight each, which keeps the geometry; a mesh that was made from the capture's
-    surface is made again with 1.8 times the nodes, and filled if the twin's is.
+    Tetrahedra of the capture are split into eight each, which keeps the geometry. A mesh made of the capture's surface
+    is replaced by one with 1.8 times the nodes, which is filled if the twin's is.
     """
     if is_of_capture(twin):
         fine = subdivided(twin.mesh)
@@ -47,12 +47,11 @@ def comparison_mesh(twin: Twin) -> TetMesh | None:
 
 
 def fine_mesh(run: RefinementRun, twin: Twin, found: Fit) -> TetMesh | None:
-    """That of the last searches of a body that strikes something, which of few nodes rebounds otherwise.
+    """The mesh of the last searches, for a body that hits something: with few nodes it rebounds differently.
 
-    The best that is found, of several meshers, with at most `fine_nodes` nodes (of the options), or else 2,400, or
-    1,400 where E is less than 30 ρ g L at the fit that was found; it is made anew from the surface of the capture.
-    None where nothing is struck, the twin's mesh is all but the body (a twentieth of their volume apart), or no mesh
-    with more nodes is found.
+    The best result of several meshers on the capture's surface, with at most `fine_nodes` nodes (of the options), or
+    else 2,400, or 1,400 if E is less than 30 ρ g L at the fit. None if there is no contact, if the twin's mesh matches
+    the body (within a twentieth of their volume), or if no mesh with more nodes is found.
     """
     surface = None if is_of_capture(twin) else surface_of_capture(twin.capture)
     if not twin.may_strike or surface is None:

@@ -16,7 +16,7 @@ from physconvex.mesh import Embedding, TetMesh
 
 
 def refined_motion(run: RefinementRun, full: FullModel, found: Fit, *, mesh: TetMesh | None = None) -> RefinedMotion:
-    """Roll the fitted model out over all frames: the full one where the correction is on, else the reduced one.
+    """Roll the fitted model out over all frames: the full one if the correction is on, else the reduced one.
 
     Args:
         run: the refinement.
@@ -73,7 +73,7 @@ def _rms(difference: np.ndarray) -> float:
 
 
 def future_rms(capture: Capture, motion: RefinedMotion) -> float:
-    """Root mean square distance of the markers in the frames that were not fitted [m]; NaN without any."""
+    """Root mean square distance of the markers in the frames after the fitted ones [m]; NaN without any."""
     tracks = capture.tracks()
     if tracks is None or capture.observed_frames >= capture.frames:
         return float("nan")

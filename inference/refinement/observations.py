@@ -1,4 +1,4 @@
-"""What is fitted of a capture: its marker tracks, points followed in its videos, outlines of its masks."""
+"""The observations of a capture: its marker tracks, points followed in its videos, outlines of its masks."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _UNFOLLOWED = (
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """The stack of observations, a line about each of its parts, the cameras among them, and notes for the user."""
+    """The stack of observations, a line on each of its parts, the cameras among them, and notes for the user."""
 
     observations: StackedObservations
     sources: tuple[str, ...]
@@ -44,7 +44,7 @@ class Observed:
 
     @property
     def follows_points(self) -> bool:
-        """Whether points were followed in videos, which a fitted model helps to follow better."""
+        """Whether it has points followed in videos, which a fitted model can follow better."""
         return any(isinstance(part, PixelObservations) for part in self.observations.parts)
 
     def rms(self, residuals: np.ndarray) -> dict[str, float]:
@@ -53,7 +53,7 @@ class Observed:
         return {source: float(np.sqrt(np.mean(residuals[where] ** 2))) for source, where in pairs}
 
     def followed_again(self, run: RefinementRun, twin: Twin, move: Callable[[np.ndarray], np.ndarray]) -> Observed:
-        """The same, with the points of the videos followed again from where a model moves them: [P, 3] → [T, P, 3]."""
+        """The same, with the video points followed again from a model's positions of them: [P, 3] → [T, P, 3]."""
         arrays = run.stages.run("anchored", lambda: self._follow_again(run.capture, twin, move))
         parts: list[Observations] = []
         sources = list(self.sources)
@@ -81,10 +81,10 @@ class Observed:
 
 
 def observe_capture(run: RefinementRun, twin: Twin) -> tuple[Observed, Twin]:
-    """What the options take of a capture, and the twin with the initial motion that the tracks show.
+    """The capture's observations that the options select, and the twin with the initial motion of the tracks.
 
     Raises:
-        InputError: there is nothing of that kind.
+        InputError: the capture has no such observations.
     """
     capture, options = run.capture, run.options
     if capture.observed_frames < 2:
@@ -133,7 +133,7 @@ def _cameras(capture: Capture, options: RefineOptions) -> tuple[Camera, ...]:
 
 
 def _video_parts(run: RefinementRun, twin: Twin, cameras: Sequence[Camera]) -> list[Observations]:
-    """Points and outlines of each camera; of one without images, or where no point can be followed, outlines alone."""
+    """Points and outlines of each camera; without images or followed points, outlines alone."""
     capture, surface = run.capture, twin.surface
     views = [(camera, capture.mask(camera.name)) for camera in cameras]
     arrays = run.stages.run("points", lambda: _followed(run, views, surface))
@@ -149,7 +149,7 @@ def _video_parts(run: RefinementRun, twin: Twin, cameras: Sequence[Camera]) -> l
 
 
 def _is_unfollowed(camera: Camera, capture: Capture, parts: Sequence[Observations]) -> bool:
-    """Whether there are images of a camera, and yet no point that is followed in them."""
+    """Whether a camera has images but no followed point."""
     followed = any(isinstance(part, PixelObservations) and part.camera is camera for part in parts)
     return camera in capture.filmed and not followed
 

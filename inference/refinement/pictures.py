@@ -1,4 +1,4 @@
-"""Pictures of a fit: one of estimates and search, and a video of what was seen, what the model says, the difference."""
+"""Pictures of a fit: a plot of estimates and search, and a video of observation, model and difference."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SEEN, _MODEL = (200, 40, 40), (40, 70, 200)
 
 
 def write_side_by_side(found: Refinement, capture: Capture, path: Path) -> None:
-    """Write observed | model | difference of the first camera; markers over the model's surface where there is none."""
+    """Write observed | model | difference of the first camera; without one, markers over the model's surface."""
     if capture.filmed:
         frames = _video_frames(found, capture)
     else:
@@ -53,7 +53,7 @@ def _video_frames(found: Refinement, capture: Capture) -> UInt8[np.ndarray, "T H
 
 
 def _outline_frames(found: Refinement, capture: Capture) -> UInt8[np.ndarray, "T H W 3"]:
-    """Of a camera without images: its masks and the model's, grey before white."""
+    """Images of a camera without a video: its masks and the model's, grey on white."""
     camera, motion, out = capture.cameras[0], found.motion, []
     masks = capture.mask(camera.name)
     assert masks is not None

@@ -51,8 +51,8 @@ from physconvex.reduced import parameter_values
 
 _STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses the body; least and most per second
 _NOT_FOLLOWED = 5.0  # standard deviations rms of one source, from which no interval says anything
-_WHERE = ("processes", "device")  # settings that say where it is computed, not what
-_LEFT = 0.5  # of the difference between few and more nodes: what more nodes still err by
+_WHERE = ("processes", "device")  # settings of where it is computed, which leave the result the same
+_LEFT = 0.5  # of the difference between few and more nodes: remaining error of more nodes
 
 
 def refine(
@@ -63,20 +63,19 @@ def refine(
     options: RefineOptions | None = None,
     on_stage: Callable[[str, bool], None] | None = None,
 ) -> Refinement:
-    """Identify the material of one capture, and its motion beyond the observed frames.
+    """Identify the material of one capture, and predict its motion beyond the observed frames.
 
     Args:
         path: capture folder (`capture.json`, see the docs) with a rest geometry and marker tracks, videos, or both.
-        out: folder for finished stages, so that a stopped refinement goes on; None keeps nothing. Result files are
+        out: folder for finished stages, from which a stopped refinement continues; None keeps nothing. Result files are
             written by `inference.write_refinement`.
-        initial: a prediction to start at, in the place of a scan.
+        initial: a prediction as the start, instead of a scan.
         options: settings.
-        on_stage: told the name of each stage when it begins, and whether it was read again.
+        on_stage: called at the start of each stage, with its name and whether it is read from disk.
 
     Raises:
-        InputError: something that is needed is missing or wrong, or the device cannot be used; the message names it
-            and the remedy.
-        ConvergenceError: no start was found at which the body can be simulated.
+        InputError: an input is missing or wrong, or the device cannot be used; the message names it and the remedy.
+        ConvergenceError: the body cannot be simulated at any start.
     """
     options = options or RefineOptions()
     device_named(options.device)
@@ -102,7 +101,7 @@ def _refined(run: RefinementRun) -> Refinement:
     if options.own_derivatives:
         try:
             problem, start, coarse = coarse_start(run, problem, reduced, search.candidates(problem, reduced))
-        except ConvergenceError:  # too few nodes to be simulated: from the reduced model then
+        except ConvergenceError:  # too few nodes to be simulated: the reduced model's fit is the start
             pass
     if problem.observed.follows_points:
         problem = _followed_again(run, problem, start, coarse)
@@ -171,7 +170,7 @@ def _refined(run: RefinementRun) -> Refinement:
 
 
 def _problem(run: RefinementRun) -> Problem:
-    """What is fitted: the twin with the fixed values, the unknowns, what was seen."""
+    """The problem of the fit: the twin with the fixed values, the unknowns, the observations."""
     options = run.options
     sizes = TwinOptions(options.weights, options.max_nodes, options.steps_per_frame, fill=options.fill)
     twin = base_twin(run.capture, sizes)
@@ -193,7 +192,7 @@ def _problem(run: RefinementRun) -> Problem:
 
 
 def _contact_surface(twin: Twin) -> SurfacePoints | None:
-    """Where obstacles act: on the surface that the capture states, not on the nodes of whatever mesh carries it."""
+    """Points at which obstacles act: on the surface that the capture states, not on the nodes of a mesh."""
     if not twin.scene.obstacles:
         return None
     tets = None if twin.capture.mesh() is not None else twin.capture.tets()
@@ -201,7 +200,7 @@ def _contact_surface(twin: Twin) -> SurfacePoints | None:
 
 
 def _followed_again(run: RefinementRun, problem: Problem, start: Fit, coarse: FullModel | None) -> Problem:
-    """The problem with points followed again from where the fitted model puts them."""
+    """The problem with points followed again from their positions in the fitted model."""
 
     def move(points: np.ndarray) -> np.ndarray:
         return replace(coarse or problem.reduced(), points=points).positions(start.values)
@@ -210,9 +209,9 @@ def _followed_again(run: RefinementRun, problem: Problem, start: Fit, coarse: Fu
 
 
 def _with_time_step(run: RefinementRun, problem: Problem, start: Fit) -> Problem:
-    """The problem with time steps that suit the body's elastic waves, unless the user gave their number.
+    """The problem with time steps that suit the body's elastic waves, unless the user gives their number.
 
-    A body that strikes something rings with periods of about twice its size over the speed of its waves.
+    After an impact a body rings with periods of about twice its size over the speed of its waves.
     """
     twin = problem.twin
     if run.options.steps_per_frame is not None or not twin.may_strike:
@@ -224,7 +223,7 @@ def _with_time_step(run: RefinementRun, problem: Problem, start: Fit) -> Problem
 
 
 def _model_beside(run: RefinementRun, problem: Problem, start: Fit, coarse: FullModel) -> FullModel:
-    """The full model on another mesh, to compare with; what is asked of both there is rolled out ahead."""
+    """The full model on another mesh, for comparison; the roll-outs needed on both run ahead, in parallel."""
     full = problem.full(run.memory)
     mesh = comparison_mesh(problem.twin) if coarse.mesh is None else coarse.mesh
     other = full if mesh is None else replace(full, mesh=mesh)
@@ -234,7 +233,7 @@ def _model_beside(run: RefinementRun, problem: Problem, start: Fit, coarse: Full
 
 
 def _with_errors(run: RefinementRun, problem: Problem, other: FullModel, start: Fit) -> Problem:
-    """The problem with what more nodes change by frame: after an impact bodies of few nodes soon go astray."""
+    """The problem with the difference to more nodes by frame: after an impact, bodies of few nodes soon go astray."""
 
     def compute() -> Arrays:
         here, there = problem.full(run.memory).begun(start.values), other.positions(start.values)
@@ -242,7 +241,7 @@ def _with_errors(run: RefinementRun, problem: Problem, other: FullModel, start: 
 
     try:
         return replace(problem, errors=run.stages.run("frame_errors", compute)["errors"])
-    except ConvergenceError:  # the correction will say so
+    except ConvergenceError:  # the correction reports it
         return problem
 
 
@@ -276,7 +275,7 @@ def _corrected(run: RefinementRun, problem: Problem, start: Fit, *, last: bool) 
 def _on_more_nodes(
     run: RefinementRun, problem: Problem, found: Fit, converged: bool, *, last: bool
 ) -> tuple[Problem, Fit, bool]:
-    """The problem on a mesh of more nodes, if there is one, its fit, and whether that has settled."""
+    """The problem on a mesh of more nodes, if there is one, its fit, and whether that has converged."""
     try:
         fine, again = fit_on_more_nodes(run, problem, found, last=last)
     except ConvergenceError as error:

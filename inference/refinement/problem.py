@@ -1,4 +1,4 @@
-"""What a refinement fits: the twin that holds the fixed values, the unknowns, what was seen of the observed frames."""
+"""The problem of a refinement: the twin with the fixed values, the unknowns, the observations."""
 
 from __future__ import annotations
 
@@ -27,20 +27,19 @@ from physconvex.reduced import parameter_values
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is fitted.
+    """The problem of a fit.
 
     Attributes:
         twin: body and world, with the fixed values.
         parameters: the unknowns.
-        observed: what was seen.
+        observed: the observations.
         nuisance: priors of camera and clock.
-        surface: points at which obstacles act, in the place of the mesh's nodes.
-        mesh: that the full model is rolled out on; None: the twin's.
-        astray: rms distance at which the body may be from where that puts it [m].
+        surface: points at which obstacles act, instead of the mesh's nodes.
+        mesh: mesh of the full model; None: the twin's.
+        astray: rms distance of the body from its position on that mesh, at most [m].
         errors: of the model by frame, in standard deviations of the noise, shape [T].
         drift: standard deviation of the rigid drift after a contact [m/s].
-        drift_limit: the frame from which there is drift, and the greatest deviation that may be thought of [m/s]; None
-            where nothing is struck.
+        drift_limit: first frame with drift, and the largest deviation considered [m/s]; None if there is no contact.
     """
 
     twin: Twin
@@ -71,7 +70,7 @@ class Problem:
         return self.with_drift_of(self.drift) if self.drift else self.undrifted
 
     def with_drift_of(self, sigma: float) -> RigidDriftObservations:
-        """What was seen, with rigid drift of that deviation [m/s] eliminated too."""
+        """The observations, with rigid drift of that deviation [m/s] also eliminated."""
         assert self.drift_limit is not None
         return RigidDriftObservations(self.undrifted, self.drift_limit[0], 1 / self.twin.fps, sigma)
 
@@ -103,9 +102,9 @@ class Problem:
 
     @property
     def windows(self) -> tuple[int, ...]:
-        """Numbers of frames to be fitted one after the other.
+        """Increasing numbers of frames, to be fitted one after the other.
 
-        A held body swings: over many periods the misfit has a minimum per period, over one it has one.
+        A held body swings: over many periods the misfit has one minimum per period, over one period a single one.
         """
         count = self.frames
         if self.twin.clamp is None:
@@ -124,13 +123,13 @@ def started_from(parameters: tuple[Parameter, ...], found: Fit) -> tuple[Paramet
 
 
 def material_of(twin: Twin, found: Fit) -> tuple[float, float]:
-    """Log10 of E [Pa] and the density [kg/m³] at a fit, whether they were free or not."""
+    """Log10 of E [Pa] and the density [kg/m³] at a fit, whether they are free or not."""
     scene = twin.with_values(found.names, found.values).scene
     modulus, density = parameter_values(scene, ["log10_youngs_modulus", "density"])
     return float(modulus), float(density)
 
 
 def in_pixels(problem: Problem, length: float) -> float:
-    """A length [m] where the body begins, in the images of the nearest camera."""
+    """A length [m] at the body's initial position, in the images of the nearest camera."""
     centre = problem.twin.mesh.vertices.mean(axis=0)
     return length * float(max(camera.fl_x / camera.project(centre)[1] for camera in problem.observed.cameras))

@@ -1,6 +1,6 @@
-"""The search with the reduced model: a scan over E and ν, then a fit from the best of it.
+"""The search with the reduced model: a scan over E and ν, then a fit from the best pair.
 
-The scan looks closely around the network's prediction and coarsely everywhere else.
+The scan is fine around the network's prediction and coarse elsewhere.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from physconvex.io import Capture
 
 _MODULUS, _RATIO = "log10_youngs_modulus", "poisson_ratio"
 _CHEAP_WEIGHTS = 6
-_AROUND = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0)  # decades; eigenmodes are too stiff in contact, so that E wants more
+_AROUND = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0)  # decades; eigenmodes are too stiff in contact, so that E must be larger
 _USUAL_RATIO = 0.3
-_PAIRS = 10  # of E and ν that are scanned at least
+_PAIRS = 10  # least number of scanned pairs of E and ν
 _RATIOS = (0.25, 0.45)
 _LEAST = 0.4  # half width of the scan around a prediction [decades]
-_APART = 0.2  # from the predicted interval, of what is scanned besides [decades]
+_APART = 0.2  # least distance of further scanned moduli from the predicted interval [decades]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class ReducedSearch:
         return fit_of(self.run.stages.run("reduced", lambda: self._best(problem, starts)), problem.parameters)
 
     def candidates(self, problem: Problem, found: Fit) -> tuple[np.ndarray, ...]:
-        """Where a better model may begin: the fit, the best pairs of the scan, and moduli about that of a free body."""
+        """Starts of a better model: the fit, the best pairs of the scan, and, for a free body, moduli near the fit."""
         if _MODULUS not in problem.names or _MODULUS in self.run.options.initial:
             return (found.values,)
         scanned = [np.array([p.start for p in start]) for start in self._scanned(problem)]
@@ -72,7 +72,7 @@ class ReducedSearch:
         return found.values, *scanned, *around
 
     def _scanned(self, problem: Problem) -> Scanned:
-        """The best pairs of the scan, which is made once even where stages are not kept."""
+        """The best pairs of the scan, which runs once even if stages are not kept."""
         if "scan" not in self._made:
             self._made["scan"] = self.run.stages.run("scan", lambda: self._scan(problem))
         return scan_of(self._made["scan"], problem.parameters)
@@ -93,7 +93,7 @@ class ReducedSearch:
         return replace(twin, steps_per_frame=max(4, twin.steps_per_frame // 2))
 
     def _scan(self, problem: Problem) -> Arrays:
-        self.run.workers.begin(_PAIRS)  # while the network looks where
+        self.run.workers.begin(_PAIRS)  # while the network predicts the start
         where = scan_range(self.run.capture, problem.twin.mesh.size, self.run.options)
         if where.note:
             self.run.warnings.append(where.note)
@@ -110,7 +110,7 @@ class ReducedSearch:
         return arrays_of_scan(found, within=where.predicted)
 
     def _best(self, problem: Problem, starts: tuple[tuple[Parameter, ...], ...]) -> Arrays:
-        """A few cheap iterations from the best starts, then the model itself from the best one."""
+        """A few cheap iterations from the best starts, then a fit of the model itself from the best one."""
         cheap = replace(problem, twin=self._cheap(problem))
         grown = self.run.workers.map(
             partial(_grown, cheap, self._rough_options(held=cheap.twin.clamp is not None)), starts
@@ -127,13 +127,13 @@ class ReducedSearch:
         return fit(problem.reduced(), problem.seen, start, options=self._reduced_options())
 
     def _reduced_options(self) -> FitOptions:
-        """Where the full model is fitted next, the reduced one need not settle to the last digit."""
+        """Options of the reduced fit: if the full model follows, the last digits need not converge."""
         if self.run.options.own_derivatives:
             return FitOptions(max_iterations=8, relative_tolerance=1e-3, absolute_tolerance=0.1)
         return FitOptions()
 
     def _rough_options(self, *, held: bool) -> FitOptions:
-        """Of the cheap fits: where the full model goes on, from several places, what few steps leave is enough."""
+        """Options of the cheap fits: if the full model continues from several starts, a few steps are enough."""
         if self.run.options.own_derivatives and not held:
             return FitOptions(max_iterations=4, relative_tolerance=0.03)
         return FitOptions(max_iterations=6)
@@ -145,9 +145,9 @@ class ReducedSearch:
 
 
 def _grown(cheap: Problem, options: FitOptions, start: tuple[Parameter, ...]) -> Fit | None:
-    """Fit longer and longer parts of the motion; None where the body cannot be simulated.
+    """Fit increasing parts of the motion; None if the body cannot be simulated.
 
-    Parts that serve to find the right swing leave ν alone, of which they tell next to nothing.
+    Parts that only find the right swing keep ν fixed, since they hardly determine it.
     """
     found = None
     for frames in cheap.windows:
@@ -163,12 +163,12 @@ def _grown(cheap: Problem, options: FitOptions, start: tuple[Parameter, ...]) ->
 
 @dataclass(frozen=True)
 class ScanRange:
-    """What is scanned.
+    """The scan's values.
 
     Attributes:
         moduli: log10 E.
         ratios: ν.
-        predicted: ends of the prediction's log10 E, of which a start is kept whatever fits better; None: of none.
+        predicted: ends of the prediction's log10 E; a start within them is always kept; None: no prediction.
         note: for the user, "" for none.
     """
 
@@ -179,10 +179,10 @@ class ScanRange:
 
 
 def scan_range(capture: Capture, size: float, options: RefineOptions) -> ScanRange:
-    """Where to look for the material of a body of that size [m].
+    """The scan for a body of that size [m].
 
     Raises:
-        InputError: a prediction was asked for and is impossible.
+        InputError: a prediction is requested and impossible.
     """
     gravity = float(np.linalg.norm(capture.gravity))
     everywhere = scan_values(density=capture.density, gravity=gravity, size=size)

@@ -18,8 +18,8 @@ from physconvex.io import Camera, Picture, html_summary, load_capture
 from physconvex.mesh import TetMesh
 
 REFINEMENT_SCHEMA = "physconvex/refinement/1"
-_DRIFT_TOLD = 0.01  # of the size: from here on the user is told
-_NINETY = 1.6448536269514722  # of a normal distribution, both sides
+_DRIFT_TOLD = 0.01  # of the size: least drift that is reported to the user
+_NINETY = 1.6448536269514722  # quantile of a normal distribution, both sides
 UNITS = {
     "log10_youngs_modulus": "log10(Pa)",
     "poisson_ratio": "1",
@@ -50,11 +50,10 @@ class FittedParameter:
     Attributes:
         name: of `physconvex.reduced.PARAMETERS`.
         value: [unit].
-        noise_sigma: standard deviation from the noise of the data; enlarged by the root of the reduced χ² where the
-            residual is larger than the stated noise, and at least what residuals say that err together frame by frame.
-        model_error: standard deviation by the model error that is left; NaN where no finer model was tried.
-        interval: 90 %, of noise and model error together; None at a bound, and where the model does not follow the
-            recording.
+        noise_sigma: standard deviation from the noise of the data. It is enlarged by the root of the reduced χ² if the
+            residual exceeds the stated noise, and at least that of residuals correlated within a frame.
+        model_error: standard deviation by the remaining model error; NaN if no finer model is tried.
+        interval: 90 %, of noise and model error together; None at a bound, and if the model does not fit the recording.
         lower, upper: bounds.
         prior: mean and standard deviation, or None.
     """
@@ -118,7 +117,7 @@ class MovingField(Protocol):
         """The field in a frame."""
 
     def image(self, frame: int, camera: Camera) -> tuple[UInt8[np.ndarray, "H W 3"], np.ndarray]:
-        """What a camera sees of it in a frame, before white, and its alpha [H, W]."""
+        """A camera's image of it in a frame, on white, and its alpha [H, W]."""
 
     def to_json(self) -> dict[str, JsonValue]:
         """Number of convexes, source, PSNR of the first images [dB]."""
@@ -126,7 +125,7 @@ class MovingField(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class RefinedMotion:
-    """The motion of the fitted model in all frames, the future ones too.
+    """The motion of the fitted model in all frames, future ones included.
 
     Attributes:
         times: [s], shape [T].
@@ -135,10 +134,10 @@ class RefinedMotion:
         markers: of the tracked points [m], shape [T, P, 3]; P = 0 without tracks.
         handles: Z_m(t) of the reduced model, φ = X + Σ W_m Z_m [X; 1], shape [T, M + 1, 3, 4].
         weight_points, weights: rest positions [m], shape [N, 3], and skinning weights, shape [N, M], of the mesh nodes.
-        model: "full" or "reduced": where vertices and markers come from.
+        model: "full" or "reduced": the model that gives vertices and markers.
         mesh, nodes: the mesh of that model at rest, and its nodes [m], shape [T, K, 3].
-        reduced_gap: rms distance to it [m] of the reduced model with its first weights, and with those that were
-            refined by the full model's motion, whose handles these are; empty without the full model.
+        reduced_gap: rms distance [m] of the reduced model to it with its first weights, and with those refined by the
+            full model's motion, whose handles these are; empty without the full model.
     """
 
     times: Float[np.ndarray, " T"]
@@ -156,7 +155,7 @@ class RefinedMotion:
 
 @dataclass(frozen=True, eq=False)
 class RigidDrift:
-    """How the recording parts from the model as a rigid body.
+    """Rigid drift of the recording from the model.
 
     Attributes:
         first_frame: of the first contact.
@@ -193,26 +192,26 @@ class Refinement:
     Attributes:
         path: the capture folder.
         estimates: the free parameters.
-        fixed: values that were held.
+        fixed: values that are held fixed.
         covariance: of the noise, in the parameters' units, shape [K, K], in the order of `estimates`.
         reduced_chi_square: squares of the whitened residuals over degrees of freedom.
         residual_rms: root mean square of the residuals by source, in standard deviations of its stated noise.
         frame_errors: rms difference between the full and a finer model by frame, in standard deviations of the noise;
-            residuals of a frame were divided by √(1 + its square).
-        future_rms: the same of the markers in the frames that were not fitted [m]; NaN without.
-        identifiability: what the data can tell.
+            residuals of a frame are divided by √(1 + its square).
+        future_rms: rms distance of the markers in the frames after the fitted ones [m]; NaN without.
+        identifiability: how well the data determine the parameters.
         history: of the last search.
-        reduced_values: what the reduced model alone gave, shape [K].
+        reduced_values: result of the reduced model alone, shape [K].
         full_runs: runs of the full model.
-        converged: whether search and correction met their tolerances.
+        converged: whether search and correction meet their tolerances.
         motion: of the fitted model.
-        observed_frames: frames that were fitted.
-        sources: what was fitted, such as "12 markers" or "camera front: 80 points".
-        warnings: what the user should know.
-        nuisances: camera pose and time offset, where they were free, by name and unit.
+        observed_frames: fitted frames.
+        sources: fitted observations, such as "12 markers" or "camera front: 80 points".
+        warnings: notes for the user.
+        nuisances: camera pose and time offset, if they are free, by name and unit.
         appearance: the object as a convex field that moves with the body; None without one.
-        drift: of the recording from the model as a rigid body, after a contact; None where none is likely.
-        followed: the motion with that drift: where the recording has the body (its handles are the model's).
+        drift: rigid drift of the recording from the model after a contact; None if none is likely.
+        followed: the motion with that drift, as in the recording (its handles are the model's).
     """
 
     path: str
@@ -279,7 +278,7 @@ class Refinement:
         try:
             draw_fit(self, load_capture(self.path), drawn)
             pictures = [Picture(drawn.getvalue(), "what was seen and the model, the search, the estimates")]
-        except InputError:  # the capture is not there any more
+        except InputError:  # the capture no longer exists
             pass
         notes = [*self.identifiability.sentences, *self.warnings]
         return html_summary(f"Refinement of {self.path}", rows, pictures=pictures, notes=notes)

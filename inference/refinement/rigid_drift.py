@@ -1,4 +1,4 @@
-"""Rigid drift after a contact: how much of it there is likely to be, and what is told of it."""
+"""Rigid drift after a contact: its likely size, and the report of it."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from physconvex.identify import (
 )
 from physconvex.mesh import Embedding
 
-_LIMIT = 2.0  # times what two meshes differ by
+_LIMIT = 2.0  # times the difference of two meshes
 
 
 def with_drift_limit(run: RefinementRun, problem: Problem, model: FullModel, other: FullModel, found: Fit) -> Problem:
-    """The problem with the drift that two meshes of a body that strikes something differ by, as its greatest.
+    """The problem with the largest drift that it may have: that between two meshes of a body that hits something.
 
     Args:
         run: the refinement.
-        problem: what is fitted.
+        problem: the fit's problem.
         model, other: on different meshes; both are run at a fit's values.
         found: the fit.
     """
@@ -52,11 +52,11 @@ def with_drift_limit(run: RefinementRun, problem: Problem, model: FullModel, oth
 
 
 def with_drift_by(run: RefinementRun, problem: Problem, model: FullModel, found: Fit, name: str) -> Problem:
-    """The problem with the drift that is likely where a model puts the points at a fit's values.
+    """The problem with the most likely drift for a model's positions at a fit's values.
 
     Args:
         run: the refinement.
-        problem: a drift that it has is forgotten.
+        problem: a drift that it already has is ignored.
         model: of the observed points.
         found: the fit.
         name: of the stage.
@@ -75,7 +75,7 @@ def with_drift_by(run: RefinementRun, problem: Problem, model: FullModel, found:
 
 
 def with_drift(run: RefinementRun, problem: Problem, found: Fit, name: str) -> Problem:
-    """The same by the problem's full model; the problem as it is where that fails, as the next search will say."""
+    """The same by the problem's full model; the problem as it is if that fails: the next search reports it."""
     try:
         return with_drift_by(run, problem, problem.full(run.memory), found, name)
     except ConvergenceError:
@@ -99,7 +99,7 @@ def drifted(problem: Problem, found: Fit) -> Float[np.ndarray, "T P 3"]:
 
 
 def followed_motion(problem: Problem, motion: RefinedMotion) -> RefinedMotion:
-    """The motion with the rigid drift added: where the recording has the body; beyond its end the drift goes on."""
+    """The motion with the rigid drift added, as in the recording; beyond its end the drift continues."""
     seen = problem.seen
     if not isinstance(seen, RigidDriftObservations):
         return motion

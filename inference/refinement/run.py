@@ -12,14 +12,14 @@ from physconvex.io import Capture, Workers
 
 @dataclass(eq=False)
 class RefinementRun:
-    """One refinement at work.
+    """A running refinement.
 
     Attributes:
-        capture: what is refined.
-        options: the settings; the correction is switched off where the full model cannot be run.
-        stages: what is finished already.
-        workers: processes for what can be computed at once.
-        warnings: what the user should know.
+        capture: the capture.
+        options: the settings; the correction is off if the full model fails.
+        stages: the finished stages.
+        workers: processes for parallel work.
+        warnings: notes for the user.
         memory: the last roll-outs of full models.
     """
 

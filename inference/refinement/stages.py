@@ -1,7 +1,7 @@
-"""Finished stages on disk: a refinement that was stopped goes on after the last of them.
+"""Finished stages on disk: a stopped refinement continues after the last of them.
 
-`stages/NAME.npz` holds the arrays of a stage and the key it was made under: a digest of the capture's files and of the
-settings. Another key makes all stages anew. Fits are kept as arrays.
+`stages/NAME.npz` holds the arrays of a stage and its key: a digest of the capture's files and of the settings. With
+another key, all stages are computed anew. Fits are stored as arrays.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Stages:
     Args:
         out: the result folder; None keeps nothing.
         key: of capture and settings.
-        on_stage: told the name of each stage, and whether it was read again.
+        on_stage: called with the name of each stage, and whether it is read from disk.
 
     Raises:
         InputError: the folder cannot be written.
@@ -84,7 +84,7 @@ class Stages:
                 raise InputError(f"out: {out} cannot be written ({error.strerror}); name another folder") from None
 
     def run(self, name: str, compute: Callable[[], Arrays]) -> Arrays:
-        """The arrays of a stage: read again if it was finished under this key, else computed and stored."""
+        """The arrays of a stage: read if it is finished under this key, else computed and stored."""
         stored = self._read(name)
         if self.on_stage is not None:
             self.on_stage(name, stored is not None)
@@ -104,7 +104,7 @@ class Stages:
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
                 arrays = {entry: archive[entry] for entry in archive.files}
-        except (OSError, ValueError, EOFError, BadZipFile):  # a file cut short by a full disk: made anew
+        except (OSError, ValueError, EOFError, BadZipFile):  # a file truncated by a full disk: computed again
             return None
         return arrays if str(arrays.pop(_KEY, "")) == self.key else None
 

@@ -1,4 +1,4 @@
-"""Which nodes of a mesh are held, and how they are led, from a capture's boundary."""
+"""The held nodes of a mesh and their prescribed motion, from the boundary of a capture."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Clamp:
     Attributes:
         mesh: the mesh.
         nodes: indices of the nodes, shape [C].
-        motion: positions of the nodes [m] as a function of time [s], shape [C, 3]; None = they stay.
+        motion: positions of the nodes [m] as a function of time [s], shape [C, 3]; None: the nodes stay at rest.
     """
 
     mesh: TetMesh
@@ -56,14 +56,13 @@ def clamp_of(
     cells: Int[np.ndarray, "E k"] | None = None,
     fps: float,
 ) -> Clamp:
-    """Carry a boundary over to the nodes of a mesh.
+    """Transfer a boundary to the nodes of a mesh.
 
     Args:
         boundary: vertices of `reference`, or a box in the rest frame; their motion.
-        mesh: mesh of the model, rest state. It need not have nodes where the reference has them: those near what is
-            held of the reference are held.
-        reference: the vertices that the boundary counts [m]: of the capture's tetrahedra, else of its mesh.
-        cells: tetrahedra [E, 4] or triangles [E, 3] of the reference; what lies between held vertices is held.
+        mesh: mesh of the model, rest state. Its nodes need not coincide with those of the reference.
+        reference: vertices [m] that the boundary indexes: of the capture's tetrahedra, else of its mesh.
+        cells: tetrahedra [E, 4] or triangles [E, 3] of the reference; those with held vertices only are held.
         fps: frames per second of the motion; it is interpolated by cubic splines.
 
     Raises:
@@ -101,9 +100,9 @@ def _held_vertices(boundary: Boundary, reference: np.ndarray) -> np.ndarray:
 
 
 def _held_nodes(mesh: TetMesh, region: HeldRegion, boundary: Boundary) -> Int[np.ndarray, " C"]:
-    """Nodes in the box, corners in or close to the held region, and the middles between two held corners.
+    """Nodes in the box, corners in or near the held region, and mid-edge nodes between two held corners.
 
-    A mesh made anew has its surface a fraction of an edge away from that of the reference.
+    The surface of a remeshed body differs from that of the reference by a fraction of an edge.
     """
     marked = np.zeros(len(mesh.vertices), bool)
     corners = np.unique(mesh.corner_tets)
@@ -125,7 +124,7 @@ def _corner_edge(mesh: TetMesh) -> float:
 def _led(
     nodes: np.ndarray, held: np.ndarray, motion: np.ndarray, fps: float
 ) -> Callable[[float], Float[np.ndarray, "C 3"]]:
-    """Nodes follow the displacements of the nearest led points, weighted by inverse square distance."""
+    """The nodes follow the displacements of the nearest driven points, weighted by inverse square distance."""
     count = min(_NEIGHBOURS, len(held))
     distance, nearest = cKDTree(held).query(nodes, k=[*range(1, count + 1)])
     weights = 1.0 / np.maximum(distance, 1e-9 * (1 + np.ptp(held))) ** 2

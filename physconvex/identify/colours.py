@@ -1,9 +1,8 @@
-"""Colours of the first image, carried by the model, against those of the later images of one camera.
+"""Compares the colours of the first image, moved with the model, with those of the later images of one camera.
 
-A material point that the model puts at x_t is seen at π(x_t); its colour there should be the one that it had in the
-first image (direct alignment, Lucas & Kanade 1981). Both images are blurred alike: a wide blur reaches far, a narrow
-one is exact, so that fits follow one another from coarse to fine. Which points are seen in which frame is taken from a
-model that is near already.
+A material point at x_t has the pixel π(x_t). Its colour there should equal its colour in the first image (direct
+alignment, Lucas & Kanade 1981). Both images have the same blur. A wide blur converges from far away, a narrow one is
+accurate: fits go from coarse to fine. An approximate model gives the frames in which each point is visible.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from physconvex.identify.visible_points import Hits, cast_camera_rays, cast_rays
 from physconvex.io import Camera
 
 _GRAZING = 0.35  # least sine between surface and ray
-_BEHIND = 0.03  # of the body's size: how far behind what is drawn a point may lie and still be seen
+_BEHIND = 0.03  # of the body's size: tolerance of the depth test
 
 
 def blurred(images: UInt8[np.ndarray, "T H W 3"], width: float) -> Float[np.ndarray, "T H W 3"]:
@@ -59,7 +58,7 @@ def colour_seeds(
     rows, columns = np.nonzero(inner)
     order = np.argsort(-contrast[rows, columns], kind="stable")
     cells = (rows // cell) * (inner.shape[1] // cell + 1) + columns // cell
-    best = order[np.unique(cells[order], return_index=True)[1]]  # the one of most contrast in each cell
+    best = order[np.unique(cells[order], return_index=True)[1]]  # the one of highest contrast in each cell
     best = best[np.unique(np.linspace(0, max(len(best) - 1, 0), min(count, len(best))).astype(int))]
     pixels = np.stack([columns[best], rows[best]], axis=1) + 0.5
     if not len(pixels):
@@ -81,10 +80,9 @@ def seen_by(
 ) -> Bool[np.ndarray, "T P"]:
     """Which points of a moving surface a camera sees: in the image, not hidden, away from every outline.
 
-    The triangle of a point shows the camera the side that it shows in the first frame, and not at a grazing angle: by
-    an edge what is seen in the place of a point that has turned away lies as near as the point itself. What is seen
-    `margin` pixels above, below, left and right lies near too, so that a blur of half of that mixes in nothing else.
-    A point that is not seen so in the first frame is never compared.
+    The triangle of a point faces the camera as in the first frame, and not at a grazing angle. The pixels `margin`
+    above, below, left and right of the point show a similar depth, so that a blur of half that width mixes in no other
+    surface. A point that does not pass in the first frame is never compared.
 
     Args:
         camera: of the images.
@@ -117,7 +115,7 @@ def seen_by(
 class ColourObservations(EvaluatedObservations, PointwiseObservations):
     """Colours of material points in the images of one camera.
 
-    A residual is the image where the model puts a point, less the point's colour in the first image, over σ.
+    The residual is the image at the predicted pixel minus the point's colour in the first image, divided by σ.
 
     Attributes:
         camera: the camera.
@@ -129,7 +127,7 @@ class ColourObservations(EvaluatedObservations, PointwiseObservations):
         robust_scale: Huber's threshold in standard deviations.
 
     Raises:
-        InputError: nothing is seen after the first frame.
+        InputError: no point is visible after the first frame.
     """
 
     camera: Camera
@@ -184,7 +182,7 @@ class ColourObservations(EvaluatedObservations, PointwiseObservations):
         return [np.gradient(image, axis=1), np.gradient(image, axis=0)]
 
     def _balanced(self, found: np.ndarray, first: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Differences of colours, less what a gain and an offset explain."""
+        """Differences of colours after the fit of a gain and an offset."""
         difference = found - first
         if not self.exposure or len(found) < 4:
             return difference, rows
@@ -198,7 +196,7 @@ class ColourObservations(EvaluatedObservations, PointwiseObservations):
 
 
 def _sampled(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Bilinear colours [n, 3] at pixel coordinates [n, 2]; of the border outside."""
+    """Bilinear colours [n, 3] at pixel coordinates [n, 2]; outside the image, the colour of its border."""
     columns, rows = np.nan_to_num(pixels - 0.5, nan=-1.0).astype(np.float32).T[:, None]
     found = cv2.remap(np.ascontiguousarray(image), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(found[0], dtype=np.float64)

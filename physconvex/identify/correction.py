@@ -1,14 +1,14 @@
-"""Removing the reduced model's error: residuals from the full-order model, derivatives from the reduced one.
+"""Corrects the reduced model's error: residuals from the full-order model, derivatives from the reduced one.
 
-Space mapping (Bandler et al. 2004; Echeverría & Hemker 2005, "manifold mapping"): at θ_k the full model is run and the
-reduced one is shifted by the difference of the two,
+Space mapping (Bandler et al. 2004; Echeverría & Hemker 2005, "manifold mapping"): the full model is run at θ_k. The
+difference of the two models shifts the reduced one,
 
-    x(θ) = x_reduced(θ) + δ_k + D_k (θ − θ_k),        δ_k = x_full(θ_k) − x_reduced(θ_k),
+    x(θ) = x_reduced(θ) + δ_k + D_k (θ − θ_k),        δ_k = x_full(θ_k) − x_reduced(θ_k).
 
-which is fitted; D_k is built from the differences seen so far (Broyden's update) and starts at zero. Where the first
-run of the full model is far off (a body that swings out of phase), such a shift leads nowhere. The parameters are then
-aligned first (aggressive space mapping, Bandler et al. 1995): the reduced model is fitted to the full run itself, which
-gives θ̃, and θ_1 = θ_0 + (θ_0 − θ̃).
+The shifted model is fitted. D_k starts at zero and follows from the observed differences (Broyden's update). If the
+first full run is far off (a body that swings out of phase), the shift does not help. Then the parameters are aligned
+first (aggressive space mapping, Bandler et al. 1995): the reduced model is fitted to the full run, which gives θ̃, and
+θ_1 = θ_0 + (θ_0 − θ̃).
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from physconvex.numerics import broyden_update
 _STEP_DONE = 0.01  # of a typical step: 0.002 decades of E
 _NOISE_DONE = 0.2  # of a standard deviation
 FAR = 3.0  # times the reduced model's misfit
-_ALIGNED = (0.0, 0.12, -0.12, -0.24, -0.36)  # decades of E; reduced models are too stiff, so that they want less
+_ALIGNED = (0.0, 0.12, -0.12, -0.24, -0.36)  # decades of E; reduced models are too stiff, so that they need a smaller E
 
 
 @dataclass(frozen=True, eq=False)
 class FullRun:
-    """One run of the full model: values [K], misfit of what it predicts, rms distance to the fit it began with [m]."""
+    """One run of the full model: values [K], misfit of its prediction, rms distance to the preceding fit [m]."""
 
     values: Float[np.ndarray, " K"]
     misfit: float
@@ -48,9 +48,9 @@ class Correction:
 
     Attributes:
         fit: of the corrected model.
-        model: the corrected model, exact at the last run of the full one; or the full one itself.
-        runs: of the full model.
-        converged: whether the last step was below a hundredth of the typical ones, or a fifth of the noise.
+        model: the corrected model, exact at the last run of the full model, or the full model itself.
+        runs: runs of the full model.
+        converged: whether the last step is below a hundredth of the typical steps, or a fifth of the noise.
     """
 
     fit: Fit
@@ -69,18 +69,18 @@ def correct(
     options: FitOptions | None = None,
     on_run: Callable[[FullRun], None] | None = None,
 ) -> Correction:
-    """Fit again with the difference to the full model taken into account.
+    """Fit again, with the difference to the full model included.
 
-    Where a step makes the full model's misfit worse, the next one starts from the best values, half as far.
+    If a step increases the full model's misfit, the next one starts from the best values and is half as long.
 
     Args:
-        model: with derivatives; it was fitted in `start`.
-        full: the better model, of the same names and points.
-        observations: what was seen.
-        start: the fit of the cheap model.
+        model: has derivatives; `start` is its fit.
+        full: the more accurate model, with the same names and points.
+        observations: the observations.
+        start: the fit of `model`.
         max_runs: most runs of the full model.
         options: of each inner fit.
-        on_run: told after each run of the full model.
+        on_run: called after each run of the full model.
 
     Raises:
         ConvergenceError: the full model fails at the start.
@@ -140,7 +140,7 @@ def _aligned(model: PointModel, points: np.ndarray, exact: np.ndarray, start: Fi
 
 
 def _nearest(model: PointModel, seen: MarkerObservations, parameters: list[Parameter]) -> list[Parameter]:
-    """The parameters with log10 E moved to the best of a few values around it: a swing has a minimum per period."""
+    """The parameters with log10 E at the best of a few nearby values: a swing has one minimum per period."""
     if "log10_youngs_modulus" not in model.names:
         return parameters
     place = model.names.index("log10_youngs_modulus")

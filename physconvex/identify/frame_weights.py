@@ -1,7 +1,7 @@
-"""Frames that the model itself does not know well count less: after an impact pointwise truth has an error bar.
+"""Frames with a large model error get a smaller weight.
 
-With e_t the rms, over the residuals of frame t, of the whitened difference between two discretisations of the full
-model, each residual of that frame is divided by √(1 + e_t²): noise and model error as independent variances.
+e_t is the rms, over the residuals of frame t, of the whitened difference between two discretisations of the full model.
+Each residual of that frame is divided by √(1 + e_t²): noise and model error count as independent variances.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is free and what was seen, as a capture states it."""
+"""The free parameters and the marker tracks of a capture."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def marker_observations(capture: Capture, *, frames: int | None = None) -> Marke
     """The marker tracks of a capture in its first `frames` frames (the observed ones unless given).
 
     Raises:
-        InputError: there are no tracks, or none is seen in those frames.
+        InputError: there are no tracks, or no marker is visible in those frames.
     """
     tracks = capture.tracks()
     if tracks is None:
@@ -41,13 +41,13 @@ def default_parameters(
     fixed: Sequence[str] = (),
     priors: Mapping[str, tuple[float, float]] | None = None,
 ) -> tuple[Parameter, ...]:
-    """The unknowns of a capture: E and ν, and what it does not state of the initial motion of a free body.
+    """The unknowns of a capture: E, ν, and the parts of the initial motion of a free body that it does not state.
 
     Args:
-        twin: start values are those of its scene.
-        damping: free the damping time also (a capture never states it).
+        twin: its scene gives the start values.
+        damping: also free the damping time (a capture never states it).
         free: further names.
-        fixed: names to be left at the twin's values.
+        fixed: names that keep the twin's values.
         priors: mean and standard deviation by name.
 
     Raises:
@@ -81,7 +81,7 @@ def _with_prior(parameter: Parameter, priors: Mapping[str, tuple[float, float]])
 
 
 def with_free_friction(twin: Twin) -> Twin:
-    """The twin with a rough floor, where its own is frictionless: a start from which friction can be fitted."""
+    """The twin with a rough floor if its own is frictionless: friction can be fitted from this start."""
     obstacles = tuple(o if o.friction else replace(o, friction=_FRICTION_START) for o in twin.scene.obstacles)
     if not obstacles:
         raise InputError("free: got 'friction', but the capture has no floor; give it one in capture.json")
@@ -89,9 +89,9 @@ def with_free_friction(twin: Twin) -> Twin:
 
 
 def start_motion(twin: Twin, observations: MarkerObservations, *, frames: int = 4) -> Twin:
-    """The twin with the initial velocity and spin that the first frames show, where the capture states none.
+    """The twin with the initial velocity and spin of the first frames, where the capture states none.
 
-    Rigid motion about the centre of mass, least squares over marker displacements less ½ g t².
+    Rigid motion about the centre of mass: least squares on the marker displacements minus ½ g t².
     """
     capture, scene = twin.capture, twin.scene
     if twin.clamp is not None or (

@@ -1,8 +1,8 @@
-"""Levenberg–Marquardt on the full-order model itself, from where the reduced model's fit has ended.
+"""Levenberg–Marquardt on the full-order model, started at the reduced model's fit.
 
-Residuals and derivatives are both the full model's (`FullModel.linearise`), so that the minimum is its own: nothing of
-the reduced model is left but the start. Where that start is far off, a few moduli about it are tried first: reduced
-models are too stiff, so that the full one wants more.
+Residuals and derivatives are the full model's (`FullModel.linearise`), so that the result is a minimum of the full
+model. If the start is far off, a few nearby moduli are tried first. Reduced models are too stiff, so that the full
+model usually needs a larger E.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from physconvex.identify.point_models import PointModel
 
 FULL_OPTIONS: FitOptions = FitOptions(
     max_iterations=6, max_step=1.5, absolute_tolerance=0.02
-)  # a fifth of a deviation is left
+)  # a fifth of a standard deviation remains
 
 _TRIED = (0.1, 0.2, 0.35, -0.1)  # decades of E about the start
 _MODULUS = "log10_youngs_modulus"
@@ -41,16 +41,16 @@ def fit_full(
     """Fit the full model, with its own derivatives.
 
     Args:
-        full: of the same names and points as the model that was fitted in `start`.
-        observations: what was seen.
-        start: the fit of the cheap model.
+        full: has the names and points of the model that `start` fits.
+        observations: the observations.
+        start: the fit of the reduced model.
         max_runs: most states of the full model that are tried.
-        options: when to stop otherwise.
-        look_around: try a few moduli first, where the full model's misfit is far above that of `start`.
-        on_run: told each accepted state.
+        options: further stopping rules.
+        look_around: try a few moduli first if the full model's misfit is far above that of `start`.
+        on_run: called with each accepted state.
 
     Raises:
-        ConvergenceError: the full model fails at the start and at the moduli about it.
+        ConvergenceError: the full model fails at the start and at the nearby moduli.
     """
     parameters = tuple(p.at(float(v)) for p, v in zip(start.parameters, start.values, strict=True))
     chosen, first = _start(full, observations, parameters, start, look_around=look_around)
@@ -65,7 +65,7 @@ def fit_full(
 def _start(
     full: PointModel, observations: Observations, parameters: tuple[Parameter, ...], start: Fit, *, look_around: bool
 ) -> tuple[tuple[Parameter, ...], np.ndarray | None]:
-    """Where to begin, and the full model's positions at the reduced model's fit (None where it fails there)."""
+    """The start, and the full model's positions at the reduced model's fit (None if it fails there)."""
     first = _first(full, parameters)
     best = np.inf if first is None else misfit_of(observations, first)
     if not look_around or best <= FAR * start.misfit or _MODULUS not in full.names:
@@ -81,7 +81,7 @@ def _start(
 
 
 def _first(full: PointModel, parameters: tuple[Parameter, ...]) -> np.ndarray | None:
-    """With derivatives, which the search wants next if it begins here, where they come with the positions."""
+    """The linearisation at a start, if derivatives come with the positions; the search needs it next."""
     values = np.array([p.start for p in parameters])
     try:
         return full.begun(values) if isinstance(full, FullModel) else full.linearise(values)[0]

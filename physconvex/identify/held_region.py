@@ -1,4 +1,4 @@
-"""The part of a rest geometry that is held: its vertices, and what lies between them."""
+"""The held part of a rest geometry: its held vertices and the cells between them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from physconvex.mesh import FACE_CORNERS
 from physconvex.numerics import closest_points
 
-_NEAR = 12  # held triangles whose distance to a point is taken, nearest centres first
+_NEAR = 12  # held triangles with the nearest centres, to which the distance of a point is computed
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class HeldRegion:
     def holds(self, points: Float[np.ndarray, "P 3"], *, reach: float) -> Bool[np.ndarray, " P"]:
         """Which points are held: nearest to a held vertex, and in the region or at most `reach` [m] away from it.
 
-        Where no triangle has three held vertices, the points nearest to the held vertices.
+        If no triangle has three held vertices, these are the points nearest to the held vertices.
         """
         if len(self.held) == 0:
             return np.zeros(len(points), bool)

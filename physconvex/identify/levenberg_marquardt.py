@@ -1,10 +1,9 @@
 """Levenberg–Marquardt on whitened residuals with bounds, Gaussian priors and Huber's loss.
 
-Nocedal & Wright 2006, §10.3, with Marquardt's scaling; the damped step is a bounded linear least-squares problem, so
-that a parameter at its bound leaves the others free. Steps are taken in `SearchCoordinates`, and no longer than half of
-one that has failed. Where residuals stay large, the curvature that Gauss and Newton leave out makes steps turn back and
-forth: they are shortened by what the last two tell of it. Huber's loss enters by reweighting (weights
-min(1, k/|r|)).
+Nocedal & Wright 2006, §10.3, with Marquardt's scaling. The damped step is a bounded linear least-squares problem, so
+that a parameter at its bound leaves the others free. Steps are taken in `SearchCoordinates`. A step has at most half
+the length of a failed one. If residuals stay large, the curvature that Gauss–Newton omits makes steps oscillate; the
+last two steps estimate it and shorten the next one. Huber's loss enters by reweighting (weights min(1, k/|r|)).
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ from physconvex.identify.parameters import Parameter, SearchCoordinates, lower_b
 from physconvex.identify.point_models import PointModel, check_names
 from physconvex.numerics import huber_loss, huber_weights
 
-_ALONG = 0.7  # cosine from which on a step lies along the last one, or turns back on it
+_ALONG = 0.7  # least cosine with the last step at which a step continues it or reverses it
 _MOST_CURVATURE = 4.0  # times that of the linearisation
-_LEAST = 1e-3  # of what a step promises: what it must bring to be taken
-_ALONE = 0.5  # of a linearisation: what one without derivatives counts
+_LEAST = 1e-3  # least share of the predicted decrease at which a step is accepted
+_ALONE = 0.5  # cost of a run without derivatives, in linearisations
 
 
 @dataclass(frozen=True)
@@ -33,11 +32,11 @@ class FitOptions:
     """When to stop.
 
     Attributes:
-        max_iterations: most linearisations. A trial of a model whose derivatives cost runs of their own
-            (`FullModel.differenced`) has none unless it is taken, and counts half.
-        relative_tolerance: stop when a step promises to lower the misfit by less than this share of it …
-        absolute_tolerance: … or by less than this much (half a squared standard deviation is 0.5); of noise as large as
-            the residuals are where they exceed what is stated.
+        max_iterations: most linearisations. If derivatives need runs of their own (`FullModel.differenced`), a rejected
+            trial has none and counts half.
+        relative_tolerance: stop if the predicted decrease is below this share of the misfit …
+        absolute_tolerance: … or below this value (half a squared standard deviation is 0.5). If the residuals exceed
+            the stated noise, the standard deviation is that of the residuals.
         max_step: longest step of a parameter, in its typical steps.
         start_damping: Marquardt's λ at the start.
     """
@@ -66,7 +65,7 @@ class Fit:
         parameters: the unknowns.
         values: their values, shape [K].
         positions: of the observed points at the solution [m], shape [T, P, 3].
-        residuals: whitened, without priors, shape [N].
+        residuals: whitened, without those of the priors, shape [N].
         jacobian: their derivatives, shape [N, K].
         weights: of Huber's loss, shape [N].
         history: accepted states, the start first.
@@ -96,7 +95,7 @@ class Fit:
 
     @property
     def reduced_chi_square(self) -> float:
-        """Weighted squares over degrees of freedom: one where the stated noise is all that is left."""
+        """Weighted squares over degrees of freedom: one if only the stated noise remains."""
         free = max(len(self.residuals) - len(self.values), 1)
         return float(self.weights @ self.residuals**2) / free
 
@@ -145,7 +144,7 @@ def fit(
         if np.abs(step).max() > longest:
             step, promised = search.step(point, damping, longest)
             curvature = 1.0
-        # noise over what is stated, by the residuals
+        # ratio of the estimated to the stated noise
         excess = max(1.0, 2 * point.misfit / max(len(point.residuals) - len(parameters), 1))
         threshold = max(options.absolute_tolerance * excess, options.relative_tolerance * point.misfit)
         if promised < threshold:
@@ -164,7 +163,7 @@ def fit(
             if on_iteration is not None:
                 on_iteration(history[-1])
         else:
-            # a bounded step hardly feels the damping: what was too long is halved
+            # damping hardly changes a bounded step: a failed step is halved instead
             last = None
             damping, growth, longest = damping * growth, growth * 2.0, 0.5 * float(np.abs(step).max())
             converged = longest < 5e-6
@@ -182,11 +181,11 @@ def fit(
 
 
 def _curvature(step: np.ndarray, last: tuple[np.ndarray, np.ndarray] | None) -> float:
-    """How many times the linearisation's curvature there is along a step, as the last one along it tells (Aitken).
+    """Ratio of the true curvature along a step to the linearised one, estimated from the last step (Aitken).
 
     Args:
-        step: that the linearisation wants now.
-        last: the one that it wanted before, and what was taken of it.
+        step: step that the linearisation proposes.
+        last: the last proposed step and the one taken.
     """
     if last is None:
         return 1.0
@@ -220,9 +219,9 @@ class _Search:
         return _Point(values, positions, residuals, jacobian, huber_weights(residuals, limits), misfit)
 
     def tried(self, values: np.ndarray, most: float) -> _Point | None:
-        """The linearisation there; None where the misfit is not below `most`, or the model fails.
+        """The linearisation there; None if the misfit is not below `most`, or the model fails.
 
-        The step is shortened then, which needs no derivatives where these cost runs of their own.
+        In that case the step is shortened, which needs no derivatives if these cost runs of their own.
         """
         if self.differenced and not self._alone(values) < most:
             self._count(_ALONE)
@@ -247,8 +246,8 @@ class _Search:
         self.evaluations, self.spent = self.evaluations + 1, self.spent + share
 
     def step(self, point: _Point, damping: float, longest: float) -> tuple[np.ndarray, float]:
-        """Damped step within the bounds and no longer than that, in typical steps, and the fall of the misfit that the
-        linearisation promises."""
+        """Damped step within the bounds and the given length, in typical steps, and the decrease of the misfit that the
+        linearisation predicts."""
         scales, place = self.scales * self.coordinates.slopes(point.values), self.coordinates.of(point.values)
         root = np.sqrt(point.weights)
         rows = np.vstack([root[:, None] * point.jacobian, np.diag(self.precision)]) * scales

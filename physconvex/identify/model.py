@@ -1,4 +1,4 @@
-"""The simulators as models of a fit: positions of material points by parameter values."""
+"""The simulators as models of a fit: positions of material points as a function of the parameters."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from physconvex.mesh import Embedding, TetMesh
 from physconvex.reduced import NamedParameters
 
 _DIFFERENCE = 1e-6  # of a typical step: half width of the central differences of gradients
-# of a typical step, of whole roll-outs; friction by passes makes them rough at smaller scales
+# of a typical step, of whole roll-outs; iterated friction makes them rough at smaller scales
 _WHOLE_DIFFERENCE: dict[ContactSolver, float] = {"condensed": 1e-2, "passes": 0.1}
 _TOLERANCE = 1e-6  # of Newton's last step, over the size: a thousandth of what such a difference moves
 
@@ -33,7 +33,7 @@ class ReducedModel:
         names: the parameters.
         points: rest positions of the points [m], shape [P, 3].
         frames: number of frames T, the first at t = 0.
-        timing: of the roll-outs, but for the number of frames; the twin's own unless given.
+        timing: of the roll-outs, except for the number of frames; the twin's own unless given.
     """
 
     twin: Twin
@@ -75,8 +75,8 @@ class FullModel:
         frames: number of frames T.
         mesh: another mesh of the same geometry; the twin's own unless given.
         refinement: factor on the number of time steps.
-        surface: points at which obstacles act, in the place of the boundary's nodes.
-        memory: of the last roll-outs; may be shared among models.
+        surface: points at which obstacles act, instead of the boundary's nodes.
+        memory: of the last roll-outs; several models may share it.
     """
 
     twin: Twin
@@ -90,7 +90,7 @@ class FullModel:
 
     @property
     def rolled_mesh(self) -> TetMesh:
-        """The mesh that is rolled out."""
+        """The mesh of the simulation."""
         return self.twin.mesh if self.mesh is None else self.mesh
 
     @cached_property
@@ -99,7 +99,7 @@ class FullModel:
 
     @property
     def differenced(self) -> bool:
-        """Whether derivatives are differences of whole roll-outs, and so cost one more for each parameter."""
+        """Whether derivatives are differences of whole roll-outs, at one more roll-out for each parameter."""
         return bool(self.twin.scene.obstacles)
 
     def node_positions(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T V 3"]:
@@ -113,13 +113,13 @@ class FullModel:
 
     @property
     def _solver(self) -> ContactSolver:
-        """Contact and friction are solved for together; with a dashpot in the contact by passes, which err by more."""
+        """Contact and friction are solved together. With contact damping they are iterated, which is less accurate."""
         scene = self.twin.scene
         damped = scene.contact_damping > 0 or "contact_damping" in self.names
         return "condensed" if scene.obstacles and not damped else "passes"
 
     def roll_out(self, values: Float[np.ndarray, " K"]) -> RollOut:
-        """What is to be simulated."""
+        """The case to be simulated."""
         return RollOut(self.scene(values), replace(self._timing(), contact_solver=self._solver))
 
     def _timing(self) -> Timing:
@@ -128,7 +128,7 @@ class FullModel:
         return replace(timing, steps_per_frame=steps, tolerance=tolerance)
 
     def key(self, values: Float[np.ndarray, " K"]) -> Hashable:
-        """By which the memory knows a roll-out."""
+        """Key of a roll-out in the memory."""
         how = (self.rolled_mesh, self.refinement, self.frames, self.surface)
         return (self.twin, self.names, *how, np.asarray(values, dtype=np.float64).tobytes())
 
@@ -137,7 +137,7 @@ class FullModel:
         return self._embedding.apply(self.node_positions(values))
 
     def begun(self, values: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
-        """The same where a search is about to begin: with derivatives, where they are cheap only together."""
+        """Positions at the start of a search, with derivatives if both together are cheap."""
         return self.positions(values) if self.differenced else self.linearise(values)[0]
 
     def linearise(
@@ -145,10 +145,10 @@ class FullModel:
     ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
         """Positions and their derivatives.
 
-        Without obstacles they come of the step equations (`physconvex.fem.simulate_with_sensitivities`). With them they
-        are differences of whole roll-outs over a hundredth of a typical step (a tenth with a dashpot in the contact),
-        over which condensed contact is straight; P + 1 such roll-outs cost about as much as one with derivatives, which
-        needs friction by passes.
+        Without obstacles the derivatives are those of the step equations
+        (`physconvex.fem.simulate_with_sensitivities`). With obstacles they are differences of whole roll-outs over a
+        hundredth of a typical step (a tenth with contact damping), over which condensed contact is linear. P + 1 such
+        roll-outs cost about as much as one with derivatives, which needs iterated friction.
         """
         known = self.memory.tangents(self.key(values))
         if known is None:
@@ -176,7 +176,7 @@ class FullModel:
         return found.coordinate_tangents
 
     def beside(self, values: Float[np.ndarray, " K"]) -> list[Float[np.ndarray, " K"]]:
-        """Values of the roll-outs whose differences are the derivatives: upwards, unless a bound is in the way."""
+        """Values of the roll-outs for the differences: upwards unless a bound prevents it."""
         steps, _, upper = self._usual()
         changes = np.diag(_WHOLE_DIFFERENCE[self._solver] * steps)
         return [values + c if (values + c <= upper).all() else values - c for c in changes]
@@ -202,11 +202,11 @@ _Wanted = tuple[FullModel, Float[np.ndarray, " K"]]
 
 
 def roll_out_together(wanted: Iterable[_Wanted], *, beside: Iterable[_Wanted] = ()) -> None:
-    """Have roll-outs made that are wanted next; the models share a memory. What fails is told when it is asked for.
+    """Run the roll-outs that are needed next; the models share a memory. A failure is raised when its result is used.
 
     Args:
         wanted: models and values.
-        beside: those whose derivatives are wanted too, where they are differences; they guide what these ask for.
+        beside: models whose differenced derivatives are needed too; their roll-outs guide those of the differences.
     """
     wanted, near = list(wanted), dict[Hashable, Hashable]()
     for model, values in beside:

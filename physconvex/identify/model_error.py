@@ -1,16 +1,18 @@
-"""What a finer mesh and a shorter step say: their differences are added, and the error that is left is estimated.
+"""Adds the differences to a finer mesh and a shorter time step, and estimates the error that remains.
 
     x(p) ≈ x_coarse(p) + (1 + a) [x_fine(p₀) − x_coarse(p₀)] + 4/3 [x_half(p₀) − x_coarse(p₀)],
 
-fitted from p₀ and again from where that ends, with the derivatives at p₀. The time step is extrapolated (BDF2 is of
-second order). The mesh is, by a = 0.42 or the order 1.75, where all edges are halved and nothing is struck: corners of
-a clamp make the order lower than the third of smooth displacements. What is left is taken as a third of the step's
-difference and half of the mesh's; where a is added, 0.3, since the difference does not shrink by one number everywhere,
-but 0.12 of what it does to the modulus: coarse elements are too stiff everywhere, which one number follows well.
-A fit that was made on the finer mesh already is told by the same differences, of which a quarter counts as left, and
-the step's is that of its own mesh: after an impact what half the step changes on one mesh says little of another.
-Its effect on a parameter is Σ_t g_t with g_t the first-order shift by frame t; as the error of one frame says little of
-the next one's after an impact, √Σ g_t² is taken where it is larger.
+The sum is fitted from p₀, and again from the result, with the derivatives at p₀. The time step is extrapolated (BDF2 is
+of second order). The mesh is extrapolated with a = 0.42 (order 1.75) if all edges are halved and there is no impact:
+corners of a clamp reduce the order below the third of smooth displacements.
+
+The remaining error is a third of the step's difference and half of the mesh's difference. If a is added, it is 0.3 of
+the mesh's difference, since the difference does not shrink uniformly. For log10 E it is 0.12: coarse elements are too
+stiff everywhere, which one number describes well. For a fit on the finer mesh, a quarter of the same differences
+remains. The step's difference is that of the fitted mesh, because after an impact it differs from mesh to mesh.
+
+The effect on a parameter is Σ_t g_t, where g_t is the first-order shift by frame t. After an impact the errors of
+successive frames are nearly independent, so that √Σ g_t² is taken if it is larger.
 """
 
 from __future__ import annotations
@@ -43,18 +45,18 @@ _LINEAR_OPTIONS = replace(FULL_OPTIONS, max_iterations=30)  # a straight line co
 
 @dataclass(frozen=True)
 class _Share:
-    """Of the mesh's difference: what is added beyond the finer mesh, what counts as left; the latter for log10 E."""
+    """Shares of the mesh's difference: added beyond the finer mesh, remaining, and remaining for log10 E."""
 
     added: float
     left: float
     left_of_modulus: float
 
     def left_of(self, parameters: Sequence[Parameter]) -> np.ndarray:
-        """What counts as left of the effect on each parameter, shape [K]."""
+        """The remaining share of the effect on each parameter, shape [K]."""
         return np.array([self.left_of_modulus if p.name == "log10_youngs_modulus" else self.left for p in parameters])
 
 
-# 0.42 is left of a halving's difference at the order 1.75. What counts as left beside it was set on the sixty bars of
+# a halving at the order 1.75 leaves 0.42 of its difference. The remaining share is calibrated on the sixty bars of
 # docs/results/refinement.md; four bars that are halved twice leave 0.58 to 0.73 (benchmarks/mesh_order.py)
 _HALVED, _OTHERWISE = _Share(0.42, 0.3, 0.12), _Share(0.0, 0.5, 0.5)
 # of meshes with two to three times the nodes, and the best of several meshers
@@ -68,10 +70,10 @@ class FinerFit:
 
     Attributes:
         fit: of the cheap model, shifted.
-        left: standard deviation of each value by the error that is left, shape [K].
-        frame_errors: e_t, the error that is left by frame, in standard deviations of the noise, shape [T].
-        runs_away: whether the last turn still moved a value by half a typical step: meshes that part ever further, as
-            of a body that has landed on thin legs, do not say where the values are.
+        left: standard deviation of each value by the remaining error, shape [K].
+        frame_errors: e_t, the remaining error by frame, in standard deviations of the noise, shape [T].
+        runs_away: whether the last turn moves a value by more than half a typical step. The meshes then diverge (a body
+            that lands on thin legs) and do not determine the values.
     """
 
     fit: Fit
@@ -89,18 +91,18 @@ def fit_finer(
     *,
     turns: int = 3,
 ) -> FinerFit:
-    """Fit again with what a finer mesh and half the time step change.
+    """Fit again with the differences to a finer mesh and to half the time step.
 
-    Every turn runs the finest model where the last one has ended. The derivatives, the step's difference and the errors
-    are kept until the values have moved far from where they were taken.
+    Every turn runs the finest model at the result of the preceding turn. The derivatives, the step's difference and the
+    errors are kept until the values move far from where they are computed.
 
     Args:
-        cheap: gives the derivatives: the full model itself, or the reduced one; on the finer mesh, if `found` is.
+        cheap: gives the derivatives: the full model or the reduced one; it is on the finer mesh if `found` is.
         coarse: the full model.
         mesh: the finer mesh; None: the time step alone.
-        observations: what was seen.
+        observations: the observations.
         found: the fit of the full model, on either mesh.
-        turns: how many at most.
+        turns: most turns.
 
     Raises:
         ConvergenceError: a finer model fails.
@@ -133,7 +135,7 @@ def fit_finer(
 
 @dataclass(frozen=True, eq=False)
 class _Differences:
-    """At `anchor` [K]: positions [T, P, 3] m of the coarse model, what mesh and step add, tangents, errors by frame."""
+    """At `anchor` [K]: coarse positions [T, P, 3] m, the additions of mesh and step, tangents, errors by frame."""
 
     anchor: np.ndarray
     coarse: np.ndarray
@@ -150,7 +152,7 @@ class _Differences:
 
     @property
     def beyond(self) -> np.ndarray:
-        """What is added to the finer mesh's positions [m]."""
+        """The correction of the finer mesh's positions [m]."""
         return np.asarray(self.share.added * self.by_mesh + _EXTRAPOLATED * self.by_step)
 
     def effect(self, found: Fit, difference: np.ndarray) -> np.ndarray:
@@ -161,7 +163,7 @@ class _Differences:
 
 
 def _near(parameter: Parameter) -> Parameter:
-    """The same, bounded to where straight lines from its start are believed."""
+    """The same parameters, with bounds within which the linearisation holds."""
     lower, upper = parameter.start - _BELIEVED * parameter.step, parameter.start + _BELIEVED * parameter.step
     return replace(parameter, lower=max(parameter.lower, lower), upper=min(parameter.upper, upper))
 
@@ -170,7 +172,7 @@ def _differences(
     cheap: PointModel, coarse: FullModel, finest: FullModel, observations: Observations, values: np.ndarray
 ) -> _Differences:
     fitted = isinstance(cheap, FullModel) and cheap.rolled_mesh is not coarse.rolled_mesh
-    stepped = finest if fitted else coarse  # after an impact another mesh's difference is another one
+    stepped = finest if fitted else coarse  # after an impact the differences of two meshes are different
     half = replace(stepped, refinement=2 * stepped.refinement)
     roll_out_together(
         [(half, values), (finest, values), (coarse, values)],
@@ -194,7 +196,7 @@ def _share(coarse: FullModel, finest: FullModel) -> _Share:
 def extrapolated_nodes(
     coarse: FullModel, finest: FullModel, values: Float[np.ndarray, " K"]
 ) -> Float[np.ndarray, "T V 3"]:
-    """The finest mesh's nodes at the frames [m], with the share of the meshes' difference that the fit adds."""
+    """Positions [m] of the finest mesh's nodes at the frames, with the fit's share of the meshes' difference."""
     nodes, share = finest.node_positions(values), _share(coarse, finest)
     if not share.added:
         return nodes

@@ -1,12 +1,12 @@
-"""Errors of the observation that are not the body's: camera pose and time offset, with Gaussian priors, eliminated.
+"""Eliminates errors of the observation (camera pose, time offset), with Gaussian priors.
 
-Where r are whitened residuals and N their derivatives by nuisances c ~ N(0, Σ), fitting c beside the other parameters
-is the same, to first order, as whitening r by its covariance with c in it,
+r are the whitened residuals and N their derivatives by the nuisances c ~ N(0, Σ). To first order, fitting c together
+with the other parameters equals whitening r by its covariance with c included,
 
-    r̃ = (I + N Σ Nᵀ)^(−1/2) r,
+    r̃ = (I + N Σ Nᵀ)^(−1/2) r.
 
-so that estimates and intervals hold the nuisance and the search keeps its size. The nuisances themselves follow as
-ĉ = −Σ Nᵀ (I + N Σ Nᵀ)⁻¹ r.
+Estimates and intervals then include the nuisances, and the number of unknowns stays the same. The nuisances follow as ĉ
+= −Σ Nᵀ (I + N Σ Nᵀ)⁻¹ r.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Nuisance(Options):
 
     @property
     def any(self) -> bool:
-        """Whether one is free."""
+        """Whether any nuisance is free."""
         return max(self.camera_rotation, self.camera_position, self.time_offset) > 0
 
 
@@ -55,7 +55,7 @@ class Elimination:
 
     @classmethod
     def of(cls, directions: Float[np.ndarray, "N C"]) -> Elimination:
-        """Of unknowns with unit variance, the columns of N the residuals' derivatives by them."""
+        """For unknowns with unit variance; the columns of N are the residuals' derivatives by them."""
         if not directions.shape[1]:
             return cls(np.zeros_like(directions), np.zeros(0))
         left, values, _ = np.linalg.svd(directions, full_matrices=False)
@@ -88,7 +88,7 @@ class MarginalObservations(WrappedObservations):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the nuisances, with their units."""
+        """Names of the nuisances, with their units."""
         names = ["time_offset [s]"] if self.nuisance.time_offset else []
         for part in self.seen.parts:
             if (camera := getattr(part, "camera", None)) is not None:
@@ -114,13 +114,13 @@ class MarginalObservations(WrappedObservations):
     def linearise(
         self, positions: Float[np.ndarray, "T P 3"], tangents: Float[np.ndarray, "T K P 3"]
     ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, "N K"]]:
-        """Whitened residuals and their derivatives (the nuisances' own derivatives held fixed)."""
+        """Whitened residuals and their derivatives (the derivatives by the nuisances held fixed)."""
         residuals, jacobian = self.seen.linearise(positions, tangents)
         both = self._whitened(np.hstack([residuals[:, None], jacobian]), positions)
         return both[:, 0], both[:, 1:]
 
     def estimates(self, positions: Float[np.ndarray, "T P 3"]) -> dict[str, float]:
-        """The nuisances that the residuals ask for, by name."""
+        """Estimates of the nuisances, by name."""
         scaled, sigmas = self._directions(positions)
         inner = np.eye(scaled.shape[1]) + scaled.T @ scaled
         found = -sigmas * np.linalg.solve(inner, scaled.T @ self.seen.residuals(positions))
@@ -159,10 +159,10 @@ _COLUMNS = {f"{kind}_{axis} {unit}": 3 * k + i
 
 
 def _camera_columns(part: Observations, positions: np.ndarray, camera: Camera) -> np.ndarray:
-    """Derivatives of a part's residuals by the pose of its camera [N, 6]: the world moves the other way.
+    """Derivatives of a part's residuals by the pose of its camera [N, 6]: the world moves the opposite way.
 
-    Points that were put on the surface by a ray of the first image have moved with it: their pixels there are right
-    whatever the pose, and what is left is the difference to the first frame.
+    A ray of the first image places the followed points on the surface, so that they move with the pose: their pixels in
+    the first image never change, and only the difference to the first frame remains.
     """
     axes = camera.rotation.T
     arms = positions - camera.position

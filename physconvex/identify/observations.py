@@ -1,7 +1,7 @@
-"""What was seen of a motion, as whitened residuals of material points: one interface for markers, pixels, outlines.
+"""Observations of a motion as whitened residuals of material points: one interface for markers, pixels, outlines.
 
-An observation names the material points it needs (`points`, rest positions). Given where a model puts them, it returns
-(model − seen)/σ, a fixed number N of residuals, and their derivatives; every residual knows its frame and its point.
+An observation names the material points it needs (`points`, rest positions). From the model's positions of these it
+computes (model − seen)/σ, a fixed number N of residuals, and their derivatives. Every residual has a frame and a point.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ Tangents = Float[np.ndarray, "T K P 3"]
 
 @runtime_checkable
 class Observations(Protocol):
-    """Anything that a model's positions can be compared with."""
+    """Anything that can be compared with a model's positions."""
 
     @property
     def points(self) -> Float[np.ndarray, "P 3"]:
-        """Rest positions of the material points that are needed [m]."""
+        """Rest positions of the observed material points [m]."""
 
     @property
     def frames(self) -> Int[np.ndarray, " N"]:
@@ -41,10 +41,10 @@ class Observations(Protocol):
 
     @property
     def robust_scales(self) -> Float[np.ndarray, " N"]:
-        """Residual beyond which Huber's loss grows only linearly, in standard deviations; inf = least squares."""
+        """Residual above which Huber's loss is linear, in standard deviations; inf: least squares."""
 
     def residuals(self, positions: Positions) -> Float[np.ndarray, " N"]:
-        """(model − seen)/σ where the model puts the points at `positions` [T, P, 3] m, all frames."""
+        """(model − seen)/σ for the model's positions [T, P, 3] m of the points, all frames."""
 
     def linearise(
         self, positions: Positions, tangents: Tangents
@@ -56,10 +56,10 @@ class Observations(Protocol):
 
 
 class PointwiseObservations:
-    """Points seen in frames, each with as many residuals as it has coordinates: what is alike in all of these.
+    """Base of observations in which each visible point has as many residuals as coordinates.
 
-    A subclass has `robust_scale` and says by `seen` which points are seen in which frame, [T, P], and by `width` how
-    many residuals each gives.
+    A subclass defines `robust_scale`, `seen` (which points are seen in which frame, [T, P]) and `width` (the number of
+    residuals of each).
     """
 
     robust_scale: float
@@ -72,7 +72,7 @@ class PointwiseObservations:
 
     @cached_property
     def pairs(self) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-        """Frames and points of what is seen."""
+        """Frames and points of the visible ones."""
         frames, points = np.nonzero(self.seen)
         return frames, points
 
@@ -98,7 +98,7 @@ class PointwiseObservations:
 
 
 class EvaluatedObservations:
-    """Observations whose residuals and derivatives come of one function, which makes no derivatives that none wants."""
+    """Observations with one function for residuals and derivatives, which skips derivatives that are not needed."""
 
     def _evaluate(self, positions: np.ndarray, tangents: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Residuals [N], and derivatives [N, K]; K = 0 without tangents."""
@@ -117,7 +117,7 @@ class EvaluatedObservations:
 
 @dataclass(frozen=True, eq=False)
 class WrappedObservations:
-    """Observations of which residuals and derivatives are changed, and all else stays.
+    """Observations with changed residuals and derivatives; the rest is that of `seen`.
 
     Attributes:
         seen: the observations.
@@ -260,7 +260,7 @@ class PixelObservations(PointwiseObservations):
         return np.isfinite(self.pixels).all(-1)
 
     def residuals(self, positions: Positions) -> Float[np.ndarray, " N"]:
-        """(model − seen)/σ; a point that the model puts behind the camera is a residual of 1e3."""
+        """(model − seen)/σ; a point that the model puts behind the camera has a residual of 1e3."""
         t, p = self.pairs
         pixels, _ = self.camera.project(positions[t, p])
         values = (pixels - self.pixels[t, p]) / self.sigma[t, p][:, None]
@@ -292,7 +292,7 @@ class StackedObservations:
 
     @classmethod
     def of(cls, parts: Sequence[Observations]) -> StackedObservations:
-        """The stack of several; a stack is taken apart first."""
+        """The stack of several; nested stacks are flattened."""
         flat: list[Observations] = []
         for part in parts:
             flat.extend(part.parts if isinstance(part, StackedObservations) else [part])
@@ -305,19 +305,19 @@ class StackedObservations:
 
     @cached_property
     def point_slices(self) -> tuple[slice, ...]:
-        """Where the points of each part are."""
+        """Slice of each part's points."""
         ends = np.cumsum([0, *(len(part.points) for part in self.parts)])
         return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
 
     @cached_property
     def residual_slices(self) -> tuple[slice, ...]:
-        """Where the residuals of each part are."""
+        """Slice of each part's residuals."""
         ends = np.cumsum([0, *(len(part.frames) for part in self.parts)])
         return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
 
     @property
     def stated(self) -> tuple[bool, ...]:
-        """Whether the recording states the noise of each part, as it does of markers."""
+        """Whether the recording states the noise of each part (it does for markers)."""
         return tuple(isinstance(part, MarkerObservations) for part in self.parts)
 
     @cached_property
@@ -355,5 +355,5 @@ class StackedObservations:
 
 
 def misfit_of(observations: Observations, positions: Float[np.ndarray, "T P 3"]) -> float:
-    """Half the squares of the residuals, Huber's loss where they are large; without priors."""
+    """Half the sum of squared residuals, with Huber's loss for large ones; without priors."""
     return huber_loss(observations.residuals(positions), observations.robust_scales)

@@ -1,4 +1,4 @@
-"""Outlines of masks against the outline of the model's surface."""
+"""Compares the outlines of masks with the outline of the model's surface."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from physconvex.identify.observations import (
 from physconvex.identify.silhouette import Borders, filled_border
 from physconvex.io import Camera
 
-_SHARES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])  # where a silhouette edge is sampled
+_SHARES = np.array([0.1, 0.3, 0.5, 0.7, 0.9])  # positions of the samples along a silhouette edge
 _RIM = 1.6  # pixels inside the model's mask that still count as its outline
-_BORDER = 3.0  # pixels from the border of the image within which an outline is cut off by it
+_BORDER = 3.0  # pixels from the image border within which an outline may be cut off
 
 
 def outline_of_mask(
@@ -54,8 +54,8 @@ class OutlineObservations(EvaluatedObservations):
     """Outlines of the masks of one camera.
 
     The residual of an outline point is its distance, along the outward normal of the mask, to the nearest point of the
-    model's outline, over σ; the matched points move with the surface. The model's outline is sought anew at each
-    evaluation, among the edges between triangles that face the camera and triangles that do not.
+    model's outline, over σ. The matched points move with the surface. Each evaluation finds the model's outline among
+    the edges between triangles that face the camera and triangles that do not.
 
     Attributes:
         camera: the camera.
@@ -66,10 +66,10 @@ class OutlineObservations(EvaluatedObservations):
         frames: frame of each outline point, shape [N].
         sigma: standard deviation [pixels].
         robust_scale: Huber's threshold in standard deviations.
-        drawn: edges [S, 2] and shares [S] of samples of the model's outline by frame, where it is not sought anew.
+        drawn: edges [S, 2] and shares [S] of samples of the model's outline by frame; None: found at each evaluation.
 
     Raises:
-        InputError: no outline point.
+        InputError: there is no outline point.
     """
 
     camera: Camera
@@ -110,7 +110,7 @@ class OutlineObservations(EvaluatedObservations):
 
     @cached_property
     def point_indices(self) -> Int[np.ndarray, " N"]:
-        """Vertex whose rest position appears nearest to each outline point: a rough place on the body."""
+        """Vertex whose rest position projects nearest to each outline point: an approximate place on the body."""
         projected, _ = self.camera.project(self.points)
         return np.asarray(cKDTree(np.nan_to_num(projected, nan=1e9)).query(self.pixels)[1])
 
@@ -143,7 +143,7 @@ class OutlineObservations(EvaluatedObservations):
         return vertices[nearest], shares[nearest], samples[nearest]
 
     def with_drawn(self, positions: Float[np.ndarray, "T P 3"]) -> OutlineObservations:
-        """The same with the model's outline as it is seen where the vertices are at these positions [m]."""
+        """The same, with the model's outline fixed at the one of these vertex positions [m]."""
         fresh = self if self.drawn is None else replace(self, drawn=None)
         found = {int(f): fresh._model_outline(int(f), positions[f])[1:] for f in np.unique(self.frames)}
         return replace(self, drawn=found)
@@ -194,14 +194,14 @@ class OutlineObservations(EvaluatedObservations):
 
 
 def _between(x: np.ndarray, edges: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """Places [S, 3] at shares [S] of edges [S, 2] between vertices at x."""
+    """Points [S, 3] at shares [S] of edges [S, 2] between vertices at x."""
     return np.asarray((1 - shares[:, None]) * x[edges[:, 0]] + shares[:, None] * x[edges[:, 1]])
 
 
 def with_drawn_outlines(seen: Observations, positions: Float[np.ndarray, "T P 3"]) -> Observations:
-    """The observations with the model's outlines as they are at these positions, for small changes of them.
+    """The observations with the model's outlines fixed at those of these positions, for small changes of them.
 
-    To find which edges lie on the border of what a camera sees, all triangles are drawn; nothing else takes as long.
+    Finding the visible outline edges means drawing all triangles, which is by far the most expensive part.
     """
     if isinstance(seen, OutlineObservations):
         return seen.with_drawn(positions)

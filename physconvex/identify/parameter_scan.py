@@ -1,4 +1,4 @@
-"""A coarse scan over Young's modulus and Poisson's ratio: the search that follows converges within half a decade."""
+"""A coarse scan over Young's modulus and Poisson's ratio: the subsequent search converges within half a decade."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Candidate:
 
 
 def scan_values(*, density: float, gravity: float, size: float) -> tuple[float, ...]:
-    """log10 E of a scan where nothing is known: E/(ρ g L) from 0.5 to 2000, in half decades."""
+    """log10 E of a scan without prior knowledge: E/(ρ g L) from 0.5 to 2000, in half decades."""
     unit = np.log10(density * max(gravity, 1.0) * size)
     return tuple(float(unit + decades) for decades in np.arange(-0.3, 3.31, 0.45))
 
@@ -45,16 +45,16 @@ def scan(
 ) -> list[Candidate]:
     """Candidates for the start, best first.
 
-    Unknowns that shift or turn the body are fitted once first, at the middle modulus; then the model is evaluated at
-    each pair (E, ν). Pairs at which it cannot be evaluated are left out.
+    Unknowns that shift or turn the body are fitted once first, at the middle modulus. Then the model is evaluated at
+    each pair (E, ν). Pairs at which it fails are left out.
 
     Args:
-        model: a cheap model will do.
-        observations: what was seen.
-        parameters: the unknowns, among them log10 E; ν if it is free.
+        model: a cheap model is accurate enough.
+        observations: the observations.
+        parameters: the unknowns, including log10 E; ν if it is free.
         moduli: log10 E.
-        ratios: ν; only the present one where it is not free.
-        workers: evaluate the model, several pairs at once.
+        ratios: ν; only the present value if it is not free.
+        workers: evaluate several pairs at once.
 
     Raises:
         ConvergenceError: the model cannot be evaluated at any pair.
@@ -75,7 +75,7 @@ def scan(
 
 
 def _misfit(model: PointModel, observations: Observations, start: tuple[Parameter, ...]) -> float | None:
-    """Of the model there; None where the body is too soft to be simulated, which is no start."""
+    """Misfit of the model there; None if the body is too soft to be simulated."""
     try:
         return misfit_of(observations, model.positions(np.array([p.start for p in start])))
     except ConvergenceError:
@@ -85,7 +85,7 @@ def _misfit(model: PointModel, observations: Observations, start: tuple[Paramete
 def _rigid_fitted(
     model: PointModel, observations: Observations, parameters: Sequence[Parameter], modulus: float, ratio: float
 ) -> tuple[Parameter, ...]:
-    """The parameters with those that shift or turn the body where a few steps bring them."""
+    """The parameters, with those that shift or turn the body improved by a few steps."""
     if not any(p.name.startswith("initial_") for p in parameters):
         return tuple(parameters)
     held = [_held(p, {_MODULUS: modulus, _RATIO: ratio}) for p in parameters]

@@ -76,7 +76,7 @@ class Parameter:
         return replace(self, start=float(np.clip(start, self.lower, self.upper)))
 
     def held(self) -> Parameter:
-        """The same, free no more."""
+        """The same, held fixed."""
         return replace(self, lower=self.start, upper=self.start)
 
 
@@ -116,11 +116,11 @@ def step_scales(parameters: Sequence[Parameter]) -> Float[np.ndarray, " K"]:
 
 
 class SearchCoordinates:
-    """Coordinates in which a search goes straight where values bend; all but ν are their own.
+    """Coordinates in which the misfit's valleys are nearly straight; all but ν are their own coordinates.
 
-    What a body resists besides shear is λ = 2 μ ν/(1 − 2ν), which grows without end towards ν = ½: along a valley of E
-    and ν that all explain a motion, log E is nearly linear in log(1 − 2ν), and in ν a hook that Levenberg–Marquardt
-    must creep around. So ν is searched as u = −0.15 log(1 − 2ν), a step of which is a step of ν at ν = .35.
+    The stiffness against compression is λ = 2 μ ν/(1 − 2ν), which diverges at ν = ½. Along a valley of E and ν that
+    explain a motion equally well, log E is nearly linear in log(1 − 2ν) but strongly curved in ν, where
+    Levenberg–Marquardt is slow. So ν is searched as u = −0.15 log(1 − 2ν); at ν = 0.35 a step of u is a step of ν.
     """
 
     def __init__(self, names: Sequence[str]) -> None:

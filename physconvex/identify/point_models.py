@@ -1,4 +1,4 @@
-"""From parameter values to positions of material points: what a fit needs, and models that are made of others."""
+"""Models of a fit: from parameter values to positions of material points; models composed of others."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from physconvex.numerics import broyden_update, moved_along
 class PointModel(Protocol):
     """Positions of chosen points in all frames by named parameters, and their derivatives.
 
-    The reduced and the full simulator obey it (`physconvex.identify.model`), the models made of them below, and a twin
-    with effects (`physconvex.gap`).
+    The reduced and the full simulator implement it (`physconvex.identify.model`), as do the composed models below and a
+    twin with effects (`physconvex.gap`).
     """
 
     @property
@@ -36,11 +36,11 @@ class PointModel(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """Positions and tangents known at one place, straight on from there.
+    """A linearisation: positions and tangents at one set of values.
 
     Attributes:
         names: the parameters.
-        anchor: values at that place, shape [K].
+        anchor: the values, shape [K].
         at: positions there [m], shape [T, P, 3].
         tangents: their derivatives there, shape [T, K, P, 3].
     """
@@ -63,7 +63,7 @@ class LinearModel:
 
 @dataclass(frozen=True, eq=False)
 class CorrectedModel:
-    """A model shifted by a difference that was seen at one place.
+    """A model shifted by the difference to another one at one set of values.
 
     Attributes:
         model: the cheap model.
@@ -98,11 +98,11 @@ class CorrectedModel:
 
 
 class SecantModel:
-    """A model whose derivatives are carried along by Broyden's update: one run per linearisation.
+    """A model with derivatives by Broyden's update: one run per linearisation.
 
     Args:
         model: gives positions.
-        values: where the derivatives were taken, shape [K].
+        values: where the derivatives are computed, shape [K].
         positions: there [m], shape [T, P, 3].
         tangents: the derivatives, shape [T, K, P, 3].
         scales: typical steps of the parameters, shape [K].
@@ -134,7 +134,7 @@ class SecantModel:
     def linearise(
         self, values: Float[np.ndarray, " K"]
     ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T K P 3"]]:
-        """Positions, and the derivatives updated by what the last step showed.
+        """Positions, and the derivatives updated with the last step.
 
         Raises:
             ConvergenceError: the model cannot be run there, or `check` ends the fit.
@@ -152,7 +152,7 @@ class SecantModel:
 
 
 def check_names(names: Sequence[str], expected: Sequence[str]) -> None:
-    """A model and a list of parameters speak of the same unknowns, in one order.
+    """Check that a model and a list of parameters have the same unknowns in the same order.
 
     Raises:
         InputError: they do not.

@@ -1,17 +1,18 @@
-"""How a body flies on after it has struck something hangs on details that no model has: rigid drift, eliminated.
+"""Eliminates rigid drift: the flight of a body after an impact depends on details that no model has.
 
-A mesh that is off by a hundredth of the size where a body lands turns the rebound by degrees, and a fit that may not
-move the body as a whole bends its material until the rebound is right. So from the first contact on the recording may
-part from the model by a rigid motion that grows: every frame k after it adds a change of velocity δv_k, of spin δω_k,
+A mesh error of a hundredth of the size at the point of contact turns the rebound by degrees. A fit without rigid
+freedom then distorts the material until the rebound fits. So from the first contact on, the recording may differ from
+the model by a growing rigid motion. Every later frame k adds a change of velocity δv_k and of spin δω_k,
 
     x_t → x_t + Σ_{k ≤ t} (t − k + ½) Δt [δv_k + δω_k × (x_t − c_t)],     δv_k, r δω_k ~ N(0, q²) in each axis,
 
-with c_t the points' centre and r their radius of gyration: an integrated random walk, as process noise is in a Kalman
-smoother. The kicks are fitted (a few Gauss–Newton steps, since drift may exceed what images are linear in) and the
-residuals whitened by (I + N Nᵀ)^(−½) about the fitted drift, N their derivatives by the kicks in units of q: estimates
-and intervals hold whatever the drift was. q is where the marginal likelihood is largest, ½ log det(I + N Nᵀ) its price;
-it is zero where the model follows, and at most a few times what two meshes of the body differ by (`model_drift`): else
-a wrong material would pass for drift.
+where c_t is the points' centre and r their radius of gyration. This is an integrated random walk, like the process
+noise of a Kalman smoother. The kicks are fitted by a few Gauss–Newton steps, since drift may exceed the linear range of
+images. The residuals are whitened by (I + N Nᵀ)^(−½) about the fitted drift, where N are their derivatives by the kicks
+in units of q: estimates and intervals include the drift.
+
+q maximises the marginal likelihood, with ½ log det(I + N Nᵀ) as its penalty. It is zero if the model fits. It is at
+most a few times the difference of two meshes of the body (`model_drift`): otherwise drift could hide a wrong material.
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ from physconvex.identify.outlines import with_drawn_outlines
 from physconvex.io import Workers
 from physconvex.numerics import best_rotation, huber_loss, huber_weights
 
-_TURNS, _SETTLED = 6, 1e-3  # Gauss–Newton steps of the kicks, and the last of them in standard deviations
-_DRAWN = 2  # of these, in which a model's outline is sought anew
-_SHARES = (0.03, 0.1, 0.3, 1.0)  # of the most, tried as q
+_TURNS, _SETTLED = 6, 1e-3  # Gauss–Newton steps of the kicks; the last one's size in standard deviations
+_DRAWN = 2  # first steps, in which the model's outline is found again
+_SHARES = (0.03, 0.1, 0.3, 1.0)  # values of q that are tried, as shares of the largest
 _TOUCH = 2e-3  # of the body's size
 
 
@@ -43,9 +44,9 @@ def first_contact(
     times: Float[np.ndarray, " T"],
     gravity: Sequence[float] | Float[np.ndarray, " 3"],
 ) -> int | None:
-    """The first frame by which one of the points has touched an obstacle, at least 1; None where none does.
+    """The first frame by which one of the points has touched an obstacle, at least 1; None if there is no contact.
 
-    A touch between two frames shows in where free flight from the frames before would have ended.
+    A contact between two frames is detected from the end of the free flight that the preceding frames predict.
 
     Args:
         positions: of points of the surface [m].
@@ -98,20 +99,20 @@ class RigidDriftObservations(WrappedObservations):
         return columns[:, 0], columns[:, 1:]
 
     def drift(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, "T P 3"]:
-        """How far the recording has drifted from the model [m]."""
+        """Rigid drift of the recording from the model [m]."""
         kicks = self._kicks(positions)
         return kicks.moved(positions, self._fitted(positions, kicks)) - positions
 
     def carried(
         self, positions: Float[np.ndarray, "F P 3"], others: Float[np.ndarray, "F V 3"]
     ) -> Float[np.ndarray, "F V 3"]:
-        """Other points of the body where the recording has them, drift and all [m].
+        """Positions of other points of the body, drift included [m].
 
-        Frames beyond those that were seen drift on at the last velocity and spin.
+        Beyond the observed frames the drift continues at the last velocity and spin.
 
         Args:
-            positions: of the observed points by the model, in at least all frames that were seen [m].
-            others: of the others by the model, in the same frames [m].
+            positions: the model's positions of the observed points, in at least all observed frames [m].
+            others: the model's positions of the other points, in the same frames [m].
         """
         count = int(self.frames.max()) + 1
         seen = positions[:count]
@@ -119,7 +120,7 @@ class RigidDriftObservations(WrappedObservations):
         return self._kicks(positions, others, kicked=count).moved(others, fitted)
 
     def log_likelihood(self, positions: Float[np.ndarray, "T P 3"]) -> float:
-        """Of the residuals, the kicks integrated out, up to a constant; Huber's loss."""
+        """Log-likelihood of the residuals, the kicks integrated out, up to a constant; Huber's loss."""
         kicks = self._kicks(positions)
         fitted = self._fitted(positions, kicks)
         residuals, _, slopes = self._by_kicks(self.seen, kicks.moved(positions, fitted), kicks)
@@ -127,7 +128,7 @@ class RigidDriftObservations(WrappedObservations):
         return -loss - 0.5 * float(fitted @ fitted) - 0.5 * Elimination.of(slopes).log_determinant
 
     def _kicks(self, positions: np.ndarray, others: np.ndarray | None = None, kicked: int | None = None) -> _Kicks:
-        """What the kicks of the first `kicked` frames, each of size q, do to the points, or to others."""
+        """Displacements of the points, or of others, by the kicks of the first `kicked` frames, each of size q."""
         count, centre = len(positions), positions.mean(axis=1, keepdims=True)
         radius = float(np.sqrt(np.square(positions[0] - centre[0]).sum(-1).mean()))
         arms = (positions if others is None else others) - centre
@@ -141,7 +142,7 @@ class RigidDriftObservations(WrappedObservations):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residuals [N], derivatives by the parameters [N, K] and by the kicks [N, C], at the moved points.
 
-        A residual of one frame feels kicks by what the six rigid motions do to that frame alone; nuisances mix frames.
+        A residual depends on kicks only by the six rigid motions of its own frame, unless nuisances couple frames.
         """
         alone = not isinstance(seen, MarginalObservations)
         fields = kicks.moves if alone else kicks.fields()
@@ -154,7 +155,7 @@ class RigidDriftObservations(WrappedObservations):
         return residuals, by_parameters, slopes.reshape(len(residuals), -1)
 
     def _fitted(self, positions: np.ndarray, kicks: _Kicks) -> np.ndarray:
-        """The most likely kicks, in units of q; outlines are drawn anew in the first turns only."""
+        """The most likely kicks, in units of q; outlines are found again in the first steps only."""
         found, seen, limits = np.zeros(kicks.count), self.seen, self.robust_scales
         for turn in range(_TURNS if kicks.count else 0):
             moved = kicks.moved(positions, found)
@@ -174,7 +175,7 @@ class _Kicks:
     """Rigid displacements by kicks.
 
     Attributes:
-        times: what a kick of each frame does to the six rigid motions in each frame, shape [T, C/6].
+        times: the six rigid motions in each frame by a kick of each frame, shape [T, C/6].
         moves: displacements of the points by the six, shape [T, 6, P, 3].
     """
 
@@ -206,14 +207,14 @@ def likely_drift(
     most: float,
     workers: Workers | None = None,
 ) -> RigidDriftObservations | None:
-    """The observations with the drift that is likeliest where the model puts the points; None where none is.
+    """The observations with the most likely drift for the model's positions; None if that is zero.
 
     Args:
         seen: the observations, without drift.
-        positions: of the points by the model [m].
+        positions: the model's positions of the points [m].
         begin: frame of the first contact.
         interval: time between frames [s].
-        most: greatest q that is tried [m/s].
+        most: largest q that is tried [m/s].
         workers: try several at once.
     """
     if begin >= len(positions):
@@ -231,7 +232,7 @@ def _log_likelihood(positions: np.ndarray, seen: RigidDriftObservations) -> floa
 def model_drift(
     one: Float[np.ndarray, "T P 3"], other: Float[np.ndarray, "T P 3"], begin: int, interval: float
 ) -> float:
-    """The kicks by which one model's body drifts from another's as a rigid one: their rms in each axis [m/s].
+    """Size of the rigid drift between two models: rms of the kicks in each axis [m/s].
 
     Args:
         one, other: positions of the same points [m].
@@ -244,7 +245,7 @@ def model_drift(
 
 
 def _rigid_gap(one: np.ndarray, other: np.ndarray) -> Float[np.ndarray, " 6"]:
-    """Displacement, and rotation vector times the radius of gyration, that lay `one` best on `other` [m]."""
+    """Displacement, and rotation vector times the radius of gyration, that align `one` best with `other` [m]."""
     centres = one.mean(axis=0), other.mean(axis=0)
     arms = one - centres[0]
     turn = Rotation.from_matrix(best_rotation(one, other))

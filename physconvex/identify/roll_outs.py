@@ -1,4 +1,4 @@
-"""Roll-outs of full models, remembered, and made several at once where processes are allowed for it."""
+"""Memory of the full models' roll-outs; runs several at once if processes are available."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from physconvex.errors import ConvergenceError
 from physconvex.fem import Scene
 from physconvex.io import Workers
 
-_LIGHT = 1e4  # nodes times time steps: less work than to start a process
+_LIGHT = 1e4  # nodes times time steps: less work than the start of a process
 
 
 @dataclass(frozen=True, eq=False)
 class RollOut:
-    """One that is asked for: the scene, its timing, and a guide."""
+    """A requested roll-out: the scene, its timing, and a guide."""
 
     scene: Scene
     timing: Timing
@@ -46,11 +46,11 @@ def _rolled_out(job: RollOut) -> _Made:
 
 
 class RollOuts:
-    """The last roll-outs of full models and their derivatives, so that none is made twice.
+    """The last roll-outs of full models and their derivatives, so that none is repeated.
 
     Args:
         most: how many are kept.
-        workers: make those that are wanted together, where they are worth another process.
+        workers: run several roll-outs at once if these are large enough.
     """
 
     def __init__(self, most: int = 32, workers: Workers | None = None) -> None:
@@ -64,12 +64,11 @@ class RollOuts:
         wanted: Mapping[Hashable, Callable[[], RollOut]],
         near: Mapping[Hashable, Hashable] = MappingProxyType({}),
     ) -> None:
-        """Make those that are not kept, several at once where that pays; failures are kept too.
+        """Run those that are not kept, several at once if that is faster; failures are kept too.
 
         Args:
-            wanted: how each is made.
-            near: roll-outs that differ little from another one, which is their guide and is made before, if it is
-                wanted too.
+            wanted: the requested roll-outs.
+            near: roll-outs similar to another one, which guides them; if that is requested too, it runs first.
         """
         missing = {key: make for key, make in wanted.items() if key not in self._kept}
         later = {key for key in missing if near.get(key, key) != key and near[key] in missing}
@@ -86,10 +85,10 @@ class RollOuts:
         return [_rolled_out(job) for job in jobs]
 
     def positions(self, key: Hashable, make: Callable[[], RollOut]) -> Float[np.ndarray, "T V 3"]:
-        """Positions of the nodes [m], made if they are not kept.
+        """Positions of the nodes [m], computed if they are not kept.
 
         Raises:
-            ConvergenceError: the roll-out fails, or has failed.
+            ConvergenceError: the roll-out fails.
         """
         if key not in self._kept:
             self.prepare({key: make})
@@ -103,7 +102,7 @@ class RollOuts:
         _put(self._kept, key, positions, self.most)
 
     def tangents(self, key: Hashable) -> Float[np.ndarray, "T K V 3"] | None:
-        """The derivatives that are known there."""
+        """The stored derivatives."""
         return self._tangents.get(key)
 
     def keep_tangents(self, key: Hashable, tangents: Float[np.ndarray, "T K V 3"]) -> None:

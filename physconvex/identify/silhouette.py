@@ -1,8 +1,8 @@
-"""The silhouette of a surface: filled by how often the border of what faces the camera winds about a pixel.
+"""The silhouette of a surface, filled by the winding number of the border of its front-facing part.
 
-The triangles that face a camera all turn the same way in its image, so that their border winds about a pixel as often
-as they cover it (twice where two parts of the surface lie one behind the other), whatever the surface: open, or with
-edges of many triangles. The border is a few hundred edges where the triangles are thousands.
+All front-facing triangles have the same orientation in the image. So the winding number of their border about a pixel
+is the number of triangles that cover it (two if two parts of the surface overlap). This holds for any surface, also
+open or non-manifold ones. The border has a few hundred edges, the surface thousands of triangles.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 
-_SHIFT = 4  # binary digits of a pixel, of borders that are drawn
+_SHIFT = 4  # fractional binary digits of pixel coordinates of borders
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Borders:
         return edges, csr_matrix((along, (index.reshape(-1), owner)), shape=(len(edges), len(self.triangles)))
 
     def of(self, part: Bool[np.ndarray, " F"]) -> Int[np.ndarray, "B 2"]:
-        """Directed edges of the border of some of the triangles, as often as these run along them."""
+        """Directed border edges of some of the triangles, with multiplicity."""
         edges, runs = self._edges
         count = runs @ part.astype(np.int64)
         border = np.repeat(edges, np.abs(count), axis=0)
@@ -50,7 +50,7 @@ class Borders:
 def filled_border(
     starts: Float[np.ndarray, "B 2"], ends: Float[np.ndarray, "B 2"], height: int, width: int
 ) -> Bool[np.ndarray, "H W"]:
-    """Where closed polygons wind about the centre of a pixel, or their edges pass through it.
+    """Pixels whose centre closed polygons wind about, or their edges pass through.
 
     Args:
         starts, ends: of directed edges, in pixels (the first pixel reaches from 0 to 1).

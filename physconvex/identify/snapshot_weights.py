@@ -1,7 +1,7 @@
 """Skinning weights refined by the full model's motion at the fitted material.
 
-The correction runs the full model anyway. Proper orthogonal decomposition of that motion gives the weights that it
-needs (`physconvex.reduced.snapshot_weights`); they take the place of half of those the twin has, the roughest.
+The correction runs the full model in any case. Proper orthogonal decomposition of that motion gives the weights
+(`physconvex.reduced.snapshot_weights`). They replace the roughest half of the twin's weights.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from physconvex.reduced import BodySamples, NodalWeights, ReducedSpace, WeightFi
 
 
 def enriched(twin: Twin, nodes: Float[np.ndarray, "T V 3"], *, snapshots: int | None = None) -> Twin:
-    """The twin with as many weights as before, some of them from a motion of the full model.
+    """The twin with the same number of weights, some of them from a motion of the full model.
 
     Args:
         twin: with M weights.
         nodes: positions of its mesh's nodes [m].
-        snapshots: how many weights come from the motion; half of them unless given, fewer where it has fewer.
+        snapshots: number of weights from the motion; half of them unless given, fewer if its rank is lower.
     """
     weights = twin.scene.body.space.field.count
     wanted = (weights + 1) // 2 if snapshots is None else snapshots

@@ -27,9 +27,9 @@ from physconvex.reduced import (
     with_parameters,
 )
 
-RATE = 384.0  # time steps per second at least: below 0.02 decades of E by the time step, see design notes
-_NODES_PER_WEIGHT = 5  # each weight brings four functions
-_LOST = 0.2  # of the volume of body and mesh together, from which fewer nodes are not tried
+RATE = 384.0  # least time steps per second: the time step's error stays below 0.02 decades of E, see design notes
+_NODES_PER_WEIGHT = 5  # each weight adds four functions
+_LOST = 0.2  # of the joint volume of body and mesh; a mesh that misses more of it is not replaced by a coarser one
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,12 @@ class TwinOptions:
     """How a twin is discretised.
 
     Attributes:
-        weights: number M of skinning weights beside the constant one, see `smooth_weights`.
-        max_nodes: most nodes of its quadratic mesh; finer tetrahedra of a capture are meshed anew.
+        weights: number M of skinning weights besides the constant one, see `smooth_weights`.
+        max_nodes: most nodes of the quadratic mesh; finer tetrahedra of a capture are remeshed.
         steps_per_frame: time steps per frame; None: at least 384 per second, at least 4 per frame.
         law: elastic law, see `physconvex.materials.laws`.
-        youngs_modulus, poisson_ratio: of the twin before anything is fitted.
-        fill: whether mass and energy of a mesh that was made of a surface are those of the surface's inside
+        youngs_modulus, poisson_ratio: of the twin before the fit.
+        fill: whether mass and energy of a mesh made of a surface are those of the surface's interior
             (`physconvex.fem.filled`).
     """
 
@@ -57,13 +57,13 @@ class TwinOptions:
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """A capture's body and world, ready to be rolled out.
+    """A capture's body and world, ready for simulation.
 
     Attributes:
         capture: where it comes from.
         mesh: quadratic tetrahedra, rest state = state at t = 0, world frame [m].
         scene: the reduced scene; its cells are the tetrahedra of `mesh`.
-        clamp: what is held, or None.
+        clamp: the held nodes, or None.
         steps_per_frame: time steps per frame.
     """
 
@@ -80,7 +80,7 @@ class Twin:
 
     @property
     def may_strike(self) -> bool:
-        """Whether the body is free to strike an obstacle."""
+        """Whether the free body can hit an obstacle."""
         return bool(self.scene.obstacles) and self.clamp is None
 
     @property
@@ -100,7 +100,7 @@ class Twin:
         return replace(self, scene=with_parameters(self.scene, names, values))
 
     def timing(self, frames: int | None = None) -> Timing:
-        """Of the roll-outs; all of the capture's frames unless given."""
+        """Timing of the roll-outs; all of the capture's frames unless given."""
         count = self.capture.frames if frames is None else frames
         return Timing(frames=count, fps=self.fps, steps_per_frame=self.steps_per_frame)
 
@@ -124,7 +124,7 @@ class Twin:
             ElasticBody(mesh, law=body.law, flow=body.flow, **constants),
             scene,
             initial_positions=body.space.shape_values(mesh.vertices) @ scene.start,
-            initial_orientation=(0.0, 0.0, 0.0),  # those positions are turned
+            initial_orientation=(0.0, 0.0, 0.0),  # those positions are rotated already
             contact_stiffness=scene.contact().stiffness,
             **held,
         )
@@ -138,9 +138,9 @@ class Twin:
 
 
 def smooth_weights(mesh: TetMesh, count: int, clamp: Clamp | None) -> NodalWeights:
-    """So many weights for a body that nothing is known of yet: eigenmodes, or the vibrations of what is held.
+    """Skinning weights of a body without known motion: eigenmodes, or vibration modes if it is held.
 
-    Those of a clamped body are fewer where its free nodes have no more than these to tell apart.
+    A clamped body with few free nodes has fewer of them.
     """
     body = ElasticBody(mesh)
     if clamp is None:
@@ -159,7 +159,7 @@ def _uniform(name: str, value: np.ndarray) -> float:
 def surface_of_capture(capture: Capture) -> tuple[np.ndarray, np.ndarray] | None:
     """Vertices [V, 3] m and triangles [F, 3] of a capture's rest geometry: the boundary of its tetrahedra, or `mesh.*`.
 
-    None where it has neither.
+    None if it has neither.
     """
     tets = capture.tets()
     if tets is not None:
@@ -171,8 +171,8 @@ def surface_of_capture(capture: Capture) -> tuple[np.ndarray, np.ndarray] | None
 def mesh_of_capture(capture: Capture, *, max_nodes: int = 700, fill: bool = False) -> TetMesh:
     """Quadratic tetrahedra of a capture's rest geometry, of about `max_nodes` nodes at most.
 
-    Those of `tets.npz` are taken if they are few enough, else its boundary (or `mesh.*`) is meshed
-    (`mesh_of_few_nodes`), and filled as far as that goes if asked for.
+    Tetrahedra of `tets.npz` are used if they are few enough. Else their boundary (or `mesh.*`) is meshed
+    (`mesh_of_few_nodes`) and, if requested, filled as far as possible.
 
     Raises:
         InputError: the capture has no rest geometry, or none that encloses a volume.
@@ -205,19 +205,19 @@ def _follows(mesh: TetMesh, capture: Capture) -> bool:
 def coarse_mesh(capture: Capture, mesh: TetMesh, *, max_nodes: int = 200) -> TetMesh:
     """A quadratic mesh of a capture with fewer nodes than the given one.
 
-    Or that one where it is small already, or hardly the body: then fewer nodes would not be.
+    The given one if it is small already, or if it is a poor approximation of the body, as a coarser one is worse.
     """
     if len(mesh.vertices) <= 1.5 * max_nodes or not _follows(mesh, capture):
         return mesh
     try:
         coarse = mesh_of_capture(capture, max_nodes=max_nodes, fill=mesh.filling is not None)
-    except ConvergenceError:  # the shape asks for more nodes
+    except ConvergenceError:  # the shape needs more nodes
         return mesh
     return coarse if len(coarse.vertices) < len(mesh.vertices) else mesh
 
 
 def _reference(capture: Capture, mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices that the capture's boundary counts, and the tetrahedra or triangles between them."""
+    """The vertices that the capture's boundary indexes, and the tetrahedra or triangles between them."""
     tets = capture.tets()
     if tets is not None:
         return tets.vertices, tets.corner_tets
@@ -228,12 +228,12 @@ def _reference(capture: Capture, mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]
 
 
 def base_twin(capture: Capture, options: TwinOptions | None = None, *, mesh: TetMesh | None = None) -> Twin:
-    """The model of what a capture states: geometry, density, gravity, floor and friction, initial motion, boundary.
+    """The model stated by a capture: geometry, density, gravity, floor and friction, initial motion, boundary.
 
     Args:
-        capture: the capture; what it does not state about the initial motion is zero here.
+        capture: the capture; initial motion that it does not state is zero.
         options: discretisation.
-        mesh: quadratic rest mesh, in the place of the capture's own.
+        mesh: quadratic rest mesh, instead of the capture's own.
 
     Raises:
         InputError: no rest geometry, or a boundary that does not fit it.

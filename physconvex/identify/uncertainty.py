@@ -16,7 +16,7 @@ _AT_BOUND = 1e-6
 
 @dataclass(frozen=True)
 class NullDirection:
-    """A combination of parameters that the data leave open: share by name (in typical steps), deviation along it."""
+    """A combination of parameters that the data do not determine: share by name (in typical steps), its deviation."""
 
     shares: tuple[tuple[str, float], ...]
     sigma: float
@@ -24,12 +24,12 @@ class NullDirection:
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """What the data can tell.
+    """How well the data determine the parameters.
 
     Attributes:
         condition: largest over smallest singular value of the Jacobian, columns in typical steps.
-        null_directions: combinations that are not determined.
-        at_bounds: names of the parameters that ended at a bound.
+        null_directions: undetermined combinations.
+        at_bounds: names of the parameters at a bound.
         correlations: of the parameters, shape [K, K].
         sentences: the same in words.
     """
@@ -61,8 +61,8 @@ def _at_bounds(found: Fit) -> np.ndarray:
 def noise_covariance(found: Fit) -> Float[np.ndarray, "K K"]:
     """Covariance from the stated noise and the priors, (Jᵀ W J + Σ₀⁻¹)⁻¹, in the parameters' units.
 
-    Parameters at a bound are held there: their rows and columns are zero. Directions that the data leave open have a
-    deviation of at most 10⁶ typical steps.
+    Parameters at a bound are fixed there: their rows and columns are zero. Undetermined directions have a deviation of
+    at most 10⁶ typical steps.
     """
     scales = np.array([p.step for p in found.parameters])
     free = ~_at_bounds(found)
@@ -75,32 +75,33 @@ def noise_covariance(found: Fit) -> Float[np.ndarray, "K K"]:
 
 
 def marginal_deviations(found: Fit, variances: Float[np.ndarray, " N"] | float = 1.0) -> Float[np.ndarray, " K"]:
-    """Standard deviation of each parameter from noise and priors, where none is held at its bound.
+    """Standard deviation of each parameter from noise and priors, also of those at a bound.
 
-    Errors of the data or the model may have driven a parameter to its bound; the others are then off by what that one
+    Errors of the data or the model may push a parameter to its bound, which biases the others. Its true value may lie
+    anywhere in its range: half the range is the deviation of a prior.
     is. Its true value may lie anywhere in its range, whose half counts as the deviation of a prior.
 
     Args:
         found: the fit.
-        variances: of the residuals, where they are not as stated: the fit was weighted by what is stated, and is off
-            by A⁻¹ (Jᵀ W V W J + Σ₀⁻¹) A⁻¹ with A = Jᵀ W J + Σ₀⁻¹ (White 1980).
+        variances: of the residuals, if they differ from the stated ones. The fit is weighted by the stated ones, and
+            its covariance is A⁻¹ (Jᵀ W V W J + Σ₀⁻¹) A⁻¹ with A = Jᵀ W J + Σ₀⁻¹ (White 1980).
     """
     scales = np.array([p.step for p in found.parameters])
     half_ranges = np.array([(p.upper - p.lower) / (2 * p.step) for p in found.parameters])
     held = np.diag(np.where(_at_bounds(found), half_ranges**-2.0, 0.0))
     values, vectors = np.linalg.eigh(_information(found) + held)
-    known = np.maximum(values, 1e-12)  # what the data leave open has a deviation of 10⁶ typical steps, not of none
+    known = np.maximum(values, 1e-12)  # an undetermined value has a deviation of 10⁶ typical steps
     inverse = (vectors / known) @ vectors.T
     middle = _information(found, variances) + held + (vectors * (known - values)) @ vectors.T
     return np.asarray(scales * np.sqrt(np.diag(inverse @ middle @ inverse)))
 
 
 def clustered_deviations(found: Fit, frames: Int[np.ndarray, " N"]) -> Float[np.ndarray, " K"]:
-    """Standard deviations if residuals of one frame err together, in the parameters' units.
+    """Standard deviations for residuals that are correlated within a frame, in the parameters' units.
 
     The sandwich H⁻¹ (Σ_t s_t s_tᵀ) H⁻¹ with s_t the gradient of frame t's share of the misfit (Liang & Zeger 1986),
-    times T/(T − K). Points that are followed or compared in one image share its errors and the model's, so that their
-    number does not make the estimate as sure as that of independent ones would. Zero for parameters at a bound.
+    times T/(T − K). Points of one image share its errors and the model's, so that they determine less than as many
+    independent points. Zero for parameters at a bound.
 
     Args:
         found: the fit.
@@ -119,13 +120,13 @@ def _scores(found: Fit, frames: Int[np.ndarray, " N"]) -> Float[np.ndarray, "T K
 
 
 def identifiability(found: Fit) -> Identifiability:
-    """What the data of a fit can tell (priors left out)."""
+    """How well the data of a fit determine the parameters (priors left out)."""
     names = np.array(found.names)
     information = _information(found, priors=False)
     values, vectors = np.linalg.eigh(information)
     values = np.maximum(values, 0.0)
     condition = float(np.sqrt(values[-1] / values[0])) if values[0] > 1e-12 * values[-1] else float("inf")
-    spread = max(found.reduced_chi_square, 1.0)  # what the model does not explain counts as noise here
+    spread = max(found.reduced_chi_square, 1.0)  # unexplained residuals count as noise here
     null = []
     for value, vector in zip(values, vectors.T, strict=True):
         sigma = float(np.sqrt(spread / max(value, 1e-24)))

@@ -1,8 +1,8 @@
-"""Material points followed in a video: corners of the first image, carried on by pyramidal Lucas–Kanade flow.
+"""Follows material points in a video: corners of the first image, by pyramidal Lucas–Kanade flow.
 
-First pass: from image to image, with a forward–backward check (Kalal et al. 2010). It drifts. Second pass, once a model
-is fitted: the first image is carried to frame t as the model moves the surface, and what remains between that picture
-and frame t is measured; errors no longer add up, and the patch turns and deforms with the body.
+First pass: from image to image, with a forward–backward check (Kalal et al. 2010). It drifts. Second pass, with a
+fitted model: the model warps the first image to frame t, and the remaining flow between the warped image and frame t is
+measured. Errors do not accumulate, and the patch rotates and deforms with the body.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class FollowOptions:
         levels: of the pyramid beyond the image itself.
         round_trip: largest distance between a point and its image there and back [pixels].
         sigma: stated deviation of a pixel coordinate [pixels].
-        grazing: points are left out where the surface is seen under a smaller sine than this.
+        grazing: least sine of the angle between surface and ray at which a point is followed.
     """
 
     count: int = 120
@@ -57,7 +57,7 @@ def seed_points(
     *,
     mask: Bool[np.ndarray, "H W"] | None = None,
 ) -> Seeds:
-    """Corners (Shi & Tomasi 1994) of the object in the first image, and where on its surface they lie.
+    """Corners (Shi & Tomasi 1994) of the object in the first image, and their points on its surface.
 
     Args:
         camera: of the image.
@@ -97,7 +97,7 @@ def seed_points(
 def follow(
     frames: UInt8[np.ndarray, "T H W 3"], pixels: Float[np.ndarray, "P 2"], options: FollowOptions | None = None
 ) -> Float[np.ndarray, "T P 2"]:
-    """Pixel coordinates of points of the first image in all images; NaN from where they are lost."""
+    """Pixel coordinates of points of the first image in all images; NaN from the frame in which they are lost."""
     options = options or FollowOptions()
     grey = [cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in frames]
     out = np.full((len(frames), len(pixels), 2), np.nan)
@@ -114,7 +114,7 @@ def follow(
 def _flow(
     before: np.ndarray, after: np.ndarray, pixels: np.ndarray, options: FollowOptions
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where points went, and whether the way back leads to where they came from."""
+    """New positions of points, and whether the backward flow returns to the old ones."""
     start = (pixels - 0.5).astype(np.float32)[:, None]
     window = (options.window, options.window)
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
@@ -136,17 +136,17 @@ def appearance_map(
     hits: Hits,
     first: Hits,
 ) -> tuple[np.ndarray, Bool[np.ndarray, "H W"]]:
-    """Where in the first image each pixel of a later one was, as the model has it.
+    """Place in the first image of each pixel of a later one, by the model.
 
     Args:
         camera: of both images.
         rest: vertices in the first image [m].
         triangles: of the surface.
-        hits: what the pixels of the later image see.
-        first: what those of the first image see.
+        hits: surface points of the later image's pixels.
+        first: surface points of the first image's pixels.
 
     Returns:
-        Map for `cv2.remap` [H, W, 2] float32, and where it is known: the point was visible in the first image.
+        Map for `cv2.remap` [H, W, 2] float32, and where it is valid: the point is visible in the first image.
     """
     points = hits.on(rest, triangles)
     pixels, depth = camera.project(np.nan_to_num(points))
@@ -168,18 +168,18 @@ def follow_from_model(
     predicted: Float[np.ndarray, "T P 3"],
     options: FollowOptions | None = None,
 ) -> Float[np.ndarray, "T P 2"]:
-    """Pixel coordinates of points, measured from where a model puts them.
+    """Pixel coordinates of points, measured around the model's prediction.
 
     Args:
         frames: the images.
         camera: of the images.
-        moved: vertices of the surface as the model moves them [m]; frame 0 is the rest state.
+        moved: vertices of the surface, moved by the model [m]; frame 0 is the rest state.
         triangles: of the surface.
-        predicted: the points as the model moves them [m].
+        predicted: the points, moved by the model [m].
         options: settings.
     """
     options = options or FollowOptions()
-    near = replace(options, levels=min(options.levels, 1))  # the model is off by a few pixels at most
+    near = replace(options, levels=min(options.levels, 1))  # the model's error is a few pixels at most
     first = cast_camera_rays(camera, moved[0], triangles)
     origin = frames[0].astype(np.float32)
     out = np.full((len(frames), predicted.shape[1], 2), np.nan)
@@ -190,7 +190,7 @@ def follow_from_model(
         if not known.any():
             continue
         picture = cv2.remap(origin, source[..., 0], source[..., 1], cv2.INTER_CUBIC)
-        # elsewhere the image itself, so that the coarse level of the pyramid sees no other background
+        # elsewhere the image itself, so that the coarse level of the pyramid has the same background
         picture = np.where(known[..., None], picture.clip(0, 255), frames[t]).astype(np.uint8)
         inner = cv2.erode(known.astype(np.uint8), np.ones((options.window, options.window), np.uint8)) > 0
         pixels, depth = camera.project(predicted[t])
