@@ -1,10 +1,10 @@
-"""What `physconvex diagnose` says of soft cubes that MuJoCo drops and of beams that it lets go, effects hidden or not.
+"""Run `physconvex diagnose` on MuJoCo captures of dropped soft cubes and released beams, some with hidden effects.
 
 python benchmarks/gap_mujoco.py --out mujoco_bank [--cases none,damping,friction] [--captures-only | --base-only]
 
-Another program with another law (Saint Venant–Kirchhoff), linear tetrahedra that lock, semi-implicit Euler, and a soft
-contact that loses energy by itself (the cube sinks in by 6 % of its size). The captures hold its mesh. Needs
-`pip install mujoco==4.0.0 mujoco-core==4.0.0` (both of one version), which is no dependency of this package.
+MuJoCo has another law (Saint Venant–Kirchhoff), linear tetrahedra that lock, semi-implicit Euler, and a soft contact
+that dissipates energy itself (the cube sinks in by 6 % of its size). The captures contain its mesh. Needs `pip install
+mujoco==4.0.0 mujoco-core==4.0.0` (both of one version), which is no dependency of this package.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ BEAM, GRID, BEAM_DENSITY, BEAM_STEP, BEAM_FPS, BEAM_FRAMES = (0.1, 0.03, 0.03), 
 
 @dataclass(frozen=True)
 class Drop:
-    """What the capture does not say: MuJoCo's damping [s], friction, tilt of gravity [deg], spin [rad/s], drag [1/m].
+    """Unstated conditions: MuJoCo's damping [s], friction, tilt of gravity [deg], spin [rad/s], drag [1/m].
 
     `velocity` [m/s] is stated.
     """
@@ -138,7 +138,7 @@ def released(release: Release) -> tuple[TetMesh, np.ndarray]:
 
 
 def write_beam(folder: Path, name: str) -> None:
-    """Marker tracks of sixteen nodes of the surface; the end that is held is a box."""
+    """Marker tracks of sixteen surface nodes; the held end is a box."""
     mesh, trajectory = released(BEAMS[name])
     capture = Capture(
         folder, BEAM_FPS, BEAM_FRAMES, 2 * BEAM_FRAMES // 3, density=BEAM_DENSITY,
@@ -148,7 +148,7 @@ def write_beam(folder: Path, name: str) -> None:
 
 
 def write_capture(folder: Path, name: str) -> None:
-    """Marker tracks of thirty nodes of the surface."""
+    """Marker tracks of thirty surface nodes."""
     if name in BEAMS:
         write_beam(folder, name)
         return

@@ -1,13 +1,13 @@
-"""What `physconvex diagnose` says of recordings of real bodies whose gap is known by its kind, but not by its dose.
+"""Run `physconvex diagnose` on real recordings whose gap has a known kind but an unknown dose.
 
 python benchmarks/gap_recordings.py --out recordings [--cases struck_ball,striking_ball,soft_fish] [--captures-only]
 
-`struck_ball` and `striking_ball`: two tennis balls on a floor, followed from a film from when one has hit the other
-on. The capture states no friction; the struck ball slides and then rolls, the other arrives rolling. One point is
-known of each, the middle, so that the ball is taken as a solid one of the same mass (a real one is hollow, and a hollow
-ball that has slid rolls on with 3/5 of its speed, where a solid one does with 5/7). `soft_fish`: an upright tail of
-silicone, held below, which compressed air bends to one side; the capture states no such thing, and no effect of the
-dictionary is one. Its tip is the one marker on the body. The data are in `tests/data`, with their sources.
+`struck_ball` and `striking_ball`: two tennis balls on a floor, tracked in a film from their collision on. The capture
+states no friction; the struck ball slides and then rolls, the other arrives rolling. Only the centre of each is known,
+so the model is a solid ball of the same mass. A real ball is hollow: after sliding it rolls with 3/5 of its speed, a
+solid one with 5/7. `soft_fish`: an upright silicone tail, held below, which compressed air bends to one side. The
+capture does not state this, and the dictionary has no such effect. Its tip is the one marker on the body. The data are
+in `tests/data`, with their sources.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from physconvex.numerics import best_rotation
 
 DATA = Path(__file__).parents[1] / "tests" / "data"
 RADIUS, MASS, BALL_SIGMA = 0.03429, 0.0577, 4e-4  # [m], [kg], [m] of second differences, 0.1 to 0.6 mm
-FIRST = 12  # frame from which on the balls no longer touch
+FIRST = 12  # first frame in which the balls no longer touch
 DENSITY, FISH_SIGMA, FISH_FRAMES = 1070.0, 1e-4, 60
-# where the markers are on the tail, and on what holds it [m]: from the authors' script of the same recording
+# places of the markers on the tail and on its holder [m], from the authors' script of the same recording
 FISH_POINTS = [[0, -0.01419, 0.05221], [0, -0.032, -0.007], [-0.01612, -0.032, -0.026622], [0.01612, -0.032, -0.026622]]
 
 
@@ -36,7 +36,7 @@ def write_ball(folder: Path, name: str) -> None:
     positions = np.stack([rows[f"{ball}_{axis}_m"] for axis in "xyz"], axis=1)[FIRST:, None]
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=RADIUS)
     mesh.apply_translation(positions[0, 0])
-    spin = np.zeros(3) if name == "struck_ball" else None  # it lay still
+    spin = np.zeros(3) if name == "struck_ball" else None  # it lies still
     capture = Capture(
         folder, 60.0, len(positions), 2 * len(positions) // 3, density=MASS / (4 / 3 * np.pi * RADIUS**3),
         floor=FLOOR, initial_angular_velocity=spin,
@@ -45,7 +45,7 @@ def write_ball(folder: Path, name: str) -> None:
 
 
 def write_fish(folder: Path) -> None:
-    """The tip of the tail, 100 frames per second, in the frame in which it stands on z = 0."""
+    """The tip of the tail, 100 frames per second, in a frame with the tail upright on z = 0."""
     markers = np.genfromtxt(DATA / "srl_soft_fish" / "soft_fish_data.csv", delimiter=";").reshape(-1, 4, 3) / 1e3
     points = np.array(FISH_POINTS)
     turn = best_rotation(markers[0], points)

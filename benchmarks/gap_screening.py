@@ -1,9 +1,9 @@
-"""How long the screening of a diagnosis takes: from its first effect to the first fit that follows.
+"""Time of the screening of a diagnosis: from its first effect to the first fit that follows.
 
 python benchmarks/gap_screening.py [CAPTURE ...]
 
-A diagnosis is ended there. `before` is what comes before: rough fits, errors to expect, the base fit. How long whole
-ones take is in the results of `gap_silicone_beam.py` and, by capture, in those of blind banks (`seconds`).
+The diagnosis ends there. `before` is the time of the earlier steps: rough fits, expected errors, the base fit. The
+results of `gap_silicone_beam.py` and of blind banks (`seconds`, by capture) have the time of complete diagnoses.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ CAPTURES = Path(__file__).parents[1] / "examples" / "captures"
 
 
 class _ScreenedError(Exception):
-    """The screening is over."""
+    """Stops the diagnosis after the screening."""
 
 
 def screening_seconds(capture: Path) -> dict[str, float]:
-    """Seconds by the clock before the screening and in it, and how many effects it has tried, forms counted."""
+    """Clock time before and during the screening [s], and the number of effects tried, forms included."""
     start, begun, effects = time.perf_counter(), 0.0, 0
 
     def on_progress(text: str) -> None:

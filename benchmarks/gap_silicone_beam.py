@@ -1,9 +1,9 @@
-"""What `physconvex diagnose` says of the measured silicone beam (Dubied et al. 2022).
+"""Run `physconvex diagnose` on the measured silicone beam (Dubied et al. 2022).
 
 python benchmarks/gap_silicone_beam.py --out diagnosis_of_beam
 
-A plain elastic twin of the beam that is let go under its own weight, or with 102 g hung on its end, which the twin
-does not know of: where does it part from the recording, which effect explains it, how far does it shrink?
+The beam is released under its own weight, or with 102 g on its end. The elastic twin does not know the load. The
+benchmark locates the gap, finds the effect that explains it, and measures the shrinkage.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CAPTURES = Path(__file__).parents[1] / "examples" / "captures"
 
 
 def tip_heights(report: GapReport) -> dict[str, list[float]]:
-    """Mean height of the three tip markers over where it was held [mm], by frame: seen, base model, improved."""
+    """Mean height of the three tip markers above the held place [mm], by frame: observed, base model, improved."""
     seen = report.base.observations
     assert isinstance(seen, MarkerObservations)
     return {

@@ -1,13 +1,12 @@
-"""What limits how well an effect that is in no dictionary is told from known ones, by the rows of the blind banks.
+"""Limits of the separation of unknown from known effects, from the rows of the blind banks.
 
 python benchmarks/gap_unknown.py [--banks 2101 2201 2301 2401 2501 2601 2701]
 
-Six ways to say "none of these" are held against each other, on captures whose effect was taken out of the dictionary
-and on those with one visible effect that is in it: how little the fits believe in the likeliest effect (which the
-tables count), how little of the held-out gap it removes, both, how far what it leaves lies above the floor, the verdict
-alone, and that with belief. `constant` is the trivial score. And a ceiling: an effect that was taken out counts as
-*followed* where another one brings the held-out gap down to one and a half times the floor: there nothing is left to
-tell it by.
+Six scores for "none of these" are compared, on captures whose effect is removed from the dictionary and on those with
+one visible effect of the dictionary. They are the disbelief in the likeliest effect (as in the tables), the part of the
+held-out gap that this effect leaves, both together, the residual over the floor, the verdict alone, and the verdict
+with disbelief. `constant` is the trivial score. There is also a ceiling: a removed effect counts as *followed* if
+another one brings the held-out gap down to 1.5 times the floor, since nothing then shows it.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from typing import Any
 from train import area_under_roc
 
 RESULTS = Path(__file__).parent / "results"
-FOLLOWED = 1.5  # times the floor of held-out frames
+FOLLOWED = 1.5  # over the floor of held-out frames
 Row = dict[str, Any]
 
 
@@ -54,7 +53,7 @@ def outside(row: Row) -> bool:
 
 
 def told(rows: list[Row]) -> dict[str, Any]:
-    """Areas under the curve, and the most that can be had."""
+    """Areas under the curve, and their maximum."""
     unknown = [row for row in rows if outside(row)]
     known = [row for row in rows if len(row["truth"]) == 1 and not outside(row)]
     followed = sum(left(row) <= FOLLOWED and removed(row) > 0.5 for row in unknown)

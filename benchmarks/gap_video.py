@@ -1,14 +1,13 @@
-"""What `physconvex diagnose` says of filmed drops, effects hidden or not, from the video of the front camera.
+"""Run `physconvex diagnose` on the front-camera video of filmed drops, with and without hidden effects.
 
 python benchmarks/gap_video.py --objects FOLDER --out gap_video [--cases damping,none,focal_length,exposure,motion_blur]
 
-FOLDER holds Google Scanned Objects, one folder each with `model.obj` and `texture.png`. The toy is dropped by the
-full-order model on another mesh than the diagnosis makes, and filmed from the front and the side, which is a held-out
-view, at 24 frames per second and 224 pixels; `capture.json` states the floor and that the body starts at rest, and
-nothing of damping. In `focal_length` nothing is amiss but the camera,
-whose focal length is stated 3 % too long: that must not be called a material. Nor is it in the last two, where the
-light fades by half a stop or the shutter stays open for half of the time between two frames (rendered 17 times in it).
-What is stored of other cases is kept.
+FOLDER contains Google Scanned Objects, one folder each with `model.obj` and `texture.png`. The full-order model drops
+the toy, on another mesh than the diagnosis makes. The front camera and the side camera (a held-out view) film it at 24
+frames per second and 224 pixels. `capture.json` states the floor and the start at rest, but no damping. In
+`focal_length` only the camera is wrong: its stated focal length is 3 % too long, and the answer must not be a material.
+The same holds for the last two: the light fades by half a stop, or the shutter stays open for half of the frame time
+(rendered 17 times in it). Stored results of other cases are kept.
 """
 
 from __future__ import annotations
@@ -101,7 +100,7 @@ def filmed(folder: Path, objects: Path, film: Film) -> Path:
 
 
 def filmed_by(camera: Camera, body: ObjectMesh, moved: np.ndarray, share: float) -> np.ndarray:
-    """The pictures before white, each the mean light of that share of a frame around its time."""
+    """The linear-light pictures on white, each averaged over that share of a frame around its time."""
     surface = DrawnSurface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
     motion, parts = CubicSpline(np.arange(len(moved)), moved), np.linspace(-0.5, 0.5, 17 if share else 1) * share
     frames = []

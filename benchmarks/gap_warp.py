@@ -1,12 +1,12 @@
-"""What `physconvex diagnose` says of soft bodies that NVIDIA Warp drops, and of bars that it lets go.
+"""Run `physconvex diagnose` on soft bodies that NVIDIA Warp drops, and on bars that it releases.
 
 python benchmarks/gap_warp.py --out warp_bank [--cases none,damping,friction] [--captures-only | --base-only]
 
-Another program (`warp.sim`, by others) with another law (the stable neo-Hookean one of Smith et al. 2018), linear
-tetrahedra, semi-implicit Euler in single precision, damping by the rate of F, a contact of springs at the nodes and
-friction that slips a little. That damping also resists turning, which no material does: the damped body cannot turn at
-all, and a bar of that damping is not stable. The captures hold the surface, not the program's mesh. Needs `pip install
-"warp-lang<1.10"`, which is no dependency of this package; later versions have moved the simulator elsewhere.
+Warp (`warp.sim`) has another law (the stable neo-Hookean one of Smith et al. 2018), linear tetrahedra, semi-implicit
+Euler in single precision, damping by the rate of F, a contact of springs at the nodes and friction with a small slip.
+Its damping also resists rotation, unlike a material: the damped body cannot turn at all, and a bar with that damping is
+unstable. The captures contain the surface, not the program's mesh. Needs `pip install "warp-lang<1.10"`, which is no
+dependency of this package; later versions do not contain this simulator.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ GRAVITY, DENSITY, FPS, FRAMES, MARKERS, SIGMA, STEP = 9.81, 1000.0, 50.0, 30, 30
 AXES, HEIGHT, TURN = (0.065, 0.05, 0.04), 0.2, (0.4, 0.5, 0.2)  # half axes [m], gap to the floor [m], rotation vector
 BAR, CELLS = (0.1, 0.03, 0.03), (20, 6, 6)
 YOUNGS_MODULUS, BAR_MODULUS, POISSON_RATIO, NODES = 6e4, 2.5e5, 0.4, 1500
-SPRING = 5e3  # of the contact at a node [N/m]
+SPRING = 5e3  # stiffness of the contact at a node [N/m]
 
 
 @dataclass(frozen=True)
 class Take:
-    """What a capture does not say, but for `velocity` [m/s], which it does.
+    """Unstated conditions of a capture, except `velocity` [m/s], which is stated.
 
     Attributes:
         held: whether it is a bar, held at one end.
         damping: stress per rate of F [Pa s].
         friction: Coulomb's coefficient.
-        tilt: of gravity, about y and about x [deg].
+        tilt: tilt of gravity, about y and about x [deg].
         spin: initial angular velocity [rad/s].
         drag: deceleration of the body over the square of its speed [1/m].
         stiffer: Young's modulus of the half at +x of the resting body, over that of the other.
-        clock: rate at which frames are taken, over the stated one.
+        clock: true over stated frame rate.
         load: mass that hangs at the free end, over that of the bar.
         velocity: initial velocity [m/s].
     """
@@ -117,12 +117,12 @@ def simulated(take: Take, body: trimesh.Trimesh) -> tuple[TetMesh, np.ndarray]:
 
 
 def _bar() -> TetMesh:
-    """Regular, with nodes in the plane that is held, and diagonals both ways."""
+    """Regular mesh with nodes in the held plane, and diagonals both ways."""
     return box_mesh(BAR, CELLS, order=1, mirrored=True)
 
 
 def _masses(take: Take, mesh: TetMesh) -> np.ndarray:
-    """Of the nodes: a quarter of each element's. Warp leaves a node without mass where it is."""
+    """Masses of the nodes: a quarter of each element's. Warp fixes a node without mass."""
     corners = mesh.vertices[mesh.tets]
     volumes = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6
     masses = np.bincount(mesh.tets.ravel(), np.repeat(DENSITY * volumes / 4, 4), len(mesh.vertices))
@@ -164,7 +164,7 @@ def _frames(take: Take, model: object, masses: np.ndarray) -> np.ndarray:
 
 
 def write_capture(folder: Path, name: str) -> None:
-    """Marker tracks of thirty nodes of the surface."""
+    """Marker tracks of thirty surface nodes."""
     take = CASES[name]
     body = surface_of(take)
     mesh, trajectory = simulated(take, body)

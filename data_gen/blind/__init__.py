@@ -1,1 +1,1 @@
-"""Blind captures for tests of the diagnosis: what is hidden, how it is simulated, sealed labels, controls."""
+"""Blind captures that test the diagnosis: hidden effects, simulation, sealed labels, controls."""

@@ -1,4 +1,4 @@
-"""A bank of captures whose labels are sealed."""
+"""A bank of captures with sealed labels."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ COMMITMENT = "commitment.json"
 DICTIONARY = "dictionary.json"
 Report = Callable[[str], None]
 EngineName = Literal["explicit", "fem"]
-_DRAWS = 8  # until a capture is given up
+_DRAWS = 8  # attempts per capture
 
 
 def digest(text: str, salt: str) -> str:
@@ -34,7 +34,7 @@ def digest(text: str, salt: str) -> str:
 
 
 class BankOptions(Options):
-    """What a bank of captures is made of."""
+    """Contents of a bank of captures."""
 
     count: Annotated[int, Field(ge=0)] = 16
     """Number of captures."""
@@ -55,24 +55,24 @@ class BankOptions(Options):
 
 
 def generate_bank(out: Path, seal: Path, options: BankOptions | None = None, *, report: Report = lambda _: None) -> int:
-    """Write captures into `out`, their labels into the file `seal`, and the labels' hash beside the captures.
+    """Write captures into `out`, their labels into the file `seal`, and the hash of the labels beside the captures.
 
-    Each capture is drawn from the seed and its number, so that a bank does not depend on the number of processes. Until
-    all are made, labels lie in a folder beside the seal (its name and `.parts`); the same call goes on where it was
-    stopped. Captures that are diagnosed without some effects are listed in `dictionary.json`.
+    Each capture is drawn from the seed and its number, so the bank does not depend on the number of processes. Labels
+    lie in a folder beside the seal (its name and `.parts`) while the bank is incomplete; the same call resumes an
+    interrupted run. `dictionary.json` lists captures that are diagnosed without some effects.
 
     Args:
         out: folder of the captures.
-        seal: file of the labels, to be kept from whoever diagnoses.
-        options: what the bank is made of.
-        report: told what is done.
+        seal: file of the labels; hide it from whoever diagnoses.
+        options: contents of the bank.
+        report: receives progress messages.
 
     Returns:
-        Number of captures, controls included; draws whose simulation fails are drawn anew, eight times in all, and what
-        cannot be drawn is left out, with a label that says so.
+        Number of captures, controls included. A draw whose simulation fails is repeated, up to eight draws in all. If
+        all fail, the capture is left out and its label says so.
 
     Raises:
-        InputError: the bank is there already, one with other settings was begun there, or an unknown effect.
+        InputError: the bank exists, a bank with other settings is begun there, or an effect is unknown.
     """
     options = options or BankOptions()
     engine, seed, workers = options.engine, options.seed, options.workers
@@ -103,7 +103,7 @@ def generate_bank(out: Path, seal: Path, options: BankOptions | None = None, *, 
 
 
 def _begin(out: Path, seal: Path, parts: Path, settings: str) -> None:
-    """Make the folders, or see that they belong to a bank of these settings that was begun."""
+    """Make the folders, or check that they belong to an unfinished bank with these settings."""
     begun = parts / "settings.json"
     if begun.exists():
         if begun.read_text(encoding="utf-8") != settings:
@@ -119,7 +119,7 @@ def _begin(out: Path, seal: Path, parts: Path, settings: str) -> None:
 
 @dataclass(frozen=True)
 class _Job:
-    """One capture, and where it goes."""
+    """One capture and its destination."""
 
     number: int
     planned: Planned
@@ -156,7 +156,7 @@ def _make(job: _Job) -> None:
 
 
 def _drawn(job: _Job) -> dict[str, Any]:
-    """Draw and write a capture; what its label says of it."""
+    """Draw and write a capture; return the entries of its label."""
     case, seen = _written(job)
     return {
         "kind": case.kind, "seed": case.seed, "youngs_modulus": case.youngs_modulus,
@@ -190,7 +190,7 @@ def _written(job: _Job) -> tuple[Case, float]:
 
 
 def _repeated(job: _Job) -> dict[str, Any]:
-    """Write a capture that was drawn before with new noise: the first that hides something, if one does."""
+    """Write an earlier capture with new noise: the first one with a hidden effect, if there is one."""
     labels = [json.loads((job.parts / f"{_name(k)}.json").read_text(encoding="utf-8")) for k in range(job.number)]
     drawn = [label for label in labels if "failed" not in label and label["control"] is None]
     if not drawn:

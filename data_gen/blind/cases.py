@@ -1,4 +1,4 @@
-"""Random captures for blind tests: what moves, how, and which effect is hidden in it."""
+"""Random captures for blind tests: body, motion and hidden effects."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from physconvex.gap import DEFAULT_EFFECTS, Effect, PointMotion, Situation
 from physconvex.io import Boundary, Capture, Floor, Tracks
 from physconvex.mesh import Embedding, TetMesh, tetrahedralize
 
-# dose ranges that are drawn from (log-uniform, in multiples of the screening trial dose)
+# log-uniform dose ranges, in multiples of the screening trial dose
 _MULTIPLES = (2.0, 6.0)
 BLIND_EFFECTS: tuple[str, ...] = (
     "damping", "viscoelasticity", "plasticity", "heterogeneity", "anisotropy", "nonlinear_elasticity", "friction",
@@ -36,7 +36,7 @@ SHAPES: dict[str, Callable[[np.random.Generator], trimesh.Trimesh]] = {
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """What is hidden: an effect of the dictionary by label, and its doses."""
+    """A hidden effect: its label in the dictionary and its doses."""
 
     name: str
     label: str
@@ -46,21 +46,21 @@ class HiddenEffect:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One capture before it is simulated.
+    """One capture before its simulation.
 
     Attributes:
         kind: drop, throw or clamped.
         surface: closed surface at t = 0 [m].
         youngs_modulus, poisson_ratio, density: material.
-        height: of the lowest point above the floor [m]; None without a floor.
+        height: height of the lowest point above the floor [m]; None without a floor.
         velocity, spin: initial motion [m/s], [rad/s].
-        states_motion: whether the capture states it.
-        clamped: box that is held, [2, 3] m.
+        states_motion: whether the capture states the initial motion.
+        clamped: box that is held [m], shape [2, 3].
         fps: frames per second.
         frames: number of frames.
         hidden: effects.
         noise: standard deviation of markers [m].
-        seed: of markers and noise.
+        seed: seed of markers and noise.
     """
 
     kind: str
@@ -86,7 +86,7 @@ class Case:
 
     @property
     def situation(self) -> Situation:
-        """For the trial doses."""
+        """Situation that sets the trial doses."""
         stress = self.density * 9.81 * self.size * 3
         return Situation(
             self.size, self.youngs_modulus, self.density, self.fps, self.frames, floor=self.height is not None,
@@ -124,7 +124,7 @@ def kinds_for(effects: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def draw_case(seed: int, effects: tuple[str, ...], *, dosed: bool = True) -> Case:
-    """A capture drawn from a seed, made so that these effects can show (none: an effect-free one), and their doses."""
+    """A capture drawn from a seed whose motion can show these effects (none: an effect-free one), and their doses."""
     rng = np.random.default_rng(seed)
     kinds = kinds_for(effects)
     kind = str(rng.choice(kinds))
@@ -191,16 +191,16 @@ def _scene(case: Case, mesh: TetMesh) -> Scene:
 
 
 def floor_height(case: Case) -> float:
-    """Of a case with a floor [m]."""
+    """Height of the floor of a case that has one [m]."""
     assert case.height is not None
     return float(case.surface.vertices[:, 2].min()) - case.height
 
 
 def simulate_case(case: Case, *, nodes: int = 450, rate: float = 500.0) -> tuple[PointMotion, Float[np.ndarray, "P 3"]]:
-    """Simulate with effects, on the full-order model; the observed positions of 40 surface points.
+    """Simulate with effects on the full-order model; return the observed positions of 40 surface points.
 
     Raises:
-        ConvergenceError: the simulation failed.
+        ConvergenceError: the simulation fails.
     """
     mesh = _mesh(case, nodes)
     scene: Any = _scene(case, mesh)
@@ -231,7 +231,7 @@ def simulate_case(case: Case, *, nodes: int = 450, rate: float = 500.0) -> tuple
 def capture_parts(
     case: Case, positions: np.ndarray, points: np.ndarray, folder: Path
 ) -> tuple[Capture, dict[str, Any]]:
-    """The capture and the arguments of `save_capture`: what a diagnoser may see."""
+    """The capture and the arguments of `save_capture`: all that a diagnosis may read."""
     rng = np.random.default_rng([case.seed, 2])
     noisy = positions + case.noise * rng.normal(size=positions.shape)
     floor = None

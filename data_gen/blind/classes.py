@@ -1,4 +1,4 @@
-"""Effects that one take does not tell apart, declared before any blind run."""
+"""Declared classes of effects that one take cannot distinguish."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ CONFUSION_CLASSES: tuple[frozenset[str], ...] = (
 
 
 def same_class(first: str, second: str) -> bool:
-    """Equal, or in one declared confusion class."""
+    """Whether two names are equal or in one declared confusion class."""
     return first == second or any({first, second} <= group for group in CONFUSION_CLASSES)
 
 
 def class_of(name: str) -> tuple[str, ...]:
-    """Names of all effects that are in a declared class with this one, itself included."""
+    """Names of all effects in a declared class with this one, itself included."""
     together = {name}.union(*(group for group in CONFUSION_CLASSES if name in group))
     return tuple(sorted(together))

@@ -1,4 +1,4 @@
-"""Controls of a blind test: captures whose right answer is known to be no cause, or that of another capture."""
+"""Controls of a blind test: captures whose right answer is no cause, or the answer to another capture."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from data_gen.blind.classes import same_class
 
 @dataclass(frozen=True)
 class Control:
-    """What is done to a capture.
+    """Change of a capture.
 
     Attributes:
-        name: of the control.
-        effects: hidden, beside it.
-        density: stated over true.
-        rough: simulated on a coarse mesh with a soft contact.
-        repeats: an earlier capture with new noise.
+        name: name of the control.
+        effects: effects that are hidden in addition.
+        density: stated over true density.
+        rough: whether it is simulated on a coarse mesh with a soft contact.
+        repeats: whether it shows an earlier capture with new noise.
     """
 
     name: str
@@ -31,10 +31,10 @@ class Control:
 CONTROLS: dict[str, Control] = {
     control.name: control
     for control in (
-        Control("density", density=1.6),  # E takes it up: no cause may be named
-        Control("numerics", rough=True),  # no cause may be named, or a numerical one
-        Control("camera", effects=("camera_pose",)),  # never a material
-        Control("noise", repeats=True),  # the answer must be that of the first time
+        Control("density", density=1.6),  # E compensates for it: the answer must name no cause
+        Control("numerics", rough=True),  # the answer must name no cause, or a numerical one
+        Control("camera", effects=("camera_pose",)),  # the answer must not be a material
+        Control("noise", repeats=True),  # the answer must equal that of the repeated capture
     )
 }
 
@@ -53,7 +53,7 @@ class ControlScore:
 def score_controls(
     labels: Sequence[dict[str, Any]], answers: dict[str, dict[str, Any]]
 ) -> tuple[ControlScore, ...]:  # fmt: skip
-    """Every control that was answered."""
+    """Scores of all controls that have an answer."""
     out = []
     for label in labels:
         answer = answers.get(label["capture"])

@@ -1,10 +1,10 @@
 """A second engine for blind captures: explicit steps, smoothed tetrahedra, lumped masses, linear contact springs.
 
-It shares nothing with the models of a diagnosis but the base law (stable neo-Hookean, Smith et al. 2018): no mesh, no
-elements, no integrator, no contact law, and each effect in another form. Linear tetrahedra lock; here gradients are
-averaged around edges, and where λ multiplies them around nodes (selective ES/NS-FEM, Liu & Nguyen 2010, Smoothed Finite
-Element Methods; Onishi & Amaya 2014). Plastic and viscous flow store C_p⁻¹, so that the elastic b_e = F C_p⁻¹ Fᵀ needs
-no singular values (Simo & Hughes 1998, §9.3, and Reese & Govindjee 1998, linearised).
+It shares only the base law (stable neo-Hookean, Smith et al. 2018) with the models of a diagnosis. Mesh, elements,
+integrator and contact law differ, and so does the form of each effect. Linear tetrahedra lock. Gradients are therefore
+averaged around edges, and around nodes where λ multiplies them (selective ES/NS-FEM, Liu & Nguyen 2010, Smoothed Finite
+Element Methods; Onishi & Amaya 2014). Plastic and viscous flow store C_p⁻¹, so the elastic b_e = F C_p⁻¹ Fᵀ needs no
+singular values (Simo & Hughes 1998, §9.3, and Reese & Govindjee 1998, linearised).
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from physconvex.mesh import TetMesh
 _COURANT = 0.7
 _MOST_STEPS = 1000  # per frame
 _POWER_STEPS = 60
-_BEYOND_POWER = 1.1  # of the square, for what the iteration has not reached
-_NOW = 1e-6  # steps within which a frame is taken at a step
+_BEYOND_POWER = 1.1  # factor on the squared frequency, for the error of the iteration
+_NOW = 1e-6  # tolerance in steps for taking a frame at a step
 
 
 @dataclass(frozen=True, eq=False)
 class ExplicitWorld:
-    """What moves and what acts on it.
+    """The body and what acts on it.
 
     Attributes:
         mesh: linear tetrahedra at t = 0 [m].
@@ -38,19 +38,19 @@ class ExplicitWorld:
         density: [kg/m³].
         gravity: [m/s²].
         floor: height of the floor [m]; None without one.
-        held: nodes that do not move.
+        held: fixed nodes.
         velocity, spin: initial motion about the centre of mass [m/s], [rad/s].
         contact_modulus: contact pressure per depth over E/size [-].
-        extra_mass: added to the nodes [kg], shape [V].
+        extra_mass: additional mass of the nodes [kg], shape [V].
         friction: Coulomb coefficient.
-        contact_damping: time of a dashpot beside the contact spring [s].
-        damping_time: of Kelvin–Voigt viscosity [s].
-        drag_rate: deceleration over velocity squared [1/m]; all of the body is slowed alike.
+        contact_damping: time of a dashpot parallel to the contact spring [s].
+        damping_time: time of Kelvin–Voigt viscosity [s].
+        drag_rate: deceleration over velocity squared [1/m], uniform over the body.
         wind: pressure per squared relative velocity times the air's velocity: ρ C_d/8 [kg/m³] and velocity [m/s].
-        yield_stress: von Mises stress of the Kirchhoff stress at which flow sets in [Pa].
+        yield_stress: von Mises norm of the Kirchhoff stress at the onset of flow [Pa].
         branch: modulus ratio and relaxation time [s] of a Maxwell branch in the isochoric response.
         stiffening: b of μ/2b (exp(b q) − 1 − b q), q = Ī₁ − 3, the exponential law (Demiray 1972) less its first term.
-        tied: stiffness of springs between nodes and where they started [N/m], shape [V].
+        tied: stiffness of springs between nodes and their initial places [N/m], shape [V].
         fibre: modulus over μ and direction of fibres, W = k/2 (I₄ − 1)².
     """
 
@@ -83,8 +83,8 @@ class _Smoothed:
 
     Attributes:
         gradients: [3 D, V], rows by domain and direction.
-        volumes: of the domains [m³], shape [D].
-        shares: of the tetrahedra in each domain's volume, [D, E].
+        volumes: volumes of the domains [m³], shape [D].
+        shares: share of each tetrahedron in the volume of each domain, [D, E].
     """
 
     gradients: sp.csr_matrix
@@ -94,7 +94,7 @@ class _Smoothed:
 
     @classmethod
     def over(cls, domains: np.ndarray, share: float, volumes: np.ndarray, slopes: sp.csr_matrix) -> _Smoothed:
-        """Domains that each tetrahedron belongs to, [E, K], with the same share of its volume in each."""
+        """Domains of each tetrahedron, [E, K]; each holds the same share of its volume."""
         columns = np.arange(len(domains)).repeat(domains.shape[1])
         parts = sp.csr_matrix((share * volumes[columns], (domains.reshape(-1), columns)))
         whole = np.asarray(parts.sum(1)).reshape(-1)
@@ -103,7 +103,7 @@ class _Smoothed:
         return cls(gradients, sp.csr_matrix(gradients.T), whole, sp.csr_matrix(shares))
 
     def mean(self, values: np.ndarray) -> np.ndarray:
-        """Of values per tetrahedron, per domain."""
+        """Values per domain from values per tetrahedron."""
         return np.asarray(self.shares @ values)
 
     def of(self, x: np.ndarray) -> np.ndarray:
@@ -111,7 +111,7 @@ class _Smoothed:
         return np.asarray(self.gradients @ x).reshape(-1, 3, 3).transpose(0, 2, 1)
 
     def force(self, stress: np.ndarray) -> np.ndarray:
-        """Of first Piola–Kirchhoff stresses [Pa] on the nodes [N]."""
+        """Forces on the nodes [N] from first Piola–Kirchhoff stresses [Pa]."""
         weighted = self.volumes[:, None, None] * stress.transpose(0, 2, 1)
         return -np.asarray(self.transposed @ weighted.reshape(-1, 3))
 
@@ -124,7 +124,7 @@ def _edges(tets: np.ndarray) -> np.ndarray:
 
 
 class _Body:
-    """Forces of a `ExplicitWorld`."""
+    """Forces of an `ExplicitWorld`."""
 
     def __init__(self, world: ExplicitWorld) -> None:
         self.world = world
@@ -192,7 +192,7 @@ class _Body:
         return float(np.sqrt(_BEYOND_POWER * square))
 
     def accelerations(self, x: np.ndarray, v: np.ndarray, dt: float) -> np.ndarray:
-        """Of the nodes [m/s²]; plastic and viscous flow advance."""
+        """Accelerations of the nodes [m/s²]; advances plastic and viscous flow."""
         world = self.world
         f, g = self.shear.of(x), self.bulk.of(x)
         stress = self._stress(f, dt)
@@ -202,7 +202,7 @@ class _Body:
         if world.damping_time > 0:
             rate = f.transpose(0, 2, 1) @ self.shear.of(v)
             stress = stress + world.damping_time * self.mu[:, None, None] * (f @ (rate + rate.transpose(0, 2, 1)))
-            trace = (g * self.bulk.of(v)).sum((1, 2))  # of the rate of Green's strain
+            trace = (g * self.bulk.of(v)).sum((1, 2))  # trace of the rate of Green's strain
             pressure += (world.damping_time * self.lam * trace)[:, None, None] * g
         force = self.shear.force(stress) + self.bulk.force(pressure)
         force += self._contact(x, v)
@@ -218,7 +218,7 @@ class _Body:
         return np.asarray(out)
 
     def _stress(self, f: np.ndarray, dt: float) -> np.ndarray:
-        """First Piola–Kirchhoff stress of all but λ/2 (J − 1)² [Pa]."""
+        """First Piola–Kirchhoff stress without the term λ/2 (J − 1)² [Pa]."""
         world = self.world
         cofactor = _cofactor(f)
         volume = (f[:, 0] * cofactor[:, 0]).sum(1)
@@ -300,18 +300,18 @@ def run_explicit(
     late: float = 0.0,
     fast: float = 0.0,
 ) -> PointMotion:
-    """Leapfrog; the motion of material points, given at t = 0. Velocities are those of half a step before.
+    """Leapfrog integration; returns the motion of material points. Velocities lag by half a step.
 
     Args:
-        world: what moves.
-        points: in it [m].
+        world: the body and what acts on it.
+        points: material points at t = 0 [m].
         frames: number of frames.
-        fps: of the clock that stamps them [1/s].
-        late: how long after t = 0 the first one is taken [s], not negative.
-        fast: share by which more time passes between two than the clock says.
+        fps: rate of the clock that stamps the frames [1/s].
+        late: time of the first frame after t = 0 [s], not negative.
+        fast: relative excess of the true time between frames over the clock's.
 
     Raises:
-        ConvergenceError: the run blew up.
+        ConvergenceError: the run diverges.
     """
     from physconvex.mesh import Embedding
 

@@ -1,4 +1,4 @@
-"""Blind captures by the explicit engine, with doses that are scaled until the effect is as visible as asked for."""
+"""Blind captures by the explicit engine, with doses scaled to a requested visibility of the effect."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from physconvex.mesh import TetMesh, tetrahedralize
 Positions = Float[np.ndarray, "T P 3"]
 Observe = Callable[[PointMotion], Positions]
 _MARKERS, _ROUNDS, _NEAR = 40, 5, 0.4
-_LEAST, _MOST = 0.5, 3.0  # of the visibility asked for
-_STIFFER, _WIDER, _FASTER = 1.05, 0.02, 0.02  # E times, ν more, velocity over that of a fall through the size more
-_HARDER = 2.0  # times the contact's stiffness: what is left of the floor's give is as much as that changes
-_ORDER = 1.5  # of convergence by edge length: linear elements, smoothed, and contact
+_LEAST, _MOST = 0.5, 3.0  # factors on the requested visibility
+_STIFFER, _WIDER, _FASTER = 1.05, 0.02, 0.02  # changes: factor on E, of ν, velocity over a fall by size
+_HARDER = 2.0  # factor on the contact stiffness; its effect estimates the error that the floor's give leaves
+_ORDER = 1.5  # convergence order by edge length: linear elements, smoothed, and contact
 _WEAKEST, _STRONGEST = 0.02, 8.0  # multiples of a moderate dose
-_SOFT_CONTACT = 12.0  # over E/size, of runs that are to have a numerical error
-_NODES = (250, 2000)  # of the meshes for the search of the dose, and of the capture
+_SOFT_CONTACT = 12.0  # contact modulus over E/size, of runs with an intended numerical error
+_NODES = (250, 2000)  # mesh sizes for the search of the dose, and for the capture
 OUTSIDE = ("tether",)  # in no dictionary
 HELD_EFFECTS = ("attached_mass",)  # of held bodies only
 EXPLICIT_EFFECTS: tuple[str, ...] = (
@@ -37,9 +37,9 @@ EXPLICIT_EFFECTS: tuple[str, ...] = (
 
 @dataclass(frozen=True)
 class Dosed:
-    """An effect at one strength: what changes in the world, how it is seen, what to call it, and what the clock does.
+    """An effect at one strength: change of the world, change of the observation, label, and arguments of the clock.
 
-    The clock's arguments are those of `run_explicit`.
+    The arguments of the clock are those of `run_explicit`.
     """
 
     world: Callable[[ExplicitWorld], ExplicitWorld] | None
@@ -109,7 +109,7 @@ def _world_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> 
 
 
 def _field_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> Dosed:
-    """Effects that need the mesh: an inclusion, a load at the free end, a tether; and one that needs time."""
+    """Effects that need the mesh (an inclusion, a load at the free end, a tether), and one that needs time."""
     low, high, size = case.surface.vertices.min(0), case.surface.vertices.max(0), case.size
     if name == "heterogeneity":
         centre = low + (high - low) * rng.uniform(0.15, 0.85, 3)
@@ -132,7 +132,7 @@ def _field_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> 
             return replace(world, extra_mass=np.where(end, ratio * mass / end.sum(), 0.0))
 
         return Dosed(loaded, None, (ratio,), ("",))
-    if name == "tether":  # a soft spring between one side of the body and where it started
+    if name == "tether":  # a soft spring between one side of the body and its initial place
         side = _direction(rng)
 
         def tied(world: ExplicitWorld) -> ExplicitWorld:
@@ -156,7 +156,7 @@ def _seen_effect(name: str, s: float, case: Case, rng: np.random.Generator) -> D
     turn, shift = np.radians(1.0 * s) * _direction(rng), 0.01 * s * case.size * _direction(rng)
     matrix = rotation_vector_matrix(turn)
 
-    def moved(motion: PointMotion) -> Positions:  # about the markers' mean, as the dictionary has it
+    def moved(motion: PointMotion) -> Positions:  # about the mean of the markers, as in the dictionary
         pivot = motion.rest.mean(0)
         return np.asarray((motion.positions - pivot) @ matrix.T + pivot + shift)
 
@@ -171,7 +171,7 @@ def _dosed(name: str, s: float, case: Case, seed: int) -> Dosed:
 
 
 def _mesh(case: Case, nodes: int) -> TetMesh:
-    if case.clamped is not None:  # a bar along x, of which no more and no less is to be held than what lies in the box
+    if case.clamped is not None:  # a bar along x: exactly the part inside the box is held
         low, high = case.surface.vertices.min(0), case.surface.vertices.max(0)
         edge = float(np.cbrt(np.prod(high - low) / nodes))
         cells = tuple(int(np.ceil(e / edge)) for e in high - low)
@@ -216,20 +216,21 @@ class _Runner:
 def simulate_explicit(
     case: Case, names: tuple[str, ...], visibility: float, *, rough: bool = False
 ) -> tuple[PointMotion, Positions, Case, float]:
-    """Simulate with effects that are each visible by a factor.
+    """Simulate with effects that each reach a requested visibility.
 
     Args:
-        case: without effects.
-        names: of the effects.
-        visibility: mean square of what each effect changes over that of noise and numerical error, see `_Yardstick`.
-        rough: on the coarse mesh, with a contact five times as soft: numerical error for an effect.
+        case: case without effects.
+        names: names of the effects.
+        visibility: mean square change by each effect over that of noise and numerical error, see `_Yardstick`.
+        rough: whether to use the coarse mesh with a contact one fifth as stiff: a numerical error in place of an
+            effect.
 
     Returns:
         Motion and observed positions of 40 surface points on the fine mesh, the case with its hidden effects, and the
         visibility reached.
 
     Raises:
-        ConvergenceError: a run blew up, or no dose is as visible.
+        ConvergenceError: a run diverges, or no dose reaches the visibility.
     """
     rng = np.random.default_rng([case.seed, 1])
     points, _ = trimesh.sample.sample_surface_even(case.surface, _MARKERS, seed=int(rng.integers(2**31)))
@@ -252,15 +253,15 @@ def simulate_explicit(
 
 @dataclass(frozen=True, eq=False)
 class _Yardstick:
-    """How visible a change of the observed positions is.
+    """Visibility of a change of the observed positions.
 
-    What E, ν and the initial motion (where the capture does not state it) can absorb of it does not count, since they
-    are fitted. The rest is compared, in mean square, with noise and with what such runs err by themselves, likewise
-    after these have absorbed what they can: a finer mesh, extrapolated, and a contact twice as stiff.
+    E, ν and the initial motion (if the capture does not state it) are fitted, so the part of a change that they can
+    absorb does not count. The mean square of the rest is compared with that of noise and numerical error. The numerical
+    error is the change by a finer mesh, extrapolated, and by a contact twice as stiff, after the same absorption.
 
     Attributes:
         start: observed positions without effects [m], shape [T, P, 3].
-        absorbing: orthonormal changes by what is fitted, shape [T P 3, K].
+        absorbing: orthonormal changes by the fitted parameters, shape [T P 3, K].
         floor: mean square of noise and numerical error [m²].
     """
 
@@ -270,10 +271,10 @@ class _Yardstick:
 
     @classmethod
     def of(cls, case: Case, coarse: _Runner, fine: _Runner) -> _Yardstick:
-        """From runs without effects.
+        """Build from runs without effects.
 
         Raises:
-            ConvergenceError: one of them blew up.
+            ConvergenceError: one of the runs diverges.
         """
         start = coarse()[1]
         free: list[dict[str, Any]] = [
@@ -292,23 +293,23 @@ class _Yardstick:
         return replace(still, floor=3 * case.noise**2 + sum(still.left(error) for error in errors))
 
     def left(self, change: Positions) -> float:
-        """Mean square of what is not absorbed [m²]."""
+        """Mean square of the part that is not absorbed [m²]."""
         flat = change.ravel()
         flat = flat - self.absorbing @ (self.absorbing.T @ flat)
         return float((flat**2).sum()) / (flat.size / 3)
 
     def visibility(self, positions: Positions) -> float:
-        """Of what moves the observed positions there."""
+        """Visibility of a set of observed positions."""
         return self.left(positions - self.start) / self.floor
 
 
 def _scaled(
     name: str, case: Case, runner: _Runner, yardstick: _Yardstick, *, visibility: float, number: int
 ) -> tuple[float, Dosed]:
-    """The dose at which an effect is as visible as asked for, and how visible it then is.
+    """The dose at which an effect reaches the requested visibility, and the visibility there.
 
-    The strength follows the square root of what is missing, or goes to the middle of a weaker and a stronger one that
-    were tried: below its threshold a yield stress changes nothing.
+    The search scales the strength by the square root of the missing factor, or bisects between a weaker and a stronger
+    trial. Bisection is needed because a yield stress changes nothing below its threshold.
     """
     strength, weaker, stronger = 1.0, 0.5 * _WEAKEST, 2 * _STRONGEST
     tried: list[tuple[float, Dosed]] = []
@@ -323,7 +324,7 @@ def _scaled(
         if not weaker < following < stronger:
             following = float(np.sqrt(weaker * stronger))
         following = float(np.clip(following, _WEAKEST, _STRONGEST))
-        if following == strength:  # as weak or as strong as may be
+        if following == strength:  # at the weakest or strongest limit
             break
         strength = following
     best = min(tried, key=lambda t: abs(np.log(t[0] / visibility)))

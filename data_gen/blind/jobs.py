@@ -1,4 +1,4 @@
-"""Independent pieces of work on a bank, several at once, told one by one."""
+"""Parallel independent jobs on a bank, with one progress report per job."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ Job = TypeVar("Job", bound=_Named)
 def run_jobs(
     function: Callable[[Job], None], jobs: Iterable[Job], *, workers: int, report: Callable[[str], None]
 ) -> None:
-    """Call a function of each job, which must be picklable.
+    """Call a function on each job, which must be picklable.
 
     Args:
-        function: what is done.
-        jobs: with names.
-        workers: processes.
-        report: told each name, in order, when its job is waited for.
+        function: function of one job.
+        jobs: jobs with names.
+        workers: number of processes.
+        report: receives each name, in order, when the function waits for its job.
     """
     with Workers(workers) as pool:
         for job, wait in [(job, pool.start(partial(function, job))) for job in jobs]:

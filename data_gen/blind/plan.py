@@ -1,4 +1,4 @@
-"""What each capture of a blind bank is to hide."""
+"""Plan of a blind bank: the hidden effects of each capture."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class Planned:
     """One capture.
 
     Attributes:
-        effects: that it hides.
-        visibility: that their doses are scaled to.
-        without: names that are taken out of the dictionary it is diagnosed with.
-        control: what else is done to it, or that it repeats an earlier one.
+        effects: hidden effects.
+        visibility: visibility to which their doses are scaled.
+        without: names that are removed from the dictionary of its diagnosis.
+        control: change by a control, or repetition of an earlier capture.
     """
 
     effects: tuple[str, ...]
@@ -39,7 +39,7 @@ class Planned:
 
 
 class Shares(Options):
-    """Shares of a bank's captures."""
+    """Shares of the captures of a bank."""
 
     free: Annotated[float, CommandLine(flag="--effect-free")] = 0.25
     """Share of captures without an effect."""
@@ -57,12 +57,12 @@ def plan_bank(
 ) -> list[Planned]:  # fmt: skip
     """The captures of a bank, in random order, the controls last.
 
-    Single effects come in turn, and each of them at one visibility after the other. The class of an effect is taken out
-    of the dictionary for a `deleted` share that hides it; as many captures without effect have one taken out that they
-    do not hide, so that what is taken out does not tell what is hidden.
+    Single effects take turns, each at one visibility after the other. A `deleted` share of the captures hides an effect
+    whose class is removed from the dictionary. As many effect-free captures lose a class that they do not hide, so the
+    removal does not reveal the hidden effect.
 
     Raises:
-        InputError: no pair of the effects can be shown by one motion, for `two`, or unknown controls.
+        InputError: no motion can show any pair of the effects, for `two`, or controls are unknown.
     """
     if set(controls) - set(CONTROLS) or ("noise" in controls and not count):
         raise InputError(
@@ -91,7 +91,7 @@ def plan_bank(
 
 
 def _pairs(rng: np.random.Generator, order: Sequence[str], count: int) -> list[tuple[str, str]]:
-    """Two effects of different classes that one motion can show, the first ones in turn."""
+    """Two effects of different classes that one motion can show; the first effects take turns."""
     together = [(a, b) for a in order for b in order if a != b and not same_class(a, b) and kinds_for((a, b))]
     if count and not together:
         raise InputError(f"effects: got {', '.join(order)}; expected two that one motion can show, for `two`")

@@ -1,4 +1,4 @@
-"""The whole diagnosis of one capture."""
+"""The complete diagnosis of one capture."""
 
 from __future__ import annotations
 
@@ -66,19 +66,19 @@ def diagnose(
     options: GapOptions | None = None,
     on_progress: Report | None = None,
 ) -> GapReport:
-    """Where the gap between a capture and its base model lies, which effect causes it, and how far it shrinks.
+    """Locate the gap between a capture and its base model, find its cause, and measure how far it shrinks.
 
-    The base model is what `capture.json` states, with E, ν and the unstated initial motion fitted. Of a long capture,
-    the first 100 frames are used.
+    The base model follows `capture.json`, with E, ν and the unstated initial motion fitted. A long capture is cut to
+    its first 100 frames.
 
     Args:
         capture: a capture folder with marker tracks and rest geometry.
-        second_take: another capture of the same body, on which the shrinkage is reported as well.
-        effects: names of the effects to try; all unless given.
+        second_take: another capture of the same body; the shrinkage is also reported on it.
+        effects: names of the effects to try; all by default.
         without: names to leave out.
-        extra: effects of one's own.
-        options: settings; the defaults are those that blind tests run with.
-        on_progress: told what is done.
+        extra: additional user-defined effects.
+        options: settings; blind tests run with the defaults.
+        on_progress: receives progress messages.
 
     Raises:
         InputError: the capture lacks something, or an effect's name is unknown; the message says what.
@@ -92,7 +92,7 @@ def diagnose(
     cost.allow(np.inf, CLOCK.base_fit_ends)
     setting = find_setting(rough_baseline(capture, options, report, cost=cost), options, report)
     rough = setting.base
-    near = setting.damped or rough  # the recording: errors count where it is
+    near = setting.damped or rough  # errors are estimated near the recording
     numerics = numerical_differences(near, options, report)
     rough_errors = error_model(near, numerics, options)
     fine = numerics.fine if near is rough else _motion_on_fine_mesh(rough, numerics)
@@ -108,7 +108,7 @@ def diagnose(
         base, weights, numerics, dictionary, options=options, report=report, screening=screening, near=setting.damped
     )
     base, hypotheses, screening, numerics = found.base, found.hypotheses, found.screening, found.numerics
-    if found.errors is not weights:  # anew, far from the base fit
+    if found.errors is not weights:  # new weights, far from the base fit
         errors = weights = found.errors
     best = favoured(hypotheses) or hypotheses[0]
     cost.allow(RUN_COST.placebo, CLOCK.placebo_ends)
@@ -149,7 +149,7 @@ def diagnose(
 
 
 def _motion_on_fine_mesh(rough: Baseline, numerics: Numerics) -> tuple[TetMesh, PointMotion] | None:
-    """That of the base model itself, where the numerical differences are those of another; None where it has none."""
+    """The finer mesh and the base model's motion on it; None without one. For differences of another model."""
     if numerics.fine is None:
         return None
     mesh = numerics.fine[0]
@@ -162,9 +162,9 @@ def _motion_on_fine_mesh(rough: Baseline, numerics: Numerics) -> tuple[TetMesh, 
 def _trusted(
     base: Baseline, numerics: Numerics, dictionary: Sequence[Effect], options: GapOptions, report: Report
 ) -> tuple[Baseline, ErrorModel, Screening | None]:
-    """The base fit and the weights of its residuals, both anew where numerical error is less than was expected.
+    """The base fit and the weights of its residuals, renewed if the numerical error is less than expected.
 
-    And the screening at that fit, if there was no need to make it anew.
+    Also the screening at that fit, if it is still valid.
     """
     errors = error_model(base, numerics, options)
     correction = base.model.correction
@@ -174,9 +174,9 @@ def _trusted(
     screening = screen(as_reduced(base), errors, numerics, dictionary, report)
     scale = error_scale(base, errors, screening)
     if scale.min() > NUMERICAL_ERROR.fit_anew:
-        return base, errors, None if base.situation.clamped else screening  # of a held body details count less
+        return base, errors, None if base.situation.clamped else screening  # details of a held body count less
     errors = error_model(base, numerics, options, scale=scale)
-    if scale.max() > NUMERICAL_ERROR.fit_anew:  # of the frames that nothing is fitted to alone
+    if scale.max() > NUMERICAL_ERROR.fit_anew:  # the errors change only in frames outside the fit
         return base, errors, None if base.situation.clamped else screening
     fine = None if base.model.mesh is None else (base.model.mesh, base.motion)
     base = _with_directions(
@@ -186,7 +186,7 @@ def _trusted(
 
 
 def _with_directions(base: Baseline, numerics: Numerics) -> Baseline:
-    """With the numerical effects' motions."""
+    """The effects, with the motions of the numerical ones."""
     directions = {
         "time_step": numerics.implicit_euler,
         "mesh_resolution": numerics.mesh,
@@ -198,7 +198,7 @@ def _with_directions(base: Baseline, numerics: Numerics) -> Baseline:
 def _placebo(
     base: Baseline, errors: ErrorModel, screening: Screening, best: Hypothesis, options: GapOptions
 ) -> Hypothesis | None:
-    """A fit of the effect that the residual asks for least, of those that can be seen at all."""
+    """A fit of the effect with the lowest score among the visible ones."""
     others = [
         entry
         for entry in reversed(screening.one_per_name)
@@ -220,7 +220,7 @@ def _placebo(
 def _shrinkages(
     base: Baseline, errors: ErrorModel, best: Hypothesis, placebo: Hypothesis | None, options: GapOptions
 ) -> tuple[HowFar, ...]:
-    """On the frames that served nothing else, then on all held-out frames."""
+    """Shrinkage on the frames reserved for the report, then on all held-out frames."""
     split = base.split
     pairs = [(split.reporting, "held-out frames that chose nothing"), (split.held_out, "all held-out frames")]
     other = None if placebo is None else (placebo.label, placebo.positions)

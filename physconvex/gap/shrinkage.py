@@ -1,7 +1,7 @@
-"""How far the gap shrinks: on held-out frames, in held-out views, on a second take.
+"""Shrinkage of the gap: on held-out frames, in held-out views, on a second take.
 
-Noise floor and placebo are subtracted. In views that nothing was fitted to, points are followed in the videos of the
-other cameras. On a second recording of the same body, nothing but the start is fitted.
+Noise floor and placebo are subtracted. In held-out views, points are tracked in the videos of the other cameras. On a
+second recording of the same body, only the initial motion is fitted.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ class HowFar:
     """Shrinkage of the gap.
 
     Attributes:
-        data: which data it was measured on.
+        data: data of the measurement.
         gap_before, gap_after: rms distance between model and observation [m], noise included.
-        noise_floor: what noise and numerical error lead one to expect [m].
-        shrinkage: share of the gap above the floor that the effects remove; negative where they make it worse.
+        noise_floor: expected distance from noise and numerical error [m].
+        shrinkage: share of the gap above the floor that the effects remove; negative if they make it worse.
         lower, upper: its interval.
-        placebo: shrinkage by an effect that screening ranked last, fitted in the same way; NaN where none was.
+        placebo: shrinkage by the lowest-ranked effect, fitted in the same way; NaN without one.
         placebo_effect: its name.
-        net_shrinkage: shrinkage less what the placebo reaches.
+        net_shrinkage: shrinkage less that of the placebo.
     """
 
     data: str
@@ -61,7 +61,7 @@ class HowFar:
 
     @property
     def above_error(self) -> float:
-        """Share that the effects remove of the gap above noise and numerical error."""
+        """Share of the gap above noise and numerical error that the effects remove."""
         squares = np.square([self.gap_before, self.gap_after, self.noise_floor])
         return float(_share(*squares))
 
@@ -78,7 +78,7 @@ def gap_squares(base: Baseline, positions: Positions, frames: np.ndarray) -> Flo
 
 
 def _floor(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Squares that noise alone, and noise with numerical error, lead one to expect [m²]."""
+    """Expected squares from noise alone, and from noise with numerical error [m²]."""
     rows = base.rows(frames)
     observations = base.observations
     at = observations.frames[rows]
@@ -92,7 +92,7 @@ def _floor(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> tuple[np.n
 
 
 def _share(before: np.ndarray, after: np.ndarray, floor: np.ndarray) -> np.ndarray:
-    """1 − (after − floor)/(before − floor) of mean squares; what lies below the floor counts as at it."""
+    """1 − (after − floor)/(before − floor) of mean squares; values below the floor count as the floor."""
     open_gap = np.maximum(before - floor, 1e-3 * np.maximum(before, 1e-300))
     return 1.0 - np.maximum(after - floor, 0.0) / open_gap
 
@@ -107,14 +107,14 @@ def shrinkage_on(
     data: str,
     options: GapOptions,
 ) -> HowFar:
-    """Shrinkage in some frames. Noise is subtracted; the floor that is told includes numerical error.
+    """Shrinkage in some frames. Noise is subtracted; the reported floor includes numerical error.
 
     Args:
-        base: the observations, and what the base model says.
-        errors: of the residuals.
-        improved: what is observed with the effects [m].
-        placebo: name of another effect, and what is observed with it [m].
-        frames: in which.
+        base: the observations and the base model's predictions.
+        errors: errors of the residuals.
+        improved: observed positions with the effects [m].
+        placebo: name of another effect, and observed positions with it [m].
+        frames: frames of the measurement.
         data: their name.
         options: settings.
     """
@@ -144,19 +144,19 @@ def shrinkage_on(
 def held_out_views(
     base: Baseline, best: Hypothesis, placebo: Hypothesis | None, options: GapOptions
 ) -> tuple[HowFar, ...]:
-    """Shrinkage in all frames of each further camera that has a video in which points can be followed.
+    """Shrinkage in all frames of each further camera whose video has trackable points.
 
-    Every model is run once more, for the points that the other cameras see. An error of the fitted camera shows in no
-    other view, and is left out there.
+    Every model runs once more for the points of the other cameras. An error of the fitted camera does not appear in
+    another view and is left out there.
 
     Args:
         base: base fit to the markers, or to the first camera.
         best: the best fit with effects.
-        placebo: a fit of an effect that is not there.
+        placebo: a fit of an absent effect.
         options: settings.
 
     Returns:
-        One per view; none where the models cannot be run, or the best effects are errors of one camera or numerical.
+        One per view; none if the models cannot be run, or if the best effects are numerical or errors of one camera.
     """
     views = _other_views(base)
     if not views or not _kept(best):
@@ -189,7 +189,7 @@ def held_out_views(
 
 
 def _other_views(base: Baseline) -> list[PixelObservations]:
-    """Points in the videos of cameras that were not compared."""
+    """Points in the videos of cameras outside the comparison."""
     seen, views = base.observations, []
     fitted = seen.camera.name if isinstance(seen, PixelObservations) else None
     for camera in base.capture.cameras:
@@ -197,7 +197,7 @@ def _other_views(base: Baseline) -> list[PixelObservations]:
             continue
         try:
             views.append(followed(base.capture, camera, base.model.twin))
-        except InputError:  # no video, or nothing to follow in it: the diagnosis does not need it
+        except InputError:  # no video, or nothing to track in it; the diagnosis does not need it
             continue
     return views
 
@@ -208,7 +208,7 @@ def _kept(hypothesis: Hypothesis) -> tuple[Effect, ...]:
 
 
 def _positions(base: Baseline, hypothesis: Hypothesis | None, points: np.ndarray) -> Positions:
-    """What is observed of other points [m], by the base model at its fit or at that of a hypothesis.
+    """Observed positions of other points [m], by the base model at its fit or by a hypothesis.
 
     Raises:
         ConvergenceError: it cannot be run.
@@ -231,10 +231,10 @@ def second_take_shrinkage(
         best: its best fit with effects.
         take: the second capture.
         options: settings.
-        report: told what is done.
+        report: receives progress messages.
 
     Returns:
-        None where one of the two models cannot be run on it.
+        None if one of the two models cannot be run on it.
 
     Raises:
         InputError: the take lacks something, or an effect of the fit makes no sense there (no floor, not held).
@@ -267,7 +267,7 @@ def second_take_shrinkage(
 
 
 def _as_fine(own: Baseline, first: Baseline, options: GapOptions) -> Baseline:
-    """The second take's model on as fine a mesh as the first one's, since a coarser one would be stiffer."""
+    """The second take's model on a mesh as fine as the first one's; a coarser one is stiffer."""
     if first.model.mesh is None:
         return own
     try:

@@ -1,10 +1,10 @@
 # ruff: noqa: RUF009 `number` makes a field, it is no default that is shared
-"""Every number that a diagnosis decides by, with its unit and its reason.
+"""All decision thresholds of a diagnosis, with unit and reason.
 
-They are frozen: the blind tests were run with them, and `report.json` lists them under `provenance.thresholds`.
-`GapOptions` holds what a caller may set. Numbers that only make a computation work (tolerances of a solve, sizes of
-arrays and drawings) stand where they are used, and those of an effect (bounds and sizes of its doses) in
-`physconvex.gap.effects`. The *expected square* of a residual is what noise and numerical error lead one to expect.
+They are frozen for the blind tests, and `report.json` lists them under `provenance.thresholds`. `GapOptions` holds the
+settings of a caller. Purely computational numbers (tolerances of a solve, sizes of arrays and drawings) stand next to
+their use, and those of an effect (bounds and sizes of its doses) in `physconvex.gap.effects`. The *expected square* of
+a residual is the one that noise and numerical error predict.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Diagnoses of a bank's captures, by whoever does not know the labels."""
+"""Diagnoses of a bank's captures, without knowledge of the labels."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ def diagnose_bank(
     captures: Path, out: Path, *, without: Sequence[str] = (), options: GapOptions | None = None, workers: int = 1,
     report: Report = lambda _: None,
 ) -> Path:  # fmt: skip
-    """Diagnose every capture of a bank and write answers.json; captures that have an answer are left.
+    """Diagnose every capture of a bank and write answers.json; existing answers are kept.
 
-    Where that is interrupted, answers.json has the answers so far; `score` counts the others as errors.
+    After an interruption, answers.json has the answers so far; `score` counts the others as errors.
 
     Args:
-        captures: folder of the captures; its `dictionary.json` says which effects some are diagnosed without.
+        captures: folder of the captures; its `dictionary.json` lists effects that are left out for some.
         out: folder of the reports.
-        without: effects that are taken out of the dictionary; captures that hide one count as `outside`.
+        without: effects that are removed from the dictionary; captures that hide one count as `outside`.
         options: settings.
         workers: processes, of one capture each.
-        report: told what is done.
+        report: receives progress messages.
 
     Returns:
         Path of answers.json.
@@ -65,7 +65,7 @@ def _write(out: Path, answers: Sequence[dict[str, Any]], without: Sequence[str])
 
 @dataclass(frozen=True)
 class _Job:
-    """One capture, where its report goes, and what it is diagnosed without."""
+    """One capture, the destination of its report, and the effects that are left out."""
 
     folder: Path
     target: Path
@@ -121,9 +121,9 @@ def _answer(job: _Job) -> dict[str, Any]:
 
 
 def likeliest_known(which: dict[str, Any]) -> float:
-    """Probability that the likeliest effect is there, by the evidence of the fits alone, whatever was called.
+    """Probability of the likeliest effect by the evidence of the fits alone, independent of the verdict.
 
-    Of fits with the same effects the best one counts; numerical effects are none.
+    Only the best fit with the same effects counts; numerical effects are excluded.
 
     Args:
         which: that part of a report.json.

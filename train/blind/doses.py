@@ -1,4 +1,4 @@
-"""Hidden doses beside those that were told."""
+"""Comparison of hidden and estimated doses."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
-# effects that the explicit engine has in another form than the dictionary: their doses are other quantities
+# effects with another form in the explicit engine than in the dictionary: their doses are other quantities
 OTHER_FORM = frozenset({"air_drag", "viscoelasticity", "nonlinear_elasticity", "heterogeneity", "anisotropy"})
 _LOG = "log10 "
 
 
 @dataclass(frozen=True)
 class DoseScore:
-    """Of one effect that was named.
+    """Doses of one named effect.
 
     Attributes:
         error: |told - hidden| over |hidden|, the largest among doses of one unit, which count as a vector.
-        covered: of every dose, whether its 90 % interval holds the hidden one.
+        covered: for every dose, whether its 90 % interval contains the hidden one.
     """
 
     error: float
@@ -27,10 +27,10 @@ class DoseScore:
 
 
 def score_doses(name: str, hidden: Sequence[tuple[float, str]], told: Sequence[dict[str, Any]]) -> DoseScore | None:
-    """Compare in order; None where the two are not the same quantities.
+    """Compare in order; None if the two are not the same quantities.
 
     Args:
-        name: of the effect.
+        name: name of the effect.
         hidden: doses and units.
         told: parameters of the answer: `unit`, `value`, `interval`.
     """

@@ -1,4 +1,4 @@
-"""Figures of merit of blind answers, each with how sure so many captures make it."""
+"""Figures of merit of blind answers, each with its statistical uncertainty."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Proportion:
 
 
 def proportion(hits: Sequence[bool]) -> Proportion:
-    """Of hits among captures."""
+    """Proportion of hits among captures."""
     if not hits:
         return Proportion(float("nan"), 0, float("nan"), float("nan"))
     found = binomtest(sum(map(bool, hits)), len(hits)).proportion_ci(0.95, method="wilson")
@@ -36,7 +36,7 @@ def proportion(hits: Sequence[bool]) -> Proportion:
 
 @dataclass(frozen=True)
 class Bin:
-    """Answers whose probability lies in one tenth: the mean of it, and the share that is right."""
+    """Answers with a probability in one tenth: their mean probability, and the share that is right."""
 
     probability: float
     right: float
@@ -54,7 +54,7 @@ def reliability(probabilities: Sequence[float], right: Sequence[bool]) -> tuple[
 
 
 def calibration_error(bins: Sequence[Bin]) -> float:
-    """Expected calibration error (Naeini et al. 2015): mean over answers of what probability and share differ by."""
+    """Expected calibration error (Naeini et al. 2015): mean difference of probability and share over answers."""
     total = sum(b.count for b in bins)
     return sum(b.count * abs(b.probability - b.right) for b in bins) / total if total else float("nan")
 

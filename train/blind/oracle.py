@@ -1,4 +1,4 @@
-"""What the hidden effect would have removed, had it been known: the measure of how far a gap can shrink."""
+"""Shrinkage by the hidden effect alone, if it is known: the limit of what a diagnosis can reach."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ Report = Callable[[str], None]
 def run_oracle(
     bank: Bank, out: Path, *, options: GapOptions | None = None, workers: int = 1, report: Report = lambda _: None
 ) -> None:
-    """Diagnose captures that hide one visible effect with that effect alone; goes on where it stopped.
+    """Diagnose captures that hide one visible effect with that effect alone; resumes an interrupted run.
 
-    The seal is opened for this, so the answers are read first: they must have been hashed.
+    This opens the seal, so the answers are read first and must have a hash.
 
     Args:
-        bank: what was answered.
+        bank: bank with answers.
         out: folder of the results, one file per capture: the share of the held-out gap that the effect removes.
         options: settings.
         workers: processes, of one capture each.
-        report: told what is done.
+        report: receives progress messages.
 
     Raises:
         InputError: as `score_banks`.

@@ -1,4 +1,4 @@
-"""Scores of several banks counted together, by what is stored of each; the captures need not be at hand."""
+"""Combined score of several banks from their stored results, without the captures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from train.blind.scoring import BankScore, score_rows
 
 @dataclass(frozen=True)
 class _Stored:
-    """What of a stored score the rest follows from."""
+    """Fields of a stored score that determine the rest."""
 
     rows: tuple[Row, ...]
     controls: tuple[ControlScore, ...]
@@ -25,10 +25,10 @@ class _Stored:
 
 
 def pool_scores(results: Sequence[Path]) -> BankScore:
-    """The score of all captures of banks that were scored before.
+    """The score of all captures of banks that have a score each.
 
     Args:
-        results: files that `score` wrote.
+        results: files that `score` writes.
 
     Raises:
         InputError: no result is given, one cannot be read, or a capture is in two of them.
@@ -55,7 +55,7 @@ def _stored(path: Path) -> _Stored:
 
 
 def _row(row: dict[str, Any]) -> dict[str, Any]:
-    """Numbers that are not known are null in the file."""
+    """Unknown numbers are null in the file."""
     return {name: value if name == "dose" else _number(value) for name, value in row.items()}
 
 

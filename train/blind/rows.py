@@ -1,4 +1,4 @@
-"""One capture of a blind bank: what was hidden, what was answered, and what of it is right."""
+"""One capture of a blind bank: hidden effects, answer, and the correct parts of it."""
 
 from __future__ import annotations
 
@@ -15,26 +15,28 @@ from train.blind.doses import DoseScore, score_doses
 
 @dataclass(frozen=True)
 class Row:
-    """Attributes:
-    capture, kind: name of the bank and of the capture, and drop, throw or clamped.
-    truth: hidden effects.
-    doses: of them, with units.
-    visibility: that was asked for.
-    without: effects that were taken out of the dictionary.
-    verdict: of the answer; "error" where there is none.
-    first: effects that lead the best fits, without repetition.
-    fit: effects of the best fit.
-    probability: told of the class of the first effect that is named or remains possible; NaN where none does.
-    named: that effect.
-    numerical: whether it is a numerical one.
-    known: probability of the likeliest effect by the fits alone, whatever was called.
-    dose: of the first effect that is named, if it is the hidden one.
-    shrinkage, placebo: of the held-out gap.
-    oracle: shrinkage by the hidden effect, had it been the only one tried; NaN where that was not run.
-    gap_before, gap_after, noise_floor: of held-out frames, rms [m].
-    bias_log10_youngs_modulus, bias_poisson_ratio: before and after.
-    seconds: of the diagnosis.
-    error: message.
+    """Label and answer of one capture.
+
+    Attributes:
+        capture, kind: name of the bank and of the capture, and drop, throw or clamped.
+        truth: hidden effects.
+        doses: their doses, with units.
+        visibility: requested visibility.
+        without: effects that are removed from the dictionary.
+        verdict: verdict of the answer; "error" without one.
+        first: effects that lead the best fits, without repetition.
+        fit: effects of the best fit.
+        probability: stated for the class of the first effect that is named or remains possible; NaN if there is none.
+        named: that effect.
+        numerical: whether it is a numerical one.
+        known: probability of the likeliest effect by the fits alone, independent of the verdict.
+        dose: dose of the first named effect, if it is the hidden one.
+        shrinkage, placebo: of the held-out gap.
+        oracle: shrinkage with the hidden effect as the only one; NaN if not run.
+        gap_before, gap_after, noise_floor: of held-out frames, rms [m].
+        bias_log10_youngs_modulus, bias_poisson_ratio: before and after.
+        seconds: duration of the diagnosis.
+        error: message.
     """
 
     capture: str
@@ -64,7 +66,7 @@ class Row:
 
     @property
     def outside(self) -> bool:
-        """Whether what is hidden is in no dictionary that it was diagnosed with."""
+        """Whether the hidden effect is outside the dictionary of its diagnosis."""
         return bool(set(self.truth) & {*OUTSIDE, *self.without})
 
     @property
@@ -74,7 +76,7 @@ class Row:
 
     @property
     def alarm(self) -> bool:
-        """Whether a cause was called."""
+        """Whether a cause is called."""
         return self.verdict == "effect"
 
     @property
@@ -83,42 +85,42 @@ class Row:
         return self.among(1)
 
     def among(self, count: int) -> bool:
-        """Whether the hidden effect's class is among the first so many."""
+        """Whether the hidden effect's class is among the first `count`."""
         return bool(self.truth) and any(same_class(name, self.truth[0]) for name in self.first[:count])
 
     @property
     def called(self) -> bool:
-        """Whether it is the cause that was called."""
+        """Whether it is the called cause."""
         return self.alarm and self.named_right
 
     @property
     def named_right(self) -> bool:
-        """Whether the effect whose probability is told is hidden."""
+        """Whether the effect with the stated probability is hidden."""
         return any(same_class(self.named, name) for name in self.truth)
 
     @property
     def told_right(self) -> bool:
-        """Whether the effect whose probability is told is there: hidden, or the other engine's numerical error."""
+        """Whether the effect with the stated probability is present: hidden, or the other engine's numerical error."""
         return self.named_right or (self.numerical and not self.truth and not self.alarm)
 
     @property
     def unknown_score(self) -> float:
-        """How little the fits believe in an effect that they know: one less the probability of the likeliest.
+        """One less the probability of the likeliest known effect.
 
-        Known classes are told from unknown ones so (Hendrycks & Gimpel, ICLR 2017).
+        This score separates known classes from unknown ones (Hendrycks & Gimpel, ICLR 2017).
         """
         return 1.0 - self.known
 
     @property
     def right(self) -> bool:
-        """Whether the answer is the one to be hoped for."""
+        """Whether the answer is the desired one."""
         if not self.truth:
             return not self.alarm
         return self.verdict == "unknown" if self.outside else self.called
 
     @property
     def recall(self) -> float:
-        """Share of the hidden effects that the best fit has, classes merged."""
+        """Share of the hidden effects in the best fit, classes merged."""
         return share_of(self.truth, self.fit)
 
     @property
@@ -135,14 +137,14 @@ def share_of(names: Sequence[str], among: Sequence[str]) -> float:
 def scored_row(
     label: dict[str, Any], answer: dict[str, Any] | None, without: Sequence[str], *, oracle: float, bank: str
 ) -> Row:
-    """Put a label and an answer side by side.
+    """Combine a label and an answer.
 
     Args:
-        label: of the seal.
-        answer: to the capture; None where there is none.
-        without: effects that were taken out of the dictionary for the whole bank.
+        label: label from the seal.
+        answer: answer to the capture; None without one.
+        without: effects that are removed from the dictionary for the whole bank.
         oracle: see `Row`.
-        bank: name, that the capture's is prefixed with.
+        bank: name that prefixes the capture's.
     """
     name = f"{bank}/{label['capture']}"
     truth = tuple(effect["name"] for effect in label["effects"])
@@ -175,9 +177,9 @@ def scored_row(
 
 
 def _told(effects: Sequence[dict[str, Any]]) -> float:
-    """Probability told of the first effect's class: that of each of its effects, no more than any call is told with.
+    """Probability of the first effect's class: the sum over its effects, up to the maximum of any call.
 
-    An answer of the class is right, so what a tilt and a wind that look alike share counts for both.
+    An answer of the class is right, so the probabilities of a tilt and a wind with the same signature count together.
     """
     alike = [e["probability"] for e in effects if same_class(e["name"], effects[0]["name"])]
     return min(sum(alike), max(VERDICT.trusted, alike[0])) if alike else float("nan")

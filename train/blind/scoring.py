@@ -1,4 +1,4 @@
-"""The score of a blind test: the seal is opened and compared with the answers."""
+"""The score of a blind test: opened seals compared with the answers."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from physconvex import InputError
 from train.blind.metrics import Bin, Proportion, area_under_roc, calibration_error, proportion, reliability
 from train.blind.rows import Row, scored_row
 
-VISIBLE = 10.0  # visibility from which on the figures count
-_LADDER = (1.5, 3.0, 10.0, 30.0)  # that accuracy is shown by
+VISIBLE = 10.0  # smallest visibility that the figures include
+_LADDER = (1.5, 3.0, 10.0, 30.0)  # accuracy is reported at these
 
 
 @dataclass(frozen=True)
 class Bank:
-    """Files of one bank: captures, seal, answers.json and, if that was run, the folder of the oracle's results."""
+    """Files of one bank: captures, seal, answers.json and the folder of the oracle's results, if it exists."""
 
     captures: Path
     seal: Path
@@ -31,11 +31,11 @@ class Bank:
 
     @property
     def name(self) -> str:
-        """Of the folder that the captures' folder lies in."""
+        """Name of the folder that contains the captures' folder."""
         return self.captures.resolve().parent.name
 
     def removed_by_truth(self, capture: str) -> float:
-        """What the oracle says of a capture; NaN where it says nothing."""
+        """The oracle's result for a capture; NaN without one."""
         file = None if self.oracle is None else self.oracle / f"{capture}.json"
         value = json.loads(file.read_text(encoding="utf-8"))["shrinkage"] if file and file.exists() else None
         return float("nan") if value is None else float(value)
@@ -43,7 +43,7 @@ class Bank:
 
 @dataclass(frozen=True)
 class EffectScore:
-    """Captures that hide one effect, at all visibilities: class ranked first, called, and what led the fits."""
+    """Captures that hide one effect, at all visibilities: class ranked first, called, and leading effects."""
 
     name: str
     right_first: Proportion
@@ -53,7 +53,7 @@ class EffectScore:
 
 @dataclass(frozen=True)
 class VisibilityScore:
-    """Captures of one effect that is about so visible: nearer to this than to the other steps of the ladder."""
+    """Captures of one effect with about this visibility: nearest to this step of the ladder."""
 
     visibility: float
     right_first: Proportion
@@ -63,7 +63,7 @@ class VisibilityScore:
 
 @dataclass(frozen=True)
 class Bias:
-    """What a parameter is off by: mean and standard deviation, median and 90th percentile of its absolutes."""
+    """Error of a parameter: mean and standard deviation, median and 90th percentile of its absolute values."""
 
     mean: float
     deviation: float
@@ -73,36 +73,38 @@ class Bias:
 
 @dataclass(frozen=True)
 class BankScore:
-    """Result of a blind test. Figures of single effects are of those with visibility 10 and more.
+    """Result of a blind test. Figures of single effects are for visibility 10 and more.
 
     Attributes:
-        captures: number of captures that were answered.
-        errors: number that were not.
-        undrawn: number that could not be simulated.
+        captures: number of captures with an answer.
+        errors: number without one.
+        undrawn: number that cannot be simulated.
         top_1, top_2: share whose effect leads the fits, or is among the first two that do; exact names.
         top_1_merged, top_2_merged: the same with the declared confusion classes merged.
         called: share with the verdict "effect" and the right class.
-        calls_right: share of all such verdicts, with any visibility and none, whose first effect's class is hidden.
-        shuffled: `top_1_merged` if labels were dealt at random to the captures with one effect: what chance gives.
+        calls_right: share of all such verdicts, at any visibility and without effects, whose first effect's class is
+            hidden.
+        shuffled: `top_1_merged` with labels permuted at random over the captures with one effect: the chance level.
         false_alarms: share of captures without an effect with the verdict "effect".
-        outside_not_called: share of captures whose effect is in no dictionary whose verdict is not "effect".
+        outside_not_called: share of captures with an effect outside the dictionary whose verdict is not "effect".
         outside_unknown: share of those whose verdict is "unknown".
-        unknown_auroc: how well `Row.unknown_score` tells these from visible single effects.
-        recall, precision: of captures with two effects: share of these that the best fit has, and of what it has that
-            is hidden, classes merged; `two` is their number.
+        unknown_auroc: how well `Row.unknown_score` separates these from visible single effects.
+        recall, precision: for captures with two effects: share of these in the best fit, and share of hidden ones among
+            its effects, classes merged; `two` is their number.
         two: number of captures with two effects.
-        median_shrinkage, median_placebo: share of the held-out gap that the best effects remove, and that a wrong one.
-        share_of_oracle: median of the shrinkage over the oracle's, where that removes something.
+        median_shrinkage, median_placebo: share of the held-out gap that the best effects remove, and that a wrong one
+            does.
+        share_of_oracle: median of the shrinkage over the oracle's, if that removes something.
         oracles: number of these captures.
-        median_dose_error: of named effects that are the hidden ones, |told - hidden| over |hidden|.
-        doses_covered: share of their doses whose 90 % interval holds the hidden one.
-        calibration_error: of that told of the class of the first effect that is named or remains possible; a numerical
-            one is right where nothing is hidden and nothing is called.
-        reliability: bins of it.
-        bias: what log10 E and ν are off by after the diagnosis, of single effects and of captures without any.
+        median_dose_error: for correctly named effects, |told - hidden| over |hidden|.
+        doses_covered: share of their doses whose 90 % interval contains the hidden one.
+        calibration_error: for the probability of the class of the first effect that is named or remains possible; a
+            numerical one is right if nothing is hidden and nothing is called.
+        reliability: its bins.
+        bias: error of log10 E and ν after the diagnosis, for single effects and for captures without any.
         by_effect, by_visibility: rows.
         confusion: hidden effect, effect that leads the fits ("-": none), number.
-        failures: captures whose answer is not the one to be hoped for.
+        failures: captures without the desired answer.
         controls: their answers.
         rows: one per capture.
     """
@@ -155,10 +157,10 @@ def opened(captures: Path, seal: Path) -> list[dict[str, Any]]:
 
 
 def score_banks(*banks: Bank) -> BankScore:
-    """Open the seals and compare; captures of several banks are counted together.
+    """Open the seals and compare; captures of several banks count together.
 
     Raises:
-        InputError: a seal does not belong to the captures, or answers were changed after they were hashed.
+        InputError: a seal does not belong to the captures, or answers differ from their hash.
     """
     rows: list[Row] = []
     controls: list[ControlScore] = []
@@ -184,12 +186,12 @@ def score_banks(*banks: Bank) -> BankScore:
 
 
 def score_rows(rows: Sequence[Row], controls: tuple[ControlScore, ...], undrawn: int) -> BankScore:
-    """All figures, of captures that were put beside their labels.
+    """All figures, from captures with labels.
 
     Args:
         rows: one per capture, controls aside.
         controls: their answers.
-        undrawn: number of captures that could not be simulated.
+        undrawn: number of captures that cannot be simulated.
     """
     answered = [row for row in rows if row.verdict != "error"]
     single = [row for row in answered if row.single]

@@ -1,4 +1,4 @@
-"""A score to read: tables in Markdown, and a figure of what is confused, how sure and how visible it is."""
+"""A score for people: tables in Markdown, and a figure of confusion, calibration and visibility."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from train.blind.scoring import BankScore
 
 
 def score_json(score: BankScore) -> str:
-    """All of a score; what is not known is null."""
+    """The complete score; unknown values are null."""
     return json.dumps(_known(asdict(score)), indent=1, allow_nan=False) + "\n"
 
 
@@ -28,7 +28,7 @@ def _known(value: Any) -> Any:
 
 
 def score_markdown(score: BankScore) -> str:
-    """All tables of a score; the aims beside it are those of the protocol."""
+    """All tables of a score, with the targets of the protocol."""
     parts = [_table(("", "value", "aim"), _figures(score))]
     parts.append(_table(
         ("visibility", "class first", "called with the right class", "called with a wrong one"),
@@ -86,7 +86,7 @@ def _figures(score: BankScore) -> list[tuple[object, ...]]:
 
 
 def _told(value: float) -> str:
-    """A dash where a bank cannot say, as `Proportion` has it."""
+    """A dash for values that a bank does not have, as in `Proportion`."""
     return "-" if np.isnan(value) else f"{value:.2f}"
 
 

@@ -1,1 +1,1 @@
-"""The base model at its best: what is compared, what is free, how residuals count, what runs cost."""
+"""The fit of the base model: observations, free parameters, weights of residuals, cost of runs."""

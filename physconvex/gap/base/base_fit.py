@@ -1,4 +1,4 @@
-"""The fits of the base model: a rough one by the reduced model, and the one by the full-order model."""
+"""Fits of the base model: a rough one by the reduced model, and one by the full-order model."""
 
 from __future__ import annotations
 
@@ -33,21 +33,20 @@ def fit_baseline(
     options: GapOptions,
     report: Report,
 ) -> Baseline:
-    """Fit the full-order base model to the fitted frames, with what a finer model would change added.
+    """Fit the full-order base model, corrected by the change that a finer model makes, to the fitted frames.
 
-    The reduced model searches, the full-order one is run at what it found, see `physconvex.gap.search.full_order`. Of a
-    free body that comes out nearly incompressible, or hardly so, the fit is made from a middling ν too, and the better
-    one taken: such a ν may be a valley of its own, which an effect that is missing has opened and which no dose is
-    found from.
+    The reduced model searches, and the full-order model runs at the result, see `physconvex.gap.search.full_order`. If
+    ν of a free body ends near either of its limits, a second fit starts from a middling ν, and the better of the two
+    counts. A missing effect may open a false valley at such a ν, from which no dose is found.
 
     Args:
-        rough: where to begin.
+        rough: start of the fit.
         correction: see `EffectModel`.
         fine: a finer mesh for the full-order model, and its motion at the rough fit.
-        variance: of the residuals in units of the stated noise, all frames: frames that the model cannot tell count
-            less.
+        variance: variance of the residuals in units of the stated noise, all frames; frames that the model cannot
+            predict count less.
         options: settings.
-        report: told what is done.
+        report: receives progress messages.
     """
     first = _fit_from(rough, correction, fine, variance, options=options, report=report)
     names = first.model.base
@@ -81,7 +80,7 @@ def _fit_from(
     options: GapOptions,
     report: Report,
 ) -> Baseline:
-    """From one start."""
+    """Fit from one start."""
     split, names = rough.split, rough.model.base
     count = split.end
     weighted = rough.weighted(variance, count)
@@ -117,7 +116,7 @@ def _fit_from(
 
 
 def _doubt(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
-    """By how much the noise overrates what the fitted frames say: lack of fit, and residuals that are alike."""
+    """Factor by which the noise overrates the fitted frames: lack of fit, and correlated residuals."""
     rows = base.rows(base.split.fitted)
     whitened = base.residual(base.positions)[rows] / np.sqrt(variance[rows])
     alike = temperature(whitened, base.observations.frames[rows], base.columns[rows])

@@ -1,4 +1,4 @@
-"""A base model at its best: what was seen, what is fitted and what is held out, and how residuals are counted."""
+"""A fitted base model: observations, split into fitted and held-out frames, weights of residuals."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ Report = Callable[[str], None]
 FLOOR_LAW: tuple[str, str] = (
     "log10_contact_stiffness",
     "contact_damping",
-)  # joins the base parameters where the floor gives way
+)  # added to the base parameters if the floor gives way
 
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Frames that are fitted, that choose between effects, and that the shrinkage is reported on."""
+    """Frames for the fit, for the choice between effects, and for the reported shrinkage."""
 
     fitted: Int[np.ndarray, " f"]
     selecting: Int[np.ndarray, " s"]
@@ -35,30 +35,31 @@ class Split:
 
     @property
     def end(self) -> int:
-        """Number of frames up to the last that is fitted."""
+        """Number of frames up to the last fitted one."""
         return int(self.fitted[-1]) + 1
 
     @property
     def held_out(self) -> Int[np.ndarray, " h"]:
-        """Frames that no fit sees."""
+        """Held-out frames."""
         return np.concatenate([self.selecting, self.reporting])
 
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """The base model at its best.
+    """A fitted base model.
 
     Attributes:
         capture: the capture.
-        observations: what was seen in all frames.
-        split: how the frames are used.
-        model: the full-order model; without effects but where a search goes on from a fit.
-        fit: of the model to the fitted frames.
-        motion: of the observed points at the fit, all frames.
-        tangents: of the observed points by the parameters, in all frames or the first ones, shape [f, K, P, 3].
-        situation: of the capture.
+        observations: observations in all frames.
+        split: use of the frames.
+        model: the full-order model; it has effects only if a search continues from a fit.
+        fit: fit of the model to the fitted frames.
+        motion: motion of the observed points at the fit, all frames.
+        tangents: derivatives of the observed points by the parameters, in all frames or the first ones, shape [f, K, P,
+            3].
+        situation: situation of the capture.
         contact_force: total normal force at each frame [N], shape [T].
-        modes: how the residuals are turned.
+        modes: transformation of the residuals.
     """
 
     capture: Capture
@@ -74,12 +75,12 @@ class Baseline:
 
     @property
     def positions(self) -> Float[np.ndarray, "T P 3"]:
-        """What the base model says is observed [m]."""
+        """Observed positions that the base model predicts [m]."""
         return self.model.observed(self.motion, self.fit.values)
 
     @property
     def first_contact(self) -> int | None:
-        """The first frame in which something is touched; None where nothing is."""
+        """The first frame with contact; None without contact."""
         touching = np.flatnonzero(self.contact_force > 0)
         return int(touching[0]) if len(touching) else None
 
@@ -95,7 +96,7 @@ class Baseline:
 
     @property
     def columns(self) -> Int[np.ndarray, " N"]:
-        """What in its frame each residual is of: point and coordinate, or number where they are turned."""
+        """Index of each residual within its frame: point and coordinate, or a number if they are transformed."""
         seen = self.observations
         if not self.modes.reflections:
             return np.asarray(seen.point_indices * self.components + np.arange(len(seen.frames)) % self.components)
@@ -112,7 +113,7 @@ class Baseline:
         return np.flatnonzero(np.isin(self.observations.frames, frames))
 
     def residual(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
-        """Seen − model, in units of the stated noise, turned, all frames."""
+        """Seen − model, in units of the stated noise, transformed, all frames."""
         return self.modes.turn(-self.observations.residuals(positions))
 
     def missed(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
@@ -120,13 +121,13 @@ class Baseline:
         return np.asarray(-self.observations.residuals(positions) * self.lengths)
 
     def change(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
-        """What the residual gains where the base motion moves to `positions`, in all frames or the first ones."""
+        """Change of the residual when the base motion moves to `positions`, in all frames or the first ones."""
         if len(positions) < self.model.frames:
             positions = np.concatenate([positions, self.positions[len(positions) :]])
         return self.modes.turn(self.observations.residuals(positions) - self.observations.residuals(self.positions))
 
     def weighted(self, variance: Float[np.ndarray, " N"], count: int) -> Observations:
-        """What was seen in the first frames, its noise widened residual by residual."""
+        """Observations of the first frames, with the noise of each residual widened."""
         if not self.modes.reflections:
             return widened(self.observations, variance).in_frames(count)
         return TurnedObservations(self.observations, self.modes, np.sqrt(variance)).in_frames(count)
@@ -135,12 +136,12 @@ class Baseline:
 def derivatives_of_residuals(
     base: Baseline, positions: Float[np.ndarray, "f P 3"], tangents: Float[np.ndarray, "f K P 3"]
 ) -> Float[np.ndarray, "K N"]:
-    """What the residuals gain per unit of each value, along its derivative of the positions in the first f frames."""
+    """Change of the residuals per unit of each value, from its derivative of the positions in the first f frames."""
     return np.stack([base.change(positions + 1e-3 * d) / 1e-3 for d in np.moveaxis(tangents, 1, 0)])
 
 
 def split_frames(capture: Capture, seen: Int[np.ndarray, " n"]) -> Split:
-    """Fitted: the observed frames, or the first two thirds where all are; the rest selects and reports, half each.
+    """Fit the observed frames, or the first two thirds if all are observed; half of the rest selects, half reports.
 
     Raises:
         InputError: fewer than six frames are seen.
@@ -162,10 +163,10 @@ def split_frames(capture: Capture, seen: Int[np.ndarray, " n"]) -> Split:
 
 @dataclass(frozen=True, eq=False)
 class _Beginning(Capture):
-    """A capture of which only the first `frames` frames are used.
+    """A capture that is cut to its first `frames` frames.
 
     Attributes:
-        whole: all of it.
+        whole: the uncut capture.
     """
 
     whole: Capture | None = None
@@ -179,7 +180,7 @@ class _Beginning(Capture):
         return replace(tracks, positions=tracks.positions[: self.frames], sigma=tracks.sigma[: self.frames])
 
     def boundary(self) -> Boundary | None:
-        """What is held, and how it moves in the first frames."""
+        """Held parts and their motion in the first frames."""
         assert self.whole is not None
         boundary = self.whole.boundary()
         if boundary is None or boundary.motion is None:
@@ -188,9 +189,9 @@ class _Beginning(Capture):
 
 
 def shortened(capture: Capture, most: int = BASE_FIT.most_frames) -> Capture:
-    """A capture with no more than so many frames, of which the same share, two thirds at most, is observed.
+    """A capture cut to a number of frames, with the same observed share, two thirds at most.
 
-    A diagnosis simulates a capture some hundred times, and open-loop models part from long recordings anyway.
+    A diagnosis simulates a capture some hundred times, and open-loop models diverge from long recordings.
     """
     if capture.frames <= most:
         return capture

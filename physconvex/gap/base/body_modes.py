@@ -1,20 +1,19 @@
-"""Residuals of a free body by how it moves: as a whole, by an even strain, and by what is left of both.
+"""Residuals of a free body in three parts: rigid motion, uniform strain, and the rest.
 
-After an impact two meshes of one body soon differ in how it flies on, by ten times and more what they differ by in its
-strain, and that by several times what they differ by in everything finer. One size for all of these would hide a
-material in the errors of a rebound. So the residuals of each frame are turned, r → Qᵀ r with Q orthogonal: the first
-six then lie along rigid motions of the body where it was seen, the next six along its even strains, the others along
-neither. Squares stay what they are, and each kind has a numerical error of its own
-(`physconvex.gap.errors.error_model`).
+After an impact, two meshes of one body differ in their further flight ten times or more as much as in their strain, and
+in their strain several times as much as in finer shapes. One error size for all would hide a material in the errors of
+a rebound. The residuals of each frame are therefore transformed, r → Qᵀ r with Q orthogonal: the first six lie along
+rigid motions of the body where it is seen, the next six along its uniform strains, the others along neither. The sum of
+squares stays the same, and each kind has its own numerical error (`physconvex.gap.errors.error_model`).
 
-Frames from the first contact on are kinds of their own: what is left of a few hundred markers before it says nothing of
-how well the model follows an impact, and a mean over both would count as if it did.
+Frames from the first contact on form kinds of their own. The residuals of a few hundred markers before contact do not
+show how well the model follows an impact, and a mean over both would mix them.
 
-How a body flies on from an impact is one change of velocity and of spin, however many frames show it: its error as a
-whole grows from frame to frame, and nothing new is learned of it until the body touches something again. So from the
-first contact on these residuals count as if they were new in the frames of contact alone, spread over all. A floor
-pushes along its normal, and sideways by its friction alone: how a body flies on across the normal is a kind of its own,
-since models err less by it, and friction, a side wind or a tilt would hide in what they err by along it.
+An impact changes velocity and spin once, however many frames show the flight after it. The rigid error grows from frame
+to frame without new information until the next contact. From the first contact on, these residuals therefore carry the
+information of the contact frames alone, spread over all frames. A floor pushes along its normal, and sideways only by
+friction. Rigid motion across the normal is a kind of its own, since models err less in it; otherwise friction, a side
+wind or a tilt would hide in the errors along the normal.
 
 Q is the product of the Householder reflections of those twelve columns, kept as I − V T Vᵀ (Golub & Van Loan, Matrix
 Computations, §5.1.7).
@@ -33,19 +32,20 @@ from physconvex.gap.thresholds import EVIDENCE, NUMERICAL_ERROR
 from physconvex.identify import MarkerObservations, Observations, PixelObservations, WrappedObservations
 
 _RIGID, _STRAIN, _REST, _PARTS = 0, 1, 2, 3
-_DEPENDENT = 1e-3  # of its length: what is left of a motion that the ones before it make up
+_DEPENDENT = 1e-3  # share of its length, below which a motion depends on the ones before it
 
 
 @dataclass(frozen=True, eq=False)
 class BodyModes:
-    """An orthogonal change of the residuals, frame by frame.
+    """An orthogonal transformation of the residuals, frame by frame.
 
     Attributes:
-        frames: of each residual, shape [N].
-        kinds: of each turned residual: 0 as a whole, 1 even strain, 2 the rest, and 3 more from the first contact on,
-            where 6 is as a whole across the normal of what is struck, if it is known; all 0 where they are not divided.
-        freedom: numbers that a smooth error has in one frame, by kind.
-        reflections: rows of a frame, V [n, 12] and T [12, 12], where it is turned.
+        frames: frame of each residual, shape [N].
+        kinds: kind of each transformed residual: 0 rigid, 1 uniform strain, 2 the rest; 3 is added from the first
+            contact on. 6 is rigid motion across the normal of the struck obstacle, if that is known. All are 0 if
+            residuals are not divided.
+        freedom: number of degrees of freedom of a smooth error in one frame, by kind.
+        reflections: rows of a frame, V [n, 12] and T [12, 12], if it is transformed.
         touching: share of the frames from the first contact on in which, or next to which, the body touches something.
     """
 
@@ -62,26 +62,26 @@ class BodyModes:
 
     @property
     def parts(self) -> Int[np.ndarray, " D"]:
-        """Of each kind: 0 as a whole, 1 even strain, 2 the rest, whether before or after the first contact."""
+        """Part of each kind: 0 rigid, 1 uniform strain, 2 the rest, whether before or after the first contact."""
         return np.arange(self.count) % _PARTS
 
     @property
     def struck(self) -> Bool[np.ndarray, " D"]:
-        """Of each kind, whether it is of frames from the first contact on."""
+        """Whether each kind belongs to frames from the first contact on."""
         return np.arange(self.count) >= _PARTS
 
     @property
     def across(self) -> Bool[np.ndarray, " D"]:
-        """Of each kind, whether it is of a struck body as a whole, across the normal of what it struck."""
+        """Whether each kind is rigid motion of a struck body across the normal of the obstacle."""
         return np.arange(self.count) == 2 * _PARTS
 
     @property
     def independent(self) -> Float[np.ndarray, " D"]:
-        """Independent numbers of a smooth error per frame, by kind: half of those that it has in two frames."""
+        """Independent degrees of freedom of a smooth error per frame, by kind: half of those in two frames."""
         return np.array(self.freedom) / 4 * np.where((self.parts == _RIGID) & self.struck, self.touching, 1.0)
 
     def turn(self, rows: Float[np.ndarray, "*B N"]) -> Float[np.ndarray, "*B N"]:
-        """Qᵀ of vectors of residuals."""
+        """Qᵀ times vectors of residuals."""
         if not self.reflections:
             return np.asarray(rows)
         out = np.array(rows)
@@ -90,14 +90,14 @@ class BodyModes:
         return out
 
     def in_frames(self, count: int) -> BodyModes:
-        """Those of the first frames."""
+        """The transformation of the first frames."""
         rows = int((self.frames < count).sum())
         kept = tuple(one for one in self.reflections if one[0].stop <= rows)
         return replace(self, frames=self.frames[:rows], kinds=self.kinds[:rows], reflections=kept)
 
 
 def undivided(frames: Int[np.ndarray, " N"]) -> BodyModes:
-    """Residuals as they are, all of one kind."""
+    """The identity: residuals of one kind."""
     return BodyModes(frames, np.zeros(len(frames), dtype=np.int64))
 
 
@@ -108,15 +108,16 @@ def body_modes(
     force: Float[np.ndarray, " T"] | None = None,
     normal: Float[np.ndarray, " 3"] | None = None,
 ) -> BodyModes:
-    """Rigid motions and even strains of markers, where they were seen; `undivided` else.
+    """Rigid motions and uniform strains of markers, where they are seen; `undivided` otherwise.
 
-    Pixels stay as they are: how far a point is off tells outliers (Huber's loss), and depth hides half of the strains.
+    Pixels are not transformed: outliers (Huber's loss) depend on the distance of each point, and depth hides half of
+    the strains.
 
     Args:
         seen: the observations, frames in order.
-        free: whether the body flies and strikes something. Of a held one both meshes move alike.
-        force: of contact in each frame [N]; none unless given.
-        normal: of the one floor that there is; its sides are not told apart unless given.
+        free: whether the body flies and strikes something. For a held body both meshes move alike.
+        force: contact force in each frame [N]; none by default.
+        normal: normal of the only floor; directions along and across it are not separated without it.
     """
     sides = np.eye(3) if normal is None else np.vstack([null_space(np.asarray(normal)[None]).T, normal])
     frames = np.asarray(seen.frames)
@@ -156,14 +157,14 @@ def body_modes(
 
 
 def _touching(force: Float[np.ndarray, " T"]) -> float:
-    """Share of the frames from the first contact on that are of contact, or next to one, since it may begin between."""
+    """Share of contact frames and their neighbours, among the frames from the first contact on."""
     touched = np.convolve(force > 0, np.ones(3), mode="same") > 0
     after = np.cumsum(force > 0) > 0
     return float(touched[after].mean()) if after.any() else 1.0
 
 
 def _affine_motions(x: Float[np.ndarray, "P 3"], unit: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "n 12"]:
-    """Translations along three unit vectors, rotations and even strains of points about their centre, as columns."""
+    """Translations along three unit vectors, rotations and uniform strains of points about their centre, as columns."""
     size = max(float(np.sqrt(((x - x.mean(0)) ** 2).sum(-1).mean())), 1e-300)
     arm = (x - x.mean(0)) / size
     columns = [np.broadcast_to(e, x.shape) for e in unit]
@@ -173,7 +174,7 @@ def _affine_motions(x: Float[np.ndarray, "P 3"], unit: Float[np.ndarray, "3 3"])
             strain = 0.5 * (np.outer(unit[i], unit[j]) + np.outer(unit[j], unit[i]))
             columns.append(arm @ strain)
     moved = np.stack([c.ravel() for c in columns], axis=1)
-    return moved + 1e-12 * np.arange(1, 13)  # a column that is zero (all points in one plane) keeps a direction
+    return moved + 1e-12 * np.arange(1, 13)  # a zero column (all points in one plane) keeps a direction
 
 
 def _block(v: Float[np.ndarray, "n k"], tau: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k k"]:
@@ -187,18 +188,18 @@ def _block(v: Float[np.ndarray, "n k"], tau: Float[np.ndarray, " k"]) -> Float[n
 
 @dataclass(frozen=True, eq=False)
 class TurnedObservations(WrappedObservations):
-    """Observations whose residuals are turned, and then widened one by one.
+    """Observations with transformed residuals, each with a widened standard deviation.
 
     Attributes:
-        modes: of all of them.
-        sigma: standard deviation of the turned residuals in units of the stated noise, shape [N].
+        modes: transformation of all residuals.
+        sigma: standard deviation of the transformed residuals in units of the stated noise, shape [N].
     """
 
     modes: BodyModes
     sigma: Float[np.ndarray, " N"]
 
     def residuals(self, positions: Float[np.ndarray, "T P 3"]) -> Float[np.ndarray, " N"]:
-        """(model − seen)/σ, turned."""
+        """(model − seen)/σ, transformed."""
         return np.asarray(self.modes.turn(self.seen.residuals(positions)) / self.sigma)
 
     def linearise(
@@ -219,13 +220,13 @@ def temperature(
 ) -> float:
     """Residuals per independent one; 1 for noise alone.
 
-    Their table of frames by columns has a participation ratio of shapes, and a correlation from frame to frame; the
-    product of the independent shapes and moments is counted for the part of the mean square that exceeds one.
+    The table of residuals (frames by columns) has a participation ratio of shapes and a correlation from frame to
+    frame. The product of the independent shapes and moments counts for the part of the mean square above one.
 
     Args:
-        whitened: residuals over what noise and numerical error lead one to expect.
+        whitened: residuals over their expected size from noise and numerical error.
         frames: frame of each.
-        columns: what in the frame each is of (point and coordinate).
+        columns: index of each within its frame (point and coordinate).
     """
     excess = 1.0 - 1.0 / max(float(np.mean(whitened**2)), 1.0) if len(whitened) else 0.0
     seen, rows = np.unique(frames, return_inverse=True)

@@ -1,8 +1,8 @@
-"""A regular mesh for a body that is a box, as test beams and cubes are, in the place of one made for any shape.
+"""A regular mesh for a box-shaped body, such as a test beam or cube.
 
-A mesh of few and irregular tetrahedra bends to one side, and its surface is not quite that of the box: of a held beam
-that leaves a numerical error as large as many an effect, and a cube that falls flat tumbles after its first impact.
-Cells that follow the box have neither.
+A general mesh of few, irregular tetrahedra bends to one side, and its surface deviates from the box. For a held beam
+the numerical error is then as large as many effects, and a cube that falls flat tumbles after its first impact. Cells
+aligned with the box avoid both.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from physconvex.mesh import TetMesh, box_mesh
 
 
 def box_of_body(capture: Capture, max_nodes: int) -> TetMesh | None:
-    """Quadratic mesh of a body that is a box along the axes; None for others, and where its own tets are few."""
+    """Quadratic mesh of an axis-aligned box; None for other bodies, and if the body's own mesh has few tets."""
     tets, surface = capture.tets(), capture.mesh()
     if tets is not None:
         vertices, volume = tets.vertices, float(tets.element_volumes.sum())
@@ -31,7 +31,7 @@ def box_of_body(capture: Capture, max_nodes: int) -> TetMesh | None:
         return None
     low, high = outside.min(0), outside.max(0)
     edges = high - low
-    away = np.minimum(outside - low, high - outside).min(1)  # from the nearest face
+    away = np.minimum(outside - low, high - outside).min(1)  # distance to the nearest face
     if abs(volume / edges.prod() - 1) > BODY_MESH.box or away.max() > BODY_MESH.box * edges.max():
         return None
     held = _held_end(capture.boundary(), low, high)
@@ -45,7 +45,7 @@ def box_of_body(capture: Capture, max_nodes: int) -> TetMesh | None:
 def _held_end(
     boundary: Boundary | None, low: Float[np.ndarray, " 3"], high: Float[np.ndarray, " 3"]
 ) -> tuple[int, float] | None:
-    """Axis and place [m] of the plane where a box that holds one end of the body ends; None without such."""
+    """Axis and place [m] of the plane where the box that holds one end of the body ends; None without one."""
     if boundary is None or boundary.clamped_box is None:
         return None
     first, last = boundary.clamped_box
@@ -62,17 +62,17 @@ def with_plane(
     low: Float[np.ndarray, " 3"], high: Float[np.ndarray, " 3"], cells: tuple[int, int, int], axis: int, plane: float,
     *, order: int = 2, mirrored: bool = False,
 ) -> TetMesh:  # fmt: skip
-    """Mesh of a box of which nodes lie in a plane across one axis.
+    """Mesh of a box with nodes in a plane across one axis.
 
-    What a box holds of a beam ends there: on nodes to either side of it, the beam is longer or shorter by half a cell,
-    by which its stiffness is off by several times as much.
+    The plane is the end of the held part of a beam. If the nodes lie off the plane, the length of the beam is wrong by
+    half a cell, and its stiffness by several times as much.
 
     Args:
         low, high: corners [m].
-        cells: along each edge, about; each side of the plane has at least one.
-        axis: across the plane.
-        plane: its coordinate [m].
-        order: of the elements.
+        cells: approximate number along each edge; each side of the plane has at least one.
+        axis: axis across the plane.
+        plane: coordinate of the plane [m].
+        order: order of the elements.
     """
     share = (plane - low[axis]) / (high[axis] - low[axis])
     first = max(round(share * cells[axis]), 1)
@@ -87,13 +87,13 @@ def with_plane(
 
 
 def box_cells(edges: Float[np.ndarray, " 3"], max_nodes: int, *, across: int = 1) -> tuple[int, int, int]:
-    """Cells along each edge [m]: as even as so many nodes allow, of a slender box along its length alone.
+    """Cells along each edge [m]: as even as the number of nodes allows; a slender box is divided along its length.
 
     Args:
-        edges: of the box.
-        max_nodes: of a quadratic mesh.
-        across: cells across a slender box; a third more nodes are allowed if they are more than one. On one cell, a bar
-            whose stiffness varies over its section bends to the side nearly as far as down.
+        edges: edges of the box.
+        max_nodes: limit of a quadratic mesh.
+        across: cells across a slender box; more than one allows a third more nodes. With one cell, a bar whose
+            stiffness varies over its section bends sideways nearly as far as down.
     """
     longest, others = int(edges.argmax()), np.sort(edges)[:2]
     if edges.max() >= BODY_MESH.slender * others[1]:

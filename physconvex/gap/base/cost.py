@@ -1,8 +1,8 @@
-"""What model runs cost, counted and not timed: a search ends at the same fit on a busy machine and an idle one.
+"""Cost of model runs, counted instead of timed: a search ends at the same fit on a busy machine and an idle one.
 
-A Newton step costs the more the more its material does: damping has a stiffness of its own, laws other than the base
-one have no fast arithmetic, and flow and the corotated law take the stretches of every sample. A deadline by the clock
-stands behind the count, for machines so slow or so busy that the count would mean a report too late.
+The cost of a Newton step depends on the material. Damping adds its own stiffness, only the base law has fast
+arithmetic, and flow and the corotated law need the stretches of every sample. A clock deadline backs up the count on
+machines that are too slow or too busy to report in time.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from physconvex.gap.thresholds import RUN_COST
 
 
 class OutOfBudget(ConvergenceError):
-    """A fit ends where it is: its runs have cost what they may."""
+    """Stops a fit whose runs have used their budget."""
 
 
 def newton_step(scene: Any, nodes: int | None) -> float:
-    """About what one Newton step of a scene costs [s of one core].
+    """Approximate cost of one Newton step of a scene [s of one core].
 
     Args:
         scene: full-order or reduced.
-        nodes: of the full-order mesh, None for the reduced model.
+        nodes: number of nodes of the full-order mesh, None for the reduced model.
     """
     model, body = int(nodes is None), scene.body
     factor = 1.0
@@ -44,16 +44,16 @@ def newton_step(scene: Any, nodes: int | None) -> float:
 
 @dataclass(eq=False)
 class Cost:
-    """Sum over runs, shared by all models that are derived from one, and what they may cost.
+    """Total cost of runs, shared by all models that are derived from one, and its limits.
 
     Attributes:
-        deadline: seconds after which the whole diagnosis ought to be through.
-        spent: about so many seconds of one core.
-        limit: of `spent`, from which on no step of a fit is begun.
-        share: of the deadline, from which on the same holds.
-        begun: by the clock [s].
+        deadline: target for the whole diagnosis [s].
+        spent: approximate cost so far [s of one core].
+        limit: value of `spent` from which no step of a fit begins.
+        share: share of the deadline from which no step of a fit begins.
+        begun: clock time of the start [s].
         cut: whether the clock has ended something.
-        hurried: whether it did so before each effect that screening ranks first had been tried; set by the search.
+        hurried: whether the clock ended the search before the trial of each top-ranked effect; set by the search.
     """
 
     deadline: float = float("inf")
@@ -65,12 +65,12 @@ class Cost:
     hurried: bool = False
 
     def allow(self, budget: float, share: float) -> None:
-        """From here on so much more may be spent, up to a share of the deadline."""
+        """Allow this much more from here on, up to a share of the deadline."""
         self.limit, self.share = self.spent + budget, share
 
     @contextmanager
     def at_most(self, budget: float) -> Iterator[None]:
-        """For what is run inside, so much and no more than what is left."""
+        """Limit the runs inside to this much, and to what is left."""
         before = self.limit
         self.limit = min(before, self.spent + budget)
         try:
@@ -80,29 +80,29 @@ class Cost:
 
     @property
     def out_of_time(self) -> bool:
-        """Whether the clock ends what is done."""
+        """Whether the clock ends the current work."""
         late = time.monotonic() - self.begun > self.share * self.deadline
         self.cut |= late
         return late
 
     @property
     def over(self) -> bool:
-        """Whether no further step of a fit is to begin."""
+        """Whether no further step of a fit may begin."""
         return self.out_of_time or self.spent > self.limit
 
     def check(self) -> None:
         """End a fit in progress.
 
         Raises:
-            OutOfBudget: no further step is to begin.
+            OutOfBudget: no further step may begin.
         """
         if self.over:
             raise OutOfBudget("the runs have cost what they may")
 
     def add(self, scene: Any, nodes: int | None, statistics: SolveStatistics) -> None:
-        """A run of the full-order model on so many nodes, or of the reduced one (None)."""
+        """Count a run of the full-order model on this many nodes, or of the reduced one (None)."""
         self.spent += statistics.newton_iterations * newton_step(scene, nodes)
 
     def add_failed(self, scene: Any, nodes: int | None, steps: int) -> None:
-        """A run that was given up, of so many time steps."""
+        """Count an abandoned run of this many time steps."""
         self.spent += RUN_COST.failed * steps * newton_step(scene, nodes)

@@ -1,4 +1,4 @@
-"""The lowest vibration of a twin: by it two meshes are made to swing alike."""
+"""The lowest vibration of a twin, which matches the dynamics of two meshes."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from physconvex.gap.base.model import EffectModel
 
 
 def decades_between(one: EffectModel, other: EffectModel, values: np.ndarray) -> float:
-    """Decades of E by which another mesh must be stiffer to vibrate as the one does, by their lowest frequencies."""
+    """Change of log10 E that gives another mesh the lowest frequency of this one."""
     return 2 * float(np.log10(lowest_frequency(one, values) / lowest_frequency(other, values)))
 
 
 def lowest_frequency(model: EffectModel, values: np.ndarray) -> float:
-    """Lowest frequency of the body's vibrations on the model's mesh [Hz], with what hangs on it."""
+    """Lowest vibration frequency of the body on the model's mesh [Hz], attached masses included."""
     scene = model.full_scene(values)
     carried = None if scene.hanging is None else scene.hanging_masses
     if scene.held is None:

@@ -1,4 +1,4 @@
-"""A twin with effects: positions of points by base parameters and doses, from the full-order or the reduced model."""
+"""A twin with effects: positions of points from base parameters and doses, by the full-order or the reduced model."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from physconvex.reduced import ReducedScene, parameter_values
 
 Positions = Float[np.ndarray, "T P 3"]
 Vector = Float[np.ndarray, " K"]
-MODULUS = "log10_youngs_modulus"  # as the parameter is called
-_BASE_STEP = 0.1  # of a typical step, for differences
-# of the full-order runs: their errors stay below 1e-5 of the size, a hundredth of what the mesh leaves
+MODULUS = "log10_youngs_modulus"  # name of the parameter
+_BASE_STEP = 0.1  # share of a typical step, for finite differences
+# tolerances of the full-order runs: their errors stay below 1e-5 of the size, a hundredth of the mesh error
 _TOLERANCE, _FRICTION_PASSES = 1e-6, 4
 
 
 def accurate(timing: Timing) -> Timing:
-    """As accurate as the runs of a diagnosis are."""
+    """Solver settings with the accuracy of a diagnosis."""
     return replace(timing, tolerance=_TOLERANCE, friction_passes=_FRICTION_PASSES)
 
 
@@ -44,20 +44,20 @@ class EffectModel:
         base: names of the free base parameters.
         points: rest positions of the points [m], shape [P, 3].
         frames: number of frames T.
-        situation: for the sizes of finite doses.
-        effects: what is added.
-        camera: the camera that looks, for effects of the observation.
-        directions: of effects that are differences of runs (numerical ones), by name, shape [T, P, 3].
-        correction: added to every motion: what a finer model would change.
+        situation: sets the sizes of finite doses.
+        effects: added effects.
+        camera: the observing camera, for effects of the observation.
+        directions: motions of effects that are differences of runs (numerical ones), by name, shape [T, P, 3].
+        correction: change by a finer model, added to every motion.
         mesh: another mesh for the full-order model.
-        refinement: factor on its time steps.
-        integrator: of the full-order model.
-        doubt: how much the stated noise overrates what the fit says, by which priors weigh more; see
-            `physconvex.gap.base.body_modes`.
-        reduced: whether motions come from the reduced model; `correction` then makes up for the difference.
-        stiffer: decades of E added in every run.
+        refinement: factor on its number of time steps.
+        integrator: integrator of the full-order model.
+        doubt: factor by which the stated noise overrates the information of the fit; it increases the weight of priors,
+            see `physconvex.gap.base.body_modes`.
+        reduced: whether the reduced model computes the motions; `correction` then adds the difference.
+        stiffer: change of log10 E in every run.
         surrogate_stiffer: the same for the cheaper model that `reduced_like` makes.
-        cost: what the runs of this model, and of all that were made of it by `replace`, have cost.
+        cost: total cost of the runs of this model and of all models that `replace` makes from it.
     """
 
     twin: Twin
@@ -85,7 +85,7 @@ class EffectModel:
 
     @property
     def slices(self) -> tuple[slice, ...]:
-        """Where the doses of each effect are among the values."""
+        """Slice of the values that holds the doses of each effect."""
         ends = np.cumsum([len(self.base), *(len(e.doses) for e in self.effects)])
         return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
 
@@ -104,14 +104,14 @@ class EffectModel:
         return tuple(out)
 
     def _weighed(self, parameter: Parameter, name: str) -> Parameter:
-        """With a prior on the ν of a held body, which bending does not tell."""
+        """Unknowns with a prior on the ν of a held body, which bending does not determine."""
         if name != "poisson_ratio" or not self.situation.clamped:
             return parameter
         mean, sigma = BASE_FIT.held_poisson_ratio
         return replace(parameter, prior_mean=mean, prior_sigma=sigma / float(np.sqrt(self.doubt)))
 
     def null_values(self) -> Vector:
-        """The twin's base parameters, and doses at which the effects are absent."""
+        """The twin's base parameters, and the doses at which the effects are absent."""
         return np.concatenate([parameter_values(self.twin.scene, self.base), *(e.null for e in self.effects)])
 
     # -- scenes
@@ -158,7 +158,7 @@ class EffectModel:
         return (self.frames - 1) / self.twin.fps
 
     def _ahead(self, values: Vector) -> float:
-        """How long beyond the last frame the effects look [s]."""
+        """Time that the effects need beyond the last frame [s]."""
         looking = zip(self.effects, self.slices, strict=True)
         return max((e.ahead(self._end, values[where]) for e, where in looking if e.ahead is not None), default=0.0)
 
@@ -176,7 +176,7 @@ class EffectModel:
         return self.reduced_motion(values) if self.reduced else self.full_motion(values)[0]
 
     def full_motion(self, values: Vector) -> tuple[PointMotion, FullScene, Trajectory]:
-        """The same by the full-order model, the scene, and its states at all time steps.
+        """The motion by the full-order model, the scene, and its states at all time steps.
 
         Raises:
             ConvergenceError: the body cannot be simulated there.
@@ -193,7 +193,7 @@ class EffectModel:
         return self._motion(run.times, positions, velocities, self._steps), scene, run
 
     def reduced_motion(self, values: Vector) -> PointMotion:
-        """The same by the reduced model."""
+        """The motion by the reduced model."""
         timing, scene = self._timing(self.twin.steps_per_frame, values), self.reduced_scene(values)
         try:
             run = simulate(scene, timing)
@@ -206,10 +206,10 @@ class EffectModel:
         return self._motion(run.times, positions, velocities, self.twin.steps_per_frame)
 
     def observed(self, motion: PointMotion, values: Vector) -> Positions:
-        """What is observed of a motion: corrected, observation effects applied, numerical directions added.
+        """Observed positions of a motion: corrected, with observation effects and numerical directions.
 
-        Points that a camera follows are put on the surface by its own first image, so that an error of the camera or
-        the clock moves them only from that image on.
+        The first image of a camera defines the surface points that it follows. An error of the camera or the clock
+        therefore moves them only after that image.
         """
         if self.correction is not None:
             motion = self.correction.of(motion)
@@ -234,10 +234,10 @@ class EffectModel:
     def linearise(
         self, values: Vector, motion: PointMotion | None = None
     ) -> tuple[Positions, Float[np.ndarray, "T K P 3"]]:
-        """Observed positions and their derivatives by all parameters, doses included, by differences of runs.
+        """Observed positions and their derivatives by all parameters, doses included, by finite differences.
 
         Args:
-            values: where.
+            values: parameters.
             motion: the motion there, if it is known.
         """
         motion = self.motion(values) if motion is None else motion
@@ -253,12 +253,12 @@ class EffectModel:
         return here, np.stack(columns, axis=1) if columns else np.zeros((len(here), 0, *here.shape[1:]))
 
     def secant(self, values: Vector, positions: Positions, tangents: Float[np.ndarray, "T K P 3"]) -> SecantModel:
-        """With derivatives carried on from known ones; a fit of it ends where its runs have cost what they may."""
+        """The unknowns with derivatives updated from known ones; a fit ends when its runs have used their budget."""
         scales = np.array([p.step for p in self.parameters(values)])
         return SecantModel(self, values, positions, tangents, scales=scales, check=self.cost.check)
 
     def signature(self, changed: Vector, values: Vector, motion: PointMotion) -> Positions:
-        """What a change of the doses does to the observed positions [m].
+        """Change of the observed positions by a change of the doses [m].
 
         Args:
             changed: values with a finite dose.
@@ -272,7 +272,7 @@ class EffectModel:
         return self.observed(moved, changed) - self.observed(motion, values)
 
     def _motion_at(self, changed: Vector, values: Vector, motion: PointMotion) -> PointMotion:
-        """The motion at changed values: the given one where these change but what is observed of it."""
+        """The motion at changed values; the given one if only the observation changes."""
         own = len(self.base)
         moving = [slice(own), *(w for e, w in zip(self.effects, self.slices, strict=True) if e.scene is not None)]
         same = all(np.array_equal(changed[where], values[where]) for where in moving)
@@ -281,12 +281,12 @@ class EffectModel:
 
 
 def _from_first_image(camera: Camera, positions: Positions, first: Float[np.ndarray, "P 3"]) -> Positions:
-    """Moved across the camera's view, by as much in all images, so that the first one shows the points where they are.
+    """Positions shifted across the camera's view, equally in all images, so that the first image matches the points.
 
     Args:
-        camera: of the images.
-        positions: of the points as it sees them [m].
-        first: where the first image shows them [m], shape [P, 3].
+        camera: camera of the images.
+        positions: positions of the points that it sees [m].
+        first: positions in the first image [m], shape [P, 3].
     """
     local, start = camera.local(positions), camera.local(first)
     across = local[..., :2] / local[..., 2:]
@@ -296,18 +296,18 @@ def _from_first_image(camera: Camera, positions: Positions, first: Float[np.ndar
 
 @dataclass(frozen=True)
 class _DoseParameter(Parameter):
-    """An unknown whose name is none of `physconvex.reduced.PARAMETERS`."""
+    """An unknown outside `physconvex.reduced.PARAMETERS`."""
 
     def __post_init__(self) -> None:
         assert self.lower <= self.start <= self.upper and self.step > 0
 
 
 def reduced_like(full: EffectModel, motion: PointMotion, values: np.ndarray) -> tuple[EffectModel, PointMotion]:
-    """The cheaper model with what it lacks to a full-order motion added, and its own motion at the same values.
+    """A cheaper model, corrected by its difference to a full-order motion, and its own motion at the same values.
 
-    Cheaper is the reduced model; of a held body the full-order one on the twin's own, coarser mesh: what the reduced
-    one lacks there is a vibration of another frequency, which an added motion makes up for only while nothing damps it.
-    Where the mesh of a held body is itself no larger, it is the cheaper one.
+    The cheaper model is the reduced one; for a held body it is the full-order model on the twin's own, coarser mesh.
+    The reduced model of a held body vibrates at another frequency, and an added motion corrects that only without
+    damping. If the mesh of a held body is no larger than the coarse one, the model itself serves.
     """
     if searches_itself(full):
         reduced = replace(full, correction=None)
@@ -321,7 +321,7 @@ def reduced_like(full: EffectModel, motion: PointMotion, values: np.ndarray) -> 
 
 
 def searches_itself(full: EffectModel) -> bool:
-    """Whether no other model of a held body is cheaper: a run on its mesh costs hardly more than on the coarse one."""
+    """Whether a held body has no cheaper model: a run on its mesh costs hardly more than on the coarse one."""
     mesh, coarse = full.mesh, full.twin.mesh
     if mesh is None or not full.situation.clamped:
         return False

@@ -1,4 +1,4 @@
-"""What a diagnosis compares: marker tracks, or points followed in the video of one camera, in all frames."""
+"""Observations of a diagnosis: marker tracks, or points tracked in the video of one camera, in all frames."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def observations_of(capture: Capture, twin: Twin) -> Seen:
     """Marker tracks if there are some, else points of the first camera's video.
 
     Raises:
-        InputError: nothing was seen that can be compared.
+        InputError: there is nothing to compare.
     """
     if capture.tracks() is not None:
         seen = marker_observations(capture, frames=capture.frames)
@@ -37,10 +37,10 @@ def observations_of(capture: Capture, twin: Twin) -> Seen:
 
 
 def followed(capture: Capture, camera: Camera, twin: Twin) -> PixelObservations:
-    """Points of the surface followed in the video of a camera.
+    """Points of the surface tracked in the video of a camera.
 
     Raises:
-        InputError: no video, or too few points can be followed in it.
+        InputError: no video, or too few trackable points.
     """
     frames = capture.video(camera.name).frames[: capture.frames]
     masks = capture.mask(camera.name)
@@ -68,9 +68,9 @@ def _check_on_body(capture: Capture, points: Float[np.ndarray, "P 3"], mesh: Tet
 
 
 def with_honest_noise(seen: Seen) -> Seen:
-    """Noise no smaller than what markers miss their rest positions by in the first frame, turns and strains left out.
+    """Noise, at least as large as the deviation of markers from rest in frame 0, without rotation and strain.
 
-    Frame 0 is the rest state, so that what it differs by is noise whatever moves later.
+    Frame 0 is the rest state, so this deviation is noise, whatever moves later.
     """
     if not isinstance(seen, MarkerObservations):
         return seen
@@ -89,10 +89,9 @@ def with_honest_noise(seen: Seen) -> Seen:
 
 
 def starts_elsewhere(seen: Seen) -> bool:
-    """Whether markers lie off their rest positions in the first frame, where only the recording can have moved them.
+    """Whether markers deviate from their rest positions in the first frame, where only the recording can move them.
 
-    Points of a picture are taken from its first image: there it is always possible that the camera is not where it is
-    said to be.
+    Points of a video come from its first image, so an error of the camera is always possible there.
     """
     if not isinstance(seen, MarkerObservations):
         return True
@@ -101,13 +100,13 @@ def starts_elsewhere(seen: Seen) -> bool:
     if not len(residual):
         return True
     count = len(residual) / 3
-    shift = residual.reshape(-1, 3).mean(0) * np.sqrt(count)  # unit variance each, where there is noise alone
+    shift = residual.reshape(-1, 3).mean(0) * np.sqrt(count)  # unit variance each for noise alone
     whole, shifted = BASE_FIT.starts_off
     return bool((residual**2).mean() > 1 + whole * np.sqrt(2 / len(residual)) or np.abs(shift).max() > shifted)
 
 
 def lost_points(seen: Seen) -> tuple[str, ...]:
-    """A caveat if most of the points followed in a video are lost on the way: what came later was not compared."""
+    """A caveat if most of the points of a video are lost during tracking: later frames are not compared."""
     if isinstance(seen, MarkerObservations):
         return ()
     alive = np.isfinite(seen.pixels).all(-1).sum(1)
@@ -126,7 +125,7 @@ def components(seen: Seen) -> int:
 
 
 def widened(seen: Seen, variance: Float[np.ndarray, " N"]) -> Seen:
-    """The observations with their noise widened, residual by residual (the same for the coordinates of a point)."""
+    """The observations with widened noise, residual by residual (equal for the coordinates of a point)."""
     width = components(seen)
     sigma = np.array(seen.sigma)
     factor = np.sqrt(np.asarray(variance).reshape(-1, width).mean(1))
@@ -135,7 +134,7 @@ def widened(seen: Seen, variance: Float[np.ndarray, " N"]) -> Seen:
 
 
 def in_metres(seen: Seen, motion: PointMotion) -> Float[np.ndarray, " N"]:
-    """Length that one standard deviation of each residual stands for [m]; of pixels, at the depth of the point."""
+    """Length that one standard deviation of each residual stands for [m]; for pixels, at the depth of the point."""
     sigma = np.asarray(seen.sigma)[seen.frames, seen.point_indices]
     if isinstance(seen, MarkerObservations):
         return sigma
@@ -145,14 +144,14 @@ def in_metres(seen: Seen, motion: PointMotion) -> Float[np.ndarray, " N"]:
 
 
 def depth_seen(capture: Capture, seen: Seen, frames: Int[np.ndarray, " F"]) -> float:
-    """How deep markers lie in the floor [m]: the second deepest, noise taken off; 0 without markers or floor.
+    """Depth of the second deepest marker in the floor, less noise [m]; 0 without markers or floor.
 
-    What frame 0 lies off its rest state by counts as a shift of the markers' frame.
+    The deviation of frame 0 from the rest state counts as a shift of the marker frame.
 
     Args:
-        capture: of which the floor is taken.
+        capture: capture with the floor.
         seen: the observations.
-        frames: in which it is looked for.
+        frames: frames of the search.
     """
     if not isinstance(seen, MarkerObservations) or capture.floor is None:
         return 0.0

@@ -1,9 +1,9 @@
-"""The rough fit of the base model, by the reduced model, and what a rough model errs by.
+"""The rough fit of the base model by the reduced model, and the error of a rough model.
 
-A rough model errs by little while a body flies, and by a hundredth of its size once it has touched something. A fit
-that takes each frame at its stated noise lets the frames after an impact, which no rough model follows, bend the
-flight: a spin that ten frames of flight tell to a tenth of a degree comes out with the wrong sign. Numerical
-differences, which tell the errors of the later fits, are known only once there is a rough fit.
+A rough model errs little in flight, and by a hundredth of the body's size after contact. With the stated noise for each
+frame, the frames after an impact would distort the fit of the flight: a spin that ten frames of flight determine to a
+tenth of a degree gets the wrong sign. Numerical differences estimate the errors of the later fits, but they need a
+rough fit first.
 """
 
 from __future__ import annotations
@@ -56,14 +56,14 @@ _RATIO = "poisson_ratio"
 
 
 def with_rough_errors(seen: Seen, twin: Twin, frames: int) -> Seen:
-    """Observations of the first frames, their noise widened by what a rough model of a free body errs by.
+    """Observations of the first frames, with noise widened by the error of a rough model of a free body.
 
-    As they are of a held body, and where the twin cannot be simulated.
+    Unchanged for a held body, and if the twin cannot be simulated.
 
     Args:
         seen: the observations.
-        twin: rough as it is, it flies as the body does.
-        frames: so many.
+        twin: rough model; its flight agrees with the body's.
+        frames: number of frames.
     """
     seen = seen.in_frames(frames)
     if twin.clamp is not None:
@@ -93,10 +93,10 @@ def rough_error_by_frame(
 
     Args:
         twin: the body and its obstacles.
-        times: of the frames [s].
+        times: times of the frames [s].
         surface: points all over the surface [m].
-        velocities: mean of the surface [m/s].
-        motion: of the observed points.
+        velocities: mean velocity of the surface [m/s].
+        motion: motion of the observed points.
     """
     size = twin.mesh.size
     error = BASE_FIT.flying * np.linalg.norm(motion.positions - motion.rest, axis=-1).mean(1)
@@ -116,7 +116,7 @@ def rough_error_by_frame(
 
 
 def _twin(capture: Capture, weights: int, max_nodes: int, steps: int) -> Twin:
-    """The capture's twin on a mesh of so many nodes, or of up to four times as many if the boundary needs them.
+    """The capture's twin on a mesh of this many nodes, or up to four times as many if the boundary needs them.
 
     Raises:
         InputError: the capture lacks something.
@@ -155,7 +155,7 @@ def _first_values(capture: Capture, observations: Seen, frames: int, options: Ga
     for candidate in candidates[: BASE_FIT.starts_held if twin.clamp is not None else 1]:
         chosen = candidate.parameters
         try:
-            for count in windows:  # a vibration that is off by a period pulls the wrong way: begin with few
+            for count in windows:  # a phase error of one period misleads the fit: begin with few frames
                 model = ReducedModel(twin, names, observations.points, count)
                 found = fit(model, observations.in_frames(count), chosen, options=FitOptions(max_iterations=8))
                 chosen = tuple(p.at(float(v)) for p, v in zip(found.parameters, found.values, strict=True))
@@ -168,9 +168,9 @@ def _first_values(capture: Capture, observations: Seen, frames: int, options: Ga
 
 
 def _windows(frames: int, *, held: bool) -> tuple[int, ...]:
-    """Numbers of frames that are fitted one after the other; held bodies vibrate from the start.
+    """Numbers of frames of the successive fits; held bodies vibrate from the start.
 
-    Fewer than ten frames may show no more than the first fall, which any soft body makes.
+    Fewer than ten frames may show only the first fall, which is the same for any soft body.
     """
     if not held:
         return (frames,)
@@ -178,7 +178,7 @@ def _windows(frames: int, *, held: bool) -> tuple[int, ...]:
 
 
 def steps_per_frame(twin: Twin, values: dict[str, float]) -> int:
-    """Time steps per frame that resolve the body's vibrations, within what can be afforded."""
+    """Time steps per frame that resolve the body's vibrations, within the affordable number."""
     wave = twin.mesh.size * np.sqrt(twin.capture.density / 10 ** values["log10_youngs_modulus"])
     resolved = BASE_FIT.steps_per_wave if twin.clamp is None else BASE_FIT.steps_per_wave_held
     wanted = int(np.ceil(resolved / (wave * twin.fps)))
@@ -227,13 +227,13 @@ def _stress_and_contact(model: EffectModel, values: np.ndarray) -> tuple[float, 
 def rough_baseline(
     capture: Capture, options: GapOptions, report: Report, *, cost: Cost | None = None
 ) -> Baseline:  # fmt: skip
-    """Fit what the capture leaves free of the reduced base model, and run the full-order one there.
+    """Fit the free parameters of the reduced base model, and run the full-order model at the result.
 
     Args:
         capture: the capture.
         options: settings.
-        report: told what is done.
-        cost: where the runs of all models derived from it are counted.
+        report: receives progress messages.
+        cost: counts the runs of all models derived from it.
 
     Raises:
         InputError: no tracks, no rest geometry, or too few frames.

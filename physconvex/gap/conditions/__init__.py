@@ -1,1 +1,1 @@
-"""What a recording was made with that its file does not state: floors that give way, its own elements, much damping."""
+"""Unstated conditions of a recording: compliant floors, the program's own elements, strong damping."""

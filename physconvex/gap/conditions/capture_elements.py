@@ -1,11 +1,11 @@
-"""The recording's own elements: where linear tetrahedra on the capture's mesh fit better, they are the model.
+"""The recording's own elements: linear tetrahedra on the capture's mesh become the model if they fit better.
 
-A program that made a recording often leaves its mesh in `tets.npz`. Its linear tetrahedra lock, and bend sideways where
-their diagonals all run one way; a model on other elements errs by that, which may hide or mimic an effect. The same
-elements make the same error. Which of the two is the model, the fitted frames decide, before any effect is tried.
+A program that makes a recording often leaves its mesh in `tets.npz`. Its linear tetrahedra lock, and bend sideways if
+all diagonals run one way. A model on other elements lacks this error, and the difference may hide or mimic an effect;
+the same elements reproduce it. The fitted frames decide between the two before any effect is tried.
 
-Some of these programs move particles (MuJoCo's flex): each node has the same mass, whatever the elements about it. The
-end of a beam is then heavier than its volume, which is no load that hangs there. So the masses are asked for as well.
+Some of these programs move particles (MuJoCo's flex): each node has the same mass, whatever its elements. The end of a
+beam is then heavier than its volume, which mimics a hanging load. The masses are therefore tested as well.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from physconvex.gap.options import GapOptions
 from physconvex.gap.thresholds import SETTING
 from physconvex.mesh import TetMesh
 
-_COMPANY = ("gravity_tilt", "damping")  # beside which the masses are asked for
+_COMPANY = ("gravity_tilt", "damping")  # effects that are fitted together with the masses
 _RATIO = "poisson_ratio"
 
 
 def mesh_of_capture_elements(base: Baseline) -> TetMesh | None:
-    """The capture's linear tetrahedra, if it has some and they can be afforded."""
+    """The capture's linear tetrahedra, if it has some and a run is affordable."""
     mesh = base.capture.tets()
     steps = base.model.frames * base.model.twin.steps_per_frame
     if (
@@ -56,22 +56,22 @@ def with_own_elements(
     report: Callable[[str], None],
     known: bool | None = None,
 ) -> tuple[Baseline, Numerics]:
-    """The base fit on the capture's own linear elements, if they are the recording's; else as it is.
+    """The base fit on the capture's own linear elements if they are the recording's; otherwise the unchanged base fit.
 
     Args:
         base: the base fit on elements of the diagnosis.
-        rough: where the fits begin.
-        numerics: differences of runs; of a held body on its own elements, the mesh is no error any more.
-        variance: of the residuals of a free body, all frames; those of a held one weigh alike.
+        rough: start of the fits.
+        numerics: differences of runs; for a held body on its own elements, the mesh error is zero.
+        variance: variance of the residuals of a free body, all frames; those of a held one weigh equally.
         options: settings.
-        report: told what is done.
-        known: whether they are, where that has been asked (`physconvex.gap.conditions.setting`); else they are
-            if they halve the squares.
+        report: receives progress messages.
+        known: whether they are the recording's, if `physconvex.gap.conditions.setting` has tested that; by default they
+            are if they halve the squares.
     """
     mesh = mesh_of_capture_elements(base)
     if mesh is None or not base.tangents.any() or known is False:
         return base, numerics
-    if base.situation.clamped:  # the error of the other mesh, which widens the variance, is what is on trial
+    if base.situation.clamped:  # the error of the other mesh, which widens the variance, is under test
         variance = np.ones_like(variance)
     before = misfit_of_base(base, variance)
 
@@ -91,15 +91,15 @@ def with_own_elements(
         own = particles
     if not known and misfit_of_base(own, variance) > SETTING.own_better * before:
         return base, numerics
-    numerics = replace(numerics, exact=None)  # which is of other elements
+    numerics = replace(numerics, exact=None)  # it belongs to other elements
     still = np.zeros_like(numerics.mesh)
     return own, replace(numerics, mesh=still) if base.situation.clamped else numerics
 
 
 def _left_beside(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
-    """Mean square that is left in the fitted frames once E, ν and, to first order, some effects have done their best.
+    """Mean square in the fitted frames after a fit of E, ν and, to first order, some effects.
 
-    Else a tilt of gravity, whose share of the squares is larger, would hide what the masses do.
+    A tilt of gravity has a larger share of the squares and would otherwise hide the masses.
     """
     rows, values = base.rows(base.split.fitted), np.asarray(base.fit.values)
     steps = [0.1 * p.step for p in base.model.parameters(values)]
@@ -133,7 +133,7 @@ def _fitted_on(
     report: Callable[[str], None],
     most: float,
 ) -> Baseline | None:
-    """The base fit on other elements, begun where they vibrate alike; None if E alone leaves more than `most`."""
+    """The base fit on other elements, from an E of equal vibration; None if E alone leaves more than `most`."""
     index, model = near.model.base.index(MODULUS), replace(near.model, mesh=mesh)
     model.embedding  # noqa: B018 markers may lie off that mesh
     values = near.fit.values.copy()
@@ -145,7 +145,7 @@ def _fitted_on(
     if least > most:
         return None
     motion = model.motion(values)
-    another = near.situation.clamped and not searches_itself(model)  # mesh searches in its place
+    another = near.situation.clamped and not searches_itself(model)  # a coarser mesh then searches instead
     stiffer = _surrogate(near, mesh, values, motion.positions) if another else 0.0
     start = replace(rough, fit=replace(rough.fit, values=values), model=replace(rough.model, surrogate_stiffer=stiffer))
     return fit_baseline(
@@ -156,7 +156,7 @@ def _fitted_on(
 def _best_modulus(
     base: Baseline, model: EffectModel, start: np.ndarray, variance: Float[np.ndarray, " N"]
 ) -> tuple[float, float]:
-    """Least misfit in the fitted frames, and the log10 E, near the start, at which it is reached."""
+    """Least misfit in the fitted frames over log10 E near the start, and that log10 E."""
     index, count = base.model.base.index(MODULUS), base.split.end
     shorter, tried = replace(model, frames=count), []
     for decades in SETTING.own_moduli:
@@ -169,7 +169,7 @@ def _best_modulus(
 
 
 def _surrogate(base: Baseline, mesh: TetMesh, values: np.ndarray, target: Float[np.ndarray, "T P 3"]) -> float:
-    """Decades of E by which the cheaper model must be stiffer to vibrate as the own elements do."""
+    """Change of log10 E that gives the cheaper model the vibration of the own elements."""
     count = base.split.end
     coarse = replace(base.model, mesh=None, correction=None, frames=count)
 

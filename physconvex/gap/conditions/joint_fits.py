@@ -1,18 +1,18 @@
-"""Fits of the base model in the company of effects, and the scans over floor and damping from which they begin.
+"""Fits of the base model together with effects, started from scans over floor and damping.
 
-Beside a tilt of gravity, a spin or friction, a floor's give is a small share of the squares, and so is what a mesh
-that locks does; without them, both stand in for the effect. The company serves these questions alone: its doses are
-thrown away, and which effects there are is asked later.
+Beside a tilt of gravity, a spin or friction, a compliant floor or a locking mesh is a small share of the squares.
+Without these effects in the fit, floor and mesh take their place. The effects serve these tests alone: their doses are
+discarded, and later steps decide which effects there are.
 
-**A floor that gives way.** `capture.json` states neither its stiffness nor its dashpot. Programs with a soft contact
-let a body sink in by percents of its size and take energy from it there; a model with a hard floor can only answer
-with a body ten times too soft, after which everything looks like damping. Contact and body are told apart by what
-markers do below the floor, and by the ringing after lift-off, which a dashpot of the contact leaves alone and damping
-of the body does not.
+**Compliant floor.** `capture.json` states neither its stiffness nor its dashpot. In programs with a soft contact, a
+body sinks in by percents of its size and loses energy there. A model with a rigid floor can only fit a body ten times
+too soft, and then everything looks like damping. Two observations separate contact and body: the motion of markers
+below the floor, and the ringing after lift-off, which damping of the body changes and a dashpot of the contact does
+not.
 
-**Much damping.** Without damping, a soft body that hardly bounces is best followed by one a hundred times as stiff: a
-fit of E alone ends there, and from there no dose of damping looks right. Where the two together leave much less of
-the squares, numerical errors are taken in their company, and the search for effects begins at them as well.
+**Strong damping.** Without damping, the best fit to a soft body that hardly bounces is one a hundred times as stiff. A
+fit of E alone ends there, and no dose of damping helps from there. If E and damping together leave a much smaller
+misfit, they define the point where numerical errors are estimated and where the search for effects also starts.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ _RATIO = "poisson_ratio"
 
 
 class JointFits:
-    """A rough base fit, and the effects that are fitted beside.
+    """A rough base fit and the effects that are fitted with it.
 
     Args:
         base: the rough base fit.
         options: settings.
-        labels: of the effects; those that move a body as a whole unless given.
+        labels: labels of the effects; by default those that move a body as a whole.
     """
 
     def __init__(self, base: Baseline, options: GapOptions, labels: Sequence[str] = RIGID) -> None:
@@ -59,15 +59,15 @@ class JointFits:
 
     @property
     def nothing(self) -> Float[np.ndarray, " D"]:
-        """Doses at which the company is absent."""
+        """Doses at which the added effects are absent."""
         return np.concatenate([np.zeros(0), *(effect.null for effect in self.effects)])
 
     def model(self, names: tuple[str, ...], values: np.ndarray) -> EffectModel:
         """The reduced model of the fitted frames, with time steps that suit the values.
 
         Args:
-            names: of the base parameters.
-            values: theirs, more may follow.
+            names: names of the base parameters.
+            values: their values; more may follow.
         """
         twin = self.base.model.twin
         steps = steps_per_frame(replace(twin, steps_per_frame=6), dict(zip(names, values, strict=False)))
@@ -77,14 +77,14 @@ class JointFits:
         )  # fmt: skip
 
     def misfit(self, names: tuple[str, ...], values: np.ndarray) -> float:
-        """What the reduced model leaves, by the observations' loss; infinite where it cannot be run."""
+        """Misfit of the reduced model, by the observations' loss; infinite if it cannot be run."""
         try:
             return misfit_of(self.seen, self.model(names, values).positions(values))
         except ConvergenceError:
             return np.inf
 
     def best(self, names: tuple[str, ...], starts: Sequence[np.ndarray]) -> Fit | None:
-        """The best fit of the reduced model from some starts, doses included; None where none can be simulated."""
+        """The best fit of the reduced model from some starts, doses included; None if none can be simulated."""
         found: list[Fit] = []
         for values in starts:
             try:
@@ -104,15 +104,15 @@ class JointFits:
         return found
 
     def full(self, names: tuple[str, ...], reduced: Fit, mesh: TetMesh | None) -> Fit | None:
-        """A short fit of the full-order model from one of the reduced model, by the derivatives of that.
+        """A short fit of the full-order model from one of the reduced model, with the derivatives of the latter.
 
         Args:
-            names: of the base parameters.
-            reduced: where to begin.
+            names: names of the base parameters.
+            reduced: start of the fit.
             mesh: the elements; None for the twin's.
 
         Returns:
-            None where the model cannot be run on that mesh.
+            None if the model cannot be run on that mesh.
         """
         values = reduced.values
         cheap = self.model(names, values)
@@ -127,18 +127,18 @@ class JointFits:
 
 
 def sinks_in(base: Baseline) -> bool:
-    """Whether markers lie deeper in the floor than a stiff one allows."""
+    """Whether markers penetrate the floor deeper than a stiff one allows."""
     return base.situation.depth >= SETTING.soft_depth * base.situation.size
 
 
 def on_giving_floor(joint: JointFits, doses: Float[np.ndarray, " D"]) -> Fit | None:
-    """The reduced model's fit with stiffness and dashpot of the floor free, from the best of a scan.
+    """The reduced model's fit with free stiffness and dashpot of the floor, from the best of a scan.
 
-    None where no start can be simulated.
+    None if no start can be simulated.
 
     Args:
-        joint: the rough base fit and the effects beside.
-        doses: of these, where the scan is made.
+        joint: the rough base fit and the added effects.
+        doses: doses of these effects in the scan.
     """
     base = joint.base
     names = (*base.model.base, *FLOOR_LAW)
@@ -165,13 +165,13 @@ def _starts(base: Baseline) -> list[np.ndarray]:
         values[at] += decades
         if "poisson_ratio" in names:
             values[names.index("poisson_ratio")] = np.clip(values[names.index("poisson_ratio")], *SETTING.poisson_ratio)
-        pressure = np.sqrt(10 ** values[at] * base.capture.density) * speed  # of a body that stops within a wave's time
+        pressure = np.sqrt(10 ** values[at] * base.capture.density) * speed  # stop within a wave transit time
         out.append(np.append(values, [np.log10(pressure / depth) + shift, dashpot * depth / speed]))
     return out
 
 
 def damped_fit(base: Baseline, options: GapOptions) -> tuple[JointFits, Fit] | None:
-    """The reduced model's fit with damping, its dose the last value; None where it leaves nearly as much as without.
+    """The reduced model's fit with damping, its dose the last value; None if it hardly improves the fit.
 
     Args:
         base: the rough base fit.

@@ -1,8 +1,8 @@
-"""What the recording was made with: a floor that gives way or not, its own linear elements or any; or much damping.
+"""Conditions of the recording: compliant or rigid floor, own linear elements or any, strong damping.
 
-Of a free body both are asked at once, by short fits of the full-order model on either floor and either mesh, in the
-company of effects (`physconvex.gap.conditions.joint_fits`): a mesh whose diagonals all run one way makes a cube tumble
-after it has struck the floor, which hides what the floor does, and the other way round.
+For a free body, short fits of the full-order model on either floor and either mesh, together with effects
+(`physconvex.gap.conditions.joint_fits`), test floor and mesh at once. A mesh whose diagonals all run one way makes a
+cube tumble after contact, which hides the floor, and the floor can hide the mesh.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from physconvex.identify import Fit
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """The rough base fit on the floor that is believed, and whether the recording's own elements are.
+    """The rough base fit on the selected floor, and whether the recording's own elements are selected.
 
     Attributes:
-        base: the rough base fit; its parameters hold `FLOOR_LAW` where the floor gives way.
-        own: None where that was not asked: of held bodies, and without linear tetrahedra that can be afforded.
-        damped: the base model with damping, at what E and it come to together; None where that explains little.
+        base: the rough base fit; its parameters include `FLOOR_LAW` for a compliant floor.
+        own: None if not tested: for held bodies, and without affordable linear tetrahedra.
+        damped: the base model with damping, E fitted along; None if that explains little.
     """
 
     base: Baseline
@@ -38,15 +38,15 @@ class Setting:
 
 
 def find_setting(base: Baseline, options: GapOptions, report: Callable[[str], None]) -> Setting:
-    """Ask whether the floor gives way, whether the capture's tetrahedra are the recording's, or the body is damped.
+    """Test whether the floor is compliant, whether the capture's tetrahedra are the recording's, or the body is damped.
 
     Args:
-        base: the rough base fit, on a hard floor.
+        base: the rough base fit, on a rigid floor.
         options: settings.
-        report: told what is done.
+        report: receives progress messages.
 
     Returns:
-        The base fit as it is where none of that is so, or where a model of it cannot be simulated.
+        The unchanged base fit if none of that holds, or if such a model cannot be simulated.
     """
     if base.situation.clamped or not base.situation.touches:
         return Setting(base, None)
@@ -71,7 +71,7 @@ def _asked(base: Baseline, options: GapOptions, report: Callable[[str], None]) -
         return _damped(base, options, report)
     report("floor and elements of the recording")
     floors: list[tuple[tuple[str, ...], Fit]] = [(n, f) for n, f in zip(names, (hard, soft), strict=True) if f]
-    tried: dict[tuple[bool, bool], Fit] = {}  # by whether the elements are the own ones, and the floor gives way
+    tried: dict[tuple[bool, bool], Fit] = {}  # by own elements, compliant floor
     for mesh in (None,) if own is None else (None, own):
         for which, start in floors:
             found = joint.full(which, start, mesh)
@@ -87,11 +87,11 @@ def _asked(base: Baseline, options: GapOptions, report: Callable[[str], None]) -
 
 
 def _likeliest(misfits: dict[tuple[bool, bool], float], *, refuted: bool) -> tuple[bool, bool]:
-    """Whether the elements are the own ones, and whether the floor gives way.
+    """Whether the elements are the own ones, and whether the floor is compliant.
 
     Args:
-        misfits: by the same.
-        refuted: whether no hard floor can be, however well it does beside wrong values.
+        misfits: misfits by these two flags.
+        refuted: whether a rigid floor is rejected, even if it fits well with wrong values.
     """
     possible = {case: misfit for case, misfit in misfits.items() if case[1]} if refuted else {}
     possible = possible or misfits
@@ -99,7 +99,7 @@ def _likeliest(misfits: dict[tuple[bool, bool], float], *, refuted: bool) -> tup
 
 
 def _damped(base: Baseline, options: GapOptions, report: Callable[[str], None]) -> Setting:
-    """On a floor that does not give way, damping is what takes the energy of an impact."""
+    """The setting on a rigid floor, where only damping dissipates the energy of an impact."""
     report("scan over E and damping")
     damped = damped_fit(base, options)
     if damped is None:
@@ -111,7 +111,7 @@ def _damped(base: Baseline, options: GapOptions, report: Callable[[str], None]) 
 
 
 def _moved(base: Baseline, joint: JointFits, names: tuple[str, ...], found: Fit) -> Baseline:
-    """The rough base fit at the values of a fit in company, without it."""
+    """The rough base fit at the values of a joint fit, without the added effects."""
     count = len(names)
     alone = replace(
         found, parameters=found.parameters[:count], values=found.values[:count], jacobian=found.jacobian[:, :count]

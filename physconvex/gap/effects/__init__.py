@@ -1,1 +1,1 @@
-"""Named effects that a base model may lack, each with its doses and its place in the simulators."""
+"""Named effects that a base model may lack, with their doses and their implementation in the simulators."""

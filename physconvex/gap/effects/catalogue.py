@@ -1,4 +1,4 @@
-"""The dictionary of effects that a diagnosis chooses from, with declared numerical errors and gauges."""
+"""The dictionary of effects for a diagnosis, with declared numerical errors and gauges."""
 
 from __future__ import annotations
 
@@ -59,10 +59,10 @@ EFFECT_NAMES: tuple[str, ...] = tuple(dict.fromkeys(effect.name for effect in DE
 def choose(
     names: Sequence[str] | None = None, *, without: Iterable[str] = (), extra: Iterable[Effect] = ()
 ) -> tuple[Effect, ...]:
-    """The effects of these names (all unless given), but for some, and with some of one's own.
+    """The effects of these names (all by default), without the excluded ones, plus extra ones.
 
     Raises:
-        InputError: a name that no effect has.
+        InputError: no effect has that name.
     """
     known = (*DEFAULT_EFFECTS, *extra)
     left_out = set(without)
@@ -76,7 +76,7 @@ def choose(
 
 
 def applicable(effects: Iterable[Effect], situation: Situation) -> tuple[Effect, ...]:
-    """Those that can be tried on the motion of points: never gauges, nor what shows in the pictures' light alone."""
+    """Effects that the motion of points can show: no gauges, and none that shows only in the light of pictures."""
     return tuple(
         effect
         for effect in effects

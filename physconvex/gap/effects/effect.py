@@ -1,4 +1,4 @@
-"""What an effect is: a named deviation from the base model, with the doses it takes and where they enter."""
+"""Definition of an effect: a named deviation from the base model, its doses and its implementation."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ Source = Literal["material", "contact", "external", "initial state", "observatio
 SOURCES: tuple[Source, ...] = (
     "material", "contact", "external", "initial state", "observation", "numerical", "gauge",
 )  # fmt: skip
-IN_FLIGHT: tuple[Source, ...] = ("external", "initial state", "observation")  # need no contact to be seen
+IN_FLIGHT: tuple[Source, ...] = ("external", "initial state", "observation")  # visible without contact
 
 
 @dataclass(frozen=True)
 class Situation:
-    """What an effect may ask about the capture before it is tried.
+    """Facts about the capture that an effect may use.
 
     Attributes:
         size: largest edge of the body [m].
@@ -38,9 +38,9 @@ class Situation:
         clamped: whether part of the body is held.
         touches: whether the base model touches the floor within the frames.
         giving_floor: whether stiffness and dashpot of the floor are fitted with the base parameters.
-        depth: how deep markers are seen to lie in the floor [m].
+        depth: observed depth of markers in the floor [m].
         friction: stated coefficient of the floor.
-        states_velocity, states_spin: whether the capture states the initial motion (else it is estimated freely).
+        states_velocity, states_spin: whether the capture states the initial motion (otherwise it is estimated freely).
         starts_elsewhere: whether the first frame differs from the rest state by more than noise.
         peak_stress: largest von Mises stress of the base run [Pa].
         gravity: [m/s²].
@@ -67,31 +67,31 @@ class Situation:
 
     @property
     def wave_time(self) -> float:
-        """Time an elastic wave takes through the body, L √(ρ/E) [s]: the scale of its vibrations."""
+        """Transit time of an elastic wave through the body, L √(ρ/E) [s]: the scale of its vibrations."""
         return float(self.size * np.sqrt(self.density / self.youngs_modulus))
 
     @property
     def in_soft_floor(self) -> bool:
-        """Whether markers lie so deep in the floor that no stiff one bore them."""
+        """Whether markers penetrate the floor deeper than any stiff floor allows."""
         return self.depth >= BASE_FIT.deep * self.size
 
 
 @dataclass(frozen=True)
 class Dose:
-    """One number by which an effect is measured.
+    """One number that measures an effect.
 
     Attributes:
-        name: what it is.
+        name: name of the quantity.
         unit: SI unit, "" for a pure number.
         lower, upper: bounds.
         smallest: smallest deviation from `null` that is of interest, in the unit.
-        trial: deviation from `null` with which it is screened, from the situation; large enough to be seen, small
-            enough for the motion to stay near.
+        trial: deviation from `null` for screening, from the situation; large enough to be visible, small enough to keep
+            the motion near.
         null: value at which the effect is absent.
         shape: whether the dose only shapes the effect (a time constant, a direction) and is not screened by itself.
-        threshold: whether the effect sets in somewhere between `null` and the trial dose (the logarithm of a yield
-            stress), so that a weaker effect is a dose near the trial one and not a part of the way from `null`.
-        plausible: standard deviation from `null` that is plausible before anything was seen; inf = any dose is.
+        threshold: whether the effect starts between `null` and the trial dose (the logarithm of a yield stress). A
+            weaker effect is then a dose near the trial one, not a fraction of the way from `null`.
+        plausible: standard deviation of the prior about `null`; inf for no prior.
     """
 
     name: str
@@ -112,28 +112,28 @@ class Dose:
             raise InputError(f"dose {self.name}: smallest: got {self.smallest:g}; expected a number > 0")
 
     def implausibility(self, value: float) -> float:
-        """½ of its squared distance from null in units of what is plausible [nats]."""
+        """½ of its squared distance from null in units of `plausible` [nats]."""
         return 0.5 * float((value - self.null) / self.plausible) ** 2
 
     def narrowed(self, deviation: float) -> float:
-        """By how much a recording narrows what is plausible [nats]; inf of a dose that does not only shape an effect.
+        """Information that a recording adds to the prior [nats]; inf of a dose that does not only shape an effect.
 
         Args:
-            deviation: standard error, what is plausible counted in; NaN where it is not known.
+            deviation: standard error, prior included; NaN if unknown.
         """
         if not self.shape or not np.isfinite(self.plausible) or not deviation > 0:
             return float("inf")
         return max(float(np.log(self.plausible / deviation)), 0.0)
 
     def estimate(self, amount: float, error: float, trial: float) -> tuple[float, float]:
-        """Dose of which the trial one is a multiple 1/amount, and its standard error, by first order.
+        """Dose for a multiple of the trial effect, and its standard error, to first order.
 
         Args:
             amount: multiple of the effect of the trial dose.
-            error: its standard error.
+            error: standard error of the multiple.
             trial: the trial dose.
         """
-        if self.threshold:  # the effect grows with the square of the distance beyond the threshold, say
+        if self.threshold:  # assume growth with the squared distance beyond the threshold
             share = max(amount, 0.02)
             value = trial - self.sign * 0.5 * np.log10(1 / share)
             return float(np.clip(value, self.lower, self.upper)), float(0.5 * error / share / np.log(10))
@@ -145,25 +145,25 @@ class Dose:
         return 0.4 * self.sign if self.threshold else trial - self.null
 
     def step(self, situation: Situation) -> float:
-        """A typical one of a fit: to a threshold, however far from null it lies, the smallest of interest."""
+        """A typical step of a fit; for a threshold, however far from null, the smallest deviation of interest."""
         if self.shape:
             return 2 * self.smallest
         return self.smallest if self.threshold else max(abs(self.trial(situation)), self.smallest)
 
     @property
     def sign(self) -> int:
-        """+1, −1 where physics allows deviations to one side only, else 0."""
+        """+1 or −1 if physics allows deviations to one side only, otherwise 0."""
         return int(self.lower >= self.null) - int(self.upper <= self.null)
 
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """Square pieces of pictures.
+    """Square patches of pictures.
 
     Attributes:
         light: brightness, linear in the light, shape [N, h, w].
-        velocities: of what they show [pixels/s], x to the right and y down, shape [N, 2].
-        times: when they were taken, after the first picture [s], shape [N].
+        velocities: image velocity of the content [pixels/s], x to the right and y down, shape [N, 2].
+        times: time of each after the first picture [s], shape [N].
     """
 
     light: Float[np.ndarray, "N h w"]
@@ -180,22 +180,22 @@ class Effect:
     """A deviation from the base model that may explain a gap.
 
     Attributes:
-        name: of the effect (the same for its variants).
-        source: what kind of cause it is.
+        name: name of the effect (the same for its variants).
+        source: kind of cause.
         doses: the numbers that measure it.
-        scene: puts doses [D] into a reduced or a full-order scene; None where it acts on the observation alone.
-        observe: puts doses into what is observed: from a `PointMotion` to positions [T, P, 3]; None where it does not.
-        photograph: puts doses into pictures: from sharp, evenly exposed `Patches` to their light [N, h, w]; None where
-            it does not. Such an effect moves no point, and is looked for by `physconvex.gap.light.image_formation`.
-        ahead: how long beyond the last frame [s] `observe` looks, from the time of that frame and the doses; None where
-            it does not.
+        scene: puts doses [D] into a reduced or a full-order scene; None if it acts on the observation alone.
+        observe: puts doses into the observation: from a `PointMotion` to positions [T, P, 3]; None if unused.
+        photograph: puts doses into pictures: from sharp, evenly exposed `Patches` to their light [N, h, w]; None if
+            unused. Such an effect moves no point; `physconvex.gap.light.image_formation` tests it.
+        ahead: time that `observe` needs beyond the last frame [s], from the time of that frame and the doses; None for
+            no time.
         applies: whether the effect makes sense in a situation.
         variant: distinguishes forms of one effect.
         description: one line for people.
-        confusable: effects that look alike from kinematics, declared beforehand.
+        confusable: declared effects with a similar kinematic signature.
 
     Raises:
-        InputError: no dose, or an effect that does nothing.
+        InputError: no dose, or no function that uses the doses.
     """
 
     name: str
@@ -230,12 +230,12 @@ class Effect:
         return np.array([dose.null for dose in self.doses])
 
     def with_trial(self, variant: str, trial: Callable[[Situation], float]) -> Effect:
-        """A variant screened with another dose: far from null an effect may look otherwise than near it."""
+        """A variant screened with another dose: an effect far from null may differ from its form near null."""
         first, *others = self.doses
         return replace(self, variant=variant, doses=(replace(first, trial=trial), *others))
 
     def trials(self, situation: Situation) -> list[tuple[int, Float[np.ndarray, " D"]]]:
-        """Doses to screen with: index of the screened dose and the whole dose vector, one per dose that is no shape."""
+        """Doses for screening: index of the screened dose and all doses; one entry per dose that is not a shape."""
         base = np.array([d.null + d.trial(situation) if d.shape else d.null for d in self.doses])
         out = []
         for index, dose in enumerate(self.doses):

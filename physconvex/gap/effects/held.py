@@ -1,4 +1,4 @@
-"""Effects of a held body: its clamp gives way, or a load hangs on it that the base model does not know of."""
+"""Effects of a held body: a compliant clamp, or a hanging load that the base model lacks."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from physconvex.gap.effects.effect import AnyScene, Dose, Effect
 from physconvex.gap.effects.scenes import cell_masses, scaled_coordinates, with_material
 from physconvex.reduced import ReducedScene
 
-_REACH = 0.15  # of the half size of the body: how far from the held points its give is spread
+_REACH = 0.15  # over half the size of the body: extent of the compliance around the held points
 
 
 def _held(scene: AnyScene) -> np.ndarray:
-    """Held points, scaled as the fields of `with_material` are."""
+    """Held points, scaled like the fields of `with_material`."""
     if isinstance(scene, ReducedScene):
         held = np.zeros((0, 3)) if scene.pins is None else scene.pins.points
     else:
@@ -53,15 +53,15 @@ CLAMP_EFFECTS: tuple[Effect, ...] = (
         confusable=("heterogeneity",),
     ),
 )
-_SPREAD = 0.05  # of the length: about so far a load that acts further in is spread
-_STEEPEST = 150.0  # over the length: a load at the very end fades so fast, to a twentieth within 2 %
+_SPREAD = 0.05  # over the length: approximate width of a load further in
+_STEEPEST = 150.0  # over the length: slope of a load at the very end, a decay to one twentieth within 2 %
 
 
 def _shares(along: Float[np.ndarray, " N"], masses: Float[np.ndarray, " N"], inset: float) -> Float[np.ndarray, " N"]:
-    """Of the load, at places along the body, from 0 at the loaded end to 1: so that it acts at `inset` on the mean.
+    """Density of the load along the body, from 0 at the loaded end to 1, with mean position `inset`.
 
-    A bell about there, over the masses, tilted until its mean is right: at the very end nothing is left of the other
-    half of a bell, and with whole nodes in the place of a body the mean lies where they are.
+    It is a bell about `inset`, weighted by the masses and tilted until its mean is right. The tilt corrects for the
+    missing half of a bell at the very end, and for the discrete positions of nodes.
     """
     bell = np.log(masses) - 0.5 * ((along - inset) / _SPREAD) ** 2
 
@@ -90,7 +90,7 @@ def _in_cells(scene: AnyScene, axis: int, side: int, ratio: float, inset: float)
 
 
 def _on_nodes(scene: Scene, axis: int, side: int, *, ratio: float, inset: float, slack: float) -> Scene:
-    """The nodes near the end carry it, by a string of that slack, or fixed to them where there is none."""
+    """The nodes near the end carry it by a string of that slack; without slack it is fixed to them."""
     if scene.hanging is not None:
         raise InputError("hanging: a load hangs there already; one at a time")
     mesh, masses = scene.body.mesh, cell_masses(scene)
@@ -102,7 +102,7 @@ def _on_nodes(scene: Scene, axis: int, side: int, *, ratio: float, inset: float,
 
 
 _RATIO = Dose("mass_ratio", "", 0.0, 10.0, 0.02, lambda s: 0.3, plausible=2.0)
-_INSET = Dose("inset", "", 0.0, 0.5, 0.01, lambda s: 0.02, shape=True, plausible=0.04)  # of the length
+_INSET = Dose("inset", "", 0.0, 0.5, 0.01, lambda s: 0.02, shape=True, plausible=0.04)  # over the length
 _SLACK = Dose("slack", "m", 0.0, 0.2, 1e-3, lambda s: 0.05 * s.size, shape=True)
 
 

@@ -22,8 +22,8 @@ from physconvex.materials import (
 
 Doses = Float[np.ndarray, " D"]
 Axis = tuple[int, int, int]
-_INCLUSION = 0.5  # standard deviation of a softer or stiffer part, over half the edges of the body
-_UNYIELDING = 9.0  # log10 of a yield stress [Pa] that nothing here reaches
+_INCLUSION = 0.5  # width (standard deviation) of a softer or stiffer part, over half the edges of the body
+_UNYIELDING = 9.0  # log10 of a yield stress [Pa] that no motion here reaches
 
 
 def _damping(scene: AnyScene, doses: Doses) -> AnyScene:
@@ -110,7 +110,7 @@ def _halfway(side: int) -> Callable[[Situation], float]:
 
 
 def _inclusion(corner: tuple[int, int, int]) -> Effect:
-    """About a place that a fit begins near one corner of the body."""
+    """An inclusion whose fit starts near one corner of the body."""
 
     def scene(scene: AnyScene, doses: Doses) -> AnyScene:
         if doses[0] == 0:
@@ -139,7 +139,7 @@ def _inclusion(corner: tuple[int, int, int]) -> Effect:
 
 
 def _with_fibres(variant: str, axes: tuple[Axis, Axis, Axis]) -> Effect:
-    """About a direction that a fit begins at, with angles towards two others across it."""
+    """Fibres whose fit starts at a direction, with angles towards two others across it."""
     along, first, second = (np.array(axis) / np.linalg.norm(axis) for axis in axes)
 
     def scene(scene: AnyScene, doses: Doses) -> AnyScene:
@@ -163,8 +163,8 @@ def _with_fibres(variant: str, axes: tuple[Axis, Axis, Axis]) -> Effect:
     )
 
 
-# three axes of the body and its four diagonals: no direction is more than 28 degrees from one of them, and fibres along
-# a diagonal look like fibres along no axis
+# three axes of the body and its four diagonals: every direction is within 28 degrees of one of them, and fibres along a
+# diagonal differ from fibres along any axis
 _FIBRES: dict[str, tuple[Axis, Axis, Axis]] = {
     "x": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
     "y": ((0, 1, 0), (0, 0, 1), (1, 0, 0)),

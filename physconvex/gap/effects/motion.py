@@ -1,4 +1,4 @@
-"""Simulated points on their way to the observation, at the frames and between them."""
+"""Motion of simulated points, at the frames and between them."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ class PointMotion:
     """Positions of points at the frames.
 
     Attributes:
-        rest: of the points [m], shape [P, 3].
-        times: of the frames [s], shape [T].
+        rest: rest positions of the points [m], shape [P, 3].
+        times: times of the frames [s], shape [T].
         positions: [m], shape [T, P, 3].
         velocities: [m/s], shape [T, P, 3].
-        camera: that looks.
-        steps: the same in time steps and as far beyond the last frame as a clock needs; None: the frames
-            are all that is known. A body that strikes a floor turns around within a fraction of a frame.
+        camera: the observing camera.
+        steps: the same motion at the time steps, as far beyond the last frame as a clock needs; None if only the frames
+            are known. The steps matter because a body reverses at the floor within a fraction of a frame.
     """
 
     rest: Float[np.ndarray, "P 3"]
@@ -36,27 +36,27 @@ class PointMotion:
 
     @classmethod
     def of_steps(cls, steps: PointMotion, frames: int, every: int) -> PointMotion:
-        """From a motion in time steps, of which one in `every` is a frame."""
+        """Build from a motion in time steps; every `every`-th one is a frame."""
         times, positions, velocities = (
             part[::every][:frames] for part in (steps.times, steps.positions, steps.velocities)
         )
         return cls(steps.rest, times, positions, velocities, steps.camera, steps)
 
     def first(self, count: int) -> PointMotion:
-        """Its first frames; the steps between and beyond them stay."""
+        """The first frames; the steps between and beyond them stay."""
         return replace(
             self, times=self.times[:count], positions=self.positions[:count], velocities=self.velocities[:count]
         )
 
     @property
     def end(self) -> float:
-        """Time up to which it is known [s]."""
+        """Time at which the known motion ends [s]."""
         return float((self if self.steps is None else self.steps).times[-1])
 
     def at(self, times: np.ndarray) -> Positions:
-        """Positions at other times [s], one per frame [T] or per frame and point [T, P]; straight on beyond the ends.
+        """Positions at other times [s], one per frame [T] or per frame and point [T, P]; linear beyond the ends.
 
-        What positions at the frames differ from the steps by (another effect, say) goes with the time.
+        A difference between positions at frames and steps (by another effect, say) moves with the time.
         """
         if times.ndim == 1:
             return self._at(times, self.positions, slice(None))
@@ -77,11 +77,11 @@ class PointMotion:
 
 @dataclass(frozen=True)
 class MotionCorrection:
-    """What is added to every motion of a model: what a finer model would change.
+    """Change by a finer model, added to every motion of a model.
 
     Attributes:
         positions: at the frames [m], shape [T, P, 3].
-        steps: the part of it that is known in time steps; what a striking body does differently sets in between frames.
+        steps: the part that is known in time steps; a change at an impact begins between frames.
     """
 
     positions: Positions
@@ -89,7 +89,7 @@ class MotionCorrection:
 
     @classmethod
     def between(cls, exact: PointMotion, own: PointMotion) -> MotionCorrection:
-        """What a motion lacks to another one of the same frames."""
+        """Difference of a motion to another one of the same frames."""
         steps = None
         if exact.steps is not None and own.steps is not None:
             count = min(len(exact.steps.times), len(own.steps.times))
@@ -99,7 +99,7 @@ class MotionCorrection:
         return cls(exact.positions - own.positions, steps)
 
     def of(self, motion: PointMotion) -> PointMotion:
-        """A motion with it, which goes straight on where its steps end before those of the motion."""
+        """The corrected motion; the correction continues linearly if its steps end before those of the motion."""
         positions = motion.positions + self.positions[: len(motion.times)]
         if self.steps is None or motion.steps is None:
             return replace(motion, positions=positions)

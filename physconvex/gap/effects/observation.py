@@ -1,8 +1,8 @@
 """Effects of the observation: cameras, markers, clocks, and the light of pictures.
 
-Those of cameras, markers and clocks act on simulated positions before these are compared. A camera's errors are
-written as motions of the points that look the same to it: what it sees of x' = A(x) through the stated camera is what
-the true camera sees of x. Effects of image formation act on patches of pictures, and move no point.
+Those of cameras, markers and clocks act on simulated positions before the comparison. An error of a camera becomes an
+equivalent motion of the points: the stated camera sees x' = A(x) exactly where the true camera sees x. Effects of image
+formation act on patches of pictures, and move no point.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def _brighter(patches: Patches, doses: Float[np.ndarray, " D"]) -> Float[np.ndar
 
 
 def _line(displacement: Float[np.ndarray, " 2"]) -> np.ndarray:
-    """Kernel that averages over a straight way [pixels] with its middle at the middle: bilinear samples along it."""
+    """Kernel that averages along a centred straight line [pixels], by bilinear samples."""
     reach = int(np.ceil(np.abs(displacement).max() / 2)) + 1
     kernel = np.zeros((2 * reach + 1, 2 * reach + 1))
     count = 4 * int(np.ceil(np.linalg.norm(displacement))) + 1

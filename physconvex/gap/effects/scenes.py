@@ -1,4 +1,4 @@
-"""Changes of reduced and full-order scenes alike."""
+"""Changes that apply to both reduced and full-order scenes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def scaled_coordinates(scene: AnyScene, points: Points) -> Points:
 
 
 def _cell_means(samples: Cubature, values: Float[np.ndarray, " N"]) -> Float[np.ndarray, " C"]:
-    """Of values at a reduced body's samples."""
+    """Mean per cell of values at a reduced body's samples."""
     return np.bincount(samples.cells, samples.weights * values) / np.bincount(samples.cells, samples.weights)
 
 
@@ -43,9 +43,9 @@ def _cell_coordinates(scene: AnyScene) -> Float[np.ndarray, "C 3"]:
 
 
 def _modulus_times(scene: AnyScene, field: Callable[[Points], Float[np.ndarray, " N"]]) -> Float[np.ndarray, "C ..."]:
-    """E times a field of the scaled coordinates: at the elements' quadrature points, mean over a reduced body's cells.
+    """E times a field of the scaled coordinates: at the quadrature points; for a reduced body, the mean of each cell.
 
-    At the centres alone, a rim that is softer does not show in a bar that is one element thick.
+    Values at the centres alone miss a softer rim in a bar that is one element thick.
     """
     if isinstance(scene, ReducedScene):
         interior = scene.body.space.samples.interior
@@ -64,10 +64,10 @@ def cell_masses(scene: AnyScene) -> Float[np.ndarray, " C"]:
 
 
 def _together(present: FlowRule | None, added: FlowRule | None) -> FlowRule | None:
-    """Both ways of flowing.
+    """Combination of two flow rules.
 
     Raises:
-        InputError: the body flows so already.
+        InputError: the body already flows this way.
     """
     if present is None or added is None:
         return present or added
@@ -77,10 +77,10 @@ def _together(present: FlowRule | None, added: FlowRule | None) -> FlowRule | No
 
 
 def _apart(law: Law, flow: FlowRule | None) -> tuple[Law, FlowRule | None]:
-    """What was added to a law that a plastic body has in its place stands beside that, and does not flow.
+    """Move additions to the law of a plastic body into a parallel part that does not flow.
 
     Raises:
-        InputError: the law is another one than that, with nothing added.
+        InputError: the law is neither that of the body nor an extension of it.
     """
     if isinstance(flow, Flows):
         law, first = _apart(law, flow.first)
@@ -104,12 +104,12 @@ def with_material(
     modulus: Callable[[Points], Float[np.ndarray, " N"]] | None = None,
     density: Callable[[Float[np.ndarray, "C 3"], Float[np.ndarray, " C"]], Float[np.ndarray, " C"]] | None = None,
 ) -> AnyScene:
-    """The scene with another material; contact (and pins) keep the stiffness they had.
+    """The scene with another material; contact (and pins) keep their stiffness.
 
     Args:
         scene: reduced or full-order.
-        law: makes the new elastic law out of the present one.
-        flow: how the material flows.
+        law: makes the new elastic law from the present one.
+        flow: flow rule of the material.
         modulus: factor on E as a field of the scaled coordinates.
         density: factor on the density from the cells' scaled coordinates and masses [kg].
     """

@@ -16,7 +16,7 @@ Doses = Float[np.ndarray, " D"]
 def rotation_vector_matrix(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     """Rotation by |vector| [rad] about its direction (Rodrigues).
 
-    `physconvex.numerics.rotation_matrix` rounds otherwise, and banks of blind cases are committed to by their digests.
+    `physconvex.numerics.rotation_matrix` rounds differently, and the digests of blind banks depend on the rounding.
     """
     angle = float(np.linalg.norm(vector))
     if angle == 0:
@@ -43,7 +43,7 @@ FRICTION = Effect(
 
 
 def _touches_a_hard_floor(situation: Situation) -> bool:
-    """The give and the dashpot of a soft floor are base parameters already."""
+    """Whether the body touches a rigid floor; stiffness and dashpot of a soft one are base parameters."""
     return situation.touches and not situation.giving_floor
 
 
@@ -123,7 +123,7 @@ def _blown(scene: AnyScene, doses: Doses) -> AnyScene:
 
 
 def _wind_trial(situation: Situation) -> float:
-    """A wind that pushes with 2 % of gravity: 1.2/8 · 6 L² w² = 0.02 · 9.81 ρ L³/2."""
+    """Speed of a wind that pushes with 2 % of gravity: 1.2/8 · 6 L² w² = 0.02 · 9.81 ρ L³/2."""
     return float(np.sqrt(0.02 * 9.81 * situation.density * situation.size / 2 / 0.9))
 
 

@@ -1,1 +1,1 @@
-"""What residuals may be off by without any effect: noise, numerical error; and scores beside that."""
+"""Errors of residuals without any effect (noise, numerical error), and scores against them."""

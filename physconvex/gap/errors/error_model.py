@@ -1,14 +1,14 @@
-"""What noise and numerical error lead one to expect of each residual, and how much of that is really there.
+"""Expected size of each residual from noise and numerical error, and its actual scale.
 
-**Its scale** (`error_scale`). What a mesh of 250 nodes and one of 1000 differ by after an impact may be many times
-what the finer one errs by, and a smaller effect is then lost in it. The residual of the fitted frames is error and
-effect together: if the base model, or it with one effect, leaves a tenth of the expected error, the error is no
-larger than that tenth (unless the two cancel all the time). As in a regression, the scale of the errors comes from
-the largest model. A margin keeps what an effect absorbs of numerical error by chance from being called a cause, and
-what unknowns absorb of few independent residuals is made up for by their leverage, as degrees of freedom are in a
-regression. After the fitted frames differences between meshes grow on; of these frames no more is believed than what
-the base model leaves there, with the same margin. Each kind of residual (`physconvex.gap.base.body_modes`) has a
-scale of its own: a rebound that is off says nothing of strains.
+**Scale** (`error_scale`). After an impact, meshes of 250 and of 1000 nodes may differ by many times the error of the
+finer one, and a smaller effect is lost in that. The residual of the fitted frames contains error and effect. If the
+base model, alone or with one effect, leaves a tenth of the expected error, the error is no larger than that tenth
+(unless error and effect cancel throughout). As in a regression, the largest model gives the scale of the errors. A
+margin prevents a false cause, since an effect absorbs some numerical error by chance. The leverage corrects for what
+unknowns absorb of few independent residuals, like degrees of freedom in a regression. Differences between meshes grow
+after the fitted frames. Their error there is limited to the residual of the base model, with the same margin. Each kind
+of residual (`physconvex.gap.base.body_modes`) has its own scale, since an error of a rebound says nothing about
+strains.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ def error_model(
 ) -> ErrorModel:
     """V of `physconvex.gap.errors.score_test`: noise, and by frame and kind size and shapes of numerical differences.
 
-    Such errors are smooth fields that last: few numbers (`BodyModes.freedom`), and the same ones for some frames, so
-    that n residuals hold no more than about freedom/`lasting` independent ones. Widening their variance by the ratio
-    leaves a smooth signature with the significance it deserves.
+    Such errors are smooth, persistent fields. They have few degrees of freedom (`BodyModes.freedom`), shared by several
+    frames, so n residuals hold at most about freedom/`lasting` independent ones. The variance is widened by this ratio,
+    which gives a smooth signature its proper significance.
 
-    Any model of finite size is credited with a share of the distance travelled, and of a free body with what programs
-    that share neither mesh nor steps nor contact fall out of phase by once it has been struck: shares `out_of_step` of
-    how far it has come since, of its largest even strain, and of its largest finer shape, so far. Across the normal of
-    the floor it is less: that pushes there by friction alone.
+    Any model of finite size also gets an error proportional to the distance travelled. For a free body, programs also
+    get out of phase after contact, independently of mesh, steps and contact. This error has shares `out_of_step` of the
+    distance since contact, of the largest even strain so far, and of the largest finer shape so far. Across the normal
+    of the floor it is smaller, since the floor acts there by friction alone.
 
-    Where the base model is fitted (its tangents are known), the size is that of what the differences leave once E, ν
-    and the free initial motion have absorbed what they can of them, as they do of the recording's own.
+    If the base model is fitted (its tangents are known), the differences are reduced by what E, ν and the free initial
+    motion can absorb, like those of the recording.
 
     Args:
         base: the base fit.
@@ -65,7 +65,7 @@ def error_model(
     if base.modes.reflections:
         path = path_since_contact(base.motion, base.contact_force)
         come = mean_of(base.change(here + path[:, None, None] / np.sqrt(3)) ** 2)
-        whole = base.modes.struck & (base.modes.parts == 0)  # along and across alike, before the share
+        whole = base.modes.struck & (base.modes.parts == 0)  # along and across alike, without the share
         come[whole] = (come * count)[whole].sum(0) / count[whole].sum(0)
         strained = mean_of(base.change(here + beyond_rigid(base.motion.rest, base.motion.positions)[0]) ** 2)
         so_far = np.maximum.accumulate(np.where(base.modes.parts[:, None] == 0, come, strained), axis=1)
@@ -73,7 +73,7 @@ def error_model(
         phases = (np.array(NUMERICAL_ERROR.out_of_step)[base.modes.parts] * sideways)[:, None] ** 2 * so_far
 
     def size_of(left: np.ndarray) -> np.ndarray:
-        size = np.maximum.accumulate(mean_of((left**2).sum(0)), axis=1)  # an error made at impact stays
+        size = np.maximum.accumulate(mean_of((left**2).sum(0)), axis=1)  # an error from impact persists
         return np.asarray((size + floor)[kinds, frames] + np.square(scale) * phases[kinds, frames])
 
     numerical = size_of(directions)
@@ -84,11 +84,11 @@ def error_model(
 
 
 def detail_errors(base: Baseline, errors: ErrorModel, share: float) -> ErrorModel:
-    """Errors widened by a share of a held body's gap: what is smaller does not choose between effects.
+    """Errors widened by a share of a held body's gap: smaller residuals do not choose between effects.
 
-    Else the frames that noise and numerical error leave most certain, the first ones of a held body, decide alone,
-    although no model of a recording is as good as its numerical error: a release that lasts, or a load that hangs
-    loosely, would be explained by whatever bends those few frames.
+    Otherwise the frames with the least noise and numerical error, the first ones of a held body, decide alone. No model
+    of a recording is as exact as its numerical error, so a slow release or a loosely hanging load would get the effect
+    that fits those few frames.
     """
     if not base.situation.clamped:
         return errors
@@ -99,7 +99,7 @@ def detail_errors(base: Baseline, errors: ErrorModel, share: float) -> ErrorMode
 
 
 def _absorbed(base: Baseline, directions: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """What is left of differences, all frames, once the base parameters have been fitted to them on the fitted ones."""
+    """Differences in all frames, after a fit of the base parameters to them in the fitted frames."""
     here = base.positions
     tangents = derivatives_of_residuals(base, here, base.tangents)
     rows = base.rows(base.split.fitted)
@@ -109,29 +109,29 @@ def _absorbed(base: Baseline, directions: np.ndarray, variance: np.ndarray) -> n
 
 
 def path_since_contact(motion: PointMotion, force: Float[np.ndarray, " T"]) -> Float[np.ndarray, " T"]:
-    """Length of the mean point's way from the last frame before the first contact to each frame [m]; 0 before.
+    """Path of the mean point from the last frame before the first contact to each frame [m]; 0 before.
 
-    A model whose impact throws a body off by a hundredth too much is off by a hundredth of it from then on. (The
-    distance from where the body would have fallen to says so too, but grows on for one that lies.)
+    A model whose impact is 1 % too strong has an error of 1 % of this path. (The distance from the ballistic path would
+    serve as well, but it grows for a body at rest.)
 
     Args:
-        motion: of points of the body.
-        force: of contact in each frame [N].
+        motion: motion of points of the body.
+        force: contact force in each frame [N].
     """
     touched = np.flatnonzero(force > 0)
     if not len(touched):
         return np.zeros(len(force))
-    last = max(int(touched[0]) - 1, 0)  # of the fall
+    last = max(int(touched[0]) - 1, 0)  # last frame of the fall
     steps = np.linalg.norm(np.diff(motion.positions.mean(1), axis=0), axis=1)
     steps[:last] = 0.0
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def forgiving(errors: ErrorModel, modes: BodyModes) -> ErrorModel:
-    """Errors with which a body as a whole may be off by three times as much from the first contact on.
+    """Errors that allow three times the rigid-body error from the first contact on.
 
-    Without any effect, what two programs part by as a whole after an impact came to .3 to 3 % of the way; a hundredth
-    is what the evidence counts with.
+    Without any effect, two programs differ in rigid motion after an impact by 0.3 to 3 % of the path; the evidence
+    assumes 1 %.
     """
     whole = modes.struck & (modes.parts == 0)
     factor = np.where(whole[modes.kinds], NUMERICAL_ERROR.forgiven_rebound**2, 1.0)
@@ -143,8 +143,8 @@ def error_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> Flo
 
     Args:
         base: the base fit.
-        errors: with the numerical error as other meshes, steps and contact have it.
-        screening: of the effects at that fit; each may explain what it can to first order, numerical ones not.
+        errors: errors with the numerical part from other meshes, steps and contact.
+        screening: effects at that fit; each may explain its part to first order, except numerical ones.
     """
     last, kinds = int(base.split.fitted[-1]), base.modes.kinds
     fitted = _fitted_scale(base, errors, screening)
@@ -155,7 +155,7 @@ def error_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> Flo
 
 
 def _fitted_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> Float[np.ndarray, " K"]:
-    """By kind, of the fitted frames."""
+    """Scale by kind, from the fitted frames."""
     rows = base.rows(base.split.fitted)
     weights = 1 / np.sqrt(errors.expected[rows])
     count = base.split.end
@@ -173,13 +173,13 @@ def _fitted_scale(base: Baseline, errors: ErrorModel, screening: Screening) -> F
 def _scale(
     base: Baseline, errors: ErrorModel, rows: np.ndarray, fits: list[tuple[np.ndarray, np.ndarray]]
 ) -> Float[np.ndarray, " K"]:  # fmt: skip
-    """Twice what the best of several fits leaves in some rows over the numerical error expected there, by kind.
+    """Twice the smallest residual of several fits over the expected numerical error, in some rows, by kind.
 
     Args:
         base: the base fit.
-        errors: what is expected.
+        errors: expected errors.
         rows: the residuals.
-        fits: what each leaves of them, and the leverage of each residual.
+        fits: residuals of each fit, and the leverage of each residual.
     """
     numerical, out = errors.expected[rows] - 1.0, np.ones(base.modes.count)
     for kind in range(base.modes.count):
@@ -187,7 +187,7 @@ def _scale(
         frames = np.unique(base.observations.frames[rows][told])
         if len(frames) < NUMERICAL_ERROR.scale_frames:
             continue
-        weights = numerical[told] / errors.expected[rows][told] ** 2  # as the likelihood of one scale weighs them
+        weights = numerical[told] / errors.expected[rows][told] ** 2  # weights of the likelihood of one scale
         expected = float(weights @ numerical[told])
         independent = max(len(frames) * float(base.modes.independent[kind]), 1.0)
         shares = []
@@ -201,7 +201,7 @@ def _scale(
 def _left(
     residual: Float[np.ndarray, " n"], columns: list[np.ndarray], weights: Float[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """What a weighted regression on the columns leaves, and the leverage of each row."""
+    """Residual of a weighted regression on the columns, and the leverage of each row."""
     x = np.stack(columns, axis=1) if columns else np.zeros((len(residual), 0))
     u, s, _ = np.linalg.svd(x * weights[:, None], full_matrices=False)
     u = u[:, s > 1e-8 * s.max(initial=1e-300)]

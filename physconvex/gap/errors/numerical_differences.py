@@ -1,7 +1,7 @@
-"""How far the model can be trusted: differences between its own runs with other steps, meshes and contact.
+"""Accuracy of the model: differences between its runs with other steps, meshes and contact.
 
-None of these runs holds an effect. What they differ by is what any effect-free capture may differ by from the model
-(simulated by another program, or real), so they serve as the null of the scores and as the floor of the gap.
+No run has an effect, so any effect-free capture (from another program, or real) may differ from the model by as much.
+The differences are the null of the scores and the floor of the gap.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ class Numerics:
     """Differences of effect-free runs to the rough base run, at the observed points.
 
     Attributes:
-        steps: with half the time step, [T, P, 3] m.
-        mesh: with a finer mesh, which takes the place of the model's from the base fit on.
-        contact: with a contact twice as stiff; zero where nothing touches, or where its stiffness is fitted.
+        steps: with half the time step [m], shape [T, P, 3].
+        mesh: with a finer mesh, which replaces the model's from the base fit on.
+        contact: with a contact twice as stiff; zero without contact, or if the contact stiffness is fitted.
         implicit_euler: first-order steps instead of second-order ones.
         reduction: the reduced model.
-        fine: the finer mesh, and the motion on it; None where it could not be run, or not often.
-        nodes: of the model's mesh and of the finer one.
-        failed: names of runs that did not converge (their differences are zero).
-        absorbed_mesh: `mesh` after E and ν were fitted (`absorbed_errors`); None where they were not.
-        finest: of a free body, with a mesh finer still, to the run on the finer one; None where it was not run.
-        exact: that mesh, and the same with a quarter of the time step as well.
+        fine: the finer mesh, and the motion on it; None if it cannot be run, or not often.
+        nodes: number of nodes of the model's mesh and of the finer one.
+        failed: names of runs that do not converge (their differences are zero).
+        absorbed_mesh: `mesh` after a fit of E and ν (`absorbed_errors`); None without such a fit.
+        finest: for a free body, difference of the finest mesh to the finer one; None if it is not run.
+        exact: the finest mesh, and the change by it with a quarter of the time step as well.
     """
 
     steps: Positions
@@ -68,8 +68,8 @@ class Numerics:
     def _mesh_left(self) -> Positions:
         """Error of the finer mesh, from differences of two (Richardson; contact lowers the order below two).
 
-        After an impact one mesh may happen to fly on otherwise than all others, and so be off by ten times what the
-        finer one errs by. So that is compared with a coarser and with a finer one, and the lesser estimate is believed.
+        After an impact one mesh may by chance fly differently from all others, by ten times the error of the finer one.
+        The finer mesh is therefore compared with a coarser and with a finest one, and the smaller estimate counts.
         """
         ratio = max(self.nodes[1] / self.nodes[0], 1.01) ** (NUMERICAL_ERROR.order / 3)
         left = float(np.clip(1 / (ratio - 1), 0.3, 1.0))
@@ -81,7 +81,7 @@ class Numerics:
 
 
 def numerical_differences(base: Baseline, options: GapOptions, report: Report) -> Numerics:
-    """Run the base model again in other ways."""
+    """Run the base model again with other numerical settings."""
     here, values, model = base.motion.positions, base.fit.values, base.model
     failed: list[str] = []
 
@@ -120,13 +120,13 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
         return np.asarray(better.motion(values).positions - fine[0][1].positions + here)
 
     zero = np.zeros_like(here)
-    # where the floor gives way its stiffness is fitted: a property of the recording's floor, and no error of the model
+    # the fitted stiffness of a compliant floor is a property of the recording, not an error of the model
     stiffness_is_chosen = base.situation.touches and not base.situation.giving_floor
     mesh = difference("a finer mesh", finer)
     compared = base.situation.touches and not base.situation.clamped and bool(fine)
     last = difference("a mesh finer still", finest) if compared else zero
     quick = last.any() and len(finest_mesh[0].vertices) * steps <= NUMERICAL_ERROR.exact_work
-    linear = model.mesh is not None and model.mesh.order == 1  # the recording's own elements, whose errors it shares
+    linear = model.mesh is not None and model.mesh.order == 1  # the recording's own elements share its errors
     exact = zero
     if quick and not linear:
         exact = difference(
@@ -149,14 +149,14 @@ def numerical_differences(base: Baseline, options: GapOptions, report: Report) -
 
 
 def exact_model(model: EffectModel, mesh: TetMesh) -> EffectModel:
-    """The model on a mesh finer still and with a quarter of its time step."""
+    """The model on the finest mesh and with a quarter of its time step."""
     return replace(model, mesh=mesh, refinement=NUMERICAL_ERROR.exact_refinement, correction=None)
 
 
 def other_mesh(base: Baseline, options: GapOptions, steps: int) -> TetMesh:
-    """A finer mesh, as far as a run of so many steps is affordable: of a held body every element split, else anew.
+    """A finer mesh within the affordable cost: every element split for a held body, a new mesh otherwise.
 
-    A held body is split since another mesh would be held in other places, which moves it more than its resolution does.
+    A new mesh of a held body would be held at other places, which changes its motion more than its resolution does.
     """
     own = base.model.twin.mesh
     if base.situation.clamped:
@@ -172,13 +172,13 @@ def other_mesh(base: Baseline, options: GapOptions, steps: int) -> TetMesh:
 
 
 def _mesh_of(base: Baseline, nodes: int) -> TetMesh:
-    """A mesh of the body of so many nodes."""
+    """A mesh of the body with this many nodes."""
     box = box_of_body(base.capture, nodes)
     return mesh_of_capture(base.capture, max_nodes=nodes) if box is None else box
 
 
 def correction_of(numerics: Numerics) -> MotionCorrection:
-    """What finer steps change, and a finer mesh if that cannot be afforded: added to every run of the model."""
+    """Correction of every run: change by finer steps, and by a finer mesh if runs on that are too expensive."""
     best = numerics.steps if numerics.exact is None else numerics.exact[1]
     return MotionCorrection(best if numerics.fine is not None else best + numerics.mesh)
 

@@ -1,14 +1,14 @@
-"""Nuisance-projected score statistics of effects: which of them the residual asks for, without fitting any.
+"""Nuisance-projected score statistics: which effects the residual supports, without any fit.
 
-With residual r = seen − model, X the motion that a unit dose causes, N the nuisances (tangents of the base parameters)
-and V the covariance of what noise and numerical errors leave,
+With residual r = seen − model, X the motion by a unit dose, N the nuisances (tangents of the base parameters) and V the
+covariance of noise and numerical errors,
 
-    r = N δ + X a + ε,   ε ~ N(0, V):      a = (X̃ᵀ X̃)⁻¹ X̃ᵀ r̃,   T = |P_X̃ r̃|²,
+    r = N δ + X a + ε,   ε ~ N(0, V):      a = (X̃ᵀ X̃)⁻¹ X̃ᵀ r̃,   T = |P_X̃ r̃|².
 
-tildes: whitened by V and projected off N (the effective score of Rao's test). V = diag(σ² + c κ² s²) + Σ_b d_b d_bᵀ:
-noise; the size s of numerical differences at each frame, widened since residuals of a frame share such errors (c, see
-`physconvex.gap.errors.error_model`); and the differences d_b themselves (runs without any effect on
-another mesh and with other steps), so that what looks like numerical error earns no score.
+A tilde means whitened by V and projected off N (the effective score of Rao's test). V = diag(σ² + c κ² s²) + Σ_b d_b
+d_bᵀ contains the noise; the size s of numerical differences at each frame, widened by c because residuals of a frame
+share such errors (`physconvex.gap.errors.error_model`); and the differences d_b (effect-free runs on another mesh and
+with other steps). A signature that looks like numerical error thus earns no score.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class ErrorModel:
     Attributes:
         variance: diagonal part, shape [N].
         directions: d_b, shape [B, N].
-        single: variance of one residual by itself, shape [N]; `variance` is wider where residuals share their errors.
-            The same unless given.
+        single: variance of one residual by itself, shape [N]; `variance` by default, which is wider if residuals share
+            their errors.
     """
 
     variance: Float[np.ndarray, " N"]
@@ -42,12 +42,12 @@ class ErrorModel:
 
     @classmethod
     def of_noise(cls, count: int) -> ErrorModel:
-        """That of so many residuals with nothing but the stated noise."""
+        """Covariance of residuals with the stated noise alone."""
         return cls(np.ones(count), np.zeros((0, count)))
 
     @property
     def expected(self) -> Float[np.ndarray, " N"]:
-        """Square of each residual that noise and numerical error lead one to expect."""
+        """Expected square of each residual from noise and numerical error."""
         return self.variance if self.single is None else self.single
 
     def __post_init__(self) -> None:
@@ -67,13 +67,13 @@ class ErrorModel:
         return u, 1 - 1 / np.sqrt(1 + s**2)
 
     def whiten(self, rows: Float[np.ndarray, "*B N"]) -> Float[np.ndarray, "*B N"]:
-        """V^(-1/2) of vectors."""
+        """V^(-1/2) times vectors."""
         u, shrink = self._low_rank
         scaled = np.asarray(rows) / np.sqrt(self.variance)
         return scaled - ((scaled @ u) * shrink) @ u.T
 
     def restricted(self, rows: Float[np.ndarray, " n"]) -> ErrorModel:
-        """That of some of the residuals."""
+        """Covariance of some of the residuals."""
         return ErrorModel(self.variance[rows], self.directions[:, rows], self.expected[rows])
 
 
@@ -97,19 +97,19 @@ class Projector:
 
     @property
     def rank(self) -> int:
-        """Directions taken away."""
+        """Directions that are projected away."""
         return self._basis.shape[1]
 
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """What the residual says of one effect.
+    """Score of one effect.
 
     Attributes:
-        statistic: T, how much of the squared residual the effect's directions explain.
+        statistic: T, the part of the squared residual that the effect's directions explain.
         freedom: number of directions.
-        p_value: chance of a larger T without the effect.
-        amounts: multiples of the screened doses, shape [D]; zero where physics forbids the sign.
+        p_value: probability of a larger T without the effect.
+        amounts: multiples of the screened doses, shape [D]; zero if physics forbids the sign.
         errors: their standard errors, shape [D].
         visibility: share of the effect's signature that survives the projection, 0 to 1.
         explained: share of the projected residual's square that the effect explains, 0 to 1.
@@ -127,13 +127,13 @@ class Score:
 def score_effect(
     projector: Projector, residual: Float[np.ndarray, " N"], signature: Float[np.ndarray, "D N"], signs: Sequence[int]
 ) -> Score:
-    """Score of one effect.
+    """Compute the score of one effect.
 
     Args:
         projector: whitening and nuisances.
         residual: seen − model, in units of the noise.
-        signature: what the screened doses do to the model, one row each.
-        signs: +1 where only multiples ≥ 0 make sense, else 0.
+        signature: change of the model by the screened doses, one row each.
+        signs: +1 if only multiples ≥ 0 make sense, else 0.
     """
     left, x = projector.apply(residual), projector.apply(signature)
     x = np.atleast_2d(x)
@@ -161,7 +161,7 @@ def score_effect(
 
 
 def least_squares(x: np.ndarray, target: np.ndarray, signs: Sequence[int]) -> np.ndarray:
-    """Multiples of the rows x that come nearest to a target, signs kept: free ones enter the problem twice."""
+    """Least-squares multiples of the rows x for a target, with signs kept: free ones enter the problem twice."""
     free = [i for i, sign in enumerate(signs) if not sign]
     rows = np.vstack([x, -x[free]])
     solution, _ = nnls(rows.T, target)

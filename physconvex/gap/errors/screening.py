@@ -1,4 +1,4 @@
-"""Which effects the residual of the base fit asks for: one finite dose of each, and its score."""
+"""Screening: one finite dose of each effect, and its score against the residual of the base fit."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class Screened:
 
     Attributes:
         effect: the effect.
-        score: what the residual of the fitted frames says of it.
+        score: score from the residual of the fitted frames.
         doses: estimate of all its doses, shape [D].
-        errors: standard errors of the screened ones, zero for those that only shape it, shape [D].
-        signature: what the trial doses do to the observed positions of the fitted frames [m], shape [S, f, P, 3].
+        errors: standard errors of the screened doses, zero for shape doses, shape [D].
+        signature: change of the observed positions of the fitted frames by the trial doses [m], shape [S, f, P, 3].
         trials: the trial doses, shape [S, D].
         profile: projected and whitened signature along the estimate, for comparing effects, shape [N].
         projected: projected and whitened signatures, shape [S, N].
-        signs: +1 where only multiples ≥ 0 of a signature make sense, else 0.
+        signs: +1 if only multiples ≥ 0 of a signature make sense, else 0.
     """
 
     effect: Effect
@@ -53,11 +53,11 @@ class Screened:
 
 @dataclass(frozen=True, eq=False)
 class Screening:
-    """All effects, best first; those that could not be simulated; the base model's lack of fit |P r|² and its freedom.
+    """Ranked effects, failed effects, and the base model's lack of fit |P r|² with its degrees of freedom.
 
     Attributes:
         ranked: screened effects, the most significant first.
-        failed: labels of effects whose trial dose could not be simulated.
+        failed: labels of effects whose trial dose cannot be simulated.
         lack_of_fit: square of the whitened, projected residual of the fitted frames.
         freedom: number of residuals less nuisances.
         left: whitened and projected residual, shape [N].
@@ -78,7 +78,7 @@ class Screening:
         return tuple(best.values())
 
     def similarity(self, first: Screened, second: Screened) -> float:
-        """|cosine| of two effects' signatures after projection: 1 = cannot be told apart here."""
+        """|cosine| of two effects' signatures after projection; 1 for effects that this capture cannot distinguish."""
         a, b = first.profile, second.profile
         return float(abs(a @ b) / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))
 
@@ -86,7 +86,7 @@ class Screening:
 def screen(
     base: Baseline, errors: ErrorModel, numerics: Numerics, effects: Iterable[Effect], report: Report
 ) -> Screening:
-    """Score every effect that can be tried, on the fitted frames."""
+    """Score every applicable effect on the fitted frames."""
     rows = base.rows(base.split.fitted)
     here, count = base.positions, base.split.end
     nuisances = derivatives_of_residuals(base, here[:count], base.tangents[:count])[:, rows]
@@ -144,7 +144,7 @@ def _screened(
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two screened effects together: doses of the first, of the second, and the score of both less the better one's."""
+    """Two screened effects together: doses of both, and the gain of their joint score over the better single one."""
 
     first: Screened
     second: Screened
@@ -153,9 +153,9 @@ class Pair:
 
 
 def best_pairs(screening: Screening, count: int) -> list[Pair]:
-    """Pairs of effects whose signatures together explain most, by one regression each, the doses set to its result.
+    """Pairs of effects that together explain most, by one regression each, with doses set to its result.
 
-    Effects may help only together: damping of the right strength cannot show while a load keeps the frequency wrong.
+    Some effects help only together: damping of the right strength cannot show while a load keeps the frequency wrong.
     """
     entries, left = screening.ranked, screening.left
     rows = np.concatenate([entry.projected for entry in entries]) if entries else np.zeros((0, len(left)))
@@ -187,7 +187,7 @@ def best_pairs(screening: Screening, count: int) -> list[Pair]:
 
 
 def _joint(gram: np.ndarray, right: np.ndarray, total: float, signs: tuple[int, ...]) -> tuple[np.ndarray, float]:
-    """Amounts of several signatures and what they explain, from inner products alone."""
+    """Amounts of several signatures and the explained part, from inner products alone."""
     values, vectors = np.linalg.eigh(gram + 1e-10 * np.trace(gram) * np.eye(len(gram)))
     root = (vectors * np.sqrt(np.maximum(values, 1e-300))).T  # rootᵀ root = gram
     target = np.linalg.lstsq(root.T, right, rcond=None)[0]

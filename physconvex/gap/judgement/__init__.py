@@ -1,1 +1,1 @@
-"""From fits to an answer: probabilities, doses and intervals by name, rules, caveats, the next experiment."""
+"""From fits to a verdict: probabilities, doses with intervals, rules, caveats, the next experiment."""

@@ -1,4 +1,4 @@
-"""What goes with a verdict: its limits, which doses would have been seen, and what to record next."""
+"""Additions to a verdict: its limits, the detectable doses, and the next recording."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _PAIRS: dict[frozenset[str], str] = {
 
 
 def doses_in_sight(screening: Screening) -> tuple[str, ...]:
-    """Which doses would have been seen: three standard errors, of the effects with one dose that are seen best."""
+    """Detectable doses: three standard errors, for the best visible effects with one dose."""
     limits = []
     for entry in sorted(screening.one_per_name, key=lambda e: -e.power):
         screened = np.flatnonzero(entry.errors > 0)
@@ -51,7 +51,7 @@ def doses_in_sight(screening: Screening) -> tuple[str, ...]:
 
 
 def caveats_of(base: Hypothesis, best: Hypothesis, after: float) -> tuple[str, ...]:
-    """What limits an answer."""
+    """Limits of a verdict."""
     out = ["Density and E cannot be told apart from motion: E holds for the stated density."]
     out += _floor(base)
     out += _elements(base)
@@ -76,7 +76,7 @@ def caveats_of(base: Hypothesis, best: Hypothesis, after: float) -> tuple[str, .
 
 
 def _elements(base: Hypothesis) -> list[str]:
-    """What was taken for a property of the program that made the recording."""
+    """Deviations that are attributed to the program of the recording."""
     mesh = base.model.mesh
     if mesh is None or mesh.order != 1:
         return []
@@ -93,7 +93,7 @@ def _elements(base: Hypothesis) -> list[str]:
 
 
 def _floor(base: Hypothesis) -> list[str]:
-    """What was taken as a property of the floor."""
+    """Deviations that are attributed to the floor."""
     names = base.model.base
     if "contact_damping" not in names:
         return []
@@ -115,7 +115,7 @@ def _moved(base: Hypothesis, best: Hypothesis) -> float | None:
 
 
 def next_experiment(verdict: Verdict, situation: Situation) -> str:
-    """One sentence on what would decide."""
+    """One sentence on the recording that would decide."""
     if verdict.name == "unknown":
         return (
             "Record the same motion again: what returns in a second take is physics, what does not is the recording. "

@@ -1,4 +1,4 @@
-"""Effects by name: with what probability, which doses and intervals, and what they cannot be told apart from."""
+"""Effects by name: probability, doses, intervals, and the effects that look alike."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.gap.thresholds import VERDICT
 
 SOMETHING_ELSE = "something else"
-_DEFORMING = ("material", "contact")  # sources of effects that act through how the body deforms or touches
+_DEFORMING = ("material", "contact")  # sources whose effects act through deformation or contact
 VerdictName = Literal["none", "effect", "unknown", "inconclusive"]
 
 
@@ -44,13 +44,13 @@ class NamedEffect:
 
 
 def favoured(hypotheses: Sequence[Hypothesis]) -> Hypothesis | None:
-    """The fit with effects that is reported: the best, or with fewer of its effects if the others gain too little.
+    """The reported fit with effects: the best, or one with fewer effects if the others gain too little.
 
-    Effects that gain in the fitted frames and lose in those that no fit saw count as gaining too little: what programs
-    differ by after an impact is followed so, by damping or an uneven E beside the cause. In a recording whose floor
-    gives way by percents of the body's size they have to gain more, since what such a contact takes and gives back
-    otherwise than the model's is followed so too; what acts through how the body deforms or touches counts as too
-    little however much it gains there: flow was added so to the friction of MuJoCo's cube, for 11.
+    Effects that gain in the fitted frames and lose in the held-out ones count as gaining too little. Damping or an
+    uneven E beside the true cause otherwise follows the differences between programs after an impact. In a recording
+    whose floor gives way by percents of the body's size, effects must gain more, since they also follow the energy
+    exchange of such a contact. There, effects that act through deformation or contact always count as too little: for
+    MuJoCo's cube with friction, flow gains 11 although it is absent.
 
     Args:
         hypotheses: best evidence first.
@@ -77,8 +77,8 @@ def probabilities(hypotheses: Sequence[Hypothesis], other: float = -np.inf) -> d
     """Probability by label: softmax of the evidence, one hypothesis per set of names.
 
     Args:
-        hypotheses: what was fitted.
-        other: evidence of something that is not among them.
+        hypotheses: the fits.
+        other: evidence of an effect outside the hypotheses.
     """
     best: dict[tuple[str, ...], Hypothesis] = {}
     for hypothesis in hypotheses:
@@ -93,7 +93,7 @@ def probabilities(hypotheses: Sequence[Hypothesis], other: float = -np.inf) -> d
 
 
 def beside_something_else(probability: dict[str, float], share: float) -> dict[str, float]:
-    """Probability of something else only for what the best effects leave: what they remove is theirs all the same."""
+    """Probability of another effect, limited to the gap that the best effects leave."""
     other = probability.get(SOMETHING_ELSE, 0.0)
     left = other * float(np.clip(1.0 - share, 0.0, 1.0))
     known = {label: p for label, p in probability.items() if label != SOMETHING_ELSE}
@@ -105,7 +105,7 @@ def beside_something_else(probability: dict[str, float], share: float) -> dict[s
 
 
 def _of_name(name: str, probability: dict[str, float]) -> float:
-    """Probability that an effect is there: of all fits that have it."""
+    """Probability that an effect is present: sum over all fits with it."""
     return min(sum(p for label, p in probability.items() if name in _names(label)), 1.0)
 
 
@@ -114,13 +114,13 @@ def _names(label: str) -> list[str]:
 
 
 def _alike(one: Effect, other: Effect) -> float:
-    """Cosine of two signatures above which the effects are not told apart."""
+    """Cosine of two signatures above which the effects count as indistinguishable."""
     declared = other.name in one.confusable or one.name in other.confusable
     return VERDICT.alike_as_declared if declared else VERDICT.alike
 
 
 def by_weight(found: list[NamedEffect], hypotheses: Sequence[Hypothesis]) -> list[NamedEffect]:
-    """Effects of one fit, the one first that explains most by itself."""
+    """Effects of one fit, in the order of what each explains by itself."""
     alone = {h.names[0]: h.evidence for h in reversed(hypotheses) if len(h.effects) == 1}
     return sorted(found, key=lambda effect: -alone.get(effect.name, -np.inf))
 
@@ -128,7 +128,7 @@ def by_weight(found: list[NamedEffect], hypotheses: Sequence[Hypothesis]) -> lis
 def _errors(
     effect: Effect, chosen: Hypothesis, hypotheses: Sequence[Hypothesis], probability: dict[str, float]
 ) -> np.ndarray:
-    """Standard errors of an effect's doses, where other fits that have it differ counted in by their probability."""
+    """Standard errors of an effect's doses, with the spread over other fits that have it, by their probability."""
     others = [h for h in hypotheses if effect in h.effects]
     weights = np.array([probability.get(h.label, 0.0) for h in others])
     own, errors = chosen.doses(effect)
@@ -140,10 +140,10 @@ def _errors(
 
 
 def _form_errors(effect: Effect, doses: np.ndarray, *, held: bool) -> np.ndarray:
-    """A share of the dose, of several in one unit of the length of their vector; of one in decades, as many of it.
+    """A share of the dose: of the vector length for doses in one unit, as a change of the logarithm for decades.
 
-    Where the fit leaves next to nothing, the residuals would have a dose to a hundredth of what the model's mesh, steps
-    and contact make of it.
+    It is a floor of the interval. For a nearly perfect fit, the residuals give a precision of 1 %, below the error by
+    mesh, steps and contact.
     """
     share = VERDICT.form_deforming if held or effect.source in _DEFORMING else VERDICT.form
     out = np.empty(len(doses))
@@ -165,10 +165,10 @@ def named_effects(
 
     Args:
         hypothesis: the fit.
-        hypotheses: all fits, of which others may have the same effects.
+        hypotheses: all fits; others may have the same effects.
         probability: by label.
-        screening: for what looks alike.
-        options: for the confidence of intervals.
+        screening: gives the similar effects.
+        options: gives the confidence of intervals.
     """
     from scipy.stats import norm
 
@@ -207,15 +207,15 @@ def named_effects(
 
 @dataclass(frozen=True)
 class Verdict:
-    """The answer.
+    """The verdict.
 
     Attributes:
         name: none, effect, unknown or inconclusive.
         sentence: for people.
         effects: the named effects and those that remain possible, most probable first.
-        none_probability: of the base model.
-        share: of the held-out gap above the floor that the best effect removes.
-        caveats: what limits the answer.
+        none_probability: probability of the base model.
+        share: share of the held-out gap above the floor that the best effect removes.
+        caveats: limits of the verdict.
     """
 
     name: VerdictName

@@ -1,8 +1,8 @@
-"""What residuals say of the base model and of the best effects: the numbers that a verdict is read from.
+"""Measures of residuals of the base model and of the best effects, on which a verdict depends.
 
-A flight is simple: two programs that share neither mesh nor contact agree on it to within noise. What they part by
-after an impact may be many times what a load on the flight does, and hide on held-out frames what the flight shows
-beyond doubt. So what effects gain and leave before the first contact is measured by itself.
+Two programs with different meshes and contacts agree on a flight to within noise. After an impact they may differ by
+many times the effect of a load on the flight, and this hides on held-out frames an effect that the flight shows
+clearly. The gain and the remaining gap before the first contact are therefore measured separately.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from physconvex.gap.thresholds import VERDICT
 
 
 def gain_in_flight(base: Baseline, errors: ErrorModel, best: Hypothesis, plain: Hypothesis) -> float:
-    """Log-likelihood of the frames before the first contact that effects gain, less ½ k ln n for their k doses.
+    """Gain of log-likelihood by effects in the frames before the first contact, less ½ k ln n for their k doses.
 
-    −∞ unless they leave nothing there but noise and numerical error, the last frame before the contact aside, or where
-    no contact follows.
+    −∞ without a later contact, or if the effects leave more than noise and numerical error there (the last frame before
+    the contact aside).
 
     Args:
         base: the base fit.
@@ -49,14 +49,14 @@ def gain_in_flight(base: Baseline, errors: ErrorModel, best: Hypothesis, plain: 
 
 
 def left_in_flight(base: Baseline, errors: ErrorModel, hypotheses: Sequence[Hypothesis]) -> float:
-    """Least mean square, over the expected one, that any fit leaves before the first contact.
+    """Least mean square of any fit before the first contact, over the expected one.
 
-    Not in the last frame before it. 0 where residuals are not divided by contact (of held bodies, and of points that a
-    video may lose).
+    The last frame before the contact does not count. 0 if residuals are not divided by contact (for held bodies, and
+    for points that a video may lose).
 
     Args:
         base: the base fit.
-        errors: of the residuals.
+        errors: errors of the residuals.
         hypotheses: all fits.
     """
     frames = base.observations.frames
@@ -70,34 +70,35 @@ def left_in_flight(base: Baseline, errors: ErrorModel, hypotheses: Sequence[Hypo
 
 
 def _last_of_flight(base: Baseline) -> int:
-    """The frame next to the first contact: with another clock, or a floor that is a little higher, it is struck."""
+    """The frame next to the first contact; an error of the clock or floor height turns it into a contact frame."""
     return int(base.observations.frames[~base.modes.struck[base.modes.kinds]].max())
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Of a base model and the best effects; what is not known has a default that changes nothing.
+    """Measures of a base model and the best effects; the default of an unknown one changes nothing.
 
     Attributes:
         before: mean square of the base model's residual over its expected square, all frames.
-        after: the same with the best effects; one = nothing left above noise and numerical error.
-        share: of the held-out gap above noise that the best effects remove, up to 1; negative if they add to it.
-        floor: numerical error and noise over the size of the body, or over its motion if that is less; a model that
-            errs by a tenth of it tells nothing.
-        placebo: share of the held-out gap that an effect removes which screening ranked last; NaN where none was tried.
-        above_error: share that the best effects remove of the held-out gap above noise and numerical error; −inf where
-            that is not known.
-        astray: distance of the best model from the recording over how far that moves, rms.
-        other: evidence of something that is not among the hypotheses.
-        struck: whether a free body strikes something, after which models part for little.
-        seen: gap of the base model on held-out frames over what noise and numerical error lead one to expect, rms.
-        flight: what the best effects gain before the first contact, see `physconvex.gap.judgement.residual_measures`.
-        flight_left: what the fit that leaves least of the flight leaves of it, mean square over the expected one, see
+        after: the same with the best effects; one = only noise and numerical error remain.
+        share: share of the held-out gap above noise that the best effects remove, up to 1; negative if they increase
+            it.
+        floor: numerical error and noise over the size of the body, or over its motion if that is less; a model with a
+            floor of a tenth shows nothing.
+        placebo: share of the held-out gap that the lowest-ranked effect removes; NaN if none is tried.
+        above_error: share of the held-out gap above noise and numerical error that the best effects remove; −inf if
+            unknown.
+        astray: distance of the best model from the recording over the motion of that, rms.
+        other: evidence of an effect outside the hypotheses.
+        struck: whether a free body strikes something; small causes then separate models.
+        seen: gap of the base model on held-out frames over its expected size from noise and numerical error, rms.
+        flight: gain of the best effects before the first contact, see `physconvex.gap.judgement.residual_measures`.
+        flight_left: least mean square of any fit in flight over the expected one, see
             `physconvex.gap.judgement.residual_measures.left_in_flight`.
-        forgiven: `after`, if a rebound as a whole may be off by three times as much, see
+        forgiven: `after`, with three times the rigid error of a rebound, see
             `physconvex.gap.errors.error_model.forgiving`.
-        reported: the share that the best effects remove in those held-out frames that did not choose them.
-        hurried: whether the clock ended the search before each effect that screening ranks first had been tried.
+        reported: share that the best effects remove in the held-out frames reserved for the report.
+        hurried: whether the clock ended the search before the trial of each top-ranked effect.
     """
 
     before: float
@@ -126,15 +127,15 @@ def measure(
     *,
     shrinkage: Sequence[HowFar],
 ) -> Measured:
-    """The numbers of one capture.
+    """The measures of one capture.
 
     Args:
         base: the full-order base fit.
-        errors: of the residuals.
-        weights: the same as they choose between effects.
-        best: the effects that are reported, or the base model.
+        errors: errors of the residuals.
+        weights: the errors for the choice between effects.
+        best: the reported effects, or the base model.
         hypotheses: all fits.
-        shrinkage: on the frames that chose nothing, and last on all held-out frames.
+        shrinkage: on the frames reserved for the report, and last on all held-out frames.
     """
     held_out = shrinkage[-1]
     plain = next((h for h in hypotheses if not h.effects), best)
@@ -163,13 +164,13 @@ def relative_gap(base: Baseline, errors: ErrorModel, hypothesis: Hypothesis) -> 
 
 
 def _extent(base: Baseline) -> float:
-    """What an error of the model is measured by [m]: the size of the body, or how far it moved if that is less."""
+    """Reference length of a model error [m]: the size of the body, or its motion if that is less."""
     moved = base.motion.positions - base.motion.rest
     return float(np.clip(np.sqrt((moved**2).sum(-1).mean()), 1e-6 * base.situation.size, base.situation.size))
 
 
 def _astray(base: Baseline, best: Hypothesis) -> float:
-    """Distance of the best model from what was seen over how far that moved, rms over all frames."""
+    """Distance of the best model from the observation over the motion of that, rms over all frames."""
     still = np.broadcast_to(base.motion.rest, base.positions.shape)
     left, moved = (float(np.linalg.norm(base.missed(x))) for x in (best.positions, still))
     return left / max(moved, 1e-12)

@@ -23,12 +23,12 @@ from physconvex.gap.thresholds import VERDICT
 def decide(
     hypotheses: Sequence[Hypothesis], screening: Screening, measured: Measured, options: GapOptions
 ) -> Verdict:  # fmt: skip
-    """The verdict: the first of a list of rules that holds.
+    """The verdict of the first rule that holds.
 
     Args:
         hypotheses: the base model and fits, best evidence first.
-        screening: for what is alike.
-        measured: what residuals say of the base model and of the best effects.
+        screening: gives similar effects.
+        measured: residual measures of the base model and of the best effects.
         options: settings.
     """
     base = next(h for h in hypotheses if not h.effects)
@@ -49,28 +49,28 @@ def decide(
 
 
 def _wide_open(e: VerdictInput) -> Verdict | None:
-    """A gap that no error of the model comes near, and that the best effects leave."""
+    """A gap far above any error of the model, which the best effects leave."""
     if not e.left_wide_open or e.flies:
         return None
     return _unknown(e)
 
 
 def _nothing(e: VerdictInput) -> Verdict | None:
-    """No gap above noise and numerical error; where those are large, that says nothing.
+    """No gap above noise and numerical error; inconclusive if these are large.
 
-    What the flight shows beyond doubt is there, however little later frames can tell.
+    An effect that shows clearly in flight counts even if later frames are uncertain.
     """
     if e.flies and not e.best.is_slight():
         return None
     significant = min(e.screening.ranked[0].score.p_value * len(e.screening.ranked), 1.0) < e.options.significance
-    # a fit finds what one finite dose does not
+    # a fit can find more than one finite dose does
     significant = (
         significant or (e.gain >= VERDICT.telling and e.telling) or (e.foretold and e.measured.seen >= VERDICT.seen)
     )
     closed = min(e.measured.before, e.base.fitted) < VERDICT.floor and not e.telling
     little = e.gain < VERDICT.weak and e.measured.before < VERDICT.open
     slight = e.best.is_slight() and not e.open and not e.foretold
-    late = e.telling and e.measured.before >= VERDICT.open  # opens after the fitted frames, and the effect foretells it
+    late = e.telling and e.measured.before >= VERDICT.open  # predicted, after the fitted frames
     if not (little or slight or (not late and (closed or not significant))):
         return None
     if e.measured.floor > VERDICT.blind:
@@ -91,7 +91,7 @@ def _nothing(e: VerdictInput) -> Verdict | None:
 
 
 def _slight(e: VerdictInput) -> Verdict | None:
-    """A dose too small to be of interest fits best, and leaves the gap."""
+    """A dose below the smallest of interest fits best, and leaves the gap."""
     if not e.best.is_slight() or e.foretold:
         return None
     if e.measured.floor > VERDICT.blind:
@@ -112,7 +112,7 @@ def _blind(e: VerdictInput) -> Verdict:
 
 
 def _numerical(e: VerdictInput) -> Verdict | None:
-    """All effects of the best fit are numerical; where such errors are large, that says nothing either."""
+    """All effects of the best fit are numerical; inconclusive if such errors are large."""
     if any(effect.source != "numerical" for effect in e.best.effects):
         return None
     if e.measured.floor > VERDICT.blind:
@@ -131,7 +131,7 @@ def _numerical(e: VerdictInput) -> Verdict | None:
 
 
 def _weak(e: VerdictInput) -> Verdict | None:
-    """A gain too small for a call."""
+    """A gain below the threshold of a call."""
     if e.clear:
         return None
     sentence = (
@@ -142,7 +142,7 @@ def _weak(e: VerdictInput) -> Verdict | None:
 
 
 def _off_the_recording(e: VerdictInput) -> Verdict | None:
-    """The model is none of this recording."""
+    """The model does not fit this recording at all."""
     if e.measured.astray <= VERDICT.astray:
         return None
     sentence = (
@@ -153,7 +153,7 @@ def _off_the_recording(e: VerdictInput) -> Verdict | None:
 
 
 def _unexplained(e: VerdictInput) -> Verdict | None:
-    """A gap that the best effects leave; what the model's own error may be is not for effects to explain."""
+    """A gap that the best effects leave; the part within the model's own error needs no explanation."""
     if (
         max(e.measured.share, e.measured.above_error) >= e.options.explained
         or e.measured.after <= VERDICT.left_over
@@ -179,7 +179,7 @@ def _unknown(e: VerdictInput) -> Verdict:
 
 
 def _open_flight(e: VerdictInput) -> Verdict:
-    """Whatever an impact may hide, in flight the model errs by next to nothing."""
+    """In flight the model error is negligible, whatever an impact hides."""
     sentence = (
         "There is a gap that none of the known effects explains: before the first contact, where this model errs by "
         f"next to nothing, each of them leaves at least {e.measured.flight_left:.0f} times the square that noise leads "
@@ -189,7 +189,7 @@ def _open_flight(e: VerdictInput) -> Verdict:
 
 
 def _as_good_as_a_placebo(e: VerdictInput) -> Verdict | None:
-    """An effect that nothing asks for does nearly as much, or the best one does nothing where it was not fitted."""
+    """A placebo effect does nearly as much, or the best one does nothing on held-out frames."""
     certain, m = bool(e.named) and min(n.probability for n in e.named) >= VERDICT.certain, e.measured
     leaves_little = 1.0 - m.share <= VERDICT.placebo_left * (1.0 - m.placebo)
     if e.flies or ((certain or m.share >= VERDICT.foretold) and leaves_little):
@@ -210,7 +210,7 @@ def _as_good_as_a_placebo(e: VerdictInput) -> Verdict | None:
 
 
 def _hurried(e: VerdictInput) -> Verdict | None:
-    """Effects that the recording asks for were not tried: the best of the others is no cause yet."""
+    """Effects with a high rank were not tried, so the best of the others is no cause yet."""
     if not e.measured.hurried:
         return None
     sentence = (
@@ -224,7 +224,7 @@ def _called(e: VerdictInput) -> Verdict:
     """The best effects are the cause."""
     likely = tuple(n for n in e.named if n.probability >= VERDICT.likely) or (
         max(e.named, key=lambda n: n.probability),
-    )  # of several that are alike none may have half, and it is one of them all the same
+    )  # of several similar effects none may reach half, but together they do
     if e.probability.get(SOMETHING_ELSE, 0.0) + e.none >= VERDICT.doubt and not (e.foretold or e.flies):
         shares = ", ".join(f"{n.name} {n.probability:.0%}" for n in e.possible)
         sentence = (
@@ -236,7 +236,7 @@ def _called(e: VerdictInput) -> Verdict:
     also = sorted({name for n in likely for name in n.confused_with})
     caveat = f"; from this recording it may be confused with {', '.join(also)}" if also else ""
     perhaps = [f"{n.name} ({VERDICT.trusted * n.probability:.0%})" for n in e.named if n not in likely]
-    soft = e.best.model.situation.in_soft_floor  # whose law may be what further effects follow
+    soft = e.best.model.situation.in_soft_floor  # further effects may follow the error of its contact law
     perhaps += [f"{n.name} ({'or the floor' if soft else f'{VERDICT.trusted * n.probability:.0%}'})" for n in e.further]
     added = f"; perhaps also by {', '.join(perhaps)}" if perhaps else ""
     label = " + ".join(x.label for x in e.best.effects if x.name in {n.name for n in likely})

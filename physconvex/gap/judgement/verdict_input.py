@@ -1,7 +1,4 @@
-"""What a verdict is read from: the fits, what held-out frames say of them, and what follows from both.
-
-`physconvex.gap.judgement.verdict` has the rules.
-"""
+"""Input of the rules in `physconvex.gap.judgement.verdict`: fits, held-out measures, and derived quantities."""
 
 from __future__ import annotations
 
@@ -26,16 +23,16 @@ _LATER = (
 
 @dataclass(frozen=True, eq=False)
 class VerdictInput:
-    """What the rules read.
+    """Input of the rules.
 
     Attributes:
-        base, best: the base model, and the fit with effects that is reported.
+        base, best: the base model, and the reported fit with effects.
         hypotheses: all fits, best evidence first.
-        screening: for what is alike.
+        screening: gives similar effects.
         probability: by label.
-        measured: what residuals say of both.
+        measured: measures of both.
         options: settings.
-        flies: whether effects that need no contact show beyond doubt before the first one.
+        flies: whether effects that need no contact show clearly before the first one.
     """
 
     base: Hypothesis
@@ -49,44 +46,44 @@ class VerdictInput:
 
     @property
     def in_flight_alone(self) -> bool:
-        """Whether the effects show beyond doubt before the first contact, and explain little of what follows it."""
+        """Whether the effects show clearly before the first contact, and explain little of the later frames."""
         return self.flies and self.measured.share < self.options.explained
 
     @property
     def gain(self) -> float:
-        """Of log-evidence."""
+        """Gain of log-evidence."""
         return self.best.evidence - self.base.evidence
 
     @property
     def foretold(self) -> bool:
-        """Whether held-out frames leave no doubt, although the evidence counts too few residuals as independent."""
+        """Whether held-out frames decide, although the evidence counts too few residuals as independent."""
         return self.gain >= VERDICT.weak and self.measured.share >= VERDICT.foretold and self._beyond_placebo
 
     @property
     def clear(self) -> bool:
-        """Whether fitted and held-out frames together make a call: the less sure the ones, the more the others do."""
+        """Whether fitted and held-out frames together make a call: each can make up for the other."""
         return self.gain >= VERDICT.clear or self._kept(VERDICT.clear)
 
     @property
     def telling(self) -> bool:
-        """Whether the effect counts although the base model errs by no more than is expected of it.
+        """Whether the effect counts although the base model's error is within its expected size.
 
-        The error of a body that strikes nothing is well known: what lies within it on held-out frames too is no gap,
-        however well some effect of many doses, an inclusion say, can follow it.
+        The error of a body without impact is well known. A residual within it on held-out frames too is no gap, even if
+        an effect of many doses, such as an inclusion, can follow it.
         """
         return self._kept(VERDICT.telling) and (self.measured.struck or self.measured.seen >= VERDICT.seen)
 
     def _kept(self, enough: float) -> bool:
-        """Whether held-out frames make up for a gain below `enough`: the smaller it is, the more of the gap must go."""
+        """Whether held-out frames make up for a gain below `enough`; a smaller gain needs a larger share of the gap."""
         shares = (VERDICT.foretold, self.options.explained, VERDICT.abundant * self.options.explained)
         asked = float(np.interp(self.gain, (VERDICT.weak, enough, 2 * enough), shares))
         return self.gain >= VERDICT.weak and self.measured.share >= asked and self._beyond_placebo
 
     @property
     def _beyond_placebo(self) -> bool:
-        """Whether a placebo does next to nothing, or leaves four times as much and there is much evidence.
+        """Whether a placebo does next to nothing, or leaves four times as much and there is strong evidence.
 
-        Of a struck body ten times as much will do: held ones have one or two vibrations, which much else follows.
+        For a struck body ten times as much suffices: held ones have one or two vibrations, which many effects follow.
         """
         m, little = self.measured, 1.0 - VERDICT.foretold
         less = VERDICT.placebo_left if self.gain >= VERDICT.telling else little if m.struck else 0.0
@@ -94,18 +91,18 @@ class VerdictInput:
 
     @property
     def open(self) -> bool:
-        """Whether a gap is there, of the base model and on held-out frames with the best effects too."""
+        """Whether there is a gap of the base model, and on held-out frames with the best effects too."""
         return min(self.measured.before, self.measured.after) >= VERDICT.open
 
     @property
     def left_wide_open(self) -> bool:
-        """Whether held-out frames have a gap far beyond what is expected, which the best effects leave."""
+        """Whether held-out frames have a gap far above the expected one, which the best effects leave."""
         m = self.measured
         return m.seen >= VERDICT.wide and m.share < self.options.explained and bool(np.isfinite(m.seen))
 
     @property
     def flight_is_open(self) -> bool:
-        """Whether each effect that is known was tried, and leaves a gap before the first contact."""
+        """Whether each known effect was tried and leaves a gap before the first contact."""
         return self.measured.flight_left >= VERDICT.open and not self.measured.hurried
 
     @property
@@ -115,7 +112,7 @@ class VerdictInput:
 
     @property
     def named(self) -> tuple[NamedEffect, ...]:
-        """Effects of the best fit, without those whose doses are smaller than is of interest beside others."""
+        """Effects of the best fit, without those with doses below the smallest of interest."""
         slight = {effect.name for effect in self.best.effects if self.best.is_slight(effect)}
         found = named_effects(self.best, self.hypotheses, self.probability, self.screening, self.options)
         kept = [effect for effect in found if effect.name not in slight] or found
@@ -139,9 +136,9 @@ class VerdictInput:
 
     @property
     def further(self) -> tuple[NamedEffect, ...]:
-        """Effects that the best fit gains too little by to have them, and that are possible all the same.
+        """Effects that remain possible although the best fit gains too little by them.
 
-        Not those which gain much in the fitted frames and lose in later ones.
+        Effects with a large gain in the fitted frames and a loss in later ones are excluded.
         """
         found: dict[str, NamedEffect] = {}
         for h in self.hypotheses:
@@ -154,7 +151,7 @@ class VerdictInput:
     def verdict(
         self, name: VerdictName, sentence: str, effects: tuple[NamedEffect, ...] = (), *, power: bool = False
     ) -> Verdict:
-        """With the caveats, and with what would have been seen; probabilities as calls have turned out to be right."""
+        """The verdict with caveats and detectable doses; probabilities are calibrated by the accuracy of calls."""
         effects = tuple(replace(effect, probability=VERDICT.trusted * effect.probability) for effect in effects)
         caveats = caveats_of(self.base, self.best, self.measured.after)
         if name == "effect" and self.in_flight_alone:

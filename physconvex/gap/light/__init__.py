@@ -1,1 +1,1 @@
-"""What the light of a video tells, apart from the motion."""
+"""Effects that show in the light of a video, not in the motion."""

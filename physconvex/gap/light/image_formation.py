@@ -1,10 +1,10 @@
-"""Effects of image formation: exposure that drifts, a shutter that stays open.
+"""Effects of image formation: drifting exposure, open shutter.
 
-They move no point, so they are looked for apart from the motion. Of each picture two statistics are taken, relative to
-the first one: the logarithm of the light of the still background, and of the body's patches the logarithm of the energy
-of gradients along their motion over that across it, which a smear along the motion lowers, and which lack of focus, a
-lossy codec or a patch that is a pixel off leave alone. Each effect, put into patches of the first picture, foretells
-one of the two. Its dose is fitted to every other frame, and judged on the frames between.
+They move no point, so they are tested apart from the motion. Two statistics of each picture are compared with the first
+one. The first is the logarithm of the light of the still background. The second, of the body's patches, is the
+logarithm of the energy of gradients along the motion over that across it. A smear along the motion lowers it; defocus,
+a lossy codec or a patch that is a pixel off do not change it. Each effect, applied to patches of the first picture,
+predicts one of the two. Its dose is fitted to every other frame and tested on the frames between.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _TINY = 1e-9
 
 @dataclass(frozen=True)
 class Statistic:
-    """A number of each patch: its name, light [N, h, w] and patches to numbers [N], what it errs by without effect."""
+    """A number per patch: name, function from light [N, h, w] and patches to numbers [N], error without an effect."""
 
     name: str
     of: Feature
@@ -41,14 +41,14 @@ class Statistic:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """A statistic of the pictures, frame by frame, and what an effect makes of it.
+    """A statistic of the pictures, frame by frame, and its prediction by an effect.
 
     Attributes:
         frames: shape [n].
         seen: medians over the patches of a frame, relative to the first picture, shape [n].
         errors: their standard errors, shape [n].
-        doses: at which the effect was tried, shape [K].
-        foretold: the statistic at these doses, shape [K, n].
+        doses: trial doses of the effect, shape [K].
+        foretold: predicted statistic at these doses, shape [K, n].
     """
 
     frames: Int[np.ndarray, " n"]
@@ -58,11 +58,11 @@ class Series:
     foretold: Float[np.ndarray, "K n"]
 
     def at(self, dose: float) -> Float[np.ndarray, " n"]:
-        """The statistic at a dose."""
+        """The predicted statistic at a dose."""
         return np.asarray(PchipInterpolator(self.doses, self.foretold)(dose))
 
     def missed(self, dose: float) -> float:
-        """Mean square of what is seen less what the dose foretells."""
+        """Mean square of the observed less the predicted statistic."""
         return float(((self.seen - self.at(dose)) ** 2).mean())
 
     def every_other(self, first: int) -> Series:
@@ -73,17 +73,17 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class ImageFinding:
-    """What the pictures say of one effect.
+    """Result of the pictures for one effect.
 
     Attributes:
         effect: the effect.
         named: with probability, dose and interval.
         called: whether it is a cause.
-        statistic: what was compared, for people.
-        gap_before, gap_after, noise_floor: rms of the statistic (a logarithm) in frames that fitted nothing.
+        statistic: name of the compared statistic, for people.
+        gap_before, gap_after, noise_floor: rms of the statistic (a logarithm) in held-out frames.
         shrinkage: share of the gap above the floor that the effect removes there.
-        placebo: the same by an effect of the wrong direction; NaN where there is none.
-        series: what was seen.
+        placebo: the same by an effect of the wrong direction; NaN without one.
+        series: the observed statistic.
     """
 
     effect: Effect
@@ -108,12 +108,12 @@ class ImageFinding:
 
 
 def image_findings(base: Baseline, effects: Sequence[Effect], options: GapOptions) -> tuple[ImageFinding, ...]:
-    """What the pictures say of effects of image formation; none where markers were compared.
+    """Results for effects of image formation; none if markers are compared.
 
     Args:
         base: the base fit, for the points and the surface.
         effects: the dictionary.
-        options: for the confidence, and the least share of the gap that a named effect must remove.
+        options: gives the confidence, and the least share of the gap that a named effect must remove.
     """
     seen = base.observations
     tried = [effect for effect in effects if effect.photograph is not None and effect.applies(base.situation)]
@@ -132,9 +132,9 @@ def image_findings(base: Baseline, effects: Sequence[Effect], options: GapOption
 
 
 def with_pictures(verdict: Verdict, findings: Sequence[ImageFinding]) -> Verdict:
-    """The verdict on the motion, and what the pictures show beside.
+    """The verdict on the motion, extended by the result of the pictures.
 
-    An effect of the pictures is a cause of its own; where the motion's verdict stays open, it stays so.
+    An effect of the pictures is a separate cause. An open verdict on the motion stays open.
     """
     called = [finding for finding in findings if finding.called]
     if not called:
@@ -151,7 +151,7 @@ def with_pictures(verdict: Verdict, findings: Sequence[ImageFinding]) -> Verdict
 def finding_of(
     effect: Effect, situation: Situation, statistic: Statistic, compared: Compared, options: GapOptions
 ) -> ImageFinding | None:
-    """What one statistic says of one effect; None where the effect does not show in it, or too little is seen."""
+    """Result of one statistic for one effect; None if the effect does not show in it, or data are too few."""
     series = series_of(effect, situation, statistic, compared)
     if series is None:
         return None
@@ -189,14 +189,14 @@ def finding_of(
 def series_of(
     effect: Effect, situation: Situation, statistic: Statistic, compared: Compared, *, across: bool = False
 ) -> Series | None:
-    """The statistic in all frames with enough patches, seen and foretold at a row of doses.
+    """The statistic in all frames with enough patches, observed and predicted at a row of doses.
 
     Args:
         effect: with `photograph`.
-        situation: for the range of doses: twice the trial one to both sides, within the bounds.
-        statistic: what is compared.
+        situation: sets the range of doses: twice the trial one to both sides, within the bounds.
+        statistic: the compared statistic.
         compared: the patches.
-        across: turn the motion by a right angle (a placebo).
+        across: whether to turn the motion by a right angle (a placebo).
     """
     assert effect.photograph is not None
     dose, trial = effect.doses[0], 2 * effect.doses[0].trial(situation)
@@ -227,7 +227,7 @@ def series_of(
 
 
 def fit_series(series: Series, null: float) -> tuple[float, float, float]:
-    """Dose, its standard error, and what it gains of log-likelihood over `null`, half of ln n for the dose paid.
+    """Dose, its standard error, and its gain of log-likelihood over `null`, less half of ln n for the dose.
 
     Scatter beyond the stated errors widens them all.
     """
@@ -250,7 +250,7 @@ def fit_series(series: Series, null: float) -> tuple[float, float, float]:
 def _placebo(
     effect: Effect, situation: Situation, statistic: Statistic, compared: Compared, *, before: float, floor: float
 ) -> float:
-    """Share that the effect removes if the motion were at a right angle to what it is; NaN where nothing moves."""
+    """Share that the effect removes with the motion turned by a right angle; NaN without motion."""
     if not compared.sharp.velocities.any():
         return float("nan")
     series = series_of(effect, situation, statistic, compared, across=True)
@@ -261,12 +261,12 @@ def _placebo(
 
 
 def _share(before: float, after: float, floor: float) -> float:
-    """Of the squares above the floor; zero where there are none."""
+    """Share of the squares above the floor; zero if there are none."""
     return 1.0 - max(after - floor, 0.0) / (before - floor) if before > floor else 0.0
 
 
 def _middle(light: Float[np.ndarray, "N H W"]) -> Float[np.ndarray, "N h w"]:
-    """Without the margin."""
+    """The light without the margin."""
     middle = light.shape[1] // 2
     side = slice(middle - HALF, middle + HALF + 1)
     return np.asarray(light[:, side, side])

@@ -1,8 +1,7 @@
-"""Patches of a video: of the still background, and of the body's surface as it moves.
+"""Patches of a video: of the still background, and of the moving surface of the body.
 
-A patch of the body in a later picture is compared with the same surface in the first one, brought to its pose by the
-affine map of the points around it. Only statistics of the two are compared, so that they need not lie on each other to
-the pixel.
+A patch of the body in a later picture is compared with the same surface in the first one, mapped to its pose by the
+affine map of the points around it. Only statistics are compared, so the two need not match to the pixel.
 """
 
 from __future__ import annotations
@@ -19,20 +18,20 @@ from physconvex.identify import PixelObservations
 
 Grey = Float[np.ndarray, "T H W"]
 Outline = Bool[np.ndarray, "H W"]
-HALF = 5  # of the side of what is compared [pixels]
-_GAMMA = 2.2  # of displays: light = (value / 255)^2.2
-_MARGIN = 16  # around it, for what an open shutter brings in [pixels]
-_NEIGHBOURS = 8  # points whose affine map a patch follows
-_SPACING = 16  # of patches of the background [pixels]
+HALF = 5  # half of the side of a compared patch [pixels]
+_GAMMA = 2.2  # display gamma: light = (value / 255)^2.2
+_MARGIN = 16  # margin around it for content that an open shutter brings in [pixels]
+_NEIGHBOURS = 8  # number of points that define the affine map of a patch
+_SPACING = 16  # spacing of background patches [pixels]
 
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Patches as they were seen, and as they would have been by a short, even exposure.
+    """Patches as observed, and as a short, even exposure would show them.
 
     Attributes:
-        frames: of each, shape [N].
-        seen: light as it was seen, shape [N, h, w].
+        frames: frame of each, shape [N].
+        seen: observed light, shape [N, h, w].
         sharp: the first picture's light in the pose of that frame, with a margin on all sides.
     """
 
@@ -48,15 +47,15 @@ def light_of(frames: UInt8[np.ndarray, "T H W 3"]) -> Grey:
 
 
 def still_patches(light: Grey, seen: PixelObservations, fps: float, outline: Outline) -> Compared:
-    """Patches of a grid over the background that the body covers neither in the first picture nor in that frame.
+    """Patches of a background grid that the body covers neither in the first picture nor in that frame.
 
-    Where all of it is white, of that: it tells whether pictures grow darker, not whether they grow brighter.
+    A completely white background is also used: it shows darkening, though not brightening.
 
     Args:
-        light: of the pictures.
-        seen: the followed points.
+        light: light of the pictures.
+        seen: the tracked points.
         fps: frames per second.
-        outline: where the body is in the first picture.
+        outline: place of the body in the first picture.
     """
     height, width = light.shape[1:]
     grids = np.arange(HALF, height - HALF, _SPACING), np.arange(HALF, width - HALF, _SPACING)
@@ -91,9 +90,9 @@ def _covered(
     rows: np.ndarray,
     columns: np.ndarray,
 ) -> Bool[np.ndarray, " N"]:
-    """Whether the body may be seen in patches: in the box of the points, widened by what it reaches beyond theirs.
+    """Whether the body may cover patches: box of the points, widened by the body's extent beyond them.
 
-    All where no point is known.
+    All patches if no point is known.
     """
     known = np.isfinite(points).all(1)
     if not known.any() or not outline.any():
@@ -106,16 +105,16 @@ def _covered(
 
 
 def body_patches(light: Grey, seen: PixelObservations, fps: float, outline: Outline) -> Compared:
-    """Patches about the followed points that the body fills in the first picture.
+    """Patches about the tracked points that the body fills in the first picture.
 
     Args:
-        light: of the pictures.
+        light: light of the pictures.
         seen: the points.
         fps: frames per second.
-        outline: where the body is in the first picture.
+        outline: place of the body in the first picture.
     """
     inner = cv2.erode(outline.astype(np.uint8), np.ones((2 * HALF + 1, 2 * HALF + 1), np.uint8)) > 0
-    places = seen.pixels[0] - 0.5  # of pixel centres
+    places = seen.pixels[0] - 0.5  # in pixel centres
     height, width = light.shape[1:]
     nearest = np.round(places).clip(0, [width - 1, height - 1]).astype(int)
     kept = np.flatnonzero(inner[nearest[:, 1], nearest[:, 0]])
@@ -145,7 +144,7 @@ def body_patches(light: Grey, seen: PixelObservations, fps: float, outline: Outl
 
 
 def _at(pixel: Float[np.ndarray, " 2"]) -> tuple[int, int]:
-    """Row and column; −1 where it is not known."""
+    """Row and column; −1 if unknown."""
     if not np.isfinite(pixel).all():
         return -1, -1
     return int(np.floor(pixel[1])), int(np.floor(pixel[0]))
@@ -161,7 +160,7 @@ def _velocities(pixels: Float[np.ndarray, "T P 2"], fps: float) -> Float[np.ndar
 
 
 def _pose(pixels: Float[np.ndarray, "T P 2"], point: int, frame: int) -> Float[np.ndarray, "2 2"] | None:
-    """Affine map of the surroundings of a point from the first picture to another; None where it is not known."""
+    """Affine map of the surroundings of a point from the first picture to another; None if unknown."""
     known = np.flatnonzero(np.isfinite(pixels[frame]).all(1))
     if point not in known or len(known) <= 4:
         return None
@@ -173,7 +172,7 @@ def _pose(pixels: Float[np.ndarray, "T P 2"], point: int, frame: int) -> Float[n
 
 
 def _posed(image: Float[np.ndarray, "H W"], place: Float[np.ndarray, " 2"], pose: np.ndarray) -> np.ndarray:
-    """The surroundings of a place (x, y), by a pose, with the margin."""
+    """The surroundings of a place (x, y) in a pose, with the margin."""
     side = HALF + _MARGIN
     back = np.linalg.inv(pose)
     warp = np.hstack([back, (place - back @ [side, side])[:, None]])

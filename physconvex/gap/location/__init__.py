@@ -1,1 +1,1 @@
-"""Where the gap lies: sources, time, body, vibrations, impulse and work."""
+"""Location of the gap: sources, time, body, vibrations, impulse and work."""

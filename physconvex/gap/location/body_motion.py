@@ -1,4 +1,4 @@
-"""How the observed body rings beside the modelled one, and what impulse and work it received beyond it."""
+"""Vibrations of the observed and the modelled body, and their difference in impulse and work."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from physconvex.identify import MarkerObservations
 
 @dataclass(frozen=True)
 class Mode:
-    """One shape of the observed deformation, and how it rings.
+    """One shape of the observed deformation, and its vibration.
 
     Attributes:
-        share: of the squares of the observed deformation.
+        share: share of the squares of the observed deformation.
         observed, base, improved: (frequency [Hz], damping ratio) of the recording, of the base model, and of the model
-            with the best effects; NaN where the signal is no damped sine.
+            with the best effects; NaN if the signal is no damped sine.
         errors: standard errors of the observed pair.
     """
 
@@ -34,9 +34,9 @@ class Mode:
 
 
 def vibrations(base: Baseline, best: Hypothesis) -> tuple[Mode, ...]:
-    """The shapes that the observed deformation is made of, and how each rings; of markers seen in every frame.
+    """Shapes of the observed deformation and their vibrations, from markers that are seen in every frame.
 
-    Of a free body, from the first contact on.
+    For a free body, from the first contact on.
     """
     seen = base.observations
     if not isinstance(seen, MarkerObservations):
@@ -71,8 +71,8 @@ class Entry:
     Attributes:
         phase: its name.
         frames: first and last.
-        impulse: that the observed body received and the model's did not [N s], shape [3].
-        angular_impulse: about its centre [N m s], shape [3].
+        impulse: impulse on the observed body less that on the model's [N s], shape [3].
+        angular_impulse: the same about its centre [N m s], shape [3].
         work: gain of kinetic and potential energy of its rigid motion beyond the model's [J].
         impulse_error: standard error of each component of the impulse [N s], from the noise.
     """
@@ -100,9 +100,9 @@ def _rigid_motion(
 
 
 def impulses(base: Baseline, phases: tuple[str, ...]) -> tuple[Entry, ...]:
-    """The ledger of a free body followed by markers; empty else.
+    """The ledger of a free body with markers; empty otherwise.
 
-    The markers' centre stands for the body's; its inertia is that of the rest shape, its mean over directions.
+    The markers' centre stands for the body's; its inertia is that of the rest shape, averaged over directions.
     """
     seen = base.observations
     if not isinstance(seen, MarkerObservations) or base.situation.clamped:

@@ -1,8 +1,8 @@
-"""What the gap is made of, by source: noise, numerical error, geometry, observation, dynamics, and what is left.
+"""The gap by source: noise, numerical error, geometry, observation, dynamics, and the unexplained rest.
 
-Mean squares add up frame by frame. What the best effects explain is shared between dynamics, observation and numerical
-effects by their Shapley values: the mean, over the orders in which the three may be added, of what each takes away.
-No model is run for that: effects of the observation and numerical ones act on motions that are known.
+Mean squares add up frame by frame. The part that the best effects explain is divided between dynamics, observation and
+numerical effects by their Shapley values: the mean contribution of each over all orders of adding the three. No model
+runs for that, since effects of the observation and numerical ones act on known motions.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ _GROUPS = ("dynamics", "observation", "numerical")
 
 @dataclass(frozen=True, eq=False)
 class Budget:
-    """Mean squares by frame [m²], shape [T] each; NaN where nothing is seen.
+    """Mean squares by frame [m²], shape [T] each; NaN if nothing is seen.
 
     Attributes:
-        noise: of the observation.
-        numerical: of mesh, step and contact, as far as the best fit leaves it; and what numerical effects explain.
-        geometry: what the first frame, in which nothing has moved yet, is off by beyond noise: markers that are not
-            where they are said to be, a body of another shape. Carried along; none of followed points, which are taken
-            from there.
-        observation: what effects of cameras and clocks explain.
-        dynamics: what all other effects explain.
-        unexplained: what is left.
+        noise: noise of the observation.
+        numerical: error of mesh, step and contact within the residual of the best fit, and the part of numerical
+            effects.
+        geometry: deviation of the first frame, before any motion, beyond noise: misplaced markers, or a body of another
+            shape. It persists in later frames. It is zero for tracked points, which start there.
+        observation: part explained by effects of cameras and clocks.
+        dynamics: part explained by all other effects.
+        unexplained: the rest.
     """
 
     noise: Squares
@@ -47,7 +47,7 @@ class Budget:
 def squares_by_frame(
     base: Baseline, squares: Float[np.ndarray, " N"], rows: Bool[np.ndarray, " N"] | slice = slice(None)
 ) -> Squares:
-    """Mean over the residuals (or some) of a frame of squares [N] in m², times the coordinates (a distance)."""
+    """Mean of the squares [N] in m² over the residuals (or some) of a frame, times the coordinates (a distance)."""
     count, frames = base.model.frames, base.observations.frames[rows]
     seen = np.bincount(frames, minlength=count)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -56,7 +56,7 @@ def squares_by_frame(
 
 
 def budget_of(base: Baseline, errors: ErrorModel, best: Hypothesis) -> Budget:
-    """The gap of the base model in parts."""
+    """The gap of the base model by source."""
     noise, expected = base.lengths**2, errors.expected * base.lengths**2
     total, left = (squares_by_frame(base, base.missed(x) ** 2) for x in (base.positions, best.positions))
     quiet, floor = squares_by_frame(base, noise), squares_by_frame(base, expected)
@@ -75,24 +75,24 @@ def budget_of(base: Baseline, errors: ErrorModel, best: Hypothesis) -> Budget:
 
 
 def reduction_by_frame(base: Baseline) -> Squares | None:
-    """What the reduced model differs from the full-order one by; None where it was not run.
+    """Difference of the reduced model to the full-order one; None if it is not run.
 
-    It is no part of the gap, in which the full-order model is compared: it comes on top of it in the reduced twin.
+    It is an error of the reduced twin in addition to the gap, which compares the full-order model.
     """
     missed = base.model.directions.get("reduction")
     return None if missed is None else np.asarray((missed[: base.model.frames] ** 2).sum(-1).mean(1))
 
 
 def _explained(base: Baseline, best: Hypothesis) -> Float[np.ndarray, "3 T"]:
-    """What dynamics, observation and numerical effects take away of the squares, by frame."""
+    """Reduction of the squares by dynamics, observation and numerical effects, by frame."""
     known = {frozenset(group): _left(base, best, frozenset(group)) for group in _subsets()}
     shares = np.zeros((3, base.model.frames))
     orders = list(permutations(range(3)))
     for order in orders:
         for place, group in enumerate(order):
             shares[group] += known[frozenset(order[:place])] - known[frozenset(order[: place + 1])]
-    taken = np.clip(shares.sum(0) / len(orders), 0.0, None)  # where they make a frame worse, they explain nothing of it
-    helping = np.clip(shares, 0.0, None)  # one of two that work against each other has no share of what both take away
+    taken = np.clip(shares.sum(0) / len(orders), 0.0, None)  # an effect that makes a frame worse explains nothing of it
+    helping = np.clip(shares, 0.0, None)  # of two opposed effects, the harmful one has no share of the joint reduction
     return np.asarray(helping * taken / np.maximum(helping.sum(0), 1e-300))
 
 

@@ -1,4 +1,4 @@
-"""Where a gap lies: sources, phases of the motion, frames, and regions of the body, each with an interval."""
+"""Location of a gap: sources, phases of the motion, frames, and regions of the body, each with an interval."""
 
 from __future__ import annotations
 
@@ -33,22 +33,22 @@ class Where:
 
     Attributes:
         sources: see `physconvex.gap.location.sources`; mean squares add up.
-        reduction: what the reduced twin would be off by beside; None where it was not run.
+        reduction: additional error of the reduced twin; None if it is not run.
         phases: gap of the base model by phase of the motion.
         regions: by region of the body.
         image: by ninth of the picture [m at the points' depth]; empty for markers.
-        modes: how the body rings, see `physconvex.gap.location.body_motion`.
+        modes: vibrations of the body, see `physconvex.gap.location.body_motion`.
         ledger: impulse and work beyond the base model, see `physconvex.gap.location.body_motion`.
-        times: of the frames [s], shape [T].
+        times: times of the frames [s], shape [T].
         phase_names: phase of each frame.
-        per_frame: gap of the base model [m], shape [T]; NaN where nothing is seen.
+        per_frame: gap of the base model [m], shape [T]; NaN if nothing is seen.
         per_frame_after: with the best effects [m], shape [T].
-        per_frame_floor: what noise and numerical error lead one to expect [m], shape [T].
+        per_frame_floor: expected gap from noise and numerical error [m], shape [T].
         points: rest positions of the observed points [m], shape [P, 3].
         per_point: gap of the base model at the points [m], shape [P].
-        vertices: of the model's mesh [m], shape [V, 3].
+        vertices: vertices of the model's mesh [m], shape [V, 3].
         faces: its surface, shape [F, 3].
-        per_vertex: the gap carried over to the vertices [m], shape [V].
+        per_vertex: the gap interpolated to the vertices [m], shape [V].
     """
 
     sources: tuple[Part, ...]
@@ -73,8 +73,8 @@ class Where:
 def phases_of(force: Float[np.ndarray, " T"], speed: Float[np.ndarray, " T"]) -> tuple[str, ...]:
     """Phase of each frame from the model's normal force [N] and mean speed of the points [m/s].
 
-    flight; impact until the force peaks; contact until lift-off; rebound in the air again; rest where it touches and
-    has nearly stopped. A body that never touches is in motion, early and late.
+    flight; impact until the force peaks; contact until lift-off; rebound in the air again; rest in contact and nearly
+    stopped. A body that never touches is in motion, early and late.
     """
     count = len(force)
     if not (force > 0).any():
@@ -158,7 +158,7 @@ def locate_gap(base: Baseline, errors: ErrorModel, best: Hypothesis, options: Ga
 
 
 def _image(base: Baseline, squares: np.ndarray, options: GapOptions) -> tuple[Part, ...]:
-    """Ninths of the picture, by where the points were seen."""
+    """Gap by ninths of the picture, from the observed places of the points."""
     seen = base.observations
     if not isinstance(seen, PixelObservations):
         return ()
@@ -174,7 +174,7 @@ def _image(base: Baseline, squares: np.ndarray, options: GapOptions) -> tuple[Pa
 
 
 def _regions(base: Baseline, squares: np.ndarray, options: GapOptions) -> tuple[Part, ...]:
-    """Thirds of the body along its longest axis and, of a body that touches a floor, along the vertical."""
+    """Gap by thirds of the body along its longest axis and, for a body that touches a floor, along the vertical."""
     observations = base.observations
     points = np.asarray(observations.points)
     axes = {"xyz"[int(np.ptp(base.model.twin.mesh.vertices, axis=0).argmax())]}
@@ -194,7 +194,7 @@ def _regions(base: Baseline, squares: np.ndarray, options: GapOptions) -> tuple[
 
 
 def _spread(points: np.ndarray, values: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """Values carried from points to vertices, by inverse square distance to the nearest four."""
+    """Values interpolated from points to vertices, by inverse square distance to the nearest four."""
     count = min(4, len(points))
     distance, nearest = cKDTree(points).query(vertices, k=[*range(1, count + 1)])
     weights = 1 / np.maximum(distance, 1e-6 * max(float(np.ptp(vertices)), 1e-12)) ** 2

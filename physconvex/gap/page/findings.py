@@ -1,4 +1,4 @@
-"""What a diagnosis found, and its JSON."""
+"""The findings of a diagnosis, and their JSON."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from physconvex.gap.thresholds import thresholds_json
 
 FORMAT_VERSION = 1
 JsonObject = dict[str, JsonValue]
-Content = dict[str, object]  # of a part of the file, which may hold arrays
+Content = dict[str, object]  # part of the file, which may hold arrays
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """How the result came about.
+    """Origin of the result.
 
     Attributes:
         capture: name of the capture's folder.
-        version: of physconvex.
-        nodes: of the model's mesh.
+        version: version of physconvex.
+        nodes: number of nodes of the model's mesh.
         steps_per_frame: time steps of the model.
         numerical_viscosity: E Δt [Pa s] that implicit Euler with this step would add, for comparison.
         fitted, selecting, reporting: frames used for each.
-        simulations_failed: what could not be simulated.
+        simulations_failed: effects and runs that cannot be simulated.
         seconds: wall time.
-        thresholds: numbers that were decided by, by group and name (`physconvex.gap.thresholds`).
+        thresholds: decision thresholds, by group and name (`physconvex.gap.thresholds`).
     """
 
     capture: str
@@ -65,19 +65,19 @@ class ParameterChange:
 
 @dataclass(frozen=True, eq=False)
 class GapFindings:
-    """Where the gap lies, which effect causes it, and how far it shrinks once that is added.
+    """Location of the gap, the effect that causes it, and its shrinkage with that effect.
 
     Attributes:
         where: the decomposition.
-        verdict: which.
-        how_far: shrinkage by held-out data, the first for the frames that served nothing else.
-        pictures: of a video, what its light says of effects of image formation.
+        verdict: the effect that causes it.
+        how_far: shrinkage by held-out data, the first for the frames reserved for the report.
+        pictures: results of a video's light for effects of image formation.
         base: the base fit.
-        best: the best hypothesis with effects (the base model where none could be tried).
-        hypotheses: all that were fitted, best evidence first.
+        best: the best hypothesis with effects (the base model if none could be tried).
+        hypotheses: all fits, best evidence first.
         screening: scores of all effects.
-        next_experiment: what would decide between what is left.
-        provenance: how it came about.
+        next_experiment: recording that decides between the remaining effects.
+        provenance: origin of the result.
         options: settings.
     """
 
@@ -95,7 +95,7 @@ class GapFindings:
 
     @property
     def parameters(self) -> tuple[ParameterChange, ...]:
-        """The base parameters before and after the effects were added."""
+        """The base parameters without and with the effects."""
         before = next(h for h in self.hypotheses if not h.effects)
         columns = (before.values, before.errors, self.best.values, self.best.errors)
         rows = zip(before.model.base, *columns, strict=False)  # doses follow in the columns
@@ -142,7 +142,7 @@ class GapFindings:
 
 
 def _plain(value: object) -> JsonValue:
-    """As JSON has it: no arrays and no numbers of NumPy."""
+    """The value in JSON types: no arrays and no NumPy numbers."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, dict):
@@ -154,7 +154,7 @@ def _plain(value: object) -> JsonValue:
 
 
 def _number(value: object) -> object:
-    """None in the place of a number that is not finite."""
+    """None in place of a number that is not finite."""
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 

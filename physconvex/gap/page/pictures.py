@@ -26,7 +26,7 @@ _PHASES = {
 
 
 def _length_unit(values: np.ndarray) -> tuple[float, str]:
-    """Factor and unit in which lengths are easy to read."""
+    """Factor and unit that make lengths easy to read."""
     largest = float(np.nanmax(np.abs(values), initial=0.0))
     for limit, factor, unit in ((1e-4, 1e6, "µm"), (0.1, 1e3, "mm")):
         if largest < limit:
@@ -84,7 +84,7 @@ def budget(where: Where) -> Figure:
 
 
 def timeline(report: GapFindings) -> Figure:
-    """Gap per frame, before and after, with phases and the frames' use."""
+    """Gap per frame, before and after, with phases and the use of the frames."""
     where = report.where
     factor, unit = _length_unit(where.per_frame)
     figure = Figure(figsize=(7, 3), layout="constrained")
@@ -156,7 +156,7 @@ def write_body(where: Where, path: Path) -> None:
 
 
 def forest(report: GapFindings) -> Figure:
-    """Screened doses of all effects in standard errors of nothing: estimate and interval, in smallest doses."""
+    """Screened doses of all effects in units of the smallest dose: estimate and interval."""
     rows = []
     named = {e.label for e in report.best.effects}
     for entry in report.screening.one_per_name:
@@ -180,7 +180,7 @@ def forest(report: GapFindings) -> Figure:
 
 
 def confusion(report: GapFindings, *, most: int = 14) -> Figure:
-    """Cosines between the signatures of the effects in this capture: 1 = cannot be told apart here."""
+    """Cosines between the signatures of the effects in this capture; 1 for indistinguishable effects."""
     entries = report.screening.one_per_name[:most]
     matrix = np.array([[report.screening.similarity(a, b) for b in entries] for a in entries])
     figure = Figure(figsize=(6.4, 5.4), layout="constrained")
@@ -198,7 +198,7 @@ def confusion(report: GapFindings, *, most: int = 14) -> Figure:
 
 
 def shrinkage_bars(report: GapFindings) -> Figure:
-    """Shrinkage with interval, and the placebo's, by held-out data."""
+    """Shrinkage with interval, and that of the placebo, by held-out data."""
     figure = Figure(figsize=(7, 2.4), layout="constrained")
     axes = figure.subplots()
     for i, part in enumerate(report.how_far):
@@ -220,7 +220,7 @@ def shrinkage_bars(report: GapFindings) -> Figure:
 
 
 def image_series(report: GapFindings) -> Figure:
-    """Statistics of the pictures frame by frame, and what the fitted effects foretell."""
+    """Statistics of the pictures frame by frame, and their prediction by the fitted effects."""
     figure = Figure(figsize=(7, 0.4 + 2.0 * len(report.pictures)), layout="constrained")
     panels = figure.subplots(len(report.pictures), squeeze=False)[:, 0]
     for axes, finding in zip(panels, report.pictures, strict=True):
@@ -246,7 +246,7 @@ def parameter_arrows(report: GapFindings) -> Figure:
         log = row.name.startswith("log10")
         told = ((row.before, row.before_error, _ORANGE), (row.after, row.after_error, _BLUE))
         for y, (value, deviation, colour) in enumerate(told):
-            error = min(deviation, 3.0)  # what is not told reaches out of the picture
+            error = min(deviation, 3.0)  # an undetermined value extends beyond the picture
             ends = np.array([value - 1.645 * error, value + 1.645 * error])
             axes.plot(10**ends if log else ends, [y, y], color=colour, lw=2)
             axes.plot(10**value if log else value, y, "o", color=colour)

@@ -1,4 +1,4 @@
-"""The result of a diagnosis: files, and the twin that it improves."""
+"""The result of a diagnosis: files, and the improved twin."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class ImprovedTwin:
     """The base model with the effects, at the fitted values.
 
     Attributes:
-        hypothesis: of the motion.
-        pictures: effects of image formation that were called; they move no point.
+        hypothesis: fit of the motion.
+        pictures: called effects of image formation; they move no point.
     """
 
     hypothesis: Hypothesis
@@ -49,7 +49,7 @@ class ImprovedTwin:
         return motion | {f"{p.effect.name}.{p.named.doses[0].name}": p.named.doses[0].value for p in self.pictures}
 
     def positions(self) -> Float[np.ndarray, "T P 3"]:
-        """What is observed of it [m]."""
+        """Its observed positions [m]."""
         return self.hypothesis.positions
 
 

@@ -1,7 +1,7 @@
-"""The video beside what the models show: observed, base model, with the effects, and what differs.
+"""The video next to the models: observed, base model, with the effects, and differences.
 
-A model's picture is the first image, carried along by the surface as the model moves it; where the first image does not
-show the surface, the picture is left empty.
+A model's picture is the first image, moved with the model's surface. It is empty where the first image does not show
+the surface.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from physconvex.gap.search.hypothesis import Hypothesis
 from physconvex.identify import PixelObservations, appearance_map, cast_camera_rays
 
 _COLUMNS = 6
-_EMPTY = 235  # grey of pixels that a model's picture leaves open
+_EMPTY = 235  # grey of empty pixels of a model's picture
 _MARGIN = 12  # pixels around the body
 
 
 def video_strip(report: GapFindings) -> Figure | None:
-    """Some frames of the video in columns; None where markers were compared, or a model cannot be run again."""
+    """Some frames of the video in columns; None if markers are compared, or a model cannot be run again."""
     seen, base = report.base.observations, report.base
     if not isinstance(seen, PixelObservations):
         return None
@@ -46,7 +46,7 @@ def video_strip(report: GapFindings) -> Figure | None:
 
 
 def _moved(hypothesis: Hypothesis, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "T V 3"]:
-    """The surface's motion as the model has it observed.
+    """The surface's motion in the model's observation.
 
     Raises:
         ConvergenceError: the model cannot be run again.
@@ -58,7 +58,7 @@ def _moved(hypothesis: Hypothesis, vertices: Float[np.ndarray, "V 3"]) -> Float[
 def _picture(
     report: GapFindings, origin: np.ndarray, moved: np.ndarray, frame: int, triangles: np.ndarray
 ) -> np.ndarray:
-    """The first image as the model moves it, [H, W, 4]; the last channel is where it is known."""
+    """The first image moved with the model, [H, W, 4]; the last channel marks known pixels."""
     import cv2
 
     seen = report.base.observations
@@ -78,7 +78,7 @@ def _difference(observed: np.ndarray, picture: np.ndarray) -> np.ndarray:
 
 
 def _window(report: GapFindings, moved: list[np.ndarray], frames: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns of the picture in which the body is ever seen."""
+    """Rows and columns of the picture that contain the body in any frame."""
     seen = report.base.observations
     assert isinstance(seen, PixelObservations)
     pixels = np.concatenate([seen.camera.project(x.reshape(-1, 3))[0] for x in moved])

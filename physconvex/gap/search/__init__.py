@@ -1,1 +1,1 @@
-"""Fits of effects: one or several, by the reduced model first, and what residuals say of them."""
+"""Fits of one or several effects, by the reduced model first, and their evidence."""

@@ -1,8 +1,8 @@
-"""How a signal rings: a damped sine, and what it says of a model that its deformation rings otherwise.
+"""Vibration of a signal as a damped sine, and the likelihood of a model with another vibration.
 
-Frequency and damping ratio of the shape that moves most tell a held body's stiffness, mass and damping, whatever began
-its motion and when: an explanation must reproduce them. Evidence that is tempered, for residuals which are alike, has
-lost most of that, so that it enters once more, as two observations with what a good model may miss them by.
+Frequency and damping ratio of the dominant shape determine a held body's stiffness, mass and damping, however and
+whenever its motion starts. An explanation must reproduce them. Evidence that is tempered for correlated residuals loses
+most of this information. It therefore enters once more, as two observations with the errors of a good model.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ def _damped(p: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def damped_sine_fit(signal: Float[np.ndarray, " T"], fps: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Frequency [Hz] and damping ratio of a signal, and their standard errors; NaN where no damped sine fits it.
+    """Frequency [Hz] and damping ratio of a signal, and their standard errors; NaN if no damped sine fits it.
 
-    Raises nothing: a signal that does not ring has no frequency.
+    Raises nothing: a signal that does not vibrate has no frequency.
     """
     nothing = (float("nan"), float("nan"))
     times, total = np.arange(len(signal)) / fps, float(((signal - signal.mean()) ** 2).sum())
@@ -56,7 +56,7 @@ def damped_sine_fit(signal: Float[np.ndarray, " T"], fps: float) -> tuple[tuple[
 
 
 def deformation(positions: Float[np.ndarray, "T P 3"], rest: Float[np.ndarray, "P 3"], held: bool) -> np.ndarray:
-    """Displacements, of a free body in the frame that turns and moves with it (Kabsch), shape [T, P, 3]."""
+    """Displacements, for a free body in the frame that turns and moves with it (Kabsch), shape [T, P, 3]."""
     if held:
         return np.asarray(positions - rest)
     moved, turns = beyond_rigid(rest, positions)
@@ -65,15 +65,15 @@ def deformation(positions: Float[np.ndarray, "T P 3"], rest: Float[np.ndarray, "
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """How the shape that moves most in a recording of a held body rings.
+    """Vibration of the dominant shape in a recording of a held body.
 
     Attributes:
         frequency, ratio: [Hz], and the damping ratio.
         errors: standard errors of the two.
-        shape: of the observed coordinates, shape [3 P], of unit length.
-        mean: that the shape is about [m], shape [3 P].
-        points: that are seen in every frame.
-        frames: number of frames that were looked at; those that only report were not.
+        shape: unit vector of the observed coordinates, shape [3 P].
+        mean: mean about which the shape vibrates [m], shape [3 P].
+        points: points that are seen in every frame.
+        frames: number of frames used, without those reserved for the report.
     """
 
     frequency: float
@@ -90,7 +90,7 @@ def _displacements(base: Baseline, positions: Float[np.ndarray, "T P 3"], points
 
 
 def recorded_ringing(base: Baseline) -> Recorded | None:
-    """How the recording of a held body rings; None where it does not, or is none of markers."""
+    """Vibration of the recording of a held body; None if it does not vibrate, or has no markers."""
     seen = base.observations
     if not base.situation.clamped or not isinstance(seen, MarkerObservations):
         return None
@@ -110,9 +110,9 @@ def recorded_ringing(base: Baseline) -> Recorded | None:
 
 
 def damped_sine_likelihood(base: Baseline, positions: Float[np.ndarray, "T P 3"]) -> float:
-    """Log-likelihood of the recorded frequency and damping ratio if a model rings as `positions` do; of held bodies.
+    """Log-likelihood of the recorded frequency and damping ratio for a model with `positions`; for held bodies.
 
-    Zero where the recording does not ring, or is none of markers. Frames that only report are left out.
+    Zero if the recording does not vibrate, or has no markers. Frames reserved for the report are left out.
     """
     recorded = recorded_ringing(base)
     if recorded is None:

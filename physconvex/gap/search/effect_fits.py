@@ -1,4 +1,4 @@
-"""Effects fitted to the fitted frames, together with the base model's values."""
+"""Fits of effects to the fitted frames, together with the base model's values."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def fit_effects(
     Args:
         base: base fit.
         errors: weights of the residuals.
-        chosen: the effects, as screened: their signatures are the first derivatives.
+        chosen: the screened effects; their signatures are the first derivatives.
         options: settings.
-        starts: where the effects were screened, if elsewhere than at the base fit; effects it has are kept.
+        starts: fit at which the effects are screened, if not the base fit; its effects are kept.
 
     Raises:
         ConvergenceError: the body cannot be simulated at the start.
@@ -50,13 +50,13 @@ def fit_effects(
 
 
 def derivatives_at(base: Baseline, model: EffectModel, values: np.ndarray, motion: PointMotion) -> np.ndarray:
-    """Derivatives of what a model says by all its values, in the frames up to the last fitted one.
+    """Derivatives of a model's predictions by all its values, in the frames up to the last fitted one.
 
     Args:
-        base: for the frames.
+        base: defines the frames.
         model: the model, all frames.
-        values: where.
-        motion: the model's there.
+        values: point of the derivatives.
+        motion: the model's motion there.
 
     Raises:
         ConvergenceError: the body cannot be simulated near there.
@@ -65,10 +65,9 @@ def derivatives_at(base: Baseline, model: EffectModel, values: np.ndarray, motio
 
 
 def _beside(base: Baseline, errors: ErrorModel, point: Baseline, chosen: Sequence[Screened]) -> np.ndarray:
-    """Where the other values go if the effects have their screened doses: what screening projects away, to first order.
+    """The other values at the screened doses of the effects: the part that screening projects away, to first order.
 
-    An inclusion that is three times as stiff asks for another E of the whole; with the old one the search ran back to
-    none.
+    An inclusion three times as stiff needs another E of the whole; with the old one the search returns to none.
     """
     count, rows = base.split.end, base.rows(base.split.fitted)
     here = point.positions[:count]
@@ -86,10 +85,10 @@ def _beside(base: Baseline, errors: ErrorModel, point: Baseline, chosen: Sequenc
 def _starts(
     base: Baseline, errors: ErrorModel, point: Baseline, chosen: Sequence[Screened], options: GapOptions
 ) -> list[np.ndarray]:  # fmt: skip
-    """Values to begin at: the screened doses and shares of them, with the other values as they are or beside.
+    """Start values: the screened doses and shares of them, with the other values unchanged or adapted.
 
-    Screening is linear. Of a strong effect its doses may be twice what they should, and the motion then so far from the
-    recording's that a search goes back to none.
+    Screening is linear. For a strong effect its doses may be twice too large, and the motion is then so far from the
+    recording's that a search returns to none.
     """
     null = np.concatenate([entry.effect.null for entry in chosen])
     shapes = np.array([dose.shape or dose.threshold for entry in chosen for dose in entry.effect.doses])
@@ -103,7 +102,7 @@ def _starts(
 
 
 def _best_start(base: Baseline, errors: ErrorModel, model: EffectModel, starts: Sequence[np.ndarray]) -> np.ndarray:
-    """The values that fit the fitted frames best; those that hardly differ from ones before are not tried."""
+    """The values that fit the fitted frames best; values close to earlier ones are not tried."""
     steps = np.array([p.step for p in model.parameters(starts[0])])
     apart: list[np.ndarray] = []
     for values in starts:
@@ -134,15 +133,15 @@ def refit(
 ) -> Hypothesis:
     """Fit a model with effects from given values and derivatives.
 
-    Priors weigh the more the worse the fit (`EffectModel.doubt`), which may begin a hundred times as bad as it ends. A
-    held body, the only one that has priors, is fitted anew by what is left, with derivatives taken where it is, until
-    both stay. So are fibres and inclusions of another body, while that makes the fitted frames likelier: derivatives
-    by their direction or place, taken where there is hardly any dose of them, say next to nothing.
+    The weight of priors increases with the misfit (`EffectModel.doubt`), which may fall by a factor of a hundred in a
+    fit. A held body, the only one with priors, is refitted with the weight and derivatives at the current values until
+    both converge. Fibres and inclusions of other bodies are refitted too, while the likelihood of the fitted frames
+    increases, since derivatives by their direction or place carry little information at a small dose.
 
-    Of a held body two places may both stay: with strong priors what is left is smooth, counts as few residuals, and so
-    keeps them strong; with weak ones it may be noise, which keeps them weak. So it is fitted from the other side too,
-    from priors as they are, and the likelier fit taken: the loads of held bars came out a quarter too light, since they
-    could not have their ν, and a wrong frame rate was called in their place.
+    A held body may have two fixed points. With strong priors the residual is smooth, counts as few residuals, and keeps
+    them strong; with weak ones it may be noise, which keeps them weak. The fit is therefore repeated from unweighted
+    priors, and the likelier result counts. Otherwise the loads of held bars come out a quarter too light, since ν is
+    not free, and a wrong frame rate is called instead.
 
     Raises:
         ConvergenceError: the body cannot be simulated at the start.
@@ -168,7 +167,7 @@ def refit(
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Where a fit is: values, positions in the first frames, derivatives, and the fit that led there."""
+    """State of a fit: values, positions in the first frames, derivatives, and the fit that led there."""
 
     values: np.ndarray
     here: np.ndarray
@@ -179,7 +178,7 @@ class _Point:
 def _settled(
     base: Baseline, errors: ErrorModel, shorter: EffectModel, start: _Point, doubt: float, *, options: GapOptions
 ) -> _Point:  # fmt: skip
-    """Rounds of fitting from some values, the first with priors that weigh so much, until both stay."""
+    """Refit from some values until values and prior weight converge, with a given weight in the first round."""
     weighted = base.weighted(errors.variance, base.split.end)
     stop = FitOptions(max_iterations=options.iterations + 1, relative_tolerance=2e-3, absolute_tolerance=0.1)
     point, left, settled, held = start, np.inf, False, base.situation.clamped
@@ -202,7 +201,7 @@ def _settled(
 
 
 def _stated(base: Baseline, errors: ErrorModel, model: EffectModel, point: _Point) -> Hypothesis:
-    """What a model says of all frames where a fit has led."""
+    """The model's predictions for all frames at the result of a fit."""
     assert point.found is not None
     motion = model.motion(point.values)
     deviations = deviations_of(base, errors, point.found, model.observed(motion, point.values))
@@ -210,13 +209,13 @@ def _stated(base: Baseline, errors: ErrorModel, model: EffectModel, point: _Poin
 
 
 def _doubt(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> float:
-    """Square of what the fitted frames leave over what is expected, times the residuals that count for one."""
+    """Squared residual of the fitted frames over the expected one, times the residuals per independent one."""
     whole, fitted = np.concatenate([positions, base.positions[len(positions) :]]), base.split.fitted
     return max(mean_square(base, errors, whole, fitted), 1.0) * residuals_per_one(base, errors, whole, fitted)
 
 
 def _start(entry: Screened) -> np.ndarray:
-    """Screened doses, at least a fifth of the trial dose so that the effect is there at all."""
+    """Screened doses, at least a fifth of the trial dose so that the effect is present."""
     null, doses = entry.effect.null, entry.doses.copy()
     for index, dose in enumerate(entry.effect.doses):
         if dose.shape or dose.threshold:
@@ -232,7 +231,7 @@ def _start(entry: Screened) -> np.ndarray:
 
 
 def _tangents(entry: Screened) -> np.ndarray:
-    """Derivatives by all doses; those that only shape the effect start without one."""
+    """Derivatives by all doses; those of shape doses start empty."""
     null = entry.effect.null
     out = np.zeros((entry.signature.shape[1], len(null), *entry.signature.shape[2:]))
     screened = [i for i, dose in enumerate(entry.effect.doses) if not dose.shape]
@@ -242,7 +241,7 @@ def _tangents(entry: Screened) -> np.ndarray:
 
 
 def _add_shapes(model: EffectModel, values: np.ndarray, here: np.ndarray, tangents: np.ndarray) -> None:
-    """Derivatives by the doses that only shape an effect, which screening does not have, by differences."""
+    """Derivatives by shape doses, which screening lacks, by finite differences."""
     for effect, where in zip(model.effects, model.slices, strict=True):
         for index, dose in enumerate(effect.doses):
             if dose.shape and not tangents[:, where.start + index].any():

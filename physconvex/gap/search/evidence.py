@@ -1,6 +1,6 @@
-"""How much residuals say: mean squares, how many of them are independent, and what evidence for effects they make.
+"""Information in residuals: mean squares, number of independent ones, and evidence for effects.
 
-All of it by kind of residual (`physconvex.gap.base.body_modes`).
+All quantities are by kind of residual (`physconvex.gap.base.body_modes`).
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ from physconvex.gap.thresholds import EVIDENCE
 def mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
     """Mean square of some frames' residuals over that of noise and numerical error; NaN without any.
 
-    Where there are kinds of residuals, each counts by its independent ones; the larger of what it is before the first
-    contact and from then on.
+    Kinds of residuals are weighted by their independent ones; the larger value before or from the first contact counts.
     """
     squares, information = squares_by_kind(base, errors, positions, frames), information_by_kind(base, errors, frames)
     found = [
@@ -33,7 +32,7 @@ def mean_square(base: Baseline, errors: ErrorModel, positions: np.ndarray, frame
 
 
 def negative_log_likelihood(base: Baseline, errors: ErrorModel, here: np.ndarray) -> float:
-    """Minus the log-likelihood of positions in the first frames, in those of them that are fitted."""
+    """Minus the log-likelihood of positions in the first frames, over the fitted ones."""
     fitted = base.split.fitted
     whole = np.concatenate([here, base.positions[len(here) :]])
     return -float(likelihood_by_kind(base, errors, whole, fitted[fitted < len(here)]).sum())
@@ -64,16 +63,17 @@ def _alike(
 
 
 def residuals_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarray, frames: np.ndarray) -> float:
-    """Residuals per independent one of what a model leaves in some frames."""
+    """Residuals per independent one in the residual of a model, in some frames."""
     rows = base.rows(frames)
     count = np.bincount(base.modes.kinds[rows], minlength=base.modes.count)
     return float(count.sum() / (count / _alike(base, errors, positions, frames)).sum())
 
 
 def information_by_kind(base: Baseline, errors: ErrorModel, frames: np.ndarray) -> Float[np.ndarray, " D"]:
-    """Number of independent residuals by kind: each counts by the share of its variance that is noise, and smooth
-    errors by half of the numbers that they have in two frames.
-    """  # fmt: skip
+    """Number of independent residuals by kind: each counts by the share of noise in its variance.
+
+    Smooth errors count by half of their degrees of freedom in two frames.
+    """
     rows, modes, total = base.rows(frames), base.modes, base.model.frames
     place = modes.kinds[rows] * total + base.observations.frames[rows]
     shape = (modes.count, total)
@@ -84,10 +84,10 @@ def information_by_kind(base: Baseline, errors: ErrorModel, frames: np.ndarray) 
 
 
 def information_per_one(base: Baseline, errors: ErrorModel, positions: np.ndarray) -> Float[np.ndarray, " D"]:
-    """What the likelihood of each kind is divided by, so that no more residuals count than are independent.
+    """Divisor of the likelihood of each kind, so that no more residuals count than are independent.
 
-    Those that share their numerical error count as few already (`information_by_kind`); of that number and of the
-    independent ones in what a model leaves the smaller one holds, as both are for the same likeness of residuals.
+    Residuals that share their numerical error already count as few (`information_by_kind`). The smaller of that number
+    and of the independent ones in a model's residual applies, since both describe the same correlation.
     """
     frames = np.union1d(base.split.fitted, base.split.selecting)
     count = np.bincount(base.modes.kinds[base.rows(frames)], minlength=base.modes.count)
@@ -100,13 +100,13 @@ def likelihood_by_kind(
 ) -> Float[np.ndarray, " D"]:  # fmt: skip
     """−n/2 ln(mean square) with unknown scale, by kind; the mean square is over that of noise and numerical error.
 
-    Below one it says little more.
+    A mean square below one adds little.
 
     Args:
         base: the base fit.
         errors: weights.
-        positions: of the model; None for one that leaves nothing but noise and numerical error.
-        frames: of which.
+        positions: positions of the model; None for one that leaves nothing but noise and numerical error.
+        frames: frames of the residuals.
     """
     information = information_by_kind(base, errors, frames)
     squares = np.ones(base.modes.count) if positions is None else squares_by_kind(base, errors, positions, frames)
@@ -117,20 +117,20 @@ def evidence_of(
     likelihood: np.ndarray, information: np.ndarray, effects: tuple[Effect, ...], values: np.ndarray,
     divisor: np.ndarray | float = 1.0, *, struck: np.ndarray | None = None, deviations: np.ndarray | None = None,
 ) -> float:  # fmt: skip
-    """Likelihood less ½ k ln n for k doses, as much again for every further effect, and less what is implausible.
+    """Likelihood less ½ k ln n for k doses, as much again for every further effect, and less the prior penalty.
 
-    n is the number of independent residuals that tell a dose. Those of a flight tell nothing of what acts through how a
-    body deforms or touches, nor of an error that a rebound makes. A dose that only shapes an effect, and of which a
-    plausible size is stated, costs no more than the recording narrows that (Laplace): where a load hangs, of which a
-    light one tells nothing, cost as much as its mass, and a wrong frame rate was called in its place.
+    n is the number of independent residuals that inform a dose. Residuals of a flight do not inform effects that act
+    through deformation or contact, nor errors of a rebound. A shape dose with a stated prior costs only the information
+    that the recording adds to it (Laplace). Otherwise the place of a load, which a light one does not determine, costs
+    as much as its mass, and a wrong frame rate is called instead.
 
     Args:
         likelihood: by kind.
         information: number of independent fitted residuals by kind, of those that the effects change.
-        effects: of the fit.
+        effects: effects of the fit.
         values: base parameters, then doses.
         divisor: residuals of a kind per independent one.
-        struck: kinds that are of frames from the first contact on; None where there are no others.
+        struck: kinds of frames from the first contact on; None if there are no others.
         deviations: standard errors of the values.
     """
     independent = information / divisor
@@ -143,9 +143,9 @@ def evidence_of(
     paid = [price for effect, price in zip(effects, prices, strict=True) for _ in effect.doses]
     if deviations is not None:
         paid = [min(one, d.narrowed(e)) for one, d, e in zip(paid, doses, deviations[first:], strict=True)]
-    # a physical cause goes before a numerical one of the same looks
+    # a physical cause precedes a numerical one with the same signature
     paid += [price for effect, price in zip(effects, prices, strict=True) if effect.source == "numerical"]
-    price = fsum([*paid, *sorted(prices)[:-1]])  # in whatever order the effects come
+    price = fsum([*paid, *sorted(prices)[:-1]])  # independent of the order of the effects
     odd = sum(dose.implausibility(value) for dose, value in zip(doses, values[first:], strict=True))
     return float((likelihood / divisor).sum() - price - odd)
 

@@ -1,13 +1,13 @@
-"""The full-order model decides between fits that the reduced model found (space mapping).
+"""The full-order model decides between fits of the reduced model (space mapping).
 
-A reduced run costs a tenth of a full-order one. What the two differ by at one set of values is added to the reduced
-model, which is then searched; a full-order run at what was found gives the next difference, and so on, until the
-values stay. The residual is thus always the full-order model's, the derivatives are the reduced model's.
+A reduced run costs a tenth of a full-order one. The difference of the two at one set of values corrects the reduced
+model, which is then searched. A full-order run at the result gives the next difference, until the values converge. The
+residual is always the full-order model's, the derivatives are the reduced model's.
 
-Of bodies that strike something, each fit is corrected by the most exact run at its own values. What a finer mesh and
-finer steps change is added to every run of a model (`physconvex.gap.errors.numerical_differences`), and is known at
-the base fit. An effect turns a rebound elsewhere, where they change something else: with the base fit's correction,
-the true effects leave up to four times what they leave after an impact with their own; wrong effects leave no more.
+For bodies that strike something, the most exact run at its own values corrects each fit. The correction for a finer
+mesh and finer steps (`physconvex.gap.errors.numerical_differences`) is part of every run, but belongs to the base fit.
+An effect changes the rebound and thus the correction. With the base fit's correction, the true effects leave up to four
+times the residual after an impact that they leave with their own; wrong effects gain nothing from their own.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ from physconvex.gap.thresholds import CLOCK, DECISION
 
 
 def as_reduced(base: Baseline) -> Baseline:
-    """The baseline with the reduced model in the place of the full-order one; it says the same at the fit."""
+    """The baseline with the reduced model in place of the full-order one; both agree at the fit."""
     model, motion = reduced_like(base.model, base.motion, base.fit.values)
     return replace(base, model=model, motion=motion)
 
 
 def confirmed(base: Baseline, errors: ErrorModel, found: Hypothesis) -> Hypothesis:
-    """What a fit of the reduced model is worth by the full-order one.
+    """A fit of the reduced model, evaluated by the full-order one.
 
     Args:
         base: the full-order base fit.
         errors: weights of the residuals.
-        found: what the reduced model came to.
+        found: fit of the reduced model.
 
     Raises:
         ConvergenceError: the full-order model cannot be run there.
@@ -61,10 +61,10 @@ def confirmed(base: Baseline, errors: ErrorModel, found: Hypothesis) -> Hypothes
 
 
 def _in_step(base: Baseline, full: EffectModel, found: Hypothesis) -> np.ndarray:
-    """Values with which a held body swings on the full-order model's mesh as it did on the one that found them.
+    """Values that give a held body on the full-order model's mesh the vibration of the mesh that found them.
 
-    The two differ at the base fit already, which the search makes up for. What an effect adds to that, as an
-    inclusion does that few elements resolve, is taken up by E: else the motions are soon out of step.
+    The search corrects the difference of the two at the base fit. A further difference by an effect, such as an
+    inclusion that few elements resolve, changes E; otherwise the motions soon get out of phase.
     """
     if not base.situation.clamped or MODULUS not in full.base or searches_itself(full):
         return found.values
@@ -77,19 +77,18 @@ def _in_step(base: Baseline, full: EffectModel, found: Hypothesis) -> np.ndarray
 
 
 def _saturates(model: EffectModel) -> bool:
-    """Whether a dose of its effects does nothing beyond a threshold.
+    """Whether an effect saturates: its dose does nothing beyond a threshold.
 
-    The reduced model's stresses are others, so that it saturates at another dose: no motion that is added to it makes
-    up for that, and such a fit is searched with the full-order model itself.
+    The reduced model has other stresses and saturates at another dose. No added motion corrects that, so the full-order
+    model itself searches such a fit.
     """
     return any(dose.threshold for effect in model.effects for dose in effect.doses)
 
 
 def improved(base: Baseline, errors: ErrorModel, here: Hypothesis, options: GapOptions) -> Hypothesis | None:
-    """A better fit of the full-order model, searched with the reduced one about the one that is there.
+    """A fit of the full-order model with a higher likelihood, searched with the reduced one near the current one.
 
-    What saturates is searched with the full-order model itself. Better is what makes the fitted frames likelier. None
-    where there is none.
+    Saturating effects are searched with the full-order model itself. None if no fit is better.
     """
     scales = np.array([p.step for p in here.model.parameters(here.values)])
     first = best = here
@@ -118,16 +117,16 @@ def improved(base: Baseline, errors: ErrorModel, here: Hypothesis, options: GapO
 
 
 def with_own_correction(base: Baseline, errors: ErrorModel, numerics: Numerics, found: Hypothesis) -> Hypothesis:
-    """A full-order fit with what the most exact run at its values changes; as it is where no such run is affordable.
+    """A full-order fit, corrected by the most exact run at its values; unchanged if no such run is affordable.
 
     Args:
         base: the full-order base fit.
         errors: weights of the residuals.
-        numerics: what the most exact run is made on.
+        numerics: gives the mesh of the most exact run.
         found: the fit, by the full-order model.
 
     Raises:
-        ConvergenceError: the body cannot be simulated so, or the runs have cost what they may.
+        ConvergenceError: the body cannot be simulated so, or the runs have used their budget.
     """
     if numerics.exact is None:
         return found
@@ -144,14 +143,14 @@ def with_own_correction(base: Baseline, errors: ErrorModel, numerics: Numerics, 
 
 
 def fitted_there(search: EffectSearch, full: EffectModel, values: np.ndarray, *, by_kind: bool = False) -> Hypothesis:
-    """A fit from values far from the base fit, by a reduced model that says what the full-order one does there.
+    """A fit from values far from the base fit, by a reduced model that is corrected to the full-order one there.
 
     Args:
-        search: for the base fit and the errors.
+        search: gives the base fit and the errors.
         full: the full-order model.
-        values: where to begin.
-        by_kind: residuals of each kind weigh by what is left of them there, which is what fits are compared by: what
-            follows an impact, if no fit comes near it, does not draw doses away from what the flight says of them.
+        values: start of the fit.
+        by_kind: whether residuals of each kind are weighted by their size there, as in the comparison of fits; a poor
+            fit after an impact then does not distort the doses that the flight determines.
     """
     base, errors = search.base, search.errors
     cheap, motion = reduced_like(full, full.motion(values), values)
@@ -167,15 +166,15 @@ def decided(
     base: Baseline, errors: ErrorModel, numerics: Numerics, chosen: Sequence[Hypothesis], *, options: GapOptions,
     report: Report,
 ) -> list[Hypothesis]:  # fmt: skip
-    """The base model and the fits chosen, by the full-order model: as they were found, then fitted on while that helps.
+    """The base model and the chosen fits, evaluated by the full-order model and refined while that helps.
 
-    Each is corrected by the most exact run at its own values, the base model too, which is then fitted on as well.
-    One for which there was no time is left out; if there was none for any, the reduced model's word is taken.
+    The most exact run at its own values corrects each fit, the base model too, which is also refined. Fits without
+    remaining time are left out; if none has time, the reduced model's results are returned.
     """
     cost, plain = base.model.cost, base_hypothesis(base, errors)
     cost.allow(options.decision_cost, CLOCK.decision_ends)
     out = [plain]
-    for hypothesis in sorted(chosen, key=lambda h: len(h.effects)):  # the simple ones first, should time run out
+    for hypothesis in sorted(chosen, key=lambda h: len(h.effects)):  # simple ones first, in case time runs out
         report(f"full-order run: {hypothesis.label}")
         try:
             if len(out) > 1:
@@ -209,12 +208,12 @@ def fitted_while_it_helps(
     better: Callable[[Hypothesis], Hypothesis | None],
     ranked: Callable[[Sequence[Hypothesis]], list[Hypothesis]],
 ) -> list[Hypothesis]:
-    """Sweeps over fits, best first and in turn, each fitted on while that gains enough.
+    """Sweeps over fits, best first and in turn; each is refined while the gain is sufficient.
 
     Args:
-        fits: at first.
-        settled: ids of the motions of fits that stay as they are.
-        better: a fit that makes the fitted frames likelier; None where there is none.
+        fits: initial fits.
+        settled: ids of the motions of fits that stay unchanged.
+        better: returns a fit with a higher likelihood of the fitted frames; None without one.
         ranked: fits, best first.
     """
     out, settled = list(fits), set(settled)
@@ -231,7 +230,7 @@ def fitted_while_it_helps(
 
 
 def _near_the_best(base: Baseline, errors: ErrorModel, fits: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Fits that may yet be the best, best first."""
+    """Fits that may still become the best, best first."""
     ranked = judged(base, errors, fits)
     return [h for h in ranked if h.evidence > ranked[0].evidence - DECISION.hopeless]
 
@@ -239,7 +238,7 @@ def _near_the_best(base: Baseline, errors: ErrorModel, fits: Sequence[Hypothesis
 def _corrected(
     base: Baseline, errors: ErrorModel, numerics: Numerics, found: Hypothesis, report: Report
 ) -> Hypothesis:  # fmt: skip
-    """A fit with its own correction, or as it is where that run fails, or has no time left."""
+    """A fit with its own correction, or unchanged if that run fails or has no time left."""
     try:
         return with_own_correction(base, errors, numerics, found)
     except FAILURES as error:

@@ -1,4 +1,4 @@
-"""A fit of effects, how it compares with others on frames that no fit saw, and how fits are ranked."""
+"""A fit of effects, its comparison with others on held-out frames, and the ranking of fits."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ from physconvex.identify import Fit, marginal_deviations
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """The base model, or it with effects, fitted.
+    """The base model, alone or with effects, fitted.
 
     Attributes:
-        effects: none for the base model.
+        effects: empty for the base model.
         model: the model, all frames.
         values: base parameters, then doses.
         errors: standard errors, lack of fit included.
-        positions: what it says is observed [m], all frames.
-        motion: of the points, before observation.
+        positions: predicted observed positions [m], all frames.
+        motion: motion of the points, before observation.
         tangents: derivatives of the positions by the values, in the first frames, shape [f, K, P, 3].
         fitted: mean square of the residuals in the fitted frames, over that of noise and numerical error.
-        selecting: the same in the frames that choose, of the kind that has most.
+        selecting: the same in the selecting frames, for the kind with the largest value.
         evidence: log-evidence up to a constant, tempered or not.
-        likelihood: its part that the residuals make, not tempered, by kind (`physconvex.gap.base.body_modes`).
-        attainable: what that would be if nothing but noise and numerical error were left.
+        likelihood: its part from the residuals, not tempered, by kind (`physconvex.gap.base.body_modes`).
+        attainable: the likelihood of residuals with noise and numerical error alone.
         information: number of independent fitted residuals by kind.
-        moved: kinds that its effects change something of: only of these the residuals tell the doses.
-        divisor: residuals per independent one that the evidence is tempered with, by kind.
-        vibration_likelihood: log-likelihood of how the recording rings, part of the evidence that is not tempered.
-        later: the part of the likelihood that the frames make which choose, and which no fit saw.
-        struck: kinds that are of frames from the first contact on; None where they are not divided.
+        moved: kinds that its effects change; only these residuals inform the doses.
+        divisor: residuals per independent one, by kind; it tempers the evidence.
+        vibration_likelihood: log-likelihood of the recorded vibration, a part of the evidence that is not tempered.
+        later: part of the likelihood from the selecting frames, which no fit uses.
+        struck: kinds of frames from the first contact on; None if they are not divided.
     """
 
     effects: tuple[Effect, ...]
@@ -88,9 +88,9 @@ class Hypothesis:
         return self.values[where], self.errors[where]
 
     def is_slight(self, *effects: Effect) -> bool:
-        """Whether all doses (of all effects unless some are given) lie nearer to null than is of interest.
+        """Whether all doses (of all effects unless some are given) are closer to null than is of interest.
 
-        What fits so is the model's own error.
+        Such a fit describes the model's own error.
         """
         slight = [
             abs(value - dose.null) < dose.smallest
@@ -102,24 +102,24 @@ class Hypothesis:
 
     @property
     def independent(self) -> float:
-        """Number of independent fitted residuals, those that are alike counted once."""
+        """Number of independent fitted residuals."""
         return float((self.information / self.divisor).sum())
 
     @property
     def seen(self) -> float:
         """Log-likelihood of the fitted frames, up to a constant.
 
-        Of a struck body the mean square hardly tells one fit from a better one: most of its residuals are of the
-        flight, which all of them follow.
+        For a struck body the mean square hardly separates fits: most of its residuals belong to the flight, which all
+        of them follow.
         """
         return float((self.likelihood - self.later).sum())
 
     @property
     def left_to_explain(self) -> float:
-        """Gain of log-likelihood in the fitted frames by whatever would leave nothing but noise and numerical error.
+        """Possible gain of log-likelihood in the fitted frames, down to noise and numerical error.
 
-        Kind by kind: what little is left of a flight hides in the mean beside what a rebound errs by. Kinds that lie
-        within their errors leave nothing.
+        It is computed by kind, since the error of a rebound hides a small residual of the flight in the mean. Kinds
+        within their errors add nothing.
         """
         seen = self.likelihood - self.later
         followed = seen >= -0.5 * self.information * np.log(SEARCH.followed + 1.0)
@@ -127,11 +127,11 @@ class Hypothesis:
         return float(gain[~followed].sum())
 
     def foretells_more_than(self, other: Hypothesis) -> bool:
-        """Whether the frames that choose are no less likely than with another fit, kinds weighed as in the evidence."""
+        """Whether the selecting frames are at least as likely as with another fit, weighted as in the evidence."""
         return bool(((self.later - other.later) / self.divisor).sum() >= 0)
 
     def tempered(self, divisor: Float[np.ndarray, " D"]) -> Hypothesis:
-        """With the evidence that it has if only one in `divisor` residuals of each kind is independent."""
+        """The fit with its evidence if only one in `divisor` residuals of each kind is independent."""
         told = self.information * self.moved
         evidence = evidence_of(
             self.likelihood, told, self.effects, self.values, divisor, struck=self.struck, deviations=self.errors
@@ -143,7 +143,7 @@ def hypothesis_at(
     base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray, deviations: np.ndarray,
     *, motion: PointMotion, tangents: np.ndarray,
 ) -> Hypothesis:  # fmt: skip
-    """A model at fitted values, with what it says and how well that fits."""
+    """A model at fitted values, with its predictions and their misfit."""
     positions = model.observed(motion, values)
     fitted = mean_square(base, errors, positions, base.split.fitted)
     selecting = float(np.nanmax(squares_by_kind(base, errors, positions, base.split.selecting), initial=0.0))
@@ -167,7 +167,7 @@ def hypothesis_at(
 
 
 def base_hypothesis(base: Baseline, errors: ErrorModel) -> Hypothesis:
-    """The base model as one of those compared."""
+    """The base model as a hypothesis."""
     deviations = deviations_of(base, errors, base.fit, base.positions)
     return hypothesis_at(
         base, errors, base.model, base.fit.values, deviations, motion=base.motion, tangents=base.tangents
@@ -175,28 +175,28 @@ def base_hypothesis(base: Baseline, errors: ErrorModel) -> Hypothesis:
 
 
 def weighed_anew(base: Baseline, errors: ErrorModel, found: Hypothesis) -> Hypothesis:
-    """A fit with other weights of the residuals than it was made or weighed with."""
+    """A fit with other weights of the residuals."""
     return hypothesis_at(
         base, errors, found.model, found.values, found.errors, motion=found.motion, tangents=found.tangents
     )
 
 
 def continued(base: Baseline, found: Hypothesis) -> Baseline:
-    """A baseline at a fit with effects: where the search for further effects goes on."""
+    """A baseline at a fit with effects, from which the search for further effects continues."""
     fit = replace(base.fit, parameters=found.model.parameters(found.values), values=found.values)
     return replace(base, model=found.model, fit=fit, motion=found.motion, tangents=found.tangents)
 
 
 def deviations_of(base: Baseline, errors: ErrorModel, found: Fit, positions: np.ndarray) -> np.ndarray:
-    """Standard errors of fitted values: what is left is no noise, and many residuals of it tell as much as a few."""
+    """Standard errors of fitted values: the residual is no noise, and many residuals carry as little as a few."""
     alike = residuals_per_one(base, errors, positions, base.split.fitted)
     return marginal_deviations(found) * np.sqrt(max(found.reduced_chi_square * alike, 1.0))
 
 
 def doses_at_bounds(best: Hypothesis) -> list[str]:
-    """Doses that the fit drove to a bound other than their null value.
+    """Doses that the fit drives to a bound other than their null value.
 
-    Those that only shape an effect may lie there: an inclusion at the very face of a body is none less.
+    Shape doses may lie there: an inclusion at the very face of a body is valid.
     """
     found = []
     for effect in best.effects:
@@ -210,9 +210,9 @@ def doses_at_bounds(best: Hypothesis) -> list[str]:
 
 
 def judged(base: Baseline, errors: ErrorModel, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """With the evidence of as many residuals as are independent in what the best of them leaves, best first.
+    """Fits with the evidence of the independent residuals in the best one's residual, best first.
 
-    Fits with a dose at its bound are left out as long as others with effects are there.
+    Fits with a dose at its bound are excluded while others with effects remain.
     """
     hypotheses = within_bounds(hypotheses)
     best = max(hypotheses, key=lambda h: h.evidence)
@@ -221,7 +221,7 @@ def judged(base: Baseline, errors: ErrorModel, hypotheses: Sequence[Hypothesis])
 
 
 def within_bounds(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """Without fits that need a dose at the bound of what is physical, as long as others with effects are left."""
+    """Exclude fits with a dose at the bound of what is physical, while others with effects remain."""
     kept = [h for h in hypotheses if not doses_at_bounds(h)]
     return kept if any(h.effects for h in kept) else list(hypotheses)
 
@@ -233,13 +233,13 @@ def finalists(
 
     Args:
         found: fits.
-        count: how many sets of names, at most two single effects not counted.
-        tied: another form of the same effects is kept too where its evidence is less than this below the best one's.
-        forms: so many of a single effect are kept whatever their evidence.
+        count: maximum number of sets of names, up to two single effects not counted.
+        tied: another form of the same effects is kept if its evidence is within this of the best one's.
+        forms: number of forms of a single effect that are kept whatever their evidence.
 
-    A form whose doses came to nothing, fibres of no strength, says what the fit without it says: it stands for its
-    effects only where all their forms came to that. And what fewer effects do as well comes after all that stands for
-    itself: effects that seem to be none the better for a partner may yet be right where the model errs by ten.
+    A form with zero doses, such as fibres of no strength, equals the fit without it. It represents its effects only if
+    all their forms have zero doses. A fit that fewer effects match ranks after all others, but is kept: such effects
+    may be right if the model's error is about ten in evidence.
     """
     kept: dict[frozenset[str], list[Hypothesis]] = {}
     for hypothesis in sorted((h for h in found if h.effects), key=lambda h: (h.is_slight(), -h.evidence)):
@@ -263,15 +263,15 @@ def _another(hypothesis: Hypothesis, same: Sequence[Hypothesis], tied: float, fo
 
 
 def _idle(combined: Hypothesis, kept: dict[frozenset[str], list[Hypothesis]]) -> bool:
-    """Whether fewer of its effects say as much."""
+    """Whether fewer of its effects fit as well."""
     names = frozenset(combined.names)
     return any(part < names and same[0].evidence > combined.evidence for part, same in kept.items())
 
 
 def evidence_of_anything(best: Hypothesis) -> float:
-    """Of an unknown effect that leaves nothing but noise, at the price of as many doses as three effects have.
+    """Evidence of an unknown effect that leaves only noise, at the price of three effects' doses.
 
-    It is the better explanation where even the best fit leaves much that does not look like noise.
+    It is the better explanation if even the best fit leaves much more than noise.
     """
     price = 0.5 * EVIDENCE.anything * np.log(max(best.independent, 2.0))
     return float((best.attainable / best.divisor).sum() - price)

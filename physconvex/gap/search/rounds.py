@@ -1,4 +1,4 @@
-"""The rounds of a search: which effects are fitted next, from where."""
+"""The rounds of a search: the next effects to fit, and their start values."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from physconvex.gap.thresholds import DECISION, RUN_COST, SCREENING, SEARCH
 
 
 def alone(search: EffectSearch, screened: Iterable[Screened]) -> None:
-    """Each by itself; a search that the clock ends here has not seen what the recording asks for."""
+    """Fit each effect alone; if the clock ends this round, effects with a high rank are untried."""
     cost = search.base.model.cost
     for entry in screened:
         cost.hurried |= cost.out_of_time
@@ -30,9 +30,9 @@ def alone(search: EffectSearch, screened: Iterable[Screened]) -> None:
 
 
 def from_elsewhere(search: EffectSearch, screening: Screening, tried: Sequence[Screened]) -> None:
-    """What was tried and is somewhere in the body, or lies along something, from other places and directions as well.
+    """Fit effects that have a place or a direction from other places and directions as well.
 
-    Of a struck body screening hardly tells these: E has taken up what a stiff core does, and a soft end looks alike.
+    Screening hardly separates these for a struck body: E absorbs a stiff core, and a soft end looks similar.
     """
     if search.placed:
         for entry in other_places(screening, tried):
@@ -40,7 +40,7 @@ def from_elsewhere(search: EffectSearch, screening: Screening, tried: Sequence[S
 
 
 def other_places(screening: Screening, tried: Sequence[Screened]) -> list[Screened]:
-    """The best forms of the same effects that were not tried, of those that are somewhere or lie along something."""
+    """The best untried forms of the same effects, for those with a place or a direction."""
     found = []
     for name in [entry.effect.name for entry in tried]:
         placed = [e for e in screening.ranked if e.effect.name == name and any(d.shape for d in e.effect.doses)]
@@ -49,14 +49,14 @@ def other_places(screening: Screening, tried: Sequence[Screened]) -> list[Screen
 
 
 def from_there(search: EffectSearch, full: Baseline, effects: tuple[Effect, ...], values: np.ndarray) -> None:
-    """Fit effects from values at which they were found together with E."""
+    """Fit effects from values that are found together with E."""
     label = " + ".join(effect.label for effect in effects)
     model = replace(full.model, effects=effects)
     search.attempt(f"{label}, from a scan", lambda: fitted_there(search, model, values))
 
 
 def load_beside(search: EffectSearch, dictionary: tuple[Effect, ...]) -> None:
-    """A load at the end of a held body beside the best effects: E has to move with it, so that no dose alone helps."""
+    """A load at the end of a held body beside the best effects: E must change with it, so no dose alone helps."""
     best = search.best
     if not search.base.situation.clamped or not best.effects or "attached_mass" in best.names:
         return
@@ -68,7 +68,7 @@ def load_beside(search: EffectSearch, dictionary: tuple[Effect, ...]) -> None:
 
 
 def together(search: EffectSearch, screening: Screening) -> None:
-    """Pairs that explain much more than the better of the two, where single effects leave something."""
+    """Pairs that explain much more than the better of the two, if single effects leave a gap."""
     if not search.open(search.best):
         return
     for pair in plausible_pairs(screening, search.independent, held=search.base.situation.clamped)[: SEARCH.pairs]:
@@ -76,10 +76,10 @@ def together(search: EffectSearch, screening: Screening) -> None:
 
 
 def plausible_pairs(screening: Screening, independent: float, *, held: bool) -> list[Pair]:
-    """Pairs by what they explain of so many independent residuals, less what is implausible of their doses.
+    """Pairs by the part of the independent residuals that they explain, less the prior penalty of their doses.
 
-    Of a held body, half of them have damping: nothing rings for ever, so that another effect adds to it in any
-    recording, and may not show before it is there.
+    For a held body, half of them include damping. Every recording decays, so another effect adds to damping, and may
+    not show without it.
     """
     pairs = best_pairs(screening, SCREENING.pairs_ranked)
 
@@ -97,15 +97,15 @@ def plausible_pairs(screening: Screening, independent: float, *, held: bool) -> 
 
 
 def from_first_frames(search: EffectSearch, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
-    """Screen and fit again from where the first frames alone put the base model, if that is elsewhere."""
+    """Screen and fit again from the base model of the first frames alone, if that differs."""
     if search.open(search.best) and not search.late:
         _early(search, search.base, numerics, dictionary)
 
 
 def beside_in_first_frames(search: EffectSearch, numerics: Numerics, dictionary: tuple[Effect, ...]) -> None:
-    """The same beside the best effects, where these leave something or part from the recording after the fitted frames.
+    """The same beside the best effects, if these leave a gap or diverge from the recording after the fitted frames.
 
-    Over all fitted frames E absorbs a second effect as it does a first one; what that does comes out later.
+    Over all fitted frames E absorbs a second effect like a first one; the difference shows later.
     """
     best = search.best
     if best.effects and search.wanting(best):
@@ -123,7 +123,7 @@ def _early(search: EffectSearch, base: Baseline, numerics: Numerics, dictionary:
 
 
 def one_more(search: EffectSearch, numerics: Numerics, dictionary: tuple[Effect, ...], stems: int) -> bool:
-    """Screen at the best fits, add one effect to each; tells whether that was worth it."""
+    """Screen at the best fits and add one effect to each; return whether the evidence increases enough."""
     found = [_in_full(search, stem) for stem in finalists(search.ranked, stems)[:stems] if search.wanting(stem)]
     before = search.best
     for stem in filter(search.wanting, found):
@@ -133,15 +133,15 @@ def one_more(search: EffectSearch, numerics: Numerics, dictionary: tuple[Effect,
             search.fit([entry], starts=point)
     polish(search)
     ranked = search.ranked
-    again = [h.evidence for h in ranked if h.motion is before.motion]  # by what the best fit leaves now
+    again = [h.evidence for h in ranked if h.motion is before.motion]  # by the residual of the current best fit
     return not again or ranked[0].evidence > again[0] + SEARCH.worth
 
 
 def _in_full(search: EffectSearch, stem: Hypothesis) -> Hypothesis:
-    """A fit in which the reduced model says what the full-order one does there, which is fitted a little further.
+    """A refinement of a fit by a reduced model that is corrected to the full-order one at this fit.
 
-    What the two differ by at the base fit is soon out of date where an effect is strong: of a body that is thrown with
-    another spin, the reduced model's own error hid all that a damping left.
+    The correction at the base fit is wrong for a strong effect. For a body thrown with another spin, the reduced
+    model's own error hides the whole residual of damping.
     """
     if search.base.situation.clamped or not stem.effects:
         return stem
@@ -161,7 +161,7 @@ def _in_full(search: EffectSearch, stem: Hypothesis) -> Hypothesis:
 
 
 def polish(search: EffectSearch) -> None:
-    """Fit the best ones again, with derivatives taken where they are now."""
+    """Fit the best ones again, with derivatives at their current values."""
     for hypothesis in finalists(search.ranked, SEARCH.polished, tied=DECISION.tied)[: SEARCH.polished]:
         if id(hypothesis.motion) in search.polished or search.late:
             continue
@@ -175,11 +175,11 @@ def polish(search: EffectSearch) -> None:
 
 
 def leave_out(search: EffectSearch) -> None:
-    """Fit the best combination, if nothing is far ahead of it, without each of its effects: parsimony has a say.
+    """Fit the best combination without each of its effects, if nothing is far ahead of it (parsimony).
 
-    Also where that was tried before and left clearly more: a load alone, found from the base fit, stopped on its way at
-    three times the squares, and a wrong frame rate led that had led to the load. For this there is always something
-    left to spend.
+    Fits of fewer effects that ended at a clearly larger misfit are repeated. A load alone, fitted from the base fit,
+    may stop at three times the squares, while a wrong frame rate that leads to the load ranks first. A budget is
+    reserved for this round.
     """
     ranked = search.ranked
     best = next((h for h in ranked if len(h.effects) > 1 and h.evidence > ranked[0].evidence - SEARCH.worth), None)
@@ -199,7 +199,7 @@ def leave_out(search: EffectSearch) -> None:
 def without_each(best: Hypothesis, found: Sequence[Hypothesis]) -> Iterator[tuple[EffectModel, np.ndarray, np.ndarray]]:
     """Model, values and derivatives of a combination without each of its effects in turn.
 
-    Not where a fit of the others that is nearly as likely was found already.
+    Skipped if a fit of the others is already known with nearly the same likelihood.
     """
     for index, effect in enumerate(best.effects):
         rest = tuple(e for e in best.effects if e is not effect)

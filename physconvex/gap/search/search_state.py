@@ -1,4 +1,4 @@
-"""A search in progress: what was found so far, what it has cost, and whether something is left to look for."""
+"""State of a search: fits so far, cost so far, and whether to continue."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from physconvex.gap.search.effect_fits import fit_effects
 from physconvex.gap.search.hypothesis import Hypothesis, judged
 from physconvex.gap.thresholds import RUN_COST, SEARCH
 
-# of a run with doses that no body can bear: such a fit is left out, and the report says so
+# from runs with extreme doses; such a fit is left out, and the report says so
 FAILURES = (ConvergenceError, InputError, np.linalg.LinAlgError)
 
 
@@ -29,10 +29,10 @@ class EffectSearch:
         base: the same of the reduced one.
         errors: weights of the residuals.
         options: settings.
-        report: told what is done.
+        report: receives progress messages.
         found: fits so far, the base model first.
-        polished: ids of the motions of fits that need not be fitted again.
-        independent: number of independent residuals in what the base model leaves.
+        polished: ids of the motions of fits that need no refit.
+        independent: number of independent residuals in the base model's residual.
     """
 
     full: Baseline
@@ -56,31 +56,29 @@ class EffectSearch:
 
     @property
     def placed(self) -> bool:
-        """Whether several places and directions of an effect within the body are tried: of one that is struck, where
-        the recording tells how it deforms.
-        """  # fmt: skip
+        """Whether to try several places and directions of an effect: a struck body shows its deformation."""
         return not self.base.situation.clamped and self.base.positions.shape[1] >= SEARCH.telling_points
 
     @property
     def late(self) -> bool:
-        """Whether the runs so far have cost what they may."""
+        """Whether the runs so far have used their budget."""
         return self.base.model.cost.over
 
     def wanting(self, fit: Hypothesis) -> bool:
-        """Whether a further effect is worth looking for beside those of a fit."""
+        """Whether to search for a further effect beside those of a fit."""
         room = len(fit.effects) < self.options.most_effects
         return room and not self.late and self.open(fit)
 
     def open(self, fit: Hypothesis) -> bool:
         """Whether a fit leaves something to explain.
 
-        What is left of a wide gap is smooth, and counts as few independent residuals: it is open all the same. So is
-        one that opens in the frames that choose.
+        The residual of a wide gap is smooth and counts as few independent residuals, but the fit is open. So is one
+        whose gap opens in the selecting frames.
         """
         return fit.left_to_explain >= SEARCH.left or fit.fitted > SEARCH.wide or fit.selecting > SEARCH.late
 
     def attempt(self, text: str, run: Callable[[], Hypothesis]) -> Hypothesis | None:
-        """Fit and keep, unless it fails or the runs have cost too much; the first one is begun all the same."""
+        """Fit and keep, unless it fails or the budget is used; the first one always begins."""
         if self.late and len(self.found) > 1:
             return None
         self.report(f"fit: {text}")

@@ -1,7 +1,7 @@
-"""What noise and numerical error lead one to expect, anew where a fit has led far from the base fit.
+"""Expected errors from noise and numerical error, renewed if a fit moves far from the base fit.
 
-Meshes, steps and contacts part by what they do to the body that is simulated. Where an effect had moved E of the base
-fit by a decade, they part there by four times what they do at the body's own E, and so hide a second effect.
+Differences by mesh, steps and contact depend on the simulated body. If an effect shifts E of the base fit by a decade,
+they are four times those at the body's own E, and hide a second effect.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ from physconvex.gap.thresholds import CLOCK, DECISION, RUN_COST, SEARCH
 
 
 def expect_anew(search: EffectSearch) -> Numerics | None:
-    """Weigh the fits of a free body by the differences at the best one, if its E is far from the base fit's.
+    """Weight the fits of a free body by the differences at the best one, if its E is far from the base fit's.
 
     Args:
-        search: its errors and fits are changed, and what it may cost.
+        search: its errors, fits and budget are changed.
 
     Returns:
-        Those at the best fit; None, and nothing is changed, where E has not moved or no model can be run there.
+        The differences at the best fit; None, with nothing changed, if E has not moved or no model can be run there.
     """
     base, best = search.full, search.best
     names = base.model.base
@@ -70,14 +70,14 @@ def expect_anew(search: EffectSearch) -> Numerics | None:
 
 @dataclass(frozen=True, eq=False)
 class Selected:
-    """What a search came to.
+    """Result of a search.
 
     Attributes:
-        base: the base fit, as it was fitted on for the decision.
+        base: the base fit, as refined for the decision.
         hypotheses: the base model and the fits of effects, best evidence first.
-        screening: at the base fit.
-        errors: weights of the residuals: those given, or where a fit led far from the base fit those there.
-        numerics: the differences that these are of.
+        screening: screening at the base fit.
+        errors: weights of the residuals: the given ones, or those at a fit far from the base fit.
+        numerics: the differences behind these errors.
     """
 
     base: Baseline
@@ -96,11 +96,11 @@ def select_effects(
     Args:
         base: the full-order base fit.
         errors: weights of the residuals.
-        numerics: for numerical effects.
+        numerics: differences for numerical effects.
         dictionary: effects to try.
         options: settings.
-        report: told what is done.
-        screening: at the base fit, if there is one already.
+        report: receives progress messages.
+        screening: screening at the base fit, if known.
         near: the base model with an effect, near the recording: see `physconvex.gap.conditions.joint_fits`.
     """
     cheap, dictionary = as_reduced(base), tuple(dictionary)
@@ -123,7 +123,7 @@ def select_effects(
         from_elsewhere(search, screening, singles)
         from_flight(search, numerics, dictionary)
         anew = expect_anew(search)
-        if anew is not None:  # what the base fit leaves tells of another body
+        if anew is not None:  # the residual of the base fit belongs to another body
             numerics = anew
         else:
             together(search, screening)

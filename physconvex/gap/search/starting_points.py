@@ -1,19 +1,18 @@
-"""Points beside the base fit from which effects are looked for.
+"""Start points of the search for effects, in addition to the base fit.
 
-**First frames** (`early_point`). Over all frames E and ν absorb what they can of an effect (plastic flow looks like a
-body a decade softer), and at such a fit no dose looks right. What an effect does adds up over time, so that the first
-frames which tell E at all tell it with less of the effect in it: prediction error in the place of output error, at
-the price of more noise.
+**First frames** (`early_point`). Over all frames E and ν absorb a part of an effect (plastic flow looks like a body a
+decade softer), and at such a fit no dose helps. Effects accumulate over time. The first frames that determine E at all
+contain less of the effect: prediction error instead of output error, at the price of more noise.
 
-**Flight** (`from_flight`). In flight a body hardly deforms, so that neither E nor ν can absorb what wind, a clock or
-a throw do there, and a fit has one minimum; after an impact E has many, and at the base fit it may be decades from
-the one that suits the effect. So effects are told by the flight alone, then E is looked for by the first contact, and
-the reduced model is corrected anew where that puts it.
+**Flight** (`from_flight`). In flight a body hardly deforms, so neither E nor ν can absorb wind, a clock or a throw, and
+a fit has one minimum. After an impact E has many minima, and the base fit may be decades from the one that suits the
+effect. The flight alone therefore determines the effects, then the first contact determines E, and the reduced model is
+corrected again there.
 
-**A load** (`loaded_starts`). A load makes a held body sag further and swing slower. So does less stiffness, in
-another proportion: a fit of E alone ends between the two, out of step, and from there no load looks right. How fast
-the recording swings is known by itself, and to each load belongs one E at which the loaded body swings so; of these
-pairs the recording chooses.
+**Load** (`loaded_starts`). A load makes a held body sag further and vibrate more slowly. So does a lower stiffness, in
+another proportion. A fit of E alone ends between the two, out of phase, and no load helps from there. The vibration
+frequency of the recording is known independently, and for each load one E gives the loaded body that frequency. The
+recording selects among these pairs.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ Start = tuple[tuple[Effect, ...], np.ndarray]
 
 
 def early_window(base: Baseline, errors: ErrorModel) -> int | None:
-    """Number of first frames that tell E well enough; None where that takes nearly all of the fitted ones."""
+    """Number of first frames that determine E well enough; None if that takes nearly all of the fitted ones."""
     names = base.model.base
     if MODULUS not in names:
         return None
@@ -67,7 +66,7 @@ def early_window(base: Baseline, errors: ErrorModel) -> int | None:
 
 
 def early_point(base: Baseline, errors: ErrorModel, options: GapOptions, report: Report) -> Baseline | None:
-    """The baseline at the fit of the first frames; None where there is no such window, or it says the same."""
+    """The baseline at the fit of the first frames; None without such a window, or for the same result."""
     window = early_window(base, errors)
     if window is None:
         return None
@@ -90,7 +89,7 @@ def early_point(base: Baseline, errors: ErrorModel, options: GapOptions, report:
 
 
 def from_flight(search: EffectSearch, numerics: Numerics, dictionary: Sequence[Effect]) -> None:
-    """Fit what the flight before the first contact tells, and from there the rest, if the best fit leaves it open."""
+    """If the best fit leaves a gap, fit effects to the flight before the first contact, and then the rest."""
     flight = _flight(search.base)
     if flight is None or search.late or MODULUS not in search.base.model.base:
         return
@@ -107,7 +106,7 @@ def from_flight(search: EffectSearch, numerics: Numerics, dictionary: Sequence[E
 
 
 def _told(search: EffectSearch, flight: Baseline, choices: Sequence[Sequence[Screened]]) -> list[Hypothesis]:
-    """Choices of effects fitted to the flight, the best first."""
+    """Combinations of effects fitted to the flight, the best first."""
     found = []
     for chosen in choices:
         search.report(f"flight: {' + '.join(entry.effect.label for entry in chosen)}")
@@ -117,7 +116,7 @@ def _told(search: EffectSearch, flight: Baseline, choices: Sequence[Sequence[Scr
 
 
 def _flight(base: Baseline) -> Baseline | None:
-    """The baseline of the frames before the one ahead of the first contact; None where these are few."""
+    """The baseline of the frames before the one ahead of the first contact; None if these are few."""
     if base.situation.clamped or base.first_contact is None:
         return None
     fitted = base.split.fitted[base.split.fitted < base.first_contact - 1]
@@ -125,10 +124,10 @@ def _flight(base: Baseline) -> Baseline | None:
 
 
 def _fitted(search: EffectSearch, told: Hypothesis) -> Hypothesis:
-    """Initial motion and doses as the flight has them, E by the first contact, then all together, kind by kind."""
+    """Initial motion and doses from the flight, E from the first contact, then all together, kind by kind."""
     base, values = search.base, told.values.copy()
     for place, name in enumerate(base.model.base):
-        if not name.startswith("initial"):  # of which the flight says nothing
+        if not name.startswith("initial"):  # a flight does not inform it
             values[place] = base.fit.values[place]
     place = base.model.base.index(MODULUS)
     bare = replace(base.model, effects=told.effects, correction=None)
@@ -144,7 +143,7 @@ def _fitted(search: EffectSearch, told: Hypothesis) -> Hypothesis:
 
 
 def _best_material(search: EffectSearch, model: EffectModel, values: np.ndarray, moduli: np.ndarray) -> np.ndarray:
-    """The values with that of some moduli, and an ordinary ν, at which they fit the frames of a model best."""
+    """The values with the best fitting E of some moduli, and an ordinary ν, in the frames of a model."""
     base, names = search.base, search.base.model.base
     place = names.index(MODULUS)
     bounds = model.parameters(values)[place]
@@ -164,12 +163,12 @@ def _best_material(search: EffectSearch, model: EffectModel, values: np.ndarray,
 
 
 def loaded_starts(base: Baseline, errors: ErrorModel, dictionary: Iterable[Effect]) -> list[Start]:
-    """Effects and values to begin fits at: a load, fixed or loose, alone and with damping; none where none fits best.
+    """Effects and start values: a load, fixed or loose, alone and with damping; empty if no load fits best.
 
     Args:
-        base: of the model that searches, at a fit with other effects perhaps: the load then comes beside these.
+        base: baseline of the searching model, possibly at a fit with other effects, which the load then joins.
         errors: weights of the residuals.
-        dictionary: effects that are tried.
+        dictionary: effects to try.
     """
     recorded, known, end = recorded_ringing(base), {effect.label: effect for effect in dictionary}, _free_end(base)
     load, loose, damping = (known.get(name.format(end)) for name in _LABELS)
@@ -177,11 +176,11 @@ def loaded_starts(base: Baseline, errors: ErrorModel, dictionary: Iterable[Effec
         return []
     known_already = base.model.effects
     damped = () if damping is None or "damping" in {e.name for e in known_already} else (damping,)
-    # what damps the main shape by the ratio that was recorded, E in proportion to viscosity
+    # gives the main shape the recorded damping ratio, E in proportion to viscosity
     dose = max(recorded.ratio, 0.0) / (np.pi * recorded.frequency)
     model = replace(base.model, effects=(*known_already, load, *damped), correction=None, frames=base.split.end)
     frequency, here, tried = recorded.frequency / _clock(base), len(base.fit.values), []
-    for ratio in SEARCH.load_ratios:  # at the very end: further in, a larger one looks nearly alike
+    for ratio in SEARCH.load_ratios:  # at the very end; a larger load further in looks nearly the same
         values = np.concatenate([base.fit.values, [ratio, 0.0], np.full(len(damped), dose)])
         tried.append(_best_modulus(base, errors, model, values, frequency))
     misfit, values = min(tried, key=lambda one: one[0])
@@ -198,7 +197,7 @@ def loaded_starts(base: Baseline, errors: ErrorModel, dictionary: Iterable[Effec
 
 
 def _clock(base: Baseline) -> float:
-    """How much faster the recording's clock runs than the model's, by the fit."""
+    """Ratio of the recording's clock rate to the model's, from the fit."""
     for effect, where in zip(base.model.effects, base.model.slices, strict=True):
         if effect.name == "time_scale":
             return 1.0 + float(base.fit.values[where][0])
@@ -206,7 +205,7 @@ def _clock(base: Baseline) -> float:
 
 
 def _free_end(base: Baseline) -> str:
-    """The end that is farthest from what is held, as variants of the effect call it."""
+    """The end farthest from the held part, as variants of the effect name it."""
     scene = base.model.full_scene(base.fit.values)
     assert scene.held is not None
     vertices = scene.body.mesh.vertices
@@ -219,7 +218,7 @@ def _free_end(base: Baseline) -> str:
 def _best_modulus(
     base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray, frequency: float
 ) -> tuple[float, np.ndarray]:
-    """Misfit and values with the E that fits best, down from where the lowest vibration has a frequency [Hz]."""
+    """Misfit and values with the best E, downwards from that whose lowest vibration has a frequency [Hz]."""
     index = model.base.index(MODULUS)
     line = float(values[index]) + 2 * np.log10(frequency / lowest_frequency(model, values))
 
@@ -238,7 +237,7 @@ def _best_modulus(
 
 
 def _misfit(base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray) -> float:
-    """Of the fitted frames; infinite where nothing comes out."""
+    """Misfit of the fitted frames; infinite if there is no result."""
     try:
         return negative_log_likelihood(base, errors, model.positions(values))
     except (ConvergenceError, InputError):
