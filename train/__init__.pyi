@@ -6,7 +6,7 @@ from .cache import prepare_clips as prepare_clips
 from .config import TrainConfig as TrainConfig, load_train_config as load_train_config
 from .data import TrainingClips as TrainingClips
 from .falls.batches import FallBatch as FallBatch
-from .falls.pretrain import Pretraining as Pretraining, pretrain as pretrain
+from .falls.pretrain import pretrain as pretrain
 from .falls.real import RealClips as RealClips
 from .falls.run import train_on_falls as train_on_falls
 from .falls.world import Falls as Falls, simulate_falls as simulate_falls
@@ -14,6 +14,7 @@ from .loop import train_predictor as train_predictor
 from .losses import smoothed_target as smoothed_target
 from .metrics import constant_mae as constant_mae
 from .motion_states import flipped_states as flipped_states
+from .options import Pretraining as Pretraining
 from .paper.evaluation import evaluate_paper as evaluate_paper
 from .paper.options import PaperOptions as PaperOptions
 from .reconstruction_coverage import Coverage as Coverage, measure_coverage as measure_coverage

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from physconvex.io import command
+from train.options import Pretraining
 from train.progress import ProgressBar
 
 Data = Annotated[list[Path], typer.Option(help="Data set of `physconvex generate`; may be given several times.")]
@@ -60,16 +62,14 @@ def train_command(
     typer.echo(f"{result.steps} steps, best validation score {score}, checkpoint in {result.checkpoint}")
 
 
+@command
 def pretrain_command(
     *,
     falls: Annotated[Path, typer.Option(help="Folder of `physconvex generate falls`.")],
     data: Data,
     out: RunFolder,
     config: Annotated[str, typer.Option(help="YAML file or preset.")] = "falls",
-    steps: Annotated[int, typer.Option(help="Of the optimiser.", min=1)] = 3700,
-    minutes: Minutes = None,
-    drawn: Annotated[int, typer.Option(help="Falls of each step.", min=1)] = 168,
-    real: Annotated[int, typer.Option(help="Clips of data sets of each step.", min=1)] = 24,
+    plan: Pretraining,
     device: Annotated[str, typer.Option(help="A CUDA device, or `cpu`, which is some hundred times slower.")] = "cuda",
     seed: Seed = 0,
     resume: Resume = True,
@@ -78,10 +78,8 @@ def pretrain_command(
 ) -> None:
     """Train the predictor on falls simulated and drawn on a GPU, beside data sets."""
     from train.config import load_train_config
-    from train.falls.pretrain import Pretraining
     from train.falls.run import train_on_falls
 
-    plan = Pretraining(steps=steps, minutes=minutes, drawn=drawn, real=real)
     with ProgressBar() as bar:
         checkpoint = train_on_falls(
             load_train_config(config, seed=seed), plan, falls, data, out,

@@ -9,7 +9,7 @@ import typer
 
 from physconvex.io import command
 from train.blind.command import app as gap_app
-from train.evaluation_options import EvaluationOptions
+from train.options import EvaluationOptions
 from train.paper.command import paper_command
 from train.progress import ProgressBar
 

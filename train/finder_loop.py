@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Protocol, TypeVar, runtime_checkable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -12,37 +14,30 @@ from timm.utils import ModelEmaV3
 from torch import Tensor, nn
 
 from train.progress import Report
+from train.segmentation_data import SegmentationAugmentation
 
 _Network = TypeVar("_Network", bound=nn.Module)
 
 
-@runtime_checkable
-class FinderRecipe(Protocol):
-    """What the loop reads of a recipe."""
+@dataclass(frozen=True, kw_only=True)
+class FinderRecipe:
+    """What both recipes say."""
 
-    @property
-    def steps(self) -> int:
-        """Of the optimiser."""
-
-    @property
-    def batch(self) -> int:
-        """Clips per step."""
-
-    @property
-    def learning_rate(self) -> float:
-        """Largest."""
-
-    @property
-    def weight_decay(self) -> float:
-        """Of AdamW."""
-
-    @property
-    def average(self) -> float:
-        """Decay of the running average of the weights."""
-
-    @property
-    def seed(self) -> int:
-        """Of everything random."""
+    steps: int
+    """Of the optimiser."""
+    batch: int
+    """Clips per step."""
+    learning_rate: float
+    """Largest."""
+    weight_decay: float = 1e-4
+    """Of AdamW."""
+    average: float
+    """Decay of the running average of the weights, which is what is kept."""
+    start: Path | None = None
+    """Checkpoint to go on from, of the same network; random weights unless given."""
+    augmentation: SegmentationAugmentation = field(default_factory=SegmentationAugmentation)
+    seed: int = 0
+    """Of everything random."""
 
 
 def train_finder_network(

@@ -10,7 +10,7 @@ import numpy as np
 
 from models import ClipEstimate, PhysicsPredictor, PreparedClip
 from train.cache import PreparedClips, prepare_clips
-from train.evaluation_options import EvaluationOptions, Shown
+from train.options import EvaluationOptions, Shown
 from train.progress import Report
 from train.records import LabelledClip, read_clips
 

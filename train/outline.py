@@ -14,35 +14,28 @@ from torch.nn import functional
 
 import physconvex
 from models import OutlineConfig, OutlineNetwork, load_outline, outline_input, refined_coverage, save_finder_network
-from train.finder_loop import overlap_of_frames, train_finder_network
+from train.finder_loop import FinderRecipe, overlap_of_frames, train_finder_network
 from train.outline_data import RoughClip, degraded, read_rough_clips, rearranged
 from train.progress import Report
 from train.records import Split, data_listing, read_clips
-from train.segmentation_data import MaskedClip, SegmentationAugmentation, recoloured
+from train.segmentation_data import MaskedClip, recoloured
 
 _LEAST_AREA = 50.0  # [px]; errors count against the object's area and this
 
 
 @dataclass(frozen=True, kw_only=True)
-class OutlineTraining:
+class OutlineTraining(FinderRecipe):
     """The recipe."""
 
     steps: int = 3000
     batch: int = 4
-    """Clips per step."""
     frames: int = 8
     """Of a clip, per step."""
     learning_rate: float = 3e-3
-    weight_decay: float = 1e-4
     average: float = 0.995
-    """Decay of the running average of the weights, which is what is kept."""
-    start: Path | None = None
-    """Checkpoint to go on from, of the same `network`; random weights unless given."""
     thinning: int = 1
     """Every so many-th training clip is used."""
     network: OutlineConfig = field(default_factory=OutlineConfig)
-    augmentation: SegmentationAugmentation = field(default_factory=SegmentationAugmentation)
-    seed: int = 0
 
 
 @dataclass(frozen=True)

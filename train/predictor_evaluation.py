@@ -15,9 +15,9 @@ from jaxtyping import Float64
 import physconvex
 from models import ClipEstimate, PreparedClip, freeze_time, shuffle_time
 from physconvex import InputError
-from train.evaluation_options import EvaluationOptions
 from train.held_out import HeldOut, evaluated_clips, held_out_estimates
 from train.metrics import DensityMetrics, density_metrics
+from train.options import EvaluationOptions
 from train.progress import Report
 from train.records import LabelledClip, dataset_checksum, read_clips
 

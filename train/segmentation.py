@@ -23,28 +23,21 @@ from models import (
     pad_pictures,
     save_finder_network,
 )
-from train.finder_loop import overlap_of_frames, train_finder_network
+from train.finder_loop import FinderRecipe, overlap_of_frames, train_finder_network
 from train.progress import Report
 from train.records import Split, data_listing, read_clips
-from train.segmentation_data import MaskedClip, SegmentationAugmentation, augmented, moving_part, read_masked_clips
+from train.segmentation_data import MaskedClip, augmented, moving_part, read_masked_clips
 
 
 @dataclass(frozen=True, kw_only=True)
-class SegmentationConfig:
+class SegmentationConfig(FinderRecipe):
     """The recipe."""
 
     steps: int = 1100
     batch: int = 3
-    """Clips per step."""
     learning_rate: float = 2e-3
-    weight_decay: float = 1e-4
     average: float = 0.99
-    """Decay of the running average of the weights, which is what is kept."""
     network: SegmenterConfig = field(default_factory=SegmenterConfig)
-    augmentation: SegmentationAugmentation = field(default_factory=SegmentationAugmentation)
-    start: Path | None = None
-    """Checkpoint to go on from, of the same `network`; random weights unless given."""
-    seed: int = 0
 
 
 @dataclass(frozen=True)

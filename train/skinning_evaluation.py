@@ -15,8 +15,8 @@ from jaxtyping import Float64
 
 import physconvex
 from models import captured_energy, random_basis
-from train.evaluation_options import EvaluationOptions
 from train.held_out import evaluated_clips, held_out_estimates
+from train.options import EvaluationOptions
 from train.progress import Report
 from train.records import ClipSamples, dataset_checksum
 

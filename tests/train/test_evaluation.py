@@ -12,8 +12,8 @@ import train.held_out
 from models import ClipEstimate, PhysicsPredictor, PreparedClip, SkinningField
 from physconvex import InputError
 from train import TrainConfig, read_clips
-from train.evaluation_options import EvaluationOptions
 from train.held_out import held_out
+from train.options import EvaluationOptions
 from train.predictor_evaluation import evaluate_predictor, write_predictor_report
 from train.skinning_evaluation import evaluate_skinning, write_skinning_report
 

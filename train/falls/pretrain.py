@@ -10,7 +10,7 @@ import logging
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -27,6 +27,7 @@ from train.falls.batches import FallBatch, draw_batch, joined_batches, real_batc
 from train.falls.real import RealClips
 from train.falls.world import Falls
 from train.losses import density_losses, noisy_states, state_loss
+from train.options import Pretraining
 from train.progress import Report
 from train.run_log import RunLog
 from train.run_state import TrainingProgress, load_training_state, refuse_other_run, save_training_state
@@ -36,23 +37,6 @@ _LOG = logging.getLogger("physconvex")
 
 STATE = "state.safetensors"
 _STEP_SCALE = 1_000_003  # between the seeds of two runs
-
-
-@dataclass(frozen=True)
-class Pretraining:
-    """How it goes, besides what `TrainConfig` says."""
-
-    steps: int = 3700
-    minutes: float | None = None
-    """Stop after this time, the learning rate falling accordingly: how far it comes then depends on the machine."""
-    drawn: int = 168
-    """Falls of each step."""
-    real: int = 24
-    """Clips of data sets of each step."""
-    real_weight: float = 0.5
-    """Of what is said of their material, which few simulations can teach by heart; not of their states."""
-    report_steps: int = 200
-    """Between two scores, which are also the states that a run can go on from."""
 
 
 @torch.no_grad()

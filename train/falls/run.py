@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, replace
 from pathlib import Path
 
 import torch
@@ -16,10 +15,11 @@ from physconvex import InputError
 from physconvex.numerics import device_named
 from train.config import TrainConfig
 from train.export import Origin, export_best
-from train.falls.pretrain import STATE, Pretraining, pretrain
+from train.falls.pretrain import STATE, pretrain
 from train.falls.real import RealClips
 from train.falls.skinning import HeadTraining, fit_skinning_head
 from train.falls.world import simulate_falls
+from train.options import Pretraining
 from train.progress import Report
 from train.run_log import run_fingerprint, write_config
 from train.run_state import refuse_other_run
@@ -114,7 +114,7 @@ def train_on_falls(
 def _fingerprint(config: TrainConfig, plan: Pretraining, falls: Path, data: Sequence[Path | str]) -> str:
     """Hash of what decides the numbers of a run, but for the time that it may take."""
     content = hashlib.sha256(run_fingerprint(config, data).encode())
-    content.update(json.dumps(asdict(replace(plan, minutes=None))).encode())
+    content.update(json.dumps(plan.replace(minutes=None).to_json()).encode())
     for path in sorted(falls.glob("falls-[0-9]*.npz")):
         content.update(path.read_bytes())
     return content.hexdigest()
