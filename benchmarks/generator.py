@@ -30,6 +30,7 @@ import torch
 
 from data_gen import (
     GeneratorConfig,
+    WorkerOptions,
     draw_degradation,
     draw_drop,
     draw_look,
@@ -117,7 +118,7 @@ def throughput(config: GeneratorConfig, seed: int, count: int, workers: int) -> 
             count=count,
             config=config,
             seed=seed,
-            workers=workers,
+            work=WorkerOptions(workers=workers),
             on_report=lambda *_: stamps.append(time.perf_counter() - start),
         )
         total = time.perf_counter() - start

@@ -32,6 +32,7 @@ from .config import (
 )
 from .dataset import ClipRecord as ClipRecord, Dataset as Dataset
 from .degrade import draw_degradation as draw_degradation
+from .engines import WorkerOptions as WorkerOptions
 from .explicit.bodies import (
     FPS as FPS,
     FallingBody as FallingBody,

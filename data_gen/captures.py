@@ -21,7 +21,7 @@ from pydantic import Field, JsonValue
 from data_gen.config import GeneratorConfig, uniform
 from data_gen.dataset import write_claim
 from data_gen.degrade import draw_degradation
-from data_gen.engines import EngineName, run_tasks
+from data_gen.engines import WorkerOptions, run_tasks
 from data_gen.generate import (
     GenerationSummary,
     SuccessfulDrop,
@@ -187,8 +187,7 @@ def generate_captures(
     config: GeneratorConfig,
     seed: int = 0,
     options: RingOptions | None = None,
-    workers: int = 1,
-    engine: EngineName = "local",
+    work: WorkerOptions | None = None,
     on_report: Callable[[TaskReport, int], None] | None = None,
 ) -> GenerationSummary:
     """Make (or finish) `count` captures below `root`, one folder each; the bytes depend on the arguments alone.
@@ -209,7 +208,7 @@ def generate_captures(
     todo = [n for n in range(count) if not capture_folder(root, n).is_dir()]
     tasks = [CaptureTask(root.resolve(), config, seed, n, options) for n in todo]
     failed, given_up = 0, []
-    reports = run_tasks(make_capture, tasks, workers=workers, engine=engine)
+    reports = run_tasks(make_capture, tasks, work)
     for done, report in enumerate(reports, start=count - len(todo) + 1):
         failed += len(report.failures)
         if report.given_up:

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from data_gen.benchmark_scenes import BenchmarkOptions
 from data_gen.captures import RingOptions, generate_captures
 from data_gen.config import GeneratorConfig, load_config
-from data_gen.engines import EngineName
+from data_gen.engines import WorkerOptions
 from data_gen.generate import GenerationSummary, TaskReport, generate_dataset
 from physconvex.io import command
 
@@ -27,8 +27,6 @@ def _generate() -> None:
 
 Out = Annotated[Path, typer.Option(help="Folder to make, or to finish if it was begun before.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
-Workers = Annotated[int, typer.Option(min=1, help="Worker processes.")]
-Engine = Annotated[EngineName, typer.Option(help="Where the workers run.")]
 Objects = Annotated[Path | None, typer.Option(help="Folder of meshes to use instead of procedural bodies.")]
 Settings = Annotated[
     list[str] | None,
@@ -39,14 +37,14 @@ Progress = Annotated[bool, typer.Option(help="Show a progress bar.")]
 
 
 @app.command("dataset")
+@command
 def dataset(
     *,
     out: Out,
     count: Annotated[int, typer.Option(min=1, help="Number of simulations; each gives `camera.views` clips.")] = 100,
     config: Config = "training",
     seed: Seed = 0,
-    workers: Workers = 2,
-    engine: Engine = "local",
+    work: WorkerOptions,
     objects: Objects = None,
     settings: Settings = None,
     progress: Progress = True,
@@ -54,9 +52,7 @@ def dataset(
     """Simulate and render clips of dropped bodies, with labels and interior samples."""
     resolved = _resolved(config, settings, objects)
     with _advancing(count, "simulation", progress) as advance:
-        summary = generate_dataset(
-            out, count=count, config=resolved, seed=seed, workers=workers, engine=engine, on_report=advance
-        )
+        summary = generate_dataset(out, count=count, config=resolved, seed=seed, work=work, on_report=advance)
     _report(out, "simulations", summary)
 
 
@@ -69,8 +65,7 @@ def captures_command(
     config: Config = "captures",
     seed: Seed = 0,
     options: RingOptions,
-    workers: Workers = 2,
-    engine: Engine = "local",
+    work: WorkerOptions,
     objects: Objects = None,
     settings: Settings = None,
     progress: Progress = True,
@@ -79,19 +74,13 @@ def captures_command(
     resolved = _resolved(config, settings, objects)
     with _advancing(count, "capture", progress) as advance:
         summary = generate_captures(
-            out,
-            count=count,
-            config=resolved,
-            seed=seed,
-            options=options,
-            workers=workers,
-            engine=engine,
-            on_report=advance,
+            out, count=count, config=resolved, seed=seed, options=options, work=work, on_report=advance
         )
     _report(out, "captures", summary)
 
 
 @app.command("falls")
+@command
 def falls(
     *,
     out: Out,
@@ -100,8 +89,7 @@ def falls(
     nodes: Annotated[int, typer.Option(help="Most nodes of a mesh.")] = 1900,
     config: Config = "training",
     seed: Seed = 0,
-    workers: Workers = 2,
-    engine: Engine = "local",
+    work: WorkerOptions,
     settings: Settings = None,
     progress: Progress = True,
 ) -> None:
@@ -111,7 +99,7 @@ def falls(
     resolved = _resolved(config, [*(settings or []), f"objects.simulations_per_object={each}"], None)
     with tqdm(total=shapes, unit="shape", disable=not progress) as bar:
         count = generate_falls(
-            out, shapes=shapes, config=resolved, seed=seed, nodes=nodes, workers=workers, engine=engine,
+            out, shapes=shapes, config=resolved, seed=seed, nodes=nodes, work=work,
             on_file=lambda done: bar.update(done - bar.n),
         )  # fmt: skip
     typer.echo(f"{out}: {count} falls")

@@ -6,35 +6,37 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from typing import Literal, TypeVar, get_args
+from typing import Annotated, Literal, TypeVar
+
+from pydantic import Field
 
 from physconvex import InputError
-from physconvex.io import ONE_THREAD, end_with_parent, one_thread_each
+from physconvex.io import ONE_THREAD, Options, end_with_parent, one_thread_each
 
-EngineName = Literal["local", "ray", "dask"]
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 
+class WorkerOptions(Options):
+    """Where tasks run; no result depends on it."""
+
+    workers: Annotated[int, Field(ge=1)] = 2
+    """Worker processes."""
+    engine: Literal["local", "ray", "dask"] = "local"
+    """Where the workers run."""
+
+
 def run_tasks(
-    function: Callable[[Task], Result], tasks: Sequence[Task], *, workers: int, engine: EngineName
+    function: Callable[[Task], Result], tasks: Sequence[Task], options: WorkerOptions | None = None
 ) -> Iterator[Result]:
-    """Apply `function` to all tasks and yield the results as they finish, in any order.
+    """Apply `function` to all tasks, in one process unless told, and yield the results as they finish, in any order.
 
     Raises:
-        InputError: unknown engine, an engine that is not installed, or fewer than one worker.
+        InputError: an engine that is not installed.
     """
-    if workers < 1:
-        raise InputError(f"workers: got {workers}; expected at least 1")
-    match engine:
-        case "local":
-            yield from _local(function, tasks, workers)
-        case "ray":
-            yield from _ray(function, tasks, workers)
-        case "dask":
-            yield from _dask(function, tasks, workers)
-        case _:
-            raise InputError(f"engine: got {engine!r}; expected one of {', '.join(get_args(EngineName))}")
+    options = options or WorkerOptions(workers=1)
+    run = {"local": _local, "ray": _ray, "dask": _dask}[options.engine]
+    yield from run(function, tasks, options.workers)
 
 
 def _local(function: Callable[[Task], Result], tasks: Sequence[Task], workers: int) -> Iterator[Result]:

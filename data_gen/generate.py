@@ -17,7 +17,7 @@ from pydantic import JsonValue
 from data_gen.config import GeneratorConfig
 from data_gen.dataset import RenderedView, finish_dataset, is_settled, write_claim, write_given_up, write_simulation
 from data_gen.degrade import Degradation, draw_degradation, expose, shake, sub_positions
-from data_gen.engines import EngineName, run_tasks
+from data_gen.engines import WorkerOptions, run_tasks
 from data_gen.render import Renderer
 from data_gen.scene import LOOK, Drop, Look, draw_drop, draw_look, random_stream, split_of, surface_of
 from data_gen.simulate import SimulatedDrop, simulate_drop
@@ -212,15 +212,14 @@ def generate_dataset(
     count: int,
     config: GeneratorConfig,
     seed: int = 0,
-    workers: int = 1,
-    engine: EngineName = "local",
+    work: WorkerOptions | None = None,
     on_report: Callable[[TaskReport, int], None] | None = None,
 ) -> GenerationSummary:
     """Make (or finish) a data set of `count` simulations.
 
-    The bytes written depend on `config`, `seed` and the simulation's number only, not on workers, engine or earlier
-    interruptions. Times alone differ; they go to `timings.jsonl`, outside the manifest. `on_report` is told of each
-    task as it ends, and how many simulations are settled then.
+    The bytes written depend on `config`, `seed` and the simulation's number only, not on `work` (one worker unless
+    given) or earlier interruptions. Times alone differ; they go to `timings.jsonl`, outside the manifest. `on_report`
+    is told of each task as it ends, and how many simulations are settled then.
 
     Raises:
         InputError: the folder holds a data set of another seed or configuration, or not one simulation succeeded.
@@ -232,7 +231,7 @@ def generate_dataset(
     todo = [n for n in range(count) if not is_settled(root, n)]
     tasks = [SimulationTask(root.resolve(), config, seed, n) for n in todo]
     failed = made = 0
-    reports = run_tasks(make_simulation, tasks, workers=workers, engine=engine)
+    reports = run_tasks(make_simulation, tasks, work)
     for done, report in enumerate(reports, start=count - len(todo) + 1):
         with (root / "timings.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps({k: v for k, v in asdict(report).items() if k != "failures"}) + "\n")

@@ -11,7 +11,7 @@ import numpy as np
 
 from data_gen.config import GeneratorConfig
 from data_gen.dataset import write_claim
-from data_gen.engines import EngineName, run_tasks
+from data_gen.engines import WorkerOptions, run_tasks
 from data_gen.explicit.bodies import FPS, GRAVITY, LARGEST, FallingBody, falling_body
 from data_gen.explicit.store import load_bodies, save_bodies
 from data_gen.scene import draw_drop, draw_object
@@ -40,8 +40,7 @@ def generate_falls(
     config: GeneratorConfig,
     seed: int = 0,
     nodes: int = _NODES,
-    workers: int = 1,
-    engine: EngineName = "local",
+    work: WorkerOptions | None = None,
     on_file: Callable[[int], None] | None = None,
 ) -> int:
     """Make (or finish) a folder of the falls of so many shapes; how many falls it holds.
@@ -55,7 +54,7 @@ def generate_falls(
         config: what is drawn.
         seed: of everything random.
         nodes: most nodes of a mesh, at most 2,048.
-        workers, engine: where it runs.
+        work: where it runs; one worker unless given.
         on_file: told the number of shapes drawn after each file.
 
     Raises:
@@ -72,7 +71,7 @@ def generate_falls(
     tasks = [_Task(root.resolve(), config, seed, k, part, nodes) for k, part in enumerate(parts)]
     waiting = [task for task in tasks if not _holds(_file(root, task.number), task.shapes)]
     done = shapes - sum(b - a for a, b in (task.shapes for task in waiting))
-    for made in run_tasks(_make_file, waiting, workers=workers, engine=engine):
+    for made in run_tasks(_make_file, waiting, work):
         done += made
         if on_file is not None:
             on_file(done)

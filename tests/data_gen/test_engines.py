@@ -4,14 +4,14 @@ import math
 
 import pytest
 
-from data_gen.engines import run_tasks
+from data_gen.engines import WorkerOptions, run_tasks
 
 
 @pytest.mark.slow
 def test_local_workers_do_every_task_once():
-    assert sorted(run_tasks(math.sqrt, [0, 1, 4, 9], workers=2, engine="local")) == [0, 1, 2, 3]
+    assert sorted(run_tasks(math.sqrt, [0, 1, 4, 9], WorkerOptions(workers=2))) == [0, 1, 2, 3]
 
 
 def test_errors_of_a_task_reach_the_caller():
     with pytest.raises(ValueError, match=r"math domain|nonnegative"):
-        list(run_tasks(math.sqrt, [-1.0], workers=1, engine="local"))
+        list(run_tasks(math.sqrt, [-1.0]))

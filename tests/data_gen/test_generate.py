@@ -25,7 +25,7 @@ from data_gen import (
     make_mesh,
     simulate_drop,
 )
-from data_gen.engines import run_tasks
+from data_gen.engines import WorkerOptions, run_tasks
 from data_gen.simulate import Samples, SimulatedDrop
 from physconvex import ConvergenceError, InputError
 from physconvex.dynamics import SolveStatistics
@@ -71,7 +71,7 @@ def in_process(monkeypatch):
     box = trimesh.creation.box()
     body = ObjectMesh(np.asarray(box.vertices), np.asarray(box.faces), "box", "user")
     monkeypatch.setattr("data_gen.scene.random_object", lambda rng: body)
-    monkeypatch.setattr(data_gen.generate, "run_tasks", lambda function, tasks, **_: map(function, tasks))
+    monkeypatch.setattr(data_gen.generate, "run_tasks", lambda function, tasks, _: map(function, tasks))
     monkeypatch.setattr(data_gen.generate, "simulate_drop", falling_box)
     return monkeypatch
 
@@ -153,22 +153,22 @@ def test_wrong_arguments_are_named(tmp_path):
     with pytest.raises(InputError, match="count"):
         generate_dataset(tmp_path, count=0, config=CONFIG)
     with pytest.raises(InputError, match="workers"):
-        list(run_tasks(math.factorial, [1], workers=0, engine="local"))
+        WorkerOptions(workers=0)
     with pytest.raises(InputError, match="engine"):
-        list(run_tasks(math.factorial, [1], workers=1, engine="slurm"))
+        WorkerOptions(engine="slurm")
 
 
 @pytest.mark.parametrize("engine, module", [("ray", "ray"), ("dask", "distributed")])
 def test_an_engine_that_is_not_installed_names_its_extra(monkeypatch, engine, module):
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(InputError, match=rf"physconvex\[{engine}\]"):
-        list(run_tasks(math.factorial, [1], workers=1, engine=engine))
+        list(run_tasks(math.factorial, [1], WorkerOptions(engine=engine)))
 
 
 def test_local_workers_have_one_thread_and_leave_the_environment_alone(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     names = ["OMP_NUM_THREADS", "MKL_NUM_THREADS", "MKL_CBWR"]
-    assert sorted(run_tasks(os.getenv, names, workers=2, engine="local")) == ["1", "1", "AUTO"]
+    assert sorted(run_tasks(os.getenv, names, WorkerOptions(workers=2))) == ["1", "1", "AUTO"]
     assert os.environ["OMP_NUM_THREADS"] == "7"
 
 
@@ -188,7 +188,7 @@ def test_user_mesh_without_volume_fails_as_a_simulation():
 def reference(tmp_path_factory) -> dict[str, str]:
     """Three simulations made without interruption by one worker."""
     root = tmp_path_factory.mktemp("reference")
-    generate_dataset(root, count=3, config=CONFIG, seed=4, workers=1)
+    generate_dataset(root, count=3, config=CONFIG, seed=4)
     assert Dataset.open(root).verify() == []
     return contents(root)
 
@@ -214,7 +214,7 @@ def test_a_kill_and_more_workers_change_no_byte(reference, tmp_path):
     assert not (root / "manifest.json").exists()
     with pytest.raises(InputError, match="cut off"):
         Dataset.open(root)
-    summary = generate_dataset(root, count=3, config=CONFIG, seed=4, workers=2)
+    summary = generate_dataset(root, count=3, config=CONFIG, seed=4, work=WorkerOptions(workers=2))
     assert summary.already_there >= 1 and summary.made + summary.already_there == 3
     assert contents(root) == reference
 
@@ -225,7 +225,7 @@ def test_a_kill_and_more_workers_change_no_byte(reference, tmp_path):
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:distributed", "ignore::ResourceWarning")
 def test_a_local_cluster_of_two_workers_gives_the_same_bytes(reference, tmp_path, engine, module):
     pytest.importorskip(module)
-    generate_dataset(tmp_path, count=3, config=CONFIG, seed=4, workers=2, engine=engine)
+    generate_dataset(tmp_path, count=3, config=CONFIG, seed=4, work=WorkerOptions(workers=2, engine=engine))
     assert contents(tmp_path) == reference
 
 

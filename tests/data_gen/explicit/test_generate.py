@@ -46,7 +46,7 @@ def test_a_run_goes_on_and_gives_the_same_bytes(tmp_path, monkeypatch):
     done: list[int] = []
     assert generate_falls(whole, shapes=2, config=CONFIG, seed=3, nodes=200, on_file=done.append) == 4
     assert done == [1, 2]
-    monkeypatch.setattr("data_gen.explicit.generate.run_tasks", lambda function, tasks, **_: map(function, tasks))
+    monkeypatch.setattr("data_gen.explicit.generate.run_tasks", lambda function, tasks, _: map(function, tasks))
     assert generate_falls(cut, shapes=1, config=CONFIG, seed=3, nodes=200) == 2
     assert generate_falls(cut, shapes=2, config=CONFIG, seed=3, nodes=200) == 4
     for path in whole.glob("*.npz"):
