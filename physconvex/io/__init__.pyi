@@ -25,7 +25,6 @@ from .options import (
     Options as Options,
     command as command,
     error_in_words as error_in_words,
-    options_table as options_table,
 )
 from .processes import ONE_THREAD as ONE_THREAD, end_with_parent as end_with_parent, one_thread_each as one_thread_each
 from .video.errors import VideoCause as VideoCause, VideoError as VideoError

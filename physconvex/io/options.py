@@ -1,4 +1,4 @@
-"""Options written once: a typed model of a command makes its command line, its JSON and its table in the docs.
+"""Options written once: a typed model makes a command's command line, with it its table in the docs, and its JSON.
 
 class FitOptions(Options):
     weights: Annotated[int, Field(ge=1), CommandLine(panel="Models")] = 20
@@ -15,7 +15,7 @@ import inspect
 import types
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Self, Union, get_args, get_origin, get_type_hints
 
 import typer
 from pydantic import BaseModel, ConfigDict, JsonValue, ValidationError
@@ -118,15 +118,6 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-def options_table(model: type[Options]) -> str:
-    """The options as a Markdown table: name, default, what it does."""
-    rows = ["| option | default | |", "|---|---|---|"]
-    for name, info in _fields(model):
-        default = _shown(info)
-        rows.append(f"| `{_flag(name, info)}` | {default} | {(info.description or '').strip().replace(chr(10), ' ')} |")
-    return "\n".join(rows)
-
-
 def _fields(model: type[Options]) -> Iterator[tuple[str, FieldInfo]]:
     for name, info in model.model_fields.items():
         kind = info.annotation
@@ -191,16 +182,3 @@ def _bare(annotation: object) -> object:
 
 def _command_line(info: FieldInfo) -> CommandLine:
     return next((entry for entry in info.metadata if isinstance(entry, CommandLine)), CommandLine())
-
-
-def _flag(name: str, info: FieldInfo) -> str:
-    return _command_line(info).flag or "--" + name.replace("_", "-")
-
-
-def _shown(info: FieldInfo) -> str:
-    value = info.get_default(call_default_factory=True)
-    if get_origin(_bare(info.annotation)) is Literal:
-        return " \\| ".join(f"**{v}**" if v == value else str(v) for v in get_args(_bare(info.annotation)))
-    if value in (None, (), {}):
-        return ""
-    return "yes" if value is True else "no" if value is False else str(value)

@@ -1,4 +1,4 @@
-"""One options model: command line, JSON, errors and table."""
+"""One options model: command line, JSON and errors."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ from pydantic import Field
 from typer.testing import CliRunner
 
 from physconvex import InputError
-from physconvex.io import CommandLine, Options, command, options_table
+from physconvex.io import CommandLine, Options, command
 
 
 def _assignment(text: str) -> tuple[str, float]:
@@ -94,11 +94,9 @@ def test_values_out_of_range_are_told_by_name(run) -> None:
         FitOptions().replace(weights=0)
 
 
-def test_json_and_table_hold_every_field() -> None:
+def test_json_holds_every_field() -> None:
     stored = FitOptions(cameras=("a",)).to_json()
     assert FitOptions(**stored) == FitOptions(cameras=("a",))
-    table = options_table(FitOptions)
-    assert "| `--weights` | 20 | Number of skinning weights. |" in table and "`--time-offset`" in table
 
 
 class Listed(Options):
