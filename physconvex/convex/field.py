@@ -12,7 +12,7 @@ from torch import Tensor
 from physconvex.convex.spherical_harmonics import degree_of
 from physconvex.errors import InputError
 
-LEAST_POINTS = 4  # fewer span no volume
+LEAST_POINTS = 4  # fewer enclose no volume
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ class ConvexField:
         return replace(self, points=points)
 
     def check_values(self) -> None:
-        """Refuse values out of range.
+        """Check that values are in range.
 
         Raises:
             InputError: numbers that are not finite, α or β not positive, opacity outside 0 to 1.

@@ -14,8 +14,8 @@ from physconvex.convex.field import ConvexField
 from physconvex.errors import InputError
 
 COPLANAR = 1e-9  # faces closer than this, in units of the convex's size, count once
-FLAT = 1e-6  # ratio of least to greatest extent below which a convex has no volume that could be relied on
-THICKENED = 1e-4  # by how much of their size the points of flat convexes are moved apart
+FLAT = 1e-6  # ratio of least to greatest extent below which a convex has no reliable volume
+THICKENED = 1e-4  # displacement of the points of flat convexes, relative to their size
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ def hull_faces(points: Float[np.ndarray, "K 3"]) -> Int[np.ndarray, "H 3"]:
 
 
 def _with_volume(points: Float[Tensor, "N K 3"]) -> Float[Tensor, "N K 3"]:
-    """The points, those of flat convexes moved apart by a fixed ten-thousandth of their size."""
+    """The points; those of flat convexes are moved apart by a fixed ten-thousandth of their size."""
     centred = points.detach() - points.detach().mean(dim=1, keepdim=True)
     extents = torch.linalg.svdvals(centred)
     flat = extents[:, 2] <= FLAT * extents[:, 0]
@@ -70,8 +70,8 @@ def _with_volume(points: Float[Tensor, "N K 3"]) -> Float[Tensor, "N K 3"]:
 def half_spaces(field: ConvexField) -> HalfSpaces:
     """The half-spaces of all convexes, differentiable with respect to the points.
 
-    Which points make a plane is chosen without a gradient; the plane is then a function of its three points. Flat
-    convexes count with a thickness of about a ten-thousandth of their size.
+    The choice of the points of a plane has no gradient; the plane is then a function of its three points. Flat convexes
+    count with a thickness of about a ten-thousandth of their size.
     """
     points = _with_volume(field.points)
     faces = [hull_faces(some) for some in points.detach().cpu().double().numpy()]
@@ -96,7 +96,7 @@ def occupancy(
     """Occupancy sigmoid(−β log Σ_h exp(α f_h)) of each convex at positions [m], f_h from `HalfSpaces.distances` [m].
 
     Args:
-        spaces: the field's half-spaces where they are known already, or other ones.
+        spaces: the field's half-spaces if they are already known, or other ones.
     """
     spaces = half_spaces(field) if spaces is None else spaces
     scaled = field.smoothness[:, None] * spaces.distances(positions)

@@ -14,7 +14,7 @@ def hull_volume(points: Float[np.ndarray, "C 3"]) -> float:
 
 
 def corners_of(points: Float[np.ndarray, "C 3"]) -> Int[np.ndarray, " M"]:
-    """Indices of the points that are corners of the hull; all of them where the points lie in a plane."""
+    """Indices of the points that are corners of the hull; all of them if the points lie in a plane."""
     hull = _hull(points)
     return np.arange(len(points)) if hull is None else np.sort(hull.vertices)
 
@@ -33,7 +33,7 @@ def hull_triangles(points: Float[np.ndarray, "C 3"]) -> tuple[Int[np.ndarray, " 
 def cut_points(
     points: Float[np.ndarray, "C 3"], normal: Float[np.ndarray, " 3"], offset: float
 ) -> Float[np.ndarray, "M 3"]:
-    """Points whose hull is the part of the hull with n · x ≤ d; none where nothing is left.
+    """Points whose hull is the part of the hull with n · x ≤ d; none if nothing is left.
 
     The cut of a hull with a plane is the hull of the cuts of all segments between points on either side.
     """
@@ -48,10 +48,10 @@ def cut_points(
 
 
 def fewer_points(points: Float[np.ndarray, "C 3"], count: int) -> Float[np.ndarray, "M 3"]:
-    """At most `count` of the corners: one after the other the corner goes that stands out least.
+    """At most `count` of the corners: the least prominent corner is removed repeatedly.
 
-    Measured by the pyramids from the faces about a corner to the mean of the neighbouring corners, whose volume is at
-    least what is lost without it where those neighbours lie in a plane.
+    The measure is the volume of the pyramids from the faces about a corner to the mean of the neighbouring corners. If
+    those neighbours lie in a plane, it is an upper bound on the lost volume.
     """
     points = points[corners_of(points)]
     while len(points) > count:
@@ -85,7 +85,7 @@ def _scale(points: np.ndarray) -> float:
 
 
 def _hull(points: np.ndarray) -> ConvexHull | None:
-    """Qhull's answer for the points at unit size, None where they have no volume."""
+    """Qhull's result for the points at unit size, None if they have no volume."""
     if len(points) < 4:
         return None
     try:

@@ -1,4 +1,4 @@
-"""Convex dynamics: neighbours merged where one hull does for two."""
+"""Convex dynamics: merges neighbours that one hull can replace."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NEIGHBOURS = 8  # pairs tried per convex
 
 @dataclass(frozen=True)
 class _Pair:
-    """Two convexes, the points of the hull in their place, and volume that it lacks [m³]."""
+    """Two convexes, the points of the hull that replaces them, and its missing volume [m³]."""
 
     convexes: tuple[int, int]
     hull: Float[np.ndarray, "K 3"]
@@ -37,7 +37,7 @@ def merge(
 
     Args:
         volume_tolerance: share of the volume of both that may be added or lost.
-        limit: stop when so many convexes are left.
+        limit: stop at this number of convexes.
     """
     if volume_tolerance < 0 or colour_tolerance < 0:
         raise InputError(f"tolerances: got {volume_tolerance} and {colour_tolerance}; expected at least 0")

@@ -17,7 +17,7 @@ from physconvex.errors import InputError
 def hull_mesh(field: ConvexField) -> trimesh.Trimesh:
     """All hulls as one mesh [m], each vertex with its convex's mean colour and opacity.
 
-    Flat convexes, which have no hull, are left out; the mesh is empty if all are.
+    Flat convexes, which have no hull, are omitted; the mesh is empty if all are flat.
     """
     colours = _mean_colours(field)
     vertices: list[np.ndarray] = []

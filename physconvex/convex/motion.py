@@ -1,4 +1,4 @@
-"""Vertex dynamics: convexes whose points go with a deformation of the body."""
+"""Vertex dynamics: convexes whose points move with a deformation of the body."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def affine_map(linear: Float[Tensor, "3 3"], shift: Float[Tensor, " 3"]) -> Defo
 
 
 def advect(field: ConvexField, deform: DeformationMap) -> ConvexField:
-    """The field carried by a deformation: points move with it, colours turn with the rotation at the centres.
+    """The field under a deformation: points move with it, colours rotate with the rotation at the centres.
 
-    Smoothness and sharpness stay, so edges are as many metres wide as before.
+    Smoothness and sharpness are constant, so that edges keep their width in metres.
 
     Args:
         deform: the map X ↦ x with its gradient.
@@ -52,7 +52,7 @@ def _carried(field: ConvexField, points: Tensor, gradients: Float[Tensor, "N 3 3
 def polar_rotation(gradients: Float[Tensor, "N 3 3"]) -> Float[Tensor, "N 3 3"]:
     """The rotations R of F = R U (polar decomposition), by F = V Σ Wᵀ, R = V diag(1, 1, det V det W) Wᵀ.
 
-    The nearest rotation also where F turns the body inside out.
+    The nearest rotation, also if F inverts the body.
     """
     left, _, right = torch.linalg.svd(gradients)
     sign = torch.det(left @ right).sign()
@@ -68,7 +68,7 @@ class BoundField:
         field: the field at rest.
         positions: positions of all points from q, shape [N K, D].
         gradients: ∂/∂X_j at the centres from q, shape [N 3, D], row 3 n + j, 1/m.
-        max_distance: how far the outermost point lies outside the body [m]; such points continue its motion.
+        max_distance: distance of the outermost point from the body [m]; such points extrapolate its motion.
     """
 
     field: ConvexField
@@ -77,7 +77,7 @@ class BoundField:
     max_distance: float = 0.0
 
     def at(self, coordinates: Float[np.ndarray, "D 3"]) -> ConvexField:
-        """The field where the body is at these coordinates [m].
+        """The field for these coordinates of the body [m].
 
         Raises:
             InputError: another number of coordinates than those of the body.

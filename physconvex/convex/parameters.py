@@ -13,7 +13,7 @@ from physconvex.convex.field import ConvexField
 
 @dataclass(frozen=True, eq=False)
 class FreeParameters:
-    """The attributes of a `ConvexField`, those with bounds transformed so that any real number is allowed.
+    """The attributes of a `ConvexField`, the bounded ones transformed so that any real number is valid.
 
     Attributes:
         points: as they are [m].

@@ -1,4 +1,4 @@
-"""A convex field as a PLY file: one element `convex` per convex, every number exactly as it was."""
+"""A convex field as a PLY file: one element `convex` per convex, every number exact."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def read_ply(path: str | Path) -> ConvexField:
     """Read a file of `write_ply`.
 
     Raises:
-        InputError: no such file, another kind of PLY file, cut short, or values out of range.
+        InputError: no such file, another kind of PLY file, truncated, or values out of range.
     """
     path = Path(path)
     try:

@@ -1,4 +1,4 @@
-"""Where convexes are: membership of points in the union of the hulls, and occupancy of that union."""
+"""Solid region of convexes: membership of points in the union of the hulls, and occupancy of that union."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from physconvex.convex.field import ConvexField
 from physconvex.convex.halfspaces import HalfSpaces, half_spaces
 
 PAIRS = 400_000  # point-convex pairs evaluated at once
-LARGEST = (30, 300, 2000)  # convexes looked at one set after the other
+LARGEST = (30, 300, 2000)  # convexes tested, one set after the other
 SOFT_REACH = 8.0  # an edge is neglected beyond this many widths 1/(αβ)
 
 
@@ -25,7 +25,7 @@ def inside_union(
     spaces = half_spaces(field) if spaces is None else spaces
     corners = field.points.detach()
     size = (corners.amax(dim=1) - corners.amin(dim=1)).prod(dim=1).numpy()
-    order = np.argsort(-size, kind="stable")  # the largest first: what they hold is not asked again
+    order = np.argsort(-size, kind="stable")  # the largest first: points inside them need no further tests
     left = np.arange(len(positions))
     for block in np.split(order, [b for b in LARGEST if b < len(order)]):
         chosen = torch.as_tensor(block)

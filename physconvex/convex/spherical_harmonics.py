@@ -13,7 +13,7 @@ from physconvex.errors import InputError
 
 GREATEST_DEGREE = 3
 MIDDLE = 0.5  # colour where all coefficients are zero
-DIRECTIONS = 49  # at which rotated functions are read off, three times as many as there are harmonics
+DIRECTIONS = 49  # at which rotated functions are evaluated, three times as many as there are harmonics
 
 
 def degree_of(count: int) -> int:
@@ -57,7 +57,7 @@ def harmonic_basis(directions: Float[Tensor, "... 3"], degree: int) -> Float[Ten
 
 
 def view_colours(harmonics: Float[Tensor, "N S 3"], directions: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
-    """Colours seen along unit directions (camera to object, world frame): max(0, 1/2 + Σ c_lm Y_lm)."""
+    """Colours along unit directions (camera to object, world frame): max(0, 1/2 + Σ c_lm Y_lm)."""
     basis = harmonic_basis(directions, degree_of(harmonics.shape[1]))
     return (MIDDLE + (basis[..., None] * harmonics).sum(dim=-2)).clamp(min=0.0)
 
@@ -78,11 +78,11 @@ def _odd_product(order: int) -> float:
 
 
 def rotate_harmonics(harmonics: Float[Tensor, "N S 3"], rotations: Float[Tensor, "N 3 3"]) -> Float[Tensor, "N S 3"]:
-    """Coefficients of the rotated functions: what was seen along d is seen along R d.
+    """Coefficients of the rotated functions: the colour along d becomes the colour along R d.
 
-    Harmonics of one degree span a space that rotations leave alone, so Y_l(Rᵀ d) = M_lᵀ Y_l(d) with an orthogonal
-    matrix M_l for all d. M_l is read off by least squares from fixed directions, which is exact up to rounding; the new
-    coefficients are M_l c_l. Differentiable by both.
+    Rotations map the harmonics of one degree to each other, so Y_l(Rᵀ d) = M_lᵀ Y_l(d) with an orthogonal matrix M_l
+    for all d. M_l follows by least squares from fixed directions, which is exact up to rounding. The new coefficients
+    are M_l c_l. Differentiable by both.
     """
     degree = degree_of(harmonics.shape[1])
     directions, inverse = _rule(degree)
@@ -99,7 +99,7 @@ def rotate_harmonics(harmonics: Float[Tensor, "N S 3"], rotations: Float[Tensor,
 
 @cache
 def _rule(degree: int) -> tuple[Tensor, Tensor]:
-    """Directions on a Fibonacci spiral and, row by row, what reads a coefficient off the values there."""
+    """Directions on a Fibonacci spiral and, row by row, the linear map from values there to a coefficient."""
     index = torch.arange(DIRECTIONS, dtype=torch.float64) + 0.5
     z, angle = 1 - 2 * index / DIRECTIONS, pi * (1 + sqrt(5)) * index
     radius = (1 - z.square()).sqrt()

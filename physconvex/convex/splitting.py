@@ -1,4 +1,4 @@
-"""Convex dynamics: convexes cut in two, and merged again, where the deformation asks for it."""
+"""Convex dynamics: splits convexes, and merges them again, as the deformation requires."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from physconvex.convex.hull_points import cut_points, fewer_points, hull_volume,
 from physconvex.convex.motion import DeformationMap
 from physconvex.errors import InputError
 
-LEVELS = 6  # of splitting at most: one convex becomes up to 64
+LEVELS = 6  # most splits: one convex becomes up to 64
 MOST_OVERLAP = 0.2  # of the extent across the cut
-CENTRAL = 0.15  # a corner this near to the middle (in extents) becomes the place of the cut
-NEAR_CUT, CENTRAL_POINT = 0.05, 0.3  # of `halve`: points so near to the cut belong to both parts; as CENTRAL
+CENTRAL = 0.15  # a corner this near to the middle (in extents) is the place of the cut
+NEAR_CUT, CENTRAL_POINT = 0.05, 0.3  # of `halve`: points this near to the cut belong to both parts; as CENTRAL
 
 
 @dataclass(frozen=True, eq=False)
 class Division:
-    """What splitting or merging made.
+    """Result of splitting or merging.
 
     Attributes:
         field: the new field.
-        sources: for each new convex the old one it is (a part of), shape [M].
-        lost_volume: volume of the old hulls that no new hull holds, since a hull has at most K points [m³].
+        sources: for each new convex the old one that contains it, shape [M].
+        lost_volume: volume of the old hulls outside every new hull, since a hull has at most K points [m³].
     """
 
     field: ConvexField
@@ -37,10 +37,10 @@ class Division:
 
 
 def non_affinity(field: ConvexField, deform: DeformationMap) -> Float[Tensor, " N"]:
-    """How far a deformation is from affine within each convex, as a share of the size of the moved convex.
+    """Deviation of a deformation from an affine map within each convex, relative to the size of the moved convex.
 
-    The greatest distance of the moved points and middles of all pairs of points from where the best affine map (least
-    squares over them) takes them, over the greatest distance of two moved points.
+    The greatest distance of the moved points, and of the moved middles of all pairs of points, from their images under
+    the best affine map (least squares over them), divided by the greatest distance of two moved points.
     """
     deviation, size = _deviation(field, deform)
     return deviation / size

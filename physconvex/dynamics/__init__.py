@@ -1,4 +1,4 @@
-"""What acts on a body and how time advances: contact, friction, wind, integrators, stepping."""
+"""Loads on a body and time integration: contact, friction, wind, integrators, stepping."""
 
 import lazy_loader
 

@@ -5,9 +5,9 @@ A node that carries the boundary area A and lies p = −gap deep in an obstacle 
     ψ(p) = kc p³ / (6 ε)                    0 < p < ε
          = kc (p²/2 − p ε/2 + ε²/6)         p ≥ ε
 
-so that pressure kc·p [Pa] is reached smoothly; kc [Pa/m] is a stiffness per area and does not change with the mesh.
-Friction follows the smoothed Coulomb law of Li et al. 2020 (IPC), eq. 14: force μ N f₁(|v_t|) with f₁ = 1 above the
-velocity `v_s` and a smooth ramp below. During one solve it is frozen to a linear drag, see `Contact.freeze_friction`.
+so that pressure kc·p [Pa] is reached smoothly; kc [Pa/m] is a stiffness per area and independent of the mesh. Friction
+follows the smoothed Coulomb law of Li et al. 2020 (IPC), eq. 14: force μ N f₁(|v_t|) with f₁ = 1 above the velocity
+`v_s` and a smooth ramp below. During one solve it is frozen to a linear drag, see `Contact.freeze_friction`.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def _path(obstacle: Plane | Sphere) -> MotionPath:
 
 @dataclass(frozen=True)
 class Plane:
-    """Half-space {x : (x − point(t))·normal < 0} that bodies may not enter.
+    """Half-space {x : (x − point(t))·normal < 0} that bodies must not enter.
 
     Attributes:
         point: a point on the plane at t = 0 [m].
@@ -99,7 +99,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class Sphere:
-    """Solid sphere that bodies may not enter: `center` [m] at t = 0, `radius` [m], `velocity` [m/s] or a function."""
+    """Solid sphere that bodies must not enter: `center` [m] at t = 0, `radius` [m], `velocity` [m/s] or a function."""
 
     center: Vector
     radius: float
@@ -115,7 +115,7 @@ class Sphere:
         _check_friction(self.friction)
 
     def center_at(self, time: float) -> Float[np.ndarray, " 3"]:
-        """Where the centre is at a time [m]."""
+        """Position of the centre at a time [m]."""
         return np.asarray(self.center) + self._path.displacement(time)
 
     def _offset(self, x: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
@@ -152,7 +152,7 @@ class Friction:
         weights: force over slip velocity [N·s/m], shape [C].
         normals: shape [C, 3].
         velocity: velocity of the obstacle [m/s], shape [3].
-        along_normal: a dashpot across the contact instead, which resists the normal velocity.
+        along_normal: a dashpot across the contact instead, which acts on the normal velocity.
     """
 
     nodes: np.ndarray
@@ -169,7 +169,7 @@ class Friction:
 
     @property
     def projections(self) -> Float[np.ndarray, "C 3 3"]:
-        """What takes a velocity to `slip`."""
+        """Matrix from a velocity to `slip`."""
         normal = self.normals[:, :, None] * self.normals[:, None, :]
         return normal if self.along_normal else np.eye(3) - normal
 
@@ -184,7 +184,7 @@ class Contact:
         stiffness: kc [Pa/m].
         smoothing: ε [m].
         slip_velocity: v_s [m/s], below which friction ramps to zero.
-        damping: τ [s] of a dashpot kc ψ'' A τ beside the spring, both together never pulling; it costs bounce.
+        damping: τ [s] of a dashpot kc ψ'' A τ parallel to the spring, never pulling in total; it reduces the rebound.
     """
 
     obstacles: tuple[Obstacle, ...]
@@ -211,7 +211,7 @@ class Contact:
         return k * energy, k * slope, k * np.where(soft, depth / e, 1.0)
 
     def touching(self, obstacle: Obstacle, x: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes inside an obstacle, and how deep they are [m]."""
+        """Nodes inside an obstacle, and their depths [m]."""
         depth = -obstacle.gap(x[self.nodes], time)
         inside = depth > 0
         return self.nodes[inside], depth[inside]
@@ -265,7 +265,7 @@ class Contact:
         return tuple(frozen)
 
     def _dashpot(self, touched: Friction, depth: np.ndarray, velocity: np.ndarray) -> Friction:
-        """Normal damping, frozen like friction; it does not pull: of nodes that leave it undoes the spring at most.
+        """Normal damping, frozen like friction; it does not pull: on separating nodes it cancels the spring at most.
 
         Args:
             touched: with the areas of its nodes as weights.

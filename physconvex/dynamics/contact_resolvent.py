@@ -1,9 +1,9 @@
-"""Contact and friction of a point behind a spring: what the law of `Contact` gives when the point may give way.
+"""Contact and friction of a point behind a spring: the force of the law of `Contact` on a point that can yield.
 
-A point with the contact force λ lies where it would without that force, minus λ/ρ, ρ the stiffness of what holds it.
-Which of sticking, slipping and leaving comes of a place z' that the force has not yet moved is then told by closed
-forms, since both the hinge and the smoothed law of friction are quadratic and then linear. This is the projection of
-augmented Lagrangians of contact (Alart and Curnier 1991), for a law that gives way.
+The contact force λ displaces a point by −λ/ρ, where ρ is the stiffness of its support. Closed forms decide between
+sticking, slipping and separating from the place z' of the point without the force, since both the hinge and the
+smoothed law of friction are piecewise quadratic and linear. This is the projection of augmented Lagrangians of contact
+(Alart and Curnier 1991), for a compliant law.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ def resolve(
     stiffness: Float[np.ndarray, " C"],
     step: float,
 ) -> Resolved:
-    """Forces of one obstacle on C points that would lie so deep and slip so fast without them.
+    """Forces of one obstacle on C points, from their depth and slip without the forces.
 
     Args:
         law: of contact.
         friction: coefficient of the obstacle.
         areas: of the points [m²].
         normals: of the obstacle.
-        depth: of z' [m]; not touching where it is negative.
+        depth: of z' [m]; negative without contact.
         slip: tangential velocity at z' relative to the obstacle [m/s].
         stiffness: ρ [N/m].
         step: derivative of positions by velocities [s].
@@ -61,7 +61,7 @@ def resolve(
 
 
 def _normal(law: Contact, areas: np.ndarray, depth: np.ndarray, stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normal force A ψ'(p) at the depth p that it leaves, p + A ψ'(p)/ρ = depth, and its derivative by the depth."""
+    """Normal force A ψ'(p) at the final depth p, p + A ψ'(p)/ρ = depth, and its derivative by the depth."""
     e, full = law.smoothing, law.stiffness * areas
     ratio, depth = full / stiffness, np.maximum(depth, 0.0)
     soft = depth < e + 0.5 * ratio * e
@@ -75,7 +75,7 @@ def _normal(law: Contact, areas: np.ndarray, depth: np.ndarray, stiffness: np.nd
 def _tangential(
     law: Contact, friction: float, push: np.ndarray, speed: np.ndarray, resistance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Friction μ N f₁(s) at the speed s that it leaves, s + μ N f₁(s)/r = speed, f₁ as in `Contact`.
+    """Friction μ N f₁(s) at the final speed s, s + μ N f₁(s)/r = speed, f₁ as in `Contact`.
 
     Its derivatives by the speed and by the normal force N = `push`, and its ratio to the speed.
     """

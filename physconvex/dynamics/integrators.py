@@ -62,7 +62,7 @@ def bdf2(state: State, previous: State, step: float) -> StepCoefficients:
 
 
 def step_coefficients(state: State, previous: State | None, step: float) -> StepCoefficients:
-    """BDF2 from the state one equal step before; implicit Euler where there is none."""
+    """BDF2 from the state one equal step before; implicit Euler without such a state."""
     return implicit_euler(state, step) if previous is None else bdf2(state, previous, step)
 
 
@@ -108,7 +108,7 @@ class Minimum:
 
 
 def _renew(objective: Objective, x: np.ndarray, *, project: bool) -> bool:
-    """Factorise at x, projected if asked or needed; tells whether it was projected."""
+    """Factorise at x, projected if requested or necessary; returns whether it is projected."""
     if not project and _factorised_as_it_is(objective, x):
         return False
     try:
@@ -121,7 +121,7 @@ def _renew(objective: Objective, x: np.ndarray, *, project: bool) -> bool:
 
 
 def _factorised_as_it_is(objective: Objective, x: np.ndarray) -> bool:
-    """Factorise the Hessian at x; False where it is not positive definite."""
+    """Factorise the Hessian at x; False if it is not positive definite."""
     try:
         objective.factorise(x, project=False)
     except NotPositiveDefiniteError:
@@ -150,9 +150,9 @@ def _line_search(objective: Objective, at: _Trial, direction: np.ndarray, slope:
 
 
 def _careful(tolerance: float, rate: float) -> float:
-    """The last step that leaves the error of a slowly shrinking sequence where one that shrinks fourfold has it.
+    """Size of the last step at which a slowly shrinking sequence has the error of one that shrinks fourfold.
 
-    A rate of zero stands for one that is not known yet.
+    A rate of zero means that it is unknown.
     """
     usual = _STALE_RATE / (1 - _STALE_RATE)
     return min(1.0, usual * (1 / rate - 1) if rate > 0 else usual) * tolerance
@@ -176,9 +176,9 @@ def minimise(
         tolerance: largest component of the last step, in the units of x.
         max_iterations: bound on the number of steps.
         reuse: start with the objective's last factorisation, and keep it while steps shrink fast enough.
-        stale_rate: ratio of one step to the one before it above which a reused factorisation is renewed; where it is
-            above 1/4, the last step must be smaller than `tolerance`, so that the error left is the same.
-        fallback: tells where to start if the value at x is infinite: an extrapolated state may be turned inside out.
+        stale_rate: ratio of one step to the preceding one above which a reused factorisation is renewed. If it is above
+            1/4, the last step must be smaller than `tolerance`, so that the remaining error is the same.
+        fallback: gives another start if the value at x is infinite: an extrapolated state may be turned inside out.
 
     Raises:
         ConvergenceError: no finite value at the start, no descent possible, or the bound on steps reached.

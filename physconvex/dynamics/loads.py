@@ -42,7 +42,7 @@ class Loads:
         """Forces at a time [N].
 
         Raises:
-            InputError: the function gave another shape.
+            InputError: the function returns another shape.
         """
         forces = np.asarray(self.forces(time) if callable(self.forces) else self.forces, dtype=np.float64)
         if forces.shape != self.points.shape:
@@ -60,7 +60,7 @@ class HangingLoad:
     Attributes:
         points: rest positions of the points that it hangs on [m], shape [P, 3].
         masses: that hang there [kg], shape [P].
-        slack: of the string [m]; the masses are fixed to the body without any.
+        slack: of the string [m]; zero fixes the masses to the body.
 
     Raises:
         InputError: a wrong shape, a negative mass or slack, or no mass at all.

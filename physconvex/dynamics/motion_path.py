@@ -1,4 +1,4 @@
-"""How far something has come that moves with a given velocity, constant or any function of time."""
+"""Displacement of something that moves with a given velocity, constant or any function of time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 class MotionPath:
     """Velocity [m/s] and its integral from t = 0 [m].
 
-    A function is integrated piece by piece, each at most 2 ms long, from the nearest earlier time that was asked for.
+    A function is integrated in pieces of at most 2 ms, from the nearest earlier time of evaluation.
 
     Args:
         velocity: three numbers, or a function of time [s] that gives them.

@@ -1,4 +1,4 @@
-"""Obstacles as compiled kernels read them."""
+"""Obstacles in the format of the compiled kernels."""
 
 from __future__ import annotations
 

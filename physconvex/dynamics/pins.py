@@ -1,4 +1,4 @@
-"""Material points of a body that are held, or led along a path."""
+"""Material points of a body that are held, or moved along a path."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from physconvex.errors import InputError
 
 @dataclass(frozen=True)
 class Pins:
-    """Points that are held or led.
+    """Points that are held or moved.
 
-    Finite elements hold the nodes that lie there exactly. A reduced body is held by springs of the energy
-    ½ Σ k A |φ(X) − x*(t)|²: a clamped face would, exactly, take away every shape function that does not vanish on it.
+    Finite elements hold the nodes at these points exactly. A reduced body is held by springs of the energy ½ Σ k A
+    |φ(X) − x*(t)|²: an exactly clamped face removes every shape function that does not vanish on it.
 
     Attributes:
         points: rest positions of the points [m], shape [C, 3].
-        areas: boundary area that each of them stands for [m²], shape [C], or one for all.
-        motion: x*(t) [m] as a function of time [s], shape [C, 3]; None holds the points where they start.
+        areas: boundary area of each [m²], shape [C], or one for all.
+        motion: x*(t) [m] as a function of time [s], shape [C, 3]; None holds the points at their start.
         stiffness: k [Pa/m] of the springs; 1000 × (largest E) / (size of the body) unless given.
 
     Raises:

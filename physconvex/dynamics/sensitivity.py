@@ -24,7 +24,7 @@ class CarriedTangents(Protocol):
 
     @property
     def state(self) -> State:
-        """They themselves, positions and velocities of shape [P, R, 3]."""
+        """The derivatives of positions and velocities, of shape [P, R, 3]."""
 
     def observe(self, equations: Any, record: StepRecord) -> None:
         """Advance over one converged step."""
@@ -36,21 +36,21 @@ class Parametrised(Protocol[Trajectory_co]):
 
     @property
     def scene(self) -> Simulated[Trajectory_co]:
-        """At the values."""
+        """The scene at the values."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the P parameters."""
+        """Names of the P parameters."""
 
     @property
     def values(self) -> Float[np.ndarray, " P"]:
-        """Of the parameters."""
+        """Values of the parameters."""
 
     def tangents(self, timing: Timing) -> CarriedTangents:
-        """At the start of a roll-out.
+        """The derivatives at the start of a roll-out.
 
         Raises:
-            InputError: unknown parameters, or a scene or timing that derivatives do not follow.
+            InputError: unknown parameters, or a scene or timing without derivatives.
         """
 
 
@@ -80,15 +80,15 @@ def simulate_with_sensitivities(
 ) -> SensitiveTrajectory[TrajectoryT]:
     """Roll a scene out and differentiate its states by parameters.
 
-    The step size is not differentiated: where steps were halved, the derivative is that of the halved steps.
+    The step size is not differentiated: with halved steps, the derivative is that of the halved steps.
 
     Args:
         parametrised: `physconvex.reduced.NamedParameters` or `physconvex.fem.SceneFamily`.
         timing: as in `simulate`.
 
     Raises:
-        InputError: as `simulate`; a scene or timing that derivatives do not follow.
-        ConvergenceError: as in `simulate`, or the derivatives of a step did not settle.
+        InputError: as `simulate`; a scene or timing without derivatives.
+        ConvergenceError: as in `simulate`, or the derivatives of a step do not converge.
     """
     timing = timing or Timing()
     carried = parametrised.tangents(timing)

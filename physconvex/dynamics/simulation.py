@@ -1,4 +1,4 @@
-"""Roll-out in time of anything whose time steps are minimisations: finite elements, reduced bodies, several of them."""
+"""Simulation of anything whose time steps are minimisations: finite elements, one reduced body or several."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from physconvex.numerics import one_torch_thread
 
 @dataclass(frozen=True, eq=False)
 class FrameStates:
-    """What a roll-out went through: states at the frames, what had flowed of each body there, and the cost."""
+    """Raw result of a roll-out: states at the frames, the flow of each body there, and the cost."""
 
     states: tuple[State, ...]
     flows: tuple[tuple[np.ndarray | None, ...], ...]
@@ -49,7 +49,7 @@ class FrameStates:
 def _frame_states(
     advance: Callable[[State, float], State], prepared: PreparedRollOut, timing: Timing
 ) -> Iterator[State]:
-    """States at the frames: the start, then those that the time steps of each frame lead to."""
+    """States at the frames: the start, then the states after the time steps of each frame."""
     state = prepared.start
     yield state
     for frame in range(1, timing.frames):
@@ -69,14 +69,14 @@ class Simulated(Protocol[Trajectory_co]):
     """A scene as `simulate` needs it."""
 
     def prepared(self, timing: Timing) -> PreparedRollOut:
-        """The scene made ready.
+        """The prepared scene.
 
         Raises:
-            InputError: something in the timing that the model of the scene does not have.
+            InputError: a setting of the timing that the scene's model does not support.
         """
 
     def trajectory(self, frames: FrameStates) -> Trajectory_co:
-        """The roll-out as the model of the scene gives it."""
+        """The roll-out in the format of the scene's model."""
 
 
 @one_torch_thread()
@@ -91,7 +91,7 @@ def simulate(
 ) -> TrajectoryT:
     """Roll a scene out in time.
 
-    Several bodies are one scene, and every step is one Newton solve over the coordinates of all of them. Bodies may
+    Several bodies are one scene, and every step is one Newton solve over the coordinates of all of them. Bodies must
     not cross each other within one step: v h must stay well below their thickness.
 
     Args:
@@ -99,16 +99,16 @@ def simulate(
         timing: frames and time steps; the defaults of `Timing` unless given.
         observer: called with the equations and the record of every converged step.
         on_frame: called with the state at every frame after the first.
-        guess_errors: recorded from a roll-out with the same steps and nearly the same parameters; Newton's method
-            then takes fewer steps to the same tolerance.
+        guess_errors: recorded from a roll-out with the same steps and nearly the same parameters; Newton's method then
+            needs fewer steps to the same tolerance.
         recorded_errors: receives those of this roll-out, for others; it holds the positions of all steps.
 
     Returns:
         `physconvex.fem.Trajectory`, `physconvex.reduced.ReducedTrajectory` or `BodiesTrajectory`.
 
     Raises:
-        InputError: an argument out of range, or one that the scene's model does not have.
-        ConvergenceError: a step failed even after eight halvings.
+        InputError: an argument out of range, or one that the scene's model does not support.
+        ConvergenceError: a step fails even after eight halvings.
     """
     timing = timing or Timing()
     prepared = scene.prepared(timing)

@@ -26,20 +26,20 @@ from physconvex.dynamics.timing import Timing
 from physconvex.errors import ConvergenceError
 
 MAX_HALVINGS = 8
-_REMEMBERED = 64  # states: steps may grow so many times at once
-_ENERGY_HALVINGS = 4  # for the energy's sake a step is cut no further
+_REMEMBERED = 64  # states: most doublings of the step at once
+_ENERGY_HALVINGS = 4  # most halvings of a step that gains energy
 
 
 @dataclass(frozen=True)
 class SolveStatistics:
-    """What a roll-out cost.
+    """Cost of a roll-out.
 
     Attributes:
         steps: time steps.
         newton_iterations: of all steps.
         factorisations: of Newton's matrix.
-        halved_steps: steps that did not converge, or gained energy, and were cut in two.
-        projections: matrices that were not positive definite and were projected: the body is near buckling.
+        halved_steps: halved steps, which fail to converge or gain energy.
+        projections: matrices that are not positive definite and are projected: the body is near buckling.
     """
 
     steps: int = 0
@@ -51,7 +51,7 @@ class SolveStatistics:
 
 @dataclass(frozen=True)
 class SolvedPass:
-    """One solve of a time step: its solution `x` [m], shape [R, 3], and the friction that was frozen during it."""
+    """One solve of a time step: its solution `x` [m], shape [R, 3], and its frozen friction."""
 
     x: np.ndarray
     friction: tuple[Friction, ...]
@@ -59,15 +59,15 @@ class SolvedPass:
 
 @dataclass(frozen=True)
 class StepRecord:
-    """Everything a converged time step was made of.
+    """All data of a converged time step.
 
     Attributes:
         before: state at its start.
-        history: the state one equal step before that, if there is one; it enters the first guess.
+        history: the state one equal step before that, if there is one; the first guess uses it.
         two_step: whether the step was BDF2 (which needs a history), else implicit Euler.
         step: h [s].
         coefficients: of the incremental potential.
-        viscous: F* the viscosity was frozen at.
+        viscous: F* at which the viscosity is frozen.
         passes: one solve per linearisation of friction.
         after: state at its end.
     """
@@ -91,28 +91,28 @@ class StepObjective(Objective, Protocol):
 
     @property
     def factorisations(self) -> int:
-        """Of Newton's matrix, so far."""
+        """Number of factorisations of Newton's matrix."""
 
     def first_guess(self, guess: np.ndarray, time: float) -> np.ndarray:
-        """Where Newton's method starts [m], from what was extrapolated to the time [s] at the step's end."""
+        """Start of Newton's method [m], from the extrapolation to the time [s] at the step's end."""
 
     def set_step(self, coefficients: StepCoefficients, time: float, guess: np.ndarray, last: State) -> None:
         """Fix everything that is constant during one time step that ends at `time` [s]."""
 
     def freeze_friction(self, x: np.ndarray) -> bool:
-        """Take anew at x what a solve holds fixed; tells if there is any."""
+        """Update frozen terms of a solve at x; returns whether there are any."""
 
     def settled(self, change: np.ndarray, step: float) -> bool:
-        """Whether a change [m] between two solves of a step of so many seconds is too small for another one."""
+        """Whether a change [m] between two solves of a step of that many seconds is too small for another solve."""
 
     def commit(self, x: np.ndarray) -> None:
-        """Store what has flowed by the end of a step at x."""
+        """Store the flow at the end of a step at x."""
 
     def flowed(self) -> tuple[np.ndarray | None, ...]:
-        """F_f of each body's samples by now; None for one that does not flow, or whose flow is not asked for."""
+        """Current F_f of each body's samples; None without flow, or if it is not requested."""
 
 
-Observer = Callable[[Any, StepRecord], None]  # told the equations and the record of every converged step
+Observer = Callable[[Any, StepRecord], None]  # called with the equations and the record of every converged step
 
 
 def _between(first: State, second: State, time: float) -> State:
@@ -126,7 +126,7 @@ def _between(first: State, second: State, time: float) -> State:
 
 @dataclass(frozen=True, eq=False)
 class PreparedRollOut:
-    """A scene made ready for its roll-out.
+    """A scene prepared for its roll-out.
 
     Attributes:
         equations: of its time steps.
@@ -134,9 +134,9 @@ class PreparedRollOut:
         tolerance: Newton's last step [m].
         stale_rate: contraction of Newton's steps above which a reused factorisation is renewed.
         steps_per_frame: time steps of a frame, or a function of the state at its start.
-        solve: finds the positions at the end of a step from a first guess, in the place of passes.
-        energy: total energy [J] of a state that nothing does work on from outside; None: energies are not watched.
-        energy_tolerance: gain [J] from which a step is cut in two.
+        solve: finds the positions at the end of a step from a first guess, instead of passes.
+        energy: total energy [J] of a state without external work; None: energies are not checked.
+        energy_tolerance: gain [J] above which a step is halved.
     """
 
     equations: StepObjective
@@ -150,15 +150,14 @@ class PreparedRollOut:
 
 
 class Stepper:
-    """Advances a state; a step that does not converge is cut in two.
+    """Advances a state; a step that does not converge is halved.
 
     Args:
-        prepared: equations of the steps, and how exactly they are solved. A step that raises the energy by more than
-            its tolerance is cut in two as well, four times at most: BDF2 overshoots where an impact takes less than a
-            step.
-        timing: integrator ("bdf2": first step and the first after a cut implicit Euler) and friction passes.
+        prepared: equations of the steps, and their tolerances. A step that raises the energy by more than its tolerance
+            is halved as well, at most four times: BDF2 overshoots at impacts shorter than a step.
+        timing: integrator ("bdf2": implicit Euler in the first step and the first after a halving) and friction passes.
         observer: called with the equations and the record of every converged step.
-        guess_errors: of a roll-out that is much like this one; they correct the first guesses.
+        guess_errors: of a similar roll-out; they correct the first guesses.
         recorded_errors: receives the errors of this roll-out's first guesses.
     """
 
@@ -181,7 +180,7 @@ class Stepper:
         """The state one step [s] later.
 
         Raises:
-            ConvergenceError: it failed even after eight halvings.
+            ConvergenceError: it fails even after eight halvings.
         """
         try:
             record = self._try(state, step)
@@ -225,9 +224,9 @@ class Stepper:
         return StepRecord(state, history, two_step, step, coefficients, self.equations.viscous, tuple(passes), after)
 
     def _history(self, state: State, step: float) -> State | None:
-        """The state one step [s] earlier; between two that are known by Hermite's cubic. None if none is so old.
+        """The state one step [s] earlier, by Hermite's cubic between two known states. None if none is so old.
 
-        An observer follows the last two states alone: for it nothing lies between them.
+        With an observer, only the last two states themselves are used.
         """
         time, later = state.time - step, state
         for earlier in reversed(self.recent):
@@ -249,7 +248,7 @@ class Stepper:
         return passes
 
     def _solved_at_once(self, solve: Callable[[np.ndarray], Minimum], guess: np.ndarray) -> list[SolvedPass]:
-        """The solution; for an observer with the friction that belongs to it."""
+        """The solution; for an observer, with its friction."""
         found = solve(guess)
         self.iterations += found.iterations
         self.projections += found.projections
@@ -278,7 +277,7 @@ class Stepper:
         return SolvedPass(found.x, self.equations.friction)
 
     def statistics(self) -> SolveStatistics:
-        """What the steps so far cost."""
+        """Cost of the steps so far."""
         return SolveStatistics(
             steps=self.steps,
             newton_iterations=self.iterations,

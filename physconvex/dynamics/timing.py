@@ -1,4 +1,4 @@
-"""How a roll-out advances in time: frames, time steps, how exactly each step is solved."""
+"""Time discretisation of a roll-out: frames, time steps, tolerances of each step."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ class Timing:
         fps: frames per second [1/s].
         steps_per_frame: time steps between frames.
         integrator: "bdf2" (second order, first step implicit Euler) or "implicit_euler".
-        tolerance: Newton's last step, relative to the body's size; None: the usual one of the model (1e-7 for finite
-            elements, 3e-8 for reduced bodies). Derivatives err by as much.
-        friction_passes: how often friction is linearised and solved in each step at most, and the pressure in sand
-            taken; fewer are made where the velocities no longer change by more than the scene's `slip_velocity`. One
-            is explicit in the friction weights. See docs/decisions/001-frozen-friction.md.
+        tolerance: Newton's last step, relative to the body's size; None: the default of the model (1e-7 for finite
+            elements, 3e-8 for reduced bodies). It is also the error of derivatives.
+        friction_passes: most linearisations of friction (and of the pressure in sand) in each step; fewer if the
+            velocities change by at most the scene's `slip_velocity`. One is explicit in the friction weights. See
+            docs/decisions/001-frozen-friction.md.
         energy_tolerance: steps that raise the energy of an autonomous reduced scene by more than this share of its
-            `energy_scale` are cut in two; None: not. Impacts that take less than a step gain up to some hundredths
-            without. Derivatives by parameters jump where the number of cut steps changes.
-        contact_solver: "passes" minimises with friction frozen, again and again; "condensed" (finite elements) solves
-            for contact and friction together on the points that touch (`physconvex.fem.condensed_contact`): nothing is
-            frozen, and factors last longer. Where passes converge, both give the same.
-        flight_steps_per_frame: time steps in frames after the first in which the body (of finite elements), which has
-            touched no obstacle yet, does not come near one; `steps_per_frame` unless given.
+            `energy_scale` are halved; None: not. Without it, impacts shorter than a step gain up to some hundredths.
+            Derivatives by parameters jump where the number of halved steps changes.
+        contact_solver: "passes" minimises with frozen friction, repeatedly; "condensed" (finite elements) solves
+            contact and friction together on the touching points (`physconvex.fem.condensed_contact`): nothing is
+            frozen, and factors last longer. If passes converge, both give the same result.
+        flight_steps_per_frame: time steps in frames in which the body (of finite elements) has not touched an obstacle
+            and does not come near one, except the first frame; `steps_per_frame` unless given.
 
     Raises:
         InputError: a value out of range.
@@ -69,11 +69,11 @@ class Timing:
 
     @property
     def steps(self) -> int:
-        """Time steps of the whole roll-out, where every frame has the usual ones."""
+        """Time steps of the whole roll-out, with the usual number in every frame."""
         return (self.frames - 1) * self.steps_per_frame
 
     def every_step(self, ahead: float = 0.0) -> Timing:
-        """The same time steps, each of them a frame, and going on so long at least beyond the last frame [s]."""
+        """The same time steps, each of them a frame, continued at least that long beyond the last frame [s]."""
         beyond = max(int(np.ceil(ahead * self.fps - 1e-9)), 0)
         frames = (self.frames - 1 + beyond) * self.steps_per_frame + 1
         return replace(self, frames=frames, fps=self.fps * self.steps_per_frame, steps_per_frame=1)

@@ -15,10 +15,10 @@ from physconvex.errors import InputError
 class Wind:
     """Moving or still air: each surface sample feels −c A |r| r, r = v − w, with c = ρ_air C_d / 8.
 
-    A convex body turned at random shows a quarter of its surface to the wind (Cauchy's formula), so that a body moved
-    as a whole feels ½ ρ_air C_d A_shown |r|², with C_d as tabulated for its shape. The force is minus the derivative of
-    the convex rate potential Σ c A |r|³ / 3, and depends on the velocity relative to the air at each sample, not on the
-    direction of the surface there.
+    A convex body of random orientation exposes a quarter of its surface to the wind (Cauchy's formula), so that a body
+    in translation feels ½ ρ_air C_d A_shown |r|², with C_d as tabulated for its shape. The force is minus the
+    derivative of the convex rate potential Σ c A |r|³ / 3. It depends on the velocity relative to the air at each
+    sample, not on the direction of the surface there.
 
     Attributes:
         velocity: of the air [m/s], or a function of time [s] that gives it.

@@ -1,4 +1,4 @@
-"""What surrounds and drives a body, whatever its discretisation."""
+"""Environment and loads of a body, independent of its discretisation."""
 
 from __future__ import annotations
 
@@ -21,29 +21,29 @@ Acceleration = Vector | Callable[[float], Vector]
 
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """Everything that acts on a body, and how it starts, in SI units.
+    """Everything that acts on a body, and its initial motion, in SI units.
 
-    `physconvex.fem.Scene` and `physconvex.reduced.ReducedScene` are worlds with a body. What one of them cannot do it
-    refuses by name.
+    `physconvex.fem.Scene` and `physconvex.reduced.ReducedScene` are worlds with a body. Each rejects inputs that it
+    does not support, with an error that names them.
 
     Attributes:
         obstacles: planes and spheres with friction.
         gravity: acceleration [m/s²].
-        push: further uniform acceleration [m/s²], constant or a function of time [s]: a force on every part of the body
-            in proportion to its mass.
+        push: further uniform acceleration [m/s²], constant or a function of time [s]: a force in proportion to mass.
         damping_time: Kelvin–Voigt time β [s]: viscosities are β μ and β λ (stiffness-proportional Rayleigh).
         air_drag: mass-proportional damping α [1/s] (force −α m v).
         wind: moving or still air around the body.
         loads: forces at material points.
-        hanging: a load that hangs on the body, loosely at first.
-        pins: material points that are held or led along a path.
-        initial_orientation: rotation vector [rad] that turns the state at t = 0 about its centre of mass.
+        hanging: a load that hangs on the body, initially with slack.
+        pins: material points that are held or moved along a path.
+        initial_orientation: rotation vector [rad] of the state at t = 0 about its centre of mass.
         initial_velocity: of the centre of mass [m/s].
         initial_angular_velocity: about the centre of mass [rad/s].
         contact_stiffness: kc [Pa/m]; 50 × (largest E) / (size of the body) unless given.
-        contact_smoothing: depth over which contact sets in [m]; 5e-4 of the body's size unless given.
+        contact_smoothing: depth of the smooth onset of contact [m]; 5e-4 of the body's size unless given.
         slip_velocity: speed below which friction ramps to zero [m/s]; 2e-3 √(9.81 × size) unless given.
-        contact_damping: τ [s] of a dashpot beside the contact's spring: pressure kc (depth + τ v), never below zero.
+        contact_damping: τ [s] of a dashpot parallel to the contact's spring: pressure kc (depth + τ v), never below
+            zero.
 
     Raises:
         InputError: a value out of its range.
@@ -114,7 +114,7 @@ def in_world(scene: Callable[..., SceneT], body: object, world: World, **own: An
     Args:
         scene: the class of the new scene.
         body: the body in it.
-        world: that acts on it.
-        own: what the new scene has beside that, or has otherwise.
+        world: the world.
+        own: inputs that the new scene has in addition, or differently.
     """
     return scene(body, **({field.name: getattr(world, field.name) for field in fields(World)} | own))

@@ -1,4 +1,4 @@
-"""Full-order finite elements: the physical truth that the rest of physconvex is measured against."""
+"""Full-order finite elements: the reference for all other models of physconvex."""
 
 import lazy_loader
 

@@ -39,10 +39,10 @@ class ElasticBody:
     Args:
         mesh: linear or quadratic mesh, rest state.
         law: the elastic law or its name, see `physconvex.materials.laws` and `physconvex.materials.strain_terms`.
-        youngs_modulus: E [Pa], scalar, [E], or [E, Q] at `quadrature_points`: what varies within an element.
+        youngs_modulus: E [Pa], scalar, [E], or [E, Q] at `quadrature_points`, where it varies within an element.
         poisson_ratio: ν [-], scalar or [E], in (-1, 0.5).
         density: ρ [kg/m³], scalar or [E].
-        flow: how the material flows, see `physconvex.materials.inelastic`; purely elastic unless given.
+        flow: flow rule of the material, see `physconvex.materials.inelastic`; purely elastic unless given.
         device: where element arithmetic runs (the sparse solve stays on the CPU).
 
     Raises:
@@ -97,7 +97,7 @@ class ElasticBody:
 
     @property
     def quadrature_points(self) -> Float[np.ndarray, "E Q 3"]:
-        """Where the material is asked [m], at rest."""
+        """Points at which the law is evaluated [m], at rest."""
         return np.asarray(self._barycentric @ self.mesh.vertices[self.mesh.corner_tets])
 
     @property
@@ -163,7 +163,7 @@ class ElasticBody:
 
         Args:
             x: node positions [m].
-            response: of the flow during a time step, for a body that flows; at once and from rest unless given.
+            response: of the flow during a time step; without it, the instantaneous one from rest.
         """
         if self._quick is not None:
             return self._quick.energy_and_gradient(x)
@@ -172,7 +172,7 @@ class ElasticBody:
         return energy, self._scatter(self._material("stress", f, response))
 
     def _material(self, of: Literal["energy", "stress", "hessian"], f: Tensor, response: FlowStep | None) -> Tensor:
-        """Energy density, stress or Hessian of what acts at the quadrature points: the law, what flows, or both."""
+        """Energy density, stress or Hessian at the quadrature points: of the law, the flow, or both."""
         parts: list[Tensor] = []
         if self.flow is None or self.flow.beside_law:
             parts.append(getattr(self.law, of)(f, self._mu, self._lam))
@@ -183,12 +183,12 @@ class ElasticBody:
     # -- flow
 
     def unflowed(self) -> Tensor:
-        """F_f⁻¹ of a body that has not flowed, shape [E, Q, 3, 3], of `Flows` [E, Q, 2, 3, 3]."""
+        """F_f⁻¹ without any flow, shape [E, Q, 3, 3], of `Flows` [E, Q, 2, 3, 3]."""
         shape = (*self._weights.shape, *stored_flows(self.flow), 3, 3)
         return torch.eye(3, dtype=torch.float64, device=self.device).expand(shape)
 
     def flow_step(self, undo: Tensor, x: Float[np.ndarray, "V 3"], step: float) -> FlowStep:
-        """Response of the flowing part during a step [s], from F_f⁻¹ at its start; what is lagged is taken at x [m]."""
+        """Response of the flowing part during a step [s], from F_f⁻¹ at its start; lagged terms are taken at x [m]."""
         assert self.flow is not None
         return self.flow.during(undo, self.deformation_gradient(x), self._mu, self._lam, step)
 
@@ -214,7 +214,7 @@ class ElasticBody:
             viscous_state: F* of a time step with Kelvin–Voigt viscosity, whose stiffness is then added.
             damping_ratio: damping time over the time step [-].
             response: as for the energy.
-            out: an array that may be written to and returned, since new memory costs more than the arithmetic.
+            out: an array for the result, since allocating memory costs more than the arithmetic.
         """
         if self._quick is not None and not project:
             state = None if viscous_state is None else viscous_state.numpy()
@@ -275,7 +275,7 @@ class ElasticBody:
             state, damping_time: of the viscosity.
             step: derivative of positions by velocities [s].
             response: as for the energy.
-            with_energy: the energy is NaN without, and not computed.
+            with_energy: compute the energy, which is NaN otherwise.
         """
         if self._quick is not None:
             return self._quick.moving_energy_and_gradient(
@@ -301,7 +301,7 @@ class ElasticBody:
 
 
 def _rule(mesh: TetMesh) -> tuple[Float[np.ndarray, "E Q 4"], Float[np.ndarray, "E Q"]]:
-    """Where the material of each element is asked, in its barycentric coordinates, and for how much of it [m³]."""
+    """Barycentric coordinates of the points at which the law is evaluated, and the volume of each [m³]."""
     if mesh.filling is not None:
         return mesh.filling.barycentric, mesh.filling.weights
     barycentric, weights = QUADRATURE[1 if mesh.order == 1 else 2]

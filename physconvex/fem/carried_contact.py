@@ -1,9 +1,8 @@
-"""Contact at points of a surface that a mesh carries, in the place of the mesh's own nodes.
+"""Contact at points of the surface that the mesh carries, instead of the mesh's own nodes.
 
-Coarse meshes cut corners: their outermost nodes lie inside the body, or outside it, by a good part of an element, so
-that they land late or early and on other points than the body does. Points of the surface itself, carried by the
-elements (`Embedding`), land where the body does whatever the mesh; forces on them go to the nodes by the same weights,
-so that the work is the same.
+Coarse meshes cut corners: their outermost nodes are off the body's surface by a good part of an element, so that they
+touch early or late and at other points. Points of the surface itself, interpolated by the elements (`Embedding`), touch
+as the body does for every mesh. Forces on them are distributed to the nodes by the same weights, which conserves work.
 """
 
 from __future__ import annotations
@@ -24,11 +23,11 @@ from physconvex.mesh import Embedding
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
-    """Points that stand for a surface.
+    """Points that represent a surface.
 
     Attributes:
         points: rest positions [m], shape [S, 3].
-        areas: of the surface that each stands for [m²], shape [S].
+        areas: area of the surface that each represents [m²], shape [S].
 
     Raises:
         InputError: shapes that do not fit together.
@@ -50,7 +49,7 @@ class SurfacePoints:
     ) -> SurfacePoints:
         """About `count` vertices of a surface: all corners of its convex hull, and others evenly spread.
 
-        Triangles are cut in four as long as there are fewer vertices than half of that.
+        Triangles are split into four while there are fewer than half as many vertices.
         """
         vertices, triangles, most = np.asarray(vertices), np.asarray(triangles), count
         while len(np.unique(triangles)) < count / 2:

@@ -20,7 +20,7 @@ Array = np.ndarray
 
 
 def contact_kind() -> type[ContactProblem]:
-    """Which arithmetic the equation of the forces is solved by: plain numpy's where nothing can be compiled."""
+    """Which implementation solves the equation of the forces: plain numpy if nothing can be compiled."""
     return CompiledContact if FEM_KERNEL.available else ContactProblem
 
 
@@ -37,7 +37,7 @@ def carry(matrix: csr_matrix, x: Float[Array, "V 3"]) -> Float[Array, "S 3"]:
 def add_near(
     law: Contact, x: Float[Array, "S 3"], moved: Float[Array, "S 3"], time: float, near: Bool[Array, "O S"]
 ) -> None:
-    """Set `near` for the points of a law that are in an obstacle at x or at `moved` [m]."""
+    """Set `near` for the points of a law that are inside an obstacle at x or at `moved` [m]."""
     if FEM_KERNEL.available:
         rows, points = obstacle_rows(law.obstacles, time), np.ascontiguousarray(law.nodes, dtype=np.int32)
         given = (doubles(x), doubles(moved))  # named, since a copy must outlive its address
@@ -55,7 +55,7 @@ def turned_blocks(
     turn: Float[Array, "3 3"],
     more: Float[Array, "K K"] | None = None,
 ) -> Float[Array, "K K"]:
-    """R (M + more) Rᵀ, block by block of 3 × 3, M those blocks of a symmetric matrix that belong to some places."""
+    """R (M + more) Rᵀ, block by block of 3 × 3; M is made of the blocks of a symmetric matrix at some places."""
     count = len(places)
     if FEM_KERNEL.available:
         given = (np.ascontiguousarray(places, dtype=np.int32), more, doubles(turn), np.empty((3 * count, 3 * count)))
@@ -83,7 +83,7 @@ class CompiledContact(ContactProblem):
 
     @cached_property
     def _arrays(self) -> Mapping[str, Array]:
-        """What the kernel reads, kept alive here."""
+        """Arrays that the kernel reads, kept alive here."""
         whole = {"starts": self.carried.indptr, "carriers": self.carried.indices, "obstacle": self.obstacles}
         real = {
             "weights": self.carried.data,
@@ -125,7 +125,7 @@ class CompiledContact(ContactProblem):
         return left, slope
 
     def newton_step(self, left: Float[Array, "C 3"], slope: Float[Array, "C 3 3"]) -> Float[Array, "C 3"]:
-        """Change δ of the forces, as there; of the points themselves where fewer touch than nodes carry them."""
+        """Change δ of the forces, as there; solved on the points themselves if fewer touch than nodes carry them."""
         library, pairs = FEM_KERNEL.library, ctypes.byref(self._holding)
         alone, stiff = np.empty(left.shape), np.empty(slope.shape)
         touching, active = np.empty(len(left), dtype=np.int32), np.empty(self.carried.shape[1], dtype=np.int32)

@@ -51,7 +51,7 @@ FEM_KERNEL = Kernel(
 
 
 def volumetric_elements(law: Law, tets: Int[Array, "E n"], count: int, points: MaterialPoints) -> VolumetricElements:
-    """The quadrature points of a body, see `VolumetricElements`; those of plain numpy where nothing can be compiled."""
+    """The quadrature points of a body, see `VolumetricElements`; those of plain numpy if nothing can be compiled."""
     small = points.gradients.shape[1] <= _MOST_POINTS and points.gradients.shape[2] <= _MOST_NODES
     kind = CompiledElements if small and FEM_KERNEL.available else VolumetricElements
     return kind(law, tets, count, points)
@@ -69,7 +69,7 @@ def sum_into(
 
 
 class CompiledElements(VolumetricElements):
-    """The same numbers, by some elements at once.
+    """The same numbers, computed for several elements at once.
 
     Raises:
         KernelUnavailable: the kernel cannot be compiled here.
@@ -83,7 +83,7 @@ class CompiledElements(VolumetricElements):
         self._constants = [self._by_block(array) for array in (points.weights, points.mu, points.lam)]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without addresses, which another process cannot use."""
+        """Without addresses, which are invalid in another process."""
         return {name: value for name, value in self.__dict__.items() if name != "_elements"}
 
     def _by_block(self, array: Array) -> Array:

@@ -1,14 +1,14 @@
-"""Time steps in which contact and friction are solved for on the touching points alone, nothing frozen.
+"""Time steps that solve contact and friction together on the touching points; nothing is frozen.
 
-A time step asks for g(x) + Bᵀ c(B x) = 0, where g is the gradient of what is smooth (inertia, elasticity, viscosity)
-and c the force of contact and Coulomb friction on points B x of the surface. Newton's method with an approximate
-inverse H of ∂g/∂x, without contact in it, asks for a change d = u − H Bᵀ λ with u = −H g and forces λ = c(B (x + d)).
-With the compliance S = B H Bᵀ of the points that is an equation in λ alone (static condensation),
+A time step solves g(x) + Bᵀ c(B x) = 0. Here g is the gradient of the smooth terms (inertia, elasticity, viscosity) and
+c the force of contact and Coulomb friction on points B x of the surface. Newton's method with an approximate inverse H
+of ∂g/∂x, without contact, gives the change d = u − H Bᵀ λ with u = −H g and forces λ = c(B (x + d)). With the
+compliance S = B H Bᵀ of the points this is an equation in λ alone (static condensation),
 
-    λ = c(B (x + u) − S λ),
+    λ = c(B (x + u) − S λ).
 
-solved by `physconvex.fem.dense_contact` in a few steps, whatever sticks, slips or leaves. So nodes that begin or cease
-to touch never ask for a new factor, and normal force and friction agree at the end of the step without any passes. H
+`physconvex.fem.dense_contact` solves it in a few steps for sticking, slipping and separating points. So nodes that
+begin or cease to touch need no new factor, and normal force and friction agree at the end of the step without passes. H
 is a factor kept over many steps (`physconvex.fem.kept_factor`).
 """
 
@@ -27,16 +27,16 @@ from physconvex.fem.kept_factor import KeptFactor
 from physconvex.fem.nodal_equations import NodalEquations
 
 _MOST = 60  # Newton steps per time step
-_TIRED = 14  # so many mean that the factor is renewed before the next time step
-_PATIENCE = 6  # steps before one that grows counts against the factor
-_WILD = 10.0  # growth that counts at once
+_TIRED = 14  # Newton steps after which the factor is renewed before the next time step
+_PATIENCE = 6  # steps before a growing one counts against the factor
+_WILD = 10.0  # growth that counts immediately
 _EXACT, _SHARE, _FIRST = 1e-2, 2e-2, 1e-3  # error of the dense equation: of the tolerance, the last step, the first
 _ENOUGH = 0.2  # of the tolerance: error of the dense equation at the end
-_USUAL = 1.0 / 3.0  # what is left of an error that shrinks fourfold, over the last step
+_USUAL = 1.0 / 3.0  # remaining over last step of an error that shrinks fourfold
 
 
 class CondensedContact:
-    """Solves the time steps that the equations are set to.
+    """Solves the time steps of the equations.
 
     Args:
         equations: of the steps.
@@ -86,12 +86,12 @@ class CondensedContact:
         raise ConvergenceError(f"Newton's method with condensed contact left a step of {size:.3e} m")
 
     def _is_lost(self, size: float, previous: float, since: int) -> bool:
-        """Whether so many steps with one factor have come to nothing, by the last two steps [m]."""
-        grows = size >= previous and since >= _PATIENCE  # the first ones may wander where K had to be projected
+        """Whether that many steps with one factor fail to converge, by the last two steps [m]."""
+        grows = size >= previous and since >= _PATIENCE  # the first ones may grow if K is projected
         return grows or not size < _WILD * previous or since >= 2 * _TIRED
 
     def _is_enough(self, size: float, previous: float) -> bool:
-        """Whether a step so long after the previous one [m] leaves as little as one at the tolerance usually does."""
+        """Whether a step that long after the previous one [m] leaves as small an error as one at the tolerance."""
         share = min(1.0, _USUAL * (previous / max(size, np.finfo(float).tiny) - 1)) if np.isfinite(previous) else _USUAL
         return size <= share * self.tolerance and self._error <= _ENOUGH * self.tolerance
 
@@ -117,7 +117,7 @@ class CondensedContact:
         return free - self.factor.pushed(nodes, carried.T @ self.dense.total())
 
     def _carriers(self, points: np.ndarray) -> tuple[np.ndarray, csr_matrix]:
-        """The free nodes that carry some points, and the matrix that takes them to the points."""
+        """The free nodes that carry some points, and the matrix from them to the points."""
         if self.matrix is None:
             rows = csr_matrix((np.ones(len(points)), (np.arange(len(points)), points)), (len(points), len(self._free)))
         else:

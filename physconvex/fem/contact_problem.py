@@ -1,8 +1,8 @@
 """The equation of the contact forces of some points, and Newton's step for it.
 
-With y where the points would be without forces, S = B H Bᵀ their compliance and ρ the inverse of a point's own, the
-forces obey λ = R(y − S λ + λ/ρ), R the resolvent of the law of contact (`physconvex.dynamics.contact_resolvent`;
-Alart and Curnier 1991; Jourdan, Alart and Jean 1998).
+With y the positions of the points without forces, S = B H Bᵀ their compliance and ρ the inverse of a point's own
+compliance, the forces satisfy λ = R(y − S λ + λ/ρ). R is the resolvent of the law of contact
+(`physconvex.dynamics.contact_resolvent`; Alart and Curnier 1991; Jourdan, Alart and Jean 1998).
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ class CarriedPoints:
     """C points that M nodes carry, in a time step.
 
     Attributes:
-        free: y, where they would be without forces [m].
+        free: y, their positions without forces [m].
         base: their velocities are their distances from here over the step [m].
-        carried: B, takes the nodes to them, shape [C, M].
+        carried: B, from the nodes to the points, shape [C, M].
         compliance: H of the nodes [m/N], N = 3 M, symmetric.
         step: [s].
         time: at the end of the step [s].
@@ -37,7 +37,7 @@ class CarriedPoints:
     time: float
 
     def select(self, rows: Int[np.ndarray, " D"]) -> CarriedPoints:
-        """Those points, each as often as it is named."""
+        """Those points, with repetitions."""
         return replace(self, free=self.free[rows], base=self.base[rows], carried=self.carried[rows])
 
 
@@ -48,7 +48,7 @@ class ContactProblem:
         law: of contact.
         points: of the pairs, shape [C].
         obstacles: their numbers in the law, shape [C].
-        at: where the pairs' points are, and how they give.
+        at: positions and compliance of the pairs' points.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class ContactProblem:
         return float(np.abs(left / self.stiffness[:, None]).max())
 
     def norm(self, left: Float[np.ndarray, "C 3"]) -> float:
-        """The same in the mean, to be made smaller [m]."""
+        """The mean error [m], which the iteration reduces."""
         return float(np.linalg.norm(left / self.stiffness[:, None]))
 
     def residual(self, forces: Float[np.ndarray, "C 3"]) -> tuple[Float[np.ndarray, "C 3"], Float[np.ndarray, "C 3 3"]]:
@@ -104,9 +104,9 @@ class ContactProblem:
     ) -> Float[np.ndarray, "C 3"]:
         """Change δ of the forces, (1 − D/ρ + D S) δ = −left with D = `slope`.
 
-        Solved for in m = H Bᵀ δ, of the nodes that carry points that touch, since many points may stand on few nodes:
-        with A = 1 − D/ρ, (1 + H Bᵀ A⁻¹ D B) m = −H Bᵀ A⁻¹ left and δ = −A⁻¹ (left + D B m). Forces of pairs that do
-        not touch go to zero at once.
+        Solved for m = H Bᵀ δ at the nodes that carry touching points, since many points may depend on few nodes: with A
+        = 1 − D/ρ, (1 + H Bᵀ A⁻¹ D B) m = −H Bᵀ A⁻¹ left and δ = −A⁻¹ (left + D B m). Forces of pairs that do not touch
+        become zero immediately.
         """
         inverse = np.linalg.inv(np.eye(3) - slope / self.stiffness[:, None, None])
         alone = -(inverse @ left[:, :, None])[:, :, 0]

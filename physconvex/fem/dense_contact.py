@@ -1,4 +1,4 @@
-"""Contact forces on the points that touch, from where the points would be without them and their compliance.
+"""Contact forces on the touching points, from their positions without forces and their compliance.
 
 The equation λ = c(y − S λ) is solved by a semi-smooth Newton method on its form with a resolvent
 (`physconvex.fem.contact_problem`).
@@ -33,7 +33,7 @@ class DenseContact:
         self._of_pair = self._obstacle = self.points  # a pair is one of them and an obstacle
 
     def find(self, x: Float[np.ndarray, "S 3"], moved: Float[np.ndarray, "S 3"], time: float) -> None:
-        """Look which points touch at x, at `moved` [m], or did when last solved for."""
+        """Find the points that touch at x or at `moved` [m], or at the last solve."""
         touching = self._pressed.copy()
         add_near(self.law, x, moved, time, touching)
         self._obstacle, pairs = np.nonzero(touching)
@@ -45,14 +45,14 @@ class DenseContact:
         return self._forces[:, self.points].sum(axis=0)
 
     def solve(self, at: CarriedPoints, *, goal: float) -> float:
-        """Find the forces; the error that is left [m].
+        """Find the forces; returns the remaining error [m].
 
         Args:
-            at: where `points` are, and how they give.
-            goal: error asked for [m].
+            at: positions and compliance of `points`.
+            goal: largest accepted error [m].
 
         Raises:
-            ConvergenceError: not found.
+            ConvergenceError: no solution found.
         """
         points = self.points[self._of_pair]
         problem = contact_kind()(self.law, points, self._obstacle, at.select(self._of_pair))
@@ -72,7 +72,7 @@ class DenseContact:
 def _searched(
     problem: ContactProblem, forces: np.ndarray, left: np.ndarray, step: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The best of a few lengths of a step: forces, what is left, and the slope there."""
+    """The best of a few step lengths: forces, remaining error, and the slope there."""
     start, length, least = problem.norm(left), 1.0, np.inf
     best = forces, left, np.zeros((len(forces), 3, 3))
     for _ in range(_HALVINGS):

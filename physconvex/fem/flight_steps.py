@@ -1,7 +1,6 @@
-"""How many time steps a frame needs: fewer while a body flies that has touched nothing yet.
+"""Number of time steps in a frame: fewer while a body flies and has not touched anything.
 
-Until it lands a body falls and turns, and nothing fast happens in it; impact and what rings after it ask for short
-steps.
+A flying body only falls and turns, which is slow; the impact and the vibrations after it need short steps.
 """
 
 from __future__ import annotations
@@ -12,17 +11,17 @@ from physconvex.dynamics import State, Timing
 from physconvex.fem.carried_contact import CarriedContact
 from physconvex.fem.scene import Scene
 
-_MARGIN = 0.03  # of the size: nearer than that to an obstacle may be touching
-_LOOKS = 8  # times within a frame
+_MARGIN = 0.03  # of the size: within this distance of an obstacle it may touch
+_LOOKS = 8  # tests within a frame
 
 
 class Flight:
-    """Steps per frame of a roll-out, to be asked frame by frame.
+    """Steps per frame of a roll-out, evaluated frame by frame.
 
     Args:
-        scene: what is rolled out.
-        timing: its `flight_steps_per_frame` hold where the body flies; in the first frame, which starts the integrator,
-            the usual ones.
+        scene: the scene.
+        timing: its `flight_steps_per_frame` applies while the body flies, except in the first frame, which starts the
+            integrator.
     """
 
     def __init__(self, scene: Scene, timing: Timing) -> None:

@@ -1,11 +1,10 @@
-"""A load that hangs loosely: it falls by itself until its string is taut, and moves with the body's nodes from then on.
+"""A load on a string: it falls freely while the string is slack, and moves with the body's nodes once it is taut.
 
-While the string is slack the load falls freely, g t²/2. Once the nodes that it hangs on (their mean, weighted by the
-load's masses) have come down by less than that minus the slack, the string is taut: an inelastic impact, after which
-the load's mass is the nodes'. Of the time step in which that happens, the part before leaves the load alone, so that
-the motion depends smoothly on the slack. The load keeps a velocity history of its own, by which BDF2 gives it the
-momentum it arrives with. A string that is taut once stays so. Without slack the load is fixed to the nodes, whose
-velocity it has from the start.
+While the string is slack, the load falls by g t²/2. The string becomes taut when the mean descent of the nodes that it
+hangs on, weighted by the load's masses, is less than that minus the slack. This is an inelastic impact, after which the
+load's mass is added to the nodes. Within that time step the load is free until the impact, so that the motion depends
+smoothly on the slack. The load keeps its own velocity history, from which BDF2 takes its momentum. A taut string stays
+taut. Without slack the load is fixed to the nodes and starts with their velocity.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ class Hanging:
 
     Args:
         load: its slack.
-        masses: that hang on the nodes [kg], shape [V].
+        masses: hanging masses by node [kg], shape [V].
         gravity: [m/s²].
         start: positions of the nodes at t = 0 [m], shape [V, 3].
     """
@@ -49,12 +48,12 @@ class Hanging:
         return self.share * self.masses
 
     def _reach(self, x: np.ndarray, time: float) -> float:
-        """How far the load has fallen beyond what its string allows [m]."""
+        """How far the load is below what its string permits [m]."""
         sunk = float(self.masses @ ((x - self.start) @ self._down) / self.masses.sum())
         return 0.5 * float(np.linalg.norm(self.gravity)) * time**2 - sunk - self.load.slack
 
     def set_step(self, c: StepCoefficients, time: float, guess: np.ndarray, last: State) -> None:
-        """Share of the step in which the string is taut, and where the load would go by itself."""
+        """Share of the step in which the string is taut, and the position of the free load."""
         self._pending = None
         if self._last is not None:
             self.share, last_velocity, before = 1.0, self._last, self._before
@@ -74,11 +73,11 @@ class Hanging:
         self._pending = (np.array(last_velocity), self.share, time - last.time)
 
     def force(self) -> Float[np.ndarray, "V 3"]:
-        """Weight of what is taut [N]."""
+        """Weight of the taut load [N]."""
         return self.active[:, None] * self.gravity
 
     def commit(self, velocity: Float[np.ndarray, "V 3"]) -> None:
-        """The step has been taken, the nodes move with `velocity` [m/s] at its end."""
+        """Update after a step, at whose end the nodes have `velocity` [m/s]."""
         if self._pending is None:
             return
         last, share, step = self._pending

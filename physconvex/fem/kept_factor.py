@@ -1,8 +1,8 @@
 """An approximate inverse of a body's stiffness that lasts over many time steps.
 
-Three things make one factor last: it turns with the body (a rotated body has the rotated stiffness); what the gradients
-met since then tell of the stiffness is laid over it (L-BFGS in compact form: Byrd, Nocedal and Schnabel 1994, theorem
-2.2, with the factor as the initial inverse); and contact is not in it.
+Three things make one factor last. It rotates with the body (a rotated body has the rotated stiffness). Gradients
+evaluated since the factorisation correct it (L-BFGS in compact form: Byrd, Nocedal and Schnabel 1994, theorem 2.2, with
+the factor as the initial inverse). It excludes contact.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from physconvex.fem.nodal_equations import NodalEquations
 from physconvex.numerics import NotPositiveDefiniteError, best_rotation
 
 _SECANTS = 16  # pairs of changes kept
-_CURVED = 1e-8  # cosine between change of place and of gradient below which a pair tells nothing
-_MOST_ROWS = 3e5  # numbers: more take longer to go through than a solve
-_ROUNDED = 1e-9  # share of the body's size below which a change of place is left out of them
+_CURVED = 1e-8  # cosine between change of place and of gradient below which a pair is ignored
+_MOST_ROWS = 3e5  # numbers: reading more takes longer than a solve
+_ROUNDED = 1e-9  # share of the body's size below which a change of place is ignored
 
 
 class KeptFactor:
@@ -33,11 +33,11 @@ class KeptFactor:
         self._place_of = np.where(free, np.cumsum(free) - 1, -1)  # of each node among the free ones
         self._masses = equations.body.node_masses
         self.turn = np.eye(3)  # R, of the body since the factorisation
-        self.projected = False  # the factorised matrix was not positive definite as it was
+        self.projected = False  # the factorised matrix is projected to a positive definite one
         self.forget()
 
     def forget(self) -> None:
-        """Give the factor up."""
+        """Discard the factor."""
         self._stamp, self._step = -1, np.nan
         self._place = self.equations.body.mesh.vertices
         self._secants = _Secants(_ROUNDED * self.equations.body.mesh.size)
@@ -47,7 +47,7 @@ class KeptFactor:
         self._rows: np.ndarray | None = np.zeros((0, self.equations.assembler.size))  # K⁻¹ of their degrees of freedom
 
     def prepare(self, x: Float[np.ndarray, "V 3"], *, renew: bool) -> bool:
-        """Make ready for a time step, or for the rest of one with a new factor; whether there is a new one."""
+        """Prepare a time step, or the rest of one with a new factor; returns whether there is a new one."""
         equations = self.equations
         assert equations.coefficients is not None
         step = equations.coefficients.step
@@ -66,7 +66,7 @@ class KeptFactor:
         return True
 
     def apply(self, x: Float[np.ndarray, "V 3"], gradient: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
-        """−H g [m]; learns from g."""
+        """−H g [m]; updates the secants with g."""
         turned = gradient @ self.turn  # Rᵀ g, node by node
         out = self.equations.solve(turned)
         self._secants.note(x @ self.turn, turned, out)
@@ -90,7 +90,7 @@ class KeptFactor:
         return (out + self._secants.correction(turned)) @ self.turn.T
 
     def _extend(self, nodes: np.ndarray) -> None:
-        """Solve for the columns of nodes that have none yet."""
+        """Solve for the missing columns of nodes."""
         new = nodes[self._columns[nodes] < 0]
         if not len(new):
             return
@@ -116,7 +116,7 @@ class _Secants:
     """H − K⁻¹ in compact form, Wᵀ M W, from pairs of changes s of place, y of gradient and z = K⁻¹ y.
 
     Args:
-        smallest: component of a change of place below which its change of gradient is taken for rounding [m].
+        smallest: component of a change of place below which its change of gradient counts as rounding [m].
     """
 
     def __init__(self, smallest: float) -> None:
@@ -131,7 +131,7 @@ class _Secants:
         self._last = None
 
     def note(self, x: np.ndarray, gradient: np.ndarray, solved: np.ndarray) -> None:
-        """Learn from a gradient and K⁻¹ times it."""
+        """Update with a gradient and K⁻¹ times it."""
         now = x, gradient, solved
         if self._last is not None:
             s, y, z = ((new - old).ravel() for new, old in zip(now, self._last, strict=True))
@@ -168,7 +168,7 @@ class _Secants:
         return ((self._m @ (self._w @ vector.ravel())) @ self._w).reshape(vector.shape)
 
     def correction_at(self, nodes: np.ndarray) -> Float[np.ndarray, "N N"] | None:
-        """H − K⁻¹ of some nodes; None where nothing has been learnt."""
+        """H − K⁻¹ of some nodes; None without pairs."""
         if not self.count:
             return None
         at = self._w.reshape(len(self._w), -1, 3)[:, nodes].reshape(len(self._w), -1)

@@ -1,4 +1,4 @@
-"""Eigenmodes: vibration of a body, and the scalar modes that serve as skinning weights."""
+"""Eigenmodes: vibration modes of a body, and the scalar modes that serve as skinning weights."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def tangent_stiffness(
         body: the body.
         positions: of its nodes [m]; at rest unless given.
         free: nodes that may move, all unless given.
-        project: without what is negative in any point's Hessian.
+        project: remove the negative part of each point's Hessian.
     """
     assembler = Assembler(body.mesh.tets, np.ones(len(body.mesh.vertices), dtype=bool) if free is None else free)
     upper = assembler.pattern.copy()
@@ -68,7 +68,7 @@ def tangent_stiffness(
 def _relieved(
     stiffness: sp.csr_matrix, mass: sp.csr_matrix, rigid: np.ndarray, loads: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Static answers to loads, with inertia relief, and loads that inertia balances (Craig & Kurdila 2006, §17.3).
+    """Static responses to loads, with inertia relief, and the loads balanced by inertia (Craig & Kurdila 2006, §17.3).
 
     Args:
         stiffness, mass: of a free body, shape [N, N].
@@ -76,10 +76,10 @@ def _relieved(
         loads: shape [N, K].
 
     Returns:
-        answers and balanced loads without a rigid part, shape [N, K].
+        responses and balanced loads without a rigid part, shape [N, K].
     """
     balanced = loads - mass @ (rigid.T @ (rigid @ loads))
-    shift = 1e-8 * stiffness.diagonal().sum() / mass.diagonal().sum()  # takes the rigid motions away
+    shift = 1e-8 * stiffness.diagonal().sum() / mass.diagonal().sum()  # removes the rigid motions
     with _factorised(stiffness + shift * mass) as solver:
         answers = solver.solve(balanced)
     return answers - rigid.T @ (rigid @ (mass @ answers)), balanced
@@ -88,7 +88,7 @@ def _relieved(
 def rigid_motions(
     positions: Float[np.ndarray, "V 3"], clamped: Bool[np.ndarray, " V"] | None = None
 ) -> Float[np.ndarray, "R V 3"]:
-    """Displacements and turns as a whole that leave what is held where it is; six of a free body."""
+    """Rigid displacements and rotations that leave the held nodes at rest; six for a free body."""
     turns = np.cross(np.eye(3)[:, None], (positions - positions.mean(0)) / np.abs(np.ptp(positions, axis=0)).max())
     motions = np.concatenate([np.broadcast_to(np.eye(3)[:, None], turns.shape), turns])
     if clamped is None or not clamped.any():
@@ -107,19 +107,18 @@ def elastic_responses(
 ) -> Float[np.ndarray, "K V 3"]:
     """Static displacements of a body under forces at its nodes, each with elastic energy ½ J.
 
-    What is held bears the forces. Those that would move the body as a whole its inertia carries, and the displacement
-    has no such part: the attachment modes with inertia relief of component mode synthesis (Craig & Kurdila 2006,
-    §17.3).
+    Held nodes carry the forces. Inertia balances the rigid part of the forces, and the displacement has no rigid part:
+    the attachment modes with inertia relief of component mode synthesis (Craig & Kurdila 2006, §17.3).
 
     Args:
         body: mesh, law, stiffness and density.
-        forces: any unit, since the answers are scaled.
-        positions: of the nodes in the state about which the body answers linearly [m], at rest unless given; the
-            stiffness of a deformed one is made positive, and since its stresses resist turns, ½ J holds nearly.
+        forces: any unit, since the displacements are scaled.
+        positions: of the nodes in the state of linearisation [m], at rest unless given. The stiffness of a deformed
+            state is made positive definite; since its stresses resist rotations, ½ J holds only approximately.
         clamped: nodes that are held.
 
     Raises:
-        InputError: forces or positions of another shape, or a force that deforms nothing.
+        InputError: forces or positions of another shape, or a force that causes no deformation.
     """
     vertices = body.mesh.vertices
     if np.ndim(forces) != 3 or np.shape(forces)[1:] != vertices.shape or not np.isfinite(forces).all():
@@ -136,7 +135,7 @@ def elastic_responses(
     answers, balanced = _relieved(stiffness, mass, rigid, loads)
     if (np.abs(balanced).max(0) <= 1e-9 * np.abs(forces).max((1, 2))).any():
         raise InputError("forces: one of them only moves the body as a whole, or acts where it is held; leave it out")
-    energies = np.einsum("vk,vk->k", answers, balanced)  # above zero where loose parts move without elastic energy too
+    energies = np.einsum("vk,vk->k", answers, balanced)  # positive also if loose parts move without elastic energy
     responses = np.zeros(np.shape(forces))
     responses[:, free] = (answers / np.sqrt(energies)).T.reshape(len(forces), -1, 3)
     return responses
@@ -162,7 +161,7 @@ def vibration_modes(
         body: the body.
         count: number of vibrations K.
         clamped: nodes that are held.
-        carried: masses that move with the nodes, beside the body's own [kg].
+        carried: masses that move with the nodes, besides the body's own [kg].
         positions: of the nodes in the state about which the body vibrates [m], at rest unless given; the stiffness of
             a deformed one is made positive.
     """
@@ -203,7 +202,7 @@ def skinning_eigenmodes(body: ElasticBody, count: int) -> tuple[Float[np.ndarray
     Minimises ∫ E ∇w · A ∇w for given ∫ ρ w², free boundary: the skinning weights of Benchekroun et al. 2023 ("Fast
     Complementary Dynamics via Skinning Eigenmodes"), with the elastic Hessian replaced by its mean over the directions
     of displacement. A is the unit tensor of an isotropic law, I + ¼ (k/μ) a aᵀ with fibres along a. A stiff inclusion
-    moves as one, and so does what fibres join.
+    moves as one, and so do points joined by fibres.
 
     Returns:
         weights [V, K] at the nodes, normalised to ∫ ρ w² = total mass, and the eigenvalues [1/s²].

@@ -67,8 +67,8 @@ class NodalEquations:
     def set_step(self, coefficients: StepCoefficients, time: float, guess: np.ndarray, last: State) -> None:
         """Fix everything that is constant during one time step.
 
-        Viscosity is frozen at the guess. Friction takes its normal forces from the last state: the guess flies on
-        freely and would lie far too deep in an obstacle at impact, where friction would then stop the body.
+        Viscosity is frozen at the guess. Friction takes its normal forces from the last state: at an impact the guess
+        penetrates the obstacle far too deep, and friction would stop the body.
         """
         self.coefficients, self.time, self._duration = coefficients, time, time - last.time
         self.forces = self.scene.external_forces(time)
@@ -85,25 +85,25 @@ class NodalEquations:
         self._freeze_flow(last.positions)
 
     def freeze_friction(self, x: np.ndarray) -> bool:
-        """Take anew at positions x what a solve holds fixed, friction and sand's pressure; tells if there is any."""
+        """Update frozen terms of a solve (friction, sand's pressure) at positions x; returns whether there are any."""
         assert self.coefficients is not None
         self.friction = self.contact.freeze_friction(x, self.coefficients.velocity(x), self.time)
         self._freeze_flow(x)
         return bool(self.friction) or (self.body.flow is not None and self.body.flow.lagged)
 
     def settled(self, change: np.ndarray, step: float) -> bool:
-        """Whether the velocities have changed by no more than the slip velocity with this change [m]."""
+        """Whether this change [m] changes the velocities by at most the slip velocity."""
         return bool(np.abs(change).max() <= step * self.contact.slip_velocity)
 
     def commit(self, x: np.ndarray) -> None:
-        """Store what has flowed by the end of a step at positions x."""
+        """Store the flow at the end of a step with positions x."""
         if self.hanging is not None and self.coefficients is not None:
             self.hanging.commit(self.coefficients.velocity(x))
         if self.response is not None:
             self.undo = self.response.flowed(self.body.deformation_gradient(x))
 
     def flowed(self) -> tuple[None]:
-        """Not kept."""
+        """Nothing is kept."""
         return (None,)
 
     def _freeze_flow(self, x: np.ndarray) -> None:

@@ -19,7 +19,7 @@ from physconvex.fem.trajectory import Trajectory
 from physconvex.mesh import Embedding, TetMesh
 from physconvex.numerics import rotation_matrix
 
-_AT_NODE = 1e-6  # of the body's size: a point so near to a node is at it
+_AT_NODE = 1e-6  # of the body's size: largest distance at which a point is identified with a node
 
 
 @dataclass(frozen=True)
@@ -73,16 +73,16 @@ class NodePins:
 
 @dataclass(frozen=True)
 class Scene(World):
-    """A body of finite elements and everything that acts on it: a `World`, and what only nodes can state.
+    """A body of finite elements and everything that acts on it: a `World` plus inputs specific to nodes.
 
     Attributes:
         body: the elastic body.
-        node_pins: nodes with prescribed motion, in the place of `pins`, which must lie at nodes.
+        node_pins: nodes with prescribed motion, instead of `pins`, which must lie at nodes.
         initial_positions: state at t = 0 [m], shape [V, 3]; the rest state unless given.
-        contact_points: points of the surface at which obstacles act, in the place of the boundary's nodes.
+        contact_points: points of the surface at which obstacles act, instead of the boundary's nodes.
 
     Raises:
-        InputError: a value out of its range or of the wrong shape, or one that finite elements do not have.
+        InputError: a value out of its range or of the wrong shape, or one that finite elements do not support.
     """
 
     body: ElasticBody = field(kw_only=False)
@@ -112,7 +112,7 @@ class Scene(World):
         pins.positions(0.0, self.start)
 
     def prepared(self, timing: Timing) -> PreparedRollOut:
-        """Made ready for `physconvex.dynamics.simulate`."""
+        """Prepared for `physconvex.dynamics.simulate`."""
         from physconvex.fem.simulation import prepared_scene  # late: the equations of a scene know the scene
 
         return prepared_scene(self, timing)
@@ -173,7 +173,7 @@ class Scene(World):
 
     @cached_property
     def _loaded(self) -> csr_matrix | None:
-        """What takes the loads' points to the nodes, shape [V, P]; None where they are the nodes."""
+        """Matrix from the loads' points to the nodes, shape [V, P]; None if they are the nodes."""
         assert self.loads is not None
         mesh = self.body.mesh
         if np.array_equal(self.loads.points, mesh.vertices):
@@ -212,5 +212,5 @@ class Scene(World):
 
 @lru_cache(maxsize=4)
 def _carried(mesh: TetMesh, points: SurfacePoints) -> Embedding:
-    """Where the mesh carries the points: one roll-out asks twice, and one with other parameters again."""
+    """Embedding of the points in the mesh, cached: one roll-out uses it twice, and one with other parameters again."""
     return Embedding.of_points(mesh, points.points)

@@ -1,14 +1,14 @@
-"""Forward sensitivities of a full-order roll-out: what a small change of its parameters does to it, step by step.
+"""Forward sensitivities of a full-order roll-out: derivatives by its parameters, carried along step by step.
 
-The solution x of a time step is where the gradient g(x, past states, p) of its incremental potential vanishes, so that
+At the solution x of a time step the gradient g(x, past states, p) of its incremental potential vanishes, so that
 
     ∂g/∂x dx/dp + ∂g/∂(past states) d(past states)/dp + ∂g/∂p = 0.
 
-The left side is one directional derivative of g, taken by central differences of g itself (two evaluations, no
-matrix); dx/dp follows by iteration with the factorisation that Newton's method has left behind. Whatever a step freezes
-(viscosity at the guess, friction at the start and at each pass before) is frozen anew on both sides, and so
-differentiated: pass by pass, as the step itself went. (The derivative of passes that had gone on for ever is another
-one, and where a point sticks it can be a hundred times as large.) Any parameter that a scene can be built from will do.
+The left side is one directional derivative of g, taken by central differences of g itself (two evaluations, no matrix).
+dx/dp follows by iteration with the factorisation of Newton's method. Everything that a step freezes (viscosity at the
+guess, friction at the start and at each preceding pass) is frozen on both sides of the difference, and so
+differentiated pass by pass, as the step is computed. (The derivative of fully converged passes is different, and for a
+sticking point it can be a hundred times as large.) Any parameter that a scene can be built from is possible.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from physconvex.fem.scene import Scene
 from physconvex.numerics import NotPositiveDefiniteError
 
 _TOLERANCE = 1e-3  # of the largest component of a tangent
-_FLOOR = 2e-10  # of the body's size: a change of positions over the whole difference that is as good as none
+_FLOOR = 2e-10  # of the body's size: a change of positions over the whole difference that counts as zero
 _MOST = 16  # corrections per pass
-_LOOSE = 1.0  # relative change after the last of them that is still taken
-_SLOW = 0.4  # contraction above which the matrix is factorised anew
+_LOOSE = 1.0  # relative change after the last of them that is still accepted
+_SLOW = 0.4  # contraction above which the matrix is factorised again
 
 
 @dataclass(eq=False)
@@ -58,7 +58,7 @@ class _Side:
         return self.scene.held.positions(time, self.scene.start)
 
     def freeze_friction(self, x: np.ndarray, tangent: np.ndarray) -> None:
-        """Take friction anew, at the solution of a pass moved along its tangent."""
+        """Update friction at the solution of a pass moved along its tangent."""
         self.equations.freeze_friction(x + self.change * tangent)
 
     def gradient(self, x: np.ndarray, tangent: np.ndarray) -> np.ndarray:
@@ -106,7 +106,7 @@ class _Tangent:
         return (self.ahead.gradient(x, tangent) - self.behind.gradient(x, tangent)) / self.span
 
     def relative(self, update: np.ndarray, tangent: np.ndarray) -> float:
-        """Size of an update beside the tangent that it leads to."""
+        """Size of an update relative to the resulting tangent."""
         least = _FLOOR * self.ahead.scene.body.mesh.size / self.span
         return float(np.abs(update).max() / max(np.abs(tangent - update).max(), least))
 
@@ -154,7 +154,7 @@ class _Tangents:
         """The tangents at the solution x of one pass.
 
         Raises:
-            ConvergenceError: they did not settle.
+            ConvergenceError: they do not converge.
         """
         found, last, renewed = guess, np.inf, False
         for _ in range(_MOST):
@@ -162,10 +162,10 @@ class _Tangents:
             updates = [equations.solve(residual) for residual in residuals]
             triples = zip(self.tangents, updates, found, strict=True)
             size = max(tangent.relative(update, dx) for tangent, update, dx in triples)
-            if not size <= _SLOW * last and not renewed:  # a matrix of another pass may have led anywhere
+            if not size <= _SLOW * last and not renewed:  # a matrix of another pass may diverge
                 renewed, last, found = _renewed(equations, x), np.inf, guess
                 continue
-            share = 1.0 if size <= _SLOW * last else 0.5  # to and fro about a corner of the contact
+            share = 1.0 if size <= _SLOW * last else 0.5  # oscillation about a corner of the contact
             last = size
             found = [dx - share * update for dx, update in zip(found, updates, strict=True)]
             if size <= _TOLERANCE:
@@ -201,7 +201,7 @@ class SceneFamily:
         scene_of: from K parameter values to the scene; mesh and pinned nodes must not depend on them.
         values: of the parameters, shape [K].
         steps: half widths of the central differences: about 1e-4 of a typical change of each.
-        lower, upper: the differences stay within these bounds, on one side alone where need be.
+        lower, upper: the differences stay within these bounds, one-sided if necessary.
         names: of the parameters; numbers unless given.
 
     Raises:
@@ -231,7 +231,7 @@ class SceneFamily:
         """Derivatives at the start of a roll-out.
 
         Raises:
-            InputError: a body that flows, or a timing that derivatives do not follow.
+            InputError: a body that flows, or a timing without derivatives.
         """
         if timing.contact_solver != "passes" or timing.flight_steps_per_frame is not None:
             raise InputError(

@@ -1,4 +1,4 @@
-"""A scene of finite elements made ready for its roll-out, and its static equilibrium."""
+"""Preparation of a scene of finite elements for its roll-out, and its static equilibrium."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TOLERANCE = 1e-7  # of Newton's last step, over the size
 
 
 def prepared_scene(scene: Scene, timing: Timing) -> PreparedRollOut:
-    """A scene made ready for its roll-out, as `physconvex.dynamics.simulate` asks for it."""
+    """A scene prepared for its roll-out, as `physconvex.dynamics.simulate` needs it."""
     _check(scene, timing)
     length = (timing.tolerance or _TOLERANCE) * scene.body.mesh.size
     equations = NodalEquations(scene)
@@ -52,9 +52,9 @@ def solve_static(scene: Scene, *, tolerance: float = 1e-9, load_steps: int = 1) 
     """Static equilibrium positions [m], shape [V, 3], of a pinned body under its forces.
 
     Args:
-        scene: needs pins or contacts that hold the body; velocities and damping play no role.
+        scene: needs pins or contacts that hold the body; velocities and damping have no effect.
         tolerance: Newton's last step, relative to the body's size.
-        load_steps: forces are applied in so many equal parts.
+        load_steps: number of equal parts in which the forces are applied.
 
     Raises:
         ConvergenceError: Newton's method failed; more load steps may help.

@@ -48,7 +48,7 @@ def _select(mesh: TetMesh, faces: Selector) -> np.ndarray:
 
 
 def surface_load(mesh: TetMesh, faces: Selector, traction: Traction) -> Float[np.ndarray, "V 3"]:
-    """Forces on the nodes [N] that do the same work as a traction on a part of the boundary.
+    """Forces on the nodes [N] equivalent in work to a traction on a part of the boundary.
 
     F_a = ∫ N_a t dA over the rest surface (a dead load), by a rule that is exact for tractions up to degree 3 on linear
     and degree 2 on quadratic faces.

@@ -80,7 +80,7 @@ class VolumetricElements:
         return self._to_nodes @ stress.transpose(1, 2, 0).reshape(-1, 3)
 
     def _elastic(self, f: Float[Array, "3 3 P"], *, with_energy: bool) -> tuple[float, Float[Array, "3 3 P"]]:
-        """Energy [J] (NaN without), and stress times the weights; takes F's place."""
+        """Energy [J] (NaN without), and stress times the weights; overwrites F."""
         return energy_and_stress(self._term, f, self._weights, self._mu, self._lam, with_energy=with_energy)
 
     def energy_and_gradient(self, x: Float[Array, "V 3"]) -> tuple[float, Float[Array, "V 3"]]:

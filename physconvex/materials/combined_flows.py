@@ -1,4 +1,4 @@
-"""Two ways of flowing at once, each with a stored flow of its own: plasticine whose elastic part relaxes, say."""
+"""Two flow rules at once, each with a stored flow of its own: for example plasticine with a relaxing elastic part."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ class FlowsStep:
 
 @dataclass(frozen=True)
 class Flows:
-    """Two ways of flowing side by side: elements in parallel, both with the same F.
+    """Two flow rules in parallel, both with the same F.
 
     Attributes:
-        first, second: the rules, at most one of which is in the place of the body's elastic law.
+        first, second: the rules, at most one of which replaces the body's elastic law.
 
     Raises:
-        InputError: both are, or one is made of two itself.
+        InputError: both do, or one is made of two itself.
     """
 
     first: FlowRule
@@ -71,7 +71,7 @@ class Flows:
 
     @property
     def lagged(self) -> bool:
-        """Whether the response of one depends on a state that the step has to find."""
+        """Whether the response of one depends on a state that is unknown before the step is solved."""
         return self.first.lagged or self.second.lagged
 
     def during(self, undo: Tensor, state: Tensor, mu: Tensor, lam: Tensor, step: float) -> FlowsStep:

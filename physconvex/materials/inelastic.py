@@ -1,18 +1,18 @@
-"""Materials that remember: plasticine, sand, and the standard linear solid, with a stored flow deformation per point.
+"""Materials with memory: plasticine, sand, and the standard linear solid, with a stored flow deformation per point.
 
-The deformation is split multiplicatively, F = F_e F_f; what has flowed, F_f (volume-preserving), is stored. With the
-trial F_e = F F_f⁻¹ of a time step, its logarithmic principal strains ε, their deviator d, r = |d| and trace t, the step
-minimises the incremental potential (Ortiz & Stainier 1999)
+The deformation is split multiplicatively, F = F_e F_f. The flow F_f (volume-preserving) is stored. With the trial F_e =
+F F_f⁻¹ of a time step, its logarithmic principal strains ε, their deviator d, r = |d| and trace t, the step minimises
+the incremental potential (Ortiz & Stainier 1999)
 
     W(ε) = m r²  up to  2 m r = k,   k r − k²/(4 m)  beyond,   plus  K t²/2,       m = s μ,
 
 whose stress is the one at the *end* of the step: radial return in logarithmic strains (Simo 1992). k limits the
-deviatoric Kirchhoff stress |dev τ|, s is what relaxation leaves. The second derivative is exact (the algorithmic
-tangent); where it is indefinite, Newton's method falls back to its positive part. After the step the deviator left in
-F_e is min(s, k/(2 μ r)) d, the rest goes into F_f.
+deviatoric Kirchhoff stress |dev τ|, s is the share that relaxation leaves. The second derivative is exact (the
+algorithmic tangent); if it is indefinite, Newton's method uses its positive part. After the step the deviator of F_e is
+min(s, k/(2 μ r)) d, the remainder is added to F_f.
 
-As r → 0 all of them are Hencky's law, linear elasticity with E and ν at F = I. Plasticine may have a neo-Hookean law in
-its place, see `physconvex.materials.yielding`: a body that does not reach its yield stress is then what it was without.
+As r → 0 all of them are Hencky's law, linear elasticity with E and ν at F = I. Plasticine may use a neo-Hookean law
+instead, see `physconvex.materials.yielding`: a body below its yield stress is then purely neo-Hookean.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class LogarithmicStep:
         bulk: K [Pa], shape [Q].
         limit: k [Pa], shape [Q]; infinite where nothing yields.
         left: s, the share of the deviatoric strain that relaxation leaves at the end of the step.
-        tension: whether the material withstands tension: without, W is zero where t > 0.
+        tension: whether the material resists tension; if not, W is zero where t > 0.
     """
 
     undo: Tensor
@@ -85,7 +85,7 @@ class LogarithmicStep:
     _compiled: list[tuple[Tensor, Response]] = field(default_factory=list, init=False, repr=False, compare=False)
 
     def _response(self, f: Tensor) -> Response:
-        """Energy and stress by compiled arithmetic, if they can be had so; kept, since both are asked for."""
+        """Energy and stress by compiled arithmetic, if available; kept, since both are requested."""
         if not self._compiled or self._compiled[0][0] is not f:
             constants = (self.mu, self.bulk, self.limit)
             found = flow_response(f, self.undo, *constants, left=self.left, tension=self.tension)
@@ -93,7 +93,7 @@ class LogarithmicStep:
         return self._compiled[0][1]
 
     def _frame(self, f: Tensor) -> Strains:
-        """Of the trial F_e; kept, since energy and stress are asked for at the same F."""
+        """Strains of the trial F_e; kept, since energy and stress are requested at the same F."""
         if self._last and self._last[0][0] is f:
             return self._last[0][1]
         frame = PrincipalFrame.of(f @ self.undo)
@@ -165,18 +165,18 @@ class FlowRule(Protocol):
 
     @property
     def beside_law(self) -> bool:
-        """Whether the flowing part stands beside the body's elastic law, or in its place."""
+        """Whether the flowing part adds to the body's elastic law, or replaces it."""
 
     @property
     def lagged(self) -> bool:
-        """Whether the response depends on a state that the step has to find (it is then solved in passes)."""
+        """Whether the response depends on a state that is unknown before the step is solved (it needs passes)."""
 
     def during(self, undo: Tensor, state: Tensor, mu: Tensor, lam: Tensor, step: float) -> FlowStep:
         """The response during one step.
 
         Args:
             undo: F_f⁻¹ at its start, [Q, 3, 3].
-            state: F at which what is lagged is taken, [Q, 3, 3].
+            state: F for the lagged terms, [Q, 3, 3].
             mu, lam: Lamé constants of the body [Pa], [Q].
             step: length of the step [s].
         """
@@ -188,12 +188,12 @@ def _bulk(mu: Tensor, lam: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Plasticine:
-    """Perfect plasticity of von Mises: what shear strain exceeds the yield stress stays.
+    """Perfect plasticity of von Mises: shear strain beyond the yield stress remains.
 
     Attributes:
         yield_stress: τ_Y [Pa], the stress at which a pulled bar yields (|dev τ| ≤ √(2/3) τ_Y, Kirchhoff stress);
             in shear it is τ_Y/√3.
-        elastic: what it is below: "hencky", or a neo-Hookean law by its name, see `physconvex.materials.laws`.
+        elastic: law below the yield stress: "hencky", or a neo-Hookean law by name, see `physconvex.materials.laws`.
 
     Raises:
         InputError: not a number > 0, or another law.
@@ -220,12 +220,12 @@ class Plasticine:
 
 @dataclass(frozen=True)
 class Sand:
-    """Drucker–Prager without cohesion (Klár et al. 2016, without hardening): shear as far as pressure holds it.
+    """Drucker–Prager without cohesion (Klár et al. 2016, without hardening): pressure limits the shear stress.
 
-    |dev τ| ≤ √(2/3) M p with p = −K t and M = 6 sin φ/(3 − sin φ), which meets Mohr–Coulomb in triaxial compression. No
-    tension; a material that has opened resists again when it has closed by as much. Flow keeps the volume, so that the
-    stress has no potential of its own: as friction does, the limit takes its pressure from the last state and is
-    solved for in passes.
+    |dev τ| ≤ √(2/3) M p with p = −K t and M = 6 sin φ/(3 − sin φ), which agrees with Mohr–Coulomb in triaxial
+    compression. No tension; an opened material resists again after closing by the same amount. Flow keeps the volume,
+    so that the stress has no potential: like friction, the limit takes its pressure from the last state and needs
+    passes.
 
     Attributes:
         friction_angle: φ [rad], in (0, π/2).
@@ -252,9 +252,9 @@ class Sand:
 
 @dataclass(frozen=True)
 class StandardLinearSolid:
-    """A Maxwell element beside the body's elastic law: stiff at first, soft in the end; finite strain, deviatoric.
+    """A Maxwell element parallel to the body's elastic law: stiff at first, soft later; finite strain, deviatoric.
 
-    Held at a strain, the element's stress falls as exp(−t/τ), exactly so in the time steps too. The law's E and ν are
+    At constant strain, the element's stress decays as exp(−t/τ), exactly so in the time steps. The law's E and ν are
     those of slow motion; in fast motion the shear modulus is (1 + modulus_ratio) μ.
 
     Attributes:

@@ -6,8 +6,8 @@ Every law takes F [..., 3, 3] and the Lamé constants mu, lam [Pa] (broadcastabl
 - stress: first Piola–Kirchhoff stress P = ∂Ψ/∂F [Pa], shape [..., 3, 3];
 - hessian: ∂P/∂F [Pa], shape [..., 9, 9], F flattened row by row.
 
-All of them linearise at F = I to linear elasticity with the same E and ν. Where that needs care (the
-λ + μ form of Smith et al. 2018) the comment at the law says so. Any device, any float dtype.
+All of them linearise at F = I to linear elasticity with the same E and ν. If a law needs other constants for this (the
+λ + μ form of Smith et al. 2018), a comment says so. Any device, any float dtype.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ Triple = Callable[[Tensor, Tensor, Tensor], Tensor]
 class Law:
     """An elastic law: three functions of (F, mu, lam); see the module's docstring for shapes and units.
 
-    `ground` is the law that it was made of, where something was added to one. `volumetric` is f where the law is
-    Ψ = μ/2 (I₁ − 3) + f(J), which fast arithmetic takes, see `physconvex.materials.volumetric`.
+    `ground` is the original law, if terms are added to it. `volumetric` is f if the law is Ψ = μ/2 (I₁ − 3) + f(J), for
+    which there is fast arithmetic, see `physconvex.materials.volumetric`.
     """
 
     name: str

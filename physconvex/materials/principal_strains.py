@@ -41,7 +41,7 @@ class PrincipalFrame:
         u: [..., 3, 3].
         stretches: σ > 0, shape [..., 3].
         vt: Vᵀ, shape [..., 3, 3].
-        proper: where det F > 0, shape [...]; a body turned inside out has no logarithmic strain.
+        proper: where det F > 0, shape [...]; an inverted body has no logarithmic strain.
     """
 
     u: Tensor
@@ -63,9 +63,9 @@ class PrincipalFrame:
 
 
 def _axes(f: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """U, σ and Vᵀ: compiled; else by the eigenvectors of FᵀF, and by themselves where F is nearly flat.
+    """U, σ and Vᵀ: compiled; else by the eigenvectors of FᵀF, or by the SVD if F is nearly flat.
 
-    What the eigenvectors lose is the square of the ratio of two stretches, in units of rounding.
+    The error of the eigenvectors is the squared ratio of two stretches, in units of rounding.
     """
     if (quick := singular_values(f)) is not None:
         return quick
@@ -123,7 +123,7 @@ def _weighted_outer(weight: Tensor, mode: Tensor) -> Tensor:
 def singular_values(f: Tensor) -> tuple[Tensor, Tensor, Tensor] | None:
     """U [..., 3, 3], σ [..., 3] from the largest on and Vᵀ [..., 3, 3] of matrices [..., 3, 3], compiled.
 
-    None where they are of another kind than float64 on the CPU, one is not finite or flat, or nothing can be compiled.
+    None if they are not float64 on the CPU, one is not finite or flat, or nothing can be compiled.
     """
     if not _compilable(f):
         return None
@@ -139,7 +139,7 @@ def flow_response(
 ) -> tuple[Tensor, Tensor] | None:
     """Energy density [...], first Piola–Kirchhoff stress [..., 3, 3] at F of a `LogarithmicStep`, compiled.
 
-    None as for `singular_values`, of F F_f⁻¹, or where the shapes differ.
+    None as for `singular_values`, of F F_f⁻¹, or if the shapes differ.
     """
     if f.shape != undo.shape or mu.shape != f.shape[:-2] or not all(map(_compilable, (f, undo, mu, bulk, limit))):
         return None

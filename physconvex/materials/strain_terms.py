@@ -1,6 +1,6 @@
-"""Elastic laws with something added: fibres (transverse anisotropy), stiffening with strain.
+"""Elastic laws with added terms: fibres (transverse anisotropy), stiffening with strain.
 
-Each addition returns a `Law` again, linear in μ as every law is, so that derivatives by E and ν still hold.
+Each addition returns a `Law`, linear in μ as every law is, so that derivatives by E and ν remain valid.
 """
 
 from __future__ import annotations

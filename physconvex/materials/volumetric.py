@@ -21,7 +21,7 @@ VolumetricTerm = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor, Tensor
 
 @dataclass(frozen=True)
 class MaterialPoints:
-    """Where the law of a body is asked: Q points of each of E elements, or Q samples of a reduced body.
+    """Points at which a body's law is evaluated: Q points of each of E elements, or Q samples of a reduced body.
 
     Attributes:
         gradients: ∂N_a/∂X [1/m] of the shape functions, shape [E, Q, n, 3], of a reduced body [Q, 3, R].
@@ -74,11 +74,11 @@ def cofactor_and_determinant(f: Float[Array, "3 3 Q"]) -> tuple[Float[Array, "3 
     return cofactor, np.einsum("jq,jq->q", f[0], cofactor[0])
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a trial step far too long has no finite energy, and is refused
+@np.errstate(over="ignore", invalid="ignore")  # a far too long trial step has no finite energy, and is rejected
 def energy_and_stress(
     term: VolumetricTerm, f: Float[Array, "3 3 Q"], weights: Array, mu: Array, lam: Array, *, with_energy: bool = True
 ) -> tuple[float, Float[Array, "3 3 Q"]]:
-    """Energy [J] (NaN without), and the stresses μ F + f' cof F times the weights; they take F's place."""
+    """Energy [J] (NaN without), and the stresses μ F + f' cof F times the weights; they overwrite F."""
     cofactor, j = cofactor_and_determinant(f)
     value, slope, _ = slopes_of_volume(term, j, mu, lam)
     weighted_mu = weights * mu
@@ -93,5 +93,5 @@ def energy_and_stress(
 
 
 def nearly_flat(cofactor: Float[Array, "3 3 Q"], j: Float[Array, " Q"]) -> bool:
-    """Whether a body is squeezed flat at some point, so that what is divided by J loses its digits."""
+    """Whether a body is squeezed flat at some point, so that division by J loses digits."""
     return bool((j * j < NEARLY_FLAT**2 * np.einsum("ijq,ijq->q", cofactor, cofactor) ** 1.5).any())

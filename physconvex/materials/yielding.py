@@ -5,8 +5,8 @@ dev(μ b_e), b_e = F_e F_eᵀ. With ε the logarithmic principal strains of the 
 
     Ψ_step(ε) = min over Δ, Σ Δ_i = 0, of  Ψ(ε − Δ) + k |Δ|,                k the limit of |dev τ|,
 
-the incremental potential of von Mises' flow (Ortiz & Stainier 1999): what flows, Δ, has the direction of the stress at
-the end of the step, which then lies on the yield surface. Its slopes are the stresses at x = ε − Δ; f(J) takes no part.
+the incremental potential of von Mises' flow (Ortiz & Stainier 1999). The flow Δ has the direction of the stress at the
+end of the step, which then lies on the yield surface. Its slopes are the stresses at x = ε − Δ; f(J) has no effect.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _ITERATIONS, _CLOSE, _STRIDE = 60, 1e-13, 0.5  # Newton's: at most, residual of 
 
 @dataclass(frozen=True)
 class _Yielding:
-    """The points that flow.
+    """The flowing points.
 
     Attributes:
         proper: where det F > 0, of all points.
@@ -118,7 +118,7 @@ class YieldStep:
 
 
 def _difference_of_squares(found: _Yielding) -> Tensor:
-    """Squares of the stretches that are kept less those of the trial, shape [N, 3]."""
+    """Squares of the elastic stretches minus those of the trial, shape [N, 3]."""
     return (2 * found.kept).exp() - (2 * found.strains).exp()
 
 
@@ -152,7 +152,7 @@ def _returned(strains: Tensor, ratio: Tensor) -> Tensor:
         ratio: k/μ, shape [N].
 
     Raises:
-        ConvergenceError: it found none.
+        ConvergenceError: no solution found.
     """
     mean, apart = strains.mean(-1, keepdim=True), _deviator(strains)
     slope = 2 * (2 * mean).exp() / ratio.unsqueeze(-1)  # of the stress over k by a small deviator of x

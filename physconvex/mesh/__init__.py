@@ -1,4 +1,4 @@
-"""Tetrahedral meshes: making them, judging them, and points that they carry."""
+"""Tetrahedral meshes: generation, quality, and points carried by a mesh."""
 
 import lazy_loader
 

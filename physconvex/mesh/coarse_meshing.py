@@ -1,4 +1,4 @@
-"""Few tetrahedra that still are the body: meshes of a surface judged by what they share with it."""
+"""Meshes of few tetrahedra that still represent the body, selected by their overlap with its surface."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from physconvex.mesh.signed_distance import overlap
 from physconvex.mesh.surfaces import enclosed_volume
 from physconvex.mesh.tet_mesh import TetMesh
 
-_GROWTH = (1.0, 2.0)  # of the number of nodes asked for
-_GOOD, _GOOD_OPEN = 0.25, 0.03  # of the volume; of the size, where the surface is open
+_GROWTH = (1.0, 2.0)  # factors on the requested number of nodes
+_GOOD, _GOOD_OPEN = 0.25, 0.03  # of the volume; of the size, if the surface is open
 _SAMPLES = 600
 
 
 def mesh_of_few_nodes(
     vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"], *, max_nodes: int
 ) -> TetMesh:
-    """Quadratic tetrahedra of a surface with at most `max_nodes` nodes, or more where so few lose parts of the body.
+    """Quadratic tetrahedra of a surface with at most `max_nodes` nodes, or more if this loses parts of the body.
 
-    Thin parts vanish from meshes that are too coarse for them. Up to twice the nodes are tried then, and the
-    first mesh is taken that is faithful enough, else the most faithful one.
+    Meshes that are too coarse lose thin parts. In this case up to twice the nodes are tried. The first mesh that is
+    accurate enough is taken, else the most accurate one.
 
     Raises:
         InputError: the surface encloses no volume.
-        ConvergenceError: no mesh was found.
+        ConvergenceError: no mesh is found.
     """
     best: tuple[float, TetMesh] | None = None
     failure: ConvergenceError | None = None
@@ -50,9 +50,9 @@ def mesh_of_few_nodes(
 
 
 def shape_mismatch(mesh: TetMesh, vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> float:
-    """Share of the volume of body and mesh together that only one of them has.
+    """Share of the joint volume of body and mesh that belongs to only one of them.
 
-    Of a surface that is open: the rms distance of its vertices from the mesh, in its size.
+    For an open surface: the rms distance of its vertices from the mesh, relative to its size.
     """
     if enclosed_volume(vertices, triangles) is not None:
         return 1.0 - overlap(mesh, vertices, triangles)

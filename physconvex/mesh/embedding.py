@@ -22,15 +22,15 @@ CANDIDATES, BLOCK, TOLERANCE = 32, 2_000_000, -1e-9
 
 @dataclass(frozen=True)
 class Embedding:
-    """Points written as combinations of the nodes of one element each.
+    """Points as combinations of the nodes of one element each.
 
     Attributes:
         elements: element that carries each point, shape [P].
         weights: shape functions of that element at the point, shape [P, 4] or [P, 10]; each row sums to one.
         nodes: the nodes the weights belong to, shape [P, 4] or [P, 10].
         node_count: nodes of the mesh.
-        max_distance: how far the outermost point lies outside the mesh [m] (0 if all are inside). Such points
-            move with the nearest point of the mesh, and with the mean deformation gradient of its element about it.
+        max_distance: distance of the outermost point from the mesh [m] (0 if all are inside). Points outside move with
+            the nearest point of the mesh, and with the mean deformation gradient of its element about it.
     """
 
     elements: Int[np.ndarray, " P"]
@@ -41,7 +41,7 @@ class Embedding:
 
     @classmethod
     def of_points(cls, mesh: TetMesh, points: Float[np.ndarray, "P 3"]) -> Embedding:
-        """Find the containing (else the nearest) element of every point.
+        """Find the element that contains each point, else the nearest one.
 
         Args:
             mesh: the mesh at rest.
@@ -91,8 +91,8 @@ def sample_interior(
 ) -> tuple[Float[np.ndarray, "P 3"], Float[np.ndarray, " P"]]:
     """Points spread uniformly over the volume, and the volume each stands for.
 
-    Systematic sampling: every element gets its share of the points up to one, so the spread over the body is
-    more even than that of independent draws.
+    Systematic sampling: every element gets its share of the points up to one, so that the points are spread more evenly
+    than independent draws.
 
     Args:
         mesh: the body.
@@ -117,11 +117,11 @@ def sample_interior(
 
 
 def continued_shape_values(barycentric: np.ndarray, anchors: np.ndarray, outside: np.ndarray, order: int) -> np.ndarray:
-    """Shape functions [P, n] at points inside; outside continued about the anchors by the element's mean gradient.
+    """Shape functions [P, n] at points inside; outside, extrapolation from the anchors by the element's mean gradient.
 
-    A quadratic element continued as it is would throw far points away: its shape functions grow with the square
-    of the distance, and its gradient varies most at its surface. Its mean gradient, which is that at its centre, still
-    reproduces every affine map, and the result joins the element's own map at its surface.
+    Plain extrapolation of a quadratic element throws far points away: its shape functions grow with the square of the
+    distance. The mean gradient, which is the one at the centre, still reproduces every affine map, and the
+    extrapolation is continuous at the element's surface.
     """
     values = shape_values(anchors, order)
     away = (barycentric - anchors)[outside]
@@ -131,7 +131,7 @@ def continued_shape_values(barycentric: np.ndarray, anchors: np.ndarray, outside
 
 
 def locate(mesh: TetMesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Where every point lies.
+    """Location of every point in the mesh.
 
     Returns:
         Its element [P], its barycentric coordinates there [P, 4], those of the nearest point of the mesh [P, 4], and
@@ -163,7 +163,7 @@ def _inverse_edges(corners: np.ndarray) -> np.ndarray:
 
 
 def _deepest(corners: np.ndarray, inverse: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of the elements in whose sphere a point lies, that in which it lies deepest [P], and how deep [P], else -inf."""
+    """For each point the element in whose ball it is deepest [P], and the depth [P], -inf outside all of them."""
     centres, every = corners.mean(axis=1), np.arange(len(corners))
     reach = np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1) * (1 + 1e-9)
     elements, depth = np.zeros(len(points), dtype=np.int64), np.full(len(points), -np.inf)
@@ -191,8 +191,8 @@ def _nearest_element(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Element nearest to points outside the mesh, its nearest point and the distance.
 
-    The nearest of the boundary faces whose centres are close; where several are equally near (the point sees an
-    edge or a corner), the one whose element has to be continued least.
+    The nearest of the boundary faces whose centres are close. If several are equally near (at an edge or a corner), the
+    one whose element is extrapolated least.
     """
     owner, faces = _boundary_faces_with_owner(mesh)
     triangles = mesh.vertices[faces]

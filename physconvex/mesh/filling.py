@@ -1,12 +1,12 @@
-"""Where in its elements a body is: coarse ones cut its corners and fill its hollows, what is integrated need not.
+"""The part of each element that the body fills: coarse elements cut corners and fill hollows, integrals need not.
 
-Mass and energy are integrals over the inside of a surface, whatever tetrahedra carry the motion: the finite cell
-method (Parvizian, Düster & Rank 2007), for meshes that follow the surface nearly. Points spread over the inside are
-given to the elements that hold them, those outside the mesh to the nearest; of each element four points of equal weight
-have the volume, the centre and the second moments of its part (Gauss' rule of degree 2 where it is full), and the mass
-is summed over all points. An element counts as filled by a twentieth at least, so that none goes soft. One with fewer
-points than nodes has as much as one more point stands for spread evenly over it: else nothing resists some of its
-motions.
+Mass and energy are integrals over the interior of a surface, independent of the tetrahedra that carry the motion: the
+finite cell method (Parvizian, Düster & Rank 2007), for meshes that approximately follow the surface. Points spread over
+the interior are assigned to the elements that contain them, those outside the mesh to the nearest. Four points of equal
+weight per element reproduce the volume, the centre and the second moments of its part (Gauss' rule of degree 2 if it is
+full). The mass is summed over all points. An element counts as filled by at least a twentieth, so that it never becomes
+soft. An element with fewer points than nodes gets the volume of one more point, spread evenly: otherwise some of its
+motions have no resistance.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from physconvex.mesh.surfaces import enclosed_volume
 from physconvex.mesh.tet_mesh import Filling, TetMesh
 
 _POINTS, _PER_ELEMENT = 20_000, 60  # inside the surface, at least
-_BLOCK, _BLOCKS = 10_000, 60  # drawn at once in the surface's box, and how often at most: of thin sheets few are inside
-_LEAST = 0.05  # of an element that counts as filled
+_BLOCK, _BLOCKS = 10_000, 60  # drawn at once in the surface's box, and most blocks: few points are inside thin sheets
+_LEAST = 0.05  # least filled share of an element
 # corners of a regular tetrahedron: in its coordinates Gauss' rule of degree 2 spreads alike in all directions
 _REGULAR = np.array(
     [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.5, np.sqrt(3) / 2, 0.0], [0.5, np.sqrt(3) / 6, np.sqrt(2 / 3)]]
@@ -38,10 +38,10 @@ _SPREAD = float(np.square(_RULE - _CENTRE).sum() / 12)  # variance of one coordi
 
 
 def filled(mesh: TetMesh, vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> TetMesh:
-    """The same mesh, its elements filled as far as a closed surface does; as it is where the surface is open or flat.
+    """The same mesh, filled as far as a closed surface fills its elements; unchanged if the surface is open or flat.
 
     Args:
-        mesh: that follows the surface nearly, linear or quadratic.
+        mesh: approximately follows the surface, linear or quadratic.
         vertices: of the surface [m].
         triangles: outward oriented.
     """
@@ -56,7 +56,7 @@ def filled(mesh: TetMesh, vertices: Float[np.ndarray, "V 3"], triangles: Int[np.
 
 @lru_cache(maxsize=2)
 def _inside(vertices: bytes, triangles: bytes, count: int) -> Float[np.ndarray, "S 3"]:
-    """About `count` points spread evenly over the inside of a closed surface, always the same ones (Halton's)."""
+    """About `count` points spread evenly over the interior of a closed surface, deterministic (Halton)."""
     corners, faces = np.frombuffer(vertices).reshape(-1, 3), np.frombuffer(triangles, dtype=np.int64).reshape(-1, 3)
     low, high = corners[np.unique(faces)].min(axis=0), corners[np.unique(faces)].max(axis=0)
     distance, sequence = surface_distance(corners, faces), qmc.Halton(3, scramble=False)
@@ -70,7 +70,7 @@ def _inside(vertices: bytes, triangles: bytes, count: int) -> Float[np.ndarray, 
 
 
 def _filling(mesh: TetMesh, points: Float[np.ndarray, "S 3"], share: float) -> Filling:
-    """What of each element such points fill, of which each stands for a share of the volume [m³]."""
+    """The filled part of each element, from such points, each of which represents the same volume [m³]."""
     cells, barycentric, anchors, distance = locate(mesh, points)
     counts = np.bincount(cells, minlength=len(mesh.tets))
     volumes = share * counts
@@ -89,13 +89,13 @@ def _rules(
     share: Float[np.ndarray, " E"],
     even: Float[np.ndarray, " E"],
 ) -> Float[np.ndarray, "E 4 4"]:
-    """Four points of each element, barycentric, with the centre and the second moments of what fills it.
+    """Four barycentric points of each element, with the centre and the second moments of its filled part.
 
     Args:
-        cells: of the points that fill them.
+        cells: elements of the points in the body.
         places: of these points in the regular tetrahedron.
-        share: of what fills each element, that one of them stands for.
-        even: of what fills each element, that is spread evenly beside them.
+        share: share of each element's filled part that one point represents.
+        even: share of each element's filled part that is spread evenly.
     """
     count = len(even)
     centred = places - _CENTRE

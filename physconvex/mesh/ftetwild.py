@@ -1,4 +1,4 @@
-"""fTetWild (Hu et al. 2020), which fills anything: one run, checked; and runs that grow coarser until nodes are few."""
+"""fTetWild (Hu et al. 2020), which meshes any input: one checked run, and runs that coarsen to a number of nodes."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from physconvex.mesh.surface_fitting import with_volume
 from physconvex.mesh.surfaces import enclosed_volume
 from physconvex.mesh.tet_mesh import TetMesh, compact, mean_ratios, to_quadratic
 
-# Elements flatter than this would ruin the conditioning of the stiffness matrix.
+# Flatter elements make the stiffness matrix ill-conditioned.
 MIN_MEAN_RATIO = 0.02
-# How often the resolution is made coarser to respect `max_nodes`, and by how much.
+# Number and factor of the coarsening steps to meet `max_nodes`.
 COARSENINGS, COARSENING_FACTOR = 6, 1.35
-# The share of `max_nodes` below which a mesh does not come near it, and how often it is then made finer again.
+# Share of `max_nodes` below which the mesh is refined again, and the number of refinements.
 NEAR, REFINEMENTS = 0.75, 3
-# What fTetWild writes into the current folder, whatever it is told.
+# Files that fTetWild always writes into the current folder.
 LEFT_BEHIND = "__tracked_surface.stl"
-# Volume per area of the surface, in units of fTetWild's tolerance, below which nothing was enclosed: a single sliver
-# may be left of an open sheet.
+# Volume per area of the surface, in units of fTetWild's tolerance, below which no volume is enclosed: an open sheet may
+# leave a single sliver.
 LEAST_THICKNESS = 0.1
 
 
@@ -33,13 +33,13 @@ class _NothingEnclosedError(InputError):
 
 @dataclass(frozen=True)
 class Resolution:
-    """How fine a run is.
+    """Resolution of a run.
 
     Attributes:
-        length: of edges, about [m].
-        epsilon: distance of the mesh from the surface at most, in diagonals of the surface.
-        iterations: passes of the mesh improvement at most.
-        threads: that it takes.
+        length: approximate edge length [m].
+        epsilon: largest distance of the mesh from the surface, in diagonals of the surface.
+        iterations: most passes of the mesh improvement.
+        threads: number of threads.
     """
 
     length: float
@@ -48,7 +48,7 @@ class Resolution:
     threads: int = 1
 
     def coarser(self, factor: float) -> Resolution:
-        """Edge length and tolerance so many times as large."""
+        """Edge length and tolerance multiplied by a factor."""
         return replace(self, length=self.length * factor, epsilon=self.epsilon * factor)
 
 
@@ -62,13 +62,13 @@ def fill_within(
     match_volume: bool,
     near: bool = False,
 ) -> TetMesh:
-    """A mesh of at most `max_nodes` nodes: edge length and tolerance grow until that is met.
+    """A mesh of at most `max_nodes` nodes: edge length and tolerance grow until this is met.
 
-    With `near` they shrink again, thrice at most, where that mesh has less than three quarters of these.
+    With `near` they shrink again, at most three times, if the mesh has less than three quarters of these nodes.
 
     Raises:
         InputError: the surface encloses no volume.
-        ConvergenceError: no mesh with sound elements, or none within `max_nodes`, was found.
+        ConvergenceError: no mesh with valid elements, or none within `max_nodes`, is found.
     """
     volume = enclosed_volume(vertices, faces) if match_volume else None
 
@@ -83,7 +83,7 @@ def fill_within(
         except _NothingEnclosedError:
             if nodes == 0:
                 raise
-            factor, lost = float(np.sqrt(factor * sound)), factor  # thin walls: as coarse as they stand
+            factor, lost = float(np.sqrt(factor * sound)), factor  # thin walls: as coarse as they remain intact
             continue
         if max_nodes is None or len(mesh.vertices) <= max_nodes:
             if near and max_nodes is not None:
@@ -102,14 +102,14 @@ def fill_within(
 def _finer(
     mesh: TetMesh, factor: float, too_fine: float | None, max_nodes: int, meshed: Callable[[float], TetMesh]
 ) -> TetMesh:
-    """A mesh that comes near `max_nodes`, or the one with most nodes of those that were made.
+    """A mesh close to `max_nodes`, or the largest of the generated ones.
 
     Args:
-        mesh: one of few nodes, which this factor on edge length and tolerance gave.
+        mesh: a small one, generated with this factor on edge length and tolerance.
         factor: on edge length and tolerance.
-        too_fine: a factor that gave too many nodes, if one is known.
+        too_fine: a factor that gives too many nodes, if one is known.
         max_nodes: of the result.
-        meshed: makes another.
+        meshed: generates another one.
     """
     for _ in range(REFINEMENTS):
         if len(mesh.vertices) >= NEAR * max_nodes:
@@ -128,7 +128,7 @@ def _finer(
 
 def fill(vertices: np.ndarray, faces: np.ndarray, resolution: Resolution) -> TetMesh:
     """One run of fTetWild, checked."""
-    import pytetwild  # here: it loads VTK, which takes a while
+    import pytetwild  # here: it loads VTK, which is slow
 
     centre, scale = vertices.mean(axis=0), float(np.ptp(vertices, axis=0).max())
     left_behind = Path(LEFT_BEHIND).absolute()

@@ -1,4 +1,4 @@
-"""Coarse, regular tetrahedral meshes within a budget of nodes: stuffed lattices drawn to the surface."""
+"""Coarse, regular tetrahedral meshes within a budget of nodes: stuffed lattices fitted to the surface."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from physconvex.mesh.surface_fitting import fit_to_surface, with_volume
 from physconvex.mesh.surfaces import enclosed_volume
 from physconvex.mesh.tet_mesh import TetMesh, compact, mean_ratios, to_quadratic
 
-# Cells along the longest edge of the grid that replaces the distance function, and of the lattice that replaces a
-# missing surface.
+# Cells along the longest edge of the grid that replaces the distance function, and of the lattice for a missing
+# surface.
 GRID_CELLS, REFERENCE_CELLS = 40, 20
-# How far the body is inflated so that thin parts catch a lattice vertex, and where the lattice lies [cells].
+# Inflation of the body so that thin parts catch a lattice vertex, and offset of the lattice [cells].
 LATTICES = (
     (0.15, (0.0, 0.0, 0.0)),
     (0.30, (0.5, 0.0, 0.0)),
@@ -28,19 +28,19 @@ LATTICES = (
     (0.30, (0.25, 0.25, 0.25)),
     (0.0, (0.0, 0.0, 0.0)),
 )
-# Trials of the cell size per lattice, and the share of the node budget that is good enough.
+# Trials of the cell size per lattice, and sufficient share of the node budget.
 TRIALS, FULL = 5, 0.85
 # First guess of the nodes per lattice cell of the body's volume, surface included.
 NODES_PER_CELL = {1: 5.0, 2: 30.0}
 SURFACE_SAMPLES = 700
 PLASTIC = 1.32471795724474602596  # root of x³ = x + 1
-# Meshes with flatter elements than this count as deviating more.
+# Meshes with flatter elements get a larger deviation.
 GOOD_MEAN_RATIO = 0.25
 
 
 @dataclass(frozen=True)
 class _Target:
-    """What a mesh is drawn to, and how large it may be.
+    """The target of a mesh, and its largest size.
 
     Attributes:
         field: signed distance.
@@ -72,9 +72,9 @@ def tetrahedralize_implicit(
 ) -> TetMesh:
     """Regular coarse mesh of the inside of a signed distance function, of the same volume and topology.
 
-    Isosurface stuffing gives the connectivity; the nodes are then moved so that the boundary follows the surface
-    (`fit_to_surface`) and encloses its volume. Several lattices are tried until one is good enough. The result
-    depends on nothing but the arguments.
+    Isosurface stuffing gives the connectivity. The nodes are then moved so that the boundary follows the surface
+    (`fit_to_surface`) and encloses its volume. Lattices are tried until one is accurate enough. The result is
+    deterministic.
 
     Args:
         signed_distance: continuous, negative inside, roughly a distance near the surface [m].
@@ -83,11 +83,11 @@ def tetrahedralize_implicit(
         max_nodes: upper bound on the nodes of the result.
         order: 1 for linear, 2 for quadratic elements.
         max_deviation: largest accepted distance between the surface and the mesh, as a share of the largest edge of
-            `bounds`; a lost limb shows in it.
+            `bounds`; it detects lost limbs.
 
     Raises:
-        InputError: nothing lies inside, or the arguments are wrong.
-        ConvergenceError: no mesh within `max_nodes` is one piece and follows the surface to `max_deviation`.
+        InputError: nothing is inside, or the arguments are wrong.
+        ConvergenceError: no mesh within `max_nodes` is in one piece and follows the surface to `max_deviation`.
     """
     bounds = np.asarray(bounds, dtype=np.float64)
     if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or (bounds[1] <= bounds[0]).any():
@@ -104,7 +104,7 @@ def tetrahedralize_implicit(
     euler = euler_characteristic(index.reshape(-1)[faces])
     target = _Target(field, bounds, *_sampled(vertices, faces), volume, euler, max_nodes, order)
     best, least = _best_mesh(target, 0.6 * max_deviation * size, same_topology=True)
-    if least > max_deviation * size:  # small holes may close, as long as the surface stays near
+    if least > max_deviation * size:  # small holes may close if the surface stays near
         best, least = _best_mesh(target, max_deviation * size, same_topology=False)
     least /= size
     if best is None or least > max_deviation:
@@ -116,7 +116,7 @@ def tetrahedralize_implicit(
 
 
 def _best_mesh(target: _Target, good_enough: float, *, same_topology: bool) -> tuple[TetMesh | None, float]:
-    """The first fitted mesh whose deviation [m] is good enough, else the best, and its deviation."""
+    """The first fitted mesh with a small enough deviation [m], else the best, and its deviation."""
     best, least = None, np.inf
     for inflation, offset in LATTICES:
         mesh = _stuffed(target, inflation, offset, same_topology=same_topology)
@@ -133,7 +133,7 @@ def _best_mesh(target: _Target, good_enough: float, *, same_topology: bool) -> t
 
 
 def _gridded(signed_distance: SignedDistance, bounds: np.ndarray, spacing: float) -> SignedDistance:
-    """`signed_distance` by linear interpolation on a grid: much cheaper where it is asked often."""
+    """`signed_distance` by linear interpolation on a grid, which is much cheaper for many evaluations."""
     counts = np.ceil((bounds[1] - bounds[0]) / spacing).astype(int) + 9
     origin = bounds.mean(axis=0) - 0.5 * (counts - 1) * spacing
     axes = [origin[a] + spacing * np.arange(counts[a]) for a in range(3)]
@@ -154,7 +154,7 @@ def _fine_surface(field: SignedDistance, bounds: np.ndarray, cell: float) -> tup
 def _sampled(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Points spread evenly over the area of a surface, and the normals of their triangles.
 
-    The centre of a triangle that gets one point, a plastic sequence (Roberts 2018) folded into one that gets more.
+    The centre of a triangle with one point; a plastic sequence (Roberts 2018), folded into a triangle with more.
     """
     x = vertices[faces]
     cross = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
@@ -180,7 +180,7 @@ def euler_characteristic(faces: Int[np.ndarray, "F 3"]) -> int:
 def _stuffed(
     target: _Target, inflation: float, offset: tuple[float, float, float], *, same_topology: bool
 ) -> TetMesh | None:
-    """Linear mesh in one piece, of the right topology if asked, with the most nodes within the budget, if any."""
+    """Linear mesh in one piece, of the right topology if requested, with the most nodes within the budget, if any."""
     max_nodes, order = target.max_nodes, target.order
     cell, best, most = float(np.cbrt(NODES_PER_CELL[order] * target.volume / max_nodes)), None, 0
     for _ in range(TRIALS):
@@ -195,13 +195,13 @@ def _stuffed(
                 best, most = mesh, count
                 if count >= FULL * max_nodes:
                     break
-        # To 93 % of the budget if the body is resolved with fewer nodes, else just somewhere else.
+        # To 93 % of the budget if fewer nodes resolve the body, else to another size.
         cell *= float(np.clip((count / (0.93 * max_nodes)) ** (1 / 2.4), 0.8, 1.3)) * (0.97 if mesh is None else 1.0)
     return best
 
 
 def node_count(mesh: TetMesh, order: Literal[1, 2]) -> int:
-    """Nodes that the linear `mesh` has once it is of the given order."""
+    """Number of nodes of the linear `mesh` after conversion to the given order."""
     return len(mesh.vertices) if order == 1 else len(to_quadratic(mesh).vertices)
 
 
@@ -213,7 +213,7 @@ def _deviation(mesh: TetMesh, target: _Target) -> float:
 
 
 def largest_piece(mesh: TetMesh, *, share: float = 0.98) -> TetMesh | None:
-    """The elements connected through faces that make up at least `share` of the volume; None if there are no such."""
+    """The elements connected through faces that make up at least `share` of the volume; None if there are none."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

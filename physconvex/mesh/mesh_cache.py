@@ -1,4 +1,4 @@
-"""Meshes kept on disk: those of fTetWild differ from run to run, and a program that goes on needs the one it had."""
+"""Meshes kept on disk: fTetWild's results differ from run to run, and a resumed program needs the same mesh."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from physconvex import __version__
 from physconvex.kernels import cache_folder
 from physconvex.mesh.tet_mesh import TetMesh
 
-_GENERATION = 4  # of the meshers: one more whenever they, or the choice between them, change
+_GENERATION = 4  # of the meshers: increase it with every change of a mesher or of their choice
 Surface = tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]
 
 
 def cached_mesh(surface: Surface, settings: object) -> TetMesh | None:
-    """The mesh that was kept of the same surface with the same settings on this machine, if there is one."""
+    """The stored mesh of the same surface with the same settings on this machine, if there is one."""
     return _read(_path(surface, settings))
 
 
 def cached_or_made(surface: Surface, settings: object, make: Callable[[], TetMesh]) -> TetMesh:
-    """The mesh that is `cached_mesh`, else a new one, which is kept.
+    """The mesh of `cached_mesh`, else a new one, which is stored.
 
-    Processes that make it at the same time all get that of the first. Where the cache cannot be written the mesh is
-    just made.
+    Processes that generate it at the same time all get that of the first. If the cache is not writable, the mesh is
+    only generated.
     """
     path = _path(surface, settings)
     found = _read(path)
@@ -59,7 +59,7 @@ def _path(surface: Surface, settings: object) -> Path:
 
 
 def _read(path: Path) -> TetMesh | None:
-    """A kept mesh; None where there is none, or one cut short."""
+    """A stored mesh; None if it is missing or truncated."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return TetMesh(archive["vertices"], archive["tets"])

@@ -1,8 +1,8 @@
-"""Tetrahedral meshes of the inside of any triangle surface.
+"""Tetrahedral meshes of the interior of any triangle surface.
 
-fTetWild (Hu et al. 2020) takes everything, but its results differ from run to run; the lattice mesher
-(`implicit_meshing`) wants a closed surface and repeats itself to the bit, but with few nodes it loses thin parts and
-makes others too thick. Surfaces of thin walls are best simplified first.
+fTetWild (Hu et al. 2020) accepts every input, but its results differ from run to run. The lattice mesher
+(`implicit_meshing`) needs a closed surface and is exactly reproducible, but with few nodes it loses thin parts and
+thickens others. Thin-walled surfaces are simplified first.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from physconvex.mesh.surface_fitting import with_volume
 from physconvex.mesh.surfaces import enclosed_volume, with_fewer_triangles
 from physconvex.mesh.tet_mesh import TetMesh, to_quadratic
 
-# Of the volume of body and mesh together, what both have: where the lattice's mesh will do, and where fTetWild's.
+# Share of the joint volume of body and mesh in both: sufficient for the lattice's mesh, and for fTetWild's.
 ENOUGH, ALMOST = 0.9, 0.8
 # Of meshes of a simplified surface: nodes of the result for each triangle by order, distance from those triangles over
-# the diagonal, how often both are tried coarser, and how many meshes of few nodes are made if the first has less than
-# ENOUGH of the body: fTetWild gives another one each time, of a slab on legs with .88 to .99.
+# the diagonal, number of coarser trials, and number of small meshes if the first has less than ENOUGH of the body:
+# fTetWild gives another one each time, of a slab on legs with 0.88 to 0.99.
 NODES_PER_TRIANGLE, SIMPLIFIED_EPSILON, SIMPLIFICATIONS, DRAWS = {1: 0.7, 2: 3.2}, 0.01, 6, 4
 
 
@@ -61,29 +61,29 @@ def tetrahedralize(
     """Fill a triangle surface with tetrahedra.
 
     With `method="ftetwild"` the surface may have holes, several components and self-intersections: the inside is where
-    its generalised winding number exceeds one half. The mesh differs a little from run to run (a trait of fTetWild,
-    also with one thread). With `method="lattice"` equal arguments give equal meshes; the surface must be closed.
-    `method="simplified"` fills a simplified closed surface of few triangles by fTetWild. `method="auto"` takes the
-    lattice where that succeeds and shares enough of its volume with the body (`surface_distance.overlap`), elsewhere
-    the better one of it and fTetWild, and of the simplified surface too where both lose much. What is not of the
-    lattice is kept in the cache folder (`physconvex.kernels.build.cache_folder`), so that it repeats.
+    its generalised winding number exceeds one half. The mesh differs a little from run to run (also with one thread).
+    With `method="lattice"` equal arguments give equal meshes; the surface must be closed. `method="simplified"` fills a
+    simplified closed surface of few triangles by fTetWild. `method="auto"` takes the lattice if it succeeds and shares
+    enough of its volume with the body (`surface_distance.overlap`). Otherwise it takes the better one of the lattice
+    and fTetWild, and also tries the simplified surface if both lose much. Meshes of fTetWild are kept in the cache
+    folder (`physconvex.kernels.build.cache_folder`), so that they are reproducible.
 
     Args:
         surface: an object with `vertices` and `faces`, or the pair (vertices [V, 3] in metres, faces [F, 3]).
-        target_edge_length: edge length aimed at where the geometry asks for nothing finer [m];
-            default: a tenth of the diagonal of the bounding box. fTetWild only.
+        target_edge_length: edge length where the geometry needs nothing finer [m]; default: a tenth of the diagonal of
+            the bounding box. fTetWild only.
         epsilon: largest distance of the mesh boundary from the surface (before `match_volume`), relative to the
-            diagonal of the bounding box. It governs the number of nodes more than `target_edge_length` does.
-            fTetWild only.
+            diagonal of the bounding box. It affects the number of nodes more than `target_edge_length` does. fTetWild
+            only.
         max_nodes: upper bound on the nodes of the result; edge length and epsilon grow until it is met. The lattice
-            mesher always has such a bound, 700 by default, and comes close to it, and so does fTetWild under "auto".
+            mesher always has such a bound, 700 by default, and comes close to it, as does fTetWild under "auto".
         order: 1 for linear, 2 for quadratic elements.
         method: the mesher.
-        signed_distance: negative inside [m], if it is at hand; the lattice mesher computes it otherwise.
+        signed_distance: negative inside [m], if available; else the lattice mesher computes it.
         match_volume: for closed surfaces, move the boundary nodes along their normals so that the mesh has the volume
-            of the surface (coarse meshes cut corners and would be several per cent too small). The lattice mesher
+            of the surface (coarse meshes cut corners and are several per cent too small otherwise). The lattice mesher
             always does so.
-        thorough: try all three ways and take the best. "auto" only.
+        thorough: try all three methods and take the best. "auto" only.
         max_iterations: most passes of the mesh improvement of fTetWild.
         threads: threads of fTetWild.
 
@@ -92,7 +92,7 @@ def tetrahedralize(
 
     Raises:
         InputError: the arguments are wrong, or the surface encloses no volume.
-        ConvergenceError: no mesh with sound elements, or none within `max_nodes`, was found.
+        ConvergenceError: no mesh with valid elements, or none within `max_nodes`, is found.
     """
     vertices, faces = _checked_surface(surface)
     length = 0.1 * diagonal_of(vertices) if target_edge_length is None else float(target_edge_length)
@@ -128,7 +128,7 @@ def tetrahedralize(
 def _best_mesh(
     vertices: np.ndarray, faces: np.ndarray, ways: dict[str, Callable[[], TetMesh]], thorough: bool, settings: object
 ) -> TetMesh:
-    """That of the lattice where it is good enough, else the best of all; fTetWild's where the surface is open."""
+    """The lattice's mesh if it is good enough, else the best of all; fTetWild's if the surface is open."""
     if enclosed_volume(vertices, faces) is None:
         return ways["ftetwild"]()
     before = cached_mesh((vertices, faces), settings)
@@ -156,7 +156,7 @@ def _best_mesh(
 
 
 def _simplified_mesh(vertices: np.ndarray, faces: np.ndarray, max_nodes: int, order: Literal[1, 2]) -> TetMesh:
-    """Few triangles in the place of the surface, and their inside filled closely."""
+    """A simplified surface of few triangles, with its interior filled closely."""
     volume = enclosed_volume(vertices, faces)
     if volume is None:
         raise InputError('surface: open or inside out; close it and orient it outwards, or use method="ftetwild"')
@@ -177,7 +177,7 @@ def _simplified_mesh(vertices: np.ndarray, faces: np.ndarray, max_nodes: int, or
         found.append((overlap(mesh, vertices, faces), mesh))
         if found[-1][0] >= ENOUGH or len(found) == DRAWS:
             break
-        if len(settings) > 1:  # that the finer one had too many nodes may have been chance
+        if len(settings) > 1:  # the finer one may have too many nodes by chance
             settings.pop()
     if found:
         return max(found, key=lambda one: one[0])[1]

@@ -1,4 +1,4 @@
-"""Tetrahedral meshes made finer: everywhere, or where they should be, by longest edges bisected."""
+"""Refinement of tetrahedral meshes: everywhere, or locally, by bisection of longest edges."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CHILDREN = np.array(
 
 
 def refine_uniformly(mesh: TetMesh) -> TetMesh:
-    """Each tetrahedron split into eight (Bey 1995); same geometry, same order; a filling is not kept."""
+    """Each tetrahedron split into eight (Bey 1995); same geometry, same order; a filling is dropped."""
     quadratic = to_quadratic(TetMesh(mesh.vertices, mesh.tets) if mesh.order == 1 else linear_part(mesh))
     children = quadratic.tets[:, CHILDREN].reshape(-1, 4)
     x = quadratic.vertices[children]
@@ -36,15 +36,15 @@ def refine_uniformly(mesh: TetMesh) -> TetMesh:
 
 
 def refine_locally(mesh: TetMesh, spacing: Float[np.ndarray, " V"], *, max_nodes: int) -> TetMesh:
-    """The same geometry with edges bisected, those first that are longest in units of the wanted spacing.
+    """The same geometry with bisected edges, in the order of their length in units of the wanted spacing.
 
-    Every tetrahedron at a bisected edge is cut in two, so that elements fit face to face. The edge that is bisected is
-    the longest of all tetrahedra around it: from the one that is wanted, longer neighbours are followed until there is
-    none (longest-edge propagation path, Rivara 1997), which keeps elements from growing flat.
+    Every tetrahedron at a bisected edge is split into two, so that the mesh stays conforming. The bisected edge is the
+    longest one of all tetrahedra around it: starting at the wanted edge, longer neighbours are followed to the end
+    (longest-edge propagation path, Rivara 1997), which prevents flat elements.
 
     Args:
         mesh: of either order.
-        spacing: wanted edge length at each node of `mesh`, in any unit; linear in between.
+        spacing: wanted edge length at each node of `mesh`, in any unit; linear between nodes.
         max_nodes: upper bound on the nodes of the result, which has the order of `mesh`.
 
     Raises:

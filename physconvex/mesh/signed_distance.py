@@ -1,4 +1,4 @@
-"""Signed distance from closed triangle surfaces, and how much a mesh has in common with what one encloses."""
+"""Signed distance from closed triangle surfaces, and overlap of a mesh with the volume that a surface encloses."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def surface_distance(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, 
 
 
 def overlap(mesh: TetMesh, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> float:
-    """Volume that a mesh and the inside of a closed surface have in common, over the volume of both together.
+    """Volume of the intersection of a mesh and the interior of a closed surface, over that of their union.
 
-    By 20,000 points, always the same: the error is about .005.
+    Estimated with 20,000 fixed points: the error is about 0.005.
     """
     low = np.minimum(vertices[np.unique(faces)].min(axis=0), mesh.vertices.min(axis=0))
     high = np.maximum(vertices[np.unique(faces)].max(axis=0), mesh.vertices.max(axis=0))

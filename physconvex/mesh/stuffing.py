@@ -1,8 +1,8 @@
 """Isosurface stuffing (Labelle and Shewchuk 2007): tetrahedra inside a signed distance function.
 
-A body-centred cubic lattice is laid over the body. Lattice vertices close to the surface are moved onto it, the
-elements that the surface still cuts are trimmed by fixed patterns. Fast, repeatable to the bit on one machine,
-elements of one size with bounded angles; parts thinner than about one lattice cell are lost.
+A body-centred cubic lattice covers the body. Lattice vertices close to the surface are moved onto it. Fixed patterns
+trim the elements that the surface still cuts. The method is fast and exactly reproducible on one machine; its elements
+have one size and bounded angles. Parts thinner than about one lattice cell are lost.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def stuff(
     level: float = 0.0,
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> TetMesh:
-    """Linear tetrahedra filling where `signed_distance` < `level`.
+    """Linear tetrahedra that fill the region with `signed_distance` < `level`.
 
     Args:
         signed_distance: continuous, negative inside; only its sign and zeros matter [m].
@@ -43,7 +43,7 @@ def stuff(
         offset: shift of the lattice from the centre of `bounds`, in cells.
 
     Raises:
-        InputError: `cell` is not positive, or no lattice vertex lies inside (the body is thinner than the cell).
+        InputError: `cell` is not positive, or no lattice vertex is inside (the body is thinner than the cell).
     """
     bounds = np.asarray(bounds, dtype=np.float64)
     if not 0 < cell < np.inf:
@@ -62,7 +62,7 @@ def stuff(
 
 @dataclass(frozen=True)
 class _Cuts:
-    """Where edges of the lattice pass through the surface.
+    """Intersections of lattice edges with the surface.
 
     Attributes:
         edges: their vertices, the lower number first, shape [C, 2].
@@ -105,7 +105,7 @@ def _lattice(bounds: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
 def _roots(
     signed_distance: SignedDistance, level: float, vertices: np.ndarray, values: np.ndarray, edges: np.ndarray
 ) -> np.ndarray:
-    """Where along each edge the surface is, in (0, 1): regula falsi with the Illinois rule."""
+    """Position of the surface along each edge, in (0, 1): regula falsi with the Illinois rule."""
     start, along = vertices[edges[:, 0]], vertices[edges[:, 1]] - vertices[edges[:, 0]]
     low, high = np.zeros(len(edges)), np.ones(len(edges))
     value_low, value_high = values[edges[:, 0]].copy(), values[edges[:, 1]].copy()
@@ -116,14 +116,14 @@ def _roots(
         value_high = np.where(same, np.where(value == 0, value_high, 0.5 * value_high), value)
         value_low = np.where(same, value, 0.5 * value_low)
         low, high = np.where(same, middle, low), np.where(same, high, middle)
-        exact = value_high == value_low  # both zero: the root was hit
+        exact = value_high == value_low  # both zero: the root is exact
         value_low = np.where(exact, -1.0, value_low)
         value_high = np.where(exact, 1.0, value_high)
     return np.clip(middle, 1e-9, 1 - 1e-9)
 
 
 def _warp(vertices: np.ndarray, values: np.ndarray, cuts: _Cuts) -> Bool[np.ndarray, " C"]:
-    """Move lattice vertices onto near cut points (in place, their value becomes zero); which cuts remain.
+    """Move lattice vertices onto near cut points (in place, their value becomes zero); returns the remaining cuts.
 
     The nearest pairs go first; moving a vertex removes every cut on its edges (section 3 of the paper).
     """

@@ -1,4 +1,4 @@
-"""Coarse meshes drawn to a surface, or to a volume, while their elements stay well shaped."""
+"""Fits coarse meshes to a surface, or to a volume, while their elements stay well shaped."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def fit_to_surface(
     """Move all nodes so that the boundary follows a surface and the elements stay close to regular.
 
     Alternates between pairing (boundary nodes with their nearest surface points, surface points with their nearest
-    boundary triangles) and L-BFGS on the point-to-plane distances of the pairs plus the distortion
-    tr(FᵀF) / (3 det(F)^(2/3)) of the elements (Knupp 2001), which is infinite for flat ones.
+    boundary triangles) and L-BFGS on the point-to-plane distances of the pairs plus the distortion tr(FᵀF) / (3
+    det(F)^(2/3)) of the elements (Knupp 2001), which is infinite for flat ones.
 
     Args:
         mesh: linear mesh near the surface, elements positive.
@@ -144,8 +144,8 @@ def _nearest_on_boundary(triangles: np.ndarray, points: np.ndarray) -> tuple[np.
 def with_volume(mesh: TetMesh, volume: float, *, iterations: int = 5) -> TetMesh:
     """`mesh` with its boundary moved along the normals until it encloses `volume` [m³].
 
-    Steps that would make an element flatter than half its previous mean ratio are shortened, so the volume
-    is met as far as the elements allow.
+    Steps that make an element flatter than half its previous mean ratio are shortened, so that the volume is reached as
+    far as the elements permit.
     """
     corners = mesh.corner_tets
     nodes, tets = np.unique(corners, return_inverse=True)

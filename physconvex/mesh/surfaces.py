@@ -1,4 +1,4 @@
-"""Triangle surfaces: the volume that they enclose, seams closed, fewer triangles."""
+"""Triangle surfaces: enclosed volume, closed seams, simplification."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from jaxtyping import Float, Int
 
 
 def enclosed_volume(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> float | None:
-    """Volume inside a closed, outward oriented surface [m³]; None where it is open or inside out.
+    """Volume inside a closed, outward oriented surface [m³]; None if it is open or inside out.
 
-    Vertices at the same place count as one, so that a surface cut along its texture seams is closed.
+    Vertices at the same place count as one, so that a surface split along its texture seams is closed.
     """
     _, index = np.unique(vertices, axis=0, return_inverse=True)
     faces = index.reshape(-1)[faces]
@@ -27,7 +27,7 @@ def enclosed_volume(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "
 def with_merged_vertices(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "G 3"]]:
-    """The same surface with one vertex per place, without triangles that this makes flat: seams of a texture close."""
+    """The same surface with one vertex per place and without the triangles that become flat: closes texture seams."""
     vertices, index = np.unique(vertices, axis=0, return_inverse=True)
     faces = index.reshape(-1)[faces]
     sound = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
@@ -39,10 +39,10 @@ def with_fewer_triangles(
 ) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "G 3"]]:
     """A closed surface with about `count` triangles, by edge collapses of least quadric error.
 
-    Garland & Heckbert 1997, as VTK has it, with the volume preserved. Unlike resampling this keeps thin parts. A
-    surface of fewer triangles comes back as it is.
+    Garland & Heckbert 1997, as implemented in VTK, with the volume preserved. Unlike resampling this keeps thin parts.
+    A surface of fewer triangles is returned unchanged.
     """
-    import pyvista  # here: it loads VTK, which takes a while
+    import pyvista  # here: it loads VTK, which is slow
 
     vertices, faces = with_merged_vertices(vertices, faces)
     if len(faces) <= count:

@@ -19,15 +19,15 @@ FACE_MIDDLES = np.array([[6, 5, 4], [4, 8, 7], [5, 9, 8], [7, 9, 6]])
 
 @dataclass(frozen=True, eq=False)
 class Filling:
-    """Which part of its elements a body is, see `physconvex.fem.filled`.
+    """The part of each element that the body fills, see `physconvex.fem.filled`.
 
     Attributes:
-        barycentric: where in each element the material is asked, shape [E, 4, 4].
-        weights: volume that each of these points stands for [m³], shape [E, 4].
+        barycentric: points of each element at which the law is evaluated, shape [E, 4, 4].
+        weights: volume that each of these points represents [m³], shape [E, 4].
         mass: ∫ N_a N_b dV over each element's part of the body [m³], shape [E, n, n].
         points: evenly spread over the body [m], shape [S, 3].
         cells: the element that carries each, shape [S].
-        share: volume that each of them stands for [m³].
+        share: volume that each of them represents [m³].
     """
 
     barycentric: Float[np.ndarray, "E 4 4"]
@@ -46,9 +46,9 @@ class TetMesh:
         vertices: node positions [m], shape [V, 3], float64.
         tets: node indices, shape [E, 4] (linear) or [E, 10] (quadratic: corners, then the mid-edge nodes of
             edges 01, 12, 02, 03, 13, 23). Orientation positive: det[x1-x0, x2-x0, x3-x0] > 0.
-        mass_shares: of the body's mass that each node carries as a particle, shape [V]; None: the mass lies where the
-            elements do (consistent mass matrix).
-        filling: what of the elements is the body; None: all.
+        mass_shares: share of the body's mass that each node carries as a particle, shape [V]; None: consistent mass
+            matrix.
+        filling: the part of the elements that the body fills; None: all.
 
     Raises:
         InputError: wrong shapes, indices out of range, unused vertices, an element without positive volume, shares
@@ -94,7 +94,7 @@ class TetMesh:
             )
 
     def with_equal_masses(self) -> TetMesh:
-        """The same mesh with a particle of the same mass at every node, as MuJoCo's flex has it."""
+        """The same mesh with a particle of the same mass at every node, as in MuJoCo's flex."""
         return replace(self, mass_shares=np.full(len(self.vertices), 1 / len(self.vertices)))
 
     @property
@@ -158,7 +158,7 @@ def compact(vertices: np.ndarray, tets: np.ndarray) -> TetMesh:
 
 
 def to_quadratic(mesh: TetMesh) -> TetMesh:
-    """The same geometry with quadratic elements, one node in the middle of every edge; a filling is not kept."""
+    """The same geometry with quadratic elements, one node in the middle of every edge; a filling is dropped."""
     if mesh.order == 2:
         return mesh
     edges = np.sort(mesh.tets[:, EDGE_CORNERS], axis=2).reshape(-1, 2)
@@ -176,10 +176,10 @@ def linear_part(mesh: TetMesh) -> TetMesh:
 def box_mesh(
     size: tuple[float, float, float], cells: tuple[int, int, int], *, order: int = 2, mirrored: bool = False
 ) -> TetMesh:
-    """A box with one corner at the origin, cut into `cells` hexahedra of six tetrahedra each (Kuhn).
+    """A box with one corner at the origin, split into `cells` hexahedra of six tetrahedra each (Kuhn).
 
-    All diagonals run one way, so that the mesh bends a little to one side; `mirrored` turns them in every other cell
-    along each edge.
+    All diagonals have one direction, so that the mesh bends a little to one side; `mirrored` reverses them in every
+    other cell along each edge.
     """
     axes = [np.linspace(0.0, length, n + 1) for length, n in zip(size, cells, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)

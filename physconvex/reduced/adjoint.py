@@ -1,4 +1,4 @@
-"""Adjoint sensitivities: the gradient of one loss by many parameters, in one sweep backwards through the roll-out.
+"""Adjoint sensitivities: the gradient of one loss by many parameters, in one backward sweep through the roll-out.
 
 The forward tangents of `physconvex.reduced.sensitivity`, transposed step by step: each solve H dx = −r costs one
 back-substitution H λ = x̄, whatever the number of parameters. The local maps of friction and viscosity are transposed
@@ -42,7 +42,7 @@ class LossGradient:
         poisson_ratio: by ν of each cell, shape [C].
         initial_coordinates: by y(0), as `ReducedScene.start` gives it [1/m], shape [R, 3].
         initial_velocities: by ẏ(0) [s/m], shape [R, 3].
-        densities: what `density` is made of.
+        densities: data for the derivatives by `density`.
     """
 
     trajectory: ReducedTrajectory
@@ -61,7 +61,7 @@ class LossGradient:
 
 
 class Bar:
-    """Derivatives of the loss by one state; grows while the sweep goes backwards."""
+    """Derivatives of the loss by one state, accumulated during the backward sweep."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.positions, self.velocities = np.zeros(shape), np.zeros(shape)
@@ -73,7 +73,7 @@ class Sweep:
     Args:
         scene: of the roll-out.
         names: of parameters, see `physconvex.reduced.PARAMETERS`.
-        field: collects the derivatives by the shape functions, if these are asked for.
+        field: accumulates the derivatives by the shape functions, if these are requested.
     """
 
     def __init__(self, scene: ReducedScene, names: Sequence[str], field: FieldBars | None = None) -> None:
@@ -83,7 +83,7 @@ class Sweep:
         self.named = np.zeros(len(names))
         self.constant = self.body.space.affine(np.zeros((3, 3)), np.array([1.0, 0, 0]))[:, 0]  # of the function one
         self.products = np.zeros_like(self.body.mass)
-        self.anchors = np.zeros(scene.start.shape)  # derivatives by the coordinates that pins hold the body at
+        self.anchors = np.zeros(scene.start.shape)  # derivatives by the anchor coordinates of the pins
         cells = self.body.space.samples.interior.cells
         self.cells = torch.as_tensor(cells, device=self.body.device)
         points = torch.zeros(len(cells), dtype=torch.float64, device=self.body.device)
@@ -120,7 +120,7 @@ class Sweep:
     def _back_gradient(
         self, record: StepRecord, number: int, guess: np.ndarray, force_bar: np.ndarray, bars: _StepBars
     ) -> None:
-        """Everything in the gradient but friction."""
+        """All of the gradient except friction."""
         body, scene, c, x = self.body, self.scene, record.coefficients, record.passes[number].x
         state = body.deformation_gradient(guess)
         explicit = self.derivatives.explicit(self.equations, c, x, state)
@@ -152,7 +152,7 @@ class Sweep:
     def _back_friction(
         self, record: StepRecord, number: int, guess: np.ndarray, force_bar: np.ndarray, bars: _StepBars
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives by the coordinates and velocities at which friction was frozen; by probing its local maps."""
+        """Derivatives by the coordinates and velocities at which friction is frozen, by probing its local maps."""
         c, surface, contact = record.coefficients, self.equations.surface, self.equations.contact
         zero = np.zeros_like(force_bar)
         if not record.passes[number].friction:
@@ -163,7 +163,7 @@ class Sweep:
             y = record.passes[number - 1].x
             v, time = c.velocity(y), record.after.time
         named = len(self.named)
-        probes = np.zeros((3, 9 + named, len(surface), 3))  # of x, v when frozen, and the present velocity
+        probes = np.zeros((3, 9 + named, len(surface), 3))  # of x, v at freezing, and the present velocity
         for kind in range(3):
             for axis in range(3):
                 probes[kind, 3 * kind + axis, :, axis] = 1.0
@@ -182,7 +182,7 @@ class Sweep:
         return places, speeds
 
     def finish(self, trajectory: ReducedTrajectory, loss: float, first: Bar) -> LossGradient:
-        """All derivatives, when the sweep has come to the start."""
+        """All derivatives, at the end of the backward sweep."""
         start = self.derivatives.start()
         named = self.named + (start.positions * first.positions + start.velocities * first.velocities).sum((1, 2))
         count = self.body.space.samples.interior.cell_count
@@ -198,7 +198,7 @@ class Sweep:
             ]
             mu, lam = lame_parameters(*constants)
             modulus, ratio = torch.autograd.grad((by_cell[0] * mu + by_cell[1] * lam).sum(), constants)
-        # a rotating start turns its coordinates into velocities
+        # a rotating start makes velocities from its coordinates
         spin = np.asarray(self.scene.initial_angular_velocity, dtype=np.float64)
         positions = first.positions - np.cross(spin, first.velocities)
         center = np.cross(spin, self.constant @ first.velocities)
@@ -245,7 +245,7 @@ def _back_coefficients(record: StepRecord, bars: _StepBars, before: Bar, history
 
 
 class RecordedRollOut:
-    """A roll-out that keeps what its steps were made of, so that it can be swept backwards.
+    """A roll-out that records its steps for the backward sweep.
 
     Args:
         scene: body, forces, initial state.
@@ -277,7 +277,7 @@ class RecordedRollOut:
         )
 
     def swept(self, sweep: Sweep, slope: Float[np.ndarray, "T R 3"]) -> Bar:
-        """Sweep backwards with the derivatives of a loss by the coordinates at the frames; those by the first state.
+        """Sweep backwards from the derivatives of a loss by the coordinates at the frames; returns those by the start.
 
         Raises:
             InputError: a derivative of the wrong shape.
@@ -308,7 +308,7 @@ def simulate_with_adjoint(
         scene: body, forces, initial state.
         loss: gives the loss of a trajectory and its derivative by `trajectory.coordinates`, shape [T, R, 3].
         timing: as in `simulate`; the error of the gradient is that of Newton's `tolerance`.
-        parameters: names, see `physconvex.reduced.PARAMETERS`; the fields of `LossGradient` come besides.
+        parameters: names, see `physconvex.reduced.PARAMETERS`, in addition to the fields of `LossGradient`.
 
     Raises:
         InputError: unknown names, options out of range, or a derivative of the wrong shape.

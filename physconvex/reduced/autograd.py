@@ -25,7 +25,7 @@ from physconvex.reduced.space import ReducedSpace
 
 
 class _RollOut(torch.autograd.Function):
-    """Positions of material points as a function of parameter values; the Jacobian is made in the forward pass."""
+    """Positions of material points as a function of parameter values; the forward pass computes the Jacobian."""
 
     @staticmethod
     def forward(
@@ -62,7 +62,7 @@ def rollout_positions(
 
     Args:
         values: values of the parameters, float64 for full accuracy.
-        scene: everything that is not named in `parameters`.
+        scene: provides everything that is not in `parameters`.
         parameters: names, see `physconvex.reduced.PARAMETERS`.
         points: rest positions [m].
         timing: as in `simulate`.
@@ -79,9 +79,9 @@ def rollout_positions(
 
 
 class _WeightsRollOut(torch.autograd.Function):
-    """Positions of material points as a function of the weights at all points at which a body is sampled.
+    """Positions of material points as a function of the weights at all sample points of a body.
 
-    The points: interior samples (at which `slopes` are given), surface samples, the points that integrate the mass,
+    These are: interior samples (at which `slopes` are given), surface samples, the points that integrate the mass,
     pins, points of loads, and the material points.
     """
 
@@ -113,14 +113,14 @@ def rollout_of_weights(
     points: Float[np.ndarray, "n 3"],
     timing: Timing | None = None,
 ) -> Float[Tensor, "T n 3"]:
-    """Positions [m] of material points at the frames, differentiable once with respect to what the weights depend on.
+    """Positions [m] of material points at the frames, differentiable once by the parameters of the weights.
 
-    The body of the scene is moved by the weights W^θ(X) that `function` gives; the derivatives by θ come from the
-    adjoint of the roll-out, one sweep backwards for all of them (`physconvex.reduced.field_gradient`).
+    The weights W^θ(X) of `function` move the body of the scene. The derivatives by θ come from the adjoint of the
+    roll-out, one backward sweep for all of them (`physconvex.reduced.field_gradient`).
 
     Args:
-        function: float64 rest positions [m] → weights, each row a function of its own point alone, twice
-            differentiable by torch; usually a network, whose parameters are θ.
+        function: float64 rest positions [m] → weights, each row a function of its own point alone, twice differentiable
+            by torch; usually a network with parameters θ.
         count: M.
         scene: everything but the weights; its body is elastic or damped, and starts in its rest shape.
         points: rest positions [m].

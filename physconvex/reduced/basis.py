@@ -1,7 +1,7 @@
 """Skinning weight functions W_m(X) and their exact gradients at points of the rest body.
 
-A weight field supplies the M weights that vary; the constant weight W_0 = 1 is always put before them, so that every
-affine motion lies in the reduced space, whatever the field.
+A weight field supplies the M varying weights. The constant weight W_0 = 1 always precedes them, so that every field
+gives a reduced space with all affine motions.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class WeightField(Protocol):
 
     @property
     def count(self) -> int:
-        """M, the number of weights beside the constant one."""
+        """M, the number of weights besides the constant one."""
 
     def at(self, points: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, "P M"], Float[np.ndarray, "P M 3"]]:
         """Values [-] and gradients [1/m] at rest positions [m]."""
@@ -61,7 +61,7 @@ class NodalFunctions:
     """Functions interpolated from the nodes of a tetrahedral mesh by its own shape functions.
 
     The gradient is that of the interpolation within the element (constant in linear, linear in quadratic elements).
-    Points outside the mesh take the first-order continuation from the nearest point of it.
+    Outside the mesh they are extrapolated to first order from its nearest point.
 
     Attributes:
         mesh: background mesh, rest state.
@@ -155,7 +155,7 @@ class CallableWeights:
         """Values [-] and gradients [1/m] at rest positions [m].
 
         Raises:
-            InputError: the function gave another shape than [P, M], or values that are not finite.
+            InputError: the function returns another shape than [P, M], or values that are not finite.
         """
         with torch.enable_grad():
             x = torch.tensor(np.asarray(points), dtype=torch.float64, requires_grad=True)

@@ -21,11 +21,11 @@ _REACH = 0.02  # share of the smaller body's size
 class ReducedBodies:
     """Bodies that touch each other, each with its own obstacles, forces and initial motion.
 
-    Two bodies with the contact stiffnesses k₁ and k₂ [Pa/m] and smoothings ε₁ and ε₂ meet like springs in a row: with
-    k₁ k₂/(k₁ + k₂) and ε₁ + ε₂. A collision of mirror images is then that of one of them with a smooth wall.
+    Contact between bodies with the stiffnesses k₁ and k₂ [Pa/m] and smoothings ε₁ and ε₂ acts like springs in series,
+    with k₁ k₂/(k₁ + k₂) and ε₁ + ε₂. A collision of mirror images then equals that of one of them with a smooth wall.
 
     Attributes:
-        scenes: one per body; what holds for all of them (gravity, the floor) is given in each.
+        scenes: one per body; common inputs (gravity, the floor) are given in each.
         friction: Coulomb coefficient between any two bodies [-], or a symmetric matrix of them.
 
     Raises:
@@ -53,7 +53,7 @@ class ReducedBodies:
         object.__setattr__(self, "friction", np.broadcast_to(friction, (count, count)).copy())
 
     def prepared(self, timing: Timing) -> PreparedRollOut:
-        """Made ready for `physconvex.dynamics.simulate`."""
+        """Prepared for `physconvex.dynamics.simulate`."""
         from physconvex.reduced.simulation import prepared_bodies  # late: the equations of a scene know the scene
 
         return prepared_bodies(self, timing)
@@ -75,13 +75,13 @@ class ReducedBodies:
 
     @property
     def slices(self) -> tuple[slice, ...]:
-        """Where the coordinates of each body stand among those of all."""
+        """Slice of each body's coordinates among those of all."""
         ends = np.cumsum([0, *(scene.body.space.dimension for scene in self.scenes)])
         return tuple(slice(int(a), int(b)) for a, b in pairwise(ends))
 
     @property
     def size(self) -> float:
-        """Of the smallest body [m]."""
+        """Size of the smallest body [m]."""
         return min(scene.body.space.samples.size for scene in self.scenes)
 
     def pairs(self) -> list[tuple[int, int, PairContact]]:

@@ -28,7 +28,7 @@ class _Pair:
 class BodiesEquations(DenseNewton):
     """Incremental potential of one time step; coordinates of all bodies below each other, [R_1 + R_2 + …, 3]."""
 
-    viscous: Tensor | None = None  # a step's record holds no viscosity: it stays in the equations of each body
+    viscous: Tensor | None = None  # a step's record has no viscosity: it is in the equations of each body
     friction: tuple[Friction, ...] = ()
 
     def __init__(self, world: ReducedBodies) -> None:
@@ -55,7 +55,7 @@ class BodiesEquations(DenseNewton):
         self._freeze(last.positions, coefficients.velocity(guess))
 
     def freeze_friction(self, y: Float[np.ndarray, "R 3"]) -> bool:
-        """Take friction anew at coordinates y; tells if there is anything that was frozen."""
+        """Update friction at coordinates y; returns whether there are frozen terms."""
         assert self.coefficients is not None
         own = [body.freeze_friction(part) for body, part in self._parts(y)]
         self._freeze(y, self.coefficients.velocity(y))
@@ -67,11 +67,11 @@ class BodiesEquations(DenseNewton):
             pair.frozen = pair.contact.freeze(y[pair.where], velocity[pair.where])
 
     def settled(self, change: Float[np.ndarray, "R 3"], step: float) -> bool:
-        """Whether the velocities of all surfaces have changed by no more than their slip velocities."""
+        """Whether the velocities of all surfaces change by at most their slip velocities."""
         return all(body.settled(part, step) for body, part in self._parts(change))
 
     def commit(self, x: Float[np.ndarray, "R 3"]) -> None:
-        """Store what has flowed by the end of a step at coordinates x."""
+        """Store the flow at the end of a step with coordinates x."""
         for body, part in self._parts(x):
             body.commit(part)
 
@@ -103,7 +103,7 @@ class BodiesEquations(DenseNewton):
         return energy, gradient
 
     def hessian_blocks(self, x: Float[np.ndarray, "R 3"], *, project: bool) -> Float[np.ndarray, "3 R 3 R"]:
-        """Second derivative [N/m], components first; of the contact between bodies always the positive part."""
+        """Second derivative [N/m], components first; for contact between bodies always the positive part."""
         matrix = np.zeros((3, len(x), 3, len(x)))
         for body, where in zip(self.bodies, self.slices, strict=True):
             matrix[:, where, :, where] = body.hessian_blocks(x[where], project=project)

@@ -45,9 +45,9 @@ class ReducedBody:
         poisson_ratio: ν [-], scalar or [C], in (-1, 0.5).
         density: ρ [kg/m³], scalar or [C].
         regions: number of each cell's region, [C], 0 to K − 1: E, ν and ρ of a region are then parameters of a scene,
-            as `poisson_ratio[0]`.
-        flow: how the material flows, see `FlowRule`; purely elastic unless given. `Plasticine` and `Sand`
-            stand in the place of `law`, `StandardLinearSolid` beside it.
+            for example `poisson_ratio[0]`.
+        flow: flow rule of the material, see `FlowRule`; purely elastic unless given. `Plasticine` and `Sand` replace
+            `law`, `StandardLinearSolid` adds to it.
         device: where the arithmetic over the samples runs (the dense solve stays on the CPU).
 
     Attributes:
@@ -85,7 +85,7 @@ class ReducedBody:
         self._weights = self._tensor(interior.weights)
         flat = space.interior_gradients.transpose(0, 2, 1).reshape(-1, space.dimension)
         self._gradients = self._tensor(np.ascontiguousarray(flat))  # [(Q, j), R]
-        self._quick: VolumetricSamples | None = None  # of the law alone, also where something flows beside it
+        self._quick: VolumetricSamples | None = None  # of the law alone, also if there is a flow besides it
         beside = flow is None or flow.beside_law
         if beside and self.device.type == "cpu" and self.law.volumetric is not None:
             self._quick = volumetric_samples(self.law, self._samples)
@@ -180,7 +180,7 @@ class ReducedBody:
 
         Args:
             y: coordinates [m].
-            response: of the flow during a time step; that of a body that has not flowed, at once, unless given.
+            response: of the flow during a time step; without it, the instantaneous one without any flow.
         """
         return float((self._weights * self._material("energy", self.deformation_gradient(y), response)).sum())
 
@@ -210,7 +210,7 @@ class ReducedBody:
         return self.forces_of(self.law.stress(self.deformation_gradient(y), mu, lam))
 
     def _material(self, of: Literal["energy", "stress", "hessian"], f: Tensor, response: FlowStep | None) -> Tensor:
-        """Energy density, stress or Hessian of what acts at the samples: the law, what flows, or both."""
+        """Energy density, stress or Hessian at the samples: of the law, the flow, or both."""
         parts: list[Tensor] = []
         if self.flow is None or self.flow.beside_law:
             parts.append(getattr(self.law, of)(f, self.mu, self.lam))
@@ -219,18 +219,18 @@ class ReducedBody:
         return sum(parts[1:], parts[0])
 
     def _flowing(self, response: FlowStep | None) -> FlowStep | None:
-        """What flows, unless given that of a body that has not flowed, at once; None in an elastic body."""
+        """The flow response; by default the instantaneous one without any flow; None for an elastic body."""
         return self._virgin if response is None else response
 
     # -- flow
 
     def unflowed(self) -> Tensor:
-        """F_f⁻¹ of a body that has not flowed, shape [Q, 3, 3], of `Flows` [Q, 2, 3, 3]."""
+        """F_f⁻¹ without any flow, shape [Q, 3, 3], of `Flows` [Q, 2, 3, 3]."""
         shape = (len(self.mu), *stored_flows(self.flow), 3, 3)
         return torch.eye(3, dtype=torch.float64, device=self.device).expand(shape)
 
     def flow_step(self, undo: Tensor, y: Float[np.ndarray, "R 3"], step: float) -> FlowStep:
-        """Response of the flowing part during a step [s], from F_f⁻¹ at its start; what is lagged is taken at y [m]."""
+        """Response of the flowing part during a step [s], from F_f⁻¹ at its start; lagged terms are taken at y [m]."""
         assert self.flow is not None
         return self.flow.during(undo, self.deformation_gradient(y), self.mu, self.lam, step)
 
@@ -316,7 +316,7 @@ class ReducedBody:
         speed_up: Float[np.ndarray, "R 3"],
         damping_time: float,
     ) -> Float[np.ndarray, "R 3"]:
-        """Derivative of the viscous forces where F* moves as the coordinates do by `step`, velocity by `speed_up`."""
+        """Derivative of the viscous forces: `step` changes the coordinates in F*, `speed_up` the velocity."""
         if self._viscosity is not None:
             return self._viscosity.tangent(state.numpy(), velocity, step, speed_up, damping_time)
         mu, lam = damping_time * self.mu, damping_time * self.lam

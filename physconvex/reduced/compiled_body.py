@@ -16,7 +16,7 @@ from physconvex.materials import KERNEL_LAWS, NEARLY_FLAT, Law, MaterialPoints
 from physconvex.reduced.volumetric import VolumetricSamples
 
 Array = np.ndarray
-_BLOCK = 500_000  # numbers in the rows whose products are added at once: they stay in the second cache
+_BLOCK = 500_000  # numbers in the rows whose products are summed at once: they fit in the second cache
 
 
 class _Body(ctypes.Structure):
@@ -59,22 +59,22 @@ REDUCED_KERNEL = Kernel(
 
 
 def volumetric_samples(law: Law, points: MaterialPoints) -> VolumetricSamples:
-    """The samples of a body, see `VolumetricSamples`; those of plain numpy where nothing can be compiled."""
+    """The samples of a body, see `VolumetricSamples`; those of plain numpy if nothing can be compiled."""
     return (CompiledSamples if REDUCED_KERNEL.available else VolumetricSamples)(law, points)
 
 
 def compiled_viscosity(points: MaterialPoints) -> CompiledViscosity | None:
-    """The viscosity of a body, see `CompiledViscosity`; None where nothing can be compiled."""
+    """The viscosity of a body, see `CompiledViscosity`; None if nothing can be compiled."""
     return CompiledViscosity(points) if REDUCED_KERNEL.available else None
 
 
 def compiled_surface(contact: Contact, values: Array) -> CompiledSurface | None:
-    """A contact law on a surface, see `CompiledSurface`; None where nothing can be compiled."""
+    """A contact law on a surface, see `CompiledSurface`; None if nothing can be compiled."""
     return CompiledSurface(contact, values) if REDUCED_KERNEL.available else None
 
 
 class CompiledSamples(VolumetricSamples):
-    """The same numbers, the gradients read once for each energy with its forces.
+    """The same numbers; each energy with its forces reads the gradients once.
 
     Raises:
         KernelUnavailable: the kernel cannot be compiled here.
@@ -144,7 +144,7 @@ class CompiledViscosity:
         speed_up: Float[Array, "R 3"],
         damping_time: float,
     ) -> Float[Array, "R 3"]:
-        """Derivative of the forces where F* moves as the coordinates do by `step`, and the velocity by `speed_up`."""
+        """Derivative of the forces for a change `step` of the coordinates in F*, and `speed_up` of the velocity."""
         forces, given = np.empty(velocity.shape), [doubles(array) for array in (state, velocity, step, speed_up)]
         first, *others = map(address, given)
         REDUCED_KERNEL.library.pc_viscous_tangent(self._compiled.body, first, damping_time, *others, address(forces))
@@ -199,7 +199,7 @@ class CompiledSurface:
 
 
 def _in_blocks(rows: Float[Array, "Q R ..."]) -> Array:
-    """Rows [Q, R, ...] as [⌈Q / lanes⌉, R, ..., lanes], filled up with zeros."""
+    """Rows [Q, R, ...] as [⌈Q / lanes⌉, R, ..., lanes], padded with zeros."""
     lanes = REDUCED_KERNEL.library.pc_lanes()
     padded = np.zeros((-(-len(rows) // lanes) * lanes, *rows.shape[1:]))
     padded[: len(rows)] = rows
@@ -207,7 +207,7 @@ def _in_blocks(rows: Float[Array, "Q R ..."]) -> Array:
 
 
 class _Compiled:
-    """What the kernel reads of a body's interior."""
+    """Inputs of the kernel on a body's interior."""
 
     def __init__(self, points: MaterialPoints, law: int = 0) -> None:
         self.size, self._law = points.gradients.shape[2], law
@@ -216,7 +216,7 @@ class _Compiled:
         self._blocks = _in_blocks(self._gradients.transpose(0, 2, 1))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without addresses, which another process cannot use."""
+        """Without addresses, which are invalid in another process."""
         return {name: value for name, value in self.__dict__.items() if name != "body"}
 
     @cached_property
@@ -224,6 +224,6 @@ class _Compiled:
         return self.with_constants(self._mu, self._lam)
 
     def with_constants(self, mu: Float[Array, " Q"], lam: Float[Array, " Q"]) -> _Body:
-        """With other constants, which must live as long as it does."""
+        """With other constants, which must outlive it."""
         arrays = (self._blocks, self._gradients, self._weights, mu, lam)
         return _Body(len(self._weights), self.size, self._law, NEARLY_FLAT, *map(address, arrays))

@@ -1,4 +1,4 @@
-"""Where a body is sampled: interior points with volumes, surface points with areas."""
+"""Samples of a body: interior points with volumes, surface points with areas."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ MASS_DEGREE = 6  # (quadratic weight × X)² within an element
 
 @dataclass(frozen=True)
 class Cubature:
-    """Points whose weighted sum stands for an integral over the body.
+    """Points whose weighted sum approximates an integral over the body.
 
     Attributes:
         points: rest positions [m], shape [Q, 3].
         weights: volumes [m³], shape [Q], positive.
-        cells: cell of each point, shape [Q]: its tetrahedron, or the point itself where there is no mesh. Material
-            constants are given per cell.
+        cells: cell of each point, shape [Q]: its tetrahedron, or the point itself without a mesh. Material constants
+            are given per cell.
         cell_count: number of cells.
 
     Raises:
@@ -65,8 +65,9 @@ def _conical_rule(degree: int) -> tuple[Float[np.ndarray, "Q 4"], Float[np.ndarr
 def tet_cubature(mesh: TetMesh, *, degree: int = 2) -> Cubature:
     """Quadrature points of all tetrahedra, exact for polynomials of that degree within each; volume exact.
 
-    Degree 1 takes one point per tetrahedron, 2 takes 4, 4 takes 27, 6 takes 64. Of a mesh that is filled in part
-    (`physconvex.fem.filled`) degrees up to 2 take its 4 points, higher ones all that are spread over the body.
+    Degree 1 takes one point per tetrahedron, 2 takes 4, 4 takes 27, 6 takes 64. A partly filled mesh
+    (`physconvex.fem.filled`) uses its 4 points for degrees up to 2, and all points spread over the body for higher
+    ones.
 
     Raises:
         InputError: `degree` is not in 1..12.
@@ -94,9 +95,9 @@ class BodySamples:
     Attributes:
         interior: for the elastic energy.
         mass: for mass and volume, of a higher degree.
-        surface_points: where contact and loads act, rest positions [m], shape [S, 3].
-        surface_areas: boundary area each of them carries [m²], shape [S].
-        shell: triangles that points of other bodies may not cross; without, no other body can touch this one.
+        surface_points: points at which contact and loads act, rest positions [m], shape [S, 3].
+        surface_areas: boundary area of each of them [m²], shape [S].
+        shell: triangles that points of other bodies must not cross; without it, no other body can touch this one.
     """
 
     interior: Cubature
@@ -121,7 +122,7 @@ class BodySamples:
 
     @classmethod
     def of_mesh(cls, mesh: TetMesh, *, degree: int = 2) -> BodySamples:
-        """Samples of a tetrahedral body: all tetrahedra; the boundary nodes with the areas the full model gives them.
+        """Samples of a tetrahedral body: all tetrahedra; the boundary nodes with their areas in the full model.
 
         Args:
             mesh: rest mesh, linear or quadratic.
@@ -145,12 +146,12 @@ class BodySamples:
         surface_points: Float[np.ndarray, "S 3"] | None = None,
         surface_areas: Float[np.ndarray, " S"] | None = None,
     ) -> BodySamples:
-        """Samples given outright.
+        """Samples from arrays.
 
         Args:
             points: interior points [m], shape [Q, 3].
             volumes: volume of each [m³], shape [Q], or of all together.
-            surface_points: boundary points [m]; none unless given, and then nothing can touch the body.
+            surface_points: boundary points [m]; without them nothing can touch the body.
             surface_areas: their areas [m²].
         """
         points = np.asarray(points, dtype=np.float64)

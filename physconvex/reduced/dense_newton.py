@@ -15,11 +15,11 @@ from physconvex.reduced.body import function_by_function
 from physconvex.reduced.secant_corrections import Secants
 
 _SECANTS = 8  # pairs of changes kept
-_ROUNDED = 1e-9  # share of the body's size below which a change is left out of them
+_ROUNDED = 1e-9  # share of the body's size below which a change is ignored
 
 
 class DenseNewton(ABC):
-    """What a step of reduced coordinates y [R, 3] needs to solve with its Hessian.
+    """Linear algebra of a step of reduced coordinates y [R, 3].
 
     Args:
         size: of what moves [m].
@@ -34,7 +34,7 @@ class DenseNewton(ABC):
         self.coefficients: StepCoefficients | None = None
 
     def first_guess(self, guess: Float[np.ndarray, "R 3"], time: float) -> Float[np.ndarray, "R 3"]:
-        """Where Newton's method starts: at what was extrapolated, since pins are springs."""
+        """Start of Newton's method: the extrapolation, since pins are springs."""
         return guess
 
     @abstractmethod
@@ -69,7 +69,7 @@ class DenseNewton(ABC):
         self.factorised = True
 
     def solve(self, rhs: Float[np.ndarray, "R 3"]) -> Float[np.ndarray, "R 3"]:
-        """Apply the inverse of the last factorised Hessian, corrected by the gradients met since then."""
+        """Apply the inverse of the last factorised Hessian, corrected by the gradients evaluated since."""
         assert self._factor is not None
         return self.secants.solve(self._unfactor, rhs.reshape(-1)).reshape(rhs.shape)
 

@@ -1,8 +1,8 @@
 """Derivative of a loss by the density of each cell.
 
-A step's gradient contains the density linearly, ∫ ρ N_a (pull − g) dV with the acceleration field pull − g. A sweep
-gathers the products of that with the derivative λ of the loss by the gradient in one matrix [R, R]; the cells are told
-apart only at the end.
+A step's gradient is linear in the density: ∫ ρ N_a (pull − g) dV with the acceleration field pull − g. A sweep
+accumulates its products with the derivative λ of the loss by the gradient in one matrix [R, R]. The cells are separated
+at the end.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ _BLOCK = 20_000
 
 @dataclass(frozen=True)
 class DensityGradient:
-    """What a backward sweep leaves of the densities.
+    """Data on the densities from a backward sweep.
 
     Attributes:
         body: the body.
         products: Σ λ_a · (pull − g)_b over all solves, shape [R, R].
         start: coordinates at t = 0 [m], shape [R, 3].
-        center: derivative of the loss by the centre of mass about which the body starts to turn [1/m], shape [3].
+        center: derivative of the loss by the centre of the initial rotation [1/m], shape [3].
     """
 
     body: ReducedBody

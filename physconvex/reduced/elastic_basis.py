@@ -1,8 +1,8 @@
-"""Skinning weights from what a body's own elasticity does: its vibrations, and its answers to forces where it touches.
+"""Skinning weights from a body's elasticity: its vibration modes, and its responses to forces at its contacts.
 
-Skinning eigenmodes solve a scalar problem, which knows neither Poisson's ratio nor the way in which a thin limb bends.
-Here the displacements themselves are computed, by the linear theory at rest, and the weights are those scalar fields
-whose products W_m(X) [X; 1] come nearest to all of them.
+Skinning eigenmodes solve a scalar problem, which ignores Poisson's ratio and the bending of thin limbs. Here the
+displacements themselves are computed, by linear theory. The weights are the scalar fields whose products W_m(X) [X; 1]
+approximate all of them best.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from physconvex.fem import ElasticBody, elastic_responses, rigid_motions, skinni
 from physconvex.numerics import best_rotation
 from physconvex.reduced.basis import MAX_WEIGHTS, NodalWeights
 
-_AT_ONCE = 10  # weights that are taken before what their products give is taken out of the rest
-_NEGLIGIBLE = 1e-10  # share of the square norm below which a field is rounding
+_AT_ONCE = 10  # weights taken before their products are removed from the remainder
+_NEGLIGIBLE = 1e-10  # share of the square norm below which a field counts as rounding
 _LOOSE = 1e-3  # of the highest vibration's frequency, below which one counts as a motion of loose parts
 
 
@@ -30,26 +30,26 @@ def elastic_weights(
     vibrations: int = 30,
     states: Float[np.ndarray, "S V 3"] | None = None,
 ) -> NodalWeights:
-    """Weights whose products with [X; 1] span a body's first vibrations and its answers to forces.
+    """Weights whose products with [X; 1] span a body's first vibration modes and its responses to forces.
 
-    Every vibration of a free body counts with the same elastic energy, as a blow excites them. Those of a clamped body
-    count as its own weight, let go, would: in proportion to 1/ω², the softest with ½ J. The energy of answers is in
-    proportion to the size of their loads, ½ J in the mean. The components of all these are scalar fields; the fields
-    that carry most of what the products of the weights so far leave, in the norm of ∫ E |∇w|², become the next weights:
+    Every vibration of a free body has the same elastic energy, as after an impact. Those of a clamped body are weighted
+    as by the release of its own weight: in proportion to 1/ω², the softest with ½ J. The energy of responses is in
+    proportion to the size of their loads, ½ J on average. The components of all these are scalar fields. The next
+    weights are the fields that carry most of what the products of the present weights leave, in the norm of ∫ E |∇w|²:
     proper orthogonal decomposition, ten at a time. Use them with `ReducedSpace(weights, samples, interpolated=True)`.
 
     Args:
-        body: mesh, law, E, ν and density; with another ν the answers change little.
+        body: mesh, law, E, ν and density; the responses depend little on ν.
         count: M, number of weights.
-        loads: where forces may act, each column in all three directions (`touched_loads`, `even_loads`).
+        loads: places of forces; each column acts in all three directions (`touched_loads`, `even_loads`).
         clamped: nodes that are held.
         vibrations: number of elastic vibrations, fewer on a small mesh.
-        states: positions of the nodes [m] in deformed states about which the body answers too, each turned back; it
-            also vibrates about the last one, the most deformed. A squashed limb gives way otherwise than at rest.
+        states: positions of the nodes [m] in deformed states with further responses, each rotated back. The vibrations
+            about the last one, the most deformed, are added too. A squashed limb responds differently than at rest.
 
     Raises:
-        InputError: loads, nodes or states of another shape, `count` not in 1..64 or more than vibrations and answers
-            can give.
+        InputError: loads, nodes or states of another shape, `count` not in 1..64 or larger than vibrations and
+        responses permit.
     """
     if not 1 <= count <= MAX_WEIGHTS:
         raise InputError(f"count: got {count}; expected 1 to {MAX_WEIGHTS} weights")
@@ -92,7 +92,7 @@ def _vibrations(
 
 
 def _covering_weights(fields: np.ndarray, vertices: np.ndarray, body: ElasticBody, count: int) -> np.ndarray:
-    """Weights at the nodes whose products with [X; 1] come nearest to scalar fields, best first, [V, M]."""
+    """Weights at the nodes whose products with [X; 1] approximate scalar fields best, best first, [V, M]."""
     stiffness, mass = skinning_stiffness(body), body.mass
     norm = stiffness + 1e-3 * stiffness.diagonal().sum() / mass.diagonal().sum() * mass  # the constant is a field too
     homogeneous = np.column_stack([(vertices - vertices.mean(0)) / body.mesh.size, np.ones(len(vertices))])
@@ -108,7 +108,7 @@ def _covering_weights(fields: np.ndarray, vertices: np.ndarray, body: ElasticBod
             )
         weights = np.hstack([weights, found])
         products = (found[:, :, None] * homogeneous[:, None, :]).reshape(len(vertices), -1)
-        for _ in range(2):  # the second pass removes what rounding left
+        for _ in range(2):  # the second pass removes rounding errors
             products = products - given @ (given.T @ (norm @ products))
         given = np.hstack([given, principal_fields(products, norm)])
     return weights
@@ -117,12 +117,12 @@ def _covering_weights(fields: np.ndarray, vertices: np.ndarray, body: ElasticBod
 def principal_fields(
     fields: Float[np.ndarray, "V K"], norm: sp.csr_matrix, *, largest: float | None = None
 ) -> Float[np.ndarray, "V R"]:
-    """What fields span, orthonormal in a norm, those that carry most of them first (Sirovich 1987).
+    """Span of fields, orthonormal in a norm, in decreasing order of their content (Sirovich 1987).
 
     Args:
         fields: as columns.
         norm: symmetric and positive, shape [V, V].
-        largest: square norm against which rounding is judged; that of the first result unless given.
+        largest: square norm relative to which rounding is judged; that of the first result unless given.
 
     Returns:
         as many columns as the fields have independent directions.

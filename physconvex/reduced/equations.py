@@ -40,8 +40,8 @@ class ReducedEquations(DenseNewton):
     def set_step(self, coefficients: StepCoefficients, time: float, guess: np.ndarray, last: State) -> None:
         """Fix everything that is constant during one time step.
 
-        As in the full model: viscosity is frozen at the guess, friction takes its normal forces from the last state;
-        so does sand its pressure.
+        As in the full model: viscosity is frozen at the guess; friction and sand take normal forces and pressure from
+        the last state.
         """
         self.coefficients, self.time, self._duration = coefficients, time, time - last.time
         self.forces = self.scene.external_forces(time)
@@ -51,18 +51,18 @@ class ReducedEquations(DenseNewton):
         self._freeze(last.positions, coefficients.velocity(guess), last.time)
 
     def freeze_friction(self, y: Float[np.ndarray, "R 3"]) -> bool:
-        """Take anew at coordinates y what a solve holds fixed, friction and sand's pressure; tells if there is any."""
+        """Update frozen terms of a solve (friction, pressure in sand) at coordinates y; returns whether any exist."""
         assert self.coefficients is not None
         self._freeze(y, self.coefficients.velocity(y), self.time)
         return bool(self.friction) or (self.body.flow is not None and self.body.flow.lagged)
 
     def commit(self, x: Float[np.ndarray, "R 3"]) -> None:
-        """Store what has flowed by the end of a step at coordinates x."""
+        """Store the flow at the end of a step with coordinates x."""
         if self.response is not None:
             self.undo = self.response.flowed(self.body.deformation_gradient(x))
 
     def settled(self, change: Float[np.ndarray, "R 3"], step: float) -> bool:
-        """Whether the surface's velocities have changed by no more than the slip velocity with this change [m]."""
+        """Whether this change [m] changes the surface's velocities by at most the slip velocity."""
         return bool(np.abs(self.surface @ change).max(initial=0.0) <= step * self.contact.slip_velocity)
 
     def flowed(self) -> tuple[Float[np.ndarray, "Q *K 3 3"] | None]:
@@ -78,7 +78,7 @@ class ReducedEquations(DenseNewton):
     # -- value and gradient
 
     def energy(self, state: State) -> float:
-        """Kinetic, elastic, of contact and pins, and potential of the forces as they are at the state's time [J]."""
+        """Energy [J]: kinetic, elastic, of contact and pins, and potential of the forces at the state's time."""
         y, v = state.positions, state.velocities
         total = 0.5 * float((v * (self.body.mass @ v)).sum()) + self.body.energy(y)
         total += self.touch.energy_and_gradient(y, state.time)[0]

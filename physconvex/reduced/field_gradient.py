@@ -1,11 +1,11 @@
-"""Derivative of a loss by a body's skinning weights, W_m and ∂W_m/∂X wherever the body is sampled.
+"""Derivative of a loss by a body's skinning weights: by W_m and ∂W_m/∂X at all samples of the body.
 
 The gradient g of a step's potential contains the shape functions N_a of `physconvex.reduced.space` at four kinds of
-points: their slopes where the elastic energy is integrated, their values on the surface, at pins and where the mass is
-integrated. With λ the derivative of the loss by g, each term of λ·g is a function of fields A = Σ_a N_a a_a (or F = Σ_a
-a_a ⊗ ∂N_a/∂X) of some coordinates a, and ∂(λ·g)/∂N_a = Σ (∂(λ·g)/∂A) · a_a over these fields. The functions are carried
-back to the weights with the transformation of the space held fixed: a motion does not depend on which basis of the
-space its coordinates belong to. Nor does the start, which is affine.
+points: their slopes at the samples of the elastic energy, their values on the surface, at pins and at the samples of
+the mass. With λ the derivative of the loss by g, each term of λ·g is a function of fields A = Σ_a N_a a_a (or F = Σ_a
+a_a ⊗ ∂N_a/∂X) of some coordinates a, and ∂(λ·g)/∂N_a = Σ (∂(λ·g)/∂A) · a_a over these fields. These derivatives are
+mapped to the weights with the transformation of the space held fixed: neither a motion nor the affine start depends on
+the basis of the space.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class FieldGradient:
 
 
 class FieldBars:
-    """Derivatives of a loss by the shape functions; grows while a sweep goes backwards.
+    """Derivatives of a loss by the shape functions, accumulated during a backward sweep.
 
     Args:
         scene: of the roll-out; its body is elastic or damped.
@@ -64,13 +64,13 @@ class FieldBars:
         guess: Float[np.ndarray, "R 3"],
         force_bar: Float[np.ndarray, "R 3"],
     ) -> None:
-        """The gradient of one solve at coordinates x [m], but for inertia and what friction was frozen at.
+        """The gradient of one solve at coordinates x [m], without inertia and the dependence of frozen friction.
 
         Args:
             equations: of its step, with its friction.
             x: the solution.
             velocity: of the coordinates there [m/s].
-            guess: what viscosity was frozen at [m].
+            guess: coordinates at which viscosity is frozen [m].
             force_bar: λ.
         """
         self._add_stress(x, guess, velocity, force_bar)
@@ -100,7 +100,7 @@ class FieldBars:
     def _add_contact(
         self, equations: ReducedEquations, x: np.ndarray, velocity: np.ndarray, force_bar: np.ndarray
     ) -> None:
-        """Contact, wind, and friction as it was frozen, which is linear in the velocities."""
+        """Contact, wind, and frozen friction, which is linear in the velocities."""
         at, spread = equations.surface @ x, equations.surface @ force_bar
         _, force = equations.contact.energy_and_gradient(at, equations.time)
         blocks = contact_blocks(equations.contact, at, equations.time)
@@ -114,7 +114,7 @@ class FieldBars:
         self.add_surface(force, force_bar)
 
     def finish(self, products: Float[np.ndarray, "R R"]) -> FieldGradient:
-        """By the weights, when the sweep has come to the start.
+        """By the weights, at the end of the sweep.
 
         Args:
             products: as in `physconvex.reduced.density_gradient`.

@@ -1,9 +1,9 @@
-"""Forward sensitivities of what flows: how the stored deformation, and the stress that it leaves, move with parameters.
+"""Forward sensitivities of flow: derivatives of the stored deformation, and of the stress that depends on it.
 
-The response of a time step is a function of F at each sample, of what has flowed before, of μ and λ, of the state at
-which sand takes its pressure, and of the constants of the flow rule. Its derivative along the tangents of all of them
-is taken by central differences, sample by sample; nothing else is differenced. Where a sample begins to yield the
-response has a kink, as that of a contact has, and the derivative is that of one of its sides.
+The response of a time step is a function of F at each sample, of the stored flow, of μ and λ, of the state from which
+sand takes its pressure, and of the constants of the flow rule. Its derivative along the tangents of all of them is
+taken by central differences, sample by sample; nothing else is differenced. At the onset of yielding the response has a
+kink, like that of contact, and the derivative is a one-sided one.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _DIFFERENCE = 1e-6  # change of strains, and relative change of constants
 
 @dataclass(frozen=True)
 class FlowingStep:
-    """What the response of a time step depends on beside the coordinates at its end.
+    """Inputs of the response of a time step besides the coordinates at its end.
 
     Attributes:
         undo: F_f⁻¹ at its start, shape [Q, 3, 3].
         step: its length [s].
-        lagged: coordinates at which what is lagged is taken [m].
+        lagged: coordinates for the lagged terms [m].
         dlagged: their derivatives by the parameters.
     """
 
@@ -43,7 +43,7 @@ class FlowingStep:
 
 @dataclass(frozen=True)
 class _Along:
-    """One parameter's tangents of what the response depends on."""
+    """Tangents of the response's inputs by one parameter."""
 
     undo: Tensor
     state: Tensor
@@ -61,7 +61,7 @@ class FlowTangents:
         names: of the parameters; those of the flow rule (`yield_stress`, …) act on it.
 
     Raises:
-        InputError: the body flows in two ways at once.
+        InputError: the body has two flow rules.
     """
 
     def __init__(self, body: ReducedBody, dmu: Tensor, dlam: Tensor, names: Sequence[str]) -> None:
@@ -82,7 +82,7 @@ class FlowTangents:
         return self.body.forces_of(torch.stack(found))
 
     def advance(self, during: FlowingStep, x: Float[np.ndarray, "R 3"], dx: Float[np.ndarray, "P R 3"]) -> None:
-        """Move on over a step that has ended at coordinates x, which move by dx."""
+        """Advance over a step with final coordinates x, whose derivative is dx."""
         f, df = self.body.deformation_gradient(x), self.body.deformation_gradient(dx)
         found = [
             self._along(k, during, f, df[k], lambda response, at: response.flowed(at)) for k in range(len(self.names))
@@ -92,7 +92,7 @@ class FlowTangents:
     def _along(
         self, k: int, during: FlowingStep, f: Tensor, df: Tensor, of: Callable[[FlowStep, Tensor], Tensor]
     ) -> Tensor:
-        """Derivative of something of the response along the tangents of parameter k."""
+        """Derivative of a part of the response along the tangents of parameter k."""
         body = self.body
         state, dstate = (body.deformation_gradient(y) for y in (during.lagged, during.dlagged[k]))
         along = _Along(self.dundo[k], dstate, self.dmu[k], self.dlam[k], self._rule_change(k))

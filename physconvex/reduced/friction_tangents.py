@@ -1,8 +1,8 @@
-"""Derivative of the frozen forces of friction and dashpots with respect to the state they were frozen at.
+"""Derivative of the frozen forces of friction and dashpots with respect to the state at which they are frozen.
 
-`Contact.freeze_friction` fixes weights w = μ A ψ'(p) f₁(s)/s / v_s and normals n at positions x_f and velocities v_f,
-s = |t_f|/v_s, t = (I − n nᵀ)(v − u); the force of the solve is then w t(v). Of a dashpot w = τ A ψ''(p), of
-points that leave with the normal velocity v_n at most A ψ'(p)/v_n, and the force is w n nᵀ(v − u).
+`Contact.freeze_friction` fixes weights w = μ A ψ'(p) f₁(s)/s / v_s and normals n at positions x_f and velocities v_f, s
+= |t_f|/v_s, t = (I − n nᵀ)(v − u); the force of the solve is then w t(v). A dashpot has w = τ A ψ''(p), for separating
+points with the normal velocity v_n at most A ψ'(p)/v_n, and the force is w n nᵀ(v − u).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from physconvex.dynamics import Contact, Obstacle
 
 @dataclass(frozen=True)
 class FreezeTangent:
-    """Where friction was frozen, and how that moves with P parameters.
+    """The state at which friction is frozen, and its derivatives by P parameters.
 
     Attributes:
         x: positions [m], shape [S, 3].
@@ -50,9 +50,9 @@ def friction_tangent(
 
     Args:
         contact: the contact law.
-        frozen: where friction was frozen.
+        frozen: state at which friction is frozen.
         velocity: velocities at which the force is taken [m/s].
-        dvelocity: their derivatives; leave out of them what the Hessian of the solve accounts for.
+        dvelocity: their derivatives, without those that the Hessian of the solve includes.
     """
     out = np.zeros_like(dvelocity)
     for obstacle in contact.obstacles:
@@ -74,17 +74,17 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Touching:
-    """Points that touched an obstacle where friction was frozen, and how that moves with the parameters.
+    """Points in contact in the state at which friction is frozen, and their derivatives by the parameters.
 
     Attributes:
-        nodes: which.
+        nodes: their indices.
         depth: p [m].
         friction: coefficient of the obstacle.
         belt: its velocity [m/s].
         normals, dnormals: n and its derivatives.
         dx: derivatives of the positions.
         slip, dslip: velocity over the belt, and the derivatives of the points' velocities.
-        frozen: where friction was frozen.
+        frozen: state at which friction is frozen.
     """
 
     nodes: np.ndarray
@@ -116,7 +116,7 @@ def _rubbed(contact: Contact, here: _Touching, now: np.ndarray, dnow: np.ndarray
         return u - n * _dot(n, u)
 
     def turned(u: np.ndarray) -> np.ndarray:
-        """Change of the tangential part with the normal."""
+        """Change of the tangential part by that of the normal."""
         return -dn * _dot(n, u) - n * _dot(dn, u)
 
     slip = tangential(here.slip)

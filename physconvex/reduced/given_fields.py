@@ -1,4 +1,4 @@
-"""Skinning weights that come from elsewhere: any function of points, a predicted field, snapshots of a motion."""
+"""Skinning weights from other sources: any function of points, a predicted field, snapshots of a motion."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from physconvex.reduced.elastic_basis import principal_fields
 
 @runtime_checkable
 class PredictedField(Protocol):
-    """A skinning field as the network leaves it behind: weights and gradients at points of the object frame [m]."""
+    """A skinning field as the network predicts it: weights and gradients at points of the object frame [m]."""
 
     @property
     def handles(self) -> int:
@@ -38,8 +38,8 @@ class ArrayWeights:
         function: rest positions [m], shape [P, 3] → weights, shape [P, M]; each row a function of its own point.
         count: M.
         gradient: the same for ∂W/∂X [1/m], shape [P, M, 3]; central differences of the function unless given.
-        difference: step of the differences [m]. A float32 function of a body of size L wants about 5e-3 L, a float64
-            one 1e-5 L.
+        difference: step of the differences [m]: about 5e-3 L for a float32 function of a body of size L, 1e-5 L for
+            float64.
 
     Raises:
         InputError: neither `gradient` nor `difference` is given, or `count` is out of range.
@@ -63,7 +63,7 @@ class ArrayWeights:
         """Values [-] and gradients [1/m] at rest positions [m].
 
         Raises:
-            InputError: a function gave another shape, or values that are not finite.
+            InputError: a function returns another shape, or values that are not finite.
         """
         points = np.asarray(points, dtype=np.float64)
         values = self._called("function", self.function, points, (len(points), self.count))
@@ -92,16 +92,16 @@ def predicted_weights(
     origin: Sequence[float] | Float[np.ndarray, " 3"] = (0.0, 0.0, 0.0),
     rotation: Float[np.ndarray, "3 3"] | None = None,
 ) -> ArrayWeights:
-    """Weights of a field that lives in a frame of its own, for example one that the network predicted.
+    """Weights of a field with its own frame, for example one that the network predicts.
 
     Args:
         field: weights and gradients at points of its frame.
-        origin: where the frame's origin lies in the rest body [m]; for a predicted field the centre of the rest
+        origin: position of the frame's origin in the rest body [m]; for a predicted field the centre of the rest
             bounding box.
-        rotation: turns vectors of the frame into vectors of the rest body, shape [3, 3]; none unless given.
+        rotation: maps vectors of the frame to vectors of the rest body, shape [3, 3]; the identity unless given.
 
     Raises:
-        InputError: `rotation` is none.
+        InputError: `rotation` is not a rotation.
     """
     turn = np.eye(3) if rotation is None else np.asarray(rotation, dtype=np.float64)
     if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
@@ -116,7 +116,7 @@ def predicted_weights(
 
 @dataclass(frozen=True)
 class StackedWeights:
-    """The weights of several fields beside each other, for example eigenmodes and snapshot modes; a `WeightField`.
+    """The weights of several fields together, for example eigenmodes and snapshot modes; a `WeightField`.
 
     Raises:
         InputError: no field, or more than 64 weights together.
@@ -130,7 +130,7 @@ class StackedWeights:
 
     @property
     def count(self) -> int:
-        """M, the number of weights beside the constant one."""
+        """M, the number of weights besides the constant one."""
         return sum(field.count for field in self.fields)
 
     def at(self, points: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, "P M"], Float[np.ndarray, "P M 3"]]:
@@ -144,9 +144,9 @@ def snapshot_weights(
 ) -> NodalWeights:
     """Weights from proper orthogonal decomposition (Sirovich 1987) of motions of the body on its own mesh.
 
-    Every component of every snapshot counts as one scalar field. What the constant weight gives already (affine
-    motions) is taken out, and the `count` fields that carry most of the rest, ∫ ρ u² dV, are the weights, so that
-    Σ_m W_m(X) t_m comes as near to the snapshots as M fields can.
+    Every component of every snapshot counts as one scalar field. Affine motions, which the constant weight gives, are
+    removed. The weights are the `count` fields that carry most of the remainder, ∫ ρ u² dV, so that Σ_m W_m(X) t_m is
+    the best approximation of the snapshots by M fields.
 
     Args:
         body: mesh and density.
@@ -154,7 +154,7 @@ def snapshot_weights(
         count: M, number of weights.
 
     Returns:
-        weights normalised to ∫ ρ W² dV = total mass, those that carry most first.
+        weights normalised to ∫ ρ W² dV = total mass, in decreasing order of their content.
 
     Raises:
         InputError: a wrong shape, or snapshots with fewer than `count` independent fields beyond affine motions.

@@ -1,4 +1,4 @@
-"""Where forces act on a body: all over its surface, where a motion touches something, or where it is held."""
+"""Places of forces on a body: its whole surface, the contacts of a motion, or the pins."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from physconvex.mesh import TetMesh
 
 
 def surface_patches(points: Float[np.ndarray, "S 3"], count: int) -> Int[np.ndarray, " S"]:
-    """Number of the patch that each surface point belongs to, 0 to `count` − 1.
+    """Number of the patch of each surface point, 0 to `count` − 1.
 
-    Centres by farthest-point sampling, the first one the point that is farthest from the middle.
+    Centres by farthest-point sampling, starting with the point farthest from the middle.
     """
     distance = np.linalg.norm(points - points.mean(0), axis=1)
     owner, nearest = np.zeros(len(points), dtype=np.int64), np.full(len(points), np.inf)
@@ -51,11 +51,11 @@ def touched_loads(
     count: int = 60,
     margin: float = 0.02,
 ) -> Float[np.ndarray, "V K"]:
-    """Loads on single nodes of the surface, those that a motion brings nearest to obstacles, most touched first.
+    """Loads on single nodes of the surface, those nearest to obstacles in a motion, in decreasing order of contact.
 
-    Each is as large as its node's area times how near it came, summed over the frames. A rough motion is enough, for
-    example that of twenty eigenmodes: `run.positions(mesh.vertices)`. Its k-th frame that touches counts 1/k: what
-    touches first decides what happens next, and a rough motion is right the longer the less.
+    The size of each is its node's area times its closeness, summed over the frames. A rough motion is enough, for
+    example that of twenty eigenmodes: `run.positions(mesh.vertices)`. Its k-th frame with contact counts 1/k: the first
+    contact determines the rest, and a rough motion loses accuracy with time.
 
     Args:
         mesh: of the body.
@@ -63,11 +63,10 @@ def touched_loads(
         times: of the frames [s].
         obstacles: planes and spheres.
         count: most nodes.
-        margin: how near counts as touched, over the size of the body.
+        margin: distance that counts as contact, over the size of the body.
 
     Returns:
-        one column for each node, the first of size one; fewer than `count` where fewer are touched, none where nothing
-        is.
+        one column for each node, the first of size one; fewer than `count` if fewer are touched, none without contact.
     """
     if np.shape(positions) != (len(times), *mesh.vertices.shape):
         raise InputError(f"positions: got shape {np.shape(positions)}; expected {(len(times), *mesh.vertices.shape)}")

@@ -1,12 +1,12 @@
-"""Data-free neural skinning weights: a network W(X) trained on the body alone, without any simulation.
+"""Data-free neural skinning weights: a network W(X) trained on the body alone, without simulations.
 
 The network minimises (paper, eq. 4, after Modi et al. 2024, "Simplicits", eqs. 9–11)
 
     E_Z [ (1/V) ∫ Ψ(F_Z) dV ] + c ‖ (1/V) ∫ [1, W] [1, W]ᵀ dV − I ‖²,       F_Z = ∂/∂X Σ_m W_m(X) Z_m [X; 1] + I,
 
-over random handle transforms Z: weights that deform the body with little energy, orthonormal to each other and, since
-the constant weight always stands beside them, to that as well. Lengths are in units of the body's size and moduli in
-units of the mean modulus, so that the options hold for every body; a stiff part moves as one.
+over random handle transforms Z: weights that deform the body with little energy and are orthonormal to each other and
+to the constant weight. Lengths are in units of the body's size and moduli in units of the mean modulus, so that the
+options suit every body; a stiff part moves as one.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ class NeuralWeights:
 
     Attributes:
         layers: weight matrices [O, I] and biases [O] of the network, SiLU between them.
-        center: rest position that the network sees as zero [m], shape [3].
-        size: length that it sees as one [m].
+        center: rest position of the network's origin [m], shape [3].
+        size: length unit of the network [m].
         elastic_history: mean elastic term of each training step (unit: mean modulus), shape [T].
         orthogonality_history: orthogonality term ‖·‖² of each training step, shape [T].
     """
@@ -89,11 +89,11 @@ class NeuralWeights:
 
     @property
     def count(self) -> int:
-        """M, the number of weights beside the constant one."""
+        """M, the number of weights besides the constant one."""
         return len(self.layers[-1][1])
 
     def __call__(self, points: Float[Tensor, "P 3"]) -> Float[Tensor, "P M"]:
-        """Values [-] at rest positions [m], differentiable by torch, also by `layers` where these ask for it."""
+        """Values [-] at rest positions [m], differentiable by torch, also by `layers` that require gradients."""
         return _values_and_gradients(list(self.layers), (points - torch.as_tensor(self.center)) / self.size)[0]
 
     def at(self, points: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, "P M"], Float[np.ndarray, "P M 3"]]:
@@ -163,7 +163,7 @@ class _Trainer:
             o.transforms, count, 3, 4, dtype=torch.float64, generator=generator
         )
         f = _deformation_gradients(values, gradients, x, transforms)
-        # the scale of the transforms is taken out again, so that it does not change the balance of the two terms
+        # the scale of the transforms is divided out, so that it does not change the balance of the two terms
         elastic = self.law.energy(f, self.mu[rows], self.lam[rows]).mean() / o.transform_scale**2
         together = torch.cat([torch.ones_like(values[:, :1]), values], dim=1)
         gram = together.mT @ together / len(together)
@@ -204,8 +204,8 @@ def train_neural_weights(
     """Train skinning weights for one body.
 
     Args:
-        samples: where the body is sampled; the interior points stand for it.
-        count: M, number of weights beside the constant one.
+        samples: samples of the body; the interior points represent it.
+        count: M, number of weights besides the constant one.
         generator: source of everything random, on the CPU.
         youngs_modulus: E [Pa], scalar or per cell [C]; only its ratios matter.
         poisson_ratio: ν [-], scalar or per cell [C].
@@ -213,7 +213,7 @@ def train_neural_weights(
         on_step: called with the number of every finished step.
 
     Raises:
-        InputError: `count` is not in 1..64, constants of a wrong shape or range, or the training ran off.
+        InputError: `count` is not in 1..64, constants of a wrong shape or range, or the training diverges.
     """
     options = NeuralFieldOptions() if options is None else options
     if not 1 <= count <= MAX_WEIGHTS:
@@ -230,7 +230,7 @@ def train_neural_weights(
 def untrained_neural_weights(
     samples: BodySamples, count: int, *, generator: torch.Generator, options: NeuralFieldOptions | None = None
 ) -> NeuralWeights:
-    """The network before its training: random smooth weights, what a trained field is to be compared with."""
+    """The network before training: random smooth weights, the reference for a trained field."""
     options = NeuralFieldOptions() if options is None else options
     bare = NeuralFieldOptions(hidden_size=options.hidden_size, hidden_layers=options.hidden_layers, steps=0)
     return train_neural_weights(samples, count, generator=generator, options=bare)

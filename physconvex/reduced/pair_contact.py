@@ -1,11 +1,11 @@
-"""Contact between two bodies: sampled points of the one that lie inside the triangles that bound the other.
+"""Contact between two bodies: sampled points of one inside the triangles that bound the other.
 
-A point x of body A that stands for the area A_s and lies inside body B, p deep under the nearest point q of its
-shell, has the energy ½ A_s ψ(p) with the hinge of `Contact`; the other half comes from B's points inside A.
-q = Σ_k b_k x_k(B), so that x − q is linear in the coordinates of both bodies as long as q stays at one place of the
-shell, and, since q is nearest, the derivative of p is that at fixed q: force and reaction are equal, opposite, and on
-one line, which keeps momentum and angular momentum. The Hessian leaves out how the normal turns (ψ' over the
-curvature of the distance), and is thereby positive.
+A point x of body A with the area A_s, at the depth p inside body B under the nearest point q of its shell, has the
+energy ½ A_s ψ(p) with the hinge of `Contact`. The other half comes from B's points inside A. With q = Σ_k b_k x_k(B), x
+− q is linear in the coordinates of both bodies while q stays at one place of the shell. Since q is the nearest point,
+the derivative of p is that at fixed q: force and reaction are equal, opposite, and on one line, which conserves
+momentum and angular momentum. The Hessian omits the rotation of the normal (ψ' over the curvature of the distance), and
+is therefore positive.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class Touch:
     """Points of a body inside another one.
 
     Attributes:
-        samples: which, shape [C].
-        corners: vertices of the shell's triangle that is nearest to each, shape [C, 3].
+        samples: their indices, shape [C].
+        corners: vertices of the nearest triangle of the shell, shape [C, 3].
         shares: barycentric coordinates of the nearest point, shape [C, 3].
         depth: p [m], shape [C].
         normals: outwards from the shell, shape [C, 3].
@@ -48,8 +48,8 @@ _NO_TOUCH = Touch(
 
 @dataclass(frozen=True)
 class _Nearest:
-    """The nearest triangle of each of N points: barycentric coordinates of the nearest point, what the point is off it
-    [m], on which side of the shell it is, and its distance [m].
+    """The nearest triangle of each of N points: barycentric coordinates of the nearest point, offset [m] from it,
+    side of the shell, and distance [m].
     """
 
     faces: np.ndarray
@@ -60,7 +60,7 @@ class _Nearest:
 
 
 def _listed(rows: np.ndarray, entries: np.ndarray, count: int) -> np.ndarray:
-    """The entries of each of so many rows, given sorted by rows; the last one fills up."""
+    """The entries of each of so many rows, given sorted by rows; padded with the last one."""
     lengths = np.bincount(rows, minlength=count)
     starts = np.cumsum(lengths) - lengths
     width = np.arange(lengths.max(initial=1))
@@ -99,7 +99,7 @@ class FrozenPairs:
 
 
 class PairContact:
-    """Points of one body against the shell of another one; the coordinates of both follow each other, [R_A + R_B, 3].
+    """Points of one body against the shell of another one; joint coordinates of both, [R_A + R_B, 3].
 
     Args:
         law: hinge, slip velocity, and the areas of the points.
@@ -107,7 +107,7 @@ class PairContact:
         samples: shape functions of A at its points, shape [S, R_A].
         shell: shape functions of B at the vertices of its shell, shape [V, R_B].
         faces: of the shell, shape [F, 3].
-        reach: distance the bodies may come nearer by before the triangles near a point are looked up again [m].
+        reach: approach of the bodies after which the triangles near a point are searched again [m].
     """
 
     def __init__(
@@ -126,12 +126,12 @@ class PairContact:
         self._seen: tuple[np.ndarray, np.ndarray] | None = None
         self._near = np.zeros(0, dtype=np.int64)  # points
         self._lists = np.zeros((0, 1), dtype=np.int64)  # faces near each of them
-        self._clearances = np.zeros(0)  # how far each was outside when they were looked up [m], 0 inside
+        self._clearances = np.zeros(0)  # distance of each outside at the last search [m], 0 inside
 
     # -- geometry
 
     def touching(self, y: Float[np.ndarray, "R 3"]) -> Touch:
-        """The points of A that lie inside B."""
+        """The points of A inside B."""
         points, vertices = self.samples @ y[: self._split], self.shell @ y[self._split :]
         moved = np.inf if self._seen is None else self._moved(points, vertices)
         if moved > 0.5 * self.reach:
@@ -148,13 +148,13 @@ class PairContact:
         return Touch(near[inside], self.faces[found.faces[inside]], found.shares[inside], depth, normals)
 
     def _nearest(self, points: np.ndarray, lists: np.ndarray, vertices: np.ndarray) -> _Nearest:
-        """Of each point's list of triangles."""
+        """Nearest triangle of each point's list."""
         corners = vertices[self.faces[lists]]  # [N, K, 3, 3]
         shares = closest_in_triangles(corners, points[:, None])
         offset = points[:, None] - np.einsum("nkc,nkci->nki", shares, corners)
         square = (offset**2).sum(-1)
         near = square <= square.min(1, keepdims=True) * (1 + _TIE) + 1e-300
-        # of triangles that meet at the nearest point, the one whose plane is farthest tells the side
+        # of triangles that meet at the nearest point, the one whose plane is farthest gives the side
         first, second, third = corners[near].swapaxes(0, 1)
         normals = np.cross(second - first, third - first)
         heights = np.zeros(near.shape)
@@ -163,7 +163,7 @@ class PairContact:
         return _Nearest(lists[at], shares[at], offset[at], heights[at] < 0, np.sqrt(square[at]))
 
     def _moved(self, points: np.ndarray, vertices: np.ndarray) -> float:
-        """How far points and shell may have come nearer to each other since the triangles were looked up [m]."""
+        """Upper bound on the approach of points and shell since the last search [m]."""
         assert self._seen is not None
         drift = (points - self._seen[0]).mean(0)  # a common one changes no distance
         return sum(
@@ -172,7 +172,7 @@ class PairContact:
         )
 
     def _look(self, points: np.ndarray, vertices: np.ndarray) -> None:
-        """Points that may come to lie inside, and every triangle that may then be the nearest one."""
+        """Points that may move inside, and every triangle that may be their nearest one."""
         self._seen = (points, vertices)
         low, high = vertices.min(0) - self.reach, vertices.max(0) + self.reach
         self._near = np.flatnonzero(((points > low) & (points < high)).all(1))
@@ -191,7 +191,7 @@ class PairContact:
         self._lists = _listed(numbers[kept], faces[kept], len(self._near))
         found = self._nearest(points[self._near], self._lists, vertices)
         self._clearances = np.where(found.inside, 0.0, found.distances)
-        keep = self._clearances <= self.reach  # the others cannot touch before the next look
+        keep = self._clearances <= self.reach  # the others cannot touch before the next search
         self._near, self._lists, self._clearances = self._near[keep], self._lists[keep], self._clearances[keep]
 
     def rows(self, touch: Touch) -> Float[np.ndarray, "C R"]:

@@ -23,7 +23,7 @@ ParameterName = Literal[
     "gravity_z",  # [m/s²]
     "damping_time",  # [s]
     "air_drag",  # [1/s]
-    "contact_damping",  # time of the contact's dashpot [s], which costs bounce
+    "contact_damping",  # time of the contact's dashpot [s], which reduces the rebound
     "friction",  # mean coefficient of the obstacles that have one [-]; shifted as a whole
     "wind_x",
     "wind_y",
@@ -49,7 +49,7 @@ _AXES = {"x": 0, "y": 1, "z": 2}
 
 
 def check_parameters(scene: ReducedScene, names: Sequence[str]) -> None:
-    """Names known, each once, and present in the scene.
+    """Check that names are known, different, and present in the scene.
 
     Raises:
         InputError: they are not.
@@ -157,7 +157,7 @@ def _read(scene: ReducedScene, name: str) -> float:
 
 
 def with_parameters(scene: ReducedScene, names: Sequence[str], values: Float[np.ndarray, " P"]) -> ReducedScene:
-    """The same scene with the named parameters set; the others stay.
+    """The same scene with the named parameters set; the others are unchanged.
 
     Raises:
         InputError: unknown names, or values out of range.

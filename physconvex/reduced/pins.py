@@ -1,8 +1,8 @@
-"""Springs that hold material points of a reduced body, or lead them along a path.
+"""Springs that hold material points of a reduced body, or move them along a path.
 
-A clamped face would, exactly, take away every shape function that does not vanish on it, and a reduced body of few
-functions could then not deform near it at all. Springs with a stiffness per area instead leave the compliance
-E/(k L) of the displacements, which their default stiffness keeps at a thousandth.
+An exactly clamped face removes every shape function that does not vanish on it, so that a reduced body of few functions
+cannot deform near it. Springs with a stiffness per area instead add the compliance E/(k L) to the displacements, a
+thousandth with the default stiffness.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from physconvex.errors import InputError
 
-PIN_STIFFNESS_RATIO = 1000.0  # k L / E: a clamp gives way by about a thousandth of the body's displacements
+PIN_STIFFNESS_RATIO = 1000.0  # k L / E: a clamp yields by about a thousandth of the body's displacements
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class PinSprings:
     Attributes:
         values: shape functions at the points, shape [C, R].
         weights: k A [N/m], shape [C].
-        anchors: where the points start [m], shape [C, 3].
+        anchors: initial positions of the points [m], shape [C, 3].
         motion: as in `physconvex.dynamics.Pins`.
     """
 
@@ -44,7 +44,7 @@ class PinSprings:
         """x*(t) [m].
 
         Raises:
-            InputError: `motion` gave another shape than [C, 3], or values that are not finite.
+            InputError: `motion` returns another shape than [C, 3], or values that are not finite.
         """
         if self.motion is None:
             return self.anchors

@@ -43,7 +43,7 @@ class ReducedScene(World):
             )
 
     def prepared(self, timing: Timing) -> PreparedRollOut:
-        """Made ready for `physconvex.dynamics.simulate`."""
+        """Prepared for `physconvex.dynamics.simulate`."""
         from physconvex.reduced.simulation import prepared_body  # late: the equations of a scene know the scene
 
         return prepared_body(self, timing)
@@ -56,7 +56,7 @@ class ReducedScene(World):
 
     @property
     def autonomous(self) -> bool:
-        """Whether nothing but constant forces does work on the body, and it stores no flow: energy cannot grow."""
+        """Whether only constant forces do work on the body, and it stores no flow: energy cannot grow."""
         moving = [obstacle.velocity for obstacle in self.obstacles]
         moving += [] if self.wind is None else [self.wind.velocity]
         still = not any(callable(velocity) or np.any(velocity) for velocity in moving)
@@ -78,7 +78,7 @@ class ReducedScene(World):
 
     @property
     def unturned(self) -> Float[np.ndarray, "R 3"]:
-        """Coordinates at t = 0 before the initial orientation turns them [m]."""
+        """Coordinates at t = 0 before the initial rotation [m]."""
         return self.body.rest if self.initial_coordinates is None else np.asarray(self.initial_coordinates)
 
     @property

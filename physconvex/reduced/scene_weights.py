@@ -1,4 +1,4 @@
-"""A scene whose body gives way where that very scene touches and holds it."""
+"""A scene with a body whose weights suit its contacts and pins."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ def with_elastic_weights(
     passes: int = 2,
     loaded: int = 60,
 ) -> ReducedScene:
-    """The scene with weights from its body's vibrations and from its answers to forces where it is touched.
+    """The scene with weights from its body's vibration modes and its responses to forces at its contacts.
 
-    Where obstacles touch it is seen in a roll-out of the scene as it is given, and again in one with the weights found
-    from that: a body that lands otherwise is touched elsewhere. It answers about its rest state, about the frame of
-    that roll-out that deforms it most, and about the one half-way to it, and it vibrates and answers as what the
-    scene's pins hold. Where nothing touches or holds it, patches all over the surface are loaded, at rest.
+    A roll-out of the given scene finds the contacts. A second roll-out with the weights found refines them, since a
+    body that lands differently touches elsewhere. The responses are those about the rest state, about the frame of that
+    roll-out with the largest deformation, and about the one half-way to it, with the scene's pins held. Without
+    contacts and pins, patches all over the surface are loaded, at rest.
 
     Args:
         scene: with a rough body, for example of twenty eigenmodes.
-        mesh: that the body is sampled by (`BodySamples.of_mesh`).
+        mesh: tetrahedra that sample the body (`BodySamples.of_mesh`).
         count: M, number of weights.
         timing: of the roll-outs.
         passes: number of roll-outs.
-        loaded: most nodes that are loaded as touched.
+        loaded: most loaded nodes.
 
     Raises:
         InputError: the body is not sampled by the mesh's tetrahedra, starts from coordinates of its weights, or as
-            `elastic_weights`.
+        `elastic_weights`.
         ConvergenceError: a roll-out failed.
     """
     body = scene.body
@@ -69,7 +69,7 @@ def with_elastic_weights(
         positions = run.positions(mesh.vertices)
         loads = touched_loads(mesh, positions, run.times, scene.obstacles, count=loaded)
         if held is not None:
-            loads = loads[:, ~loads[held].any(0)]  # what touches there moves nothing
+            loads = loads[:, ~loads[held].any(0)]  # forces on held nodes have no effect
         alone = held is None and not loads.size
         if alone:
             weights = elastic_weights(elastic, count, even_loads(mesh, _PATCHES))
@@ -83,17 +83,17 @@ def with_elastic_weights(
 
 
 def most_deformed(body: ElasticBody, positions: Float[np.ndarray, "T V 3"]) -> Float[np.ndarray, "S V 3"]:
-    """Frames between which a motion deforms a body most: that of most elastic energy, and where half of it was reached.
+    """Frames with the most deformation: the one of largest elastic energy, and the one that reaches half of it.
 
     Args:
         body: what moves.
         positions: of its nodes at the frames [m].
 
     Returns:
-        two frames, or one where the energy came at once.
+        two frames, or one if the energy rises at once.
     """
     energies = np.array([body.energy(x) for x in positions])
-    energies[~np.isfinite(energies)] = -np.inf  # where a rough roll-out turns elements inside out
+    energies[~np.isfinite(energies)] = -np.inf  # a rough roll-out may turn elements inside out
     most = int(energies.argmax())
     half = most
     while half > 0 and energies[half - 1] > energies[most] / 2:

@@ -1,10 +1,10 @@
 """Secant corrections (L-BFGS) of a stale factorisation.
 
-A factor is kept over many time steps. What the gradients met since then tell of the Hessian is laid over it by the
-two-loop recursion (Nocedal & Wright 2006, algorithm 7.4, with the factor as the initial inverse): steps then shrink
-faster than linearly, so that the factor lasts longer. Each loop is a triangular system here, of the products of the
-changes of place S with those of gradient Y: with R the upper triangle of S Yᵀ and D its diagonal, R a = S r,
-q = r − Yᵀ a, Rᵀ b = D a − Y K⁻¹ q, and K⁻¹ q + Sᵀ b is the result.
+A factor is kept over many time steps. The two-loop recursion (Nocedal & Wright 2006, algorithm 7.4, with the factor as
+the initial inverse) corrects it with the gradients evaluated since. Steps then converge faster than linearly, so that
+the factor lasts longer. Each loop is a triangular system here, of the products of the changes of place S with those of
+gradient Y: with R the upper triangle of S Yᵀ and D its diagonal, R a = S r, q = r − Yᵀ a, Rᵀ b = D a − Y K⁻¹ q, and K⁻¹
+q + Sᵀ b is the result.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from collections.abc import Callable
 import numpy as np
 from scipy.linalg.blas import dtrsv
 
-_CURVED = 1e-8  # cosine between change of place and of gradient below which a pair tells nothing
+_CURVED = 1e-8  # cosine between change of place and of gradient below which a pair is ignored
 
 
 class Secants:
-    """Pairs of changes of place and of gradient, the last ones first forgotten when there are too many.
+    """Pairs of changes of place and of gradient; the oldest are dropped.
 
     Args:
         memory: number of pairs kept.
-        smallest: largest component of a change of place below which its change of gradient is taken for rounding.
+        smallest: largest component of a change of place below which its change of gradient counts as rounding.
     """
 
     def __init__(self, memory: int, *, smallest: float) -> None:
@@ -40,7 +40,7 @@ class Secants:
         self._last = None
 
     def note(self, x: np.ndarray, gradient: np.ndarray) -> None:
-        """Learn from a gradient."""
+        """Update with a gradient."""
         if self._last is not None:
             s, y = (x - self._last[0]).ravel(), (gradient - self._last[1]).ravel()
             product = float(s @ y)

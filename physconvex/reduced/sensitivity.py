@@ -1,12 +1,12 @@
 """Forward sensitivities of a reduced roll-out by the implicit function theorem.
 
-The solution y of a time step is where the gradient g of its incremental potential vanishes. With p the parameters,
+At the solution y of a time step the gradient g of its incremental potential vanishes. With p the parameters,
 
     H dy/dp = −(∂g/∂p + ∂g/∂(past states) · d(past states)/dp),        H = ∂g/∂y, exact,
 
-one factorisation and P solves per solve. What a step freezes (viscosity at the guess, friction at the last state and
-then at the last pass) depends on past states and earlier passes, and is differentiated too, so that the result is the
-derivative of the discrete roll-out, which central differences must confirm to their own error.
+which takes one factorisation and P back-substitutions per solve. Frozen terms of a step (viscosity at the guess,
+friction at the last state, then at the last pass) depend on past states and passes. They are differentiated too, so
+that the result is the derivative of the discrete roll-out: central differences agree with it to their own error.
 """
 
 from __future__ import annotations
@@ -80,12 +80,12 @@ class _Tangents:
         guesses: tuple[np.ndarray, np.ndarray],
         x: np.ndarray,
     ) -> np.ndarray:
-        """Derivative of the gradient at fixed x (friction apart), [P, R, 3].
+        """Derivative of the gradient at fixed x (without friction), [P, R, 3].
 
         Args:
             equations: of the step.
             coefficients: of the step, and their derivatives.
-            guesses: what viscosity is frozen at, and its derivatives.
+            guesses: state at which viscosity is frozen, and its derivatives.
             x: the solution of a pass.
         """
         (c, change), (guess, dguess) = coefficients, guesses
@@ -108,7 +108,7 @@ class _Tangents:
 class NamedParameters:
     """A reduced scene and the names of parameters (`physconvex.reduced.PARAMETERS`, and the flow rule's).
 
-    One exact Hessian per solve is factorised beyond what the roll-out needs, and back-substituted once per parameter.
+    Each solve factorises one exact Hessian in addition to the roll-out, and back-substitutes once per parameter.
     """
 
     scene: ReducedScene

@@ -1,4 +1,4 @@
-"""The triangles that bound a body: what points of other bodies may not cross."""
+"""The triangles that bound a body, which points of other bodies must not cross."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Shell:
 
     @classmethod
     def of_mesh(cls, mesh: TetMesh) -> Shell:
-        """The boundary of a tetrahedral mesh; every face of a quadratic one is cut in four."""
+        """The boundary of a tetrahedral mesh; every face of a quadratic one is split into four."""
         faces = mesh.boundary_faces
         if mesh.order == 2:
             faces = faces[:, _QUARTERS].reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Reduced scenes made ready for their roll-outs."""
+"""Preparation of reduced scenes for their roll-outs."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from physconvex.reduced.bodies_equations import BodiesEquations
 from physconvex.reduced.equations import ReducedEquations
 from physconvex.reduced.scene import ReducedScene
 
-_STALE_RATE = 0.5  # secants make up for a factor that has grown old
+_STALE_RATE = 0.5  # secants compensate for an old factor
 _TOLERANCE = 3e-8  # of Newton's last step, over the size
 
 
 def prepared_body(scene: ReducedScene, timing: Timing) -> PreparedRollOut:
-    """A scene made ready for its roll-out, as `physconvex.dynamics.simulate` asks for it."""
+    """A scene prepared for its roll-out, as `physconvex.dynamics.simulate` needs it."""
     return _made(ReducedEquations(scene), (scene,), scene.body.space.samples.size, timing)
 
 

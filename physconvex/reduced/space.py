@@ -2,14 +2,14 @@
 
 The functions W_m(X) [ξ; 1]_k, ξ = (X − centre)/size, are 4 (M + 1) scalar shape functions shared by the three
 coordinates, so that φ = Σ_a N_a(X) y_a with y_a ∈ R³: the reduced body is one element with global shape functions.
-Products of weights with X are nearly dependent (the first mode of a bar is almost X itself); the N_a are therefore
-made orthogonal in order, ∫ N_a N_b dV = V δ_ab, which leaves coordinates y in metres of rms displacement, and
-functions that add nothing are left out. The constant weight comes first: affine motions are kept exactly.
+Products of weights with X are nearly dependent (the first mode of a bar is almost X itself). The N_a are therefore
+orthogonalised in order, ∫ N_a N_b dV = V δ_ab, so that the coordinates y are metres of rms displacement, and dependent
+functions are left out. The constant weight comes first: affine motions are exact.
 
-A weight that varies within an element times ξ is of a higher degree than the element, and the points that integrate the
-element's own energy exactly see too little of that of the product: rough weights make a body too soft. Interpolated at
-the nodes of the weights' mesh, the products lie in the space of the full model on that mesh, are integrated as exactly
-as there, and tend to it from the stiff side; φ then is the formula's at the nodes.
+A weight that varies within an element, times ξ, has a higher degree than the element, and the quadrature of the
+element's own energy underestimates that of the product: rough weights make a body too soft. If the products are
+interpolated at the nodes of the weights' mesh, they lie in the space of the full model on that mesh, are integrated as
+accurately as there, and converge to it from the stiff side. φ then equals the formula at the nodes.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def _ordered_orthogonal(gram: np.ndarray, volume: float) -> np.ndarray:
     basis = np.zeros((len(gram), 0))
     for j in range(len(gram)):
         residual = np.eye(len(gram))[j]
-        for _ in range(2):  # the second pass removes what rounding left
+        for _ in range(2):  # the second pass removes rounding errors
             residual = residual - basis @ (basis.T @ (gram @ residual)) / volume
         square = residual @ gram @ residual
         if square > _DEPENDENT * gram[j, j]:
@@ -53,8 +53,8 @@ class ReducedSpace:
         rest: coordinates of the rest state [m], shape [R, 3].
 
     Raises:
-        InputError: the samples are too few or too flat to tell affine motions apart; `interpolated` weights without a
-            mesh.
+        InputError: the samples are too few or too flat to distinguish affine motions; `interpolated` weights without a
+        mesh.
     """
 
     def __init__(self, field: WeightField, samples: BodySamples, *, interpolated: bool = False) -> None:
@@ -68,7 +68,7 @@ class ReducedSpace:
             self._nodal = self._products(field)
         self._gram, integrals = self._moments(np.ones(mass.cell_count))
         self._transform = _ordered_orthogonal(self._gram, mass.volume)
-        if self.dimension < 4 or not np.all(self._transform[:4, :4].diagonal() > 0):  # an affine function was dropped
+        if self.dimension < 4 or not np.all(self._transform[:4, :4].diagonal() > 0):  # an affine function is missing
             raise InputError("samples: they lie in a plane or are fewer than four; expected a solid body")
         self.integrals = self._transform.T @ integrals
         self.interior_gradients = self.shape_gradients(samples.interior.points)

@@ -26,7 +26,7 @@ def _lame_slopes(youngs_modulus: Tensor, poisson_ratio: Tensor) -> tuple[Tensor,
 
 
 class StepDerivatives:
-    """What depends outright on the named parameters of a scene.
+    """Explicit dependence of a scene on its named parameters.
 
     Args:
         scene: the scene.
@@ -63,7 +63,7 @@ class StepDerivatives:
         self.elastic = body.flow is None or body.flow.beside_law  # whether the body's elastic law acts
 
     def _stiffest(self, name: str) -> bool:
-        """Whether a parameter is the E that default stiffnesses follow: the largest one."""
+        """Whether a parameter is the E from which default stiffnesses follow: the largest one."""
         stem, region = region_of(name)
         modulus = self.body.youngs_modulus * cells_of(self.body, region)
         return stem == "log10_youngs_modulus" and bool(modulus.max() == self.body.youngs_modulus.max())
@@ -122,7 +122,7 @@ class StepDerivatives:
         dy: Float[np.ndarray, "P R 3"],
         dv: Float[np.ndarray, "P R 3"],
     ) -> FreezeTangent:
-        """Friction frozen at coordinates y with velocities v, and how that moves."""
+        """Friction frozen at coordinates y with velocities v, and its derivatives."""
         s = self.surface
         rates = self.dlog_stiffness, self.dfriction, self.ddamping
         return FreezeTangent(s @ y, s @ v, time, s @ dy, s @ dv, *rates)
@@ -138,7 +138,7 @@ class StepDerivatives:
             equations: of the step, for its time.
             c: its coefficients.
             x: coordinates at which the gradient is taken [m].
-            state: F* of the viscosity; not needed without any (`viscous`).
+            state: F* of the viscosity; not needed without viscosity (`viscous`).
         """
         parts = [self._explicit(equations, name, c, x, state) for name in self.names]
         return np.array(parts).reshape(-1, *x.shape)
@@ -227,7 +227,7 @@ class StepDerivatives:
         return equations.pins.energy_and_gradient(x, equations.time)[1]
 
     def _led(self, equations: ReducedEquations, name: str, x: np.ndarray) -> np.ndarray:
-        """Pins that hold the body where it starts go along with its start."""
+        """Derivative of the anchors of pins that hold the body at its start."""
         if equations.pins is None or equations.pins.motion is not None:
             return np.zeros_like(x)
         return -equations.pins.matrix @ self._moved[self.names.index(name)]

@@ -1,4 +1,4 @@
-"""Contact and friction of the surface samples in the reduced coordinates; only the samples that touch cost anything."""
+"""Contact and friction of the surface samples in the reduced coordinates; only touching samples are evaluated."""
 
 from __future__ import annotations
 

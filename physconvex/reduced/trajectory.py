@@ -20,7 +20,7 @@ class ReducedTrajectory:
         times: [s], shape [T].
         coordinates: y [m], shape [T, R, 3].
         velocities: ẏ [m/s], shape [T, R, 3].
-        statistics: what the roll-out cost.
+        statistics: cost of the roll-out.
         flowed: F_f at the interior samples, shape [T, Q, 3, 3], of `Flows` [T, Q, 2, 3, 3]; None for
             an elastic body.
     """
@@ -35,11 +35,11 @@ class ReducedTrajectory:
     def carried(
         self, points: Float[np.ndarray, "P 3"], coordinates: Float[np.ndarray, "*T R 3"]
     ) -> Float[np.ndarray, "*T P 3"]:
-        """What coordinates, or their derivatives, make of material points given by their rest positions [m]."""
+        """Coordinates, or their derivatives, evaluated at material points given by their rest positions [m]."""
         return self.space.shape_values(points) @ coordinates
 
     def positions(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "T P 3"]:
-        """Where material points, given by their rest positions [m], are at the frames [m]."""
+        """Positions [m] at the frames of material points given by their rest positions [m]."""
         return self.carried(points, self.coordinates)
 
     def point_velocities(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "T P 3"]:
@@ -58,7 +58,7 @@ class BodiesTrajectory:
     Attributes:
         times: [s], shape [T].
         bodies: the trajectory of each; their statistics are those of the whole.
-        statistics: what the roll-out cost.
+        statistics: cost of the roll-out.
     """
 
     times: Float[np.ndarray, " T"]

@@ -52,13 +52,13 @@ class VolumetricSamples:
 
     def _deformation_gradient(self, y: Float[Array, "R 3"]) -> Float[Array, "3 3 Q"]:
         """F at the samples."""
-        # three products with vectors: for one with three columns BLAS first copies the whole matrix
+        # three matrix–vector products: for a matrix of three columns BLAS first copies the whole matrix
         f = np.empty((3, 3, len(self._weights)))
         for column, row in zip(y.T, f.reshape(3, -1), strict=True):
             np.matmul(column, self._by_function, out=row)
         return f
 
-    @np.errstate(over="ignore", invalid="ignore")  # a trial step far too long has no finite energy, and is refused
+    @np.errstate(over="ignore", invalid="ignore")  # a far too long trial step has no finite energy, and is rejected
     def energy_and_gradient(self, y: Float[Array, "R 3"]) -> tuple[float, Float[Array, "R 3"]]:
         """Elastic energy [J] and its derivative by the coordinates [N]."""
         f = self._deformation_gradient(y)
@@ -86,7 +86,7 @@ class VolumetricSamples:
         cofactor *= np.sqrt(scale)
         u = np.matmul(cofactor.transpose(2, 0, 1).copy(), self._gradients)  # √scale u_i, [Q, i, R]
         flat = u.reshape(len(j), -1)
-        # numpy takes the symmetric product for Aᵀ A, at half the cost
+        # numpy uses the symmetric product for Aᵀ A, at half the cost
         product = flat.T @ flat if convex else flat.T @ (flat * first[:, None])
         size = self._size
         blocks = product.reshape(3, size, 3, size)
