@@ -75,7 +75,7 @@ def main() -> None:
 
 
 def filmed(folder: Path, objects: Path, film: Film) -> Path:
-    """The capture."""
+    """Simulate and film the drop; return the capture."""
     if folder.exists():
         return folder
     mesh = objects / TOY / "model.obj"

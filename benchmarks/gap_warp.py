@@ -76,7 +76,7 @@ CASES = {
 
 
 def surface_of(take: Take) -> trimesh.Trimesh:
-    """The body at t = 0 [m]."""
+    """Surface of the body at t = 0 [m]."""
     if take.held:
         bar = trimesh.creation.box(BAR)
         bar.apply_translation(np.array(BAR) / 2)

@@ -222,12 +222,10 @@ def simulate_explicit(
         case: case without effects.
         names: names of the effects.
         visibility: mean square change by each effect over that of noise and numerical error, see `_Yardstick`.
-        rough: whether to use the coarse mesh with a contact one fifth as stiff: a numerical error in place of an
-            effect.
+        rough: whether a coarse mesh and a contact one fifth as stiff cause a numerical error in place of an effect.
 
     Returns:
-        Motion and observed positions of 40 surface points on the fine mesh, the case with its hidden effects, and the
-        visibility reached.
+        Motion and observed positions of 40 surface points on the fine mesh, the case with its effects, its visibility.
 
     Raises:
         ConvergenceError: a run diverges, or no dose reaches the visibility.

@@ -68,8 +68,7 @@ def diagnose(
 ) -> GapReport:
     """Locate the gap between a capture and its base model, find its cause, and measure how far it shrinks.
 
-    The base model follows `capture.json`, with E, ν and the unstated initial motion fitted. A long capture is cut to
-    its first 100 frames.
+    The base model follows `capture.json`, with E, ν and the unstated initial motion fitted; only 100 frames count.
 
     Args:
         capture: a capture folder with marker tracks and rest geometry.

@@ -21,7 +21,7 @@ Row = tuple[float, ...]
 
 
 def number(value: T, unit: str, reason: str) -> T:
-    """A field of a group: its value, its unit, and why it is there."""
+    """A field of a group: its value, its unit, and its reason."""
     made: T = field(default=value, metadata={"unit": unit, "reason": reason})
     return made
 
@@ -33,7 +33,7 @@ class Numbers:
 
 @dataclass(frozen=True)
 class _Clock(Numbers):
-    """Time by the clock: a stage ends at its share of `GapOptions.deadline`."""
+    """Clock time: each stage ends at its share of `GapOptions.deadline`."""
 
     base_fit_ends: float = number(0.45, "of the deadline", "leaves the search half of the time")
     search_ends: float = number(0.6, "of the deadline", "leaves a quarter of the time for full-order fits")
@@ -43,7 +43,7 @@ class _Clock(Numbers):
 
 @dataclass(frozen=True)
 class _RunCost(Numbers):
-    """What runs are counted as. Pairs are for the (full-order, reduced) model."""
+    """Counted cost of runs. Pairs are for the (full-order, reduced) model."""
 
     full_step: float = number(5e-6, "s per node", "a Newton step of the base law, measured on 200 to 1500 nodes")
     reduced_step: float = number(4.5e-4, "s", "the same of the reduced model, with what a fit does around it")
@@ -61,7 +61,7 @@ class _RunCost(Numbers):
 
 @dataclass(frozen=True)
 class _BodyMesh(Numbers):
-    """A regular mesh for a body that is a box."""
+    """The regular mesh of a box-shaped body."""
 
     box: float = number(2e-3, "of volume and of size", "so little a box misses of its bounding box")
     slender: float = number(3.0, "longest edge over the others", "one quadratic cell across is then enough")
@@ -73,7 +73,7 @@ class _BodyMesh(Numbers):
 
 @dataclass(frozen=True)
 class _BaseFit(Numbers):
-    """The fit of the base model, and how residuals are prepared for it."""
+    """The fit of the base model, and its residuals."""
 
     most_frames: int = number(100, "frames", "open-loop models part from long recordings anyway")
     fewest_frames: int = number(6, "frames", "fewer cannot be fitted, chosen by and reported on")
@@ -102,7 +102,7 @@ class _BaseFit(Numbers):
 
 @dataclass(frozen=True)
 class _Setting(Numbers):
-    """What the recording was made with: floor, elements, masses, much damping."""
+    """Unstated conditions of the recording: floor, elements, masses, strong damping."""
 
     rounds: int = number(2, "rounds", "derivatives of a joint fit taken anew once")
     full_runs: int = number(6, "runs", "a short full-order fit")
@@ -128,7 +128,7 @@ class _Setting(Numbers):
 
 @dataclass(frozen=True)
 class _NumericalError(Numbers):
-    """What residuals may be off by without any effect."""
+    """Errors of residuals without any effect."""
 
     fine_work: int = number(600_000, "nodes times steps", "a full-order run that is made some twenty times")
     exact_work: int = number(1_000_000, "nodes times steps", "runs with a quarter of these steps, some ten times")
@@ -163,7 +163,7 @@ class _NumericalError(Numbers):
 
 @dataclass(frozen=True)
 class _Screening(Numbers):
-    """Scores, and what goes beside them."""
+    """Scores of effects."""
 
     same_as_placebo: float = number(0.7, "|cosine|", "a placebo must look otherwise than the effects")
     in_sight: float = number(3.0, "standard errors", "a dose that would have been seen")
@@ -172,7 +172,7 @@ class _Screening(Numbers):
 
 @dataclass(frozen=True)
 class _Search(Numbers):
-    """Which effects are fitted with the reduced model, and from where."""
+    """Fits of effects by the reduced model, and their starts."""
 
     closed: float = number(1.5, "of the expected square", "below, the base fit leaves no gap to explain")
     wide: float = number(3.0, "of the expected square", "in fitted frames: a further effect is looked for")
@@ -220,7 +220,7 @@ class _Search(Numbers):
 
 @dataclass(frozen=True)
 class _Decision(Numbers):
-    """Which fits the full-order model runs, and how far."""
+    """Fits by the full-order model."""
 
     tied: float = number(1.0, "nats", "hardly tells two forms of an effect apart")
     forms: int = number(3, "forms", "of a single effect of a struck body: the reduced model is off by ten there")
@@ -234,7 +234,7 @@ class _Decision(Numbers):
 
 @dataclass(frozen=True)
 class _Evidence(Numbers):
-    """How much residuals say."""
+    """Evidence of residuals."""
 
     unseen: float = number(0.01, "of the expected square", "a smaller change of a kind tells nothing")
     enough: float = number(1.0, "of the expected square", "a better fit need not undercut it")
@@ -285,7 +285,7 @@ class _Verdict(Numbers):
 
 @dataclass(frozen=True)
 class _Localisation(Numbers):
-    """Where the gap lies."""
+    """Location of the gap."""
 
     shapes: int = number(3, "shapes", "of the deformation that are told")
     shape_share: float = number(0.02, "of the squares", "smaller shapes are left out")
@@ -293,7 +293,7 @@ class _Localisation(Numbers):
 
 @dataclass(frozen=True)
 class _Pictures(Numbers):
-    """What is told from the light of a video."""
+    """Effects in the light of a video."""
 
     clear: float = number(4.0, "nats", "gain that makes a call")
     placebo: float = number(0.5, "of the effect's share", "reached by a wrong direction at most")

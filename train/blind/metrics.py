@@ -13,7 +13,7 @@ _BINS = 10
 
 @dataclass(frozen=True)
 class Proportion:
-    """A share of a number of captures, with its 95 % interval (Wilson 1927); NaN of none."""
+    """A share of a number of captures, with its 95 % interval (Wilson 1927); NaN without captures."""
 
     value: float
     count: int

@@ -82,8 +82,7 @@ class BankScore:
         top_1, top_2: share whose effect leads the fits, or is among the first two that do; exact names.
         top_1_merged, top_2_merged: the same with the declared confusion classes merged.
         called: share with the verdict "effect" and the right class.
-        calls_right: share of all such verdicts, at any visibility and without effects, whose first effect's class is
-            hidden.
+        calls_right: share of all such verdicts, at any visibility or without effects, with a hidden first class.
         shuffled: `top_1_merged` with labels permuted at random over the captures with one effect: the chance level.
         false_alarms: share of captures without an effect with the verdict "effect".
         outside_not_called: share of captures with an effect outside the dictionary whose verdict is not "effect".
@@ -92,8 +91,7 @@ class BankScore:
         recall, precision: for captures with two effects: share of these in the best fit, and share of hidden ones among
             its effects, classes merged; `two` is their number.
         two: number of captures with two effects.
-        median_shrinkage, median_placebo: share of the held-out gap that the best effects remove, and that a wrong one
-            does.
+        median_shrinkage, median_placebo: share of the held-out gap that the best effects, and a wrong one, remove.
         share_of_oracle: median of the shrinkage over the oracle's, if that removes something.
         oracles: number of these captures.
         median_dose_error: for correctly named effects, |told - hidden| over |hidden|.

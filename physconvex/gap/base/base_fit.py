@@ -43,8 +43,7 @@ def fit_baseline(
         rough: start of the fit.
         correction: see `EffectModel`.
         fine: a finer mesh for the full-order model, and its motion at the rough fit.
-        variance: variance of the residuals in units of the stated noise, all frames; frames that the model cannot
-            predict count less.
+        variance: variance of the residuals in units of the stated noise, all frames; unpredictable frames count less.
         options: settings.
         report: receives progress messages.
     """
@@ -116,7 +115,7 @@ def _fit_from(
 
 
 def _doubt(base: Baseline, variance: Float[np.ndarray, " N"]) -> float:
-    """Factor by which the noise overrates the fitted frames: lack of fit, and correlated residuals."""
+    """Factor by which the stated noise overrates the fitted frames: lack of fit times correlation."""
     rows = base.rows(base.split.fitted)
     whitened = base.residual(base.positions)[rows] / np.sqrt(variance[rows])
     alike = temperature(whitened, base.observations.frames[rows], base.columns[rows])

@@ -55,8 +55,7 @@ class Baseline:
         model: the full-order model; it has effects only if a search continues from a fit.
         fit: fit of the model to the fitted frames.
         motion: motion of the observed points at the fit, all frames.
-        tangents: derivatives of the observed points by the parameters, in all frames or the first ones, shape [f, K, P,
-            3].
+        tangents: derivatives of the observed points by the parameters, in all or the first frames, shape [f, K, P, 3].
         situation: situation of the capture.
         contact_force: total normal force at each frame [N], shape [T].
         modes: transformation of the residuals.

@@ -42,8 +42,7 @@ class BodyModes:
     Attributes:
         frames: frame of each residual, shape [N].
         kinds: kind of each transformed residual: 0 rigid, 1 uniform strain, 2 the rest; 3 is added from the first
-            contact on. 6 is rigid motion across the normal of the struck obstacle, if that is known. All are 0 if
-            residuals are not divided.
+            contact on. 6 is rigid motion across the known normal of the obstacle. All are 0 without division.
         freedom: number of degrees of freedom of a smooth error in one frame, by kind.
         reflections: rows of a frame, V [n, 12] and T [12, 12], if it is transformed.
         touching: share of the frames from the first contact on in which, or next to which, the body touches something.
@@ -110,8 +109,7 @@ def body_modes(
 ) -> BodyModes:
     """Rigid motions and uniform strains of markers, where they are seen; `undivided` otherwise.
 
-    Pixels are not transformed: outliers (Huber's loss) depend on the distance of each point, and depth hides half of
-    the strains.
+    Pixels are not transformed: outliers (Huber's loss) depend on each point, and depth hides half of the strains.
 
     Args:
         seen: the observations, frames in order.

@@ -2,8 +2,7 @@
 
 A rough model errs little in flight, and by a hundredth of the body's size after contact. With the stated noise for each
 frame, the frames after an impact would distort the fit of the flight: a spin that ten frames of flight determine to a
-tenth of a degree gets the wrong sign. Numerical differences estimate the errors of the later fits, but they need a
-rough fit first.
+tenth of a degree gets the wrong sign. Numerical differences give the errors of later fits, but need a rough fit first.
 """
 
 from __future__ import annotations
@@ -132,7 +131,7 @@ def _twin(capture: Capture, weights: int, max_nodes: int, steps: int) -> Twin:
 
 
 def _cheap(capture: Capture, options: GapOptions) -> Twin:
-    """For the scan over E."""
+    """A coarse twin for the scan over E."""
     return _twin(capture, 5, min(200, options.max_nodes), max(4, int(np.ceil(192 / capture.fps))))
 
 

@@ -7,8 +7,7 @@ discarded, and later steps decide which effects there are.
 **Compliant floor.** `capture.json` states neither its stiffness nor its dashpot. In programs with a soft contact, a
 body sinks in by percents of its size and loses energy there. A model with a rigid floor can only fit a body ten times
 too soft, and then everything looks like damping. Two observations separate contact and body: the motion of markers
-below the floor, and the ringing after lift-off, which damping of the body changes and a dashpot of the contact does
-not.
+below the floor, and the vibration after lift-off, which only damping of the body changes.
 
 **Strong damping.** Without damping, the best fit to a soft body that hardly bounces is one a hundred times as stiff. A
 fit of E alone ends there, and no dose of damping helps from there. If E and damping together leave a much smaller

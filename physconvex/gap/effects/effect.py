@@ -85,8 +85,7 @@ class Dose:
         unit: SI unit, "" for a pure number.
         lower, upper: bounds.
         smallest: smallest deviation from `null` that is of interest, in the unit.
-        trial: deviation from `null` for screening, from the situation; large enough to be visible, small enough to keep
-            the motion near.
+        trial: deviation from `null` for screening, from the situation; visible, but the motion stays near.
         null: value at which the effect is absent.
         shape: whether the dose only shapes the effect (a time constant, a direction) and is not screened by itself.
         threshold: whether the effect starts between `null` and the trial dose (the logarithm of a yield stress). A
@@ -187,8 +186,7 @@ class Effect:
         observe: puts doses into the observation: from a `PointMotion` to positions [T, P, 3]; None if unused.
         photograph: puts doses into pictures: from sharp, evenly exposed `Patches` to their light [N, h, w]; None if
             unused. Such an effect moves no point; `physconvex.gap.light.image_formation` tests it.
-        ahead: time that `observe` needs beyond the last frame [s], from the time of that frame and the doses; None for
-            no time.
+        ahead: time that `observe` needs beyond the last frame [s], from its time and the doses; None for no time.
         applies: whether the effect makes sense in a situation.
         variant: distinguishes forms of one effect.
         description: one line for people.

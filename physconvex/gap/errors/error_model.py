@@ -7,8 +7,7 @@ base model, alone or with one effect, leaves a tenth of the expected error, the 
 margin prevents a false cause, since an effect absorbs some numerical error by chance. The leverage corrects for what
 unknowns absorb of few independent residuals, like degrees of freedom in a regression. Differences between meshes grow
 after the fitted frames. Their error there is limited to the residual of the base model, with the same margin. Each kind
-of residual (`physconvex.gap.base.body_modes`) has its own scale, since an error of a rebound says nothing about
-strains.
+of residual (`physconvex.gap.base.body_modes`) has its own scale: a rebound says nothing about strains.
 """
 
 from __future__ import annotations
@@ -130,8 +129,7 @@ def path_since_contact(motion: PointMotion, force: Float[np.ndarray, " T"]) -> F
 def forgiving(errors: ErrorModel, modes: BodyModes) -> ErrorModel:
     """Errors that allow three times the rigid-body error from the first contact on.
 
-    Without any effect, two programs differ in rigid motion after an impact by 0.3 to 3 % of the path; the evidence
-    assumes 1 %.
+    Two programs differ in rigid motion after an impact by 0.3 to 3 % of the path; the evidence assumes 1 %.
     """
     whole = modes.struck & (modes.parts == 0)
     factor = np.where(whole[modes.kinds], NUMERICAL_ERROR.forgiven_rebound**2, 1.0)

@@ -32,8 +32,7 @@ class ErrorModel:
     Attributes:
         variance: diagonal part, shape [N].
         directions: d_b, shape [B, N].
-        single: variance of one residual by itself, shape [N]; `variance` by default, which is wider if residuals share
-            their errors.
+        single: variance of one residual by itself, shape [N]; default `variance`, which is wider for shared errors.
     """
 
     variance: Float[np.ndarray, " N"]

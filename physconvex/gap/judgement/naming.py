@@ -142,8 +142,7 @@ def _errors(
 def _form_errors(effect: Effect, doses: np.ndarray, *, held: bool) -> np.ndarray:
     """A share of the dose: of the vector length for doses in one unit, as a change of the logarithm for decades.
 
-    It is a floor of the interval. For a nearly perfect fit, the residuals give a precision of 1 %, below the error by
-    mesh, steps and contact.
+    It is the least error. For a nearly perfect fit, the residuals give 1 %, below the error by mesh, steps and contact.
     """
     share = VERDICT.form_deforming if held or effect.source in _DEFORMING else VERDICT.form
     out = np.empty(len(doses))

@@ -24,8 +24,7 @@ from physconvex.gap.thresholds import VERDICT
 def gain_in_flight(base: Baseline, errors: ErrorModel, best: Hypothesis, plain: Hypothesis) -> float:
     """Gain of log-likelihood by effects in the frames before the first contact, less ½ k ln n for their k doses.
 
-    −∞ without a later contact, or if the effects leave more than noise and numerical error there (the last frame before
-    the contact aside).
+    −∞ without a later contact, or if they leave more than noise and numerical error there (its last frame aside).
 
     Args:
         base: the base fit.
@@ -81,13 +80,11 @@ class Measured:
     Attributes:
         before: mean square of the base model's residual over its expected square, all frames.
         after: the same with the best effects; one = only noise and numerical error remain.
-        share: share of the held-out gap above noise that the best effects remove, up to 1; negative if they increase
-            it.
+        share: share of the held-out gap above noise that the best effects remove, at most 1; can be negative.
         floor: numerical error and noise over the size of the body, or over its motion if that is less; a model with a
             floor of a tenth shows nothing.
         placebo: share of the held-out gap that the lowest-ranked effect removes; NaN if none is tried.
-        above_error: share of the held-out gap above noise and numerical error that the best effects remove; −inf if
-            unknown.
+        above_error: share that they remove of the held-out gap above noise and numerical error; −inf if unknown.
         astray: distance of the best model from the recording over the motion of that, rms.
         other: evidence of an effect outside the hypotheses.
         struck: whether a free body strikes something; small causes then separate models.

@@ -122,7 +122,7 @@ class VerdictInput:
 
     @property
     def possible(self) -> tuple[NamedEffect, ...]:
-        """Those of the best fit, and the single ones that remain possible."""
+        """Effects of the best fit, and single ones that remain possible."""
         others = [
             effect
             for h in self.hypotheses

@@ -99,7 +99,7 @@ class ImageFinding:
 
     @property
     def sentence(self) -> str:
-        """For people."""
+        """The result in words."""
         dose = self.named.doses[0]
         return (
             f"The pictures show {self.effect.name} (probability {self.named.probability:.0%}): {dose.name} = "

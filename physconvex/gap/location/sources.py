@@ -27,8 +27,7 @@ class Budget:
 
     Attributes:
         noise: noise of the observation.
-        numerical: error of mesh, step and contact within the residual of the best fit, and the part of numerical
-            effects.
+        numerical: error of mesh, step and contact within the best fit's residual, and the part of numerical effects.
         geometry: deviation of the first frame, before any motion, beyond noise: misplaced markers, or a body of another
             shape. It persists in later frames. It is zero for tracked points, which start there.
         observation: part explained by effects of cameras and clocks.

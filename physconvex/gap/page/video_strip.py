@@ -1,7 +1,6 @@
 """The video next to the models: observed, base model, with the effects, and differences.
 
-A model's picture is the first image, moved with the model's surface. It is empty where the first image does not show
-the surface.
+A model's picture is the first image, moved with the model's surface. It is empty where that image does not show it.
 """
 
 from __future__ import annotations

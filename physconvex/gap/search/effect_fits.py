@@ -139,7 +139,7 @@ def refit(
     increases, since derivatives by their direction or place carry little information at a small dose.
 
     A held body may have two fixed points. With strong priors the residual is smooth, counts as few residuals, and keeps
-    them strong; with weak ones it may be noise, which keeps them weak. The fit is therefore repeated from unweighted
+    them strong; with weak ones it may be noise, which keeps them weak. The fit is therefore repeated with unscaled
     priors, and the likelier result counts. Otherwise the loads of held bars come out a quarter too light, since ν is
     not free, and a wrong frame rate is called instead.
 

@@ -109,8 +109,7 @@ class Hypothesis:
     def seen(self) -> float:
         """Log-likelihood of the fitted frames, up to a constant.
 
-        For a struck body the mean square hardly separates fits: most of its residuals belong to the flight, which all
-        of them follow.
+        For a struck body the mean square hardly separates fits: most residuals belong to the flight, which all follow.
         """
         return float((self.likelihood - self.later).sum())
 

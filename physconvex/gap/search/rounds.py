@@ -78,8 +78,7 @@ def together(search: EffectSearch, screening: Screening) -> None:
 def plausible_pairs(screening: Screening, independent: float, *, held: bool) -> list[Pair]:
     """Pairs by the part of the independent residuals that they explain, less the prior penalty of their doses.
 
-    For a held body, half of them include damping. Every recording decays, so another effect adds to damping, and may
-    not show without it.
+    For a held body, half of them include damping. Every recording decays, and damping may hide another effect.
     """
     pairs = best_pairs(screening, SCREENING.pairs_ranked)
 
@@ -177,9 +176,8 @@ def polish(search: EffectSearch) -> None:
 def leave_out(search: EffectSearch) -> None:
     """Fit the best combination without each of its effects, if nothing is far ahead of it (parsimony).
 
-    Fits of fewer effects that ended at a clearly larger misfit are repeated. A load alone, fitted from the base fit,
-    may stop at three times the squares, while a wrong frame rate that leads to the load ranks first. A budget is
-    reserved for this round.
+    Fits of fewer effects that ended at a clearly larger misfit are repeated. A load alone may stop at three times the
+    squares, while a wrong frame rate that leads to the load ranks first. This round has a reserved budget.
     """
     ranked = search.ranked
     best = next((h for h in ranked if len(h.effects) > 1 and h.evidence > ranked[0].evidence - SEARCH.worth), None)

@@ -46,7 +46,7 @@ class EffectSearch:
 
     @property
     def best(self) -> Hypothesis:
-        """By tempered evidence."""
+        """The best fit by tempered evidence."""
         return self.ranked[0]
 
     @property

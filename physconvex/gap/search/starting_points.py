@@ -6,8 +6,8 @@ contain less of the effect: prediction error instead of output error, at the pri
 
 **Flight** (`from_flight`). In flight a body hardly deforms, so neither E nor ν can absorb wind, a clock or a throw, and
 a fit has one minimum. After an impact E has many minima, and the base fit may be decades from the one that suits the
-effect. The flight alone therefore determines the effects, then the first contact determines E, and the reduced model is
-corrected again there.
+effect. The flight therefore determines the effects, the first contact then determines E, and the reduced model is
+corrected there.
 
 **Load** (`loaded_starts`). A load makes a held body sag further and vibrate more slowly. So does a lower stiffness, in
 another proportion. A fit of E alone ends between the two, out of phase, and no load helps from there. The vibration
@@ -218,7 +218,7 @@ def _free_end(base: Baseline) -> str:
 def _best_modulus(
     base: Baseline, errors: ErrorModel, model: EffectModel, values: np.ndarray, frequency: float
 ) -> tuple[float, np.ndarray]:
-    """Misfit and values with the best E, downwards from that whose lowest vibration has a frequency [Hz]."""
+    """Misfit and values with the best E, by descent from that whose lowest vibration has a frequency [Hz]."""
     index = model.base.index(MODULUS)
     line = float(values[index]) + 2 * np.log10(frequency / lowest_frequency(model, values))
 
