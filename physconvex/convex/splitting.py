@@ -68,17 +68,17 @@ def split(
     overlap: Float[Tensor, " N"] | float = 0.0,
     keep_count: bool = True,
 ) -> Division:
-    """Cut convexes in two, by default across their longest extent; the others stay as they are and come first.
+    """Split convexes into two, by default across their longest extent; the others are unchanged and come first.
 
-    The cut goes through the middle, or through a corner near to it, which leaves fewer corners. Both parts keep colour,
+    The cut goes through the middle, or through a corner near it, which leaves fewer corners. Both parts keep colour,
     edges and opacity. Without `overlap` their hulls share one face: occupancy as a set is conserved exactly, but soft
-    edges there let light through.
+    edges there transmit light.
 
     Args:
         which: the convexes to split, shape [N].
         normals: of the cuts, shape [N, 3].
-        overlap: by how much each part reaches beyond the cut [m], one or per convex.
-        keep_count: keep K points per convex, leaving out corners that cost the least volume; otherwise K grows so that
+        overlap: reach of each part beyond the cut [m], one or per convex.
+        keep_count: keep K points per convex, without the corners that cost the least volume; otherwise K grows so that
             all are kept.
     """
     if which.shape != (len(field),) or which.dtype != torch.bool:
@@ -131,16 +131,16 @@ def split_until_affine(
     """Split the rest field, across the direction in which the gradient changes most, until the deformation is
     affine within every convex up to `tolerance`, or there are `limit`.
 
-    All corners are kept (K may grow), so the union of the hulls stays what it was. Advect the result.
+    All corners are kept (K may grow), so that the union of the hulls is unchanged. Advect the result.
 
     Args:
-        tolerance: greatest `non_affinity` to be left, as a share of a convex's size.
+        tolerance: greatest remaining `non_affinity`, as a share of a convex's size.
         limit: most convexes.
-        least: distances from affine below this are left [m], such as a part of a pixel. A map of finite elements is
-            bent at their faces, and what a face passes through stays as far from affine, as a share of its size,
-            however often it is split.
-        overlap: by how much each part reaches beyond the cut, in widths 1/(αβ) of its edge, but no more than
-            a fifth of the way across; soft parts without it let light through between them.
+        least: smaller distances from affine remain [m], for example a part of a pixel. A map of finite elements has
+            kinks at element faces, and a convex across a face stays as far from affine, relative to its size, after
+            every split.
+        overlap: reach of each part beyond the cut, in widths 1/(αβ) of its edge, at most a fifth of the way across;
+            without it, light passes between soft parts.
 
     Raises:
         InputError: a tolerance that is not positive, a negative least distance or overlap.
@@ -191,12 +191,12 @@ def _bending(field: ConvexField, deform: DeformationMap) -> Float[Tensor, "N 3"]
 def halve(points: Float[Tensor, "M K 3"], overlap: Float[Tensor, " M"]) -> Float[Tensor, "M 2 K 3"]:
     """Both parts of each hull, cut across its longest extent, with K points each.
 
-    A part keeps the points on its side; the others are replaced by crossings of the cut with segments between points on
-    either side, chosen one after the other as the farthest from those chosen before. All crossings lie in the hull, so
-    the parts do too; what they leave out is little for flat prisms.
+    A part keeps the points on its side. The others are replaced by crossings of the cut with segments between points on
+    either side, each chosen as the farthest from those chosen before. All crossings lie in the hull, and so do the
+    parts; the lost volume is small for flat prisms.
 
     Args:
-        overlap: by how much each part reaches beyond the cut [m].
+        overlap: reach of each part beyond the cut [m].
     """
     centred = points - points.mean(dim=1, keepdim=True)
     normals = torch.linalg.svd(centred, full_matrices=False)[2][:, 0]

@@ -1,4 +1,4 @@
-"""Surface dynamics: half-spaces moved with a deformation, and back from half-spaces to points."""
+"""Surface dynamics: half-spaces that move with a deformation, and conversion from half-spaces to points."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from physconvex.errors import InputError
 
 
 def move_half_spaces(spaces: HalfSpaces, anchors: Float[Tensor, "N 3"], deform: DeformationMap) -> HalfSpaces:
-    """The half-spaces carried by a deformation, each by its first-order expansion at one of its own points.
+    """The half-spaces under a deformation, each by its first-order expansion at one of its own points.
 
     A plane n · X = d through A becomes the plane through x(A) with normal F(A)⁻ᵀ n (Nanson). A is the foot of the
-    convex's anchor on the plane: the faces of one convex see different gradients where the deformation is not affine.
+    convex's anchor on the plane: the faces of one convex have different gradients if the deformation is not affine.
 
     Args:
         anchors: a point inside each convex [m], such as its centre.
@@ -40,7 +40,7 @@ def points_of_half_spaces(spaces: HalfSpaces, *, count: int | None = None) -> Fl
     """Corners of the intersections of half-spaces [m], padded by repetition to one number K.
 
     Args:
-        count: at most so many points per convex: corners that cost the least volume are left out. All if not given.
+        count: most points per convex: corners that cost the least volume are omitted. All if not given.
 
     Raises:
         InputError: an intersection that is empty or not bounded; `count` below four.

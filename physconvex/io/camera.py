@@ -108,7 +108,7 @@ class Camera:
         return self.transform_matrix[:3, :3]
 
     def local(self, points: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
-        """World points [m] along the camera's right, up and backward axes, from where it stands [m]."""
+        """World points [m] along the camera's right, up and backward axes, relative to its position [m]."""
         return np.asarray((np.asarray(points, dtype=np.float64) - self.position) @ self.rotation)
 
     def world(self, local: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
@@ -131,7 +131,7 @@ class Camera:
         return np.stack([self.fl_x * scale * x + self.cx, self.fl_y * scale * y + self.cy], axis=-1), depth
 
     def distortion(self, squared_radius: np.ndarray) -> np.ndarray:
-        """Factor by which an undistorted radius on the plane z = −1 grows."""
+        """Distortion factor of an undistorted radius on the plane z = −1."""
         return np.asarray(1.0 + squared_radius * (self.k1 + squared_radius * self.k2))
 
     def rays(
@@ -192,10 +192,10 @@ class Camera:
 
     @classmethod
     def of_entry(cls, entry: CameraEntry) -> Camera:
-        """The camera that an entry describes.
+        """The camera of an entry.
 
         Raises:
-            InputError: the matrix is no rigid motion.
+            InputError: the matrix is not a rigid motion.
         """
         return cls(**dict(entry))
 

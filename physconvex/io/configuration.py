@@ -1,4 +1,4 @@
-"""Frozen configurations read from YAML: a file or a preset, single values set over it, errors in plain words."""
+"""Frozen configurations read from YAML: a file or a preset, overrides of single values, plain error messages."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class FrozenConfig(BaseModel):
 
 @dataclass(frozen=True)
 class Expected:
-    """What a field should hold, as metadata of its annotation, for error messages."""
+    """Expected content of a field, as metadata of its annotation, for error messages."""
 
     words: str
 
 
 def in_words(model: type[BaseModel], field: str, values: Mapping[str, Any]) -> str:
-    """What came in a field and what was expected, as the field's `Expected` says."""
+    """The value of a field and the expected one, from the field's `Expected`."""
     expected = next(part.words for part in model.model_fields[field].metadata if isinstance(part, Expected))
     return f"got {repr(values[field])[:80] if field in values else 'nothing'}, expected {expected}"
 
@@ -45,13 +45,13 @@ def read_tree(source: str | Path, package: str, *, argument: str, expected: str)
     """The tree in a YAML file, or in the preset of that name.
 
     Args:
-        source: path of a file, or name of a preset; a file goes first.
-        package: whose presets.
-        argument: what the source is called in errors.
-        expected: what a file should hold, for errors.
+        source: path of a file, or name of a preset; a file takes precedence.
+        package: package of the presets.
+        argument: name of the source in errors.
+        expected: expected content of a file, for errors.
 
     Raises:
-        InputError: no such file or preset, bad YAML, or no names and values.
+        InputError: no such file or preset, bad YAML, or no mapping.
     """
     preset = resources.files(package) / "presets" / f"{source}.yaml"
     if Path(source).is_file():
@@ -92,7 +92,7 @@ def set_value(tree: dict[str, Any], override: str, *, example: str) -> None:
 
 
 def validated(model: type[Model], tree: Mapping[str, Any], *, argument: str) -> Model:
-    """The configuration, or an error with every place that is wrong.
+    """The configuration, or an error that lists every wrong place.
 
     Raises:
         InputError: an unknown name or a value out of range.

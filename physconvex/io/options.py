@@ -26,11 +26,11 @@ from physconvex.errors import InputError
 
 @dataclass(frozen=True)
 class CommandLine:
-    """How a field looks on the command line, as metadata of its annotation.
+    """Appearance of a field on the command line, as metadata of its annotation.
 
     Attributes:
         flag: name of the option; `--` and the field's name unless given.
-        panel: heading in `--help` under which it stands.
+        panel: its heading in `--help`.
         parse: of a field that is a mapping: from NAME=VALUE, which may be given several times, to name and value.
         commas: the values of a tuple stand in one option, separated by commas.
         hidden: the field is set from Python alone.
@@ -96,7 +96,7 @@ def _place_in_words(place: Any) -> str:
 
 
 def command(function: Callable[..., None]) -> Callable[..., None]:
-    """A function for typer: each parameter that is annotated with `Options` becomes one option per field."""
+    """A function for typer: each parameter annotated with `Options` becomes one option per field."""
     hints = get_type_hints(function, include_extras=True)
     parameters, models = [], {}
     for parameter in inspect.signature(function).parameters.values():

@@ -1,4 +1,4 @@
-"""Worker processes: what they start with, and that they do not outlive the program that started them."""
+"""Worker processes: their settings, and their end with the parent process."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-# One thread; and MKL's conditional reproducibility, without which sums depend on where arrays lie in memory.
+# One thread; and MKL's conditional reproducibility, without which sums depend on the memory alignment of arrays.
 ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
@@ -19,9 +19,9 @@ ONE_THREAD = {
 
 @contextmanager
 def one_thread_each() -> Iterator[None]:
-    """Processes started inside use one thread each and give the same bits every time.
+    """Processes started inside use one thread each and give bit-identical results.
 
-    Several with as many threads as there are cores hinder each other: two on two cores took three times as long.
+    Several processes with as many threads as cores slow each other down: two on two cores take three times as long.
     """
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
@@ -36,7 +36,7 @@ def one_thread_each() -> Iterator[None]:
 
 
 def end_with_parent() -> None:
-    """Initialiser of a worker process: it ends as soon as its parent has, even if that was killed."""
+    """Initialiser of a worker process: it ends with its parent, even if that is killed."""
     parent = multiprocessing.parent_process()
     if parent is None:
         return

@@ -1,4 +1,4 @@
-"""Independent calls made in other processes, for programs that work on one thing at a time."""
+"""Independent calls in other processes, for programs that work on one thing at a time."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ Result = TypeVar("Result")
 
 
 class Workers:
-    """Processes that are started with the first call for which more than one is allowed, and end with the block.
+    """Processes that start with the first parallel call and end with the block.
 
-    Functions, arguments and results must be picklable. A worker computes with one thread; it imports the
-    program's main module, as all of Python's do. Where a worker dies, its calls are made in this process instead.
+    Functions, arguments and results must be picklable. A worker computes with one thread and imports the program's main
+    module, like all Python worker processes. If a worker dies, its calls run in this process instead.
 
     Args:
-        processes: how many; 1: every call is made in this process.
+        processes: how many; 1: every call runs in this process.
     """
 
     def __init__(self, processes: int = 1) -> None:
@@ -51,24 +51,24 @@ class Workers:
         return self._pool is not None
 
     def begin(self, calls: int) -> None:
-        """Start processes for so many calls now, beside other work: they take seconds to import what they need."""
+        """Start processes for that many calls in advance: their imports take seconds."""
         for _ in range(min(self.processes, calls) if self.processes > 1 else 0):
             self.start(os.getpid)
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-        """The results of a function, in order; several at once where there are several items."""
+        """The results of a function, in order; parallel if there are several items."""
         items = list(items)
         if self.processes == 1 or len(items) < 2:
             return [function(item) for item in items]
         return [wait() for wait in [self.start(partial(function, item)) for item in items]]
 
     def start(self, function: Callable[[], Result]) -> Callable[[], Result]:
-        """Begin a call; what is returned waits for its result. With one process, the call is made then."""
+        """Begin a call; the returned function waits for its result. With one process, it runs the call itself."""
         if self.processes == 1:
             return function
         try:
             # as bytes, since torch would share its tensors' memory with the other process
-            with one_thread_each():  # a process is started when there is something to do for it
+            with one_thread_each():  # a process starts with its first task
                 future = self._started().submit(_from_bytes, pickle.dumps(function))
         except BrokenProcessPool:
             return partial(self._here, function)

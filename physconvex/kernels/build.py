@@ -1,4 +1,4 @@
-"""C++ sources as loaded libraries: compiled on first use with the system's compiler, then kept."""
+"""C++ sources as loaded libraries: compiled on first use with the system's compiler, then cached."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _LINE = 64  # bytes
 
 
 class KernelUnavailable(RuntimeError):
-    """The kernel cannot be compiled or loaded here; the message says why."""
+    """The kernel cannot be compiled or loaded here; the message gives the reason."""
 
 
 def cache_folder() -> Path:
@@ -44,12 +44,12 @@ def compiled(folder: Path, *, include: Sequence[Path] = (), flags: Sequence[str]
     """Path of the library of a folder's `kernel.cpp`, for these flags, this compiler and this processor.
 
     Args:
-        folder: of the sources; its headers and `kernel.cpp` lie there.
+        folder: of the sources, that is its headers and `kernel.cpp`.
         include: further folders of headers.
         flags: of the compiler.
 
     Raises:
-        KernelUnavailable: no source, no compiler, it failed, or the cache cannot be written.
+        KernelUnavailable: no source, no compiler, a failed compilation, or a cache that is not writable.
     """
     if not (folder / "kernel.cpp").is_file():
         raise KernelUnavailable(f"{folder} holds no kernel.cpp")
@@ -67,7 +67,7 @@ def compiled(folder: Path, *, include: Sequence[Path] = (), flags: Sequence[str]
             made = Path(scratch) / library.name
             headers = [f"-I{one}" for one in include]
             _run([compiler, *flags, *headers, str(folder / "kernel.cpp"), "-o", str(made)])
-            made.replace(library)  # in one step, so that two processes may do this at once
+            made.replace(library)  # atomic, so that two processes may do this at once
     except OSError as error:
         raise KernelUnavailable(f"{library.parent}: cannot be written: {error.strerror}") from None
     return library
@@ -75,11 +75,11 @@ def compiled(folder: Path, *, include: Sequence[Path] = (), flags: Sequence[str]
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """A folder of C++ sources as a library, see `compiled`; a compiler that is missing or fails is tried once.
+    """A folder of C++ sources as a library, see `compiled`; a missing or failing compiler is tried once.
 
     Attributes:
         folder: of the sources.
-        functions: name of each function of the library: type of what it returns, types of what it takes.
+        functions: name of each function of the library: its return type and argument types.
         include: further folders of headers.
         flags: of the compiler.
     """
@@ -118,12 +118,12 @@ class Kernel:
 
 
 def doubles(array: np.ndarray) -> np.ndarray:
-    """An array as kernels read it: float64, contiguous; itself where it is that."""
+    """An array in the kernels' format: float64, contiguous; the same array if it is already."""
     return np.ascontiguousarray(array, dtype=np.float64)
 
 
 def aligned(array: np.ndarray) -> np.ndarray:
-    """A contiguous copy that begins where a line of the processor's cache does: wide loads then take one line each."""
+    """A contiguous copy aligned to the processor's cache lines: each wide load then takes one line."""
     room = np.empty(array.nbytes + _LINE, dtype=np.uint8)
     begin = -address(room) % _LINE
     out = room[begin : begin + array.nbytes].view(array.dtype).reshape(array.shape)
@@ -137,7 +137,7 @@ def address(array: np.ndarray) -> int:
 
 
 def _compiler() -> str:
-    """Path of the first compiler found; $CXX goes before the usual names."""
+    """Path of the first compiler found; $CXX takes precedence over the usual names."""
     for name in (os.environ.get("CXX"), *COMPILERS):
         found = shutil.which(name) if name else None
         if found:
@@ -156,7 +156,7 @@ def _run(command: list[str]) -> None:
 
 
 def _processor() -> bytes:
-    """What the compiler's -march=native depends on: a home folder may be shared by unlike machines."""
+    """Properties that the compiler's -march=native depends on: different machines may share a home folder."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:

@@ -1,6 +1,6 @@
-"""CUDA texts compiled by NVRTC and run on tensors, by NVIDIA's bindings, which torch's CUDA builds bring along.
+"""CUDA sources compiled by NVRTC and run on tensors, by NVIDIA's bindings, which torch's CUDA builds install.
 
-Texts are compiled wherever the bindings are installed; launching them takes a device, without which it is untested.
+Compilation needs only the bindings; launches need a device and are untested without one.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from physconvex.kernels.build import KernelUnavailable
 
 
 def launch(source: str, name: str, *, grid: tuple[int, int], threads: int, arguments: Sequence[Tensor | int]) -> None:
-    """Run the kernel of that name in a text, which is compiled on first use for each device, on torch's stream.
+    """Run the kernel of that name in a source, compiled on first use for each device, on torch's stream.
 
     Args:
         source: the text.
         name: of the kernel, declared `extern "C"`.
         grid: blocks along two axes.
         threads: of each block.
-        arguments: tensors of one CUDA device, which stand for their addresses, and numbers of the type int.
+        arguments: tensors of one CUDA device, passed as addresses, and numbers of the type int.
 
     Raises:
-        KernelUnavailable: tensors that are not on a CUDA device, no bindings, or a text or device that they refuse.
+        KernelUnavailable: tensors that are not on a CUDA device, no bindings, or a source or device that they reject.
     """
     device = next(value.device for value in arguments if isinstance(value, Tensor))
     if device.type != "cuda":
@@ -41,7 +41,7 @@ def launch(source: str, name: str, *, grid: tuple[int, int], threads: int, argum
     ]
     places = (ctypes.c_void_p * len(slots))(*map(ctypes.addressof, slots))
     stream = torch.cuda.current_stream(device).cuda_stream
-    (error,) = driver.cuCtxPushCurrent(context)  # a thread of its own may have none yet
+    (error,) = driver.cuCtxPushCurrent(context)  # a new thread may have none
     _require(error, "entering the device's context")
     try:
         (error,) = driver.cuLaunchKernel(function, *grid, 1, threads, 1, 1, 0, stream, ctypes.addressof(places), 0)
@@ -54,7 +54,7 @@ def machine_code(source: str, architecture: str) -> bytes:
     """A text compiled for an architecture such as "sm_90" (a cubin); needs no device.
 
     Raises:
-        KernelUnavailable: no bindings, or a text or an architecture that NVRTC refuses; the message holds its log.
+        KernelUnavailable: no bindings, or a source or an architecture that NVRTC rejects; the message contains its log.
     """
     nvrtc = _bindings("nvrtc")
     error, program = nvrtc.nvrtcCreateProgram(source.encode(), b"kernel.cu", 0, None, None)

@@ -1,4 +1,4 @@
-"""Numerical methods that know nothing of physics: sparse solvers, secants, robust loss, rotations."""
+"""Numerical methods independent of physics: sparse solvers, secants, robust loss, rotations."""
 
 import lazy_loader
 

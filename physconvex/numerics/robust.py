@@ -15,5 +15,5 @@ def huber_loss(residuals: Float[np.ndarray, " N"], limits: Float[np.ndarray, " N
 
 
 def huber_weights(residuals: Float[np.ndarray, " N"], limits: Float[np.ndarray, " N"]) -> Float[np.ndarray, " N"]:
-    """Weights min(1, k/|r|) with which least squares have the gradient of that loss."""
+    """Weights min(1, k/|r|) for which least squares have the gradient of that loss."""
     return np.minimum(1.0, limits / np.maximum(np.abs(residuals), 1e-300))

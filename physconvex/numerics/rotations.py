@@ -1,4 +1,4 @@
-"""Rotations: by a vector θ, which turns by |θ| [rad] about its own direction, and that which lays points on others."""
+"""Rotations: by a rotation vector θ with angle |θ| [rad], and the best alignment of point sets."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 def best_rotation(
     start: Float[np.ndarray, "V 3"], now: Float[np.ndarray, "V 3"], weights: Float[np.ndarray, " V"] | None = None
 ) -> Float[np.ndarray, "3 3"]:
-    """R with now − c' ≈ R (start − c), c and c' the centres (Kabsch 1976); points in a line leave a turn about it open.
+    """R with now − c' ≈ R (start − c), c and c' the centres (Kabsch 1976); collinear points leave a turn undetermined.
 
-    `Rotation.align_vectors` finds the same, but takes four times as long and warns of points in a line.
+    `Rotation.align_vectors` gives the same result, but takes four times as long and warns of collinear points.
 
     Args:
         start, now: the points [m].
@@ -27,7 +27,7 @@ def best_rotation(
 def beyond_rigid(
     rest: Float[np.ndarray, "P 3"], positions: Float[np.ndarray, "T P 3"]
 ) -> tuple[Float[np.ndarray, "T P 3"], Float[np.ndarray, "T 3 3"]]:
-    """What points have moved by beyond the best rigid motion of each frame, in space, and its rotations.
+    """Displacements of points beyond the best rigid motion of each frame, in space, and its rotations.
 
     Args:
         rest: the points at rest [m].

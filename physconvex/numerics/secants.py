@@ -1,11 +1,11 @@
-"""Derivatives carried on from place to place by what the function itself has done (Broyden 1965)."""
+"""Derivatives updated from place to place by changes of the function itself (Broyden 1965)."""
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
 
-_STILL = 1e-8  # square of a step, in typical ones, that tells nothing
+_STILL = 1e-8  # square of a step, in typical ones, below which it is ignored
 
 
 def moved_along(slope: Float[np.ndarray, "T K P 3"], step: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
@@ -21,14 +21,14 @@ def broyden_update(
     *,
     still: float = _STILL,
 ) -> Float[np.ndarray, "T K P 3"]:
-    """The slope nearest to the given one, steps in typical lengths, that explains a change.
+    """The slope closest to the given one, steps in typical lengths, that explains a change.
 
     Args:
         slope: D.
         step: Δp.
-        change: what the function changed by.
+        change: of the function.
         scales: typical lengths of the K steps.
-        still: square of a step, in typical ones, below which it tells nothing.
+        still: square of a step, in typical ones, below which it is ignored.
     """
     scaled = step / scales
     square = float(scaled @ scaled)

@@ -1,7 +1,7 @@
 """Sparse symmetric direct solver that keeps its symbolic factorisation.
 
-MKL Pardiso where `pypardiso` is installed, SciPy's SuperLU with a warning elsewhere. Measured on 27,800 unknowns:
-Pardiso 1.8 s the first time, 0.13 s after; SuperLU 10.5 s.
+MKL Pardiso if `pypardiso` is installed, otherwise SciPy's SuperLU with a warning. Measured on 27,800 unknowns: Pardiso
+1.8 s the first time, 0.13 s after; SuperLU 10.5 s.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from scipy.sparse.linalg import splu
 from physconvex.errors import InputError, PhysconvexError
 
 Backend = Literal["auto", "pardiso", "superlu"]
-# of Pardiso: take these and no defaults, which it does unless told; nested dissection; solutions are not refined, which
-# makes them four times as fast
+# of Pardiso: use these instead of defaults; nested dissection; no iterative refinement of solutions, which makes them
+# four times as fast
 _SETTINGS = {1: 1, 2: 2, 8: 0}
-_COLUMNS = 64  # solved for at once: of more, right sides and solutions outgrow the processor's caches
+_COLUMNS = 64  # solved for at once: more right sides and solutions exceed the processor's caches
 
 
 class NotPositiveDefiniteError(PhysconvexError, ArithmeticError):
@@ -33,7 +33,7 @@ class NotPositiveDefiniteError(PhysconvexError, ArithmeticError):
 
 @cache
 def _pardiso_class() -> type | None:
-    # pypardiso searches the whole environment for MKL at every construction unless told where it is
+    # pypardiso searches the whole environment for MKL at every construction unless it gets the path
     libraries = sorted(Path(sys.prefix, "lib").glob("libmkl_rt.so*"))
     if libraries:
         os.environ.setdefault("PYPARDISO_MKL_RT", str(libraries[0]))
@@ -96,7 +96,7 @@ class SymmetricSolver:
         return self._pardiso._call_pardiso(self._upper, np.asfortranarray(rhs))
 
     def inverse_rows(self, numbers: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k n"]:
-        """Those rows of A⁻¹, A the last factorised matrix: many at once, but no more than caches hold."""
+        """Those rows of A⁻¹, A the last factorised matrix: in blocks that fit into the caches."""
         rows = np.empty((len(numbers), self._upper.shape[0]))
         for first in range(0, len(numbers), _COLUMNS):
             some = numbers[first : first + _COLUMNS]
@@ -130,7 +130,7 @@ class SymmetricSolver:
         self._lu = lu
 
     def close(self) -> None:
-        """Give the factorisation's memory back (Pardiso keeps it outside Python)."""
+        """Free the factorisation's memory (Pardiso keeps it outside Python)."""
         if self._pardiso is not None:
             self._pardiso.free_memory(everything=True)
             self._analysed = False

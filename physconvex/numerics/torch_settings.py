@@ -14,8 +14,8 @@ from physconvex.errors import InputError
 def one_torch_thread() -> Iterator[None]:
     """Torch computes on one thread inside, as a `with` block or a decorator, and sums in one order on every machine.
 
-    A time step is thousands of operations on small matrices. Torch's threads and those of numpy's BLAS, waiting for
-    each other at every one of them, make a roll-out on two cores two to eight times as slow as one thread does.
+    A time step has thousands of operations on small matrices. Torch's threads and those of numpy's BLAS wait for each
+    other at every one of them, which makes a roll-out on two cores two to eight times as slow as one thread.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -29,7 +29,7 @@ def device_named(name: str) -> torch.device:
     """The device of a name such as "cpu" or "cuda:0".
 
     Raises:
-        InputError: there is none, or it cannot be used here.
+        InputError: there is none, or it is not usable here.
     """
     try:
         device = torch.device(name)

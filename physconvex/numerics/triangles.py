@@ -48,7 +48,7 @@ def closest_points(
 ) -> Float[np.ndarray, "*#B 3"]:
     """The point of each triangle that is closest to each point, by perpendiculars; no triangle may be flat.
 
-    The weights of `closest_in_triangles` give it too, but round otherwise: where bytes are promised they do not serve.
+    The weights of `closest_in_triangles` give it too, but round differently: use this one for bit-identical results.
     """
     normal = np.cross(triangles[..., 1, :] - triangles[..., 0, :], triangles[..., 2, :] - triangles[..., 0, :])
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)

@@ -1,4 +1,4 @@
-"""What can be played: a mesh file, a convex field, or what `physconvex refine` found."""
+"""Objects to play: a mesh file, a convex field, or a result of `physconvex refine`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Asset:
     Attributes:
         surface: its surface; of a convex field the hulls, which may overlap.
         convexes: the field, if it is one.
-        settings: sections of the configuration that it brings along, such as a refined material.
+        settings: sections of the configuration from the file, such as a refined material.
     """
 
     surface: RestSurface
@@ -35,10 +35,10 @@ class Asset:
 def read_asset(path: str | Path) -> Asset:
     """Read a mesh file, a PLY file of a convex field, or a folder of `physconvex refine`.
 
-    Of a refinement the surface at t = 0 and E, ν, damping time and density are taken, not the scene it was filmed in.
+    Of a refinement the surface at t = 0 and E, ν, damping time and density are used, not the scene of the capture.
 
     Raises:
-        InputError: nothing of these, or unreadable.
+        InputError: none of these, or unreadable.
     """
     path = Path(path)
     if path.is_dir():

@@ -144,7 +144,7 @@ def load_play_config(
     Args:
         source: preset, file, or None.
         overrides: set over it.
-        found: sections that the asset itself brings, such as a refined material; `source` and `overrides` go over it.
+        found: sections from the asset itself, such as a refined material; `source` and `overrides` override it.
 
     Raises:
         InputError: no such file or preset, bad YAML, an unknown name or a value out of range.
@@ -162,8 +162,8 @@ def load_play_config(
 
 
 def overrides_of(number: int, count: int, overrides: Sequence[str]) -> list[str]:
-    """The overrides for object `number` of `count`: those for all, and those that begin with its number, from 1, and a
-    colon, as `2:material.density=500`.
+    """The overrides for object `number` of `count`: those for all, and those that start with its number (from 1) and
+    a colon, for example `2:material.density=500`.
 
     Raises:
         InputError: the number of no object.

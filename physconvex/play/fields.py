@@ -27,7 +27,7 @@ _FIELD_OF_VIEW = 0.52  # [rad]
 
 
 def moving_fields(field: ConvexField, run: ReducedTrajectory) -> Iterator[ConvexField]:
-    """The field at each frame: its vertices go with the body, its colours turn with it."""
+    """The field at each frame: its vertices move with the body, its colours rotate with it."""
     bound: BoundField = bind_to_space(field, run.space)
     return (bound.at(coordinates) for coordinates in run.coordinates)
 
@@ -37,7 +37,7 @@ def moving_half_spaces(
 ) -> tuple[Float[np.ndarray, "T N H 3"], Float[np.ndarray, "T N H"]]:
     """Normals and offsets [m] of the half-spaces n · x ≤ d of every convex at each frame.
 
-    Each plane goes with the body by the deformation at its own foot (`physconvex.convex.move_half_spaces`).
+    Each plane moves with the deformation at its own foot (`physconvex.convex.move_half_spaces`).
     """
     spaces, centres = half_spaces(field), field.centres
     moved = [move_half_spaces(spaces, centres, space_map(run.space, y)) for y in run.coordinates]

@@ -16,11 +16,11 @@ from physconvex.play.roll_out import PlayedObject
 _OBJECTS = ("#d8743c", "#3c7ad8", "#4f9d69", "#b5539c", "#d8b13c")
 _LIGHT, _DARK = "#e9e6df", "#c9c4b8"
 _SHOWN = 5  # frames in a notebook
-_TILES = 24  # tiles along the floor, twice as wide as what is seen of it
+_TILES = 24  # tiles along the floor, twice as wide as its visible part
 
 
 def floor_displacement(floor: FloorConfig, time: float) -> Float[np.ndarray, " 3"]:
-    """How far the floor has moved since t = 0 [m]: with constant velocity, or as the integral of its sine."""
+    """Displacement of the floor since t = 0 [m]: with constant velocity, or as the integral of its sine."""
     velocity = np.asarray(floor.velocity)
     if floor.period is None:
         return velocity * time
@@ -34,7 +34,7 @@ def _tile_size(played: PlayedObject) -> float:
 
 
 def _floor(center: np.ndarray, tile: float, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices [P, 3], quads [F, 4] and their shade [F] of a chequered floor that has moved by `shift`."""
+    """Vertices [P, 3], quads [F, 4] and their shade [F] of a chequered floor moved by `shift`."""
     corner = np.floor((center[:2] - shift[:2]) / tile) - _TILES // 2
     axis = np.arange(_TILES + 1)
     x, y = np.meshgrid((corner[0] + axis) * tile + shift[0], (corner[1] + axis) * tile + shift[1], indexing="ij")
@@ -69,14 +69,14 @@ class _Bodies:
 
     @staticmethod
     def _shade(part: Any) -> None:
-        part.clear_data()  # VTK leaves normals as they are where there are some
+        part.clear_data()  # VTK keeps existing normals
         part.compute_normals(inplace=True, split_vertices=False, auto_orient_normals=False, consistent_normals=False)
 
 
 def frames_of(
     played: PlayedObject, *, size: int = 448, show: list[int] | None = None
 ) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
-    """RGB pictures, seen from a little above by a camera that stands still.
+    """RGB pictures from a fixed camera a little above the floor.
 
     Args:
         played: the object in motion.
@@ -127,7 +127,7 @@ def played_html(played: PlayedObject) -> str:
 
 
 def _side_views(played: PlayedObject) -> bytes:
-    """PNG of some frames seen along y, drawn by matplotlib, which needs no OpenGL."""
+    """PNG of some frames, viewed along y, drawn by matplotlib, which needs no OpenGL."""
     from matplotlib.collections import PolyCollection
     from matplotlib.figure import Figure
 

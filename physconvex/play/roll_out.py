@@ -48,14 +48,14 @@ class PlayedObject:
     """One or several surfaces in motion.
 
     Attributes:
-        config: what was played; that of the first object where there are several.
-        surface: the surfaces where they start, one after the other.
+        config: the configuration; that of the first object if there are several.
+        surface: the surfaces at the start, one after the other.
         positions: of their vertices at the frames [m], shape [T, V, 3].
         trajectories: of the reduced bodies.
         owners: number of the object that each vertex belongs to, shape [V].
         masses: of the bodies [kg].
         volumes: of the bodies [m³].
-        convexes: the convex field of each object that has one, where it starts.
+        convexes: the convex field of each object that has one, at the start.
     """
 
     config: PlayConfig
@@ -107,7 +107,7 @@ def play(
     """Simulate a surface, or a convex field, as a solid reduced body.
 
     Args:
-        surface: closed surface as it comes from a file, or any asset; `config.object` sizes and places it.
+        surface: closed surface as in a file, or any asset; `config.object` sizes and places it.
         config: everything else; the defaults drop an elastic body.
         on_frame: called with the state at every finished frame.
 
@@ -165,7 +165,7 @@ def play_together(
 
 
 def _prepare(asset: Asset, config: PlayConfig, ground: float, *, alone: bool) -> _Prepared:
-    """Place an object and make its body; `alone`: nothing but the floor can touch it."""
+    """Place an object and make its body; `alone`: only the floor can touch it."""
     linear, shift = asset.surface.placement(config.object, ground=ground)
     placed, convexes = asset.surface.moved(linear, shift), asset.convexes
     if convexes is not None:
@@ -180,7 +180,7 @@ def _prepare(asset: Asset, config: PlayConfig, ground: float, *, alone: bool) ->
     )
     mesh = mesh if convexes is None else with_volume(mesh, union_volume(convexes))
     samples = BodySamples.of_mesh(mesh)
-    if convexes is None:  # the surface itself touches, not the nodes of the coarse mesh behind it
+    if convexes is None:  # the surface itself makes contact, not the nodes of the coarse mesh
         points, areas = placed.contact_points(config.basis.contact_points)
         closed = enclosed_volume(placed.vertices, placed.faces) is not None
         shell = Shell(placed.vertices, placed.faces) if closed else samples.shell
@@ -189,7 +189,7 @@ def _prepare(asset: Asset, config: PlayConfig, ground: float, *, alone: bool) ->
 
 
 def _scene(config: PlayConfig, mesh: TetMesh, samples: BodySamples, *, alone: bool) -> ReducedScene:
-    """The body with its skinning weights, and what acts on it."""
+    """The body with its skinning weights, and its scene."""
     basis, material, forces = config.basis, config.material, config.forces
     weights = _weights(config, mesh, samples, alone=alone)
     body = ReducedBody(
@@ -216,7 +216,7 @@ def _scene(config: PlayConfig, mesh: TetMesh, samples: BodySamples, *, alone: bo
 
 
 def _weights(config: PlayConfig, mesh: TetMesh, samples: BodySamples, *, alone: bool) -> WeightField:
-    """Skinning weights; of elastic ones that are yet to be found, the rough ones that they start from."""
+    """Skinning weights; if elastic ones are still to be found, the rough ones for their start."""
     basis, material = config.basis, config.material
     body = ElasticBody(mesh, law=_law(material), poisson_ratio=material.poisson_ratio)
     if basis.kind == "neural":

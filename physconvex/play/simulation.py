@@ -1,4 +1,4 @@
-"""Play assets from files: the Python twin of the command `physconvex simulate`."""
+"""Simulate assets from files: the Python equivalent of the command `physconvex simulate`."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def simulate_assets(
         The surfaces in motion: `positions` [m], shape [T, V, 3], with `trajectories` of the reduced bodies.
 
     Raises:
-        InputError: a file or a setting is bad; the message names it, the cause and the remedy.
+        InputError: a file or a setting is wrong; the message names it, the cause and the remedy.
         ConvergenceError: a time step failed.
     """
     objects, configs = configure_assets(assets, preset=preset, settings=settings)
@@ -58,7 +58,7 @@ def configure_assets(
     preset: str | Path | None = None,
     settings: Sequence[str] = (),
 ) -> tuple[list[Asset], list[PlayConfig]]:
-    """The assets, read, and the configuration of each; arguments as of `simulate_assets`."""
+    """The assets, read, and the configuration of each; arguments of `simulate_assets`."""
     given = [assets] if isinstance(assets, str | Path | Asset) else list(assets)
     objects = [asset if isinstance(asset, Asset) else read_asset(asset) for asset in given]
     configs = [

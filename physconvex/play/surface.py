@@ -1,4 +1,4 @@
-"""The surface to play: read from a mesh file, sized, turned and put over the floor."""
+"""The surface to play: read from a mesh file, sized, rotated and placed over the floor."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class RestSurface:
     faces: Int[np.ndarray, "F 3"]
 
     def placement(self, config: StartConfig, *, ground: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """The map x = linear X + shift that gives it its size, turns it, and puts its lowest point over the ground.
+        """The map x = linear X + shift that sizes and rotates it, and puts its lowest point over the ground.
 
         Args:
             config: size, turns, height, place.
@@ -48,9 +48,9 @@ class RestSurface:
         return self.moved(*self.placement(config))
 
     def contact_points(self, limit: int) -> tuple[Float[np.ndarray, "S 3"], Float[np.ndarray, " S"]]:
-        """Points that touch obstacles [m] and the area each stands for [m²]: the vertices, or `limit` of them.
+        """Points of contact [m] and the area of each [m²]: the vertices, or `limit` of them.
 
-        Every vertex carries a third of the triangles around it, or hands that to the nearest vertex that was chosen.
+        Every vertex carries a third of the triangles around it, or passes that to the nearest chosen vertex.
         """
         corners = self.vertices[self.faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -64,7 +64,7 @@ class RestSurface:
 
 
 def read_surface(path: str | Path) -> RestSurface:
-    """Read any mesh file that trimesh reads; several parts become one; glTF, whose y axis is up, is turned.
+    """Read any mesh file that trimesh reads; several parts become one; glTF, whose y axis is up, is rotated.
 
     Raises:
         InputError: the file is missing or unreadable, or holds no surface with an extent in all three directions.

@@ -1,4 +1,4 @@
-"""Write a played object: trajectory, one PLY per frame, and what it was made of."""
+"""Write a played object: trajectory, one PLY per frame, and its configuration."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def summary_of(played: PlayedObject) -> dict[str, JsonValue]:
 def write_played(
     played: PlayedObject, folder: str | Path, *, ply: bool = True, glb: bool = True, video: bool = False
 ) -> None:
-    """Write into a folder, which is made if need be.
+    """Write into a folder, which is created if necessary.
 
     - trajectory.npz: times [T] s, rest [V, 3] m, faces [F, 3], positions [T, V, 3] m, owners [V] (the object of each
       vertex), and the handles Z_m(t) [T, M + 1, 3, 4] of the reduced body, `handles_0`, `handles_1` … of several;

@@ -1,4 +1,4 @@
-"""The visual hull: what projects into every mask (Laurentini 1994)."""
+"""The visual hull: the region that projects into every mask (Laurentini 1994)."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from physconvex.errors import InputError
 from physconvex.reconstruction.observation import Observation
 
 CELLS = 96  # along an edge of the cube
-MARGIN = 1.15  # of the cube around what the views bound
+MARGIN = 1.15  # of the cube around the bounds of the views
 REMEDY = "check the cameras' poses (camera-to-world, OpenGL axes, metres) and the masks"
 
 
 def object_box(observations: Sequence[Observation]) -> tuple[Float[np.ndarray, " 3"], float]:
     """Centre [m] and half edge [m] of a cube that holds the object.
 
-    The centre is the point nearest (least squares) to the rays through the middles of the masks; the edge is what the
-    largest mask spans at its distance.
+    The centre is the point nearest (least squares) to the rays through the middles of the masks. The edge is the extent
+    of the largest mask at its distance.
 
     Raises:
-        InputError: the rays are parallel, or the point lies behind a camera.
+        InputError: the rays are parallel, or the point is behind a camera.
     """
     system, right, rays = np.zeros((3, 3)), np.zeros(3), []
     for seen in observations:
@@ -47,7 +47,7 @@ def object_box(observations: Sequence[Observation]) -> tuple[Float[np.ndarray, "
 
 
 def footprint(observations: Sequence[Observation]) -> float:
-    """What a pixel covers at the object: mean over the views [m]."""
+    """Size of a pixel at the object: mean over the views [m]."""
     centre, _ = object_box(observations)
     cameras = [seen.camera for seen in observations]
     return float(np.mean([float(c.project(centre)[1]) / np.sqrt(c.fl_x * c.fl_y) for c in cameras]))

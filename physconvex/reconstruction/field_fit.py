@@ -21,13 +21,13 @@ from physconvex.reconstruction.start import Start
 from physconvex.render import RenderedImage, render
 
 WARM_UP = 20  # steps over which the rates rise at the start
-WIDEST, NARROWEST = 10.0, 0.1  # edges that are allowed, times the first width
+WIDEST, NARROWEST = 10.0, 0.1  # permitted edges, times the first width
 SHARPEST = 20.0  # β and 1/β at most
 
 
 @dataclass(frozen=True)
 class FitProgress:
-    """How far a fit is: steps done and in all, mean loss of late, convexes, scale of the images."""
+    """Progress of a fit: steps done and in all, recent mean loss, convexes, scale of the images."""
 
     step: int
     steps: int
@@ -38,14 +38,14 @@ class FitProgress:
 
 @dataclass
 class FitState:
-    """Everything that a fit needs to go on.
+    """The state from which a fit can continue.
 
     Attributes:
         parameters: of the field.
         adam: moments of their gradients.
-        fixed: fillers, and what no view sees: they stay as they are, shape [N].
+        fixed: fillers, and convexes that no view shows: they do not change, shape [N].
         footprint: [m].
-        surface_known: whether the start was made from a mesh, so that what no view sees belongs to the body.
+        surface_known: whether the start is made from a mesh, so that invisible convexes belong to the body.
         step: steps done.
         seconds: time spent.
         losses: of every step.
@@ -93,14 +93,14 @@ def fit_field(
     *,
     on_step: Callable[[FitProgress, FitState], None] | None = None,
 ) -> FitState:
-    """Do the steps that are left, in place, on the device of the state.
+    """Do the remaining steps, in place, on the device of the state.
 
-    Each step renders one view, in an order that depends on the seed and the step alone, so that a fit which was stopped
-    and went on gives what an uninterrupted one gives.
+    Each step renders one view, in an order that depends only on the seed and the step, so that an interrupted fit gives
+    the result of an uninterrupted one.
 
     Args:
         observations: on the CPU.
-        on_step: called after every step, for instance to show progress or to store the state.
+        on_step: called after every step, for example to show progress or to store the state.
     """
     device = state.fixed.device
     levels = {

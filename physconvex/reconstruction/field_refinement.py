@@ -1,4 +1,4 @@
-"""Adaptive refinement: convexes are added where images differ, and taken away where they explain nothing."""
+"""Adaptive refinement: adds convexes where images differ, and removes those that explain nothing."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from physconvex.reconstruction.pixel_weights import gather
 from physconvex.render import render
 
 LEAST_OPACITY = 0.03
-OPAQUE = 0.5  # a convex that is as opaque and hardly explains a pixel is hidden
+OPAQUE = 0.5  # a convex with at least this opacity that hardly explains a pixel is hidden
 DIVISIBLE = 2.5  # extent in footprints from which a convex is split; smaller ones are cloned
 SHARE = 0.2  # of the convexes that one refinement may divide
 CLONE_SHIFT = 0.25  # of its extent by which a clone is moved
-SLIGHT = 2.0  # pixels, over all views, below which a convex may make room for others
+SLIGHT = 2.0  # pixels, over all views, below which a convex may be removed for others
 OUTSIDE = 0.2  # a convex is a floater if less than this share of its pixels is covered by the object
 
 
@@ -30,10 +30,10 @@ class RefinedField:
 
     Attributes:
         field: the convexes.
-        sources: the old convex that each is (a part of), shape [M].
+        sources: the old convex that contains each, shape [M].
         fresh: which are new, shape [M].
-        fixed: which are to stay as they are until the next refinement: fillers, and what no view sees, shape [M].
-        pruned, split, cloned: how many were.
+        fixed: convexes that do not change until the next refinement: fillers, and those that no view shows, shape [M].
+        pruned, split, cloned: their numbers.
     """
 
     field: ConvexField
@@ -58,18 +58,18 @@ def refine_field(
 ) -> RefinedField:
     """Prune, split and clone.
 
-    Every convex is charged with the squared differences of the pixels it explains (by `gather`, over all views). Pruned
-    are transparent ones and those that explain background; if the budget is full, also small ones seen least, so that
-    the ones charged most can be divided. Opaque ones that no view sees (`hidden`) stay as they are, for no pixel says
-    how they should be, unless `keep_hidden` is false.
+    The cost of a convex is the sum of squared differences of the pixels it explains (by `gather`, over all views).
+    Transparent convexes and those that explain background are pruned. If the budget is full, small and hardly visible
+    ones are pruned too, so that the most expensive ones can be divided. Opaque convexes that no view shows (`hidden`)
+    do not change, since no pixel constrains them, unless `keep_hidden` is false.
 
     Args:
         budget: most convexes afterwards.
-        footprint: what a pixel covers [m].
-        fixed: those of the last refinement, at first the fillers and what is `hidden`, shape [N].
+        footprint: size of a pixel at the object [m].
+        fixed: those of the last refinement, at first the fillers and the `hidden` ones, shape [N].
         generator: of the directions in which clones are moved.
-        keep_hidden: whether what no view sees is part of the body, since the surface was known at the start; of a
-            visual hull or of points it may as well lie outside.
+        keep_hidden: whether invisible convexes are part of the body, since the surface is known at the start; those of
+            a visual hull or of points may be outside.
     """
     charge, weight, covered = _charged(field, observations)
     floating = (weight > 1) & (covered < OUTSIDE * weight)
@@ -96,7 +96,7 @@ def refine_field(
 
 @dataclass(frozen=True)
 class _Division:
-    """Which convexes are kept, split, cloned, and stay as they are, each of shape [N]."""
+    """Convexes that are kept, split, cloned, and fixed, each of shape [N]."""
 
     keep: Tensor
     split: Tensor
@@ -120,7 +120,7 @@ def _divided(field: ConvexField, division: _Division, generator: torch.Generator
     joined = ConvexField.joined([divided, copies])
     sources = torch.cat([sources, clones])
     fresh = torch.cat([fresh, torch.ones_like(clones, dtype=torch.bool)])
-    # a convex and its clone let through together what the convex did: (1 − o')² = 1 − o
+    # a convex and its clone together transmit as much as the convex alone: (1 − o')² = 1 − o
     doubled = small[sources]
     opacity = torch.where(doubled, 1 - (1 - joined.opacity).clamp(min=0).sqrt(), joined.opacity)
     new = replace(joined, opacity=opacity)
@@ -129,10 +129,10 @@ def _divided(field: ConvexField, division: _Division, generator: torch.Generator
 
 @torch.no_grad()
 def hidden(field: ConvexField, observations: Sequence[Observation], *, footprint: float) -> Bool[Tensor, " N"]:
-    """Convexes that are opaque and large enough to be seen, but explain less than two pixels of all views.
+    """Convexes that are opaque and large enough to be visible, but explain less than two pixels of all views.
 
     Args:
-        footprint: what a pixel covers [m].
+        footprint: size of a pixel at the object [m].
     """
     return _hidden(field, _charged(field, observations)[1], _extent(field) > DIVISIBLE * footprint)
 
@@ -150,7 +150,7 @@ def _extent(field: ConvexField) -> Float[Tensor, " N"]:
 def simplify(field: ConvexField, observations: Sequence[Observation], *, budget: int) -> ConvexField:
     """At most `budget` of the convexes: those that explain most pixels of the views, in their order.
 
-    What no view sees goes first, so images change least and the inside of the body opens.
+    Invisible ones are removed first, so that images change least and the inside of the body becomes empty.
 
     Raises:
         InputError: a budget below one.

@@ -1,4 +1,4 @@
-"""First convexes: prisms under a surface, boxes inside it, octahedra about points; with more or fewer points each."""
+"""First convexes: prisms under a surface, boxes inside it, octahedra about points; conversion to other point counts."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from scipy.spatial import cKDTree
 from physconvex.reconstruction.triangles import Triangles
 
 GREATEST_GROWTH = 2.0  # of a sliver whose edges are moved outward
-SHARE_OF_WALL = 0.4  # of the way to the other side of the body that a prism may reach
+SHARE_OF_WALL = 0.4  # of the distance to the other side of the body: greatest depth of a prism
 SURFACE_SAMPLES = 40_000
-UNPAINTED = 1e-3  # opacity of what fills the inside, below what is drawn: convexes are sorted by their centres
-BULGE = 0.1  # of its distance from the middle by which a point that is added to an edge lies outside
+UNPAINTED = 1e-3  # opacity of convexes that fill the inside: not drawn, since convexes are sorted by their centres
+BULGE = 0.1  # distance outside of a point that is added to an edge, over its distance from the middle
 INNER_EDGES = np.array([[3, 4], [4, 5], [5, 3]])  # of a prism
 LATTICE = 64  # cells along the longest edge at most
 BOX_POINTS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
@@ -24,9 +24,9 @@ def prisms(triangles: Triangles, mesh: trimesh.Trimesh, *, depth: float, overhan
     """A prism of six points under every triangle.
 
     Args:
-        mesh: the closed surface that the triangles lie on; prisms end before its other side.
-        depth: how far they reach inward [m].
-        overhang: by how much their edges are moved outward [m], so that soft edges of neighbours overlap.
+        mesh: the closed surface of the triangles; prisms end before its other side.
+        depth: of the prisms [m].
+        overhang: distance by which their edges are moved outward [m], so that soft edges of neighbours overlap.
     """
     corners = triangles.corners
     lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1), axis=2)  # opposite the corner
@@ -41,9 +41,9 @@ def prisms(triangles: Triangles, mesh: trimesh.Trimesh, *, depth: float, overhan
 
 
 def _wall(mesh: trimesh.Trimesh, corners: np.ndarray, normals: np.ndarray) -> Float[np.ndarray, "F 3"]:
-    """Distance [m] from the corners inward to the other side; infinite where there is none.
+    """Distance [m] from the corners inward to the other side; infinite if there is none.
 
-    Rays start a little towards the middle of the triangle, so that edges between faces are not hit.
+    Rays start a little towards the middle of the triangle, so that they do not hit edges between faces.
     """
     size = float(np.ptp(mesh.vertices, axis=0).max())
     inner = 0.9 * corners + 0.1 * corners.mean(axis=1, keepdims=True)
@@ -56,10 +56,10 @@ def _wall(mesh: trimesh.Trimesh, corners: np.ndarray, normals: np.ndarray) -> Fl
 
 
 def fillers(mesh: trimesh.Trimesh, *, depth: float, most: int) -> Float[np.ndarray, "B 6 3"]:
-    """At most `most` wedges that fill what prisms of a `depth` [m] leave free inside a closed surface.
+    """At most `most` wedges that fill the space inside a closed surface below prisms of a `depth` [m].
 
-    Cells of a lattice that lie inside as a whole, joined to boxes, each cut into two wedges of six points. The lattice
-    is made coarser until they are few enough. Boxes reach a twentieth of a cell into each other.
+    Lattice cells that are completely inside are joined to boxes, each cut into two wedges of six points. The lattice is
+    coarsened until they are few enough. Boxes overlap by a twentieth of a cell.
     """
     low, size = mesh.bounds[0], float(np.ptp(mesh.bounds, axis=0).max())
     samples, _ = trimesh.sample.sample_surface(mesh, SURFACE_SAMPLES, seed=0)
@@ -110,16 +110,16 @@ def _joined(inside: Bool[np.ndarray, "X Y Z"]) -> Int[np.ndarray, "B 2 3"]:
 
 
 def octahedra(points: Float[np.ndarray, "P 3"], *, neighbours: int = 3) -> Float[np.ndarray, "P 6 3"]:
-    """An octahedron about each point, as large as the mean distance to the nearest others."""
+    """An octahedron about each point, of the size of the mean distance to the nearest others."""
     distance = cKDTree(points).query(points, k=[*range(2, 2 + min(neighbours, len(points) - 1))])[0]
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     return points[:, None] + distance.mean(axis=1)[:, None, None] * axes
 
 
 def with_count(hulls: Float[np.ndarray, "N 6 3"], count: int) -> Float[np.ndarray, "N K 3"]:
-    """Hulls of so many points (4 to 9) from prisms of six: outer triangle first, then the inner one.
+    """Hulls of that many points (4 to 9) from prisms of six: outer triangle first, then the inner one.
 
-    With fewer, inner corners are merged to their means; with more, middles of inner edges are added, a little outside,
+    With fewer, inner corners are merged to their means. With more, middles of inner edges are added, a little outside,
     so that they are corners too.
     """
     outer, inner = hulls[:, :3], hulls[:, 3:]

@@ -1,4 +1,4 @@
-"""The state of a fit in one file, so that a run can be stopped at any time and go on."""
+"""The state of a fit in one file, from which a stopped run continues."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NAMES = tuple(entry.name for entry in fields(FreeParameters))
 
 
 def save_fit(state: FitState, path: Path, *, claim: str) -> None:
-    """Write the state under its name in one step; `claim` says what it belongs to."""
+    """Write the state under its name atomically; `claim` identifies the fit."""
     tensors = {"fixed": state.fixed, "losses": torch.tensor(state.losses, dtype=torch.float64, device="cpu")}
     groups = {"": state.parameters.tensors(), "first.": state.adam.first, "second.": state.adam.second}
     for prefix, group in groups.items():
@@ -42,10 +42,10 @@ def save_fit(state: FitState, path: Path, *, claim: str) -> None:
 
 
 def load_fit(path: Path, *, claim: str) -> FitState | None:
-    """The state in a file; None where there is no file.
+    """The state in a file; None without a file.
 
     Raises:
-        InputError: the file belongs to another claim, or is none of `save_fit`.
+        InputError: the file belongs to another claim, or is not from `save_fit`.
     """
     if not path.exists():
         return None

@@ -14,22 +14,22 @@ from physconvex.convex import ConvexField, half_spaces, inside_union
 from physconvex.reconstruction.first_convexes import BOX_POINTS, UNPAINTED, WEDGES
 
 CELL = 2.0  # footprints
-MARGIN = 0.25  # footprints: what is this near to a hull counts as covered
+MARGIN = 0.25  # footprints: cells this near to a hull count as covered
 LONGEST = 112  # cells along the longest edge of the body at most
-BLOCK = 200_000  # cells looked at together
+BLOCK = 200_000  # cells processed together
 
 
 def fill_gaps(field: ConvexField, surface: trimesh.Trimesh, *, footprint: float, most: int) -> ConvexField:
-    """The field with at most `most` convexes more, where the inside of a surface lies in no hull.
+    """The field with at most `most` additional convexes in the parts of a surface's inside that no hull covers.
 
-    The body is looked at in cells of two footprints. Those of which no hull holds the middle (nor comes as near as a
-    quarter of a footprint) are joined to boxes, which may pass through other cells of the inside; the largest are cut
-    into wedges of six points. They are not drawn (opacity 0.001), so no image changes, and have the colour of what is
-    nearest.
+    The body is divided into cells of two footprints. Cells whose middle is in no hull (nor within a quarter of a
+    footprint of one) are joined to boxes, which may extend over other cells of the inside. The largest are cut into
+    wedges of six points. They are not drawn (opacity 0.001), so that images do not change, and have the colour of the
+    nearest convex.
 
     Args:
         surface: of the body, outward faces [m].
-        footprint: what a pixel covers at the object [m].
+        footprint: size of a pixel at the object [m].
     """
     if field.points.shape[1] < WEDGES.shape[1] or most < 2:
         return field
@@ -69,10 +69,10 @@ def _uncovered(
 def grown_boxes(
     wanted: Bool[np.ndarray, "X Y Z"], allowed: Bool[np.ndarray, "X Y Z"]
 ) -> tuple[Int[np.ndarray, "B 2 3"], Int[np.ndarray, " B"]]:
-    """Boxes (first cell, cell after the last) of allowed cells that hold all wanted ones, and how many new ones each.
+    """Boxes (first cell, cell after the last) of allowed cells that cover all wanted ones, and the new ones in each.
 
-    From each wanted cell that no box holds yet, a box grows along x, y, z in turn as long as the next layer is allowed
-    as a whole and holds a wanted cell.
+    From each wanted cell outside all boxes, a box grows along x, y, z in turn while the whole next layer is allowed and
+    contains a wanted cell.
     """
     left = wanted & allowed
     boxes, gains = [], []

@@ -1,4 +1,4 @@
-"""What one camera saw: an image, what was behind the object, where the object is."""
+"""Observation by one camera: image, background, and coverage of the object."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Observation:
 
     Attributes:
         camera: of these pixels.
-        image: the object before its background, shape [H, W, 3], 0 to 1.
-        background: what is or would be seen without the object, shape [H, W, 3].
+        image: the object on its background, shape [H, W, 3], 0 to 1.
+        background: image without the object, real or assumed, shape [H, W, 3].
         coverage: share of each pixel that the object covers, shape [H, W].
     """
 
@@ -57,7 +57,7 @@ class Observation:
         return Observation(self.camera.resized(width, height), *maps)
 
     def cropped(self) -> Observation:
-        """The part around the object; nothing is to be learnt of an object from the rest but that it is not there."""
+        """The part around the object; the rest only shows that the object is not there."""
         rows, columns = (torch.nonzero(self.coverage.sum(dim=axis) > 0)[:, 0] for axis in (1, 0))
         if not len(rows):
             return self
@@ -80,9 +80,9 @@ def observation_of(
 ) -> Observation:
     """An observation from a picture and the object's silhouette.
 
-    With 8-bit coverage (the alpha of an image, colours not multiplied by it) the object is put before white. A mask
-    says nothing of how much of the pixels at its rim the object covers: there the picture stays
-    as it is, and the background is continued from outside, so that a soft edge before it explains the mixed pixels.
+    With 8-bit coverage (the alpha of an image with straight colours) the object is put on white. A mask does not state
+    the coverage of the pixels at its rim: there the picture is unchanged, and the background is extrapolated from
+    outside, so that a soft edge in front of it explains the mixed pixels.
 
     Raises:
         InputError: sizes that do not fit, or an empty silhouette.
@@ -108,7 +108,7 @@ def observation_of(
 
 
 def _continued(colours: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """The colours outside a mask and its rim, continued inward as local means."""
+    """The colours outside a mask and its rim, extrapolated inward as local means."""
     kernel = np.ones((2 * SOFT_RIM + 1, 2 * SOFT_RIM + 1), np.uint8)
     outside = (cv2.dilate(inside.astype(np.uint8), kernel) == 0).astype(np.float32)
     if not outside.any():

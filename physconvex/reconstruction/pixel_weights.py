@@ -1,4 +1,4 @@
-"""What pixels say of single convexes: their weights in views, and any image gathered with those weights."""
+"""Relation of pixels and single convexes: their weights in views, and any image summed with those weights."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Gathered:
     values: Float[Tensor, "N 3"]
 
     def means(self, fallback: Float[Tensor, " 3"]) -> Float[Tensor, "N 3"]:
-        """Weighted mean of v over the pixels of each convex; `fallback` for those that explain hardly any."""
+        """Weighted mean of v over the pixels of each convex; `fallback` for those that explain hardly any pixel."""
         seen = self.weights > 1e-3
         return torch.where(seen[:, None], self.values / torch.where(seen, self.weights, 1.0)[:, None], fallback)
 

@@ -1,4 +1,4 @@
-"""Adam (Kingma & Ba 2015) over the rows of tensors that come and go."""
+"""Adam (Kingma & Ba 2015) for tensors whose rows are added and removed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DECAY, SQUARE_DECAY, SMALL = 0.9, 0.99, 1e-15
 class RowAdam:
     """Moments of the gradients of tensors that share their first dimension (the convexes).
 
-    The second moment forgets faster (0.99) than is usual, since a view shows a convex only every few steps of few.
+    The second moment decays faster (0.99) than usual, since with few views a convex is visible only every few steps.
 
     Attributes:
         first, second: moments, one of each per tensor, of its shape.

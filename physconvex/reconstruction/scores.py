@@ -1,4 +1,4 @@
-"""How alike two images are, and how well a field explains views."""
+"""Similarity of two images, and quality of a field in views."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class ViewScore:
 
 @torch.no_grad()
 def score_views(field: ConvexField, observations: Iterable[Observation]) -> list[tuple[ViewScore, Tensor]]:
-    """Score and rendered image (clamped to 0 to 1, before the observation's background) of each view.
+    """Score and rendered image (clamped to 0 to 1, on the observation's background) of each view.
 
     Drawn on the field's device; the images are on the CPU.
     """

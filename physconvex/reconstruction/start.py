@@ -26,13 +26,13 @@ DEPTH = 1.3  # of prisms, in mean edges of the triangles
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """What is optimised first.
+    """The field before optimisation.
 
     Attributes:
         field: the convexes, the fillers last.
-        fillers: how many of them fill the inside; they keep their place and are not drawn.
-        footprint: what one pixel covers at the object [m].
-        kind: what the convexes were made from.
+        fillers: how many of them fill the inside; they are fixed and not drawn.
+        footprint: size of a pixel at the object [m].
+        kind: source of the convexes.
     """
 
     field: ConvexField
@@ -51,7 +51,7 @@ def start_field(
     """Convexes from the object's surface (`mesh`, else the visual hull) or from points [m], coloured by the views.
 
     Raises:
-        InputError: what `config.start` names is not given, or the views contradict each other.
+        InputError: the source in `config.start` is not given, or the views contradict each other.
     """
     kind = start_kind(config.start, mesh=mesh is not None, points=points is not None)
     pixel = footprint(observations)
@@ -78,17 +78,17 @@ def start_field(
 def body_surface(
     kind: StartKind, observations: Sequence[Observation], mesh: trimesh.Trimesh | None
 ) -> trimesh.Trimesh | None:
-    """The surface that a start of a kind goes by; None for points."""
+    """The surface for a kind of start; None for points."""
     if kind == "points":
         return None
     return welded(mesh) if kind == "mesh" and mesh is not None else visual_hull(observations)
 
 
 def start_kind(asked: StartKind, *, mesh: bool, points: bool) -> StartKind:
-    """What a start is made from, given whether there are a mesh and points.
+    """The kind of start, given whether there are a mesh and points.
 
     Raises:
-        InputError: what was asked for is not given.
+        InputError: the requested source is not given.
     """
     if asked == "mesh" and not mesh:
         raise InputError("start: got 'mesh', but the capture holds none; add mesh.obj, or use 'hull' or 'auto'")
@@ -110,7 +110,7 @@ def _thinned(points: np.ndarray, most: int, seed: int) -> np.ndarray:
 
 
 def _coloured(field: ConvexField, observations: Sequence[Observation]) -> ConvexField:
-    """Each convex in the mean colour of the pixels it explains, unseen ones in that of the nearest seen."""
+    """Each convex in the mean colour of the pixels it explains, invisible ones in that of the nearest visible one."""
     total = Gathered(torch.zeros(len(field)), torch.zeros(len(field), 3))
     for seen in observations:
         found = gather(field, seen.view, seen.image * seen.coverage[..., None])

@@ -9,7 +9,7 @@ import pyvista as pv
 import trimesh
 from jaxtyping import Float
 
-NEAREST_MERGE = 1e-6  # vertices nearer than this share of the size are one
+NEAREST_MERGE = 1e-6  # vertices nearer than this share of the size are merged
 LEAST_REDUCTION = 0.02
 
 
@@ -36,9 +36,9 @@ class Triangles:
 
 
 def even_triangles(mesh: trimesh.Trimesh, count: int) -> Triangles:
-    """About `count` triangles, never more: the mesh thinned out by quadric edge collapse, then its largest bisected.
+    """About `count` triangles, never more: the mesh simplified by quadric edge collapse, then its largest bisected.
 
-    Thinning leaves few triangles where the surface is flat; bisection brings back what texture needs there.
+    The simplification leaves few triangles where the surface is flat; bisection adds those that texture needs there.
     """
     mesh = welded(mesh)
     target = max(4, round(0.7 * count))
@@ -46,7 +46,7 @@ def even_triangles(mesh: trimesh.Trimesh, count: int) -> Triangles:
         reduced = pv.wrap(mesh).decimate(1 - target / len(mesh.faces), volume_preservation=True)
         mesh = welded(trimesh.Trimesh(reduced.points, reduced.regular_faces, process=False))
     faces = mesh.faces[mesh.area_faces > 0]
-    if len(faces) > count:  # the collapse came to an end early
+    if len(faces) > count:  # the collapse ended early
         faces = faces[np.argsort(-mesh.area_faces[mesh.area_faces > 0])[:count]]
     made = Triangles(np.array(mesh.vertices[faces]), np.array(mesh.vertex_normals[faces]))
     while len(made) < count:
@@ -57,7 +57,7 @@ def even_triangles(mesh: trimesh.Trimesh, count: int) -> Triangles:
 
 
 def welded(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The bare surface; vertices that differ by their texture coordinates alone become one."""
+    """The bare surface; vertices that differ only by their texture coordinates are merged."""
     vertices = np.asarray(mesh.vertices, dtype=np.float64)
     size = max(float(np.ptp(vertices, axis=0).max()), np.finfo(float).tiny)
     _, first, place = np.unique(
@@ -84,7 +84,7 @@ def _bisected(triangles: Triangles, which: np.ndarray) -> Triangles:
 
 
 def _halves(every: np.ndarray, which: np.ndarray, chosen: np.ndarray, between: np.ndarray) -> np.ndarray:
-    """Values at the corners of the triangles left and of the two halves of each chosen one."""
+    """Values at the corners of the remaining triangles and of the two halves of each chosen one."""
     first = np.stack([chosen[:, 0], between, chosen[:, 2]], axis=1)
     second = np.stack([between, chosen[:, 1], chosen[:, 2]], axis=1)
     return np.concatenate([np.delete(every, which, axis=0), first, second])

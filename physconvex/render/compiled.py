@@ -19,7 +19,7 @@ from physconvex.render.projection import Splats
 from physconvex.render.reference import Layers
 
 FEATURES = 4
-# No result may be infinite or NaN by design, which lets minima and maxima become single instructions.
+# No result is infinite or NaN by design, so that minima and maxima are single instructions.
 RENDER_FLAGS = (*FLAGS, "-pthread", "-fopenmp-simd", "-fno-signed-zeros", "-ffinite-math-only")
 
 
@@ -49,7 +49,7 @@ RENDER_KERNEL = Kernel(
 
 
 def composite_kernel(splats: Splats, coordinates: Float[Tensor, "H W 2"]) -> Layers:
-    """What `composite_reference` computes, in float32 on the CPU with `torch.get_num_threads()` threads.
+    """Result of `composite_reference`, in float32 on the CPU with `torch.get_num_threads()` threads.
 
     Differentiable once, backward and forward, with respect to the coordinates and all of `Splats.differentiable`.
 
@@ -88,7 +88,7 @@ def planar_hulls_kernel(points: Float[Tensor, "N C 2"]) -> Hulls:
 
 
 class _Blending:
-    """One scene laid out for the kernel; frees the kernel's memory when it goes."""
+    """One scene in the kernel's memory, which is freed with this object."""
 
     def __init__(self, starts: Int[Tensor, " M1"], coordinates: Tensor, *polygons: Tensor) -> None:
         self._library = RENDER_KERNEL.library
@@ -118,7 +118,7 @@ class _Blending:
 
     def tangents(self, directions: Directions) -> tuple[Tensor, Tensor]:
         """Derivatives of features and transmittance."""
-        still = all(direction[0] is None for direction in directions)  # the kernel then leaves out what rays do
+        still = all(direction[0] is None for direction in directions)  # the kernel then skips the derivatives of rays
         coordinates = None if still else stacked([direction[:1] for direction in directions], self.inputs[:1])[0]
         polygons = stacked([direction[1:] for direction in directions], self.inputs[1:])
         new = self.inputs[0].new_empty
@@ -142,7 +142,7 @@ class _Composite(torch.autograd.Function):
         out = features.to(inputs[0]), transmittance.to(inputs[0]), heaviest.to(inputs[0].device).long()
         ctx.kinds = [(tensor.device, tensor.dtype) for tensor in inputs]
         ctx.mark_non_differentiable(out[2])
-        ctx.save_for_backward(*out[:2], *inputs)  # the inputs only so that torch notices if they were changed
+        ctx.save_for_backward(*out[:2], *inputs)  # the inputs only so that torch detects changes to them
         return out
 
     @staticmethod

@@ -22,13 +22,13 @@ SIDE, BLOCK, FEATURES, DIRECTIONS = 16, 256, 4, 8
 
 
 def composite_cuda(splats: Splats, coordinates: Float[Tensor, "H W 2"]) -> Layers:
-    """What `composite_reference` computes, in float32 on a CUDA device.
+    """Result of `composite_reference`, in float32 on a CUDA device.
 
-    Differentiable once, backward and forward, with respect to the coordinates and all of `Splats.differentiable`; sums
-    over pixels come in no fixed order, so gradients differ by rounding from run to run.
+    Differentiable once, backward and forward, with respect to the coordinates and all of `Splats.differentiable`. Sums
+    over pixels have no fixed order, so that gradients differ by rounding from run to run.
 
     Raises:
-        KernelUnavailable: tensors that are not on a CUDA device, or nothing that compiles for it.
+        KernelUnavailable: tensors that are not on a CUDA device, or no compiler for it.
     """
     features, transmittance, heaviest = _Composite.apply(splats.starts, coordinates, *splats.differentiable())
     return Layers(features, transmittance, heaviest.long())
@@ -37,7 +37,7 @@ def composite_cuda(splats: Splats, coordinates: Float[Tensor, "H W 2"]) -> Layer
 def composite_tangents_cuda(
     splats: Splats, coordinates: Float[Tensor, "H W 2"], directions: Directions
 ) -> tuple[Float[Tensor, "P H W 4"], Float[Tensor, "P H W"]]:
-    """What `composite_tangents` computes, in one pass over the image for every eight directions.
+    """Result of `composite_tangents`, in one pass over the image for every eight directions.
 
     Raises:
         KernelUnavailable: as for `composite_cuda`.
@@ -46,7 +46,7 @@ def composite_tangents_cuda(
 
 
 def planar_hulls_cuda(points: Float[Tensor, "N C 2"]) -> Hulls:
-    """What `planar_hulls` computes, one thread for each hull.
+    """Result of `planar_hulls`, one thread for each hull.
 
     Raises:
         KernelUnavailable: as for `composite_cuda`.
@@ -65,7 +65,7 @@ def render_source(name: str) -> str:
     """The CUDA text that holds one of `FUNCTIONS`."""
     if name != "hulls":
         return (SOURCES / "render_cuda" / "kernel.cu").read_text(encoding="utf-8")
-    # the text that the CPU runs too, and its launch
+    # the source shared with the CPU, and its launch
     parts = [SOURCES / "render" / "hulls.h", SOURCES / "render_cuda" / "hulls.cu"]
     return "#define DEVICE __device__\n" + "".join(part.read_text(encoding="utf-8") for part in parts)
 
@@ -76,7 +76,7 @@ def _launch(name: str, grid: tuple[int, int], arguments: Sequence[Tensor | int])
 
 
 class _Scene:
-    """What the functions draw, laid out for them.
+    """Inputs and launch geometry of the functions.
 
     Attributes:
         inputs: coordinates, lines, sharpness, opacity, features.

@@ -1,4 +1,4 @@
-"""Before the CUDA kernel draws for anybody on a device, it draws one small scene there and is compared."""
+"""Test of the CUDA kernel on a device before its first use: a small scene is compared with the reference."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from physconvex.render.projection import project_field
 from physconvex.render.reference import composite_reference
 from physconvex.render.view import View
 
-_CONVEXES, _SIZE = 300, (37, 21)  # more than one round of candidates in a tile, and tiles that are cut off
-_IMAGE, _GRADIENT = 1e-3, 1e-2  # largest differences beside the largest value
+_CONVEXES, _SIZE = 300, (37, 21)  # more than one round of candidates in a tile, and truncated tiles
+_IMAGE, _GRADIENT = 1e-3, 1e-2  # largest differences relative to the largest value
 
 
 @cache
 def cuda_draws_rightly(device: torch.device) -> bool:
-    """Whether the kernel gives image and gradients of the reference on a device; warns once where it does not."""
+    """Whether the kernel reproduces image and gradients of the reference on a device; warns once if not."""
     try:
-        with torch.inference_mode(False), torch.enable_grad():  # whatever whoever draws first has switched off
+        with torch.inference_mode(False), torch.enable_grad():  # whatever the caller has switched off
             wrong = _differences(device)
     except (KernelUnavailable, RuntimeError) as error:
         wrong = str(error) or type(error).__name__

@@ -1,4 +1,4 @@
-"""Forward-mode derivatives: torch's rules for them, and directions laid out for a kernel."""
+"""Forward-mode derivatives: torch's rules for them, and directions in a kernel's layout."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from torch import Tensor
 from torch.autograd import forward_ad
 
 Directions = Sequence[tuple[Tensor | None, ...]]
-"""For each direction the derivatives of the coordinates and of `Splats.differentiable`, or None where they are zero."""
+"""For each direction the derivatives of the coordinates and of `Splats.differentiable`, or None if they are zero."""
 
 
 @cache
 def load_forward_mode() -> None:
-    """Let torch load its forward-mode rules, which (in 2.15) warns of torch's own use of `torch.jit.script`."""
+    """Load torch's forward-mode rules without the warning (in 2.15) about its own use of `torch.jit.script`."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".torch.jit.script. is deprecated", category=FutureWarning)
         with forward_ad.dual_level():
@@ -24,7 +24,7 @@ def load_forward_mode() -> None:
 
 
 def stacked(directions: Directions, inputs: Sequence[Tensor]) -> list[Tensor]:
-    """For each input its derivatives in all directions, as it is laid out."""
+    """For each input its derivatives in all directions, in the layout of the input."""
     found = []
     for tensor, parts in zip(inputs, zip(*directions, strict=True), strict=True):
         out = tensor.new_zeros((len(parts), *tensor.shape))

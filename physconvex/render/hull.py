@@ -11,7 +11,7 @@ from torch import Tensor
 
 @dataclass(frozen=True, eq=False)
 class Hulls:
-    """Which points are corners, without gradients.
+    """Corners among the points, without gradients.
 
     Attributes:
         order: indices of the corners in order of rising angle (u towards v), zero beyond their number, shape [N, C].
@@ -29,8 +29,8 @@ def planar_hulls(points: Float[Tensor, "N C 2"]) -> Hulls:
     """The hulls of N sets of C points.
 
     Gift wrapping (Jarvis 1973) in float64: from the point of least v (then least u), the next corner is the point that
-    leaves all others on its left; of several in line, the farthest. Points in line and repeated points are no
-    corners: a hull of points in line has two, one of equal points has one.
+    leaves all others on its left; of several in line, the farthest. Points in line and repeated points are not
+    corners: the hull of points in line has two corners, that of equal points one.
     """
     points = points.detach().double()
     order, number = _wrapped(points)

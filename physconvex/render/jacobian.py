@@ -1,4 +1,4 @@
-"""Derivatives of all pixels with respect to a handful of parameters, by forward mode."""
+"""Derivatives of all pixels with respect to a few parameters, by forward mode."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def render_jacobian(
 ) -> ImageJacobian:
     """Derivatives of the image of a scene, one forward pass of the projection and one of all pixels for each parameter.
 
-    The kernels share the exponentials among parameters (on a CUDA device among eight), so one more costs little.
+    The kernels share the exponentials among parameters (on a CUDA device among eight): further parameters cost little.
 
     Args:
         scene: the field and the view as a differentiable function of the parameters.

@@ -21,7 +21,7 @@ SPACE = 1.1  # around the object
 def orbit(
     field: ConvexField, frames: int, *, width: int = 448, height: int = 448, elevation_deg: float = 20.0
 ) -> list[Camera]:
-    """Cameras on a circle about the vertical axis through a field, from which it fills the image.
+    """Cameras on a circle about the vertical axis through a field, at a distance at which it fills the image.
 
     Raises:
         InputError: no frames, or a field without convexes.

@@ -13,13 +13,13 @@ from physconvex.convex import ConvexField, view_colours
 from physconvex.render.hull import Hulls, planar_hulls
 from physconvex.render.view import View
 
-NEAR = 0.01  # nothing nearer is seen [m]
-THIN = 0.5  # least width of what is drawn for a convex [pixels]
+NEAR = 0.01  # near plane [m]
+THIN = 0.5  # least width of a drawn convex [pixels]
 
 
 @dataclass(frozen=True, eq=False)
 class Splats:
-    """What is to be drawn: M polygons with soft edges, nearest first, with L lines in all.
+    """The polygons to draw: M polygons with soft edges, nearest first, with L lines in all.
 
     Attributes:
         convex: index into the field, shape [M].
@@ -28,7 +28,7 @@ class Splats:
             distance, positive outside, and d the depth of the convex; shape [L, 3], dimensionless.
         sharpness: β, shape [M].
         opacity: shape [M].
-        features: what is blended, red, green, blue and the depth d [m], shape [M, 4].
+        features: blended values, red, green, blue and the depth d [m], shape [M, 4].
     """
 
     convex: Int[Tensor, " M"]
@@ -51,13 +51,13 @@ def project_field(
 ) -> Splats:
     """The polygons that a view sees of a field, differentiable with respect to both.
 
-    Each polygon is the exact hull of the projected points. Which points are its corners is chosen without a gradient;
-    its lines are then functions of those corners. What lies nearer than `near` [m] is cut off exactly: of a convex that
-    reaches there, the part beyond is drawn. A hull less than `THIN` pixels wide (a convex seen edge-on, a tiny one) is
-    drawn as a rectangle of that width, see `_rectangles`. Polygons are ordered by the mean depth of the points.
+    Each polygon is the exact hull of the projected points. The choice of its corners has no gradient; its lines are
+    then functions of those corners. Everything nearer than `near` [m] is clipped exactly. A hull less than `THIN`
+    pixels wide (a convex seen edge-on, a tiny one) is drawn as a rectangle of that width, see `_rectangles`. Polygons
+    are ordered by the mean depth of the points.
 
     Args:
-        hulls: what finds the corners, `planar_hulls` or its twin in the kernel.
+        hulls: finds the corners: `planar_hulls` or its equivalent in the kernel.
     """
     local = view.local(field.points)
     depths = local[..., 2].clamp(min=near).mean(dim=1)
@@ -95,8 +95,8 @@ def _lines(corners: Float[Tensor, "L 2"], following: Float[Tensor, "L 2"]) -> Fl
 def _cut(local: Float[Tensor, "N K 3"], beyond: Tensor, near: float) -> Float[Tensor, "N C 2"]:
     """Projected points whose hull is that of the parts of convexes beyond the near plane.
 
-    The cut of a hull with a plane is the hull of the cuts of all segments between points on either side. Places of the
-    list that are not needed repeat a point.
+    The cut of a hull with a plane is the hull of the cuts of all segments between points on either side. Unused places
+    of the list repeat a point.
     """
     count, points = beyond.shape
     first = local[torch.arange(count, device=local.device), beyond.int().argmax(dim=1)][:, None]
@@ -125,9 +125,9 @@ def _polygons(
 
 
 def _rectangles(points: Float[Tensor, "N C 2"], margin: Tensor) -> Float[Tensor, "N4 3"]:
-    """Lines of the rectangles of all that is within a margin of the longest chords, or of squares about tiny ones.
+    """Lines of the rectangles of all points within a margin of the longest chords, or of squares about tiny hulls.
 
-    Chords shorter than the margin do not say which way the rectangle lies: it would spin with the least motion.
+    Chords shorter than the margin do not determine the rectangle's direction: it would spin with the least motion.
     """
     rows = torch.arange(len(points), device=points.device)
     apart = (points.detach()[:, :, None] - points.detach()[:, None]).square().sum(dim=-1).flatten(1)
@@ -146,7 +146,7 @@ def _rectangles(points: Float[Tensor, "N C 2"], margin: Tensor) -> Float[Tensor,
 
 
 def _ends(points: Tensor, hulls: Hulls) -> tuple[Tensor, Tensor, Tensor]:
-    """Corners in order, the corner after each, and which places hold one."""
+    """Corners in order, the corner after each, and the valid places."""
     place = torch.arange(points.shape[1], device=points.device)
     after = torch.where(place + 1 < hulls.number[:, None], place + 1, 0)
     rows = torch.arange(len(points), device=points.device)[:, None]

@@ -27,13 +27,13 @@ Backend = Literal["auto", "kernel", "cuda", "reference"]
 
 @dataclass(frozen=True, eq=False)
 class RenderedImage:
-    """What a camera sees.
+    """Image of a camera.
 
     Attributes:
         colour: before the background, shape [H, W, 3], linear in the field's colours, 0 to 1 where those are.
-        alpha: share of the background that is hidden, shape [H, W].
+        alpha: hidden share of the background, shape [H, W].
         weighted_depth: Σ_i w_i d_i, the depth along the viewing direction times alpha, shape [H, W], metres.
-        convex: index of the convex with the greatest weight, −1 where there is none, shape [H, W].
+        convex: index of the convex with the greatest weight, −1 without any, shape [H, W].
     """
 
     colour: Float[Tensor, "H W 3"]
@@ -43,7 +43,7 @@ class RenderedImage:
 
     @property
     def depth(self) -> Float[Tensor, "H W"]:
-        """Mean depth of what is seen [m]; infinite where nothing is."""
+        """Mean visible depth [m]; infinite where nothing is visible."""
         seen = self.alpha > 0
         return torch.where(seen, self.weighted_depth / torch.where(seen, self.alpha, 1.0), torch.inf)
 
@@ -51,7 +51,7 @@ class RenderedImage:
 def splat(
     field: ConvexField, view: View, *, near: float = NEAR, backend: Backend = "auto"
 ) -> tuple[Splats, Callable[[Splats, Tensor], Layers]]:
-    """The polygons of a field, and what blends them, by the chosen implementation, see `render`."""
+    """The polygons of a field, and the function that blends them, by the chosen implementation, see `render`."""
     if backend == "cuda" or (backend == "auto" and _is_fast_on(field.points)):
         return project_field(field, view, near=near, hulls=planar_hulls_cuda), composite_cuda
     if _uses_kernel(field.points, backend):
@@ -60,15 +60,15 @@ def splat(
 
 
 def _is_fast_on(tensor: Tensor) -> bool:
-    """Whether the CUDA kernel draws such tensors, and rightly."""
+    """Whether the CUDA kernel can draw such tensors correctly."""
     return tensor.device.type == "cuda" and tensor.dtype == torch.float32 and cuda_draws_rightly(tensor.device)
 
 
 def _uses_kernel(tensor: Tensor, backend: Backend) -> bool:
-    """Whether a backend means the kernel for tensors like this one; warns where it cannot be had.
+    """Whether a backend means the kernel for tensors like this one; warns if it is unavailable.
 
     Raises:
-        KernelUnavailable: it was asked for and cannot be had.
+        KernelUnavailable: it is requested and unavailable.
         InputError: no such backend.
     """
     if backend not in get_args(Backend):
@@ -96,15 +96,15 @@ def render(
     Args:
         camera: a `View` for derivatives with respect to its pose, focal length or distortion.
         background: one colour or one per pixel; white if not given.
-        near: what is nearer than this is cut away [m].
+        near: everything nearer than this is clipped [m].
         backend: `reference` is the definition in plain torch; `kernel` computes the same in float32 on the CPU and
             needs a C++ compiler; `cuda` computes it on a CUDA device; `auto` takes the kernel of the device for float32
-            where it can be had (on a CUDA device: where a small trial scene comes out as the reference draws it), or
-            warns and takes the reference.
+            if it is available (on a CUDA device: if it draws a small test scene like the reference), else it warns and
+            takes the reference.
 
     Raises:
         InputError: a background of another shape, `near` not positive, no such backend, a view of another type.
-        KernelUnavailable: `backend="kernel"` where it cannot be compiled.
+        KernelUnavailable: `backend="kernel"` if it cannot be compiled.
     """
     view = View.of(camera, field.points.dtype, device=field.points.device) if isinstance(camera, Camera) else camera
     if (view.focal.dtype, view.focal.device) != (field.points.dtype, field.points.device):

@@ -1,4 +1,4 @@
-"""Blending of polygons in plain torch: the definition that every kernel is compared with."""
+"""Blending of polygons in plain torch: the definition and the reference for every kernel."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from torch import Tensor
 
 from physconvex.render.projection import Splats
 
-LEAST_ALPHA = 1 / 255  # what is fainter is not drawn
-GREATEST_ALPHA = 0.99  # no convex hides all behind it, so the blending can be differentiated
-LEAST_TRANSMITTANCE = 1e-4  # nothing is drawn behind what lets less through
+LEAST_ALPHA = 1 / 255  # fainter contributions are skipped
+GREATEST_ALPHA = 0.99  # no convex hides everything behind it, so that the blending is differentiable
+LEAST_TRANSMITTANCE = 1e-4  # blending stops below it
 BLOCK = 32  # pixels are drawn in squares of this size, each with the polygons that can reach it
 
 
@@ -22,8 +22,8 @@ class Layers:
 
     Attributes:
         features: Σ_i w_i features_i with w_i = a_i Π_(j<i) (1 − a_j), shape [H, W, 4].
-        transmittance: Π (1 − a_i), what of the background is seen, shape [H, W].
-        heaviest: place among the splats of the greatest weight w_i, −1 where there is none, shape [H, W].
+        transmittance: Π (1 − a_i), visible share of the background, shape [H, W].
+        heaviest: place among the splats of the greatest weight w_i, −1 without any, shape [H, W].
     """
 
     features: Float[Tensor, "H W 4"]
@@ -34,8 +34,8 @@ class Layers:
 def composite_reference(splats: Splats, coordinates: Float[Tensor, "H W 2"]) -> Layers:
     """Blend polygons front to back at pixels with the given coordinates on the plane at unit distance.
 
-    a = min(opacity · sigmoid(−β log Σ_h exp s_h), 0.99), taken as zero below 1/255 and where the transmittance so
-    far is below 1e-4.
+    a = min(opacity · sigmoid(−β log Σ_h exp s_h), 0.99), and zero below 1/255 and where the transmittance so far is
+    below 1e-4.
     """
     if not len(splats):
         nothing = sum(tensor.sum() for tensor in splats.differentiable()) + 0.0 * coordinates.sum(dim=-1)
@@ -56,7 +56,7 @@ def _joined(parts: list[Layers], dim: int) -> Layers:
 
 
 def _padded(splats: Splats) -> tuple[Int[Tensor, "M H"], Tensor]:
-    """For every polygon its lines, and which places of the list hold none."""
+    """For every polygon its lines, and the empty places of the list."""
     number = splats.starts.diff()
     place = torch.arange(int(number.max()), device=number.device)
     missing = place >= number[:, None]
@@ -64,7 +64,7 @@ def _padded(splats: Splats) -> tuple[Int[Tensor, "M H"], Tensor]:
 
 
 def _within_reach(splats: Splats, place: Tensor, missing: Tensor, block: Float[Tensor, "h w 2"]) -> Int[Tensor, " m"]:
-    """Polygons that may be seen in a block: by a bound, since log Σ_h exp s_h ≥ max_h s_h, which is linear."""
+    """Polygons that may be visible in a block: by a bound, since log Σ_h exp s_h ≥ max_h s_h, which is linear."""
     low, high = block.detach().amin(dim=(0, 1)), block.detach().amax(dim=(0, 1))
     normals, offsets = splats.lines.detach()[:, :2], splats.lines.detach()[:, 2]
     least = torch.minimum(normals * low, normals * high).sum(dim=1) + offsets

@@ -14,17 +14,17 @@ from physconvex.io import UNDISTORT_ITERATIONS, Camera
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a `physconvex.io.camera.Camera` holds, as tensors; the same conventions.
+    """The contents of a `physconvex.io.camera.Camera` as tensors; the same conventions.
 
-    Points are first projected to the plane at unit distance before the camera, with coordinates (u, v) =
-    (x, y) / depth, u to the right and v down; a pixel sees the point of that plane that its (undistorted) ray meets.
+    Points are first projected to the plane at unit distance before the camera, with coordinates (u, v) = (x, y) /
+    depth, u to the right and v down. A pixel shows the point of that plane on its (undistorted) ray.
 
     Attributes:
         width, height: image size [pixels].
         focal: focal lengths (horizontal, vertical), shape [2], pixels.
         principal: principal point, shape [2], pixels.
         rotation: camera-to-world rotation, OpenGL axes, shape [3, 3].
-        position: where the camera stands, shape [3], metres.
+        position: of the camera, shape [3], metres.
         distortion: k1 and k2 of OpenCV's model, shape [2].
     """
 
@@ -60,7 +60,7 @@ class View:
         return View(self.width, self.height, *(tensor.to(target) for tensor in tensors))
 
     def moved(self, twist: Float[Tensor, " 6"]) -> View:
-        """The view shifted by `twist[:3]` [m] and turned by the rotation vector `twist[3:]` [rad], in camera axes."""
+        """The view shifted by `twist[:3]` [m] and rotated by the rotation vector `twist[3:]` [rad], in camera axes."""
         zero = torch.zeros_like(twist[0])
         x, y, z = twist[3:].unbind()
         skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
@@ -73,7 +73,7 @@ class View:
         return right_up_back * right_up_back.new_tensor([1.0, -1.0, -1.0])
 
     def pixel_coordinates(self) -> Float[Tensor, "height width 2"]:
-        """Where on the plane at unit distance each pixel centre looks, undistorted."""
+        """Undistorted coordinates of each pixel centre on the plane at unit distance."""
         columns, rows = (
             torch.arange(size, device=self.focal.device).to(self.focal) + 0.5 for size in (self.width, self.height)
         )

@@ -1,4 +1,4 @@
-"""A field in the browser: the soft convexes as the rasteriser draws them, or their hulls as a mesh (viser)."""
+"""A field in the browser: the soft convexes drawn by the rasteriser, or their hulls as a mesh (viser)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from physconvex.render.reference import LEAST_ALPHA
 from physconvex.render.view import View
 
 SOFT, HULLS = "soft convexes", "hulls"
-STILL = 0.2  # seconds after which a camera counts as at rest and the picture is drawn in full
+STILL = 0.2  # seconds until a camera counts as at rest and the picture is drawn in full resolution
 COARSE = 3  # times fewer pixels each way while it moves
 
 
@@ -28,7 +28,7 @@ def read_fields(source: str | Path) -> list[tuple[str, ConvexField]]:
     """The field of a PLY file, or of a folder: its field.ply, else all its PLY files by name, as frames.
 
     Raises:
-        InputError: nothing there, or files that hold no field.
+        InputError: no such file or folder, or files without a field.
     """
     source = Path(source)
     if source.is_dir():
@@ -55,7 +55,7 @@ def draw_view(
     width: int,
     height: int,
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """A picture before white, seen from a browser's camera.
+    """A picture on white for a browser's camera.
 
     Args:
         position: of the camera [m].
@@ -98,7 +98,7 @@ class FieldViewer:
         Args:
             fields: names and fields; several are frames that a slider goes through.
             host: address to listen on; 0.0.0.0 lets other machines in.
-            port: the first that is tried.
+            port: the first port to try.
             size: longest edge of the pictures [pixels].
 
         Raises:
@@ -183,7 +183,7 @@ class FieldViewer:
         self._wake.pop(client.client_id, None)
 
     def _serve(self, client: Any, event: threading.Event) -> None:
-        """Coarse pictures while the camera moves, a full one when it rests."""
+        """Coarse pictures while the camera moves, a full one at rest."""
         while not self._closed and self._wake.get(client.client_id) is event:
             if not event.wait(timeout=1.0):
                 continue
@@ -193,7 +193,7 @@ class FieldViewer:
                 self._send(client, self._size)
 
     def _send(self, client: Any, size: int) -> None:
-        """One picture behind whatever else is in the browser's scene."""
+        """One picture behind the rest of the browser's scene."""
         if self._closed:
             return
         if self._look == HULLS:

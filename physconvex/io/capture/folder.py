@@ -1,4 +1,4 @@
-"""The capture folder: metadata in `capture.json`, everything else read when asked for."""
+"""The capture folder: metadata in `capture.json`; all other files are read on request."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ class Floor:
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """What was recorded of one motion of one object, in SI units, world frame with z up.
+    """A recording of one motion of one object, in SI units, world frame with z up.
 
-    Frame 0 is the state at t = 0. The first `observed_frames` may be fitted; the others are there to be
-    predicted. Initial velocities are None where the capture does not state them.
+    Frame 0 is the state at t = 0. The first `observed_frames` may be fitted; the others are to be predicted. Initial
+    velocities are None if the capture does not state them.
     """
 
     folder: Path
@@ -79,7 +79,7 @@ class Capture:
 
     @property
     def object_size(self) -> float | None:
-        """Largest edge of the rest bounding box [m]; None where neither mesh nor tetrahedra are given."""
+        """Largest edge of the rest bounding box [m]; None without mesh and tetrahedra."""
         mesh = self.mesh()
         if mesh is not None:
             return float(np.ptp(np.asarray(mesh.vertices), axis=0).max())
@@ -95,7 +95,7 @@ class Capture:
 
     @property
     def filmed(self) -> tuple[Camera, ...]:
-        """The cameras of which there are images; of the others there may be masks alone."""
+        """The cameras with images; the others may have masks alone."""
         return tuple(camera for camera in self.cameras if any(map(_is_there, self._pictures(camera.name))))
 
     def _pictures(self, camera: str) -> tuple[Path, Path]:
@@ -123,7 +123,7 @@ class Capture:
         return replace(video, frames=video.frames[: self.frames], alpha=alpha, fps=self.fps, timestamps=self.times)
 
     def mask(self, camera: str) -> Bool[np.ndarray, "T H W"] | None:
-        """Where the object is seen, from `<camera>_mask.mp4` or the images' alpha; None where there are none."""
+        """The object's mask, from `<camera>_mask.mp4` or the images' alpha; None without any."""
         size, path = self.camera(camera), self.folder / f"{camera}_mask.mp4"
         if path.exists():
             frames = read_video(path, max_frames=max(2, self.frames)).frames[..., 0]
@@ -144,7 +144,7 @@ class Capture:
         return tracks
 
     def mesh(self) -> trimesh.Trimesh | None:
-        """Rest geometry in the world frame at t = 0, vertices as in the file; None where there is none."""
+        """Rest geometry in the world frame at t = 0, vertices as in the file; None without any."""
         paths = [self.folder / f"mesh{suffix}" for suffix in MESH_SUFFIXES]
         found = [path for path in paths if path.exists()]
         if len(found) > 1:
@@ -176,10 +176,10 @@ class Capture:
 
 
 def load_capture(path: Path | str) -> Capture:
-    """Read `capture.json` of a folder; videos, meshes and arrays are read when asked for.
+    """Read `capture.json` of a folder; videos, meshes and arrays are read on request.
 
     Raises:
-        InputError: no such folder or file, or a field that is missing or wrong.
+        InputError: no such folder or file, or a missing or wrong field.
     """
     folder = Path(path)
     if folder.name == CAPTURE_FILE:
@@ -209,7 +209,7 @@ def _vector(values: tuple[float, float, float] | None) -> Float64[np.ndarray, " 
 
 
 def _is_there(path: Path) -> bool:
-    """Whether there is a file, a folder, or a link (which may lead nowhere, and then be named)."""
+    """Whether there is a file, a folder, or a link (a broken one too, so that errors can name it)."""
     return path.exists() or path.is_symlink()
 
 
@@ -228,7 +228,7 @@ def _load_mesh(path: Path) -> trimesh.Trimesh:
 
     try:
         mesh = trimesh.load(path, force="mesh", process=False)
-    except Exception as error:  # trimesh's readers raise whatever the broken file makes them
+    except Exception as error:  # trimesh's readers raise any exception on broken files
         raise InputError(f"{path}: not a readable mesh ({type(error).__name__}: {error})") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise InputError(f"{path}: holds no triangles")

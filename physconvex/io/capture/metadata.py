@@ -1,4 +1,4 @@
-"""`capture.json`: one typed model that reads it, tells what is wrong with it, and makes its JSON Schema."""
+"""`capture.json`: one typed model that reads it, reports errors in it, and makes its JSON Schema."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ class Tracks:
 
 @dataclass(frozen=True)
 class Boundary:
-    """What is held: vertices of the tetrahedra (else of the mesh), or all in a box; and how those move."""
+    """The held part: vertices of the tetrahedra (else of the mesh), or all in a box; and their motion."""
 
     clamped_vertices: Int64[np.ndarray, " C"] | None = None
     clamped_box: Float64[np.ndarray, "2 3"] | None = None  # [m], lowest and highest corner, rest frame

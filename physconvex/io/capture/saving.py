@@ -30,20 +30,20 @@ def save_capture(
     truth: Mapping[str, object] | None = None,
     crf: int = 18,
 ) -> None:
-    """Write `capture` to its folder, which must not exist; a kill leaves no half folder under that name.
+    """Write `capture` to its folder, which must not exist; an interruption leaves no partial folder of that name.
 
     Args:
-        capture: metadata; `capture.folder` is where it goes.
+        capture: metadata; `capture.folder` is the destination.
         videos: frames by camera name, uint8 [T, H, W, 3], written as H.264 with quality `crf`.
-        masks: where the object is seen, by camera name, bool [T, H, W], written without loss.
+        masks: the object's masks, by camera name, bool [T, H, W], written losslessly.
         mesh: rest geometry, written as OBJ with its texture if it has one.
         tets: tetrahedra of the rest geometry.
         tracks: marker tracks.
-        boundary: what is held.
-        truth: written to `truth.json`, which nothing but an evaluation reads.
+        boundary: the held part.
+        truth: written to `truth.json`, which only evaluations read.
 
     Raises:
-        InputError: the folder exists; a video of no camera or of another size or length.
+        InputError: the folder exists; a video of an unknown camera or of another size or length.
     """
     if capture.folder.exists():
         raise InputError(f"{capture.folder}: exists; choose another folder or remove it first")

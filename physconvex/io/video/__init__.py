@@ -1,1 +1,1 @@
-"""Read and write videos; one error per way in which a file can be bad."""
+"""Read and write videos; each kind of bad file has its own error."""

@@ -29,12 +29,12 @@ class Limits:
 
 @dataclass(frozen=True)
 class Decoded:
-    """Frames [T,H,W,3 or 4] and the times [T] in s that the container states (None: it states none)."""
+    """Frames [T,H,W,3 or 4] and the times [T] in s that the container states (None: none)."""
 
     frames: UInt8[np.ndarray, "T H W C"]
     timestamps: Float64[np.ndarray, " T"] | None
     more: bool  # the limits ended the decoding
-    broken: str  # what ended it before the end, empty if nothing
+    broken: str  # reason of an early end, empty if none
 
 
 def suits_decord(probe: Probe, limits: Limits) -> bool:
@@ -49,7 +49,7 @@ def suits_decord(probe: Probe, limits: Limits) -> bool:
 
 
 def decode_decord(path: Path, probe: Probe) -> Decoded | None:
-    """All frames by decord; None where decord is not installed, fails, or disagrees with the header."""
+    """All frames by decord; None if decord is not installed, fails, or disagrees with the header."""
     try:
         import decord
     except ImportError:  # no wheel for this platform: PyAV reads everything
@@ -130,7 +130,7 @@ def _enough(images: list[np.ndarray], times: list[float | None], frame: av.Video
 
 def _image(frame: av.VideoFrame, width: int, height: int, channels: int) -> UInt8[np.ndarray, "H W C"]:
     name = "rgba" if channels == 4 else "rgb24"
-    # One conversion thread: more of them made small pictures two times slower on a busy machine.
+    # One conversion thread: more make small pictures two times slower on a busy machine.
     if (frame.width, frame.height) != (width, height):
         frame = frame.reformat(width=width, height=height, format=name, interpolation="AREA", threads=1)
     return frame.to_ndarray(format=name, threads=1)

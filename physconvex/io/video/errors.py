@@ -32,5 +32,5 @@ class VideoError(InputError):
         self.detail = detail
 
     def __reduce__(self) -> tuple[type["VideoError"], tuple[Path, VideoCause, str]]:
-        """Let the error travel between processes (the default passes the message as one argument)."""
+        """Lets the error be pickled between processes (the default passes the message as the only argument)."""
         return type(self), (self.path, self.cause, self.detail)

@@ -10,9 +10,9 @@ from jaxtyping import Float64, UInt8
 class Video:
     """Decoded frames, upright (rotation metadata applied), 8-bit RGB.
 
-    `timestamps` are seconds since the first frame; where the rate varies they are not equidistant and
-    `fps` is the mean rate. `alpha` is None unless some pixel is not opaque. `truncated` says in one line what is
-    missing where the file is cut short or damaged (it is also among the warnings), else it is empty.
+    `timestamps` are seconds since the first frame. With a variable rate they are not equidistant and `fps` is the mean
+    rate. `alpha` is None unless some pixel is not opaque. `truncated` states in one line what is missing if the file is
+    truncated or damaged (also a warning), else it is empty.
     """
 
     frames: UInt8[np.ndarray, "T H W 3"]

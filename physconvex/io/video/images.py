@@ -14,10 +14,10 @@ IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 def read_image_sequence(folder: Path | str, *, fps: float) -> Video:
-    """Frames from the PNG and JPEG files of a folder, in the order of the numbers that their names end with.
+    """Frames from the PNG and JPEG files of a folder, in the order of the numbers at the end of their names.
 
-    Images without a number are left out where two or more have one, else they come in the order of their names. PNG
-    alpha is kept.
+    If two or more names have a number, images without one are ignored; otherwise the order is alphabetical. PNG alpha
+    is kept.
 
     Raises:
         VideoError: no folder, fewer than two images, an unreadable image, images of different sizes.

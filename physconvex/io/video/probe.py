@@ -1,4 +1,4 @@
-"""Look at a video file without decoding it: is it one, and what is in it."""
+"""Inspect a video file without decoding it: validity and properties."""
 
 import errno
 import os
@@ -14,7 +14,7 @@ from av.video.stream import VideoStream
 
 from physconvex.io.video.errors import VideoError
 
-# A file may be a play list that points elsewhere: never follow it off this machine's files.
+# A file may be a play list that refers elsewhere: never follow it beyond this machine's files.
 OPEN_OPTIONS = {"protocol_whitelist": "file"}
 
 _HDR_TRANSFERS = (16, 18)  # SMPTE ST 2084 (PQ), ARIB STD-B67 (HLG)
@@ -40,13 +40,13 @@ class Probe:
     width: int  # [px] as stored, before rotation
     height: int  # [px]
     has_alpha: bool
-    alpha_decoder: str | None  # name of the decoder that keeps the alpha layer, where another one is needed
+    alpha_decoder: str | None  # name of the decoder that keeps the alpha layer, if another one is needed
     orientation: tuple[tuple[int, int], tuple[int, int]]  # signs of the display matrix
     pixel_aspect: float  # width of a stored pixel over its height
-    header_frames: int  # 0 = the header does not tell
+    header_frames: int  # 0: the header does not state it
     header_duration: float | None  # [s]
     rate: float | None  # [1/s] nominal
-    equidistant: bool  # the index is there and all its frame times are equally spaced
+    equidistant: bool  # the index exists and all its frame times are equally spaced
     cut_short: bool  # the index points beyond the end of the file
     high_dynamic_range: bool
 
@@ -80,7 +80,7 @@ def check_file(path: Path) -> None:
 
 
 def _open_error(path: Path, error: Exception) -> VideoError:
-    """What a failed `av.open` means, judged by the first bytes of the file."""
+    """Meaning of a failed `av.open`, from the first bytes of the file."""
     if isinstance(error, PermissionError):
         return VideoError(path, "permission", "no permission to read it; change its mode or owner")
     with path.open("rb") as file:

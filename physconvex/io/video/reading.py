@@ -15,11 +15,11 @@ from physconvex.io.video.probe import Probe, check_file, probe_video
 
 VideoBackend = Literal["auto", "decord", "pyav"]
 
-MIN_FRAMES = 2  # one picture holds no motion
+MIN_FRAMES = 2  # one picture shows no motion
 MIN_FRAMES_TRUNCATED = 8  # fewer frames before the cut are an error, more are used with a warning
 MAX_STORED_PIXELS = 8192 * 8192  # one stored frame; libav holds several of them while decoding
 
-av.logging.set_level(None)  # what libav would print comes as VideoError or as Video.warnings
+av.logging.set_level(None)  # libav's messages become VideoError or Video.warnings
 
 
 def read_video(
@@ -33,21 +33,21 @@ def read_video(
 ) -> Video:
     """Decode a video file into upright 8-bit RGB frames with their times.
 
-    Plain 8-bit H.264 is read by decord where it is installed, everything else (AV1, 10 bit, alpha, rotated,
-    variable rate, cut short, downscaled) by PyAV; both give the same bytes. Decoding is sequential: nothing
-    seeks. Sub-sampled, grey, 10-bit and palette pictures become 8-bit RGB; non-square pixels become square.
+    Plain 8-bit H.264 is read by decord if it is installed, everything else (AV1, 10 bit, alpha, rotated, variable rate,
+    truncated, downscaled) by PyAV; both give the same bytes. Decoding is sequential, without seeking. Sub-sampled,
+    grey, 10-bit and palette pictures become 8-bit RGB; non-square pixels become square.
 
     Args:
         path: the file.
-        max_frames: decode no more frames than this (from the start) and say so in `Video.warnings`.
+        max_frames: decode at most this many frames (from the start); `Video.warnings` reports it.
         max_seconds: the same for a time [s].
         max_side: frames with a longer side [px] are scaled down to it while decoding.
         max_bytes: bound on the size of the decoded frames [bytes]; peak memory is about twice that.
-        backend: "auto", or one decoder for comparison; "decord" falls back to PyAV where it cannot decode.
+        backend: "auto", or one decoder for comparison; "decord" falls back to PyAV if it cannot decode.
 
     Raises:
-        VideoError: with one `cause` per way the file can be bad. A file cut in mid-stream is read up to the
-            cut with a warning if at least 8 frames come before it, else it is an error.
+        VideoError: with one `cause` for each kind of bad file. A truncated file is read up to the cut with a warning if
+        at least 8 frames come before it, else it is an error.
         InputError: for a limit that is not positive.
     """
     limits = Limits(max_frames=max_frames, max_seconds=max_seconds, max_side=max_side, max_bytes=max_bytes)
@@ -126,7 +126,7 @@ def _times(probe: Probe, decoded: Decoded) -> tuple[Float64[np.ndarray, " T"], f
 
 
 def _missing(probe: Probe, count: int, timestamps: Float64[np.ndarray, " T"]) -> str:
-    """One line that says how much of a file that is cut short was decoded."""
+    """One line that states how much of a truncated file is decoded."""
     if probe.header_frames:
         decoded = f"{count} of {probe.header_frames} frames"
     elif probe.header_duration is not None:

@@ -1,4 +1,4 @@
-"""Write H.264 files whose bytes depend on the frames alone."""
+"""Write H.264 files whose bytes depend only on the frames."""
 
 import itertools
 import os
@@ -11,8 +11,8 @@ import numpy as np
 
 from physconvex.errors import InputError
 
-# With macroblock trees x264 reads memory that it never wrote, unless the width is a multiple of this [px]: the same
-# frames then give other bytes from one call to the next (seen with x264 165 at widths of 48 to 240 px).
+# With macroblock trees x264 reads uninitialised memory, unless the width is a multiple of this [px]: the same frames
+# then give different bytes from one call to the next (seen with x264 165 at widths of 48 to 240 px).
 _MACROBLOCK_TREE_WIDTH = 128
 
 
