@@ -281,13 +281,7 @@ class EffectModel:
 
 
 def _from_first_image(camera: Camera, positions: Positions, first: Float[np.ndarray, "P 3"]) -> Positions:
-    """Positions shifted across the camera's view, equally in all images, so that the first image matches the points.
-
-    Args:
-        camera: camera of the images.
-        positions: positions of the points that it sees [m].
-        first: positions in the first image [m], shape [P, 3].
-    """
+    """Positions [m] shifted across the camera's view, equally in all images; the first one then shows `first` [m]."""
     local, start = camera.local(positions), camera.local(first)
     across = local[..., :2] / local[..., 2:]
     across = across - across[0] + start[:, :2] / start[:, 2:]

@@ -131,9 +131,7 @@ def sinks_in(base: Baseline) -> bool:
 
 
 def on_giving_floor(joint: JointFits, doses: Float[np.ndarray, " D"]) -> Fit | None:
-    """The reduced model's fit with free stiffness and dashpot of the floor, from the best of a scan.
-
-    None if no start can be simulated.
+    """The reduced model's fit with free stiffness and dashpot of the floor, from a scan; None if no start works.
 
     Args:
         joint: the rough base fit and the added effects.

@@ -87,11 +87,9 @@ def _asked(base: Baseline, options: GapOptions, report: Callable[[str], None]) -
 
 
 def _likeliest(misfits: dict[tuple[bool, bool], float], *, refuted: bool) -> tuple[bool, bool]:
-    """Whether the elements are the own ones, and whether the floor is compliant.
+    """Choose the elements (own ones or not) and the floor (compliant or not) from misfits by these two flags.
 
-    Args:
-        misfits: misfits by these two flags.
-        refuted: whether a rigid floor is rejected, even if it fits well with wrong values.
+    `refuted` excludes a rigid floor, even if it fits well with wrong values.
     """
     possible = {case: misfit for case, misfit in misfits.items() if case[1]} if refuted else {}
     possible = possible or misfits

@@ -173,11 +173,7 @@ def _scale(
 ) -> Float[np.ndarray, " K"]:  # fmt: skip
     """Twice the smallest residual of several fits over the expected numerical error, in some rows, by kind.
 
-    Args:
-        base: the base fit.
-        errors: expected errors.
-        rows: the residuals.
-        fits: residuals of each fit, and the leverage of each residual.
+    Each fit has the residuals and the leverage of each residual.
     """
     numerical, out = errors.expected[rows] - 1.0, np.ones(base.modes.count)
     for kind in range(base.modes.count):

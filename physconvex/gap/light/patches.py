@@ -90,10 +90,7 @@ def _covered(
     rows: np.ndarray,
     columns: np.ndarray,
 ) -> Bool[np.ndarray, " N"]:
-    """Whether the body may cover patches: box of the points, widened by the body's extent beyond them.
-
-    All patches if no point is known.
-    """
+    """Whether the body may cover patches, from the widened box of the points; all patches if no point is known."""
     known = np.isfinite(points).all(1)
     if not known.any() or not outline.any():
         return np.ones(len(rows), dtype=bool)
