@@ -25,7 +25,7 @@ BEAM, GRID, BEAM_DENSITY, BEAM_STEP, BEAM_FPS, BEAM_FRAMES = (0.1, 0.03, 0.03), 
 
 @dataclass(frozen=True)
 class Drop:
-    """Unstated: MuJoCo's damping [s], friction, gravity tilt [deg], spin [rad/s], drag [1/m]. Stated: velocity."""
+    """Unstated: MuJoCo damping [s], friction, gravity tilt [deg], spin [rad/s], drag [1/m]. Stated: velocity [m/s]."""
 
     damping: float = 5e-5
     friction: float = 0.0
