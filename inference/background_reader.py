@@ -1,4 +1,4 @@
-"""Read and prepare clips in the background while the network works on earlier ones."""
+"""Read and prepare clips in the background, parallel to the network."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Failure:
     error: str
     """One line that names the file and the cause."""
     details: str = ""
-    """Trace of an error that nobody expected; empty for bad input."""
+    """Trace of an unexpected error; empty for bad input."""
 
 
 Reader = Callable[[ClipSource], ReadyClip | Failure]
@@ -29,7 +29,7 @@ Reader = Callable[[ClipSource], ReadyClip | Failure]
 
 
 def failure_from(source: ClipSource, error: Exception) -> Failure:
-    """Put any exception of one clip into one line; unexpected ones keep their trace."""
+    """Convert any exception of one clip to one line; unexpected ones keep their trace."""
     path = displayed_path(source.path)
     text = " ".join(str(error).split())
     if isinstance(error, InputError):
@@ -41,8 +41,8 @@ def failure_from(source: ClipSource, error: Exception) -> Failure:
 class BackgroundReader:
     """Threads that read clips ahead of the network, at most `ahead` of them waiting.
 
-    Each thread calls its own reader from `make_reader`, which either reads in the thread or asks a worker
-    process. The order is that of completion.
+    Each thread calls its own reader from `make_reader`, which reads in the thread or in a worker process. The order is
+    that of completion.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class BackgroundReader:
             thread.start()
 
     def batches(self, size: int) -> Iterator[list[ReadyClip | Failure]]:
-        """Yield what is ready, at least one and at most `size` clips at a time, until all are read."""
+        """Yield the available clips, at least one and at most `size` at a time, until all are read."""
         while self._left:
             batch = [self._done.get()]
             while len(batch) < min(size, self._left):

@@ -1,4 +1,4 @@
-"""Predict many clips into a results folder, each kept as soon as it is done; an earlier run is resumed."""
+"""Predict many clips into a results folder; each result is written at once, and an interrupted run continues."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class BatchSummary:
 
     @property
     def truncated(self) -> int:
-        """Clips of this run that were predicted from the part that is left of a file."""
+        """Clips of this run that are predicted from the readable part of a truncated file."""
         return sum(bool(row.truncated) for row in self.rows)
 
     @property
@@ -68,23 +68,23 @@ def predict_batch(
     on_start: Callable[[int], None] | None = None,
     on_row: Callable[[ResultRow], None] | None = None,
 ) -> BatchSummary:
-    """Predict every clip at or below `paths` and write the results to the folder `out` as they come.
+    """Predict every clip at or below `paths` and write each result to the folder `out` at once.
 
-    What an earlier run finished with the same clip, settings and checkpoint is kept; errors are tried again.
-    Nothing finished is lost if the process is killed. See `inference.results` for the files.
+    Results of an earlier run with the same clip, settings and checkpoint are kept; errors are tried again. Finished
+    results survive if the process is killed. See `inference.results` for the files.
 
     Args:
         paths: video files, capture folders, image folders, or folders of these.
         out: folder of the results; it is skipped if it lies below `paths`.
         redo: predict finished clips again.
-        command: command line to keep beside the results; None: that of the process.
+        command: command line to store with the results; None: that of the process.
         on_start: called once with the number of clips.
         on_row: called with each row as it is written, also for clips finished earlier.
         fps, density, object_size, predictor, checkpoint, device: see `predict`.
         batch_size: most clips in one pass of the network.
         workers: clips read at once; None: two, or one on a single core.
-        processes: read in worker processes (four clips or more), so that a codec that crashes takes one clip
-            with it; else in threads.
+        processes: read in worker processes (four clips or more), so that a crashing codec loses only its own clip; else
+            in threads.
 
     Raises:
         InputError: an option is bad, there is no such checkpoint, or `out` cannot be written.
@@ -125,7 +125,7 @@ def predict_batch(
 
 
 class _Batch:
-    """Which clips are finished, which are to do, and what became of them."""
+    """State of the run: finished clips, remaining clips, and their outcomes."""
 
     def __init__(
         self,
@@ -150,7 +150,7 @@ class _Batch:
             self._report(row)
 
     def add(self, result: ClipResult) -> None:
-        """Write a result; one that cannot be written as a prediction is written as an error."""
+        """Write a result; one that cannot be written as a prediction becomes an error."""
         source, error, details = result.source, result.error, result.details
         name = self._names.get(source.key, "")
         row = None
@@ -189,7 +189,7 @@ def _fingerprint_or_empty(source: ClipSource) -> str:
     try:
         return fingerprint(source)
     except OSError:
-        return ""  # reading it will tell why
+        return ""  # the reader reports the reason
 
 
 def _settings_digest(settings: StatedConditions, predictor: Predictor) -> str:

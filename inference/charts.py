@@ -21,7 +21,7 @@ class Axis:
     ticks: tuple[tuple[float, str], ...]
 
     def share(self, value: float) -> float:
-        """Return where the value lies, 0 to 1, clipped to the axis."""
+        """Return the position of the value, 0 to 1, clipped to the axis."""
         return min(1.0, max(0.0, (value - self.low) / (self.high - self.low)))
 
 

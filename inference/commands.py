@@ -49,8 +49,9 @@ def predict_command(
 
     Exit code: 0 all clips predicted, 1 some could not be or are cut short (each is named), 2 wrong usage.
     """
-    # Threads of the network that wait must not spin: clips are read on the same cores. Read when torch is loaded;
-    # with both cores busy a pass of the tiny network took 47 ms of processor time per clip, 195 with spinning.
+    # Waiting threads of the network must not spin: clips are read on the same cores. Torch reads this when it is
+    # loaded;
+    # with both cores busy a pass of the tiny network takes 47 ms of processor time per clip, 195 with spinning.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
     from inference.batch import predict_batch
@@ -77,7 +78,7 @@ def predict_command(
 
 
 class _Reporter:
-    """Prints what comes while the batch runs: errors to stderr, JSON lines to stdout, a bar on a terminal."""
+    """Prints the progress of the batch: errors to stderr, JSON lines to stdout, a bar on a terminal."""
 
     def __init__(self, out: Path, *, as_json: bool, progress: bool) -> None:
         from tqdm import tqdm

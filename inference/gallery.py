@@ -1,4 +1,4 @@
-"""One self-contained HTML page to look at: frames with the found outline, E and ν with their uncertainty."""
+"""One self-contained HTML page of results: frames with the found outline, E and ν with their uncertainty."""
 
 from __future__ import annotations
 

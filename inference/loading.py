@@ -1,4 +1,4 @@
-"""Read one clip, whatever it is, into frames with the conditions of its motion."""
+"""Read one clip of any kind into frames with the conditions of its motion."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class LoadedClip:
 
     frames: UInt8[np.ndarray, "T H W 3"]
     fps: float | None
-    """Frames per second [1/s]; None where the source has no clock."""
+    """Frames per second [1/s]; None if the source has no clock."""
     timestamps: Float64[np.ndarray, " T"] | None = None
     """Times of the frames [s], for variable frame rates."""
     mask: Bool[np.ndarray, "T H W"] | None = None
@@ -43,7 +43,7 @@ class LoadedClip:
     """One line that names a file that is cut short and says what is missing (also a warning); else empty."""
 
     def with_mask(self, mask: object) -> LoadedClip:
-        """Return the clip with this foreground, shape [T, H, W], in place of its own.
+        """Return the clip with this foreground, shape [T, H, W], instead of its own.
 
         Raises:
             InputError: the mask has another shape than the frames.
@@ -53,7 +53,7 @@ class LoadedClip:
 
 @dataclass(frozen=True, kw_only=True)
 class Conditions:
-    """The numbers that turn dimensionless stiffness into pascals, and which of them were assumed."""
+    """The numbers that convert dimensionless stiffness to pascals, and the assumed ones among them."""
 
     fps: float
     density: float
@@ -115,7 +115,7 @@ def _load_video(path: Path) -> LoadedClip:
 
 
 def _named(name: str, video: Video) -> tuple[str, tuple[str, ...]]:
-    """What is missing of a video and its warnings, with the file named where it is cut short."""
+    """Missing part and warnings of a video, with the file named if it is truncated."""
     if not video.truncated:
         return "", tuple(video.warnings)
     line = f"{name}: {video.truncated}"
@@ -136,7 +136,7 @@ def _read_mask_video(path: Path, shape: tuple[int, ...]) -> Bool[np.ndarray, "T 
 
 
 def _load_capture(folder: Path) -> LoadedClip:
-    """Read the observed frames of a capture's first camera; the later ones are there to be predicted."""
+    """Read the observed frames of a capture's first camera; the later ones are to be predicted."""
     capture = load_capture(folder)
     stated = read_capture_file(folder / CAPTURE_FILE).model_fields_set
     if not capture.cameras:
@@ -157,7 +157,7 @@ def _load_capture(folder: Path) -> LoadedClip:
 
 
 def _used(capture: Capture) -> str:
-    """Name of the first camera that has images, or whose images are missing."""
+    """Name of the first camera with images, or with missing ones."""
     return (capture.filmed or capture.cameras)[0].name
 
 
@@ -189,7 +189,7 @@ def load_array(
         timestamps: times of the frames [s], shape [T]; they say what fps is.
 
     Raises:
-        InputError: shape, type or range is another.
+        InputError: wrong shape, type or range.
     """
     values = _as_numpy(array)
     if values.ndim != 4 or values.shape[-1] not in (3, 4) or 0 in values.shape:
@@ -200,7 +200,7 @@ def load_array(
     pixels = _as_uint8(values)
     alpha = pixels[..., 3] if pixels.shape[-1] == 4 else None
     if alpha is not None and alpha.min() == 255:
-        alpha = None  # opaque everywhere, as most RGBA arrays are: it tells nothing
+        alpha = None  # opaque everywhere, as in most RGBA arrays: no information
     times = None if timestamps is None else _as_times(timestamps, len(pixels))
     if times is not None and len(times) > 1:
         fps = float((len(times) - 1) / (times[-1] - times[0]))
@@ -214,7 +214,7 @@ def load_array(
 
 
 def _as_numpy(array: object) -> np.ndarray:
-    if "torch" in sys.modules:  # not imported for its own sake: processes that only read clips stay light
+    if "torch" in sys.modules:  # torch is not imported for this: processes that only read clips stay light
         from torch import Tensor
 
         if isinstance(array, Tensor):

@@ -1,4 +1,4 @@
-"""A strip of the frames that a prediction rests on, with the object's outline as it was found."""
+"""A strip of the frames of a prediction, with the found outline of the object."""
 
 from __future__ import annotations
 

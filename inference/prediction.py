@@ -1,4 +1,4 @@
-"""What a prediction holds: `Prediction`, its units and its JSON form."""
+"""The result of a prediction: `Prediction`, its units and its JSON form."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Weights(Protocol):
 
 @runtime_checkable
 class Estimated(Protocol):
-    """What the estimator says of one clip (`models.ClipEstimate`)."""
+    """The estimate of one clip (`models.ClipEstimate`)."""
 
     youngs_modulus: float
     poisson_ratio: float
@@ -57,10 +57,10 @@ class Estimated(Protocol):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prediction:
-    """Elastic constants and skinning weights of one clip, with what they rest on.
+    """Elastic constants and skinning weights of one clip, with the data they depend on.
 
-    Motion under gravity tells E / (ρ g L) and ν; E in pascals follows with `density`, `object_size` and
-    `fps`. Those that nobody gave are defaults and are named in `assumed`.
+    Motion under gravity determines E / (ρ g L) and ν; E in pascals follows with `density`, `object_size` and `fps`.
+    Those that are not given are defaults and are named in `assumed`.
     """
 
     path: str | None
@@ -88,18 +88,18 @@ class Prediction:
     assumed: tuple[str, ...] = ()
     """Every default that was assumed, as `name=value unit`."""
     foreground: str
-    """How the object was told from its background: `alpha`, `mask`, `background_model` or `whole_frame`."""
+    """Source of the object's silhouette: `alpha`, `mask`, `background_model` or `whole_frame`."""
     foreground_confidence: float
     """How sure that is, 0 to 1."""
     frames_used: int
     """Frames of the clip that the prediction rests on."""
     warnings: tuple[str, ...] = ()
-    """What may make the prediction worse than its intervals say, one line each."""
+    """Reasons why the prediction may be worse than its intervals, one line each."""
     truncated: str = ""
     """One line that names a file that is cut short and says how much was decoded (also a warning); else empty."""
 
     silhouette: UInt8[np.ndarray, "S S"] | None = None
-    """Coverage of the object in the first frame, 0 to 255, as the network reads it."""
+    """Coverage of the object in the first frame, 0 to 255, as in the network's input."""
 
     def _repr_html_(self) -> str:
         """Numbers with their 90 % intervals and a section through the skinning weights, for a notebook."""

@@ -37,9 +37,9 @@ def predict(
         density: density [kg/m³]. None: the capture's, else 1000.
         object_size: largest edge of the object's rest bounding box [m]. None: that of the capture's mesh,
             else 1.
-        mask: boolean foreground of shape [T, H, W]. None: the file's alpha or mask, else it is searched.
-        timestamps: times of the frames [s], shape [T], increasing; for arrays of variable rate. With `fps` too they
-            are stretched to that mean rate, as those of a file are.
+        mask: boolean foreground of shape [T, H, W]. None: the file's alpha or mask, else the found one.
+        timestamps: times of the frames [s], shape [T], increasing; for arrays of variable rate. If `fps` is given too,
+            they are stretched to that mean rate, like those of a file.
         predictor: a loaded predictor; None loads `checkpoint` (and keeps the last one for later calls).
         checkpoint: name or folder of a checkpoint.
         device: torch device of the network, such as "cpu" or "cuda".
@@ -48,7 +48,7 @@ def predict(
         The prediction; defaults that were assumed are named in its `assumed`.
 
     Raises:
-        InputError: an argument or the clip is bad; the message names it, the cause and the remedy.
+        InputError: an argument or the clip is wrong; the message names it, the cause and the remedy.
     """
     settings = StatedConditions(fps=fps, density=density, object_size=object_size)
     source, loaded = _load(path_or_array, mask=mask, timestamps=timestamps)
@@ -88,7 +88,7 @@ def _load(path_or_array: Any, *, mask: Any, timestamps: Any) -> tuple[ClipSource
 
 
 def _refuse_paths(given: object) -> None:
-    """Say what predicts several clips.
+    """Check the arguments that select the predictor of several clips.
 
     Raises:
         InputError: there are paths in `given`.

@@ -1,4 +1,4 @@
-"""From a source to the network's input, and from the estimate back to a `Prediction`."""
+"""From a source to the network's input, and from the estimate to a `Prediction`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Prepare = Callable[..., PreparedClip]
 
 @runtime_checkable
 class Predictor(Protocol):
-    """What inference needs of a predictor (`models.estimator.PhysicsPredictor`)."""
+    """The interface of a predictor that inference uses (`models.estimator.PhysicsPredictor`)."""
 
     @property
     def network(self) -> nn.Module:
@@ -31,7 +31,7 @@ class Predictor(Protocol):
 
     @property
     def config(self) -> object:
-        """Everything beside the weights that decides an estimate; its `repr` tells two apart."""
+        """Everything besides the weights that affects an estimate; its `repr` distinguishes predictors."""
         ...
 
     @property
@@ -52,16 +52,16 @@ class Predictor(Protocol):
 
 @dataclass(frozen=True)
 class ReadyClip:
-    """One clip as the network reads it, with all that its prediction will say beside the estimate."""
+    """One clip as the network's input, with everything else that its prediction contains."""
 
     source: ClipSource | None
     prepared: PreparedClip
     conditions: Conditions
     warnings: tuple[str, ...]
     picture: bytes = b""
-    """JPEG of the frames used, with the outline of the object; empty unless asked for."""
+    """JPEG of the frames used, with the outline of the object; empty unless requested."""
     truncated: str = ""
-    """Names a file that is cut short and says what is missing; else empty."""
+    """Names a truncated file and states what is missing; else empty."""
 
 
 def ready_clip(loaded: LoadedClip, settings: StatedConditions, prepare: Prepare, *, picture: bool = False) -> ReadyClip:
@@ -80,7 +80,7 @@ def ready_source(
     """Read a source and prepare it for the network.
 
     Raises:
-        InputError: it cannot be read, or holds too little to predict from.
+        InputError: it cannot be read, or is too short to predict from.
     """
     return replace(ready_clip(load_clip(source), settings, prepare, picture=picture), source=source)
 

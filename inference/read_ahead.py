@@ -1,4 +1,4 @@
-"""Let an iterator work ahead of its consumer, in a thread."""
+"""Runs an iterator ahead of its consumer, in a thread."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Item = TypeVar("Item")
 
 
 class _End:
-    """Ends the queue; carries what the iterator raised, if anything."""
+    """Ends the queue; carries the exception of the iterator, if any."""
 
     def __init__(self, error: BaseException | None) -> None:
         self.error = error
@@ -21,7 +21,7 @@ class _End:
 def read_ahead(items: Generator[Item, None, None], *, depth: int) -> Iterator[Item]:
     """Yield the same items in the same order, computed in a thread at most `depth` items ahead.
 
-    What the generator raises is raised here. Leaving early closes the generator, in its thread.
+    Exceptions of the generator are raised here. An early exit closes the generator, in its thread.
     """
     ready: queue.Queue[Item | _End] = queue.Queue(maxsize=depth)
     stop = threading.Event()

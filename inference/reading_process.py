@@ -1,8 +1,7 @@
-"""Reading clips in a process of its own: a codec that crashes takes one clip with it, not the batch.
+"""Reads clips in a separate process: a crashing codec loses one clip, not the batch.
 
-A worker is started fresh (no fork of a process with threads, no second run of the user's script), gets one
-source at a time over a pipe and returns the network's input. It ends when the pipe closes, so also when the
-parent is killed.
+A worker starts fresh (without a fork of a threaded process or a second run of the user's script), receives one source
+at a time over a pipe and returns the network's input. It ends when the pipe closes, also when the parent is killed.
 """
 
 from __future__ import annotations
@@ -32,17 +31,17 @@ class ReaderCrashError(PhysconvexError, RuntimeError):
 
 
 class WorkerReader:
-    """Reads clips in a worker process, which is started again after a crash."""
+    """Reads clips in a worker process, which restarts after a crash."""
 
     def __init__(self, settings: StatedConditions, config: ClipConfig, *, picture: bool) -> None:
         self._task = (settings, config, picture)
         self._process: subprocess.Popen[bytes] | None = None
 
     def __call__(self, source: ClipSource) -> ReadyClip | Failure:
-        """Return the clip as the network reads it, or why it cannot be read.
+        """Return the clip as the network's input, or the reason why it cannot be read.
 
         Raises:
-            ReaderCrashError: the worker died of this clip.
+            ReaderCrashError: the worker crashed on this clip.
         """
         if self._process is None:
             self._start()
@@ -63,7 +62,7 @@ class WorkerReader:
 
     def _start(self) -> None:
         self._pipe, theirs = Pipe()
-        self._log = tempfile.TemporaryFile()  # lives as long as the worker
+        self._log = tempfile.TemporaryFile()  # exists as long as the worker
         code = _START.format(path=sys.path, descriptor=theirs.fileno())
         self._process = subprocess.Popen(
             [sys.executable, "-c", code],
@@ -93,7 +92,7 @@ class WorkerReader:
 
 def serve(descriptor: int) -> None:
     """Run a worker on an inherited pipe: read sources until the pipe closes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business; it closes the pipe
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C and closes the pipe
     cv2.setNumThreads(1)
     with Connection(descriptor) as pipe:
         settings, config, picture = pipe.recv()

@@ -84,15 +84,15 @@ class ReconstructionRecord(TypedDict):
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """A convex field and how well it explains the views.
+    """A convex field and its quality in the views.
 
     Attributes:
         field: the convexes at rest, world frame.
-        training, held_out: scores of the views that were fitted and of those that were not.
-        start: what the convexes were made from: mesh, hull or points.
-        silhouettes: where the object's silhouettes came from.
+        training, held_out: scores of the fitted views and of the others.
+        start: source of the first convexes: mesh, hull or points.
+        silhouettes: source of the object's silhouettes.
         seconds: wall-clock time of the fit [s].
-        config: what was asked for.
+        config: the settings.
         out: folder of the files, or None.
     """
 
@@ -154,18 +154,18 @@ def reconstruct(
 ) -> Reconstruction:
     """Fit a convex field to the first frames of a capture.
 
-    With `out` a run can be stopped at any time: the same call goes on where it stopped, and a finished one is read
-    from its files. Writes field.ply, hulls.glb, reconstruction.json, views/<camera>.png (observed, rendered,
-    difference) and, if asked for, turntable.mp4.
+    With `out` a run can be stopped at any time: the same call continues it, and a finished one is read from its files.
+    Writes field.ply, hulls.glb, reconstruction.json, views/<camera>.png (observed, rendered, difference) and, if
+    requested, turntable.mp4.
 
     Args:
         capture: folder with capture.json.
         out: folder of the results; nothing is written if not given.
         config: settings; the defaults if not given.
         held_out: names of cameras that are scored but not fitted.
-        points: mesh or point file whose vertices the convexes may start from [m].
-        redo: forget what is in `out`.
-        device: torch device that draws and fits, such as "cpu" or "cuda".
+        points: mesh or point file; its vertices [m] are a possible start of the convexes.
+        redo: ignore earlier results in `out`.
+        device: torch device of rendering and fit, such as "cpu" or "cuda".
         on_step: called after every step.
 
     Raises:
@@ -209,7 +209,7 @@ def reconstruct(
 
 
 def _closed(state: FitState, surface: trimesh.Trimesh | None, config: ReconstructionConfig) -> ConvexField:
-    """The fitted field on the CPU, its gaps filled with what is left of the budget."""
+    """The fitted field on the CPU, its gaps filled with the remaining budget."""
     field = state.field().to("cpu")
     if surface is None or not config.gap_share:
         return field
@@ -246,7 +246,7 @@ def _read_points(path: Path) -> np.ndarray:
     try:
         loaded: Any = trimesh.load(path, process=False)
         return np.asarray(loaded.vertices, dtype=np.float64)
-    except Exception as error:  # trimesh's readers raise whatever the broken file makes them
+    except Exception as error:  # trimesh's readers raise any exception on broken files
         raise InputError(
             f"points: {path} cannot be read ({type(error).__name__}: {error}); expected PLY or OBJ"
         ) from None
@@ -266,7 +266,7 @@ def _claim(views: CaptureViews, config: ReconstructionConfig, points: np.ndarray
 
 
 def _prepared(folder: Path, claim: str, *, redo: bool) -> ReconstructionRecord | None:
-    """Make the folder; what it holds of this very reconstruction, if that is finished.
+    """Make the folder; returns the same reconstruction if the folder already has it.
 
     Raises:
         InputError: it holds another one.
@@ -309,7 +309,7 @@ def _write(
     turntable: bool,
     place: torch.device,
 ) -> None:
-    """All files; the summary last, since it says that the others are there."""
+    """Write all files; the summary last, since it marks the others as complete."""
     write_ply(result.field, folder / FIELD)
     write_glb(result.field, folder / HULLS)
     (folder / "views").mkdir(exist_ok=True)

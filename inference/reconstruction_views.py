@@ -16,7 +16,7 @@ _LEAST_VIEWS = 2
 
 @dataclass(frozen=True, eq=False)
 class CaptureViews:
-    """What is fitted, what is only looked at, and where each silhouette came from (mask, alpha, plain background)."""
+    """Fitted views, views that are only scored, and the source of each silhouette (mask, alpha, plain background)."""
 
     training: tuple[Observation, ...]
     held_out: tuple[Observation, ...]
@@ -24,12 +24,12 @@ class CaptureViews:
 
 
 def capture_views(capture: Capture, held_out: Sequence[str] = (), *, least: int = _LEAST_VIEWS) -> CaptureViews:
-    """Frame 0 of every camera with the object's silhouette: its mask, else its alpha, else what differs from a plain
+    """Frame 0 of every camera with the object's silhouette: its mask, else its alpha, else the difference from a plain
     background.
 
     Args:
         held_out: names of cameras that are only scored.
-        least: views to fit at least; one will do where a mesh says what the shape is.
+        least: least number of fitted views; one is enough if a mesh gives the shape.
 
     Raises:
         InputError: no cameras, an unknown name, too few views to fit, a camera without any silhouette.
@@ -51,7 +51,7 @@ def capture_views(capture: Capture, held_out: Sequence[str] = (), *, least: int 
 
 
 def _observation(capture: Capture, name: str) -> tuple[Observation, str]:
-    """Frame 0 of a camera, and where its silhouette comes from."""
+    """Frame 0 of a camera, and the source of its silhouette."""
     camera, video = capture.camera(name), capture.video(name)
     frame = video.frames[0]
     if (capture.folder / f"{name}_mask.mp4").exists():

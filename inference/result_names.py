@@ -15,8 +15,7 @@ _MAX_BYTES = 120  # leaves room for suffixes below the 255 bytes that file syste
 def assign_names(sources: Iterable[ClipSource], taken: Mapping[str, str]) -> dict[str, str]:
     """Return one result name per source key; a name in `taken` (key → name, from earlier runs) is kept.
 
-    `sub/clip.mp4` becomes `sub__clip`; where two clips would share a name, the later one gets a digest
-    of its path.
+    `sub/clip.mp4` becomes `sub__clip`; if two clips have the same name, the later one gets a digest of its path.
     """
     names = dict(taken)
     used = {name.casefold() for name in names.values()}

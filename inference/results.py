@@ -1,4 +1,4 @@
-"""The results folder: a journal that survives any kill, one set of files per clip, CSV and Parquet tables.
+"""The results folder: a kill-safe journal, one set of files per clip, CSV and Parquet tables.
 
 ```
 clips/NAME.json                   the prediction with its units
@@ -36,20 +36,20 @@ class JournalEntry:
     key: str
     """Absolute path of the clip."""
     fingerprint: str
-    """Digest of the clip's file sizes and times; empty if it could not be looked at."""
+    """Digest of the clip's file sizes and times; empty if they are unavailable."""
     settings: str
-    """Digest of everything that decides the prediction beside the clip."""
+    """Digest of everything besides the clip that affects the prediction."""
     row: ResultRow
     details: str = ""
     """Trace of an unexpected error."""
     sizes: list[int] = field(default_factory=list)
-    """Of the JSON and the skinning file [bytes]: only the journal is synced, so a power cut may empty them."""
+    """Sizes of the JSON and the skinning file [bytes]: only the journal is synced, so a power cut may empty them."""
 
 
 class ResultsFolder:
-    """Writes results as they come; each clip is complete on disk before its journal line is.
+    """Writes each result at once; a clip's files are complete on disk before its journal line.
 
-    One process at a time: a lock on the journal, released by the system even after a kill.
+    One process at a time: a lock on the journal, which the system releases even after a kill.
     """
 
     def __init__(self, out: str | os.PathLike[str], *, settings: str) -> None:
@@ -85,7 +85,7 @@ class ResultsFolder:
         return {key: entry.row.name for key, entry in self._entries.items() if entry.row.name}
 
     def finished(self, key: str, fingerprint: str) -> ResultRow | None:
-        """Return the row of a clip that was predicted with the same content and settings, else None."""
+        """Return the row of a clip predicted with the same content and settings, else None."""
         entry = self._entries.get(key)
         if entry is None or entry.row.error or (entry.fingerprint, entry.settings) != (fingerprint, self._settings):
             return None
@@ -136,7 +136,7 @@ class ResultsFolder:
             ) from None
 
     def _read_journal(self) -> dict[str, JournalEntry]:
-        """Return the last entry of each clip; a line cut by a kill is dropped and its clip done again."""
+        """Return the last entry of each clip; a line truncated by a kill is dropped and its clip repeated."""
         self._journal.seek(0)
         entries = {}
         torn = False

@@ -1,4 +1,4 @@
-"""Beside the results: which command, version and configuration made them."""
+"""Record of the command, version and configuration of each run, stored with the results."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def start_run(out: Path, *, command: Sequence[str] | None, configuration: Mappin
 
 
 def finish_run(out: Path, number: int, **counts: int) -> None:
-    """Note the end of a run and its counts; a run that was killed keeps `finished: null`."""
+    """Record the end of a run and its counts; a killed run keeps `finished: null`."""
     runs = _read_runs(out)
     runs[number] |= {"finished": _now(), **counts}
     _write_runs(out, runs)
 
 
 def checkpoint_digest(predictor: Predictor) -> str:
-    """Return a digest of a predictor's weights and configuration: another checkpoint is never resumed."""
+    """Return a digest of a predictor's weights and configuration: results of another checkpoint are never reused."""
     digest = hashlib.sha256(repr(predictor.config).encode())
     for key, tensor in sorted(predictor.network.state_dict().items()):
         digest.update(key.encode())

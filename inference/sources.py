@@ -30,7 +30,7 @@ class ClipSource:
 
     @property
     def key(self) -> str:
-        """What identifies the clip between runs: its absolute path (symbolic links kept)."""
+        """Identity of the clip between runs: its absolute path (symbolic links kept)."""
         return displayed_path(os.path.abspath(self.path))
 
 
@@ -43,7 +43,7 @@ class SourceProblem:
 
     @property
     def key(self) -> str:
-        """What identifies the problem between runs: the absolute path."""
+        """Identity of the problem between runs: the absolute path."""
         return displayed_path(os.path.abspath(self.path))
 
 
@@ -60,10 +60,10 @@ def find_sources(
 ) -> list[Found]:
     """Return every clip at or below `paths`, each once, in a fixed order, and every path that cannot be read.
 
-    Folders are walked recursively by video extension. A folder with `capture.json` is one clip, and so is a
-    folder of numbered images (two or more). `NAME_mask.mp4` beside `NAME.mp4` is its mask, not a clip. Hidden
-    entries and the folders in `exclude` are skipped. Links to folders are followed after all real folders;
-    one that leads back to a folder it lies in is reported.
+    Folders are searched recursively by video extension. A folder with `capture.json` is one clip, and so is a folder of
+    numbered images (two or more). `NAME_mask.mp4` beside `NAME.mp4` is its mask, not a clip. Hidden entries and the
+    folders in `exclude` are skipped. Links to folders are followed after all real folders; a link to one of its own
+    parents is reported.
     """
     excluded = {os.path.realpath(path) for path in exclude}
     seen: set[str] = set()
@@ -77,7 +77,7 @@ def find_sources(
 
 
 def source_at(path: str | os.PathLike[str]) -> Found:
-    """Return the one clip that `path` itself is (a folder must be a capture or hold images)."""
+    """Return the one clip at `path` itself (a folder must be a capture or hold images)."""
     path = Path(path)
     problem = _unreadable(path)
     if problem is not None:

@@ -1,4 +1,4 @@
-"""Predict clips as a stream: reading overlaps with the network, and both with what the consumer does."""
+"""Predict clips as a stream: reading, the network and the consumer run in parallel."""
 
 from __future__ import annotations
 
@@ -52,11 +52,11 @@ def iter_predictions(
 ) -> Iterator[ClipResult]:
     """Predict every clip at or below `paths`, each as soon as it is ready (not in order).
 
-    Reading runs in the background. A bad clip gives a result with an `error` and the others go on.
-    See `predict` for the arguments that are not explained here, `find_sources` for what counts as a clip.
+    Reading runs in the background. A bad clip gives a result with an `error`; the others continue. See `predict` for
+    the other arguments and `find_sources` for the definition of a clip.
 
     Raises:
-        InputError: an option is bad or there is no such checkpoint (raised at once, not while iterating).
+        InputError: an option is wrong or there is no such checkpoint (raised at once, not while iterating).
     """
     settings = StatedConditions(fps=fps, density=density, object_size=object_size)
     options = BatchOptions(batch_size=batch_size, workers=workers, processes=processes)
@@ -108,7 +108,7 @@ def _predicted(
 
 
 def _estimate(ready: Sequence[ReadyClip], predictor: Predictor) -> Iterator[ClipResult]:
-    """Run the network; a batch that fails is halved until the clip that fails is alone."""
+    """Run the network; a failing batch is halved until the failing clip is alone."""
     if not ready:
         return
     try:

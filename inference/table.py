@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class ResultRow:
-    """One clip in the table; numbers are None where there is an error."""
+    """One clip in the table; numbers are None in case of an error."""
 
     path: str
     youngs_modulus: float | None = None  # [Pa]
@@ -37,7 +37,7 @@ class ResultRow:
     assumed: str = ""  # joined by "; "
     warnings: str = ""  # joined by "; "
     name: str = ""  # of the files in clips/
-    truncated: str = ""  # names a file that is cut short and says how much was decoded; empty = whole
+    truncated: str = ""  # names a truncated file and states the decoded part; empty: complete
 
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> ResultRow:

@@ -14,7 +14,7 @@ def format_pascals(value: float) -> str:
 def format_pascals_range(low: float, high: float) -> str:
     """Return an interval [Pa], such as `0.12–2.6 MPa`.
 
-    It has two units, such as `3.9 kPa–1.0 MPa`, where its low end is less than a tenth of the unit of its high one.
+    It has two units, such as `3.9 kPa–1.0 MPa`, if its low end is less than a tenth of the unit of its high end.
     """
     scale, unit = _scale(high)
     if low < 0.1 * scale:

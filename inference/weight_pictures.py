@@ -1,4 +1,4 @@
-"""A picture of predicted skinning weights: the section through the object's middle, seen from the camera."""
+"""A picture of predicted skinning weights: the section through the object's middle, from the camera's view."""
 
 from __future__ import annotations
 

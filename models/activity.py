@@ -12,14 +12,14 @@ from models.shapes import clean_mask
 Window = tuple[slice, slice]  # rows and columns
 
 _LEAST_CONTRAST = 7.0  # of 255
-_LEAST_MOVED, _MOST_MOVED = 0.002, 0.6  # share of the picture that an object's motion may change
+_LEAST_MOVED, _MOST_MOVED = 0.002, 0.6  # share of the picture that a moving object may change
 _MARGIN = 8  # [px]
 
 
 def moving_window(frames: UInt8[np.ndarray, "T H W 3"], *, margin: int = _MARGIN) -> Window | None:
-    """Rows and columns around everything that changes; None if nothing does, or most of the picture.
+    """Rows and columns around all changes; None without changes, or if most of the picture changes.
 
-    A change is what noise does not reach: 4.5 times what the pixels do between frames.
+    A change exceeds the noise: 4.5 times the usual difference of a pixel between frames.
     """
     smooth = np.stack([cv2.GaussianBlur(frame, (3, 3), 0.7) for frame in frames])
     threshold = noise_level(smooth)
@@ -35,7 +35,7 @@ def moving_window(frames: UInt8[np.ndarray, "T H W 3"], *, margin: int = _MARGIN
 
 
 def noise_level(smooth: UInt8[np.ndarray, "T H W 3"]) -> UInt8[np.ndarray, "H W"]:
-    """Difference that noise does not reach: 4.5 times what the pixel does between frames."""
+    """Threshold above the noise: 4.5 times the usual difference of the pixel between frames."""
     last = len(smooth) - 1
     steps = [_largest(cv2.absdiff(smooth[k + 1], smooth[k])) for k in range(0, last, max(1, last // 8))]
     middle = sort_pictures(steps)[len(steps) // 2].astype(np.float32)

@@ -1,4 +1,4 @@
-"""Colours of a clip as the background model sees them: planes, differences, histograms."""
+"""Colours of a clip for the background model: planes, differences, histograms."""
 
 from typing import TypeAlias
 
@@ -31,7 +31,7 @@ def _full_difference(image: Picture, background: Picture) -> Float32[np.ndarray,
 
 
 def difference(image: Picture, background: Picture) -> Float32[np.ndarray, "H W"]:
-    """How far a picture is from the background; a shadow on the background counts little."""
+    """Distance of a picture from the background; a shadow on the background counts little."""
     full = _full_difference(image, background)
     factor = (image[0] + 2.0) / (background[0] + 2.0)
     tint = np.maximum(np.abs(image[1] - factor * background[1]), np.abs(image[2] - factor * background[2]))
@@ -47,7 +47,7 @@ def colour_codes(frames: UInt8[np.ndarray, "*S 3"]) -> UInt16[np.ndarray, "*S"]:
 
 
 def colour_ratio(codes: UInt16[np.ndarray, "T H W"], inside: Bool[np.ndarray, "T H W"]) -> Float32[np.ndarray, " B"]:
-    """log of how much likelier each colour is on the object than around it, clipped to +-2.5."""
+    """Log-likelihood ratio of each colour, object over surroundings, clipped to +-2.5."""
     seen = np.asarray(inside.any(axis=0), np.uint8)
     near = cv2.dilate(seen, np.ones((25, 25), np.uint8)) > 0
     counts = [np.bincount(codes[part], minlength=_LEVELS**3) for part in (inside, ~inside & near)]

@@ -12,7 +12,7 @@ _PLAIN_CONTRAST = 14.0  # of 255
 
 
 def plain_background_masks(frames: UInt8[np.ndarray, "T H W 3"]) -> Bool[np.ndarray, "T H W"] | None:
-    """What differs from a smooth colour field.
+    """The difference from a smooth colour field.
 
     The field is fitted to the picture's border; None if the border is not plain.
     """

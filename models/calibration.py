@@ -56,10 +56,10 @@ def fit_density_calibration(
 ) -> DensityCalibration:
     """Temperature with the least CRPS, then the central level by split-conformal prediction.
 
-    The score of a clip is |2 PIT − 1|, the nominal probability of the smallest central interval that holds
-    its value (PIT = F(value)); its ⌈0.9 (N+1)⌉-th smallest is the level (Romano et al. 2019; Chernozhukov et
-    al. 2021, "Distributional conformal prediction"). That covers 90 % of exchangeable new clips. With `weights` it is
-    the weighted quantile (Tibshirani et al. 2019, eq. 7; a new clip is given the largest weight).
+    The score of a clip is |2 PIT − 1|, the nominal probability of the smallest central interval that contains its value
+    (PIT = F(value)). Its ⌈0.9 (N+1)⌉-th smallest is the level (Romano et al. 2019; Chernozhukov et al. 2021,
+    "Distributional conformal prediction"). That covers 90 % of exchangeable new clips. With `weights` it is the
+    weighted quantile (Tibshirani et al. 2019, eq. 7; a new clip has the largest weight).
 
     Raises:
         InputError: fewer than nine clips, for which no finite level exists.

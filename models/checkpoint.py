@@ -1,4 +1,4 @@
-"""Checkpoint folders: `model.safetensors` (tensors), `config.json` (all else), `model_card.md` (to read)."""
+"""Checkpoint folders: `model.safetensors` (tensors), `config.json` (everything else), `model_card.md` (summary)."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class ClipSettings(FrozenConfig):
 
 
 class TrainingRange(FrozenConfig):
-    """What the training clips spanned; outside, predictions carry a warning."""
+    """Range of the training clips; outside it, predictions carry a warning."""
 
     log10_stiffness: tuple[float, float] = (-0.2, 3.4)
     """Of log10(E / (ρ g L))."""
@@ -92,7 +92,7 @@ def save_checkpoint(
     model_card: str,
     half: bool = True,
 ) -> None:
-    """Write a checkpoint; every file appears whole or not at all. `half` stores float16."""
+    """Write a checkpoint; every file is written atomically. `half` stores float16."""
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     dtype = torch.float16 if half else torch.float32

@@ -1,4 +1,4 @@
-"""Frames of any size and rate -> the network's input: one code for training and inference."""
+"""Frames of any size and rate -> the network's input; shared by training and inference."""
 
 from dataclasses import dataclass, replace
 
@@ -38,7 +38,7 @@ class ClipConfig:
 
 @dataclass(frozen=True)
 class PreparedClip:
-    """The object's path in a fixed square, and what it looks like in windows that follow it."""
+    """The object's path in a fixed square, and its pictures in windows that follow it."""
 
     windows: UInt8[np.ndarray, "T W W 4"]  # RGB, mid-grey outside the object unless the whole frame is shown; coverage
     mask: UInt8[np.ndarray, "T S S"]  # coverage 0..255 in the fixed square
@@ -62,7 +62,7 @@ def prepare_clip(
     alpha: np.ndarray | None = None,
     config: ClipConfig | None = None,
 ) -> PreparedClip:
-    """Resample in time, find the object, measure its path in a fixed square, cut out windows that follow it.
+    """Resample in time, find the object, measure its path in a fixed square, crop windows that follow it.
 
     Args:
         frames: 8-bit RGB, shape [T, H, W, 3].
@@ -72,9 +72,9 @@ def prepare_clip(
         alpha: opacity, 8 bits, shape [T, H, W]; used unless `mask` is given.
         config: size, length and rate of the result.
 
-    A video longer than the window is shown from just before things move (`start_time`); a shorter one
-    repeats its last frame with `valid` False. The output rate is the source's divided by a whole number
-    (`models.frame_selection.resample`): no frame is made up or shown twice.
+    A video longer than the window is shown from just before the motion (`start_time`); a shorter one repeats its last
+    frame with `valid` False. The output rate is the source's divided by a whole number
+    (`models.frame_selection.resample`): no frame is interpolated or repeated.
 
     Raises:
         InputError: wrong shape or dtype, fewer than two frames, times that do not increase.
@@ -118,9 +118,9 @@ def prepare_clip(
 
 
 def shuffle_time(clip: PreparedClip, *, generator: np.random.Generator) -> PreparedClip:
-    """The clip as if filmed in random order: windows, masks and moments permuted together.
+    """The clip in random frame order: windows, masks and moments permuted together.
 
-    Moments refer to the first frame, which is another one then, so they are measured again.
+    Moments refer to the first frame, which changes, so that they are measured again.
     """
     return _reorder(clip, generator.permutation(len(clip.mask)))
 
@@ -153,9 +153,9 @@ def _checked_times(frames: np.ndarray, fps: float, timestamps: np.ndarray | None
 
 
 def _crop_square(foreground: Foreground, margin: float, size: int) -> tuple[int, int, int]:
-    """x0, y0, side [px] of the square around everything the object passes; may reach beyond the image.
+    """x0, y0, side [px] of the square around the object's whole path; may extend beyond the image.
 
-    The side can be halved as often as it will be on the way to `size` (`models.downscaling`).
+    The side can be halved as often as the scaling to `size` needs (`models.downscaling`).
     """
     height, width = foreground.mask.shape[1:]
     union = np.asarray(foreground.mask.any(axis=0))

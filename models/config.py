@@ -1,4 +1,4 @@
-"""What the network looks like: frozen, validated, stored as JSON in each checkpoint."""
+"""Architecture of the network: frozen, validated, stored as JSON in each checkpoint."""
 
 from __future__ import annotations
 

@@ -8,14 +8,14 @@ from jaxtyping import UInt8
 
 
 def halvings(edge: int, target: int) -> int:
-    """How often an edge can be halved and stay at least as long as `target`."""
+    """Number of times an edge can be halved and stay at least as long as `target`."""
     return max(0, (edge // target).bit_length() - 1)
 
 
 def shrink(picture: UInt8[np.ndarray, "H W ..."], size: tuple[int, int]) -> UInt8[np.ndarray, "h w ..."]:
     """Area average in `size` (width, height).
 
-    First by as many halvings as its edges divide by, in one go: a whole factor costs a small part of another one.
+    First all halvings that divide the edges, in one step: a whole factor is much faster than another one.
     """
     height, width = picture.shape[:2]
     times = min(halvings(width, size[0]), halvings(height, size[1]))

@@ -1,4 +1,4 @@
-"""VideoMAE encoder: public weights at any size, tokens that show nothing left out."""
+"""VideoMAE encoder: public weights at any size, without the empty tokens."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _STD = (0.229, 0.224, 0.225, 0.5)
 
 
 def normalised(windows: UInt8[Tensor, "B T W W 4"]) -> Float[Tensor, "B T 4 W W"]:
-    """Windows as the networks read them: colours as public VideoMAE weights want them, coverage from −1 to 1."""
+    """Windows as the networks' input: colours in the scale of the public VideoMAE weights, coverage from −1 to 1."""
     mean, std = (torch.tensor(v, device=windows.device).mul_(255).view(-1, 1, 1) for v in (_MEAN, _STD))
     return windows.movedim(-1, 2).to(torch.float32, memory_format=torch.contiguous_format).sub_(mean).div_(std)
 
@@ -126,8 +126,8 @@ def load_pretrained_encoder(name_or_path: str | Path, config: EncoderConfig) -> 
         name_or_path: a folder, or a name on the model hub such as `MCG-NJU/videomae-base`.
         config: the input wanted; hidden size, layers, heads, patch and position grid come from the weights.
 
-    The patch embedding gets a mask channel that is zero at first; for another tubelet its kernel is averaged
-    over time and scaled, so that a still clip gives the same embedding.
+    The patch embedding gets a mask channel that is zero at first. For another tubelet its kernel is averaged over time
+    and scaled, so that a still clip gives the same embedding.
 
     Raises:
         InputError: there are no such weights.

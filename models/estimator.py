@@ -41,15 +41,15 @@ class ClipEstimate:
     """log10(E / (ρ g L)), median."""
     skinning_field: SkinningField
     out_of_range: bool = False
-    """The clip or its stiffness lies beyond what the checkpoint was trained on."""
+    """The clip or its stiffness is outside the checkpoint's training range."""
     warnings: tuple[str, ...] = ()
 
 
 class PhysicsPredictor:
     """Clips -> Young's modulus, Poisson's ratio, skinning weights, each with its uncertainty.
 
-    A clip is read once by `prepare`; `estimate` is a batch of network passes without state, so that
-    preparation may run elsewhere.
+    `prepare` reads a clip once; `estimate` is a batch of stateless network passes, so that preparation may run
+    elsewhere.
     """
 
     def __init__(self, network: PhysicsNetwork, config: PredictorConfig) -> None:

@@ -51,7 +51,7 @@ def load_finder_network(
 def save_finder_network(
     folder: str | os.PathLike[str], network: nn.Module, config: FinderConfig, *, model_card: str
 ) -> None:
-    """Write `model.safetensors` (float16), `config.json` and `model_card.md`; each appears whole or not at all."""
+    """Write `model.safetensors` (float16), `config.json` and `model_card.md`, each atomically."""
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     tensors = {k: v.detach().half().cpu().contiguous() for k, v in network.state_dict().items()}

@@ -1,4 +1,4 @@
-"""Where the object is in each frame: opacity, a given mask, or a background model."""
+"""The object's silhouette in each frame: from opacity, a given mask, or a background model."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -17,14 +17,14 @@ from physconvex import InputError
 ForegroundSource = Literal["alpha", "mask", "background_model", "whole_frame"]
 
 _WORKING_SIDE = 128  # [px]
-_LEAST_CONFIDENCE = 0.2  # below it the whole frame is shown
-_PLAIN_CONFIDENCE = 0.6  # what differs from a plain background need not be the object
+_LEAST_CONFIDENCE = 0.2  # below it the whole frame is used
+_PLAIN_CONFIDENCE = 0.6  # a difference from a plain background may be something else
 _OBJECT_SHARE = (0.001, 0.7)  # of the picture that an object may cover
 
 
 @dataclass(frozen=True)
 class Foreground:
-    """Where the object is in each frame, how it was found and how sure that is (0..1)."""
+    """Silhouette of the object in each frame, its source and its confidence (0..1)."""
 
     mask: Bool[np.ndarray, "T H W"]
     source: ForegroundSource
@@ -70,10 +70,10 @@ def locate_foreground(
 
 
 def _moving_silhouette(frames: UInt8[np.ndarray, "T H W 3"]) -> _Silhouette | None:
-    """The moving object; None if nothing moves, everything does, or what is found is no object's size.
+    """The moving object; None if nothing moves, everything moves, or the result has an implausible size.
 
-    The confidence is how steady the area is, times the intersection over union to be expected if the network's
-    probabilities are right.
+    The confidence is the steadiness of the area times the expected intersection over union, given the network's
+    probabilities.
     """
     steady = stabilise(frames)
     window = moving_window(steady.frames)
@@ -98,7 +98,7 @@ def _plain_silhouette(frames: UInt8[np.ndarray, "T H W 3"]) -> _Silhouette | Non
 
 
 def _steadiness(mask: Bool[np.ndarray, "T H W"]) -> float:
-    """Share of frames in which the area is nearly the usual one; 0 if that is no object's size."""
+    """Share of frames in which the area is close to the usual one; 0 if that is an implausible size."""
     areas = mask.reshape(len(mask), -1).mean(axis=1)
     typical = float(np.median(areas))
     if not _OBJECT_SHARE[0] <= typical <= _OBJECT_SHARE[1]:
@@ -107,7 +107,7 @@ def _steadiness(mask: Bool[np.ndarray, "T H W"]) -> float:
 
 
 def _expected_overlap(coverage: Float32[np.ndarray, "T H W"], mask: Bool[np.ndarray, "T H W"]) -> float:
-    """Intersection over union of the mask and a truth in which pixels are the object's with these probabilities."""
+    """Expected intersection over union of the mask with a truth that has these pixel probabilities."""
     inside = float(coverage[mask].sum())
     union = float(mask.sum() + coverage[~mask].sum())
     return inside / union if union > 0 else 0.0

@@ -1,4 +1,4 @@
-"""A small convolutional network over single frames: the shape of the object, wherever it is."""
+"""A small convolutional network on single frames: the shape of the object, independent of its position."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ _CONVOLUTIONS = ((8, 4, 2), (3, 2, 1), (3, 1, 1))  # kernel, stride, padding; th
 class FrameNetwork(nn.Module):
     """Windows that follow the object -> one vector per frame, from that frame and the first one.
 
-    Convolutions of stride 4, 2, then 1; the last map is read whole, not averaged, since where the outline runs matters.
+    Convolutions of stride 4, 2, then 1; the last map is read whole, not averaged, since the position of the outline
+    matters.
     """
 
     def __init__(self, channels: int, *, widths: tuple[int, ...], window: int) -> None:

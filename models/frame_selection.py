@@ -19,11 +19,11 @@ class FrameSelection:
 
 
 def resample(timestamps: Float64[np.ndarray, " T"], *, target_fps: float) -> FrameSelection:
-    """Every n-th frame of a video of constant rate, the nearest frames of one whose rate varies.
+    """Every n-th frame of a video of constant rate; the nearest frames of one with a variable rate.
 
-    With a constant rate the spacing stays exact: the result has the source rate divided by the whole number
-    that brings it nearest to `target_fps` (25 -> 25, 60 -> 30, 240 -> 24). A varying rate is sampled at
-    `target_fps`, or at its mean rate where that is lower.
+    With a constant rate the spacing is exact: the result has the source rate divided by the whole number that brings it
+    closest to `target_fps` (25 -> 25, 60 -> 30, 240 -> 24). A variable rate is sampled at `target_fps`, or at its mean
+    rate if that is lower.
     """
     steps = np.diff(timestamps)
     rate = len(steps) / (timestamps[-1] - timestamps[0])
@@ -37,10 +37,10 @@ def resample(timestamps: Float64[np.ndarray, " T"], *, target_fps: float) -> Fra
 
 
 def motion_start(frames: UInt8[np.ndarray, "T H W 3"], indices: Int64[np.ndarray, " N"], *, length: int) -> int:
-    """Position in `indices` where a window of `length` frames should begin: just before things move.
+    """Position in `indices` at which a window of `length` frames begins: just before the motion.
 
-    Motion is what stands out of the noise in a thumbnail's frame differences. Without any, 0; the window
-    never reaches beyond the last frame.
+    Motion is a change above the noise in a thumbnail's frame differences. Without motion the result is 0; the window
+    never extends beyond the last frame.
     """
     size = (_THUMBNAIL, _THUMBNAIL)
     small = [cv2.resize(frames[i], size, interpolation=cv2.INTER_AREA).mean(axis=2) for i in indices]

@@ -1,4 +1,4 @@
-"""What the silhouette's path, size and stretch say, frame by frame."""
+"""Features of the silhouette's path, size and stretch, frame by frame."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def differences(
     Args:
         values: one row per frame.
         interval: Δt √(g/L).
-        valid: frames that are no repetition of the last one.
+        valid: False for repetitions of the last frame.
     """
     step = interval[:, None, None]
     first, second = torch.zeros_like(values), torch.zeros_like(values)

@@ -1,4 +1,4 @@
-"""A clip and its mirror image fall alike: the answers to both are averaged."""
+"""A clip and its mirror image have the same motion: the estimates of both are averaged."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def mirrored_batch(batch: ClipBatch) -> ClipBatch:
 def answer_both_ways(
     network: PhysicsNetwork, batch: ClipBatch, points: Float[Tensor, "B Q 3"] | None = None
 ) -> NetworkOutput:
-    """What the network says of the clips, with both densities the mean over clip and mirror image.
+    """Output of the network for the clips, with both densities averaged over clip and mirror image.
 
     States, latent and skinning weights are those of the clips as they are. Arguments as of `PhysicsNetwork.forward`.
     """

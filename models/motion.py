@@ -1,7 +1,7 @@
-"""From what is seen in each frame to how the body moves and deforms, and from that to what it is made of.
+"""From the features of each frame to the body's motion and deformation, and from these to the material.
 
-The state of each frame (`STATE_NAMES`) is what simulations know exactly and stiffness follows from: position and
-mean deformation gradient. Supervising it makes few clips go far; the heads read it beside the features it came from.
+The state of each frame (`STATE_NAMES`) is known exactly in simulations and determines stiffness: position and mean
+deformation gradient. Its supervision makes good use of few clips. The heads read it together with its input features.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _STATES = len(STATE_NAMES)
 
 @dataclass(frozen=True, eq=False)
 class MotionOutput:
-    """States as predicted, and the embedding of what was seen and how it moved."""
+    """Predicted states, and the embedding of features and motion."""
 
     states: Float[Tensor, "B T S"]
     embedding: Float[Tensor, "B E"]
@@ -74,12 +74,12 @@ class MotionBranch(nn.Module):
         """States and embedding.
 
         Args:
-            features: what was seen, one row per frame.
+            features: one row per frame.
             interval: Δt √(g/L).
-            valid: frames that are no repetition of the last one.
-            given: true states, which stand in for the predicted ones in the clips `use_given` (training).
+            valid: False for repetitions of the last frame.
+            given: true states, which replace the predicted ones in the clips `use_given` (training).
             use_given: clips.
-            hide_features: clips of which the second half reads the states alone (training).
+            hide_features: clips in which the second half reads only the states (training).
         """
         shown = valid[..., None]
         seen = self.state_norm(self.seeing(features * shown))

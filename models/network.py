@@ -1,4 +1,4 @@
-"""The whole network: what each frame shows, how the body moves, one latent, three heads."""
+"""The whole network: features of each frame, motion of the body, one latent, three heads."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _CONDITIONS = 3
 
 @dataclass(frozen=True, eq=False)
 class ClipBatch:
-    """What the network reads of B clips of T frames. All numbers are dimensionless."""
+    """Input of the network: B clips of T frames. All numbers are dimensionless."""
 
     windows: UInt8[Tensor, "B T W W 4"]
     """RGB and coverage about the object (`models.windows`)."""
@@ -40,7 +40,7 @@ class ClipBatch:
 
 @dataclass(frozen=True, eq=False)
 class NetworkOutput:
-    """Logits of the two densities (`models.heads`), states, and what the skinning head reads."""
+    """Logits of the two densities (`models.heads`), states, and the input of the skinning head."""
 
     stiffness_logits: Float[Tensor, "B K"]
     poisson_logits: Float[Tensor, "B J"]
@@ -90,9 +90,9 @@ class PhysicsNetwork(nn.Module):
 
         Args:
             batch: the clips.
-            points: where to read the skinning weights: object frame, in units of the object size.
-            states: true states (training), read in place of the predicted ones in some clips.
-            generator: CPU generator that draws what training hides and gives.
+            points: where the skinning weights are evaluated: object frame, in units of the object size.
+            states: true states (training), which replace the predicted ones in some clips.
+            generator: CPU generator of the random choices in training.
         """
         draws = torch.rand(3, len(batch.interval), generator=generator).to(batch.interval.device)
         with torch.autocast(batch.moments.device.type, enabled=False):
@@ -103,7 +103,7 @@ class PhysicsNetwork(nn.Module):
             shown = draws[0] >= self.config.video_dropout
             by_frame, embedding = by_frame * shown[:, None, None], embedding * shown[:, None]
         features = features + self.frame_network(pictures) + by_frame
-        with torch.autocast(features.device.type, enabled=False):  # rates are differences of states: whole precision
+        with torch.autocast(features.device.type, enabled=False):  # rates are differences of states: full precision
             motion = self.motion(
                 features.float(),
                 batch.interval,
@@ -125,7 +125,7 @@ class PhysicsNetwork(nn.Module):
     def _tokens(
         self, pictures: Float[Tensor, "B T 4 W W"], generator: torch.Generator | None
     ) -> tuple[Float[Tensor, "B T C"], Float[Tensor, "B E"]]:
-        """What the encoder's tokens say of each frame, and of the whole clip."""
+        """Features of each frame, and of the whole clip, from the encoder's tokens."""
         tokens, coverage, place = self.encoder(pictures, generator=generator)
         tokens, weight = self.token_norm(tokens), (coverage + 1e-4)[..., None]
         mean = (tokens * weight).sum(dim=1) / weight.sum(dim=1)

@@ -1,10 +1,10 @@
 """The object's outline: a small convolutional network that corrects a rough silhouette.
 
-It sees each frame beside the background that the object uncovers in the others (the median over the frames in which
-the rough silhouette is elsewhere), so that a shadow on the floor can be told from the object that throws it; how much
-likelier each pixel's colour is inside the rough silhouettes than around them; and what both look like over the whole
-clip. A U-Net (Ronneberger et al. 2015) over blocks of two by two pixels, as `models.segmenter`, whose silhouette it
-starts from.
+It compares each frame with the background that the object uncovers in the others (the median over the frames in which
+the rough silhouette is elsewhere), so that it can distinguish the object from its shadow. Further inputs are the
+likelihood ratio of each pixel's colour, inside over around the rough silhouettes, and the mean features of both over
+the clip. A U-Net (Ronneberger et al. 2015) over blocks of two by two pixels, like `models.segmenter`, whose silhouette
+is its start.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class OutlineConfig(FinderConfig):
 
 @dataclass(frozen=True)
 class UncoveredBackground:
-    """What lies behind the object, and where at least two frames show it."""
+    """The background behind the object, and the pixels at which at least two frames show it."""
 
     picture: UInt8[np.ndarray, "H W 3"]
     known: Bool[np.ndarray, "H W"]
@@ -85,7 +85,7 @@ class OutlineNetwork(nn.Module):
         return functional.pixel_shuffle(self.out(x), _BLOCK)[:, 0]
 
     def _clip_context(self, x: Float[Tensor, "T C h w"], planes: Float[Tensor, "T 9 H W"]) -> Tensor:
-        """What the rough silhouette's inside and surroundings look like, mean over the clip."""
+        """Mean features over the clip inside and around the rough silhouette."""
         inside = functional.avg_pool2d(planes[:, -1:], _MULTIPLE).mul(_LARGEST_ODDS).sigmoid()
         pooled = [(x * w).sum(dim=(0, 2, 3)) / (w.sum() + 1e-3) for w in (inside, 1 - inside)]
         context: Tensor = self.context(torch.cat(pooled))[None, :, None, None]
@@ -99,10 +99,10 @@ def _convolution(inputs: int, outputs: int, *, stride: int = 1) -> nn.Conv2d:
 def uncovered_background(
     frames: UInt8[np.ndarray, "T H W 3"], covered: Bool[np.ndarray, "T H W"]
 ) -> UncoveredBackground:
-    """What lies behind the object: per pixel and colour the median over the frames that do not show the object.
+    """The background: per pixel and colour the median over the frames that do not show the object.
 
     Args:
-        frames: of a camera that stands still.
+        frames: of a fixed camera.
         covered: near or on the object.
     """
     count = (~covered).sum(axis=0)
@@ -118,7 +118,7 @@ def outline_input(
     *,
     shown: Int[np.ndarray, " N"] | None = None,
 ) -> Float32[Tensor, "N 9 h w"]:
-    """What the network reads, edges padded to multiples of 8.
+    """Input of the network, edges padded to multiples of 8.
 
     Background and colours are those of the whole clip, the result that of the frames `shown` (all unless given).
     """
@@ -145,7 +145,7 @@ def outline_input(
 
 
 def near_object(coverage: Float32[np.ndarray, "T H W"]) -> Bool[np.ndarray, "T H W"]:
-    """Where the object may be, if that is roughly its coverage (0..1)."""
+    """Possible region of the object, for a rough coverage (0..1)."""
     kernel = np.ones((_RIM, _RIM), np.uint8)
     return np.stack([cv2.dilate((c > _POSSIBLE).astype(np.uint8), kernel) for c in coverage]) > 0
 
@@ -156,7 +156,7 @@ def refined_coverage(
     *,
     network: OutlineNetwork | None = None,
 ) -> Float32[np.ndarray, "T H W"]:
-    """How likely each pixel of each frame shows the object (0..1), from a rough silhouette (0..1).
+    """Probability of the object for each pixel of each frame (0..1), from a rough silhouette (0..1).
 
     The bundled network, read once per process, unless another is given.
     """

@@ -1,8 +1,8 @@
 """Dimensionless numbers of a soft body under gravity, and back to SI.
 
-Motion under gravity g of a body of size L and density ρ is the same motion, seen in the time unit √(L/g), for
-equal ν and equal E/(ρ g L) (Buckingham). A clip without scale tells only these, so that is what the network
-reads and predicts. The same frames with twice L and fps/√2 therefore give exactly twice E.
+The motion of a body of size L and density ρ under gravity g, in the time unit √(L/g), depends only on ν and E/(ρ g L)
+(Buckingham). A clip without scale determines only these, so that the network reads and predicts them. The same frames
+with twice L and fps/√2 therefore give exactly twice E.
 """
 
 from typing import TypeVar

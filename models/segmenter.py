@@ -1,12 +1,11 @@
-"""A small convolutional network that says where the moving object covers each frame.
+"""A small convolutional network that finds the moving object in each frame.
 
-The same network reads every frame. Its first layer sees the frame only through differences to pictures of the whole
-clip (median over time, first and last frame) and to mid-grey, so it judges by what differs from the background. What
-single frames cannot tell (is this place the object's at rest, or the background's that it left?) reaches it
-through features pooled over time, which are mixed into each level of a U-Net (Ronneberger et al. 2015, "U-Net:
-convolutional networks for biomedical image segmentation"). Pixels enter and leave in blocks of two by two (Shi et
-al. 2016, "Real-time single image and video super-resolution using an efficient sub-pixel convolutional neural
-network"), which makes it fast on a processor.
+The same network reads every frame. Its first layer reads differences to pictures of the whole clip (median over time,
+first and last frame) and to mid-grey, so that it detects differences from the background. Single frames cannot
+distinguish the object at rest from background that it uncovers. Features pooled over time provide this information;
+they are added at each level of a U-Net (Ronneberger et al. 2015, "U-Net: convolutional networks for biomedical image
+segmentation"). Pixels are processed in blocks of two by two (Shi et al. 2016, "Real-time single image and video
+super-resolution using an efficient sub-pixel convolutional neural network"), which makes it fast on a processor.
 """
 
 from __future__ import annotations
@@ -89,7 +88,7 @@ class SilhouetteSegmenter(nn.Module):
 
 
 class _ClipContext(nn.Module):
-    """What all frames of a clip say about a place, for each of them."""
+    """Features of a place pooled over all frames, for each of them."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -119,7 +118,7 @@ def pad_pictures(pictures: UInt8[np.ndarray, "N h w 3"]) -> UInt8[np.ndarray, "N
 
 
 def block_pixels(pictures: UInt8[np.ndarray, "N H W 3"]) -> Float32[Tensor, "N 12 h w"]:
-    """Pictures as the network reads them: from -4 to 4, blocks of two by two pixels as channels (channels last).
+    """Pictures as the network's input: from -4 to 4, blocks of two by two pixels as channels (channels last).
 
     Edges are multiples of 16 (`pad_pictures`).
     """
@@ -135,7 +134,7 @@ def block_pixels(pictures: UInt8[np.ndarray, "N H W 3"]) -> Float32[Tensor, "N 1
 def object_coverage(
     frames: UInt8[np.ndarray, "T H W 3"], *, segmenter: SilhouetteSegmenter | None = None
 ) -> Float32[np.ndarray, "T H W"]:
-    """How likely each pixel of each frame shows the object (0..1), for frames of a camera that stands still.
+    """Probability of the object for each pixel of each frame (0..1), for frames of a fixed camera.
 
     Args:
         frames: the part of the picture in which something moves; any size.

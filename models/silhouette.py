@@ -1,4 +1,4 @@
-"""Kinematics of a silhouette: where it is, how large, how it is stretched, frame by frame."""
+"""Kinematics of a silhouette: its position, size and stretch, frame by frame."""
 
 from dataclasses import dataclass
 
@@ -87,7 +87,7 @@ def _pixel_moments(mask: UInt8[np.ndarray, "T H W"]) -> Float64[np.ndarray, "T 1
 
 
 def _edges(profile: UInt8[np.ndarray, "T N"]) -> tuple[Float64[np.ndarray, " T"], Float64[np.ndarray, " T"]]:
-    """Where each profile's outermost half-covered pixels end: a pixel of coverage c adds c of its width."""
+    """Ends of each profile's outermost half-covered pixels: a pixel of coverage c adds c of its width."""
     cover = profile.astype(np.float64) / 255.0
     inside = cover >= 0.5
     first, last = inside.argmax(axis=1), inside.shape[1] - 1 - inside[:, ::-1].argmax(axis=1)

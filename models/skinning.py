@@ -1,4 +1,4 @@
-"""The skinning head and the field of weights W(X) it leaves behind, usable without the network."""
+"""The skinning head and its result, the field of weights W(X), which is independent of the network."""
 
 from __future__ import annotations
 
@@ -78,9 +78,9 @@ class SkinningField:
 
     The deformation is φ(X) = X + Z₀ [X; 1] + Σₘ Wₘ(X) Zₘ [X; 1]: the constant mode Z₀ is not among the M.
 
-    Object frame: origin at the centre of the rest bounding box, x to the right in the image (horizontal), y
-    away from the camera (horizontal), z up; in metres, for the largest rest edge `object_size` [m]. The field
-    is learnt inside the object; it is not meant to be read more than a tenth of its size outside.
+    Object frame: origin at the centre of the rest bounding box, x to the right in the image (horizontal), y away from
+    the camera (horizontal), z up; in metres, for the largest rest edge `object_size` [m]. The field is trained inside
+    the object; it is valid up to a tenth of its size outside.
     """
 
     tensors: dict[str, Float32[np.ndarray, "*shape"]] = field(repr=False)
@@ -136,7 +136,7 @@ class SkinningField:
         """Read what `save` wrote.
 
         Raises:
-            InputError: there is no such file, or it is none of ours.
+            InputError: there is no such file, or it has another format.
         """
         if not Path(path).is_file():
             raise InputError(f"path: no skinning field at {str(path)!r}; give a *.safetensors file from `save`")

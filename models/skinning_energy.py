@@ -1,4 +1,4 @@
-"""How much of a motion a set of skinning weights can follow: φ(X) = X + Σₘ Wₘ(X) Zₘ [X; 1], with W₀ = 1."""
+"""Share of a motion that skinning weights can represent: φ(X) = X + Σₘ Wₘ(X) Zₘ [X; 1], with W₀ = 1."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def captured_energy(
 ) -> float:
     """Share of the displacement energy Σ_t Σ_q v_q |u|² that the best Z(t) capture, 0..1.
 
-    The constant mode is always among the handles. With `after="affine"` the best affine motion of each frame
-    is taken out first (it is what the constant mode captures), so only what handles are for counts.
+    The constant mode is always among the handles. With `after="affine"` the best affine motion of each frame, which the
+    constant mode represents, is removed first, so that only the effect of the handles counts.
 
     Args:
         displacements: of Q points in T frames [m].
@@ -49,7 +49,7 @@ def _normalised(rest: Float[np.ndarray, "Q 3"]) -> Float[np.ndarray, "Q 3"]:
 
 
 def _remainder(motion: Float[np.ndarray, "Q N"], basis: Float[np.ndarray, "Q B"]) -> Float[np.ndarray, "Q N"]:
-    """What the basis leaves over, by least squares; directions below 1e-8 of the largest are no basis."""
+    """Residual of the basis, by least squares; directions below 1e-8 of the largest are ignored."""
     left, sizes, _ = np.linalg.svd(basis, full_matrices=False)
     left = left[:, sizes > 1e-8 * sizes[0]]
     return motion - left @ (left.T @ motion)

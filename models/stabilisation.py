@@ -1,4 +1,4 @@
-"""Take slight camera shake and exposure changes out of a clip."""
+"""Remove slight camera shake and exposure changes from a clip."""
 
 from dataclasses import dataclass
 
@@ -12,20 +12,20 @@ _LARGEST_SHIFT = 4.0  # [px]
 
 @dataclass(frozen=True)
 class Stabilised:
-    """Frames moved by `-shifts` [px; x, y] so that their background lies as in the first frame."""
+    """Frames moved by `-shifts` [px; x, y] so that their background is aligned with the first frame."""
 
     frames: UInt8[np.ndarray, "T H W 3"]
     shifts: Float64[np.ndarray, "T 2"]
 
     def undo(self, coverage: UInt8[np.ndarray, "T H W"]) -> UInt8[np.ndarray, "T H W"]:
-        """Move coverage (0..255) of the stabilised frames back to where the original frames show it.
+        """Move coverage (0..255) of the stabilised frames to its position in the original frames.
 
-        What is moved is 0 or 255 after it.
+        Moved coverage becomes 0 or 255.
         """
         return _moved(coverage, self.shifts) * np.uint8(255) if self.shifts.any() else coverage
 
     def follow(self, masks: Bool[np.ndarray, "T H W"]) -> Bool[np.ndarray, "T H W"]:
-        """Move masks of the original frames to where the stabilised frames show them."""
+        """Move masks of the original frames to their position in the stabilised frames."""
         return _moved(masks * np.uint8(255), -self.shifts) if self.shifts.any() else masks
 
 
@@ -59,7 +59,7 @@ def stabilise(frames: UInt8[np.ndarray, "T H W 3"]) -> Stabilised:
 def _shift(
     reference: Float32[np.ndarray, "H W"], image: Float32[np.ndarray, "H W"], *, passes: int = 2
 ) -> Float64[np.ndarray, " 2"]:
-    """Translation (x, y) [px] of `image` against `reference`; zero where the picture does not tell."""
+    """Translation (x, y) [px] of `image` against `reference`; zero if the picture does not determine it."""
     gx = cv2.Sobel(reference, cv2.CV_32F, 1, 0, scale=0.125)
     gy = cv2.Sobel(reference, cv2.CV_32F, 0, 1, scale=0.125)
     total = np.zeros(2)
@@ -68,7 +68,7 @@ def _shift(
         weight = np.abs(error) < max(3.0, 3.0 * float(np.median(np.abs(error[::4, ::4]))))
         wx, wy = gx * weight, gy * weight
         normal = np.array([[np.vdot(wx, gx), np.vdot(wx, gy)], [np.vdot(wx, gy), np.vdot(wy, gy)]], dtype=np.float64)
-        normal += 2e-2 * error.size * np.eye(2)  # an even picture stays where it is
+        normal += 2e-2 * error.size * np.eye(2)  # a uniform picture is not moved
         total += np.linalg.solve(normal, [np.vdot(wx, error), np.vdot(wy, error)])
     return total
 

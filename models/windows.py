@@ -1,4 +1,4 @@
-"""Windows that follow the object: the same size wherever it is, so that what changes in them is its shape."""
+"""Windows that follow the object, of the same size everywhere, so that only its shape changes in them."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def object_windows(
         size: edge of the result [px].
         extent: edge of a window in units of the silhouette's larger edge, median over the first three frames.
 
-    A frame without a silhouette is shown where the one before it was (leading ones: where the first is); without any
-    silhouette all windows show the middle of the picture.
+    A frame without a silhouette is shown at the place of the one before it (leading ones: at that of the first).
+    Without any silhouette all windows show the middle of the picture.
     """
     edge = extent * _unit(mask)
     step = edge / size
