@@ -1,13 +1,13 @@
-"""The benchmark of `physconvex evaluate paper`: textured objects moved by the FEM, filmed, truth apart from captures.
+"""The benchmark of `physconvex evaluate paper`: textured objects moved by the FEM and filmed; truth in its own folder.
 
     OUT/benchmark.json                    options, objects
     OUT/captures/NAME/                    a capture with the front camera (and further observed ones), mesh.obj
     OUT/first_frames/NAME/                all cameras at t = 0 (images with alpha), mesh.obj
     OUT/truth/NAME/truth.json             parameters, errors of mesh and step
-    OUT/truth/NAME/CAMERA.mp4             what every camera would have seen, before white
+    OUT/truth/NAME/CAMERA.mp4             images of every camera, on white
     OUT/truth/NAME/points.npz             `rest` [P, 3], `positions` [T, P, 3] m, and `positions_CHANGE` of each change
 
-An object is left out of a run that finds its truth.json: stop and start again as you like.
+A run skips objects whose truth.json exists, so that it can be stopped and continued at any time.
 """
 
 from __future__ import annotations
@@ -56,14 +56,14 @@ def generate_benchmark(
     only: Sequence[str] | None = None,
     on_object: Callable[[str], None] | None = None,
 ) -> list[str]:
-    """Make (or finish) the benchmark.
+    """Make (or continue) the benchmark.
 
     Args:
         objects: folder of folders, each with a textured mesh.
         out: the benchmark's folder.
         options: sizes.
-        only: those of its objects that are to be made now, the same as they would be among all; None: all.
-        on_object: told the name of each object when it is there.
+        only: the objects to make now, identical to those of a full run; None: all.
+        on_object: called with the name of each finished object.
 
     Returns:
         The objects' names.
@@ -95,7 +95,7 @@ def generate_benchmark(
 def drop_object(
     folder: Path, mesh: Path, truth: dict[str, float], options: BenchmarkOptions, rng: np.random.Generator
 ) -> tuple[Path, np.ndarray]:
-    """One object dropped and filmed from the front, unless it is there.
+    """One object dropped and filmed from the front, unless it exists.
 
     Args:
         folder: of the capture; the motion is stored beside it, as `NAME_motion.npz`.
@@ -165,7 +165,7 @@ def _make(out: Path, name: str, path: Path, options: BenchmarkOptions, rng: np.r
 
 @dataclass(frozen=True, eq=False)
 class _Take:
-    """One object: what moves, of what it is made, how it starts, and the sizes of it all."""
+    """One object: its shape, material, initial motion, and all sizes."""
 
     body: ObjectMesh
     truth: dict[str, float]
@@ -173,7 +173,7 @@ class _Take:
     options: BenchmarkOptions
 
     def mesh(self, share: float = 1.0) -> TetMesh:
-        """Quadratic tetrahedra that are the body that is shown, as well as (a share of) that many nodes can be."""
+        """Quadratic tetrahedra that approximate the visible body as well as (a share of) that many nodes permit."""
         surface, nodes = (self.body.vertices, self.body.faces), int(share * self.options.nodes)
         mesh = tetrahedralize(surface, max_nodes=nodes, order=2, method="auto", thorough=True)
         return filled(mesh, *surface) if self.options.fill else mesh
@@ -198,7 +198,7 @@ class _Take:
         return still_cameras(moved.reshape(-1, 3), views, self.options.size)
 
     def filmed(self, moved: Float[np.ndarray, "T V 3"], camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-        """The object before white [T, H, W, 3], and where it is seen [T, H, W]."""
+        """The object on white [T, H, W, 3], and its mask [T, H, W]."""
         body = self.body
         surface = DrawnSurface(body.vertices, body.faces, colors=body.vertex_colors, uv=body.uv, texture=body.texture)
         frames = np.stack(rendered_frames(surface, camera, FLAT, moved))
@@ -209,10 +209,10 @@ class _Take:
     def errors(
         self, mesh: TetMesh, moved: Float[np.ndarray, "T V 3"], camera: Camera, seen: np.ndarray
     ) -> dict[str, JsonValue]:
-        """How far the truth is from itself with half the steps and with half the nodes, by frame.
+        """Differences of the truth to itself with half the steps and with half the nodes, by frame.
 
-        Rms distance [m] of the surface, and PSNR [dB] and SSIM of the pictures `seen` by a camera: what nobody can
-        exceed by much who does not have this very mesh.
+        Rms distance [m] of the surface, and PSNR [dB] and SSIM of the pictures `seen` by a camera: about the best
+        possible result with any other mesh.
         """
         out: dict[str, JsonValue] = {}
         for label, grid, share in (("half_steps", mesh, 0.5), ("half_nodes", self.mesh(0.5), 1.0)):
@@ -225,7 +225,7 @@ class _Take:
         return out
 
     def write_capture(self, folder: Path, films: dict[Camera, tuple[np.ndarray, np.ndarray]]) -> None:
-        """What cameras saw (images and masks), with the rest geometry and how it starts."""
+        """The observations of cameras (images and masks), with the rest geometry and the initial motion."""
         folder.parent.mkdir(parents=True, exist_ok=True)
         capture = Capture(
             folder,
@@ -245,7 +245,7 @@ class _Take:
 
 
 def _write_pictures(out: Path, name: str, take: _Take, moved: np.ndarray, cameras: list[Camera]) -> np.ndarray:
-    """What all cameras saw, the capture and the first frames; returns the frames of the front view [T, H, W, 3]."""
+    """Images of all cameras, the capture and the first frames; returns the frames of the front view [T, H, W, 3]."""
     truth, size = out / "truth" / name, take.options.size
     truth.mkdir(parents=True, exist_ok=True)
     observed = {k * len(cameras) // take.options.observed_views for k in range(take.options.observed_views)}

@@ -1,4 +1,4 @@
-"""The benchmark's sizes, and what its objects do: fall on a rough floor, or are tossed up and touch nothing."""
+"""Sizes and motions of the benchmark: objects fall on a rough floor, or are tossed up without contact."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class BenchmarkOptions(Options):
 
 @dataclass(frozen=True)
 class BenchmarkMotion:
-    """How an object starts, and whether there is a floor.
+    """Initial motion of an object, and whether there is a floor.
 
     Attributes:
         velocity: of the centre of mass [m/s].
@@ -91,10 +91,11 @@ class BenchmarkMotion:
 
 
 def draw_motion(name: MotionName, duration: float, rng: np.random.Generator) -> BenchmarkMotion:
-    """Draw a motion; that of a drop is always the same, and draws nothing.
+    """Draw a motion; a drop has no random numbers.
 
-    A toss is back at its height after `duration` [s]. Its spin, about nearly the line of sight of the front camera,
-    which looks along −x, pulls the body apart, so that it vibrates; it says nothing of the material.
+    A toss is back at its initial height after `duration` [s]. The axis of its spin is close to the line of sight of the
+    front camera, which looks along −x. The spin stretches the body, so that it vibrates; it is independent of the
+    material.
 
 
     Raises:
@@ -126,7 +127,7 @@ def placed(body: ObjectMesh, size: float, rng: np.random.Generator) -> ObjectMes
 def scene_of(mesh: TetMesh, truth: dict[str, float], shown: ObjectMesh, motion: BenchmarkMotion) -> Scene:
     """The scene of a body with `truth`'s youngs_modulus [Pa], poisson_ratio and damping_time [s].
 
-    The floor acts on the surface that is shown, since the mesh's own cuts its corners.
+    The floor acts on the visible surface, since the mesh's own cuts its corners.
     """
     body = ElasticBody(
         mesh, youngs_modulus=truth["youngs_modulus"], poisson_ratio=truth["poisson_ratio"], density=DENSITY

@@ -1,7 +1,7 @@
 """Captures for refinement: one drop filmed by a ring of cameras, with masks, rest geometry and tracks.
 
-What a laboratory would know goes to `capture.json` and the files beside it; the true material, damping and images'
-degradations go to `truth.json`, which nothing but an evaluation reads.
+Data that a laboratory would know are in `capture.json` and the files beside it. The true material, damping and the
+images' degradations are in `truth.json`, which only evaluations read.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def ring_of_looks(
 ) -> tuple[Look, ...]:
     """`camera.views` cameras `camera0`, `camera1`, … around the path [m], evenly spread but for `camera.azimuth_deg`.
 
-    All have one elevation and focal length, and see one light, floor and background.
+    All have the same elevation, focal length, light, floor and background.
     """
     camera = config.camera
     level = {name: getattr(camera, name).sample(rng) for name in ("elevation_deg", "field_of_view_deg")}
@@ -137,7 +137,7 @@ def _capture(task: CaptureTask, drop: Drop, looks: tuple[Look, ...]) -> Capture:
 
 
 def _rest_mesh(drop: Drop, rng: np.random.Generator) -> trimesh.Trimesh:
-    """The coloured surface where it starts; `rng` in the state in which the surface was coloured."""
+    """The coloured surface at the start; `rng` in the state after colouring the surface."""
     surface = surface_of(drop, rng)
     if surface.texture is not None:
         visual = trimesh.visual.TextureVisuals(uv=surface.uv, image=Image.fromarray(surface.texture))
@@ -190,7 +190,7 @@ def generate_captures(
     work: WorkerOptions | None = None,
     on_report: Callable[[TaskReport, int], None] | None = None,
 ) -> GenerationSummary:
-    """Make (or finish) `count` captures below `root`, one folder each; the bytes depend on the arguments alone.
+    """Make (or continue) `count` captures below `root`, one folder each; the bytes depend only on the arguments.
 
     Raises:
         InputError: the folder was begun with another seed, configuration or options, or an argument is out of range.

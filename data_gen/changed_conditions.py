@@ -1,4 +1,4 @@
-"""What an identified body is asked to do that it was not seen doing: other material, other force, a moving floor."""
+"""New conditions for an identified body, which it was not observed in: another material or force, a moving floor."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ CHANGES: dict[str, Callable[[Scene], Scene]] = {
 
 
 def changes_of(scene: Scene) -> tuple[str, ...]:
-    """The changes that mean something to a scene: a floor that moves needs a floor."""
+    """The changes that apply to a scene: a moving floor needs a floor."""
     floor = any(isinstance(o, Plane) for o in scene.obstacles)
     return tuple(name for name in CHANGES if floor or name != "moving_floor")
 

@@ -135,7 +135,7 @@ def _resolved(config: str, settings: list[str] | None, objects: Path | None) -> 
 
 @contextmanager
 def _advancing(count: int, unit: str, progress: bool) -> Iterator[Callable[[TaskReport, int], None]]:
-    """A progress bar that moves with each report, from where an earlier run left off."""
+    """A progress bar that advances with each report, from the state of an earlier run."""
     with tqdm(total=count, unit=unit, disable=not progress) as bar:
 
         def advance(report: TaskReport, done: int) -> None:

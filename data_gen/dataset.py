@@ -1,7 +1,7 @@
 """The data set on disk (docs/reference/data_sets.md): writing one simulation at a time, and reading.
 
-`index.parquet` has one row per clip with every number of its simulation and view; `manifest.json` the SHA-256 of every
-file. Both are made from the simulation folders, so a data set that was cut off can be finished at any time.
+`index.parquet` has one row per clip with every number of its simulation and view. `manifest.json` has the SHA-256 of
+every file. Both are made from the simulation folders, so that an interrupted data set can be finished at any time.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SPLITS = ("train", "validation", "test")
 
 @dataclass(frozen=True, eq=False)
 class RenderedView:
-    """One clip: encoded video, object mask [T, H, W], and what view.json tells."""
+    """One clip: encoded video, object mask [T, H, W], and the content of view.json."""
 
     video: bytes
     mask: Bool[np.ndarray, "T H W"]
@@ -54,7 +54,7 @@ def _given_up_file(root: Path, simulation: int) -> Path:
 
 
 def write_claim(root: Path, claim: Mapping[str, object]) -> None:
-    """Note in `generator.json` what the folder is being made from, or check that it is the same.
+    """Record in `generator.json` the settings of the folder, or check that they are the same.
 
     Raises:
         InputError: the folder was begun with something else.
@@ -73,7 +73,7 @@ def write_claim(root: Path, claim: Mapping[str, object]) -> None:
 
 
 def write_given_up(root: Path, simulation: int, failures: list[str]) -> None:
-    """Note that all attempts at a simulation failed, so that it is not tried again."""
+    """Record that all attempts at a simulation failed, so that it is not tried again."""
     path = _given_up_file(root, simulation)
     path.parent.mkdir(exist_ok=True)
     _write_json(path, {"simulation": simulation, "failures": failures})
@@ -82,7 +82,7 @@ def write_given_up(root: Path, simulation: int, failures: list[str]) -> None:
 def write_simulation(
     root: Path, simulation: int, metadata: dict[str, JsonValue], samples: Samples, views: list[RenderedView]
 ) -> None:
-    """Write one simulation folder; it appears under its name only when it is complete."""
+    """Write one simulation folder atomically."""
     final = simulation_folder(root, simulation)
     partial = final.with_name(f".partial-{final.name}")
     shutil.rmtree(partial, ignore_errors=True)
@@ -120,10 +120,10 @@ def _replace(path: Path, text: str) -> None:
 
 
 def finish_dataset(root: Path, configuration: dict[str, JsonValue], seed: int, version: str) -> tuple[int, ...]:
-    """Write `index.parquet`, `failures.jsonl` and `manifest.json` over everything that is there.
+    """Write `index.parquet`, `failures.jsonl` and `manifest.json` for all existing simulations.
 
     Returns:
-        Numbers of the simulations that were given up.
+        Numbers of the abandoned simulations.
 
     Raises:
         InputError: no simulation succeeded.

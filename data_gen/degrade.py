@@ -1,4 +1,4 @@
-"""What real clips suffer: noise, compression, motion blur, exposure, shake. Each is drawn per view and recorded."""
+"""Degradations of real clips: noise, compression, motion blur, exposure, shake. Drawn per view and recorded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where simulations run: in this process, in local worker processes, or on a ray or dask cluster."""
+"""Execution of simulations: in this process, in local worker processes, or on a ray or dask cluster."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _ray(function: Callable[[Task], Result], tasks: Sequence[Task], workers: int
     except ImportError as error:
         raise InputError('engine: "ray" is not installed; expected it (pip install "physconvex[ray]")') from error
     if not ray.is_initialized():
-        # A running cluster knows how many processors it has, and refuses to be told.
+        # A running cluster knows its number of processors, and rejects another one.
         local = {} if os.environ.get("RAY_ADDRESS") else {"num_cpus": workers, "include_dashboard": False}
         ray.init(log_to_driver=False, **local)
     remote = ray.remote(num_cpus=1, runtime_env={"env_vars": ONE_THREAD})(function)

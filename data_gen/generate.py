@@ -43,7 +43,7 @@ class SimulationTask:
 
 @dataclass(frozen=True)
 class TaskReport:
-    """What a task cost [s] by stage, its failed attempts, and whether it was given up after the last of them."""
+    """Time of a task [s] by stage, its failed attempts, and whether it is abandoned after the last of them."""
 
     simulation: int
     failures: tuple[str, ...]
@@ -64,7 +64,7 @@ class SuccessfulDrop:
 
 @dataclass(frozen=True, eq=False)
 class Attempts:
-    """What came of the attempts at one simulation: the first success, None if there is none, and why others failed."""
+    """Result of the attempts at one simulation: the first success or None, and the errors of the others."""
 
     success: SuccessfulDrop | None
     failures: tuple[str, ...]
@@ -100,7 +100,7 @@ def render_view(
     config: GeneratorConfig,
     rng: np.random.Generator,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Images (uint8 [T, H, W, 3]) and object masks (bool [T, H, W]) of one view; call `prepare_surface` before."""
+    """Images (uint8 [T, H, W, 3]) and object masks (bool [T, H, W]) of one view; call `prepare_surface` first."""
     video = config.video
     renderer = _renderer(video.width, video.height, video.supersampling)
     renderer.set_view(look.camera, look.lighting, look.backdrop)
@@ -140,7 +140,8 @@ def simulate_with_replacements(config: GeneratorConfig, seed: int, simulation: i
 def make_simulation(task: SimulationTask) -> TaskReport:
     """Simulate, render and write one simulation.
 
-    Failed attempts are noted and replaced by new draws; after `solver.max_attempts` of them the simulation is given up.
+    Failed attempts are recorded and replaced by new draws; after `solver.max_attempts` of them the simulation is
+    abandoned.
     """
     clock = time.perf_counter()
     result = simulate_with_replacements(task.config, task.seed, task.simulation)
@@ -215,11 +216,11 @@ def generate_dataset(
     work: WorkerOptions | None = None,
     on_report: Callable[[TaskReport, int], None] | None = None,
 ) -> GenerationSummary:
-    """Make (or finish) a data set of `count` simulations.
+    """Make (or continue) a data set of `count` simulations.
 
-    The bytes written depend on `config`, `seed` and the simulation's number only, not on `work` (one worker unless
-    given) or earlier interruptions. Times alone differ; they go to `timings.jsonl`, outside the manifest. `on_report`
-    is told of each task as it ends, and how many simulations are settled then.
+    The bytes depend only on `config`, `seed` and the simulation's number, not on `work` (one worker unless given) or
+    interruptions. Only times differ; they are in `timings.jsonl`, outside the manifest. `on_report` is called at the
+    end of each task, with the number of settled simulations.
 
     Raises:
         InputError: the folder holds a data set of another seed or configuration, or not one simulation succeeded.

@@ -1,4 +1,4 @@
-"""Where a falling body first touches the floor: it flies rigidly until then."""
+"""First contact of a falling body with the floor, after a rigid flight."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def landing_heights(mesh: TetMesh, world: World, *, duration: float = 2.0) -> Fl
     """Height [m] of each node over the floor z = 0 when the first of them touches it; None if none does in time.
 
     Args:
-        mesh: where the body starts.
+        mesh: the body at its start.
         world: its gravity, and initial velocities.
         duration: of the flight at most [s].
     """
@@ -64,11 +64,11 @@ def mass_properties(mesh: TetMesh) -> tuple[Float[np.ndarray, " 3"], Float[np.nd
 
 
 def refine_at_landing(mesh: TetMesh, nodes: int, world: World) -> TetMesh:
-    """The mesh with so many nodes more, where it will land: there a few nodes carry a stiff body.
+    """The mesh with that many more nodes where it lands: there a few nodes carry a stiff body.
 
     Args:
-        mesh: where the body starts.
-        nodes: added at most.
+        mesh: the body at its start.
+        nodes: most added nodes.
         world: as in `landing_heights`.
     """
     heights = landing_heights(mesh, world) if nodes else None

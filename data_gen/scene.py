@@ -1,4 +1,4 @@
-"""One random drop from a seed and the configuration: object, material, motion; and how each view looks."""
+"""One random drop from a seed and the configuration (object, material, motion), and the appearance of each view."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _OBJECT, _MOTION, LOOK = 0, 1, 2
 
 
 def random_stream(seed: int, *key: int) -> np.random.Generator:
-    """Independent random stream for one purpose; depends on nothing but its arguments."""
+    """Independent random stream for one purpose; depends only on its arguments."""
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
 @dataclass(frozen=True, eq=False)
 class Drop:
-    """One simulation to be: a body above the floor z = 0, with its material and motion, in SI units.
+    """One planned simulation: a body above the floor z = 0, with its material and motion, in SI units.
 
-    `body` lies where it starts; `signed_distance` is given in that frame, if known.
+    `body` is at its start; `signed_distance` is given in that frame, if known.
     """
 
     object_id: str
@@ -48,7 +48,7 @@ class Drop:
     initial_angular_velocity: tuple[float, float, float]
 
     def placed(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3"]:
-        """Points given in the frame of `body`, moved to where the drop starts [m]."""
+        """Points of the frame of `body`, moved to the start of the drop [m]."""
         return points @ self.rotation.T + self.shift
 
 
@@ -124,7 +124,7 @@ def _orientation(motion: MotionConfig, rng: np.random.Generator) -> np.ndarray:
 
 
 def surface_of(drop: Drop, rng: np.random.Generator) -> DrawnSurface:
-    """The body's surface where it starts, coloured by its texture or procedurally."""
+    """The body's surface at the start, coloured by its texture or procedurally."""
     body = drop.body
     placed = drop.placed(body.vertices)
     if body.uv is not None and body.texture is not None:

@@ -22,8 +22,8 @@ class Samples:
     """Interior points of a simulation.
 
     Attributes:
-        points: rest positions where the drop starts [m], shape [S, 3].
-        volume_weights: volume each point stands for [m³], shape [S].
+        points: rest positions at the start of the drop [m], shape [S, 3].
+        volume_weights: volume of each point [m³], shape [S].
         displacements: [m], shape [T, S, 3].
         modes: skinning eigenmodes without the constant one, shape [S, K].
         eigenvalues: of the modes [1/s²], shape [K].
@@ -52,10 +52,10 @@ class SimulatedDrop:
 
 
 def make_mesh(drop: Drop, solver: SolverConfig, gravity: Sequence[float]) -> TetMesh:
-    """Quadratic tetrahedra of the drop's body where it starts: at most `target_nodes` nodes, more where it lands.
+    """Quadratic tetrahedra of the drop's body at its start: at most `target_nodes` nodes, more where it lands.
 
     Raises:
-        ConvergenceError: no sound mesh was found.
+        ConvergenceError: no valid mesh is found.
     """
     body = drop.body
     surface = (body.vertices, body.faces)
@@ -81,10 +81,10 @@ def make_mesh(drop: Drop, solver: SolverConfig, gravity: Sequence[float]) -> Tet
 def simulate_drop(
     drop: Drop, config: GeneratorConfig, rng: np.random.Generator, *, mesh: TetMesh | None = None
 ) -> SimulatedDrop:
-    """Mesh (unless `mesh` is what `make_mesh` gave), simulate and sample a drop.
+    """Mesh (unless `mesh` is a result of `make_mesh`), simulate and sample a drop.
 
     Raises:
-        ConvergenceError: meshing or the solve failed.
+        ConvergenceError: meshing or the solve fails.
     """
     solver, video = config.solver, config.video
     mesh = make_mesh(drop, solver, config.motion.gravity) if mesh is None else mesh

@@ -1,4 +1,4 @@
-"""Captures of objects that do not move: images with alpha from all round, and the rest geometry."""
+"""Captures of objects at rest: images with alpha from all sides, and the rest geometry."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ COPIES = 2  # of each image, since a sequence has at least two
 
 @dataclass(frozen=True)
 class StillViews:
-    """Where cameras stand: evenly in azimuth, elevations in turn.
+    """Positions of cameras: equally spaced in azimuth, elevations in turn.
 
     Attributes:
         count: number of cameras.
         elevations_deg: of the first, the second, … and again.
-        phase: by which share of the spacing they are turned.
-        name: they are called name0, name1, …
+        phase: offset of the azimuths, as a share of the spacing.
+        name: the cameras are name0, name1, …
     """
 
     count: int

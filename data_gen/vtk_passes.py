@@ -1,4 +1,4 @@
-"""What VTK needs to draw each pass: window, actors, lights, and a camera with exact intrinsics."""
+"""VTK objects of each pass: window, actors, lights, and a camera with exact intrinsics."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ REMEDY = (
 
 
 class RenderError(PhysconvexError, RuntimeError):
-    """No image could be made on this machine; the message says what to install."""
+    """No image can be rendered on this machine; the message says what to install."""
 
 
 @contextmanager

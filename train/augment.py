@@ -1,4 +1,4 @@
-"""Changes of a prepared clip that leave its dimensionless stiffness and ν what they are."""
+"""Changes of a prepared clip that preserve its dimensionless stiffness and ν."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _COLUMN = {name: k for k, name in enumerate(MOMENT_NAMES)}
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One clip as arrays, with the rest points and the states, which turn with it."""
+    """One clip as arrays, with the rest points and the states, which rotate with it."""
 
     windows: UInt8[np.ndarray, "T W W 4"]
     moments: Float32[np.ndarray, "T M"]

@@ -1,4 +1,4 @@
-"""Clips prepared once, as at inference, in memory-mapped arrays."""
+"""Clips prepared once, as at inference, and stored in memory-mapped arrays."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Progress = Callable[[int, int], None]
 class PreparedClips:
     """N prepared clips; `[:, 0]` of the moments as at inference, `[:, 1]` from the true mask.
 
-    Sent to another process, it is opened there again from its folder.
+    After pickling to another process, it is reopened there from its folder.
     """
 
     folder: Path
@@ -76,14 +76,14 @@ def prepare_clips(
     workers: int = 1,
     progress: Progress | None = None,
 ) -> PreparedClips:
-    """Prepare every clip, or open what an earlier run prepared; a run that was cut off goes on where it was.
+    """Prepare every clip, or open the result of an earlier run; an interrupted run continues.
 
     Args:
         clips: in the order wanted.
         settings: size, length and rate.
-        folder: where caches live; the one used is named by a hash of data, settings, and share.
-        true_mask_share: clips shown with their true mask, chosen by a hash of their name; the others show
-            what `prepare_clip` finds, as at inference.
+        folder: of the caches; a hash of data, settings, and share selects the one used.
+        true_mask_share: clips with their true mask, chosen by a hash of their name; the others have the result of
+            `prepare_clip`, as at inference.
         workers: processes; 0 prepares in this one.
         progress: called with the number done and the total.
     """

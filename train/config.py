@@ -102,7 +102,7 @@ class TrainConfig(FrozenConfig):
 
 
 def load_train_config(source: str | Path | None = None, **overrides: object) -> TrainConfig:
-    """Configuration from a preset name (`default`), a YAML file, or the defaults; `overrides` that are None do not.
+    """Configuration from a preset name (`default`), a YAML file, or the defaults; `overrides` of None are ignored.
 
     Raises:
         InputError: no such file or preset, bad YAML, an unknown name or a value out of range.

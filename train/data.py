@@ -1,4 +1,4 @@
-"""Batches of augmented clips with their targets; every draw is a function of seed, epoch and clip alone."""
+"""Batches of augmented clips with their targets; every draw depends only on seed, epoch and clip."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which clips each step sees: a function of the seed, so that a run can go on at any step."""
+"""Clips of each step: a function of the seed, so that a run can continue at any step."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Plan:
         """The plan of a configuration.
 
         Raises:
-            InputError: the batch cannot be shared among the processes, or there are too few clips.
+            InputError: the batch cannot be divided among the processes, or there are too few clips.
         """
         size = min(config.batch_size, clips)
         if size % world:

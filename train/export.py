@@ -32,7 +32,7 @@ class Origin:
     checkpoint: str | None = None
     """The checkpoint that its training went on from."""
     share: float | None = None
-    """Which share of the way from that checkpoint's weights to the trained ones was taken; None: all."""
+    """Share of the trained weights in the mixture with that checkpoint's; None: no mixture."""
     beside: str = ""
     """What else it saw, in words."""
 
@@ -46,7 +46,7 @@ def export_best(
     validation: Validation,
     origin: Origin,
 ) -> None:
-    """Write network, calibration, ranges and metrics where `PhysicsPredictor.from_pretrained` finds them."""
+    """Write network, calibration, ranges and metrics for `PhysicsPredictor.from_pretrained`."""
     calibration = validation.calibration()
     stiffness, poisson = validation.metrics(calibration)
     ranges = TrainingRange(
@@ -77,7 +77,7 @@ def _range(values: np.ndarray) -> tuple[float, float]:
 def model_card(
     validation: Validation, calibration: Calibration, ranges: TrainingRange, *, clips: int, origin: Origin
 ) -> str:
-    """Markdown: what the network was trained on, how good it is, where it ends."""
+    """Markdown: training data, accuracy and limits of the network."""
     stiffness, poisson = validation.metrics(calibration)
     low, high = ranges.log10_stiffness
     earlier = "" if origin.checkpoint is None else _earlier_training(origin.checkpoint, origin.share)
@@ -114,7 +114,7 @@ hung up) are not in the training data, and the intervals do not cover what such 
 
 
 def _earlier_training(checkpoint: str, share: float | None) -> str:
-    """What the model card of the starting point says of its own clips."""
+    """Statement of the starting point's model card on its own clips."""
     folder = find_checkpoint(checkpoint)
     checksum = hashlib.sha256((folder / "model.safetensors").read_bytes()).hexdigest()
     said = (folder / "model_card.md").read_text(encoding="utf-8").partition("## Training data\n")[2]

@@ -1,4 +1,4 @@
-"""The training loop that the finder's two networks share, and how their silhouettes are measured."""
+"""Training loop of the finder's two networks, and the measure of their silhouettes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class FinderRecipe:
     weight_decay: float = 1e-4
     """Of AdamW."""
     average: float
-    """Decay of the running average of the weights, which is what is kept."""
+    """Decay of the running average of the weights, which is the result."""
     start: Path | None = None
     """Checkpoint to go on from, of the same network; random weights unless given."""
     augmentation: SegmentationAugmentation = field(default_factory=SegmentationAugmentation)

@@ -31,7 +31,7 @@ class HeldOut:
 def evaluated_clips(
     data: Sequence[Path | str], options: EvaluationOptions, *, out: Path, report: Report | None = None
 ) -> tuple[PhysicsPredictor, HeldOut]:
-    """The predictor and the clips as it reads them; they are cached in `out/cache` unless the options say where."""
+    """The predictor and its input clips; they are cached in `out/cache` unless the options give another place."""
     predictor = PhysicsPredictor.from_pretrained(options.checkpoint, device=options.device)
     cache = options.cache or out / "cache"
     return predictor, held_out(

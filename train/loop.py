@@ -1,7 +1,7 @@
 """The training loop.
 
-Whatever is random is a function of seed and step, so a run that was killed goes on from its last state with the
-same losses.
+Every random number is a function of seed and step, so that a killed run continues from its last state with the same
+losses.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ def train_predictor(
         out: run folder: `config.json`, `log.jsonl`, `tensorboard/`, `state.safetensors`, `best/`.
         cpu: use no accelerator. Devices and processes are otherwise those of `accelerate launch` or `torchrun`.
         resume: go on from `state.safetensors` where there is one.
-        minutes: stop after this time, the learning rate falling accordingly. How far a run comes then depends on the
-            machine, so it repeats only nearly.
+        minutes: stop after this time; the learning rate decreases accordingly. The number of steps then depends on the
+            machine, so that results are only approximately reproducible.
         cache: where prepared clips live; `out/cache` unless given.
         report: called with a name of the work, the number done and the total.
 
@@ -251,10 +251,10 @@ class _Run:
         return replace(progress, best_score=best)
 
     def _between(self, progress: TrainingProgress, best: float, log: RunLog) -> float:
-        """Export weights between the checkpoint's and the averaged network's if they are better; the best score.
+        """Export weights between the checkpoint's and the averaged network's if they are better; return the best score.
 
-        Further training on fewer clips gains on these and forgets of the earlier ones; in between there is often more
-        of both (Wortsman et al. 2022, Robust fine-tuning of zero-shot models, eq. 2).
+        Further training on fewer clips improves on these and forgets earlier ones. Weights in between often combine
+        both (Wortsman et al. 2022, Robust fine-tuning of zero-shot models, eq. 2).
         """
         assert self.start is not None
         between, end = deepcopy(self.average.module), self.average.module.state_dict()
@@ -293,7 +293,7 @@ class _Run:
 
 
 def _starting_point(config: TrainConfig) -> PhysicsNetwork:
-    """The checkpoint's network, which must be the one that is to be trained."""
+    """The checkpoint's network, which must have the configured architecture."""
     assert config.checkpoint is not None
     network, found = load_checkpoint(config.checkpoint)
     if found.network != config.network:

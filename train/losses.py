@@ -1,4 +1,4 @@
-"""Proper scores of the two densities, and what the skinning weights miss."""
+"""Proper scores of the two densities, and the part of the motion that the skinning weights miss."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def smoothed_target(values: Float[Tensor, " B"], bins: BinConfig, smoothing: flo
 
 
 def noisy_states(states: Float[Tensor, "B T S"], generator: torch.Generator) -> Float[Tensor, "B T S"]:
-    """True states as a good observer would see them: off by 0.3 to 10 % of typical magnitudes, clip by clip."""
+    """True states with realistic observation errors: 0.3 to 10 % of typical magnitudes, by clip."""
     device = generator.device
     level = 10 ** (1.5 * torch.rand(states.shape[0], 1, 1, generator=generator, device=device) - 2.5)
     noise = level * torch.randn(states.shape, generator=generator, device=device) * STATE_SCALE.to(device)

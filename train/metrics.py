@@ -1,4 +1,4 @@
-"""How good densities are: errors, coverage and sharpness, beside the constant predictor."""
+"""Quality of densities: errors, coverage and sharpness, compared with the constant predictor."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class DensityMetrics:
     width: float
     """Mean width of that interval."""
     constant_mae: float
-    """Error of the training median, or of this set's own where none is given."""
+    """Error of the training median, or of this set's own if none is given."""
 
     def as_dict(self) -> dict[str, float]:
         """For JSON."""

@@ -1,4 +1,4 @@
-"""True states of a simulated motion (`models.motion.STATE_NAMES`), and how they turn with a clip's augmentation."""
+"""True states of a simulated motion (`models.motion.STATE_NAMES`), and their rotation by a clip's augmentation."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def states_of_motion(
 
 
 def referred_states(states: Float32[np.ndarray, "T S"]) -> Float32[np.ndarray, "T S"]:
-    """Against the place and orientation of the first frame: F → F R₀ᵀ with its polar rotation R₀."""
+    """Relative to the position and orientation of the first frame: F → F R₀ᵀ with its polar rotation R₀."""
     result = states.copy()
     result[:, _SHIFT] -= states[0, _SHIFT]
     gradient: Float64[np.ndarray, "T 3 3"] = states[:, _GRADIENT].reshape(-1, 3, 3).astype(np.float64) + np.eye(3)

@@ -1,4 +1,4 @@
-"""Clips with rough and true silhouettes for the outline network: read once, then disturbed anew for every step."""
+"""Clips with rough and true silhouettes for the outline network: read once, disturbed again for every step."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def read_rough_clips(
 
 
 def rearranged(clip: RoughClip, options: SegmentationAugmentation, generator: np.random.Generator) -> RoughClip:
-    """Fewer frames, so that less of the background is uncovered; mirrored or not; of another size."""
+    """Fewer frames, so that less of the background is uncovered; perhaps mirrored; of another size."""
     order = frame_order(len(clip.frames), options, generator)
     flip = -1 if generator.random() < 0.5 else 1
     frames, mask, rough = (a[order, :, ::flip] for a in (clip.frames, clip.mask, clip.rough))
@@ -100,7 +100,7 @@ def _patched(rough: UInt8[np.ndarray, "T H W"], generator: np.random.Generator) 
 
 
 def _mistaken(rough: UInt8[np.ndarray, "T H W"], generator: np.random.Generator) -> UInt8[np.ndarray, "T H W"]:
-    """A soft disc on the path of the object, filled or (mostly) emptied: the object is taken for background there."""
+    """A soft disc on the path of the object, filled or (mostly) emptied: the object appears as background there."""
     height, width = rough.shape[1:]
     inside = np.flatnonzero(rough.max(axis=0) > 127)
     if len(inside) == 0:

@@ -12,7 +12,7 @@ Precision = Literal["no", "bf16"]
 
 
 def precision_for(wanted: Precision, *, cpu: bool) -> Precision:
-    """`wanted`, but "no" (with a warning) for bf16 on a processor that would have to emulate it, many times slower.
+    """`wanted`, but "no" (with a warning) for bf16 on a processor that only emulates it, many times slower.
 
     Args:
         wanted: of the configuration.
@@ -27,6 +27,6 @@ def precision_for(wanted: Precision, *, cpu: bool) -> Precision:
 
 
 def _processor_knows_bf16() -> bool:
-    asked = getattr(torch.cpu, "get_capabilities", dict)  # a torch without it: better slow than very slow
+    asked = getattr(torch.cpu, "get_capabilities", dict)  # an old torch lacks it: better slow than very slow
     capabilities: Mapping[str, Any] = asked()
     return any(capabilities.get(name, False) for name in ("avx512_bf16", "amx_bf16", "bf16"))

@@ -1,4 +1,4 @@
-"""How well E and ν are told, and that motion is what tells them."""
+"""Accuracy of E and ν, and its dependence on the motion."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class PredictorEvaluation:
-    """All readings of the same clips, with the single results of the first."""
+    """All frame orders of the same clips, with the single results of the first."""
 
     checkpoint: str
     split: str
@@ -89,10 +89,10 @@ def evaluate_predictor(
     training_data: Sequence[Path | str] | None = None,
     report: Report | None = None,
 ) -> PredictorEvaluation:
-    """Read the clips of a split in order, in random order, and as a single frame.
+    """Evaluate the clips of a split in order, in random frame order, and as a single frame.
 
-    The constant predictor says the median of the training clips of `training_data`, or of `data` unless given; where
-    these have no training clips, of those for validation.
+    The constant predictor is the median of the training clips of `training_data`, or of `data` unless given; without
+    training clips, of those for validation.
     """
     predictor, clips = evaluated_clips(data, options, out=out, report=report)
     training = _not_tested(training_data or data)
@@ -127,7 +127,7 @@ def evaluate_predictor(
 
 
 def _not_tested(data: Sequence[Path | str]) -> list[LabelledClip]:
-    """Training clips, or those for validation where there are none."""
+    """Training clips, or those for validation if there are none."""
     clips = read_clips(data)
     for split in ("train", "validation"):
         found = [clip for clip in clips if clip.record.row["split"] == split]

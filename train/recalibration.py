@@ -1,4 +1,4 @@
-"""The 90 % intervals of a checkpoint, fitted anew to the validation clips of other data."""
+"""New 90 % intervals of a checkpoint, fitted to the validation clips of other data."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _HEADING = "\n## Calibration\n"
 
 @dataclass(frozen=True)
 class Recalibration:
-    """What was fitted, and how it does on the clips of each data set that it was fitted to."""
+    """The fit, and its quality on the clips of each data set."""
 
     calibration: Calibration
     data: tuple[str, ...]
@@ -49,7 +49,7 @@ def recalibrate(
 ) -> Recalibration:
     """Write `checkpoint` into `out` with temperatures and intervals fitted to the validation clips of `data`.
 
-    Every data set counts alike, however many clips it has. The network's weights stay as they are.
+    Every data set has the same weight, regardless of its size. The network's weights do not change.
 
     Raises:
         InputError: a data set has no validation clips, there are fewer than nine in all, or `out` is the checkpoint

@@ -1,4 +1,4 @@
-"""How much of a body its convexes cover: by their hulls, by their soft occupancy, and against light from all round."""
+"""Coverage of a body by its convexes: by their hulls, by their soft occupancy, and against light from all sides."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from physconvex.io import Camera, look_at
 from physconvex.reconstruction import welded
 from physconvex.render import LEAST_ALPHA, render
 
-DEPTHS = (0.0, 2.0, 4.0)  # margins below the surface at which occupancy is asked for
-SOLID = 0.5  # occupancy from which a place counts as covered
+DEPTHS = (0.0, 2.0, 4.0)  # margins below the surface at which occupancy is evaluated
+SOLID = 0.5  # least occupancy of a covered place
 OPEN = 0.9  # alpha below which a ray counts as passing
-RIM = 2  # pixels inside the outline that are not asked
+RIM = 2  # excluded pixels inside the outline
 DISTANCE = 5.0  # of the cameras, in radii of the body
 
 
@@ -45,8 +45,8 @@ class Holes:
     Attributes:
         share: of them that pass (alpha below 0.9).
         worst: the same for the direction with the most.
-        rays: how many were looked at.
-        directions: from how many sides.
+        rays: number of rays.
+        directions: number of directions.
     """
 
     share: float
@@ -88,7 +88,7 @@ def measure_coverage(
     """Measure against the closed surface of the body.
 
     Args:
-        margin: what still counts as covered [m], such as half a pixel's footprint.
+        margin: largest distance of a covered point from a hull [m], for example half a pixel's footprint.
 
     Raises:
         InputError: an open surface, which has no inside.
@@ -136,11 +136,11 @@ def _soft_surface(
 
 
 def measure_holes(field: ConvexField, mesh: trimesh.Trimesh, *, pixel: float, directions: int = 32) -> Holes:
-    """Look for places where light passes through the body, from directions spread evenly over the sphere.
+    """Find places where light passes through the body, from directions spread evenly over the sphere.
 
     Args:
-        pixel: what a pixel covers at the middle of the body [m].
-        directions: how many, at least one.
+        pixel: size of a pixel at the middle of the body [m].
+        directions: their number, at least one.
 
     Raises:
         InputError: `pixel` or `directions` not positive.

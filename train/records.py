@@ -1,4 +1,4 @@
-"""Clips of one or more data sets as training reads them: labels, and samples in the object frame of the view."""
+"""Clips of one or more data sets for training: labels, and samples in the object frame of the view."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class LabelledClip:
 
     @cached_property
     def samples(self) -> ClipSamples:
-        """Rest points, volumes, motion and skinning eigenmodes, as this view sees them."""
+        """Rest points, volumes, motion and skinning eigenmodes in this view."""
         stored, size = self.record.samples(), self.object_size
         axes = camera_aligned_axes(self.record.camera_to_world)
         points = np.asarray(stored.points, np.float64)

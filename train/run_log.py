@@ -1,4 +1,4 @@
-"""What a run leaves besides its tensors: configuration, JSON lines, TensorBoard."""
+"""Records of a run besides its tensors: configuration, JSON lines, TensorBoard."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from train.records import dataset_checksum
 
 
 class RunLog:
-    """`log.jsonl`, one object a line, and `tensorboard/`; lines beyond `first_step` are of a run that was killed."""
+    """`log.jsonl`, one object a line, and `tensorboard/`; lines beyond `first_step` of a killed run are dropped."""
 
     def __init__(self, folder: Path, *, first_step: int) -> None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -57,7 +57,7 @@ def _scalars(values: Mapping[str, object], prefix: str = "") -> Iterator[tuple[s
 
 
 def run_fingerprint(config: TrainConfig, data: Sequence[Path | str]) -> str:
-    """Hash of what decides the numbers of a run: configuration (but for workers and times) and data."""
+    """Hash of everything that affects the numbers of a run: configuration (except workers and times) and data."""
     tree = config.model_dump(mode="json", exclude={"workers", "checkpoint_seconds"})
     content = json.dumps([tree, [dataset_checksum(folder) for folder in data]], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()

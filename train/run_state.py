@@ -1,7 +1,7 @@
-"""Everything a run needs to go on, in one safetensors file that appears whole or not at all.
+"""The whole state of a run in one safetensors file, written atomically.
 
-All random draws are functions of seed and step (`train.epoch_plan`, `train.data`, `train.loop`), so the step number
-is the state of every generator and of the sampler.
+All random draws are functions of seed and step (`train.epoch_plan`, `train.data`, `train.loop`), so that the step
+number is the state of every generator and of the sampler.
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ def save_training_state(
 
 
 def read_progress(path: Path) -> TrainingProgress:
-    """Where the run stands that left this file.
+    """The state of the run in this file.
 
     Raises:
-        InputError: it is no training state.
+        InputError: it is not a training state.
     """
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata() or {}
@@ -70,10 +70,10 @@ def read_progress(path: Path) -> TrainingProgress:
 
 
 def refuse_other_run(path: Path, fingerprint: str) -> None:
-    """Say so where this file, if it is there, was left by a run of something else.
+    """Check that this file, if it exists, belongs to the same run.
 
     Raises:
-        InputError: it was, or is no training state.
+        InputError: it belongs to another run, or is not a training state.
     """
     if path.is_file() and read_progress(path).fingerprint != fingerprint:
         raise InputError(

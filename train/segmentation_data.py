@@ -1,4 +1,4 @@
-"""Clips with true masks for the segmenter: read once, then cut, recoloured and thinned anew for every step."""
+"""Clips with true masks for the segmenter: read once, then cropped, recoloured and thinned again for every step."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from train.records import LabelledClip
 
 @dataclass(frozen=True)
 class MaskedClip:
-    """Frames of a camera that stands still, and where the object is in them."""
+    """Frames of a fixed camera, and the object's masks."""
 
     frames: UInt8[np.ndarray, "T H W 3"]
     mask: Bool[np.ndarray, "T H W"]
@@ -54,7 +54,7 @@ def read_masked_clips(
 
 
 def moving_part(clip: MaskedClip, *, margin: int = 8) -> MaskedClip:
-    """The part of the picture in which something moves; all of it where that cannot be told."""
+    """The part of the picture that moves; all of it if that is undetermined."""
     window = moving_window(clip.frames, margin=margin)
     if window is None:
         return clip
@@ -62,7 +62,7 @@ def moving_part(clip: MaskedClip, *, margin: int = 8) -> MaskedClip:
 
 
 def augmented(clip: MaskedClip, options: SegmentationAugmentation, generator: np.random.Generator) -> MaskedClip:
-    """Fewer frames, mirrored or not, of other colours and size, with noise."""
+    """Fewer frames, perhaps mirrored, with other colours and size, and noise."""
     order = frame_order(len(clip.frames), options, generator)
     clip = MaskedClip(clip.frames[order], clip.mask[order])
     if generator.random() < 0.5:

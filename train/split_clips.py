@@ -1,4 +1,4 @@
-"""The clips of one split of some data sets, prepared as a recipe asks."""
+"""The clips of one split of some data sets, prepared for a recipe."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def split_clips(
     workers: int,
     report: Callable[[str, int, int], None],
 ) -> TrainingClips:
-    """To train on, augmented and some with their true masks, or to validate on, as at inference.
+    """For training, augmented and some with their true masks, or for validation, as at inference.
 
     Args:
         split: which objects.

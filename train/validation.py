@@ -26,7 +26,7 @@ from train.metrics import DensityMetrics, density_metrics
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """Logits and truth of every clip, and what the skinning weights miss (means)."""
+    """Logits and truth of every clip, and the part that the skinning weights miss (means)."""
 
     stiffness_logits: Float[Tensor, "N K"]
     poisson_logits: Float[Tensor, "N J"]
@@ -40,7 +40,7 @@ class Validation:
     poisson_bins: BinConfig
 
     def score(self) -> float:
-        """What the best checkpoint has least: CRPS of both in units of not knowing, and the span missed."""
+        """Score that the best checkpoint minimises: CRPS of both relative to no knowledge, and the missed span."""
         plain = DensityCalibration()
         total = 0.0
         for logits, values, bins in self._parts():

@@ -1,4 +1,4 @@
-"""Falling bodies as the explicit roll-outs take them: small to store, and laid out for the kernel."""
+"""Falling bodies as the input of explicit roll-outs: small to store, in the kernel's layout."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ FPS = 24.0  # [1/s]
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s²]
 LARGEST = 2048  # nodes, as in gpu/kernel.cu
 _LEAST_STEPS = 48  # per frame
-_LEAST_STAGES = 20  # friction asks for these, since it is as stiff on soft bodies
+_LEAST_STAGES = 20  # friction needs these, since it is as stiff on soft bodies
 _SAFETY = 2.0  # of the stiffness, which grows where elements are squeezed
 _LUMPED = np.array([1 / 36] * 4 + [4 / 27] * 6)  # Hinton, Rock, Zienkiewicz 1976: the consistent diagonal, scaled
-_CONTACT = 8.0  # most of (step × frequency of a node on the floor)², beyond which friction may make it grow
+_CONTACT = 8.0  # most (step × frequency of a node on the floor)², beyond which friction may be unstable
 _MARGIN = 2e-3  # [s] before the landing
 _POWER = 30  # iterations
 
@@ -42,7 +42,7 @@ class FallingBody:
     Attributes:
         corners: corner nodes of the quadratic mesh in any frame, shape [V, 3]; bodies of one shape share them.
         tets: between them, shape [E, 4].
-        place: takes corners to where the drop starts, scale included: x → place[:, :3] x + place[:, 3].
+        place: maps corners to the start of the drop, scale included: x → place[:, :3] x + place[:, 3].
         size: largest edge of the body's box there [m].
         youngs_modulus, poisson_ratio, density, damping_time, friction: of the drop.
         turns: rotations since the start at the frames of the flight, quaternions (x, y, z, w), shape [T, 4].
@@ -78,8 +78,8 @@ def falling_body(
     """A drop with a mesh of its body, lifted off the floor if its nodes reach below.
 
     Args:
-        drop: what falls.
-        mesh: in the frame of `drop.body`, but for the scale.
+        drop: the drop.
+        mesh: in the frame of `drop.body`, except for the scale.
         scale: of the drop's body over the mesh.
         frames, fps: of the fall [1/s].
         gravity: upwards [m/s²].
@@ -114,7 +114,7 @@ def _lumped_masses(mesh: TetMesh, density: float) -> Float64[np.ndarray, " V"]:
 
 
 def _stiffest(drop: Drop, mesh: TetMesh) -> float:
-    """Largest eigenvalue of any element's stiffness with the lumped masses, which no mesh of them exceeds [1/s²]."""
+    """Largest eigenvalue of any element's stiffness with the lumped masses, a bound for the mesh [1/s²]."""
     elastic = ElasticBody(
         mesh, youngs_modulus=drop.youngs_modulus, poisson_ratio=drop.poisson_ratio, density=drop.density
     )
@@ -159,7 +159,7 @@ def _flight(
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Bodies one behind the other, as the kernel reads them (gpu/kernel.cu); `out` holds the flight already.
+    """Bodies one behind the other, in the kernel's format (gpu/kernel.cu); `out` contains the flight already.
 
     Body n has its nodes at `table[n, 0]`, `table[n, 1]` of them.
     """
@@ -211,13 +211,13 @@ def lay_out(
     caution: float = 1.0,
     workers: int = 0,
 ) -> Layout:
-    """For the kernel.
+    """The kernel's input.
 
     Args:
-        bodies: those that take longest should come first.
+        bodies: those with the longest computation come first.
         frames, fps, gravity: as in `falling_body`.
-        caution: steps are shorter by this factor than is usually enough.
-        workers: processes; up to 1 all is done in this one.
+        caution: steps are shorter by this factor than usual.
+        workers: processes; up to 1, this process does everything.
     """
     lay = partial(_laid, frames=frames, fps=fps, gravity=gravity, caution=caution)
     with Workers(max(workers, 1)) as pool:

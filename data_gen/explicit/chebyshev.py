@@ -11,12 +11,12 @@ _DAMPING = 2 / 13
 
 
 def reach(stages: int) -> float:
-    """How far the region of stability goes along the negative real axis, times the step: about 0.65 s²."""
+    """Extent of the region of stability along the negative real axis, times the step: about 0.65 s²."""
     return 2 / 3 * (stages**2 - 1) * (1 - 2 / 15 * _DAMPING)
 
 
 def stages_for(stiffness: float) -> int:
-    """The fewest stages that reach so far (largest decay rate [1/s] times the step [s])."""
+    """The fewest stages with that extent (largest decay rate [1/s] times the step [s])."""
     return int(np.ceil(np.sqrt(1 + stiffness / reach(2) * 3)))
 
 

@@ -1,4 +1,4 @@
-"""Falls without pictures: shapes drawn, meshed and dropped several times each, as the generator draws its drops."""
+"""Falls without pictures: shapes drawn, meshed and dropped several times each, like the generator's drops."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ def generate_falls(
     work: WorkerOptions | None = None,
     on_file: Callable[[int], None] | None = None,
 ) -> int:
-    """Make (or finish) a folder of the falls of so many shapes; how many falls it holds.
+    """Make (or continue) a folder of the falls of that many shapes; returns the number of its falls.
 
-    Each shape falls `config.objects.simulations_per_object` times. Nothing is simulated yet; the bytes depend on the
-    arguments alone. A shape that cannot be meshed is left out.
+    Each shape falls `config.objects.simulations_per_object` times. Nothing is simulated here; the bytes depend only on
+    the arguments. A shape that cannot be meshed is left out.
 
     Args:
         root: folder.
@@ -54,8 +54,8 @@ def generate_falls(
         config: what is drawn.
         seed: of everything random.
         nodes: most nodes of a mesh, at most 2,048.
-        work: where it runs; one worker unless given.
-        on_file: told the number of shapes drawn after each file.
+        work: execution; one worker unless given.
+        on_file: called with the number of shapes drawn after each file.
 
     Raises:
         InputError: the folder was begun with something else, or an argument out of range.
@@ -94,8 +94,7 @@ def draw_falls(config: GeneratorConfig, seed: int, shape: int, *, nodes: int = _
     """The falls of one shape; none if it cannot be meshed.
 
     Raises:
-        InputError: the configuration asks for objects of a folder, or for a gravity or a frame rate that falls are not
-            rolled out with.
+        InputError: the configuration requires objects of a folder, or another gravity or frame rate than that of falls.
     """
     if config.objects.folder is not None:
         raise InputError(f"objects: got the folder {config.objects.folder}; expected procedural bodies")
@@ -123,7 +122,7 @@ def _file(root: Path, number: int) -> Path:
 
 
 def _holds(path: Path, shapes: tuple[int, int]) -> bool:
-    """Whether a file of so many shapes is there; one of fewer, from a smaller run, is made anew."""
+    """Whether a file of that many shapes exists; one of fewer, from a smaller run, is made again."""
     if not path.is_file():
         return False
     with np.load(path, allow_pickle=False) as file:

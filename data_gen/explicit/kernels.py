@@ -60,7 +60,7 @@ def roll_out(layout: Layout, device: torch.device | str = "cpu") -> Float32[Tens
 
 @dataclass(frozen=True)
 class DrawnClips:
-    """What is drawn of some clips.
+    """Inputs for the rendering of some clips.
 
     Attributes:
         clips: first node of the body, its nodes, first triangle, its triangles.

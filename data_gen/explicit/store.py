@@ -16,12 +16,12 @@ _NUMBERS = ("size", "youngs_modulus", "poisson_ratio", "density", "damping_time"
 
 
 def save_bodies(path: Path, shapes: Sequence[Sequence[FallingBody]], *, drawn: tuple[int, int]) -> None:
-    """Write the falls of some shapes, each of which shares corners and tetrahedra; the file appears whole or not.
+    """Write the falls of some shapes, each of which shares corners and tetrahedra, atomically.
 
     Args:
         path: of the file.
         shapes: the falls of each.
-        drawn: numbers of the first shape that was drawn for it and of the one beyond the last, some perhaps in vain.
+        drawn: numbers of the first shape drawn for it and of the one beyond the last; some draws may fail.
 
     Raises:
         ConvergenceError: no shape is there.

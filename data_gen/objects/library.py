@@ -1,4 +1,4 @@
-"""Objects without end: a random body from a family, checked, scaled and given a surface."""
+"""Unlimited objects: a random body from a family, checked, scaled and coloured."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ class ObjectMesh:
         uv: texture coordinates per vertex, origin at the lower left, shape [V, 2], or None.
         texture: image (sRGB), shape [H, W, 3], row 0 at the top (v = 1), or None.
         licence: licence of the geometry and texture, None if made here.
-        signed_distance: function of points [N, 3] in the frame of `vertices`, negative inside, zero on the surface
-            and roughly a distance near it; None for user meshes.
+        signed_distance: function of points [N, 3] in the frame of `vertices`, negative inside, zero on the surface and
+            approximately a distance near it; None for user meshes.
     """
 
     vertices: Float[np.ndarray, "V 3"]
@@ -135,7 +135,7 @@ def _normalised(raw: Field) -> Field | None:
 
 
 def _is_sound(field: Field, thickness: float) -> bool:
-    """Whether the body is one piece, stays one when it is worn down, and is nowhere much thinner than asked."""
+    """Whether the body is one piece, remains so when eroded, and is nowhere much thinner than required."""
     values, _ = sampled(field, 0.5 * np.array([[-1.0] * 3, [1.0] * 3]), CHECK_SPACING)
     inside = values < 0
     depth = distance_transform_edt(inside) * CHECK_SPACING

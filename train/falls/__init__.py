@@ -1,1 +1,1 @@
-"""Training on falls that are simulated at once on a GPU and drawn anew at every step."""
+"""Training on falls that are simulated together on a GPU and rendered again at every step."""

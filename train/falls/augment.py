@@ -30,7 +30,7 @@ class Shown:
 
 
 def augment_at_once(shown: Shown, config: AugmentConfig, generator: torch.Generator) -> Shown:
-    """All changes of `train.augment.augment`, but for those of the mask; drawn from the generator alone."""
+    """All changes of `train.augment.augment`, except those of the mask; depends only on the generator."""
     shown = _in_time(shown, config, generator)
     shown = _flipped(shown, _draw(generator, shown) < config.flip_share)
     noise = config.moment_noise * torch.randn(shown.moments.shape, generator=generator, device=shown.moments.device)
@@ -47,7 +47,7 @@ def _draw(generator: torch.Generator, shown: Shown | Tensor) -> Float[Tensor, " 
 
 
 def _in_time(shown: Shown, config: AugmentConfig, generator: torch.Generator) -> Shown:
-    """Later starts, earlier ends, every other frame; what is missing at the end repeats the last frame."""
+    """Later starts, earlier ends, every other frame; the last frame fills the missing ones at the end."""
     frames = shown.valid.shape[1]
     stop = shown.valid.sum(dim=1)
     start = (_draw(generator, shown) * (1 + (stop - 8).clamp(0, config.latest_start))).long()

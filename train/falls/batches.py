@@ -1,4 +1,4 @@
-"""Batches of clips on one device: views of falls that are drawn anew, and clips of data sets."""
+"""Batches of clips on one device: newly rendered views of falls, and clips of data sets."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def draw_batch(
 def real_batch(
     real: RealClips, chosen: Tensor, config: TrainConfig, weight: float, generator: torch.Generator
 ) -> FallBatch:
-    """Some clips of data sets as they are, now and then with the moments of the true masks."""
+    """Some unchanged clips of data sets, occasionally with the moments of the true masks."""
     draw = torch.rand(len(chosen), generator=generator, device=chosen.device)
     shown = real.shown(chosen, true_moments=draw < config.augment.true_moments_share)
     weights = torch.full_like(draw, weight)

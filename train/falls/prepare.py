@@ -1,4 +1,4 @@
-"""`models.clip.prepare_clip` for many clips at once, with torch, where the silhouettes are known."""
+"""`models.clip.prepare_clip` for many clips at once, with torch, for known silhouettes."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def prepare_clips_at_once(
 
 
 def _crop(masks: Tensor, margin: float) -> tuple[Float[Tensor, "B 2"], Float[Tensor, " B"]]:
-    """Upper left corner and edge of the square around everything the object passes [px]."""
+    """Upper left corner and edge of the square around the object's whole path [px]."""
     union = masks.amax(dim=1) > 0
     (x0, x1), (y0, y1) = _span(union.any(dim=1)), _span(union.any(dim=2))
     side = (torch.maximum(x1 - x0, y1 - y0) * (1 + 2 * margin)).round().clamp(min=4)

@@ -1,7 +1,7 @@
-"""Training on falls that are drawn anew at every step, beside clips of data sets if there are any.
+"""Training on falls that are rendered again at every step, together with clips of data sets if there are any.
 
-Whatever is random is a function of seed and step, and all that a run needs to go on is written at every report, so that
-a run that was killed goes on with the same losses.
+Every random number is a function of seed and step. Every report writes the whole state, so that a killed run continues
+with the same losses.
 """
 
 from __future__ import annotations
@@ -77,19 +77,19 @@ def pretrain(
     resume: bool = True,
     report: Report | None = None,
 ) -> PhysicsNetwork:
-    """Train; the averaged network that scored best on the validation clips (without any, on the held-out falls).
+    """Train; returns the averaged network with the best score on the validation clips (or the held-out falls).
 
     Args:
         network: on the device of the falls.
         falls: to train on.
-        held_out: to look at.
+        held_out: falls for evaluation.
         config: network, losses, augmentation, optimiser.
-        plan: how long, and on how many.
+        plan: length and size of the training.
         out: folder of `log.jsonl`, `tensorboard/`, `state.safetensors` and `pretrained.safetensors` (the best so far).
         real: clips of data sets to train on.
         validation: clips of data sets to choose by.
         camera: how views are drawn.
-        fingerprint: of what decides the numbers; a state with another one is refused.
+        fingerprint: of everything that affects the numbers; a state with another one is rejected.
         resume: go on from `state.safetensors` where there is one.
         report: called with a name of the work, the number done and the total.
 
@@ -240,7 +240,7 @@ class _Run:
 
 
 def _score(found: Mapping[str, float], batches: list[FallBatch]) -> float:
-    """CRPS of both in units of not knowing, as `train.validation.Validation.score` has it without the skinning."""
+    """CRPS of both relative to no knowledge, as in `train.validation.Validation.score`, without the skinning."""
     stiffness = torch.cat([batch.log10_stiffness for batch in batches])
     poisson = torch.cat([batch.poisson_ratio for batch in batches])
     parts = ((found["log10_stiffness_crps"], stiffness), (found["poisson_crps"], poisson))

@@ -26,7 +26,7 @@ from train.run_state import refuse_other_run
 from train.split_clips import split_clips
 from train.validation import validate
 
-_HELD_OUT = 80  # falls that are looked at only
+_HELD_OUT = 80  # falls for evaluation only
 
 
 def train_on_falls(
@@ -55,7 +55,7 @@ def train_on_falls(
         head: of the training of the skinning head.
         cache: where prepared clips live; `out/cache` unless given.
         workers: processes that prepare clips and bodies.
-        resume: go on from `state.safetensors` where there is one; the falls are simulated again.
+        resume: continue from `state.safetensors` if it exists; the falls are simulated again.
         report: called with a name of the work, the number done and the total.
 
     Returns:
@@ -112,7 +112,7 @@ def train_on_falls(
 
 
 def _fingerprint(config: TrainConfig, plan: Pretraining, falls: Path, data: Sequence[Path | str]) -> str:
-    """Hash of what decides the numbers of a run, but for the time that it may take."""
+    """Hash of everything that affects the numbers of a run, except for its time limit."""
     content = hashlib.sha256(run_fingerprint(config, data).encode())
     content.update(json.dumps(plan.replace(minutes=None).to_json()).encode())
     for path in sorted(falls.glob("falls-[0-9]*.npz")):

@@ -1,4 +1,4 @@
-"""The skinning head of a network whose other parts are trained already."""
+"""The skinning head of a network whose other parts are already trained."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def fit_skinning_head(
     *,
     report: Report | None = None,
 ) -> float:
-    """Train the head, in place, on what the network says of the clips; everything else stays. The last losses' mean."""
+    """Train only the head, in place, on the network's output for the clips. Returns the last mean loss."""
     plan, report = plan or HeadTraining(), report or (lambda name, done, total: None)
     latents, targets = _latents(network, clips, plan, report)
     head = network.skinning_head
@@ -63,7 +63,7 @@ def fit_skinning_head(
 def _latents(
     network: PhysicsNetwork, clips: TrainingClips, plan: HeadTraining, report: Report
 ) -> tuple[Tensor, Targets]:
-    """What the network says of every look at every clip, and what should be said."""
+    """Output of the network for every view of every clip, and the targets."""
     network.eval()
     items = [Item(look, clip) for look in range(plan.looks) for clip in range(len(clips))]
     latents, targets = [], []

@@ -1,4 +1,4 @@
-"""Falls as clips: a camera each, colours, and a silhouette as good as a finder's."""
+"""Falls as clips: each with a camera, colours, and a silhouette as accurate as the finder's."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def _looks(count: int, azimuth: Tensor, generator: torch.Generator, device: torc
 
 
 def _found(cover: Float[Tensor, "B T S S"], generator: torch.Generator) -> Float[Tensor, "B T S S"]:
-    """Silhouettes with an outline that is off by up to a pixel or two, in part alike in all frames of a clip."""
+    """Silhouettes with an outline error of up to a pixel or two, partly the same in all frames of a clip."""
     count, frames, side = cover.shape[:3]
     device = cover.device
     soft = functional.avg_pool2d(cover.flatten(0, 1)[:, None], 3, stride=1, padding=1).view_as(cover)

@@ -1,4 +1,4 @@
-"""Simulated falls held on one device: positions, surfaces and the true states of the motions."""
+"""Simulated falls on one device: positions, surfaces and the true states of the motions."""
 
 from __future__ import annotations
 
@@ -61,16 +61,16 @@ def simulate_falls(
     frames: int = 24,
     workers: int = 0,
 ) -> Falls:
-    """Roll all of them out; those that become unstable are tried again with shorter steps, and then left out.
+    """Roll all of them out; unstable ones are repeated with shorter steps, and left out if still unstable.
 
     Args:
-        bodies: what falls.
-        device: where.
+        bodies: the bodies.
+        device: the device.
         frames: of each fall.
         workers: processes that prepare them; 0 does so in this one.
 
     Raises:
-        ConvergenceError: not one stayed stable.
+        ConvergenceError: none is stable.
     """
     parts = [_simulated(bodies, device, frames, workers, 1.0)]
     lost = [body for body, ok in zip(parts[0].bodies, parts[0].sound, strict=True) if not ok]
@@ -84,7 +84,7 @@ def simulate_falls(
 
 @dataclass(frozen=True, eq=False)
 class _Simulated:
-    """Bodies in the order of their layout, where they went, and which of them stayed stable."""
+    """Bodies in the order of their layout, their positions, and which of them are stable."""
 
     bodies: list[FallingBody]
     layout: Layout

@@ -1,6 +1,6 @@
 """Identification, dynamic reconstruction, future prediction and generalisation of every object of a benchmark.
 
-Each part of an object is stored as it is finished (`OUT/objects/NAME.json`), so that an evaluation can be stopped.
+Each part of an object is stored when it is finished (`OUT/objects/NAME.json`), so that an evaluation can be stopped.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ def evaluate_paper(
     comparisons: bool = True,
     on_part: Callable[[str, str], None] | None = None,
 ) -> list[ObjectRow]:
-    """Evaluate (or go on with) all objects whose truth is there.
+    """Evaluate (or continue with) all objects with an existing truth.
 
     Args:
-        benchmark: folder of `physconvex generate benchmark`, which may still be at work.
+        benchmark: folder of `physconvex generate benchmark`, which may still be running.
         out: folder of the results.
         options: sizes.
-        names: of the objects to work on; None: all. Others take part in the result as far as they are evaluated.
-        comparisons: also the published way and the parts over M and K, which come after all else.
-        on_part: told the object and the part that begins.
+        names: of the objects to evaluate; None: all. The result includes other objects as far as they are evaluated.
+        comparisons: also the published method and the parts over M and K, after everything else.
+        on_part: called with the object and the part at its start.
 
     Returns:
-        What `OUT/objects/NAME.json` hold.
+        Content of `OUT/objects/NAME.json`.
 
     Raises:
         InputError: no benchmark, an unknown name, or `out` holds an evaluation with other options.
@@ -139,7 +139,7 @@ class _Object:
         clock, wall = time.process_time(), time.perf_counter()
         try:
             found = compute()
-        except (ConvergenceError, InputError) as error:  # a failure is a result here, and named
+        except (ConvergenceError, InputError) as error:  # a failure is a result here, with its reason
             found = PaperPart(failure=f"{type(error).__name__}: {error}")
         found["process_seconds"] = round(time.process_time() - clock, 1)
         found["seconds"] = round(time.perf_counter() - wall, 1)
@@ -154,7 +154,7 @@ class _Object:
         return PaperPart(values=[float(v) for v in values], errors=[float(v) for v in values - wanted])
 
     def _truth_itself(self) -> PaperPart:
-        """What the truth says of its own errors, and its future pictures beside those of half the nodes."""
+        """The truth's own errors, and its future pictures compared with those of half the nodes."""
         kept = ("nodes", "overlap", "rms_to_half_steps_m", "rms_to_half_nodes_m")
         out = cast(PaperPart, {name: self.true[name] for name in kept if name in self.true})
         future = slice(self.capture.observed_frames, self.capture.frames)
@@ -239,7 +239,7 @@ class _Object:
         return score_pictures([bound.at(nodes[t]) for t in frames], self.cameras, self.truth, frames)
 
     def _changes(self, found: Refinement) -> dict[str, Change]:
-        """Rms distance [m] from the truth under the same change, beside how far the change moved the truth."""
+        """Rms distance [m] from the truth under the same change, and the distance that the change moves the truth."""
         options, names = self.options, tuple(e.name for e in found.estimates)
         twin = base_twin(
             self.capture, TwinOptions(max_nodes=options.max_nodes, steps_per_frame=options.steps_per_frame)

@@ -1,7 +1,7 @@
-"""The published way of fitting, run here: ten neural skinning weights, implicit Euler with one step per frame, Adam.
+"""The published method of fitting: ten neural skinning weights, implicit Euler with one step per frame, Adam.
 
-What the paper does not say, or says elsewhere than in the documents of this project, is chosen here: Adam's rates, and
-that the residuals are the same as those of `physconvex refine` (followed points and outlines).
+Details that the paper does not state, or not in this project's documents, are chosen here: Adam's rates, and the
+residuals of `physconvex refine` (followed points and outlines).
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ _INTEGRATOR: IntegratorName = "implicit_euler"
 
 @dataclass(frozen=True, eq=False)
 class PublishedFit:
-    """What Adam ended at.
+    """Result of Adam.
 
     Attributes:
         values: log10 E, ν.
         misfit: there.
-        steps: made; fewer than asked for where the model failed.
+        steps: number of steps; fewer than requested if the model fails.
         twin: the reduced body, with these values.
         nodes: its motion in all frames [m], shape [T, V, 3].
     """

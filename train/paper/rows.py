@@ -1,4 +1,4 @@
-"""What an evaluation stores of each object, `OUT/objects/NAME.json`: one part per way of fitting it."""
+"""Stored results of each object, `OUT/objects/NAME.json`: one part per method of fitting."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class PictureScores(TypedDict, total=False):
 
 
 class Change(TypedDict):
-    """Rms distance from the truth under a change, and how far the change moved the truth [m]."""
+    """Rms distance from the truth under a change, and the distance that the change moves the truth [m]."""
 
     rms_m: float
     change_rms_m: float
 
 
 class PaperPart(TypedDict, total=False):
-    """What one way of fitting gave of an object, or why it failed; each way has some of these.
+    """Results of one method of fitting for an object, or its error; each method has some of these.
 
     Views are "front" and "others", stretches of the motion "observed" and "future".
     """
@@ -75,7 +75,7 @@ class ObjectRow:
     Attributes:
         object: its name.
         truth: log10 E and ν.
-        truth_itself: what the truth says of its own errors.
+        truth_itself: the truth's own errors.
         parts: by name, as they are finished.
     """
 
@@ -110,6 +110,6 @@ class ObjectRow:
         unfinished.replace(file)
 
     def with_part(self, name: str, key: str) -> PaperPart | None:
-        """A part that holds an entry; None where it was not made, or has failed."""
+        """A part with that entry; None if it is missing or failed."""
         part = self.parts.get(name)
         return part if part is not None and key in part else None
