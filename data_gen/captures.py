@@ -35,12 +35,12 @@ from physconvex import InputError, __version__
 from physconvex.io import Capture, Floor, Options, Tracks, save_capture
 from physconvex.mesh import TetMesh, compact
 
-# Stream numbers below LOOK's key, beside those of generate.py.
+# Stream numbers below LOOK's key, in addition to those of generate.py.
 _RING, _TRACKS = 20_000, 20_001
 
 
 class RingOptions(Options):
-    """What a capture holds besides the videos."""
+    """Content of a capture besides the videos."""
 
     observed_frames: int | None = None
     """Frames that may be fitted. Default: two thirds of all."""

@@ -28,7 +28,7 @@ def _softer(scene: Scene) -> Scene:
 
 
 def _pushed(scene: Scene) -> Scene:
-    """A uniform acceleration of 4 m/s² along x beside gravity."""
+    """A uniform acceleration of 4 m/s² along x in addition to gravity."""
     return replace(scene, gravity=np.asarray(scene.gravity) + np.array([_PUSH, 0.0, 0.0]))
 
 

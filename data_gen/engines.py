@@ -29,7 +29,7 @@ class WorkerOptions(Options):
 def run_tasks(
     function: Callable[[Task], Result], tasks: Sequence[Task], options: WorkerOptions | None = None
 ) -> Iterator[Result]:
-    """Apply `function` to all tasks, in one process unless told, and yield the results as they finish, in any order.
+    """Apply `function` to all tasks, by default in one process, and yield the results as they finish, in any order.
 
     Raises:
         InputError: an engine that is not installed.

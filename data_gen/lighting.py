@@ -1,4 +1,4 @@
-"""What a rendered object stands on and is lit by."""
+"""Light, floor and background of a rendered object."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxtyping import UInt8
 
 @dataclass(frozen=True)
 class Lighting:
-    """One key light far away, a fill light from the other side, ambient light and what the floor throws back.
+    """One key light far away, a fill light from the other side, ambient light and the floor's reflection.
 
     Attributes:
         direction: unit vector from the scene to the key light, shape [3], z > 0.

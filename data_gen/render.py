@@ -127,7 +127,7 @@ class Renderer:
             self.window.AddRenderer(self.passes[name])
 
     def release_passes(self, *names: str) -> None:
-        """Drop passes and what they hold on the graphics side."""
+        """Drop passes and their graphics memory."""
         for name in names:
             renderer = self.passes.pop(name, None)
             if renderer is not None:

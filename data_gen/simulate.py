@@ -47,7 +47,7 @@ class SimulatedDrop:
 
     @property
     def statistics(self) -> SolveStatistics:
-        """What the solve cost."""
+        """Cost of the solve."""
         return self.trajectory.statistics
 
 

@@ -19,7 +19,7 @@ Pattern = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
 
 def palette(rng: np.random.Generator, count: int) -> Float[np.ndarray, "C 3"]:
-    """Colours (sRGB, 0..1) that can be told apart: hues by the golden ratio, lightness alternating."""
+    """Colours (sRGB, 0..1) that are easy to distinguish: hues by the golden ratio, lightness alternating."""
     from matplotlib.colors import hsv_to_rgb
 
     hue = (rng.random() + 0.618 * np.arange(count) * rng.choice([0.1, 0.5, 1.0])) % 1.0

@@ -27,7 +27,7 @@ _LOG = logging.getLogger("physconvex")
 
 @dataclass(frozen=True, kw_only=True)
 class BatchSummary:
-    """What came of a batch."""
+    """Result of a batch."""
 
     out: Path
     rows: tuple[ResultRow, ...]
@@ -35,7 +35,7 @@ class BatchSummary:
     predicted: int
     """Clips predicted in this run."""
     resumed: int
-    """Clips that an earlier run had finished."""
+    """Clips that an earlier run has finished."""
     failed: int
     """Clips without prediction."""
 

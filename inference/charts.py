@@ -1,4 +1,4 @@
-"""Small SVG drawings of what is known about E and ν."""
+"""Small SVG charts of the estimates of E and ν."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def write_gallery(out: Path, rows: Sequence[ResultRow]) -> Path:
 
 
 def _card(clips: Path, row: ResultRow, stiffness: Axis, poisson: Axis) -> dict[str, object]:
-    """What the page shows of one clip."""
+    """Content of the page on one clip."""
     assert row.youngs_modulus_low and row.youngs_modulus_high
     strip, weights = clips / f"{row.name}.jpg", clips / f"{row.name}.skinning.png"
     return {

@@ -27,7 +27,7 @@ MAX_SIDE = 1280
 
 @dataclass(frozen=True, kw_only=True)
 class LoadedClip:
-    """Frames of one clip and what its files say about the motion."""
+    """Frames of one clip and the conditions of the motion that its files state."""
 
     frames: UInt8[np.ndarray, "T H W 3"]
     fps: float | None
@@ -40,7 +40,7 @@ class LoadedClip:
     object_size: float | None = None
     warnings: tuple[str, ...] = ()
     truncated: str = ""
-    """One line that names a file that is cut short and says what is missing (also a warning); else empty."""
+    """One line that names a truncated file and states what is missing (also a warning); else empty."""
 
     def with_mask(self, mask: object) -> LoadedClip:
         """Return the clip with this foreground, shape [T, H, W], instead of its own.
@@ -186,7 +186,7 @@ def load_array(
             a fourth channel is alpha (0 = background), unless it is opaque everywhere.
         mask: boolean foreground, shape [T, H, W].
         fps: frames per second [1/s]; None if unknown.
-        timestamps: times of the frames [s], shape [T]; they say what fps is.
+        timestamps: times of the frames [s], shape [T]; they determine fps.
 
     Raises:
         InputError: wrong shape, type or range.

@@ -96,7 +96,7 @@ class Prediction:
     warnings: tuple[str, ...] = ()
     """Reasons why the prediction may be worse than its intervals, one line each."""
     truncated: str = ""
-    """One line that names a file that is cut short and says how much was decoded (also a warning); else empty."""
+    """One line that names a truncated file and states the decoded part (also a warning); else empty."""
 
     silhouette: UInt8[np.ndarray, "S S"] | None = None
     """Coverage of the object in the first frame, 0 to 255, as in the network's input."""

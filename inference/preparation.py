@@ -36,7 +36,7 @@ class Predictor(Protocol):
 
     @property
     def clip_config(self) -> ClipConfig:
-        """What the network's input looks like."""
+        """Format of the network's input."""
         ...
 
     def prepare(self, frames: Any, **options: Any) -> PreparedClip:
@@ -86,7 +86,7 @@ def ready_source(
 
 
 def to_prediction(ready: ReadyClip, estimate: Estimated) -> Prediction:
-    """Join a clip's estimate with what it rests on."""
+    """Combine a clip's estimate with the data it depends on."""
     prepared = ready.prepared
     warnings = dict.fromkeys((*ready.warnings, *prepared.warnings, *estimate.warnings))
     return Prediction(

@@ -67,7 +67,7 @@ class ScoreTable(TypedDict):
 
 
 class ReconstructionRecord(TypedDict):
-    """What `reconstruction.json` holds."""
+    """Content of `reconstruction.json`."""
 
     claim: NotRequired[str]
     """Checksum of everything that the result depends on."""
@@ -118,7 +118,7 @@ class Reconstruction:
         return html_summary("Reconstruction", rows, pictures=pictures)
 
     def to_json(self) -> ReconstructionRecord:
-        """What `reconstruction.json` holds."""
+        """Content of `reconstruction.json`."""
         return {
             "version": physconvex.__version__,
             "convexes": len(self.field),

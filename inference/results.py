@@ -31,7 +31,7 @@ from physconvex import InputError
 
 @dataclass(frozen=True)
 class JournalEntry:
-    """What the journal says of one clip."""
+    """Journal entry of one clip."""
 
     key: str
     """Absolute path of the clip."""

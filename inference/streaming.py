@@ -25,7 +25,7 @@ Paths = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
 @dataclass(frozen=True, eq=False)
 class ClipResult:
-    """What came of one clip: a prediction or an error."""
+    """Result of one clip: a prediction or an error."""
 
     source: ClipSource | SourceProblem
     prediction: Prediction | None
@@ -34,7 +34,7 @@ class ClipResult:
     details: str = ""
     """Trace of an unexpected error."""
     pictures: ClipPictures = field(default_factory=ClipPictures)
-    """What to look at; empty unless asked for."""
+    """Pictures of the clip; empty unless requested."""
 
 
 def iter_predictions(

@@ -1,4 +1,4 @@
-"""What stands out from a plain background."""
+"""Silhouette in front of a plain background."""
 
 from __future__ import annotations
 

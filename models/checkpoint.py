@@ -63,7 +63,7 @@ class PredictorConfig(FrozenConfig):
 
     @classmethod
     def for_network(cls, network: NetworkConfig, **options: object) -> PredictorConfig:
-        """With the windows that the encoder wants."""
+        """With the windows of the encoder."""
         clip = ClipSettings(window=network.encoder.image_size, frames=network.encoder.frames)
         return cls.model_validate({"network": network, "clip": clip, **options})
 

@@ -18,7 +18,7 @@ _SURE = 0.5  # confidence of the foreground
 
 @dataclass(frozen=True)
 class ClipConfig:
-    """What the network's input looks like."""
+    """Format of the network's input."""
 
     image_size: int = 112  # [px] of the fixed square in which silhouettes are measured
     window: int = 80  # [px] edge of the windows that follow the object

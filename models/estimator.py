@@ -24,7 +24,7 @@ from physconvex import InputError
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ClipEstimate:
-    """What one clip says about its object's material."""
+    """Estimate of the object's material from one clip."""
 
     youngs_modulus: float
     """Median [Pa]."""
@@ -85,7 +85,7 @@ class PhysicsPredictor:
 
     @property
     def clip_config(self) -> ClipConfig:
-        """What `prepare` makes of a video."""
+        """Format of the clips from `prepare`."""
         return self.config.clip.clip_config()
 
     @property
@@ -144,7 +144,7 @@ class PhysicsPredictor:
         ]
 
     def _warnings(self, interval: float, log_stiffness: _Summary) -> tuple[str, ...]:
-        """What lies beyond the training data."""
+        """Warnings of values outside the training range."""
         known, warnings = self.config.training_range, []
         low, high = known.interval
         if not low / 1.05 <= interval <= high * 1.05:

@@ -20,7 +20,7 @@ _Network = TypeVar("_Network", bound=nn.Module)
 
 
 class FinderConfig(FrozenConfig):
-    """What the configurations of both networks hold."""
+    """Common part of both networks' configurations."""
 
     version: str = "0"
     """Of physconvex, when it was written."""

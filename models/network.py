@@ -48,7 +48,7 @@ class NetworkOutput:
     """`models.motion.STATE_NAMES`."""
     latent: Float[Tensor, "B D"]
     weights: Float[Tensor, "B Q M"] | None = None
-    """Skinning weights at the points asked for."""
+    """Skinning weights at the given points."""
 
 
 class PhysicsNetwork(nn.Module):

@@ -32,7 +32,7 @@ _MULTIPLE = 8  # of which padded pictures have edges: blocks of two, halved twic
 _CHANNELS = 9  # frame, frame - background, background known, likelihood of the colour, rough log odds
 _LARGEST_ODDS = 5.0
 _POSSIBLE = 0.3  # coverage
-_RIM = 5  # [px] edge of the square by which what is possible grows
+_RIM = 5  # [px] edge of the square by which the possible region grows
 
 
 class OutlineConfig(FinderConfig):

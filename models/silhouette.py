@@ -24,7 +24,7 @@ _FRAMES_FOR_UNIT = 3
 
 @dataclass(frozen=True)
 class Silhouettes:
-    """Moments of each frame (columns: `MOMENT_NAMES`) and which frames had no silhouette."""
+    """Moments of each frame (columns: `MOMENT_NAMES`) and which frames have no silhouette."""
 
     moments: Float32[np.ndarray, "T M"]
     empty: Bool[np.ndarray, " T"]

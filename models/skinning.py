@@ -133,7 +133,7 @@ class SkinningField:
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> SkinningField:
-        """Read what `save` wrote.
+        """Read a file of `save`.
 
         Raises:
             InputError: there is no such file, or it has another format.

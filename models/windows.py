@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
-GREY = 127  # what stands for "not the object"
+GREY = 127  # colour of everything but the object
 
 _FRAMES_FOR_UNIT = 3
 _LEAST_AREA = 1.0  # [px]

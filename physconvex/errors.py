@@ -6,8 +6,8 @@ class PhysconvexError(Exception):
 
 
 class InputError(PhysconvexError, ValueError):
-    """Bad user input; the message names the argument, what came, what was expected and the remedy."""
+    """Bad user input; the message names the argument, its value, the expected value and the remedy."""
 
 
 class ConvergenceError(PhysconvexError, RuntimeError):
-    """A solver could not reach its tolerance; the message says where and what was tried."""
+    """A solver could not reach its tolerance; the message states where, and the attempts."""

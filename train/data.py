@@ -32,7 +32,7 @@ class Item:
 
 @dataclass(frozen=True, eq=False)
 class TrainingBatch:
-    """Clips and what should be said of them."""
+    """Clips and their targets."""
 
     clips: ClipBatch
     targets: Targets
@@ -145,7 +145,7 @@ def collate(examples: Sequence[_Example]) -> TrainingBatch:
 
 
 class _Schedule(Sampler[list[Item]]):
-    """What one process sees of each batch of the plan."""
+    """One process's share of each batch of the plan."""
 
     def __init__(self, plan: Plan, first_step: int, rank: int, world: int) -> None:
         self._plan, self._steps, self._share = plan, range(first_step, plan.steps), slice(rank, None, world)

@@ -48,7 +48,7 @@ class Plan:
         return self.epochs * (self.clips // self.batch_size)
 
     def step(self, number: int) -> PlannedStep:
-        """What happens in step `number`."""
+        """The clips of step `number`."""
         per_epoch, size = self.clips // self.batch_size, self.batch_size
         epoch, place = divmod(number, per_epoch)
         chosen = _permutation(self.seed, epoch, self.clips)[place * size : (place + 1) * size]

@@ -25,7 +25,7 @@ from train.validation import Validation
 
 @dataclass(frozen=True)
 class Origin:
-    """What a network was trained on."""
+    """Training data of a network."""
 
     data: Sequence[Path | str]
     """Data sets."""

@@ -21,7 +21,7 @@ _Network = TypeVar("_Network", bound=nn.Module)
 
 @dataclass(frozen=True, kw_only=True)
 class FinderRecipe:
-    """What both recipes say."""
+    """Common part of both recipes."""
 
     steps: int
     """Of the optimiser."""

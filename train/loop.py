@@ -37,7 +37,7 @@ from train.validation import Validation, validate
 _LOG = logging.getLogger("physconvex")
 
 _EXAMPLE_SCALE = 1_000_003  # between the seeds of two runs
-_SHARES = (0.5, 0.75)  # of the way from a checkpoint to what further training made of it
+_SHARES = (0.5, 0.75)  # of the way from a checkpoint to the result of further training
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ class _Run:
         return float(broadcast(torch.tensor(seconds, device=self.accelerator.device)))
 
     def _update(self, batch: TrainingBatch, number: int, spent: float) -> dict[str, float]:
-        """One step of the optimiser; what the log says of it."""
+        """One step of the optimiser; returns its log entry."""
         config, device = self.config, self.accelerator.device
         rank = self.accelerator.process_index
         torch.manual_seed((config.seed * _EXAMPLE_SCALE + number) * 64 + rank)  # dropout

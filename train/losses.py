@@ -27,7 +27,7 @@ _Scores = tuple[Float[Tensor, " B"], Float[Tensor, " B"]]
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """What a batch should have said."""
+    """Targets of a batch."""
 
     log10_stiffness: Float[Tensor, " B"]
     poisson_ratio: Float[Tensor, " B"]
@@ -118,7 +118,7 @@ def _scores_of_both(
 
 
 def _weighted(stiffness: _Scores, poisson: _Scores, config: LossConfig, network: NetworkConfig) -> Float[Tensor, " B"]:
-    """What each clip's scores cost."""
+    """Loss of each clip's scores."""
     one, other = (
         config.nll * nll + config.crps * crps / _scale(bins)
         for (nll, crps), bins in ((stiffness, network.stiffness), (poisson, network.poisson))

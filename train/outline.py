@@ -55,7 +55,7 @@ def train_outline(
 ) -> OutlineResult:
     """Train on the true masks of the `train` split, measure on `validation`, write a checkpoint into `out`.
 
-    Rough silhouettes are the bundled segmenter's. What is random depends on the seed alone. `report` is called with a
+    Rough silhouettes are the bundled segmenter's. Random numbers depend only on the seed. `report` is called with a
     name of the work, the number done, the total.
 
     Raises:

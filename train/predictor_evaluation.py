@@ -36,7 +36,7 @@ class Decade:
 
 @dataclass(frozen=True)
 class Reading:
-    """What the network says of the clips read in one way."""
+    """The network's output for the clips in one frame order."""
 
     name: str
     log10_youngs_modulus: DensityMetrics

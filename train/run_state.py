@@ -85,7 +85,7 @@ def refuse_other_run(path: Path, fingerprint: str) -> None:
 def load_training_state(
     path: Path, *, network: nn.Module, average: nn.Module, optimizer: torch.optim.Optimizer
 ) -> TrainingProgress:
-    """Put back what `save_training_state` wrote."""
+    """Restore a state of `save_training_state`."""
     progress = read_progress(path)
     groups: dict[str, dict[str, Tensor]] = {"network": {}, "average": {}, "optimizer": {}}
     with safe_open(path, framework="pt") as file:

@@ -55,7 +55,7 @@ def train_segmenter(
 ) -> SegmentationResult:
     """Train on the true masks of the `train` split, measure on `validation`, write a checkpoint into `out`.
 
-    What is random depends on the seed alone. `report` is called with a name of the work, the number done, the total.
+    Random numbers depend only on the seed. `report` is called with a name of the work, the number done, the total.
 
     Raises:
         InputError: a folder is no data set, or has no clip in one of the two splits.

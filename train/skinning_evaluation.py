@@ -34,7 +34,7 @@ class SkinningEvaluation:
     of_all: Float64[np.ndarray, "N 3"]
     """Of the whole displacement."""
     beyond_affine: Float64[np.ndarray, "N 3"]
-    """Of what the best affine motion of each frame leaves."""
+    """Share of the remainder beyond the best affine motion of each frame."""
 
     def table(self) -> str:
         """For people."""

@@ -186,7 +186,7 @@ class Layout:
 
 @dataclass(frozen=True, eq=False)
 class _Laid:
-    """One body's part of a layout, as small as it is there: it comes from another process."""
+    """One body's part of a layout, in compact form, since it comes from another process."""
 
     material: Float32[np.ndarray, " 10"]
     stages: int

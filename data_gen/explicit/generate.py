@@ -51,7 +51,7 @@ def generate_falls(
     Args:
         root: folder.
         shapes: number of shapes.
-        config: what is drawn.
+        config: ranges of the random draws.
         seed: of everything random.
         nodes: most nodes of a mesh, at most 2,048.
         work: execution; one worker unless given.

@@ -47,7 +47,7 @@ def save_bodies(path: Path, shapes: Sequence[Sequence[FallingBody]], *, drawn: t
 
 
 def load_bodies(path: Path) -> list[FallingBody]:
-    """What `save_bodies` wrote."""
+    """Read a file of `save_bodies`."""
     with np.load(path, allow_pickle=False) as file:
         content = {name: file[name] for name in file.files}
     corners, tets = (np.split(content[name], np.cumsum(content[f"{name}_count"])[:-1]) for name in ("corners", "tets"))

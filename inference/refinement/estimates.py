@@ -48,7 +48,7 @@ def fitted_parameters(
     Args:
         found: the fit.
         left: deviation by model error, NaN where unknown.
-        told: which parameters are at a bound.
+        told: how well the data determine the parameters, and those at a bound.
         frames: frame of each residual.
         sources: the residuals of each source; each is tested on its own, so that many good ones do not hide a bad one.
         stated: whether the recording states the noise of each source; the noise of images is the size of their

@@ -32,7 +32,7 @@ from physconvex.identify import (
 # decades of E from the start, then further on the better side, and ν with them
 _BESIDE, _FURTHER, _RATIO = 0.15, (0.3, 0.45), 0.35
 _RATIOS = (0.25, 0.45)  # besides the best of these
-_ALIKE = 2.0  # pixels between the motions of both meshes, below which videos hardly tell them apart
+_ALIKE = 2.0  # pixels between the motions of both meshes, below which videos hardly distinguish them
 
 
 def fit_on_more_nodes(run: RefinementRun, problem: Problem, found: Fit, *, last: bool) -> tuple[Problem, Fit]:

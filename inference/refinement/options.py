@@ -1,4 +1,4 @@
-"""What the user decides about a refinement."""
+"""Options of a refinement."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ from physconvex.numerics import device_named
 from physconvex.reduced import parameter_values
 
 _STEPS_PER_CROSSING, _RATES = 15.0, (192.0, 768.0)  # steps while a wave crosses the body; least and most per second
-_NOT_FOLLOWED = 5.0  # standard deviations rms of one source, from which no interval says anything
+_NOT_FOLLOWED = 5.0  # standard deviations rms of one source, above which intervals are meaningless
 _WHERE = ("processes", "device")  # settings of where it is computed, which leave the result the same
 _LEFT = 0.5  # of the difference between few and more nodes: remaining error of more nodes
 
@@ -285,7 +285,7 @@ def _on_more_nodes(
 
 
 def _fixed(run: RefinementRun, problem: Problem) -> dict[str, float]:
-    """The values of what is held."""
+    """The values of the fixed parameters."""
     held = dict.fromkeys(["log10_youngs_modulus", "poisson_ratio", *run.options.fixed])
     names = [name for name in held if name not in problem.names]
     values = parameter_values(problem.twin.scene, names) if names else np.zeros(0)

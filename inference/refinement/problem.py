@@ -60,13 +60,13 @@ class Problem:
 
     @property
     def undrifted(self) -> Observations:
-        """What was seen, nuisances of camera and clock eliminated."""
+        """The observations, nuisances of camera and clock eliminated."""
         seen = self.observed.observations
         return MarginalObservations(seen, self.nuisance, 1 / self.twin.fps) if self.nuisance.any else seen
 
     @property
     def seen(self) -> Observations:
-        """What was seen, all nuisances eliminated."""
+        """The observations, all nuisances eliminated."""
         return self.with_drift_of(self.drift) if self.drift else self.undrifted
 
     def with_drift_of(self, sigma: float) -> RigidDriftObservations:
@@ -76,7 +76,7 @@ class Problem:
 
     @property
     def weighted(self) -> Observations:
-        """What was seen, frames counting by how well the model knows them."""
+        """The observations, frames weighted by the model's error."""
         return self.seen if self.errors is None else WeightedObservations.by_errors(self.seen, self.errors)
 
     def reduced(self) -> ReducedModel:

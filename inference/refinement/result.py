@@ -1,4 +1,4 @@
-"""What a refinement returns: `Refinement`, its parts, its JSON form."""
+"""The result of a refinement: `Refinement`, its parts, its JSON form."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ class RigidDrift:
         return {"first_frame": self.first_frame, "sigma_m_per_s": self.sigma, "rms_m": [float(r) for r in self.rms]}
 
     def sentences(self) -> tuple[str, ...]:
-        """What the user should know."""
+        """Notes for the user."""
         share = float(self.rms.max()) / self.size
         if share < _DRIFT_TOLD:
             return ()

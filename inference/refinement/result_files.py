@@ -1,4 +1,4 @@
-"""The files of a refinement: JSON, arrays, plots, the video beside the observed one."""
+"""The files of a refinement: JSON, arrays, plots, comparison video."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the steps of one refinement share."""
+"""State shared by the steps of one refinement."""
 
 from __future__ import annotations
 

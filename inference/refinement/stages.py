@@ -46,7 +46,7 @@ _IN_WORDS = {  # of NAME, and of NAME_… unless that has its own
 
 
 def stage_in_words(name: str) -> str:
-    """What a stage does, for who waits for it."""
+    """Description of a stage, for the progress display."""
     return _IN_WORDS.get(name) or _IN_WORDS.get(name.partition("_")[0], name)
 
 

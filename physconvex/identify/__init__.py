@@ -1,4 +1,4 @@
-"""Identification: a capture's base twin, what was seen, the unknowns, the search, the correction, the uncertainty."""
+"""Identification: a capture's base twin, observations, unknowns, search, correction, uncertainty."""
 
 import lazy_loader
 

@@ -21,7 +21,7 @@ from physconvex.reduced import NamedParameters
 _DIFFERENCE = 1e-6  # of a typical step: half width of the central differences of gradients
 # of a typical step, of whole roll-outs; iterated friction makes them rough at smaller scales
 _WHOLE_DIFFERENCE: dict[ContactSolver, float] = {"condensed": 1e-2, "passes": 0.1}
-_TOLERANCE = 1e-6  # of Newton's last step, over the size: a thousandth of what such a difference moves
+_TOLERANCE = 1e-6  # of Newton's last step, over the size: a thousandth of the motion of such a difference
 
 
 @dataclass(frozen=True, eq=False)

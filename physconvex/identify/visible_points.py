@@ -12,7 +12,7 @@ from physconvex.io import Camera
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """What rays hit.
+    """Hit points of rays.
 
     Attributes:
         faces: triangle of each ray, −1 for none, shape [...].

@@ -30,7 +30,7 @@ class Picture:
     content: bytes | str
     """PNG or JPEG bytes, or an SVG element."""
     label: str = ""
-    """What it shows, for those who do not see it."""
+    """Alternative text."""
 
     @property
     def element(self) -> str:

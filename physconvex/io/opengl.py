@@ -1,4 +1,4 @@
-"""What has to happen before a process draws with OpenGL."""
+"""Preparation of a process for OpenGL."""
 
 from __future__ import annotations
 

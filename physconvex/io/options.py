@@ -61,7 +61,7 @@ class Options(BaseModel):
                 raise InputError(error_in_words(error)) from None
 
     def replace(self, **changes: object) -> Self:
-        """The same options with some fields changed, checked anew."""
+        """The same options with some fields changed, validated again."""
         return type(self)(**(dict(self) | changes))
 
     def to_json(self) -> dict[str, JsonValue]:
@@ -80,7 +80,7 @@ _EXPECTED = {
 
 
 def error_in_words(error: ValidationError) -> str:
-    """Every place that is wrong: the name, what came, what was expected."""
+    """Every wrong place: the name, its value, the expected value."""
     return "; ".join(map(_place_in_words, error.errors()))
 
 
@@ -162,7 +162,7 @@ def _parameter(name: str, info: FieldInfo) -> inspect.Parameter:
 
 
 def _kind(annotation: object) -> tuple[Any, bool]:
-    """What typer is told of a field's type, and whether the option may be given several times."""
+    """The type of a field for typer, and whether the option may be given several times."""
     inner = _bare(annotation)
     if get_origin(inner) in (Union, types.UnionType):
         given = [_bare(part) for part in get_args(inner) if part is not type(None)]

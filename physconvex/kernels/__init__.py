@@ -1,4 +1,4 @@
-"""C++ and CUDA sources, and what compiles and loads them."""
+"""C++ and CUDA sources, their compilation and loading."""
 
 import lazy_loader
 

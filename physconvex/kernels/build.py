@@ -102,7 +102,7 @@ class Kernel:
 
     @property
     def available(self) -> bool:
-        """Whether the library can be had here."""
+        """Whether the library is available here."""
         return isinstance(self._loaded, ctypes.CDLL)
 
     @property

@@ -66,7 +66,7 @@ class Flows:
 
     @property
     def beside_law(self) -> bool:
-        """Whether both stand beside the body's elastic law."""
+        """Whether both add to the body's elastic law."""
         return self.first.beside_law and self.second.beside_law
 
     @property
@@ -81,5 +81,5 @@ class Flows:
 
 
 def stored_flows(rule: FlowRule | None) -> tuple[int, ...]:
-    """Shape of what is stored at a point, before [3, 3]."""
+    """Shape of the stored flow at a point, before [3, 3]."""
     return (2,) if isinstance(rule, Flows) else ()

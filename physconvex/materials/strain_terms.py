@@ -34,7 +34,7 @@ def _added(law: Law, addition: Law) -> Law:
 
 
 def less_ground(law: Law, ground: Law) -> Law:
-    """What was added to a law: the difference of the two."""
+    """The term added to a law: the difference of the two."""
     return combined(f"{law.name}-{ground.name}", (1.0, law), (-1.0, ground))
 
 

@@ -101,7 +101,7 @@ class YieldStep:
         return undo
 
     def _yielding(self, f: Tensor) -> _Yielding:
-        """Kept, since energy and stress are asked for at the same F."""
+        """Kept, since energy and stress are requested at the same F."""
         if self._last and self._last[0][0] is f:
             return self._last[0][1]
         elastic = f @ self.undo

@@ -9,7 +9,7 @@ _STILL = 1e-8  # square of a step, in typical ones, below which it is ignored
 
 
 def moved_along(slope: Float[np.ndarray, "T K P 3"], step: Float[np.ndarray, " K"]) -> Float[np.ndarray, "T P 3"]:
-    """What a step changes by derivatives."""
+    """Change over a step by the derivatives."""
     return np.einsum("tkpi,k->tpi", slope, step)
 
 

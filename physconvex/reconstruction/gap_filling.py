@@ -1,4 +1,4 @@
-"""Closing what a fit has left open inside a body."""
+"""Closes gaps that a fit leaves inside a body."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ def start_kind(asked: StartKind, *, mesh: bool, points: bool) -> StartKind:
 
 
 def _thinned(points: np.ndarray, most: int, seed: int) -> np.ndarray:
-    """At most so many of the points, at random."""
+    """At most that many of the points, at random."""
     points = np.unique(np.asarray(points, dtype=np.float64), axis=0)
     if points.shape[1:] != (3,) or len(points) < 4 or not np.isfinite(points).all():
         raise InputError(f"points: got shape {points.shape} of different ones; expected finite [P, 3] with P ≥ 4")

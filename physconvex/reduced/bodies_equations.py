@@ -41,7 +41,7 @@ class BodiesEquations(DenseNewton):
     def _parts(self, x: np.ndarray) -> list[tuple[ReducedEquations, np.ndarray]]:
         return [(body, x[where]) for body, where in zip(self.bodies, self.slices, strict=True)]
 
-    # -- what a step holds fixed
+    # -- fixed during a step
 
     def set_step(self, coefficients: StepCoefficients, time: float, guess: np.ndarray, last: State) -> None:
         """Fix everything that is constant during one time step, as `ReducedEquations` does for one body."""

@@ -22,7 +22,7 @@ class DenseNewton(ABC):
     """Linear algebra of a step of reduced coordinates y [R, 3].
 
     Args:
-        size: of what moves [m].
+        size: of the bodies [m].
     """
 
     def __init__(self, size: float) -> None:

@@ -86,7 +86,7 @@ def most_deformed(body: ElasticBody, positions: Float[np.ndarray, "T V 3"]) -> F
     """Frames with the most deformation: the one of largest elastic energy, and the one that reaches half of it.
 
     Args:
-        body: what moves.
+        body: the body.
         positions: of its nodes at the frames [m].
 
     Returns:

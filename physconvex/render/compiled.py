@@ -73,7 +73,7 @@ def composite_tangents(
 
 
 def planar_hulls_kernel(points: Float[Tensor, "N C 2"]) -> Hulls:
-    """What `planar_hulls` computes.
+    """Result of `planar_hulls`.
 
     Raises:
         KernelUnavailable: the kernel cannot be compiled here.

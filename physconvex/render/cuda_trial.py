@@ -38,7 +38,7 @@ def cuda_draws_rightly(device: torch.device) -> bool:
 
 
 def _differences(device: torch.device) -> str:
-    """What differs, in words; empty if nothing does."""
+    """The differences, in words; empty if there are none."""
     field = _scene()
     camera = look_at((0.0, -2.0, 0.3), (0.0, 0.0, 0.0), width=_SIZE[0], height=_SIZE[1], vertical_field_of_view=0.7)
     load_forward_mode()

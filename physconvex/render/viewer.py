@@ -123,7 +123,7 @@ class FieldViewer:
 
     @property
     def address(self) -> str:
-        """What to open."""
+        """Address to open."""
         return f"http://{self.server.get_host()}:{self.server.get_port()}"
 
     def close(self) -> None:
@@ -145,7 +145,7 @@ class FieldViewer:
         self.server.scene.set_up_direction("+z")
 
     def _add_controls(self) -> None:
-        """What to show, and which frame."""
+        """Controls for the displayed object and frame."""
         look = self.server.gui.add_dropdown("show", (SOFT, HULLS), initial_value=SOFT)
 
         @look.on_update

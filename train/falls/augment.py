@@ -19,7 +19,7 @@ _GREY_WEIGHTS = (0.2989, 0.587, 0.114)
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What B clips of T frames show, and how they move."""
+    """Windows and motion of B clips of T frames."""
 
     windows: Float[Tensor, "B T W W 4"]
     """0..255."""

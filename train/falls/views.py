@@ -22,7 +22,7 @@ class Views:
     images: Float[Tensor, "B T S S 3"]
     """0..255."""
     masks: Float[Tensor, "B T S S"]
-    """0 or 1: what a finder might say is the object."""
+    """0 or 1: plausible output of a finder."""
     turn: Float[Tensor, "B 3 3"]
     """Rows: to the right in the picture, away from the camera, up (`train.records.camera_aligned_axes`)."""
 

@@ -68,7 +68,7 @@ def evaluate_paper(
     (out / "objects").mkdir(parents=True, exist_ok=True)
     _claim(out / "options.json", options)
     made = [name for name in names or every if (benchmark / "truth" / name / "truth.json").exists()]
-    for comparing in (False, True) if comparisons else (False,):  # what the tables are about first, of all objects
+    for comparing in (False, True) if comparisons else (False,):  # first the main tables, for all objects
         for name in made:
             _Object(benchmark, out, name, options, on_part).evaluate(comparing)
     files = [out / "objects" / f"{name}.json" for name in every]
@@ -76,7 +76,7 @@ def evaluate_paper(
 
 
 def _claim(file: Path, options: PaperOptions) -> None:
-    """Write the settings that results depend on; what merely chooses parts may be another one each time."""
+    """Write the settings that results depend on; the choice of parts may differ in every run."""
     settings = options.to_json()
     for choice in ("ablation", "ablation_points", *(() if options.adam_steps else ("adam_steps",))):
         del settings[choice]

@@ -1,4 +1,4 @@
-"""Scores of a moving field against what every camera saw."""
+"""Scores of a moving field against the images of every camera."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def perceptual_score(images: UInt8[np.ndarray, "T H W 3"], references: UInt8[np.
     if importlib.util.find_spec("pyfvvdp") is None:
         return None
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it uses what SciPy has deprecated
+        warnings.simplefilter("ignore")  # it uses deprecated functions of SciPy
         import pyfvvdp
 
         metric: Any = pyfvvdp.fvvdp(display_name="standard_4k", heatmap=None)

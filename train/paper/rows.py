@@ -42,7 +42,7 @@ class PaperPart(TypedDict, total=False):
     failure: str
     process_seconds: float
     seconds: float
-    # of what was fitted: log10 E and ν, and fit less truth
+    # of the fit: log10 E and ν, and fit minus truth
     values: list[float]
     errors: list[float]
     intervals_90: list[list[float] | None]
@@ -61,7 +61,7 @@ class PaperPart(TypedDict, total=False):
     psnr: float
     first_images: PictureScores
     observed: dict[str, dict[str, PictureScores]]
-    # of the truth itself, beside half its nodes and half its steps
+    # of the truth itself, compared with half its nodes and half its steps
     nodes: int
     overlap: float
     rms_to_half_steps_m: list[float]

@@ -35,7 +35,7 @@ def _label(part: str) -> str:
 
 @dataclass(frozen=True)
 class WayMeans:
-    """Of one way of fitting: mean |Δ log10 E|, |Δν| and processor time [s] over so many objects."""
+    """Of one way of fitting: mean |Δ log10 E|, |Δν| and processor time [s] over that many objects."""
 
     log10_error: float
     poisson_error: float
@@ -73,7 +73,7 @@ class Summary:
         identification: by way.
         pictures: scores by way, stretch of the motion and view.
         changes: distances by change [m].
-        failures: object, way and what happened.
+        failures: object, method and error.
         field: None without any.
         points: by K.
         coverage_90: share of `intervals` 90 % intervals that hold the truth; None of none.

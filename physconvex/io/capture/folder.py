@@ -165,7 +165,7 @@ class Capture:
             raise InputError(f"{path}: {error}") from None
 
     def boundary(self) -> Boundary | None:
-        """What is held, or None."""
+        """The held part, or None."""
         path = self.folder / "boundary.npz"
         if not path.exists():
             return None

@@ -116,7 +116,7 @@ def _refuse_misspelt(path: Path, values: Mapping[str, JsonValue], model: type[_E
 
 
 def _in_words(errors: list[ErrorDetails], values: Mapping[str, JsonValue]) -> Iterator[str]:
-    """What is wrong: the field, what came, what was expected."""
+    """The error: the field, its value, the expected value."""
     for error in errors:
         first, *inner = error["loc"]
         entry = values.get(str(first))

@@ -147,7 +147,7 @@ def _orient(frames: UInt8[np.ndarray, "T H W C"], probe: Probe) -> UInt8[np.ndar
 
 
 def _check_memory(path: Path, probe: Probe, limits: Limits, frame_bytes: int) -> None:
-    """Refuse what is known to be too much before decoding it."""
+    """Reject a video that is known to be too large, before decoding."""
     counts = [probe.header_frames or None, limits.max_frames]
     if limits.max_seconds is not None and probe.rate is not None:
         counts.append(int(np.ceil(limits.max_seconds * probe.rate)))

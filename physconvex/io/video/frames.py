@@ -1,4 +1,4 @@
-"""What reading a video gives."""
+"""Result of reading a video."""
 
 from dataclasses import dataclass
 
