@@ -179,11 +179,11 @@ class _Take:
         return filled(mesh, *surface) if self.options.fill else mesh
 
     def scene(self, mesh: TetMesh) -> Scene:
-        """On a mesh."""
+        """The scene on a mesh."""
         return scene_of(mesh, self.truth, self.body, self.motion)
 
     def surface(self, mesh: TetMesh) -> Embedding:
-        """Of the vertices that are shown, in a mesh."""
+        """Embedding of the visible vertices in a mesh."""
         return Embedding.of_points(mesh, self.body.vertices)
 
     def moved(self, surface: Embedding, scene: Scene, *, share: float = 1.0) -> Float[np.ndarray, "T V 3"]:

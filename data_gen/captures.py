@@ -62,7 +62,7 @@ class CaptureTask:
 
 
 def capture_folder(root: Path, simulation: int) -> Path:
-    """Where capture number `simulation` lies."""
+    """Folder of capture number `simulation`."""
     return root / f"{simulation:06d}"
 
 

@@ -40,7 +40,7 @@ class RenderedView:
 
 
 def simulation_folder(root: Path, simulation: int) -> Path:
-    """Where simulation number `simulation` lies."""
+    """Folder of simulation number `simulation`."""
     return root / "simulations" / f"{simulation:06d}"
 
 

@@ -1,4 +1,4 @@
-"""Where in the picture of a fixed camera something moves."""
+"""Moving region in the pictures of a fixed camera."""
 
 from __future__ import annotations
 

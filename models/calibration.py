@@ -36,7 +36,7 @@ class DensityCalibration(FrozenConfig):
 
 
 class Calibration(FrozenConfig):
-    """Of both heads; the default is the uncalibrated network."""
+    """Calibration of both heads; the default is the uncalibrated network."""
 
     stiffness: DensityCalibration = DensityCalibration()
     poisson: DensityCalibration = DensityCalibration()

@@ -18,7 +18,7 @@ _SIGN = np.array([-1.0 if name in ("centroid_x", "left", "right", "sxy") else 1.
 
 
 def mirrored_moments(moments: Float[np.ndarray, "*T M"]) -> Float[np.ndarray, "*T M"]:
-    """Of the silhouettes seen in a mirror: x turns."""
+    """Moments of the mirrored silhouettes: x changes its sign."""
     return moments[..., _SOURCE] * _SIGN
 
 

@@ -179,7 +179,7 @@ class Layout:
     """Triangles of each body's surface, between its nodes."""
 
     def positions(self, out: Array, body: int) -> Array:
-        """Of one body, from a filled `out`: [T, V, 3] m, an array or a tensor as `out` is."""
+        """Positions of one body, from a filled `out`: [T, V, 3] m, an array or a tensor like `out`."""
         node, count = (int(v) for v in self.table[body, :2])
         return out[3 * node * self.frames :][: 3 * count * self.frames].reshape(self.frames, count, 3)
 

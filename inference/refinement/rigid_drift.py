@@ -92,7 +92,7 @@ def drift_of(problem: Problem, found: Fit) -> RigidDrift | None:
 
 
 def drifted(problem: Problem, found: Fit) -> Float[np.ndarray, "T P 3"]:
-    """Where the points were by the fit, the rigid drift with them [m]."""
+    """Positions of the points in the fit, with rigid drift [m]."""
     seen = problem.seen
     drift = seen.drift(found.positions) if isinstance(seen, RigidDriftObservations) else 0.0
     return np.asarray(found.positions + drift)

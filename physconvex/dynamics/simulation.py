@@ -32,12 +32,12 @@ class FrameStates:
 
     @cached_property
     def positions(self) -> Float[np.ndarray, "T R 3"]:
-        """Of all degrees of freedom [m]."""
+        """Positions of all degrees of freedom [m]."""
         return np.stack([state.positions for state in self.states])
 
     @cached_property
     def velocities(self) -> Float[np.ndarray, "T R 3"]:
-        """Of all degrees of freedom [m/s]."""
+        """Velocities of all degrees of freedom [m/s]."""
         return np.stack([state.velocities for state in self.states])
 
     def flowed(self, body: int = 0) -> np.ndarray | None:

@@ -112,7 +112,7 @@ class CompiledContact(ContactProblem):
 
     @cached_property
     def _holding(self) -> _Pairs:
-        """With ρ."""
+        """Pairs with ρ."""
         pairs = self._pairs
         pairs.holds = address(self.stiffness)
         return pairs

@@ -108,7 +108,7 @@ class KeptFactor:
         self._compliance = grown
 
     def _unknowns(self, nodes: np.ndarray) -> Int[np.ndarray, " N"]:
-        """Of the solver: three of each free node."""
+        """Unknowns of the solver: three for each free node."""
         return (3 * self._place_of[nodes][:, None] + np.arange(3)).ravel()
 
 

@@ -55,7 +55,7 @@ class NodalEquations:
 
     @property
     def factorisations(self) -> int:
-        """Of Newton's matrix, so far."""
+        """Number of factorisations of Newton's matrix."""
         return self.solver.factorisations
 
     def first_guess(self, guess: np.ndarray, time: float) -> np.ndarray:
@@ -142,7 +142,7 @@ class NodalEquations:
         return gradient
 
     def _body_energy_and_gradient(self, x: np.ndarray, *, with_energy: bool) -> tuple[float, np.ndarray]:
-        """Of elasticity, and of viscosity during a time step."""
+        """Energy and gradient of elasticity, and of viscosity during a time step."""
         if self.coefficients is None or self.viscous is None:
             return self.body.energy_and_gradient(x, response=self.response)
         return self.body.moving_energy_and_gradient(
@@ -171,7 +171,7 @@ class NodalEquations:
         return loss + rub, force + hold
 
     def _resistance(self, velocity: np.ndarray) -> tuple[float, np.ndarray]:
-        """Of the air."""
+        """Rate potential and force of the air."""
         loss, force = 0.0, np.zeros_like(velocity)
         if self.scene.wind is not None:
             power, blow = self.scene.wind.energy_and_gradient(velocity, self.body.mesh.node_areas, self.time)

@@ -53,7 +53,7 @@ class _Side:
         self.equations.set_step(coefficients, record.after.time, guess, before)
 
     def pinned(self, time: float) -> np.ndarray:
-        """Where the pinned nodes are [m]."""
+        """Positions of the pinned nodes [m]."""
         assert self.scene.held is not None
         return self.scene.held.positions(time, self.scene.start)
 
@@ -134,7 +134,7 @@ def _tangent(
 
 
 class _Tangents:
-    """All of them, carried along a roll-out."""
+    """The derivatives by all parameters, carried along a roll-out."""
 
     def __init__(self, tangents: list[_Tangent]) -> None:
         self.tangents = tangents
@@ -176,7 +176,7 @@ class _Tangents:
 
     @property
     def state(self) -> State:
-        """Of all parameters, [K, V, 3]."""
+        """Derivatives of the state by all parameters, shape [K, V, 3]."""
         states = [tangent.state for tangent in self.tangents]
         return State(
             states[0].time if states else 0.0,

@@ -152,7 +152,7 @@ class ColourObservations(EvaluatedObservations, PointwiseObservations):
 
     @cached_property
     def colours(self) -> Float[np.ndarray, "P 3"]:
-        """Of the points, in the first image."""
+        """Colours of the points in the first image."""
         return _sampled(self.images[0], self.camera.project(self.points)[0])
 
     def in_frames(self, count: int) -> ColourObservations:

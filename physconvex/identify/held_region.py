@@ -57,14 +57,14 @@ class HeldRegion:
         return near & ((self._distance(points) <= reach) | self._inside(points))
 
     def _distance(self, points: np.ndarray) -> np.ndarray:
-        """To the triangles [m]."""
+        """Distance to the triangles [m]."""
         count = min(_NEAR, len(self.triangles))
         index = cKDTree(self.triangles.mean(1)).query(points, k=[*range(1, count + 1)])[1]
         feet = closest_points(self.triangles[index], points[:, None])
         return np.linalg.norm(points[:, None] - feet, axis=-1).min(1)
 
     def _inside(self, points: np.ndarray) -> np.ndarray:
-        """In one of the tetrahedra."""
+        """Whether points are in one of the tetrahedra."""
         inside = np.zeros(len(points), bool)
         for corners in self.tets:
             edges = np.linalg.solve((corners[1:] - corners[0]).T, (points - corners[0]).T)

@@ -96,7 +96,7 @@ def default_parameter(name: str, *, start: float | None = None) -> Parameter:
 
 
 def starts(parameters: Sequence[Parameter]) -> Float[np.ndarray, " K"]:
-    """Where each begins."""
+    """Start values."""
     return np.array([p.start for p in parameters])
 
 

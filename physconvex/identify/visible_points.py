@@ -67,7 +67,7 @@ def _barycentric(
 
 
 def unit_normals(vertices: Float[np.ndarray, "V 3"], triangles: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "F 3"]:
-    """Of triangles, by the order of their corners; zero where one has no area."""
+    """Unit normals of triangles, by the order of their corners; zero for triangles without area."""
     corners = vertices[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))

@@ -99,7 +99,7 @@ class Camera:
 
     @property
     def position(self) -> Float[np.ndarray, " 3"]:
-        """Where the camera stands [m]."""
+        """Position of the camera [m]."""
         return self.transform_matrix[:3, 3]
 
     @property

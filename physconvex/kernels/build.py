@@ -31,7 +31,7 @@ class KernelUnavailable(RuntimeError):
 
 
 def cache_folder() -> Path:
-    """Where compiled kernels are kept: $PHYSCONVEX_CACHE, else `physconvex` in the user's cache folder."""
+    """Folder of compiled kernels: $PHYSCONVEX_CACHE, else `physconvex` in the user's cache folder."""
     given = os.environ.get("PHYSCONVEX_CACHE")
     if given:
         return Path(given)
@@ -132,7 +132,7 @@ def aligned(array: np.ndarray) -> np.ndarray:
 
 
 def address(array: np.ndarray) -> int:
-    """Where an array lies in memory."""
+    """Address of an array in memory."""
     return array.__array_interface__["data"][0]
 
 

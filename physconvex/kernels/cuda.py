@@ -96,7 +96,7 @@ def _function(source: str, name: str, device: int) -> object:
 
 @cache
 def _primary_context(device: int) -> object:
-    """That in which torch works on a device."""
+    """The context that torch uses on a device."""
     driver = _bindings("driver")
     error, handle = driver.cuDeviceGet(device)
     _require(error, f"finding device {device}")

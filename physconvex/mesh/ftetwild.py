@@ -171,7 +171,7 @@ def _volume(vertices: np.ndarray, tets: np.ndarray) -> float:
 
 
 def diagonal_of(vertices: np.ndarray) -> float:
-    """Of the bounding box [m]."""
+    """Diagonal of the bounding box [m]."""
     return float(np.linalg.norm(np.ptp(vertices, axis=0)))
 
 

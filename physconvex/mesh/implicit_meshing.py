@@ -145,7 +145,7 @@ def _gridded(signed_distance: SignedDistance, bounds: np.ndarray, spacing: float
 
 
 def _fine_surface(field: SignedDistance, bounds: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of a stuffed lattice."""
+    """Surface of a stuffed lattice."""
     fine = largest_piece(stuff(field, bounds, cell), share=0.0)
     assert fine is not None
     return fine.vertices, fine.boundary_faces

@@ -99,7 +99,7 @@ class Capture:
         return tuple(camera for camera in self.cameras if any(map(_is_there, self._pictures(camera.name))))
 
     def _pictures(self, camera: str) -> tuple[Path, Path]:
-        """Where its images may be: a video, a folder."""
+        """Possible paths of its images: a video, a folder."""
         return self.folder / f"{camera}.mp4", self.folder / camera
 
     def video(self, camera: str) -> Video:
