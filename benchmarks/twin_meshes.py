@@ -4,7 +4,7 @@ python benchmarks/twin_meshes.py BENCHMARK --names NAME …                (goes
 
 BENCHMARK is a folder of `physconvex generate benchmark`. Each object is rolled out at its true E, ν and damping on
 meshes of few and more nodes (*best*: of several meshers, as those of `refine`'s last searches), as they are and filled
-(`physconvex.fem.filled`). *Distance*: rms from the truth's points by
+(`physconvex.mesh.filled`). *Distance*: rms from the truth's points by
 frame [mm]. *Shift*: where E [decades] and ν would go if fitted to those points, to first order, frames counting by that
 distance, with a prior of 0.33 decades of E and 0.17 of ν.
 

@@ -17,7 +17,7 @@ from data_gen.engines import WorkerOptions
 from data_gen.generate import GenerationSummary, TaskReport, generate_dataset
 from physconvex.io import command
 
-app = typer.Typer(help=__doc__, no_args_is_help=True)
+app = typer.Typer(help=__doc__, no_args_is_help=True, add_completion=False)
 
 
 @app.callback()

@@ -106,7 +106,7 @@ class MaterialRanges(FrozenConfig):
 class SolverConfig(FrozenConfig):
     """Discretisation: most nodes of the quadratic mesh, most nodes added where the body lands, time steps per video
     frame, the same at most while it flies before it lands, what touches the floor (the mesh's nodes, or points all over
-    the shown surface that the mesh carries), how contact is solved for (`physconvex.fem.simulate`), most friction
+    the shown surface that the mesh carries), how contact is solved for (`physconvex.dynamics.simulate`), most friction
     passes per step if by passes, Newton's last step relative to the body's size, tries before giving up."""
 
     target_nodes: int = Field(default=1000, ge=20)

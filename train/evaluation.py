@@ -13,7 +13,7 @@ from train.options import EvaluationOptions
 from train.paper.command import paper_command
 from train.progress import ProgressBar
 
-app = typer.Typer(no_args_is_help=True, help=__doc__)
+app = typer.Typer(no_args_is_help=True, add_completion=False, help=__doc__)
 app.add_typer(gap_app, name="gap")
 app.command("paper")(paper_command)
 

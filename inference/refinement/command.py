@@ -47,7 +47,7 @@ def refine_command(
     from inference.refinement.pipeline import refine
     from inference.refinement.result_files import write_refinement
 
-    options = options.replace(processes=processes or os.cpu_count() or 1)
+    options = options.replace(processes=(os.cpu_count() or 1) if processes is None else processes)
 
     def say(stage: str, stored: bool) -> None:
         if not no_progress:

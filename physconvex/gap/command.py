@@ -16,7 +16,8 @@ from physconvex.io import command
 @command
 def diagnose_command(
     capture: Annotated[
-        Path, typer.Argument(help="Capture folder (capture.json) with marker tracks.", show_default=False)
+        Path,
+        typer.Argument(help="Capture folder: capture.json, rest geometry, tracks or videos.", show_default=False),
     ],
     options: GapOptions,
     *,

@@ -71,7 +71,7 @@ def diagnose(
     The base model follows `capture.json`, with E, ν and the unstated initial motion fitted; only 100 frames count.
 
     Args:
-        capture: a capture folder with marker tracks and rest geometry.
+        capture: a capture folder with rest geometry and marker tracks or videos.
         second_take: another capture of the same body; the shrinkage is also reported on it.
         effects: names of the effects to try; all by default.
         without: names to leave out.
@@ -85,6 +85,7 @@ def diagnose(
     """
     begun, options = time.monotonic(), options or GapOptions()
     capture = shortened(capture if isinstance(capture, Capture) else load_capture(capture))
+    other = load_capture(second_take) if isinstance(second_take, Path | str) else second_take
     dictionary = choose(effects, without=without, extra=extra)
     report: Report = on_progress or (lambda _: None)
     cost = Cost(options.deadline)
@@ -118,8 +119,7 @@ def diagnose(
         hypotheses, screening, measure(base, errors, weights, best, hypotheses, shrinkage=shrinkage), options
     )
     shrinkage = (*shrinkage, *held_out_views(base, best, placebo, options))
-    if second_take is not None:
-        other = second_take if isinstance(second_take, Capture) else load_capture(second_take)
+    if other is not None:
         again = second_take_shrinkage(base, best, other, options, report)
         shrinkage = (*shrinkage, *(() if again is None else (again,)))
     verdict = replace(verdict, caveats=(*verdict.caveats, *lost_points(base.observations)))

@@ -146,8 +146,8 @@ class FullModel:
         """Positions and their derivatives.
 
         Without obstacles the derivatives are those of the step equations
-        (`physconvex.fem.simulate_with_sensitivities`). With obstacles they are differences of whole roll-outs over a
-        hundredth of a typical step (a tenth with contact damping), over which condensed contact is linear. P + 1 such
+        (`physconvex.dynamics.simulate_with_sensitivities`). With obstacles they are differences of whole roll-outs over
+        a hundredth of a typical step (a tenth with contact damping), over which condensed contact is linear. P + 1 such
         roll-outs cost about as much as one with derivatives, which needs iterated friction.
         """
         known = self.memory.tangents(self.key(values))

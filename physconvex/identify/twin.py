@@ -43,7 +43,7 @@ class TwinOptions:
         law: elastic law, see `physconvex.materials.laws`.
         youngs_modulus, poisson_ratio: of the twin before the fit.
         fill: whether mass and energy of a mesh made of a surface are those of the surface's interior
-            (`physconvex.fem.filled`).
+            (`physconvex.mesh.filled`).
     """
 
     weights: int = 20

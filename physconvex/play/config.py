@@ -114,7 +114,7 @@ class BasisConfig(FrozenConfig):
 
 class TimeConfig(FrozenConfig):
     """Frames, rate [1/s], time steps per frame, most friction passes per step, Newton's last step over the size, gain
-    of energy from which a step is cut in two (`physconvex.reduced.simulate`)."""
+    of energy from which a step is cut in two (`physconvex.dynamics.simulate`)."""
 
     frames: int = Field(default=24, ge=1)
     fps: Positive = 24.0

@@ -47,7 +47,7 @@ def orbit(
 def film(
     fields: Iterable[ConvexField], cameras: Iterable[Camera], *, background: Float[Tensor, " 3"] | None = None
 ) -> Iterator[UInt8[np.ndarray, "H W 3"]]:
-    """Pictures of a field per camera, for `physconvex.io.video.write_video`; repeat either for a still one."""
+    """Pictures of a field per camera, for `physconvex.io.write_video`; repeat either for a still one."""
     for field, camera in zip(fields, cameras, strict=False):
         with torch.no_grad():
             colour = render(field, camera, background=background).colour

@@ -17,6 +17,7 @@ from physconvex.gap import (
     PointMotion,
     applicable,
     choose,
+    diagnose,
 )
 
 NAMES = (
@@ -355,5 +356,13 @@ def test_own_effect(situation):
     assert [index for index, _ in push.trials(situation)] == [0]
     with pytest.raises(InputError, match="no_such_effect"):
         choose(["no_such_effect"])
+    with pytest.raises(InputError, match="none is left"):
+        choose(["damping"], without=["damping"])
     with pytest.raises(InputError, match="acts on nothing"):
         Effect("ghost", "material", (Dose("x", "", 0, 1, 0.1, lambda s: 0.1),))
+
+
+def test_a_second_take_that_is_not_there_is_refused_at_once(monkeypatch, tmp_path):
+    monkeypatch.setattr("physconvex.gap.diagnosis.rough_baseline", lambda *_, **__: pytest.fail("it began"))
+    with pytest.raises(InputError, match="nothere"):
+        diagnose("examples/captures/silicone_beam_gravity", second_take=tmp_path / "nothere")

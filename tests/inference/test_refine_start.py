@@ -4,8 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import typer
+from typer.testing import CliRunner
 
 from inference import RefineOptions
+from inference.refinement.command import refine_command
 from inference.refinement.reduced_search import scan_range
 from inference.refinement.stages import arrays_of_scan
 from physconvex import InputError
@@ -95,3 +98,10 @@ def test_options_are_checked():
 def test_choices_are_checked():
     with pytest.raises(InputError, match="expected one of"):
         RefineOptions(start="guess")
+
+
+def test_no_processes_are_refused_by_the_command_too(tmp_path):
+    app = typer.Typer()
+    app.command()(refine_command)
+    found = CliRunner().invoke(app, ["examples/captures/school_bus", "--processes", "0", "--out", str(tmp_path)])
+    assert isinstance(found.exception, InputError) and "processes: got 0" in str(found.exception)

@@ -1,4 +1,4 @@
-"""The commands `physconvex evaluate gap`: captures with sealed labels, blind diagnosis, score."""
+"""Blind tests of the diagnosis: captures with sealed labels, answers, score."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from physconvex.io import command
 if TYPE_CHECKING:
     from train.blind.scoring import BankScore
 
-app = typer.Typer(no_args_is_help=True, help=__doc__)
+app = typer.Typer(no_args_is_help=True, add_completion=False, help=__doc__)
 
 
 @app.command()

@@ -62,7 +62,7 @@ def choose(
     """The effects of these names (all by default), without the excluded ones, plus extra ones.
 
     Raises:
-        InputError: no effect has that name.
+        InputError: no effect has that name, or none is left.
     """
     known = (*DEFAULT_EFFECTS, *extra)
     left_out = set(without)
@@ -72,7 +72,10 @@ def choose(
         raise InputError(
             f"effects: got {sorted(unknown)}; expected names among {', '.join(sorted({e.name for e in known}))}"
         )
-    return tuple(effect for effect in known if effect.name in wanted - left_out)
+    chosen = tuple(effect for effect in known if effect.name in wanted - left_out)
+    if not chosen:
+        raise InputError("effects: none is left; expected at least one that `without` does not leave out")
+    return chosen
 
 
 def applicable(effects: Iterable[Effect], situation: Situation) -> tuple[Effect, ...]:
