@@ -1,4 +1,3 @@
-from .activity import moving_window as moving_window
 from .background import plain_background_masks as plain_background_masks
 from .calibration import (
     Calibration as Calibration,
@@ -6,12 +5,12 @@ from .calibration import (
     fit_density_calibration as fit_density_calibration,
 )
 from .checkpoint import (
-    ClipSettings as ClipSettings,
     PredictorConfig as PredictorConfig,
     TrainingRange as TrainingRange,
     find_checkpoint as find_checkpoint,
     load_checkpoint as load_checkpoint,
 )
+from .checkpoint_files import save_network as save_network
 from .clip import (
     ClipConfig as ClipConfig,
     PreparedClip as PreparedClip,
@@ -32,14 +31,12 @@ from .estimator import (
     PhysicsPredictor as PhysicsPredictor,
     collate_clips as collate_clips,
 )
-from .finder_checkpoint import save_finder_network as save_finder_network
-from .foreground import locate_foreground as locate_foreground
+from .foreground import locate_foreground as locate_foreground, moving_window as moving_window
 from .heads import BinnedDensity as BinnedDensity, DensityHead as DensityHead
 from .kinematics import SilhouetteFeatures as SilhouetteFeatures, differences as differences
 from .mirror import (
     answer_both_ways as answer_both_ways,
     mirrored_moments as mirrored_moments,
-    mirrored_moments_tensor as mirrored_moments_tensor,
 )
 from .motion import STATE_NAMES as STATE_NAMES, STATE_SCALE as STATE_SCALE, MotionBranch as MotionBranch
 from .network import ClipBatch as ClipBatch, NetworkOutput as NetworkOutput, PhysicsNetwork as PhysicsNetwork

@@ -1,23 +1,27 @@
 """Frames of any size and rate -> the network's input; shared by training and inference."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int64, UInt8
+from pydantic import model_validator
 
 from models.downscaling import halvings, shrink
 from models.foreground import Foreground, ForegroundSource, locate_foreground
-from models.frame_selection import motion_start, resample
 from models.silhouette import MOMENT_NAMES, silhouette_moments
 from models.windows import GREY, object_windows
 from physconvex import InputError
+from physconvex.io import Options
 
 _SURE = 0.5  # confidence of the foreground
+_LEAD_FRAMES = 2  # shown before the motion begins
+_THUMBNAIL = 64  # [px]
 
 
-@dataclass(frozen=True)
-class ClipConfig:
+class ClipConfig(Options):
     """Format of the network's input."""
 
     image_size: int = 112  # [px] of the fixed square in which silhouettes are measured
@@ -27,13 +31,15 @@ class ClipConfig:
     target_fps: float = 24.0  # [1/s]
     margin: float = 0.1  # around the object's path, as a share of its larger edge
 
-    def __post_init__(self) -> None:
+    @model_validator(mode="after")
+    def _check(self) -> ClipConfig:
         large = self.image_size >= 8 and self.window >= 8 and self.extent > 0 and self.margin >= 0
         if not large or self.frames < 2 or not self.target_fps > 0:
             raise InputError(
-                f"ClipConfig: got {self}, expected image_size >= 8, window >= 8, extent > 0, frames >= 2, "
+                f"ClipConfig: got {self!r}, expected image_size >= 8, window >= 8, extent > 0, frames >= 2, "
                 "target_fps > 0, margin >= 0"
             )
+        return self
 
 
 @dataclass(frozen=True)
@@ -73,8 +79,8 @@ def prepare_clip(
         config: size, length and rate of the result.
 
     A video longer than the window is shown from just before the motion (`start_time`); a shorter one repeats its last
-    frame with `valid` False. The output rate is the source's divided by a whole number
-    (`models.frame_selection.resample`): no frame is interpolated or repeated.
+    frame with `valid` False. The output rate is the source's divided by a whole number (`resample`): no frame is
+    interpolated or repeated.
 
     Raises:
         InputError: wrong shape or dtype, fewer than two frames, times that do not increase.
@@ -150,6 +156,48 @@ def _checked_times(frames: np.ndarray, fps: float, timestamps: np.ndarray | None
     if times.shape != (len(frames),) or not np.all(np.diff(times) > 0):
         raise InputError(f"timestamps: got shape {times.shape}, expected {len(frames)} increasing times [s]")
     return times
+
+
+@dataclass(frozen=True)
+class FrameSelection:
+    """Indices of source frames, equally spaced in time at `fps`."""
+
+    indices: Int64[np.ndarray, " N"]
+    fps: float  # [1/s]
+
+
+def resample(timestamps: Float64[np.ndarray, " T"], *, target_fps: float) -> FrameSelection:
+    """Every n-th frame of a video of constant rate; the nearest frames of one with a variable rate.
+
+    With a constant rate the spacing is exact: the result has the source rate divided by the whole number that brings it
+    closest to `target_fps` (25 -> 25, 60 -> 30, 240 -> 24). A variable rate is sampled at `target_fps`, or at its mean
+    rate if that is lower.
+    """
+    steps = np.diff(timestamps)
+    rate = len(steps) / (timestamps[-1] - timestamps[0])
+    if np.ptp(steps) <= 0.25 * np.median(steps):
+        stride = max(1, round(rate / target_fps))
+        return FrameSelection(indices=np.arange(0, len(timestamps), stride), fps=float(rate / stride))
+    fps = float(min(rate, target_fps))
+    times = timestamps[0] + np.arange(int((timestamps[-1] - timestamps[0]) * fps + 1e-6) + 1) / fps
+    middles = (timestamps[1:] + timestamps[:-1]) / 2
+    return FrameSelection(indices=np.searchsorted(middles, times).astype(np.int64), fps=fps)
+
+
+def motion_start(frames: UInt8[np.ndarray, "T H W 3"], indices: Int64[np.ndarray, " N"], *, length: int) -> int:
+    """Position in `indices` at which a window of `length` frames begins: just before the motion.
+
+    Motion is a change above the noise in a thumbnail's frame differences. Without motion the result is 0; the window
+    never extends beyond the last frame.
+    """
+    size = (_THUMBNAIL, _THUMBNAIL)
+    small = [cv2.resize(frames[i], size, interpolation=cv2.INTER_AREA).mean(axis=2) for i in indices]
+    change = np.abs(np.diff(np.stack(small).astype(np.float32), axis=0)).reshape(len(small) - 1, -1)
+    strength = np.partition(change, -20, axis=1)[:, -20]  # the 20th largest of 4096 pixels
+    threshold = max(6.0, 3.0 * float(np.quantile(strength, 0.1)))
+    moving = np.flatnonzero(strength > threshold)
+    first = int(moving[0]) if len(moving) else 0
+    return max(0, min(first - _LEAD_FRAMES, len(indices) - length))
 
 
 def _crop_square(foreground: Foreground, margin: float, size: int) -> tuple[int, int, int]:

@@ -11,7 +11,8 @@ import torch
 from jaxtyping import Float64, UInt8
 
 import physconvex
-from models.checkpoint import PredictorConfig, load_checkpoint, save_checkpoint
+from models.checkpoint import PredictorConfig, load_checkpoint
+from models.checkpoint_files import save_network
 from models.clip import ClipConfig, PreparedClip, prepare_clip
 from models.config import NetworkConfig
 from models.heads import BinnedDensity
@@ -81,12 +82,12 @@ class PhysicsPredictor:
         """Write a checkpoint folder that `from_pretrained` reads."""
         config = self.config.model_copy(update={"version": physconvex.__version__})
         card = model_card or "# physconvex predictor\n\nNo model card was given; see config.json.\n"
-        save_checkpoint(folder, self.network, config, model_card=card)
+        save_network(folder, self.network, config, model_card=card)
 
     @property
     def clip_config(self) -> ClipConfig:
         """Format of the clips from `prepare`."""
-        return self.config.clip.clip_config()
+        return self.config.clip
 
     @property
     def device(self) -> torch.device:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -12,24 +13,22 @@ from torch import Tensor
 from models.network import ClipBatch, NetworkOutput, PhysicsNetwork
 from models.silhouette import MOMENT_NAMES
 
+_Moments = TypeVar("_Moments", Float[np.ndarray, "*T M"], Float[Tensor, "*T M"])
+
 _SWAPPED = {"left": "right", "right": "left"}
 _SOURCE = np.array([MOMENT_NAMES.index(_SWAPPED.get(name, name)) for name in MOMENT_NAMES])
 _SIGN = np.array([-1.0 if name in ("centroid_x", "left", "right", "sxy") else 1.0 for name in MOMENT_NAMES], np.float32)
 
 
-def mirrored_moments(moments: Float[np.ndarray, "*T M"]) -> Float[np.ndarray, "*T M"]:
+def mirrored_moments(moments: _Moments) -> _Moments:
     """Moments of the mirrored silhouettes: x changes its sign."""
-    return moments[..., _SOURCE] * _SIGN
-
-
-def mirrored_moments_tensor(moments: Float[Tensor, "*T M"]) -> Float[Tensor, "*T M"]:
-    """`mirrored_moments` of a tensor."""
-    return moments[..., _SOURCE] * torch.from_numpy(_SIGN).to(moments.device)
+    sign = torch.from_numpy(_SIGN).to(moments.device) if isinstance(moments, Tensor) else _SIGN
+    return moments[..., _SOURCE] * sign
 
 
 def mirrored_batch(batch: ClipBatch) -> ClipBatch:
     """Left and right exchanged."""
-    return replace(batch, windows=batch.windows.flip(3), moments=mirrored_moments_tensor(batch.moments))
+    return replace(batch, windows=batch.windows.flip(3), moments=mirrored_moments(batch.moments))
 
 
 def answer_both_ways(

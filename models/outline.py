@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from models.appearance import LARGEST_RATIO, colour_codes, colour_ratio, sort_pictures
-from models.finder_checkpoint import FinderConfig, load_finder_network
+from models.checkpoint_files import FinderConfig, load_finder_network
 
 BUNDLED_OUTLINE = Path(__file__).parent / "checkpoints" / "outline"
 
@@ -160,17 +160,12 @@ def refined_coverage(
 
     The bundled network, read once per process, unless another is given.
     """
-    corrected = network or _bundled_outline()
+    corrected = network or _bundled()
     height, width = frames.shape[1:3]
     with torch.inference_mode():
         logits = corrected(outline_input(frames, coverage))
         refined: Float32[np.ndarray, "T H W"] = logits[:, :height, :width].sigmoid().numpy()
     return refined
-
-
-@cache
-def _bundled_outline() -> OutlineNetwork:
-    return load_outline()
 
 
 def load_outline(folder: str | os.PathLike[str] = BUNDLED_OUTLINE) -> OutlineNetwork:
@@ -179,5 +174,7 @@ def load_outline(folder: str | os.PathLike[str] = BUNDLED_OUTLINE) -> OutlineNet
     Raises:
         InputError: there is none, it is of another format, or its tensors do not fit its configuration.
     """
-    _, network = load_finder_network(folder, OutlineConfig, OutlineNetwork, name="outline")
-    return network.to(memory_format=torch.channels_last)
+    return load_finder_network(folder, OutlineConfig, OutlineNetwork, name="outline")
+
+
+_bundled = cache(load_outline)

@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from models.appearance import sort_pictures
-from models.finder_checkpoint import FinderConfig, load_finder_network
+from models.checkpoint_files import FinderConfig, load_finder_network
 
 BUNDLED_SEGMENTER = Path(__file__).parent / "checkpoints" / "segmenter"
 
@@ -140,7 +140,7 @@ def object_coverage(
         frames: the part of the picture in which something moves; any size.
         segmenter: the bundled one unless given; that is read once per process.
     """
-    network = segmenter or _bundled_segmenter()
+    network = segmenter or _bundled()
     height, width = frames.shape[1:3]
     padded = pad_pictures(frames)
     with torch.inference_mode():
@@ -149,16 +149,13 @@ def object_coverage(
     return coverage
 
 
-@cache
-def _bundled_segmenter() -> SilhouetteSegmenter:
-    return load_segmenter()
-
-
 def load_segmenter(folder: str | os.PathLike[str] = BUNDLED_SEGMENTER) -> SilhouetteSegmenter:
     """A segmenter, the bundled one unless a folder is given, in float32 and evaluation mode.
 
     Raises:
         InputError: there is none, it is of another format, or its tensors do not fit its configuration.
     """
-    _, network = load_finder_network(folder, SegmenterConfig, SilhouetteSegmenter, name="segmenter")
-    return network.to(memory_format=torch.channels_last)
+    return load_finder_network(folder, SegmenterConfig, SilhouetteSegmenter, name="segmenter")
+
+
+_bundled = cache(load_segmenter)

@@ -56,13 +56,13 @@ def _remainder(motion: Float[np.ndarray, "Q N"], basis: Float[np.ndarray, "Q B"]
 
 
 def random_basis(
-    count: int, *, generator: np.random.Generator, wave_number: float = 1.0
+    count: int, *, generator: np.random.Generator
 ) -> Callable[[Float[np.ndarray, "Q 3"]], Float[np.ndarray, "Q M"]]:
     """Random smooth fields cos(k·X + φ) of points in units of the object size: the baseline of any basis.
 
-    Components of k are normal with standard deviation π `wave_number`, half a wave over the object.
+    Components of k are normal with standard deviation π, half a wave over the object.
     """
-    waves = np.pi * wave_number * generator.standard_normal((3, count))
+    waves = np.pi * generator.standard_normal((3, count))
     phases = generator.uniform(0, 2 * np.pi, count)
     return lambda points: np.cos(np.asarray(points) @ waves + phases)
 
@@ -79,7 +79,7 @@ def span_loss(
     """
     measure = (volume_weights / volume_weights.sum(dim=1, keepdim=True)).double()
     basis, target = _unit_columns(weights, measure), _unit_columns(modes, measure)
-    captured = _captured(basis, target)
+    captured = _projections(basis, target).square().sum(dim=1)
     share = importance.double() / importance.double().sum(dim=1, keepdim=True)
     return (share * (1 - captured)).sum(dim=1).float()
 
@@ -114,10 +114,6 @@ def _unit_columns(fields: Float[Tensor, "B Q N"], measure: Float[Tensor, "B Q"])
     centred = fields - (measure[:, None] @ fields)
     scaled = centred * measure.sqrt()[..., None]
     return scaled / (scaled.norm(dim=1, keepdim=True) + 1e-6)
-
-
-def _captured(basis: Float[Tensor, "B Q M"], target: Float[Tensor, "B Q K"]) -> Float[Tensor, "B K"]:
-    return _projections(basis, target).square().sum(dim=1)
 
 
 def _projections(basis: Float[Tensor, "B Q M"], target: Float[Tensor, "B Q K"]) -> Float[Tensor, "B M K"]:

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
-from models import MOMENT_NAMES, ClipSettings, PreparedClip, prepare_clip
+from models import MOMENT_NAMES, ClipConfig, PreparedClip, prepare_clip
 from physconvex.io import end_with_parent
 from train.records import LabelledClip, dataset_checksum
 
@@ -69,7 +69,7 @@ class PreparedClips:
 
 def prepare_clips(
     clips: Sequence[LabelledClip],
-    settings: ClipSettings,
+    settings: ClipConfig,
     folder: Path,
     *,
     true_mask_share: float = 0.0,
@@ -130,7 +130,7 @@ def _start_worker() -> None:
     torch.set_num_threads(1)
 
 
-def _open_arrays(folder: Path, count: int, settings: ClipSettings) -> dict[str, np.memmap]:
+def _open_arrays(folder: Path, count: int, settings: ClipConfig) -> dict[str, np.memmap]:
     size, window, frames = settings.image_size, settings.window, settings.frames
     shapes: dict[str, tuple[tuple[int, ...], type]] = {
         "windows": ((count, frames, window, window, 4), np.uint8),
@@ -153,7 +153,7 @@ def _open_arrays(folder: Path, count: int, settings: ClipSettings) -> dict[str, 
     return arrays
 
 
-def _key(clips: Sequence[LabelledClip], settings: ClipSettings, true_mask_share: float) -> str:
+def _key(clips: Sequence[LabelledClip], settings: ClipConfig, true_mask_share: float) -> str:
     content = {
         "format": 4,
         "data": [dataset_checksum(folder) for folder in dict.fromkeys(clip.dataset for clip in clips)],
@@ -166,16 +166,15 @@ def _key(clips: Sequence[LabelledClip], settings: ClipSettings, true_mask_share:
 
 
 def _prepare_chunk(
-    clips: list[LabelledClip], *, settings: ClipSettings, true_mask_share: float
+    clips: list[LabelledClip], *, settings: ClipConfig, true_mask_share: float
 ) -> list[dict[str, object]]:
     return [_prepare(clip, settings, true_mask_share) for clip in clips]
 
 
-def _prepare(clip: LabelledClip, settings: ClipSettings, true_mask_share: float) -> dict[str, object]:
+def _prepare(clip: LabelledClip, settings: ClipConfig, true_mask_share: float) -> dict[str, object]:
     frames, fps, truth = clip.record.frames(), clip.fps, clip.record.mask()
-    config = settings.clip_config()
-    known = prepare_clip(frames, fps=fps, mask=truth, config=config)
-    found = prepare_clip(frames, fps=fps, config=config)
+    known = prepare_clip(frames, fps=fps, mask=truth, config=settings)
+    found = prepare_clip(frames, fps=fps, config=settings)
     draw = int.from_bytes(hashlib.sha256(clip.name.encode()).digest()[:4], "big") / 2**32
     shown = known if draw < true_mask_share else found
     return {

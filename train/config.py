@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from models import ClipSettings, NetworkConfig
+from models import ClipConfig, NetworkConfig
 from physconvex.io import FrozenConfig, read_tree, validated
 
 
@@ -95,10 +95,10 @@ class TrainConfig(FrozenConfig):
         return self
 
     @property
-    def clip(self) -> ClipSettings:
+    def clip(self) -> ClipConfig:
         """How clips are prepared."""
         encoder = self.network.encoder
-        return ClipSettings(window=encoder.image_size, extent=self.extent, frames=encoder.frames, margin=self.margin)
+        return ClipConfig(window=encoder.image_size, extent=self.extent, frames=encoder.frames, margin=self.margin)
 
 
 def load_train_config(source: str | Path | None = None, **overrides: object) -> TrainConfig:

@@ -11,7 +11,7 @@ import numpy as np
 
 from models import (
     Calibration,
-    ClipSettings,
+    ClipConfig,
     PhysicsNetwork,
     PhysicsPredictor,
     PredictorConfig,
@@ -42,7 +42,7 @@ def export_best(
     network: PhysicsNetwork,
     *,
     clips: TrainingClips,
-    settings: ClipSettings,
+    settings: ClipConfig,
     validation: Validation,
     origin: Origin,
 ) -> None:

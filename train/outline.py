@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional
 
 import physconvex
-from models import OutlineConfig, OutlineNetwork, load_outline, outline_input, refined_coverage, save_finder_network
+from models import OutlineConfig, OutlineNetwork, load_outline, outline_input, refined_coverage, save_network
 from train.finder_loop import FinderRecipe, overlap_of_frames, train_finder_network
 from train.outline_data import RoughClip, degraded, read_rough_clips, rearranged
 from train.progress import Report
@@ -69,7 +69,7 @@ def train_outline(
     metrics = {"intersection_over_union": overlap, "before": rough}
     stored = config.network.model_copy(update={"version": physconvex.__version__, "metrics": metrics})
     card = _model_card(config, data, (len(training), len(validation)), metrics)
-    save_finder_network(out, network, stored, model_card=card)
+    save_network(out, network, stored, model_card=card)
     return OutlineResult(losses=tuple(losses), rough_overlap=rough, overlap=overlap)
 
 

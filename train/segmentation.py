@@ -21,7 +21,7 @@ from models import (
     load_segmenter,
     object_coverage,
     pad_pictures,
-    save_finder_network,
+    save_network,
 )
 from train.finder_loop import FinderRecipe, overlap_of_frames, train_finder_network
 from train.progress import Report
@@ -68,7 +68,7 @@ def train_segmenter(
         update={"version": physconvex.__version__, "metrics": {"intersection_over_union": overlap}}
     )
     counts = (len(training), len(validation))
-    save_finder_network(out, network, stored, model_card=_model_card(config, data, counts, overlap))
+    save_network(out, network, stored, model_card=_model_card(config, data, counts, overlap))
     return SegmentationResult(losses=tuple(losses), overlap=overlap)
 
 

@@ -14,8 +14,8 @@ from models import (
     PhysicsNetwork,
     PredictorConfig,
     load_checkpoint,
+    save_network,
 )
-from models.checkpoint import save_checkpoint
 from physconvex import InputError
 
 NETWORK = NetworkConfig(encoder=EncoderConfig(image_size=32, frames=8, hidden_size=24, layers=1), latent_size=16)
@@ -26,7 +26,7 @@ def saved(tmp_path: Path) -> tuple[Path, PhysicsNetwork, PredictorConfig]:
     network = PhysicsNetwork(NETWORK).eval()
     calibration = Calibration(poisson=DensityCalibration(temperature=2.0, central_level=0.95), clips=33)
     config = PredictorConfig.for_network(NETWORK, calibration=calibration, metrics={"mae": 0.25})
-    save_checkpoint(tmp_path, network, config, model_card="# A card\n")
+    save_network(tmp_path, network, config, model_card="# A card\n")
     return tmp_path, network, config
 
 
@@ -44,7 +44,7 @@ def test_round_trip(saved: tuple[Path, PhysicsNetwork, PredictorConfig]) -> None
 def test_full_precision_is_exact(tmp_path: Path) -> None:
     network = PhysicsNetwork(NETWORK)
     config = PredictorConfig.for_network(NETWORK)
-    save_checkpoint(tmp_path, network, config, model_card="", half=False)
+    save_network(tmp_path, network, config, model_card="", half=False)
     loaded, _ = load_checkpoint(tmp_path)
     for before, after in zip(network.state_dict().values(), loaded.state_dict().values(), strict=True):
         assert torch.equal(before, after)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from models import MOMENT_NAMES, ClipConfig, PreparedClip, freeze_time, prepare_clip, shuffle_time, silhouette_moments
-from models.frame_selection import motion_start, resample
+from models.clip import motion_start, resample
 from physconvex import InputError
 
 COLUMN = {name: k for k, name in enumerate(MOMENT_NAMES)}

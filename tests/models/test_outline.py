@@ -12,7 +12,7 @@ from models import (
     object_coverage,
     outline_input,
     refined_coverage,
-    save_finder_network,
+    save_network,
 )
 from models.outline import BUNDLED_OUTLINE, near_object, uncovered_background
 from physconvex import InputError
@@ -104,7 +104,7 @@ def test_input_holds_frame_difference_colour_and_rough_silhouette() -> None:
 
 def test_saved_network_is_read_again(tmp_path: Path) -> None:
     network = OutlineNetwork(SMALL).eval()
-    save_finder_network(tmp_path, network, SMALL, model_card="# card\n")
+    save_network(tmp_path, network, SMALL, model_card="# card\n")
     loaded = load_outline(tmp_path)
     assert loaded.config == SMALL and not loaded.training
     generator = np.random.default_rng(0)

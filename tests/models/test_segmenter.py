@@ -12,7 +12,7 @@ from models import (
     load_segmenter,
     object_coverage,
     pad_pictures,
-    save_finder_network,
+    save_network,
 )
 from models.appearance import sort_pictures
 from models.segmenter import BUNDLED_SEGMENTER
@@ -73,7 +73,7 @@ def test_padding_repeats_the_border() -> None:
 
 def test_saved_segmenter_is_read_again(tmp_path: Path) -> None:
     network = SilhouetteSegmenter(SMALL).eval()
-    save_finder_network(tmp_path, network, SMALL, model_card="# card\n")
+    save_network(tmp_path, network, SMALL, model_card="# card\n")
     frames = np.random.default_rng(0).integers(0, 255, (6, 32, 32, 3), dtype=np.uint8)
     loaded = load_segmenter(tmp_path)
     assert loaded.config == SMALL and not loaded.training
@@ -89,6 +89,6 @@ def test_bundled_segmenter_is_small_and_says_how_good_it_is() -> None:
 def test_missing_or_unfitting_checkpoints_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="segmenter: "):
         load_segmenter(tmp_path / "nowhere")
-    save_finder_network(tmp_path, SilhouetteSegmenter(SMALL), SegmenterConfig(), model_card="")
+    save_network(tmp_path, SilhouetteSegmenter(SMALL), SegmenterConfig(), model_card="")
     with pytest.raises(InputError, match="train-segmenter"):
         load_segmenter(tmp_path)

@@ -6,7 +6,7 @@ import torch
 
 from models import GREY
 from models.encoder import normalised
-from models.frame_network import FrameNetwork
+from models.network import FrameNetwork
 from models.windows import object_windows
 
 

@@ -47,7 +47,7 @@ def test_unknown_split_or_folder_is_named(tiny_data: Path, tmp_path: Path) -> No
 def test_cache_holds_what_inference_prepares(tiny_data: Path, tiny_cache: Path, tiny_config: TrainConfig) -> None:
     clips = read_clips([tiny_data], "test")
     prepared = prepare_clips(clips, tiny_config.clip, tiny_cache, workers=0)
-    expected = prepare_clip(clips[3].record.frames(), fps=clips[3].fps, config=tiny_config.clip.clip_config())
+    expected = prepare_clip(clips[3].record.frames(), fps=clips[3].fps, config=tiny_config.clip)
     np.testing.assert_array_equal(prepared.windows[3], expected.windows)
     np.testing.assert_array_equal(prepared.clip(3).moments, expected.moments)
     assert prepared.clip(3).fps == expected.fps

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from models import GREY, MOMENT_NAMES, mirrored_moments_tensor
+from models import GREY, MOMENT_NAMES, mirrored_moments
 from train.config import AugmentConfig
 from train.motion_states import MIRROR
 
@@ -97,7 +97,7 @@ def _flipped(shown: Shown, chosen: Bool[Tensor, " B"]) -> Shown:
     return replace(
         shown,
         windows=torch.where(high, shown.windows.flip(3), shown.windows),
-        moments=torch.where(wide, mirrored_moments_tensor(shown.moments), shown.moments),
+        moments=torch.where(wide, mirrored_moments(shown.moments), shown.moments),
         states=torch.where(wide, shown.states * mirror, shown.states),
     )
 

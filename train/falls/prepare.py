@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from models import GREY, ClipSettings
+from models import GREY, ClipConfig
 
 _FIRST = 3  # frames that give the unit of length, as in models.silhouette and models.windows
 
@@ -24,7 +24,7 @@ class Prepared:
 
 
 def prepare_clips_at_once(
-    images: Float[Tensor, "B T S S 3"], masks: Float[Tensor, "B T S S"], settings: ClipSettings
+    images: Float[Tensor, "B T S S 3"], masks: Float[Tensor, "B T S S"], settings: ClipConfig
 ) -> Prepared:
     """Square about the path, silhouettes measured in it, windows that follow the object.
 

@@ -5,11 +5,11 @@ import pytest
 import torch
 
 from data_gen import CameraConfig
-from models import ClipSettings, prepare_clip
+from models import ClipConfig, prepare_clip
 from train.falls.prepare import prepare_clips_at_once
 from train.falls.views import draw_views
 
-SETTINGS = ClipSettings(window=40, extent=1.7, frames=16, margin=0.1)
+SETTINGS = ClipConfig(window=40, extent=1.7, frames=16, margin=0.1)
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def test_as_inference_prepares_them(views):
         one = prepare_clip(
             views.images[k].round().byte().numpy(),
             mask=255 * (views.masks[k] > 0).byte().numpy(),
-            config=SETTINGS.clip_config(),
+            config=SETTINGS,
         )
         assert prepared.moments[k].numpy() == pytest.approx(one.moments, abs=0.04)
         assert np.abs(prepared.moments[k].numpy() - one.moments).mean() < 0.004

@@ -1,4 +1,4 @@
-"""Checkpoints of the finder's two networks: tensors in float16, a configuration in JSON, a model card."""
+"""Files of a network's checkpoint: tensors, configuration in JSON, model card; the finder's networks read from them."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+import torch
 from pydantic import Field, ValidationError
 from safetensors.torch import load_file, save
-from torch import nn
+from torch import Tensor, nn
 
 from physconvex import InputError
 from physconvex.io import FrozenConfig
@@ -20,7 +21,7 @@ _Network = TypeVar("_Network", bound=nn.Module)
 
 
 class FinderConfig(FrozenConfig):
-    """Common part of both networks' configurations."""
+    """Common part of the configurations of the finder's two networks."""
 
     version: str = "0"
     """Of physconvex, when it was written."""
@@ -30,31 +31,36 @@ class FinderConfig(FrozenConfig):
 
 def load_finder_network(
     folder: str | os.PathLike[str], config: type[_Config], build: Callable[[_Config], _Network], *, name: str
-) -> tuple[_Config, _Network]:
-    """A network in float32 and evaluation mode.
+) -> _Network:
+    """A network in float32 and evaluation mode, channels last.
 
     Raises:
         InputError: there is none, it is of another format, or its tensors do not fit its configuration.
     """
     root = Path(folder)
     try:
-        settings = config.model_validate(json.loads((root / "config.json").read_text(encoding="utf-8")))
-        network = build(settings)
-        network.load_state_dict({k: v.float() for k, v in load_file(root / "model.safetensors").items()})
+        network = build(config.model_validate(json.loads((root / "config.json").read_text(encoding="utf-8"))))
+        network.load_state_dict(read_tensors(root))
     except (OSError, ValidationError, json.JSONDecodeError, RuntimeError) as error:
         raise InputError(
             f"{name}: {root} cannot be read ({error}); expected a folder made by `physconvex train-{name}`"
         ) from error
-    return settings, network.eval()
+    return network.to(memory_format=torch.channels_last).eval()
 
 
-def save_finder_network(
-    folder: str | os.PathLike[str], network: nn.Module, config: FinderConfig, *, model_card: str
+def read_tensors(folder: Path) -> dict[str, Tensor]:
+    """The tensors of a checkpoint, in float32."""
+    return {name: value.float() for name, value in load_file(folder / "model.safetensors").items()}
+
+
+def save_network(
+    folder: str | os.PathLike[str], network: nn.Module, config: FrozenConfig, *, model_card: str, half: bool = True
 ) -> None:
-    """Write `model.safetensors` (float16), `config.json` and `model_card.md`, each atomically."""
+    """Write `model.safetensors`, `config.json` and `model_card.md`, each atomically. `half` stores float16."""
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
-    tensors = {k: v.detach().half().cpu().contiguous() for k, v in network.state_dict().items()}
+    dtype = torch.float16 if half else torch.float32
+    tensors = {name: _stored(value, dtype) for name, value in network.state_dict().items()}
     contents = {
         "model.safetensors": save(tensors, metadata={"format": "pt"}),
         "config.json": (json.dumps(config.model_dump(mode="json"), indent=1) + "\n").encode(),
@@ -64,3 +70,7 @@ def save_finder_network(
         part = target / f"{name}.part"
         part.write_bytes(content)
         part.replace(target / name)
+
+
+def _stored(value: Tensor, dtype: torch.dtype) -> Tensor:
+    return (value.to(dtype) if value.is_floating_point() else value).detach().cpu().contiguous()
