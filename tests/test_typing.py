@@ -51,7 +51,7 @@ def test_public_functions_reveal_their_types(tmp_path: Path) -> None:
     for note, expected in zip(notes, REVEALED, strict=False):
         assert expected in note, result.stdout + result.stderr
     assert "tuple[float, float]" in notes[5].replace("builtins.", "")
-    kinds = ("fem.trajectory.Trajectory", "reduced.trajectory.ReducedTrajectory", "reduced.trajectory.BodiesTrajectory")
+    kinds = ("fem.scene.Trajectory", "reduced.trajectory.ReducedTrajectory", "reduced.trajectory.BodiesTrajectory")
     assert all(f'"physconvex.{kind}"' in note for kind, note in zip(kinds, notes[6:9], strict=True))
     assert "SensitiveTrajectory[physconvex.reduced.trajectory.ReducedTrajectory]" in notes[9]
     assert 'Argument "density" to "predict" has incompatible type "str"' in result.stdout

@@ -9,8 +9,7 @@ from .modes import (
     vibration_modes as vibration_modes,
 )
 from .nodal_equations import NodalEquations as NodalEquations
-from .scene import NodePins as NodePins, Scene as Scene
+from .scene import NodePins as NodePins, Scene as Scene, Trajectory as Trajectory
 from .sensitivity import SceneFamily as SceneFamily
 from .simulation import solve_static as solve_static
 from .surface_loads import surface_load as surface_load
-from .trajectory import Trajectory as Trajectory

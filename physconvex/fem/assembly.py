@@ -9,6 +9,13 @@ from jaxtyping import Bool, Float, Int
 from physconvex.fem.compiled_elements import sum_into
 
 
+def scalar_matrix(tets: Int[np.ndarray, "E n"], local: Float[np.ndarray, "E n n"], size: int) -> sp.csr_matrix:
+    """Matrix of one value per node, shape [size, size], from those of the elements."""
+    n = tets.shape[1]
+    rows, columns = np.repeat(tets, n, axis=1).ravel(), np.tile(tets, n).ravel()
+    return sp.coo_matrix((local.ravel(), (rows, columns)), shape=(size, size)).tocsr()
+
+
 class Assembler:
     """Upper triangle of symmetric matrices over the free nodes of a mesh.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
@@ -11,29 +10,27 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from physconvex.fem.assembly import scalar_matrix
 from physconvex.fem.compiled_elements import volumetric_elements
 from physconvex.fem.volumetric import VolumetricElements
 from physconvex.materials import (
     FlowRule,
     FlowStep,
     Law,
+    MaterialBody,
     MaterialPoints,
     checked_constant,
-    get_law,
-    inner_viscous_stress,
     lame_parameters,
     project_to_positive,
-    stored_flows,
-    strain_rate,
     strain_stiffness,
 )
-from physconvex.mesh import QUADRATURE, TetMesh, shape_gradients, unit_mass
+from physconvex.mesh import QUADRATURE, TetMesh, barycentric_gradients, shape_gradients, unit_mass
 
 PerElement = float | Float[np.ndarray, " E"]
 PerPoint = PerElement | Float[np.ndarray, "E Q"]
 
 
-class ElasticBody:
+class ElasticBody(MaterialBody):
     """Tetrahedral body with one elastic law and constants per element.
 
     Args:
@@ -60,10 +57,8 @@ class ElasticBody:
         flow: FlowRule | None = None,
         device: str | torch.device = "cpu",
     ) -> None:
-        self.mesh = mesh
-        self.law = get_law(law) if isinstance(law, str) else law
-        self.flow = flow
-        self.device = torch.device(device)
+        super().__init__(law, flow, device)
+        self.mesh, self.rest = mesh, mesh.vertices
         self._barycentric, volumes = _rule(mesh)
         each = (len(mesh.tets),)
         modulus_shape = volumes.shape if np.ndim(youngs_modulus) == 2 else each
@@ -72,28 +67,23 @@ class ElasticBody:
         self.density = checked_constant("density", density, each)
         self._weights = self._tensor(volumes)  # [E, Q]
         ratio = self._tensor(self.poisson_ratio)[:, None]
-        self._mu, self._lam = lame_parameters(self._tensor(self.modulus_at_points), ratio)  # [E, Q]
+        self.mu, self.lam = lame_parameters(self._tensor(self.modulus_at_points), ratio)  # [E, Q]
         self._gradients = self._tensor(self._rest_gradients())  # [E, Q, n, 3]
         count, points, nodes, _ = self._gradients.shape
         self._flat_gradients = self._gradients.transpose(1, 2).reshape(count, nodes, points * 3).contiguous()
         self._tets = torch.as_tensor(mesh.tets, device=self.device)
         self._quick: VolumetricElements | None = None
         if flow is None and self.device.type == "cpu" and self.law.volumetric is not None:
-            arrays = (t.numpy() for t in (self._gradients, self._weights, self._mu, self._lam))
+            arrays = (t.numpy() for t in (self._gradients, self._weights, self.mu, self.lam))
             self._quick = volumetric_elements(self.law, mesh.tets, len(mesh.vertices), MaterialPoints(*arrays))
 
     # -- set-up
 
-    def _tensor(self, array: np.ndarray) -> Tensor:
-        return torch.as_tensor(array, dtype=torch.float64, device=self.device)
-
     def _rest_gradients(self) -> np.ndarray:
         """∂N/∂X at the quadrature points, [E, Q, n, 3]; straight-edged elements have constant ∂b/∂X."""
-        x = self.mesh.vertices[self.mesh.corner_tets]
-        inner = np.linalg.inv(x[:, 1:] - x[:, :1]).transpose(0, 2, 1)  # rows: ∂b_1..3/∂X
-        barycentric_gradients = np.concatenate([-inner.sum(1, keepdims=True), inner], axis=1)  # [E, 4, 3]
+        barycentric = barycentric_gradients(self.mesh.vertices[self.mesh.corner_tets])
         shapes = shape_gradients(self._barycentric.reshape(-1, 4), self.mesh.order)
-        return np.einsum("eqnb,ebi->eqni", shapes.reshape(*self._barycentric.shape[:2], -1, 4), barycentric_gradients)
+        return np.einsum("eqnb,ebi->eqni", shapes.reshape(*self._barycentric.shape[:2], -1, 4), barycentric)
 
     @property
     def quadrature_points(self) -> Float[np.ndarray, "E Q 3"]:
@@ -116,10 +106,7 @@ class ElasticBody:
             blocks = (self.density * mesh.element_volumes)[:, None, None] * unit_mass(mesh.order)
         else:
             blocks = self.density[:, None, None] * mesh.filling.mass
-        n = self.mesh.tets.shape[1]
-        rows, columns = np.repeat(self.mesh.tets, n, axis=1).ravel(), np.tile(self.mesh.tets, n).ravel()
-        size = len(self.mesh.vertices)
-        return sp.coo_matrix((blocks.ravel(), (rows, columns)), shape=(size, size)).tocsr()
+        return scalar_matrix(mesh.tets, blocks, len(mesh.vertices))
 
     @property
     def total_mass(self) -> float:
@@ -133,68 +120,28 @@ class ElasticBody:
         """Row sums of the mass matrix [kg]: the weights of a uniform acceleration."""
         return np.asarray(self.mass.sum(axis=1)).ravel()
 
-    @property
-    def shear_scale(self) -> float:
-        """∫ μ dV [J]: size of the terms that cancel each other in the elastic energy."""
-        return float((self._weights * self._mu).sum())
-
     # -- elasticity
-
-    def _element_positions(self, x: np.ndarray) -> Tensor:
-        return self._tensor(x)[self._tets]
 
     def deformation_gradient(self, x: Float[np.ndarray, "V 3"]) -> Tensor:
         """F = ∂x/∂X at the quadrature points, shape [E, Q, 3, 3]."""
-        flat = self._element_positions(x).mT @ self._flat_gradients  # [E, 3, Q·3]
+        flat = self._tensor(x)[self._tets].mT @ self._flat_gradients  # [E, 3, Q·3]
         return flat.reshape(len(self._tets), 3, -1, 3).transpose(1, 2)
-
-    def energy(self, x: Float[np.ndarray, "V 3"]) -> float:
-        """Elastic energy [J] at node positions x [m]."""
-        return self.energy_and_gradient(x)[0]
-
-    def gradient(self, x: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
-        """Derivative of the elastic energy with respect to the node positions [N] (minus the elastic force)."""
-        return self.energy_and_gradient(x)[1]
 
     def energy_and_gradient(
         self, x: Float[np.ndarray, "V 3"], *, response: FlowStep | None = None
     ) -> tuple[float, Float[np.ndarray, "V 3"]]:
-        """Both of the above with one evaluation of F.
-
-        Args:
-            x: node positions [m].
-            response: of the flow during a time step; without it, the instantaneous one from rest.
-        """
+        """Energy [J] and its derivative [N], see `energy` and `gradient`."""
         if self._quick is not None:
             return self._quick.energy_and_gradient(x)
-        f = self.deformation_gradient(x)
-        energy = float((self._weights * self._material("energy", f, response)).sum())
-        return energy, self._scatter(self._material("stress", f, response))
+        return super().energy_and_gradient(x, response=response)
 
-    def _material(self, of: Literal["energy", "stress", "hessian"], f: Tensor, response: FlowStep | None) -> Tensor:
-        """Energy density, stress or Hessian at the quadrature points: of the law, the flow, or both."""
-        parts: list[Tensor] = []
-        if self.flow is None or self.flow.beside_law:
-            parts.append(getattr(self.law, of)(f, self._mu, self._lam))
-        if self.flow is not None:
-            parts.append(getattr(response or self.flow_step(self.unflowed(), self.mesh.vertices, 0.0), of)(f))
-        return sum(parts[1:], parts[0])
-
-    # -- flow
-
-    def unflowed(self) -> Tensor:
-        """F_f⁻¹ without any flow, shape [E, Q, 3, 3], of `Flows` [E, Q, 2, 3, 3]."""
-        shape = (*self._weights.shape, *stored_flows(self.flow), 3, 3)
-        return torch.eye(3, dtype=torch.float64, device=self.device).expand(shape)
-
-    def flow_step(self, undo: Tensor, x: Float[np.ndarray, "V 3"], step: float) -> FlowStep:
-        """Response of the flowing part during a step [s], from F_f⁻¹ at its start; lagged terms are taken at x [m]."""
-        assert self.flow is not None
-        return self.flow.during(undo, self.deformation_gradient(x), self._mu, self._lam, step)
-
-    def stress(self, x: Float[np.ndarray, "V 3"]) -> Tensor:
-        """First Piola–Kirchhoff stress at the quadrature points [Pa], shape [E, Q, 3, 3]."""
-        return self._material("stress", self.deformation_gradient(x), None)
+    def forces_of(self, stress: Tensor) -> Float[np.ndarray, "V 3"]:
+        """Forces on the nodes ∫ P : ∂N_a/∂X dV [N] of a stress field [Pa], shape [E, Q, 3, 3]."""
+        weighted = self._weights[..., None, None] * stress
+        flat = weighted.transpose(2, 3).reshape(len(self._tets), -1, 3)  # [E, Q·3 (j), 3 (i)]
+        forces = self._flat_gradients @ flat
+        out = torch.zeros(len(self.mesh.vertices), 3, dtype=torch.float64, device=self.device)
+        return out.index_add_(0, self._tets.reshape(-1), forces.reshape(-1, 3)).cpu().numpy()
 
     def element_hessians(
         self,
@@ -225,15 +172,8 @@ class ElasticBody:
         if project:
             hessian = project_to_positive(hessian)
         if viscous_state is not None:
-            hessian = hessian + strain_stiffness(viscous_state, damping_ratio * self._mu, damping_ratio * self._lam)
+            hessian = hessian + strain_stiffness(viscous_state, damping_ratio * self.mu, damping_ratio * self.lam)
         return self._integrate(hessian)
-
-    def _scatter(self, stress: Tensor) -> np.ndarray:
-        weighted = self._weights[..., None, None] * stress
-        flat = weighted.transpose(2, 3).reshape(len(self._tets), -1, 3)  # [E, Q·3 (j), 3 (i)]
-        forces = self._flat_gradients @ flat
-        out = torch.zeros(len(self.mesh.vertices), 3, dtype=torch.float64, device=self.device)
-        return out.index_add_(0, self._tets.reshape(-1), forces.reshape(-1, 3)).cpu().numpy()
 
     def _integrate(self, tensor: Tensor) -> np.ndarray:
         """Σ_q w ∂N_a/∂X_j A_ijkl ∂N_b/∂X_l, shape [E, 3n, 3n]."""
@@ -243,19 +183,6 @@ class ElasticBody:
         half = half.reshape(count, points, nodes * 9, 3).transpose(1, 2).reshape(count, nodes * 9, points * 3)
         full = (half @ self._flat_gradients.mT).reshape(count, nodes, 3, 3, nodes)  # [E, a, i, k, b]
         return full.permute(0, 1, 2, 4, 3).reshape(count, nodes * 3, nodes * 3).cpu().numpy()
-
-    # -- viscosity, see `physconvex.materials.viscosity`
-
-    def viscous_state(self, x: Float[np.ndarray, "V 3"]) -> Tensor:
-        """F* at which the viscosity of one time step is frozen, [E, Q, 3, 3]."""
-        return self.deformation_gradient(x)
-
-    def viscous_energy_and_gradient(
-        self, state: Tensor, velocity: Float[np.ndarray, "V 3"], damping_time: float
-    ) -> tuple[float, Float[np.ndarray, "V 3"]]:
-        """Rate potential [W] and its derivative with respect to velocity [N] for viscosity damping_time × (μ, λ)."""
-        strain, inner = self._viscous_pair(state, self.deformation_gradient(velocity), damping_time)
-        return self._rate_potential(strain, inner), self._scatter(state @ inner)
 
     def moving_energy_and_gradient(
         self,
@@ -285,19 +212,11 @@ class ElasticBody:
         both = (moving.mT @ self._flat_gradients).reshape(len(self._tets), 2, 3, -1, 3).transpose(2, 3)
         f, rate = both[:, 0], both[:, 1]
         strain, inner = self._viscous_pair(state, rate, damping_time)
-        gradient = self._scatter(self._material("stress", f, response) + state @ inner)
+        gradient = self.forces_of(self._material("stress", f, response) + state @ inner)
         if not with_energy:
             return float("nan"), gradient
         elastic = float((self._weights * self._material("energy", f, response)).sum())
         return elastic + step * self._rate_potential(strain, inner), gradient
-
-    def _viscous_pair(self, state: Tensor, rate: Tensor, damping_time: float) -> tuple[Tensor, Tensor]:
-        """Ė, and 2 μ_v Ė + λ_v tr Ė."""
-        strain = strain_rate(state, rate)
-        return strain, inner_viscous_stress(strain, damping_time * self._mu, damping_time * self._lam)
-
-    def _rate_potential(self, strain: Tensor, inner: Tensor) -> float:
-        return 0.5 * float((self._weights * (inner * strain).sum((-1, -2))).sum())
 
 
 def _rule(mesh: TetMesh) -> tuple[Float[np.ndarray, "E Q 4"], Float[np.ndarray, "E Q"]]:

@@ -58,9 +58,9 @@ class KeptFactor:
         self.forget()
         self.projected, self.turn, self._place, self._step = False, np.eye(3), x, step
         try:
-            equations.factorise_smooth(x, project=False)
+            equations.factorise(x, project=False, contact=False)
         except NotPositiveDefiniteError:
-            equations.factorise_smooth(x, project=True)
+            equations.factorise(x, project=True, contact=False)
             self.projected = True
         self._stamp = equations.factorisations
         return True

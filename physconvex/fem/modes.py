@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from physconvex.errors import InputError
-from physconvex.fem.assembly import Assembler
+from physconvex.fem.assembly import Assembler, scalar_matrix
 from physconvex.fem.body import ElasticBody
 from physconvex.numerics import SymmetricSolver
 
@@ -190,10 +190,7 @@ def skinning_stiffness(body: ElasticBody) -> sp.csr_matrix:
     gradients = body._gradients.cpu().numpy()
     weights = body._weights.cpu().numpy() * body.modulus_at_points
     local = np.einsum("eq,eqai,eqij,eqbj->eab", weights, gradients, _direction_tensor(body), gradients, optimize=True)
-    tets, size = body.mesh.tets, len(body.mesh.vertices)
-    n = tets.shape[1]
-    rows, columns = np.repeat(tets, n, axis=1).ravel(), np.tile(tets, n).ravel()
-    return sp.coo_matrix((local.ravel(), (rows, columns)), shape=(size, size)).tocsr()
+    return scalar_matrix(body.mesh.tets, local, len(body.mesh.vertices))
 
 
 def skinning_eigenmodes(body: ElasticBody, count: int) -> tuple[Float[np.ndarray, "V K"], Float[np.ndarray, " K"]]:

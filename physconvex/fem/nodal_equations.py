@@ -79,7 +79,7 @@ class NodalEquations:
             self.hanging.set_step(coefficients, time, guess, last)
             self.forces = self.forces + self.hanging.force()
             self.factorised = self.factorised and self.hanging.share == before
-        self.viscous = self.body.viscous_state(guess) if self.scene.damping_time > 0 else None
+        self.viscous = self.body.deformation_gradient(guess) if self.scene.damping_time > 0 else None
         if self.freezes_friction:
             self.friction = self.contact.freeze_friction(last.positions, coefficients.velocity(guess), last.time)
         self._freeze_flow(last.positions)
@@ -110,15 +110,12 @@ class NodalEquations:
         if self.undo is not None:
             self.response = self.body.flow_step(self.undo, x, self._duration)
 
-    def evaluate(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        """The potential [J] and its gradient [N]."""
-        return self._evaluate(x, with_energy=True)
-
     def gradient(self, x: np.ndarray) -> np.ndarray:
         """The gradient [N] alone."""
-        return self._evaluate(x, with_energy=False)[1]
+        return self.evaluate(x, with_energy=False)[1]
 
-    def _evaluate(self, x: np.ndarray, *, with_energy: bool) -> tuple[float, np.ndarray]:
+    def evaluate(self, x: np.ndarray, *, with_energy: bool = True) -> tuple[float, np.ndarray]:
+        """The potential [J], which may be NaN without `with_energy`, and its gradient [N]."""
         energy, gradient = self._body_energy_and_gradient(x, with_energy=with_energy)
         touch, push = self.contact.energy_and_gradient(x, self.time)
         energy += touch - float((self.forces * (x - self.scene.start)).sum())
@@ -181,16 +178,8 @@ class NodalEquations:
             loss, force = loss + 0.5 * float((velocity * momentum).sum()), force + momentum
         return loss, force
 
-    def factorise(self, x: np.ndarray, *, project: bool) -> None:
-        """Factorise Newton's matrix."""
-        self._factorise(x, project=project, contact=True)
-        self.factorised = True
-
-    def factorise_smooth(self, x: np.ndarray, *, project: bool) -> None:
-        """Factorise the derivative of `smooth_gradient`."""
-        self._factorise(x, project=project, contact=False)
-
-    def _factorise(self, x: np.ndarray, *, project: bool, contact: bool) -> None:
+    def factorise(self, x: np.ndarray, *, project: bool, contact: bool = True) -> None:
+        """Factorise Newton's matrix, or without contact the derivative of `smooth_gradient`."""
         self.factorised = False
         step = np.inf if self.coefficients is None else self.coefficients.step
         ratio = self.scene.damping_time / step
@@ -218,6 +207,7 @@ class NodalEquations:
         if wind is not None:
             data = data + self.assembler.blocks(wind)
         self.solver.factorise(data)
+        self.factorised = contact
 
     def _with_contact(self, local: np.ndarray, blocks: np.ndarray | None) -> np.ndarray:
         """Entries of the matrix: of the elements, and of contact at nodes or at points that elements carry, if any."""

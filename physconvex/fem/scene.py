@@ -11,11 +11,10 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from physconvex.dynamics import Contact, FrameStates, PreparedRollOut, Timing, World
+from physconvex.dynamics import Contact, FrameStates, PreparedRollOut, SolveStatistics, Timing, World
 from physconvex.errors import InputError
 from physconvex.fem.body import ElasticBody
 from physconvex.fem.carried_contact import CarriedContact, SurfacePoints
-from physconvex.fem.trajectory import Trajectory
 from physconvex.mesh import Embedding, TetMesh
 from physconvex.numerics import rotation_matrix
 
@@ -69,6 +68,16 @@ class NodePins:
                 f"{(len(self.nodes), 3)}, one row per pinned node. Check the function at that time"
             )
         return targets
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """States at the frames: times [T] s, positions [T, V, 3] m and velocities [T, V, 3] m/s of the nodes, and cost."""
+
+    times: Float[np.ndarray, " T"]
+    positions: Float[np.ndarray, "T V 3"]
+    velocities: Float[np.ndarray, "T V 3"]
+    statistics: SolveStatistics
 
 
 @dataclass(frozen=True)

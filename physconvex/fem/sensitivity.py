@@ -33,81 +33,56 @@ _LOOSE = 1.0  # relative change after the last of them that is still accepted
 _SLOW = 0.4  # contraction above which the matrix is factorised again
 
 
-@dataclass(eq=False)
-class _Side:
-    """The equations with one parameter changed by `change`, and the states that go with it during a step."""
-
-    equations: NodalEquations
-    scene: Scene
-    change: float
-
-    def set_step(self, record: StepRecord, tangent: State, history: State | None) -> None:
-        """Fix what is constant during the step of a record, for states moved along their tangents."""
-        before = _moved(record.before, tangent, self.change)
-        past = None
-        if record.history is not None and history is not None:
-            past = _moved(record.history, history, self.change)
-        coefficients = step_coefficients(before, past if record.two_step else None, record.step)
-        guess = extrapolate(before, past, record.step)
-        guess = self.equations.first_guess(guess, record.after.time)
-        self.equations.set_step(coefficients, record.after.time, guess, before)
-
-    def pinned(self, time: float) -> np.ndarray:
-        """Positions of the pinned nodes [m]."""
-        assert self.scene.held is not None
-        return self.scene.held.positions(time, self.scene.start)
-
-    def freeze_friction(self, x: np.ndarray, tangent: np.ndarray) -> None:
-        """Update friction at the solution of a pass moved along its tangent."""
-        self.equations.freeze_friction(x + self.change * tangent)
-
-    def gradient(self, x: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-        """g at a solution moved along its tangent."""
-        return self.equations.gradient(x + self.change * tangent)
-
-
-def _moved(state: State, tangent: State, change: float) -> State:
-    return State(
-        state.time, state.positions + change * tangent.positions, state.velocities + change * tangent.velocities
-    )
-
-
-@dataclass(eq=False)
 class _Tangent:
-    """The derivative of the state by one parameter."""
+    """The derivative of the state by one parameter, from the equations with the parameter changed to both sides.
 
-    ahead: _Side
-    behind: _Side
-    state: State
-    previous: State | None = None
+    Args:
+        scene_of: as in `SceneFamily`.
+        values: of the parameters.
+        place: of this one.
+        changes: of its value, the higher one first.
+    """
 
-    @property
-    def span(self) -> float:
-        return self.ahead.change - self.behind.change
+    def __init__(
+        self, scene_of: Callable[[np.ndarray], Scene], values: np.ndarray, place: int, changes: tuple[float, float]
+    ) -> None:
+        self.changes, self.span = changes, changes[0] - changes[1]
+        ahead, behind = (scene_of(values + change * np.eye(len(values))[place]) for change in changes)
+        self.sides = NodalEquations(ahead), NodalEquations(behind)
+        speed = self._difference(ahead.start_velocities(), behind.start_velocities())
+        self.state = State(0.0, self._difference(ahead.start, behind.start), speed)
+        self.previous: State | None = None
+
+    def _difference(self, ahead: np.ndarray, behind: np.ndarray) -> np.ndarray:
+        return (ahead - behind) / self.span
 
     def set_step(self, record: StepRecord) -> np.ndarray:
-        """Prepare both sides; a first guess of the new tangent."""
+        """Fix what is constant during the step of a record on both sides; a first guess of the new tangent."""
         history = self.previous if record.history is not None else None
-        for side in (self.ahead, self.behind):
-            side.set_step(record, self.state, history)
+        time, guesses = record.after.time, []
+        for equations, change in zip(self.sides, self.changes, strict=True):
+            before = _moved(record.before, self.state, change)
+            past = None if record.history is None or history is None else _moved(record.history, history, change)
+            coefficients = step_coefficients(before, past if record.two_step else None, record.step)
+            guesses.append(equations.first_guess(extrapolate(before, past, record.step), time))
+            equations.set_step(coefficients, time, guesses[-1], before)
         guess = extrapolate(self.state, history, record.step)
-        if (pins := self.ahead.scene.held) is not None:
-            time = record.after.time
-            guess[pins.nodes] = (self.ahead.pinned(time) - self.behind.pinned(time)) / self.span
+        guess[self.sides[0].fixed] = self._difference(*guesses)[self.sides[0].fixed]  # the pinned nodes
         return guess
 
     def freeze_friction(self, x: np.ndarray, tangent: np.ndarray) -> None:
         """Begin another pass, from the solution of the last one."""
-        for side in (self.ahead, self.behind):
-            side.freeze_friction(x, tangent)
+        for equations, change in zip(self.sides, self.changes, strict=True):
+            equations.freeze_friction(x + change * tangent)
 
     def residual(self, x: np.ndarray, tangent: np.ndarray) -> np.ndarray:
         """The directional derivative of g at a solution."""
-        return (self.ahead.gradient(x, tangent) - self.behind.gradient(x, tangent)) / self.span
+        sides = zip(self.sides, self.changes, strict=True)
+        return self._difference(*(equations.gradient(x + change * tangent) for equations, change in sides))
 
     def relative(self, update: np.ndarray, tangent: np.ndarray) -> float:
         """Size of an update relative to the resulting tangent."""
-        least = _FLOOR * self.ahead.scene.body.mesh.size / self.span
+        least = _FLOOR * self.sides[0].body.mesh.size / self.span
         return float(np.abs(update).max() / max(np.abs(tangent - update).max(), least))
 
     def advance(self, record: StepRecord, tangent: np.ndarray) -> None:
@@ -117,20 +92,10 @@ class _Tangent:
         self.previous, self.state = self.state, State(record.after.time, tangent, change.velocity(tangent))
 
 
-def _tangent(
-    scene_of: Callable[[np.ndarray], Scene], values: np.ndarray, place: int, low: float, high: float
-) -> _Tangent:
-    sides = []
-    for change in (high, low):
-        moved = values.copy()
-        moved[place] += change
-        scene = scene_of(moved)
-        sides.append(_Side(NodalEquations(scene), scene, change))
-    ahead, behind = sides
-    span = high - low
-    start = (ahead.scene.start - behind.scene.start) / span
-    speed = (ahead.scene.start_velocities() - behind.scene.start_velocities()) / span
-    return _Tangent(ahead, behind, State(0.0, start, speed))
+def _moved(state: State, tangent: State, change: float) -> State:
+    return State(
+        state.time, state.positions + change * tangent.positions, state.velocities + change * tangent.velocities
+    )
 
 
 class _Tangents:
@@ -243,4 +208,4 @@ class SceneFamily:
         at, widths = self.values, np.asarray(self.steps, dtype=np.float64)
         low = -widths if self.lower is None else np.maximum(-widths, np.asarray(self.lower) - at)
         high = widths if self.upper is None else np.minimum(widths, np.asarray(self.upper) - at)
-        return _Tangents([_tangent(self.scene_of, at, k, float(low[k]), float(high[k])) for k in range(len(at))])
+        return _Tangents([_Tangent(self.scene_of, at, k, (float(high[k]), float(low[k]))) for k in range(len(at))])

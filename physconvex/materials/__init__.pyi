@@ -1,3 +1,4 @@
+from .body import MaterialBody as MaterialBody
 from .combined_flows import Flows as Flows, stored_flows as stored_flows
 from .constants import checked_constant as checked_constant
 from .inelastic import (

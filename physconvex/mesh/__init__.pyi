@@ -1,6 +1,7 @@
 from .coarse_meshing import mesh_of_few_nodes as mesh_of_few_nodes, shape_mismatch as shape_mismatch
 from .elements import (
     QUADRATURE as QUADRATURE,
+    barycentric_gradients as barycentric_gradients,
     shape_gradients as shape_gradients,
     shape_values as shape_values,
     unit_mass as unit_mass,

@@ -57,6 +57,12 @@ def shape_gradients(barycentric: Float[np.ndarray, "Q 4"], order: int) -> Float[
     return gradients
 
 
+def barycentric_gradients(corners: Float[np.ndarray, "E 4 3"]) -> Float[np.ndarray, "E 4 3"]:
+    """∂b/∂X of tetrahedra with straight edges [1/m]."""
+    inner = np.linalg.inv(corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)  # rows: ∂b_1..3/∂X
+    return np.concatenate([-inner.sum(1, keepdims=True), inner], axis=1)
+
+
 def unit_mass(order: int) -> Float[np.ndarray, "n n"]:
     """∫ N_a N_b dV over an element of volume one."""
     barycentric, weights = QUADRATURE[2 if order == 1 else 4]

@@ -10,7 +10,12 @@ from .basis import (
 )
 from .bodies import ReducedBodies as ReducedBodies
 from .body import ReducedBody as ReducedBody
-from .cubature import BodySamples as BodySamples, Cubature as Cubature, tet_cubature as tet_cubature
+from .cubature import (
+    BodySamples as BodySamples,
+    Cubature as Cubature,
+    Shell as Shell,
+    tet_cubature as tet_cubature,
+)
 from .elastic_basis import elastic_weights as elastic_weights
 from .equations import ReducedEquations as ReducedEquations
 from .given_fields import (
@@ -19,7 +24,6 @@ from .given_fields import (
     predicted_weights as predicted_weights,
     snapshot_weights as snapshot_weights,
 )
-from .load_cases import even_loads as even_loads, held_nodes as held_nodes, touched_loads as touched_loads
 from .neural_field import (
     NeuralFieldOptions as NeuralFieldOptions,
     NeuralWeights as NeuralWeights,
@@ -32,8 +36,12 @@ from .parameters import (
     with_parameters as with_parameters,
 )
 from .scene import ReducedScene as ReducedScene
-from .scene_weights import with_elastic_weights as with_elastic_weights
+from .scene_weights import (
+    even_loads as even_loads,
+    held_nodes as held_nodes,
+    touched_loads as touched_loads,
+    with_elastic_weights as with_elastic_weights,
+)
 from .sensitivity import NamedParameters as NamedParameters
-from .shell import Shell as Shell
 from .space import ReducedSpace as ReducedSpace
 from .trajectory import BodiesTrajectory as BodiesTrajectory, ReducedTrajectory as ReducedTrajectory

@@ -9,19 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import torch
 from jaxtyping import Float
 
-from physconvex.dynamics import SolvedPass, StepRecord, Timing, extrapolate, simulate
+from physconvex.dynamics import StepRecord, Timing, extrapolate, simulate
 from physconvex.errors import InputError
 from physconvex.materials import lame_parameters, viscous_stress
 from physconvex.numerics import one_torch_thread, rotation_matrix
-from physconvex.reduced.density_gradient import DensityGradient
 from physconvex.reduced.equations import ReducedEquations
-from physconvex.reduced.field_gradient import FieldBars
+from physconvex.reduced.field_gradient import FieldBars, density_gradient
 from physconvex.reduced.friction_tangents import FreezeTangent, friction_tangent
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.step_derivatives import StepDerivatives
@@ -42,7 +41,7 @@ class LossGradient:
         poisson_ratio: by ν of each cell, shape [C].
         initial_coordinates: by y(0), as `ReducedScene.start` gives it [1/m], shape [R, 3].
         initial_velocities: by ẏ(0) [s/m], shape [R, 3].
-        densities: data for the derivatives by `density`.
+        by_density: computes `density`.
     """
 
     trajectory: ReducedTrajectory
@@ -52,12 +51,12 @@ class LossGradient:
     poisson_ratio: Float[np.ndarray, " C"]
     initial_coordinates: Float[np.ndarray, "R 3"]
     initial_velocities: Float[np.ndarray, "R 3"]
-    densities: DensityGradient = field(repr=False)
+    by_density: Callable[[], Float[np.ndarray, " C"]] = field(repr=False)
 
     @cached_property
     def density(self) -> Float[np.ndarray, " C"]:
         """By ρ of each cell at the given mean velocity of the start [m³/kg], shape [C]."""
-        return self.densities.by_cell()
+        return self.by_density()
 
 
 class Bar:
@@ -98,9 +97,9 @@ class Sweep:
         x_bar = after.positions + after.velocities / c.step
         step_bars.base -= after.velocities / c.step
         for number in reversed(range(len(record.passes))):
-            force_bar = self._back_solve(record.passes[number], x_bar)
+            x, self.equations.friction = record.passes[number].x, record.passes[number].friction
+            force_bar = -self.equations.exact_solve(x, x_bar[None])[0]  # by the gradient of the incremental potential
             if self.field is not None:
-                x = record.passes[number].x
                 self.field.add_solve(self.equations, x, c.velocity(x), guess, force_bar)
             self._back_gradient(record, number, guess, force_bar, step_bars)
             places, speeds = self._back_friction(record, number, guess, force_bar, step_bars)
@@ -111,11 +110,6 @@ class Sweep:
                 before.positions += places
                 step_bars.guess += speeds / c.step
         _back_coefficients(record, step_bars, before, history)
-
-    def _back_solve(self, solved: SolvedPass, x_bar: np.ndarray) -> np.ndarray:
-        """−H⁻¹ x̄: derivative of the loss by the gradient of the incremental potential."""
-        self.equations.friction = solved.friction
-        return -self.equations.exact_solve(solved.x, x_bar[None])[0]
 
     def _back_gradient(
         self, record: StepRecord, number: int, guess: np.ndarray, force_bar: np.ndarray, bars: _StepBars
@@ -154,9 +148,9 @@ class Sweep:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives by the coordinates and velocities at which friction is frozen, by probing its local maps."""
         c, surface, contact = record.coefficients, self.equations.surface, self.equations.contact
-        zero = np.zeros_like(force_bar)
         if not record.passes[number].friction:
-            return zero, zero
+            return np.zeros_like(force_bar), np.zeros_like(force_bar)
+        present = c.velocity(record.passes[number].x)
         if number == 0:
             y, v, time = record.before.positions, c.velocity(guess), record.before.time
         else:
@@ -164,21 +158,20 @@ class Sweep:
             v, time = c.velocity(y), record.after.time
         named = len(self.named)
         probes = np.zeros((3, 9 + named, len(surface), 3))  # of x, v at freezing, and the present velocity
-        for kind in range(3):
-            for axis in range(3):
-                probes[kind, 3 * kind + axis, :, axis] = 1.0
-        rates = np.zeros((3, 9 + named))
-        rates[:, 9:] = self.derivatives.dlog_stiffness, self.derivatives.dfriction, self.derivatives.ddamping
-        frozen = FreezeTangent(surface @ y, surface @ v, time, probes[0], probes[1], *rates)
-        maps = friction_tangent(contact, frozen, surface @ c.velocity(record.passes[number].x), probes[2])
+        for row in range(9):
+            probes[row // 3, row, :, row % 3] = 1.0
+        changes = np.zeros((3, 9 + named))
+        changes[:, 9:] = self.derivatives.dlog_stiffness, self.derivatives.dfriction, self.derivatives.ddamping
+        frozen = FreezeTangent(surface @ y, surface @ v, time, probes[0], probes[1], *changes)
+        maps = friction_tangent(contact, frozen, surface @ present, probes[2])
         pulled = (maps * (surface @ force_bar)).sum(-1)  # [9 + P, S]
         self.named += pulled[9:].sum(1)
         bars_on_surface = [pulled[3 * kind : 3 * kind + 3].T for kind in range(3)]
         if self.field is not None:
-            for bar, field in zip(bars_on_surface, (y, v, c.velocity(record.passes[number].x)), strict=True):
+            for bar, field in zip(bars_on_surface, (y, v, present), strict=True):
                 self.field.add_surface(bar, field)
-        places, speeds, present = (surface.T @ bar for bar in bars_on_surface)
-        bars.base -= present / c.step
+        places, speeds, rates = (surface.T @ bar for bar in bars_on_surface)
+        bars.base -= rates / c.step
         return places, speeds
 
     def finish(self, trajectory: ReducedTrajectory, loss: float, first: Bar) -> LossGradient:
@@ -214,7 +207,7 @@ class Sweep:
             ratio.cpu().numpy(),
             positions,
             first.velocities,
-            DensityGradient(self.body, self.products, self.scene.start, center),
+            partial(density_gradient, self.body, self.products, self.scene.start, center),
         )
 
 

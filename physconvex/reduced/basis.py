@@ -18,7 +18,7 @@ from torch import Tensor
 
 from physconvex.errors import InputError
 from physconvex.fem import ElasticBody, skinning_eigenmodes
-from physconvex.mesh import TetMesh, locate, shape_gradients, shape_values
+from physconvex.mesh import TetMesh, barycentric_gradients, locate, shape_gradients, shape_values
 
 MAX_WEIGHTS = 64
 _BLOCK = 20_000  # points located at once
@@ -90,10 +90,7 @@ class NodalFunctions:
 
     @cached_property
     def _barycentric_gradients(self) -> np.ndarray:
-        """∂b/∂X of each element, [E, 4, 3]."""
-        corners = self.mesh.vertices[self.mesh.corner_tets]
-        inner = np.linalg.inv(corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
-        return np.concatenate([-inner.sum(1, keepdims=True), inner], axis=1)
+        return barycentric_gradients(self.mesh.vertices[self.mesh.corner_tets])
 
     def at(self, points: Float[np.ndarray, "P 3"]) -> tuple[Float[np.ndarray, "P M"], Float[np.ndarray, "P M 3"]]:
         """Values [-] and gradients [1/m] at rest positions [m]."""

@@ -54,9 +54,9 @@ class ReducedBodies:
 
     def prepared(self, timing: Timing) -> PreparedRollOut:
         """Prepared for `physconvex.dynamics.simulate`."""
-        from physconvex.reduced.simulation import prepared_bodies  # late: the equations of a scene know the scene
+        from physconvex.reduced.simulation import prepared_roll_out  # late: the equations of a scene know the scene
 
-        return prepared_bodies(self, timing)
+        return prepared_roll_out(self, timing)
 
     def trajectory(self, frames: FrameStates) -> BodiesTrajectory:
         """The roll-out."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,13 +15,12 @@ from physconvex.materials import (
     FlowRule,
     FlowStep,
     Law,
+    MaterialBody,
     MaterialPoints,
     checked_constant,
-    get_law,
     inner_viscous_stress,
     lame_parameters,
     project_to_positive,
-    stored_flows,
     strain_rate,
     strain_stiffness,
     viscous_stress,
@@ -35,7 +34,7 @@ _BLOCK = 4_000_000  # numbers in the largest temporary of the Hessian
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
-class ReducedBody:
+class ReducedBody(MaterialBody):
     """A reduced space filled with one elastic law; constants per cell of the samples (per tetrahedron).
 
     Args:
@@ -70,8 +69,8 @@ class ReducedBody:
         device: str | torch.device = "cpu",
         regions: Int[np.ndarray, " C"] | None = None,
     ) -> None:
-        self.space, self.flow, self.device = space, flow, torch.device(device)
-        self.law = get_law(law) if isinstance(law, str) else law
+        super().__init__(law, flow, device)
+        self.space, self.rest = space, space.rest
         cells = (space.samples.interior.cell_count,)
         self.youngs_modulus = checked_constant("youngs_modulus", youngs_modulus, cells)
         self.poisson_ratio = checked_constant("poisson_ratio", poisson_ratio, cells)
@@ -86,11 +85,9 @@ class ReducedBody:
         flat = space.interior_gradients.transpose(0, 2, 1).reshape(-1, space.dimension)
         self._gradients = self._tensor(np.ascontiguousarray(flat))  # [(Q, j), R]
         self._quick: VolumetricSamples | None = None  # of the law alone, also if there is a flow besides it
-        beside = flow is None or flow.beside_law
-        if beside and self.device.type == "cpu" and self.law.volumetric is not None:
+        if self.law_acts and self.device.type == "cpu" and self.law.volumetric is not None:
             self._quick = volumetric_samples(self.law, self._samples)
         self.mass, self.first_moments = space.mass_matrix(self.density)
-        self._virgin = None if flow is None else self.flow_step(self.unflowed(), self.space.rest, 0.0)
 
     def with_material(
         self,
@@ -117,9 +114,6 @@ class ReducedBody:
 
     # -- set-up
 
-    def _tensor(self, array: np.ndarray) -> Tensor:
-        return torch.as_tensor(array, dtype=torch.float64, device=self.device)
-
     def _checked_regions(self, regions: np.ndarray) -> np.ndarray:
         array, count = np.asarray(regions), self.space.samples.interior.cell_count
         if (
@@ -143,11 +137,6 @@ class ReducedBody:
         return compiled_viscosity(self._samples) if self.device.type == "cpu" else None
 
     @property
-    def rest(self) -> Float[np.ndarray, "R 3"]:
-        """Coordinates of the rest state [m]."""
-        return self.space.rest
-
-    @property
     def volume(self) -> float:
         """Volume of the body [m³]."""
         return self.space.samples.mass.volume
@@ -157,11 +146,6 @@ class ReducedBody:
         """Mass of the body [kg]."""
         mass = self.space.samples.mass
         return float(mass.weights @ self.density[mass.cells])
-
-    @property
-    def shear_scale(self) -> float:
-        """∫ μ dV [J]: size of the terms that cancel each other in the elastic energy."""
-        return float((self._weights * self.mu).sum())
 
     # -- elasticity
 
@@ -175,27 +159,12 @@ class ReducedBody:
         weighted = (self._weights[:, None, None] * stress).mT  # [..., Q, j, i]
         return (self._gradients.mT @ weighted.reshape(*stress.shape[:-3], -1, 3)).cpu().numpy()
 
-    def energy(self, y: Float[np.ndarray, "R 3"], *, response: FlowStep | None = None) -> float:
-        """Elastic energy [J] at coordinates y [m]; with flow, the incremental one of a step.
-
-        Args:
-            y: coordinates [m].
-            response: of the flow during a time step; without it, the instantaneous one without any flow.
-        """
-        return float((self._weights * self._material("energy", self.deformation_gradient(y), response)).sum())
-
-    def gradient(self, y: Float[np.ndarray, "R 3"], *, response: FlowStep | None = None) -> Float[np.ndarray, "R 3"]:
-        """Derivative of the energy with respect to the coordinates [N]."""
-        return self.energy_and_gradient(y, response=response)[1]
-
     def energy_and_gradient(
         self, y: Float[np.ndarray, "R 3"], *, response: FlowStep | None = None
     ) -> tuple[float, Float[np.ndarray, "R 3"]]:
-        """Both of the above with one evaluation of F."""
+        """Energy [J] and its derivative [N], see `energy` and `gradient`."""
         if self._quick is None:
-            f = self.deformation_gradient(y)
-            energy = float((self._weights * self._material("energy", f, response)).sum())
-            return energy, self.forces_of(self._material("stress", f, response))
+            return super().energy_and_gradient(y, response=response)
         energy, forces = self._quick.energy_and_gradient(y)
         if (flowing := self._flowing(response)) is not None:
             f = self.deformation_gradient(y)
@@ -208,31 +177,6 @@ class ReducedBody:
         if self._quick is not None:
             return self._quick.gradient_with(y, mu.numpy(), lam.numpy())
         return self.forces_of(self.law.stress(self.deformation_gradient(y), mu, lam))
-
-    def _material(self, of: Literal["energy", "stress", "hessian"], f: Tensor, response: FlowStep | None) -> Tensor:
-        """Energy density, stress or Hessian at the samples: of the law, the flow, or both."""
-        parts: list[Tensor] = []
-        if self.flow is None or self.flow.beside_law:
-            parts.append(getattr(self.law, of)(f, self.mu, self.lam))
-        if (flowing := self._flowing(response)) is not None:
-            parts.append(getattr(flowing, of)(f))
-        return sum(parts[1:], parts[0])
-
-    def _flowing(self, response: FlowStep | None) -> FlowStep | None:
-        """The flow response; by default the instantaneous one without any flow; None for an elastic body."""
-        return self._virgin if response is None else response
-
-    # -- flow
-
-    def unflowed(self) -> Tensor:
-        """F_f⁻¹ without any flow, shape [Q, 3, 3], of `Flows` [Q, 2, 3, 3]."""
-        shape = (len(self.mu), *stored_flows(self.flow), 3, 3)
-        return torch.eye(3, dtype=torch.float64, device=self.device).expand(shape)
-
-    def flow_step(self, undo: Tensor, y: Float[np.ndarray, "R 3"], step: float) -> FlowStep:
-        """Response of the flowing part during a step [s], from F_f⁻¹ at its start; lagged terms are taken at y [m]."""
-        assert self.flow is not None
-        return self.flow.during(undo, self.deformation_gradient(y), self.mu, self.lam, step)
 
     def hessian(
         self,
@@ -296,9 +240,7 @@ class ReducedBody:
         """Rate potential [W] and its derivative with respect to velocity [N] for viscosity damping_time × (μ, λ)."""
         if self._viscosity is not None:
             return self._viscosity.energy_and_gradient(state.numpy(), velocity, damping_time)
-        rate = self.deformation_gradient(velocity)
-        stress = viscous_stress(state, rate, damping_time * self.mu, damping_time * self.lam)
-        return float(0.5 * (self._weights * (stress * rate).sum((-1, -2))).sum()), self.forces_of(stress)
+        return super().viscous_energy_and_gradient(state, velocity, damping_time)
 
     def viscous_gradient_with(
         self, state: Tensor, velocity: Float[np.ndarray, "R 3"], mu: Tensor, lam: Tensor

@@ -1,4 +1,4 @@
-"""Derivative of a loss by a body's skinning weights: by W_m and ∂W_m/∂X at all samples of the body.
+"""Derivatives of a loss by a body's skinning weights and densities: by W_m and ∂W_m/∂X at all samples of the body.
 
 The gradient g of a step's potential contains the shape functions N_a of `physconvex.reduced.space` at four kinds of
 points: their slopes at the samples of the elastic energy, their values on the surface, at pins and at the samples of
@@ -17,9 +17,39 @@ import torch
 from jaxtyping import Float
 
 from physconvex.materials import viscous_stress
+from physconvex.reduced.body import ReducedBody
 from physconvex.reduced.equations import ReducedEquations
 from physconvex.reduced.scene import ReducedScene
 from physconvex.reduced.surface_contact import contact_blocks
+
+_BLOCK = 20_000  # points of the mass at once
+
+
+def density_gradient(
+    body: ReducedBody,
+    products: Float[np.ndarray, "R R"],
+    start: Float[np.ndarray, "R 3"],
+    center: Float[np.ndarray, " 3"],
+) -> Float[np.ndarray, " C"]:
+    """Derivative of a loss by ρ of each cell [m³/kg].
+
+    A step's gradient is linear in the density: ∫ ρ N_a (pull − g) dV with the acceleration field pull − g.
+
+    Args:
+        body: the body.
+        products: Σ λ_a · (pull − g)_b over all solves, λ the derivative of the loss by the gradient.
+        start: coordinates at t = 0 [m].
+        center: derivative of the loss by the centre of the initial rotation [1/m].
+    """
+    mass, total = body.space.samples.mass, body.total_mass
+    middle = body.first_moments @ start / total
+    out = np.zeros(mass.cell_count)
+    for rows in np.array_split(np.arange(len(mass.points)), 1 + len(mass.points) // _BLOCK):
+        values = body.space.shape_values(mass.points[rows])
+        shares = np.einsum("qa,ab,qb->q", values, products, values, optimize=True)
+        shares += (values @ start - middle) @ center / total
+        np.add.at(out, mass.cells[rows], mass.weights[rows] * shares)
+    return out
 
 
 @dataclass(frozen=True)
@@ -117,7 +147,7 @@ class FieldBars:
         """By the weights, at the end of the sweep.
 
         Args:
-            products: as in `physconvex.reduced.density_gradient`.
+            products: Σ λ_a · (pull − g)_b over all solves.
         """
         space, mass = self.body.space, self.body.space.samples.mass
         density = mass.weights * self.body.density[mass.cells]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -12,8 +13,56 @@ from physconvex.dynamics import Contact, FrameStates, PreparedRollOut, Timing, W
 from physconvex.errors import InputError
 from physconvex.numerics import rotation_matrix
 from physconvex.reduced.body import ReducedBody
-from physconvex.reduced.pins import PIN_STIFFNESS_RATIO, PinSprings
 from physconvex.reduced.trajectory import ReducedTrajectory
+
+PIN_STIFFNESS_RATIO = 1000.0  # k L / E: a clamp yields by about a thousandth of the body's displacements
+
+
+@dataclass(frozen=True)
+class PinSprings:
+    """The springs of pins on a reduced body.
+
+    Attributes:
+        values: shape functions at the points, shape [C, R].
+        weights: k A [N/m], shape [C].
+        anchors: initial positions of the points [m], shape [C, 3].
+        motion: as in `physconvex.dynamics.Pins`.
+    """
+
+    values: Float[np.ndarray, "C R"]
+    weights: Float[np.ndarray, " C"]
+    anchors: Float[np.ndarray, "C 3"]
+    motion: Callable[[float], Float[np.ndarray, "C 3"]] | None
+
+    @cached_property
+    def matrix(self) -> Float[np.ndarray, "R R"]:
+        """Second derivative of the energy, the same for each coordinate [N/m]."""
+        return self.values.T @ (self.weights[:, None] * self.values)
+
+    def targets(self, time: float) -> Float[np.ndarray, "C 3"]:
+        """x*(t) [m].
+
+        Raises:
+            InputError: `motion` returns another shape than [C, 3], or values that are not finite.
+        """
+        if self.motion is None:
+            return self.anchors
+        targets = np.asarray(self.motion(time), dtype=np.float64)
+        if targets.shape != self.anchors.shape or not np.isfinite(targets).all():
+            raise InputError(
+                f"pins.motion: got shape {targets.shape} at t = {time:g} s; expected finite positions [m] of shape "
+                f"{self.anchors.shape}, one row per point"
+            )
+        return targets
+
+    def pull(self, x: Float[np.ndarray, "R 3"], time: float) -> Float[np.ndarray, "C 3"]:
+        """Force of each spring on the body [N] at coordinates x [m]."""
+        return self.weights[:, None] * (self.targets(time) - self.values @ x)
+
+    def energy_and_gradient(self, x: Float[np.ndarray, "R 3"], time: float) -> tuple[float, Float[np.ndarray, "R 3"]]:
+        """Energy [J] and its derivative with respect to the coordinates [N]."""
+        force = self.pull(x, time)
+        return 0.5 * float((force**2 / self.weights[:, None]).sum()), -(self.values.T @ force)
 
 
 @dataclass(frozen=True)
@@ -44,9 +93,9 @@ class ReducedScene(World):
 
     def prepared(self, timing: Timing) -> PreparedRollOut:
         """Prepared for `physconvex.dynamics.simulate`."""
-        from physconvex.reduced.simulation import prepared_body  # late: the equations of a scene know the scene
+        from physconvex.reduced.simulation import prepared_roll_out  # late: the equations of a scene know the scene
 
-        return prepared_body(self, timing)
+        return prepared_roll_out(self, timing)
 
     def trajectory(self, frames: FrameStates) -> ReducedTrajectory:
         """The roll-out."""

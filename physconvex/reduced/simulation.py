@@ -8,6 +8,7 @@ from physconvex.dynamics import PreparedRollOut, State, Timing
 from physconvex.errors import InputError
 from physconvex.reduced.bodies import ReducedBodies
 from physconvex.reduced.bodies_equations import BodiesEquations
+from physconvex.reduced.dense_newton import DenseNewton
 from physconvex.reduced.equations import ReducedEquations
 from physconvex.reduced.scene import ReducedScene
 
@@ -15,25 +16,19 @@ _STALE_RATE = 0.5  # secants compensate for an old factor
 _TOLERANCE = 3e-8  # of Newton's last step, over the size
 
 
-def prepared_body(scene: ReducedScene, timing: Timing) -> PreparedRollOut:
-    """A scene prepared for its roll-out, as `physconvex.dynamics.simulate` needs it."""
-    return _made(ReducedEquations(scene), (scene,), scene.body.space.samples.size, timing)
-
-
-def prepared_bodies(bodies: ReducedBodies, timing: Timing) -> PreparedRollOut:
-    """The same for several bodies; tolerances are relative to the smallest one."""
-    return _made(BodiesEquations(bodies), bodies.scenes, bodies.size, timing)
-
-
-def _made(
-    equations: ReducedEquations | BodiesEquations, scenes: tuple[ReducedScene, ...], size: float, timing: Timing
-) -> PreparedRollOut:
+def prepared_roll_out(world: ReducedScene | ReducedBodies, timing: Timing) -> PreparedRollOut:
+    """One body or several, as `physconvex.dynamics.simulate` needs them; tolerances follow the smallest one."""
     if timing.contact_solver != "passes" or timing.flight_steps_per_frame is not None:
         raise InputError(
             "contact_solver, flight_steps_per_frame: got "
             f"{timing.contact_solver!r}, {timing.flight_steps_per_frame} for a reduced body; expected contact by "
             "passes and steps of one length. Leave both out"
         )
+    equations: DenseNewton
+    if isinstance(world, ReducedBodies):
+        equations, scenes, size = BodiesEquations(world), world.scenes, world.size
+    else:
+        equations, scenes, size = ReducedEquations(world), (world,), world.body.space.samples.size
     guarded = timing.energy_tolerance is not None and all(scene.autonomous for scene in scenes)
     start = State(
         0.0,

@@ -60,7 +60,6 @@ class StepDerivatives:
         cells = torch.as_tensor(body.space.samples.interior.cells, device=device)
         constants = (torch.as_tensor(c, device=device) for c in (body.youngs_modulus, body.poisson_ratio))
         self._dmu, self._dlam = (slope[cells] for slope in _lame_slopes(*constants))
-        self.elastic = body.flow is None or body.flow.beside_law  # whether the body's elastic law acts
 
     def _stiffest(self, name: str) -> bool:
         """Whether a parameter is the E from which default stiffnesses follow: the largest one."""
@@ -195,7 +194,7 @@ class StepDerivatives:
 
     def _elastic_forces(self, x: np.ndarray, mu: Tensor, lam: Tensor) -> Float[np.ndarray, "R 3"]:
         """Forces of the law with other constants [N]."""
-        if not self.elastic:
+        if not self.body.law_acts:
             return np.zeros_like(x)
         return self.body.gradient_with(x, mu, lam)
 

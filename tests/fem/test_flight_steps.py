@@ -7,7 +7,7 @@ import pytest
 
 from physconvex.dynamics import Loads, Plane, PreparedRollOut, Sphere, State, Stepper, Timing, bdf2, simulate
 from physconvex.fem import ElasticBody, NodePins, Scene
-from physconvex.fem.flight_steps import Flight
+from physconvex.fem.simulation import Flight
 from physconvex.mesh import box_mesh
 
 G = 9.81

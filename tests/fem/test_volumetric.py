@@ -74,7 +74,7 @@ def test_energy_forces_and_stiffness(law, order, cells, kind):
 def test_viscosity(law, order):
     quick, plain = bodies(law, order, (1, 3, 1))
     x, velocity, frozen = states(quick, 7)
-    state = quick.viscous_state(frozen)
+    state = quick.deformation_gradient(frozen)
     moving = [
         body.moving_energy_and_gradient(x, velocity, state, damping_time=0.003, step=0.01) for body in (quick, plain)
     ]

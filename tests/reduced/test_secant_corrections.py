@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from physconvex.reduced.secant_corrections import Secants
+from physconvex.reduced.dense_newton import Secants
 
 
 def test_gradients_of_a_quadratic_make_the_inverse_exact_along_what_was_seen():

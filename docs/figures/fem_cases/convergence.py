@@ -10,7 +10,7 @@ import numpy as np
 
 from physconvex.dynamics import IntegratorName, Loads, Timing, simulate
 from physconvex.fem import ElasticBody, NodePins, Scene, solve_static
-from physconvex.mesh import QUADRATURE, TetMesh, box_mesh, shape_gradients, shape_values
+from physconvex.mesh import QUADRATURE, TetMesh, barycentric_gradients, box_mesh, shape_gradients, shape_values
 
 __all__ = ["Convergence", "elastic_displacement", "fitted_slope", "in_space", "in_time"]
 
@@ -66,8 +66,7 @@ def _errors(mesh: TetMesh, u: np.ndarray) -> tuple[float, float]:
     """L2 norms of the error in u and in its gradient."""
     points, weights = QUADRATURE[4]
     corners = mesh.vertices[mesh.corner_tets]
-    inner = np.linalg.inv(corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1)
-    barycentric = np.concatenate([-inner.sum(1, keepdims=True), inner], axis=1)
+    barycentric = barycentric_gradients(corners)
     exact, exact_gradient = elastic_displacement(np.einsum("qb,ebi->eqi", points, corners))
     values = np.einsum("qa,eai->eqi", shape_values(points, mesh.order), u[mesh.tets])
     gradients = np.einsum("qab,ebj,eai->eqij", shape_gradients(points, mesh.order), barycentric, u[mesh.tets])
